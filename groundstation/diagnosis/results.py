@@ -1,0 +1,100 @@
+"""What a diagnosis yields: findings, what is left unexplained, and the error before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.identification.results import Estimate
+
+Verdict = Literal["explained", "unexplained", "clean", "refused"]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """An effect that the declared vehicle lacks (identifier of effects.md), with its parameters and evidence."""
+
+    effect: str
+    parameters: Mapping[str, Estimate]
+    evidence: str
+    confidence: float
+    alternatives: tuple[str, ...] = ()
+    rotor: int | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form of flight-bundle.md."""
+        return {
+            "effect": self.effect,
+            "parameters": {name: estimate.to_dict() for name, estimate in self.parameters.items()},
+            "evidence": self.evidence,
+            "confidence": self.confidence,
+            "alternatives": list(self.alternatives),
+            "rotor": self.rotor,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Unexplained:
+    """Where a residual lives: channel, share of the channel's residual variance, and what it varies with."""
+
+    channel: str
+    share: float
+    depends_on: tuple[str, ...] = ()
+    proposal: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form of flight-bundle.md."""
+        return {
+            "channel": self.channel,
+            "share": self.share,
+            "depends_on": list(self.depends_on),
+            "proposal": self.proposal,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The result of ``diagnose``.
+
+    Attributes:
+        error: {"held_out": {"before": {channel: rms}, "after": {...}, "nominal": {...},
+            "simulation_before": {...}, "simulation_after": {...}}}.
+        residual: per channel the time series and spectra that the report draws.
+        candidates: for each effect tried, its held-out gain and why it was kept or dropped.
+    """
+
+    flight: str
+    vehicle: str
+    verdict: Verdict
+    findings: tuple[Finding, ...] = ()
+    unexplained: tuple[Unexplained, ...] = ()
+    error: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
+    parameters_before: Mapping[str, Estimate] = field(default_factory=dict)
+    parameters_after: Mapping[str, Estimate] = field(default_factory=dict)
+    next_flight: str = ""
+    reason: str = ""
+    warnings: tuple[str, ...] = ()
+    candidates: tuple[Mapping[str, Any], ...] = ()
+    residual: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The document ``diagnose --json`` prints (flight-bundle.md)."""
+        return {
+            "schema": "groundstation.diagnosis/1",
+            "flight": self.flight,
+            "vehicle": self.vehicle,
+            "verdict": self.verdict,
+            "findings": [finding.to_dict() for finding in self.findings],
+            "unexplained": [item.to_dict() for item in self.unexplained],
+            "error": {k: {stage: dict(v) for stage, v in stages.items()} for k, stages in self.error.items()},
+            "parameters_before": {k: v.to_dict() for k, v in self.parameters_before.items()},
+            "parameters_after": {k: v.to_dict() for k, v in self.parameters_after.items()},
+            "next_flight": self.next_flight,
+            "reason": self.reason,
+            "warnings": list(self.warnings),
+            "candidates": [dict(c) for c in self.candidates],
+        }

@@ -1,0 +1,109 @@
+"""A recorded flight: independent streams, each on its own device clock, as the devices gave them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.trajectory import Plan
+from groundstation.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+IMU_COLUMNS = ("gyro_x_rad_s", "gyro_y_rad_s", "gyro_z_rad_s", "accel_x_m_s2", "accel_y_m_s2", "accel_z_m_s2")
+MOCAP_COLUMNS = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
+BATTERY_COLUMNS = ("voltage_v", "current_a")
+SETPOINT_COLUMNS = ("x_m", "y_m", "z_m", "yaw_rad")
+STATE_COLUMNS = (
+    *("x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s"),
+    *("qw", "qx", "qy", "qz", "wx_rad_s", "wy_rad_s", "wz_rad_s"),
+)
+WRENCH_COLUMNS = ("force_z_n", "torque_x_nm", "torque_y_nm", "torque_z_nm")
+
+
+def motor_columns(kind: str, count: int) -> tuple[str, ...]:
+    """Column names of the motors stream for ``rotors.input`` and a rotor count."""
+    if kind == "wrench":
+        return WRENCH_COLUMNS
+    unit = "rad_s" if kind == "rotor_speed" else "command"
+    return tuple(f"m{i}_{unit}" for i in range(1, count + 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """Samples of one device.
+
+    Attributes:
+        t_s: device time, seconds, shape (k,).
+        values: samples, shape (k, len(columns)).
+        columns: one name per column, unit last.
+        received_s: arrival on the host's monotonic clock, seconds, shape (k,), where it is known.
+    """
+
+    t_s: Array
+    values: Array
+    columns: tuple[str, ...]
+    received_s: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    def select(self, mask: NDArray[np.bool_]) -> Stream:
+        """The samples where ``mask`` holds."""
+        received = None if self.received_s is None else self.received_s[mask]
+        return Stream(self.t_s[mask], self.values[mask], self.columns, received)
+
+    def column(self, name: str) -> Array:
+        """One column by name, shape (k,)."""
+        return self.values[:, self.columns.index(name)]
+
+    def rate_hz(self) -> float:
+        """Median sample rate; 0 for fewer than two samples."""
+        return float(1.0 / np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class FlightData:
+    """One flight. Streams that were not recorded are None; ``extras`` carries columns and files nobody here reads.
+
+    Attributes:
+        name: what the flight is called in reports and JSON.
+        vehicle: what was declared before the flight.
+        plan: the plan that was flown, where it is known.
+        window_s: start and end of the excitation on the motors' clock, where it is known.
+        truth: the simulated drone's true vehicle (simulation only; for reports, never for estimation).
+        metadata: scenario name, versions, vehicle kind and the like.
+        notes: repairs and losses on the way in, one sentence each.
+    """
+
+    name: str
+    vehicle: Vehicle
+    motors: Stream
+    imu: Stream | None = None
+    mocap: Stream | None = None
+    battery: Stream | None = None
+    setpoint: Stream | None = None
+    state: Stream | None = None
+    extras: Mapping[str, Stream] = field(default_factory=dict)
+    plan: Plan | None = None
+    window_s: tuple[float, float] | None = None
+    truth: Vehicle | None = None
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def streams(self) -> dict[str, Stream]:
+        """The recorded streams by file name in a bundle ("imu", "motors", ...), extras excluded."""
+        named = {key: getattr(self, key) for key in ("imu", "motors", "mocap", "battery", "setpoint", "state")}
+        return {key: stream for key, stream in named.items() if stream is not None}
+
+    def between(self, start_s: float, end_s: float) -> FlightData:
+        """The part of every stream with start <= t < end on its own clock."""
+        cut = {
+            key: stream.select((stream.t_s >= start_s) & (stream.t_s < end_s))
+            for key, stream in self.streams().items()
+        }
+        extras = {k: s.select((s.t_s >= start_s) & (s.t_s < end_s)) for k, s in self.extras.items()}
+        return replace(self, **cut, extras=extras)

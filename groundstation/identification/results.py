@@ -1,0 +1,154 @@
+"""What an identification yields: values with intervals, per method, and the reasons."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+MASS_AND_TENSOR = (
+    *("mass_kg", "ixx_kg_m2", "ixy_kg_m2", "ixz_kg_m2"),
+    *("iyy_kg_m2", "iyz_kg_m2", "izz_kg_m2"),
+)
+"""Theta of the seed paper (eq. 12), under the names used in JSON."""
+
+OUTPUTS = ("force_z_n", "torque_x_nm", "torque_y_nm", "torque_z_nm")
+"""Rows of the seed paper's regressor (eq. 12)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A value, its standard deviation and its 95 % interval, in the unit its name carries."""
+
+    value: float
+    std: float
+    ci95: tuple[float, float]
+
+    @classmethod
+    def normal(cls, value: float, std: float) -> Estimate:
+        """With a Gaussian interval."""
+        return cls(float(value), float(std), (float(value - 1.959964 * std), float(value + 1.959964 * std)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form of flight-bundle.md."""
+        return {"value": self.value, "std": self.std, "ci95": list(self.ci95)}
+
+
+@dataclass(frozen=True, slots=True)
+class Evolution:
+    """How the estimates of a method moved as data came in (seed paper, Figures 4 and 5)."""
+
+    t_s: Array
+    values: Mapping[str, Array]
+
+
+@dataclass(frozen=True, slots=True)
+class MethodResult:
+    """One method's answer. Parameters that the flight does not reveal are absent."""
+
+    parameters: Mapping[str, Estimate]
+    condition_number: float | None = None
+    rms_output_error: Mapping[str, float] = field(default_factory=dict)
+    evolution: Evolution | None = None
+    note: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form of flight-bundle.md."""
+        return {
+            "parameters": {name: estimate.to_dict() for name, estimate in self.parameters.items()},
+            "condition_number": self.condition_number,
+            "rms_output_error": dict(self.rms_output_error),
+            "note": self.note,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """Motion-capture stamp minus IMU stamp of one instant, at the middle of the flight, and its drift (s/s)."""
+
+    mocap_minus_imu_s: float
+    std_s: float
+    drift: float = 0.0
+    drift_std: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Validation:
+    """RMS errors of one check, by signal, for each parameter set ("nominal", "LS", ...).
+
+    ``kind`` is "output" (eq. 43), "closed_loop" (Table 4) or "prediction".
+    """
+
+    kind: str
+    rms: Mapping[str, Mapping[str, float]]
+    samples: int
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """The result of ``identify``.
+
+    Attributes:
+        methods: by name: LS, GD, FMLS, FMGD of the seed, and ours.
+        model: the other parameters of the best model: lag, delay, thrust constants, biases, ...
+        best: which method the model is taken from; ``best_reason`` says why, in a sentence.
+        not_identifiable: parameter name -> what motion or stream would reveal it.
+        bound: Cramer-Rao standard deviation of each parameter on this flight, disturbance counted.
+        window_s: the part of the flight that was used, on the IMU's clock (motors' without IMU).
+        quality: repairs and data-compatibility findings, one sentence each.
+    """
+
+    flight: str
+    vehicle: str
+    anchor: str
+    methods: Mapping[str, MethodResult]
+    model: Mapping[str, Estimate]
+    best: str
+    best_reason: str = ""
+    clock: Clock | None = None
+    not_identifiable: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    bound: Mapping[str, float] = field(default_factory=dict)
+    window_s: tuple[float, float] = (0.0, 0.0)
+    excluded_s: tuple[tuple[float, float], ...] = ()
+    quality: tuple[str, ...] = ()
+    validation: tuple[Validation, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """The document ``identify --json`` prints (flight-bundle.md)."""
+        clock = self.clock
+        return {
+            "schema": "groundstation.identification/1",
+            "flight": self.flight,
+            "vehicle": self.vehicle,
+            "anchor": self.anchor,
+            "methods": {name: method.to_dict() for name, method in self.methods.items()},
+            "model": {name: estimate.to_dict() for name, estimate in self.model.items()},
+            "best": self.best,
+            "best_reason": self.best_reason,
+            "clock": None
+            if clock is None
+            else {
+                "mocap_minus_imu_s": clock.mocap_minus_imu_s,
+                "std_s": clock.std_s,
+                "drift": clock.drift,
+                "drift_std": clock.drift_std,
+            },
+            "not_identifiable": list(self.not_identifiable),
+            "remedies": dict(self.not_identifiable),
+            "warnings": list(self.warnings),
+            "bound": dict(self.bound),
+            "window_s": list(self.window_s),
+            "excluded_s": [list(pair) for pair in self.excluded_s],
+            "quality": list(self.quality),
+            "validation": [
+                {"kind": v.kind, "samples": v.samples, "note": v.note, "rms": {k: dict(r) for k, r in v.rms.items()}}
+                for v in self.validation
+            ],
+        }

@@ -1,0 +1,32 @@
+"""Where the files that ship with the program lie: in the installed package, or in the repository it runs from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from groundstation.errors import BadInput
+
+
+def configs_dir() -> Path:
+    """The folder with ``vehicles/``, ``scenarios/``, ``plans/`` and ``stations/``."""
+    package = Path(__file__).resolve().parent
+    for candidate in (package / "configs", package.parent / "configs"):
+        if candidate.is_dir():
+            return candidate
+    raise BadInput("the configs folder is missing from this installation; install groundstation again.")
+
+
+def find_config(kind: str, name_or_path: str | Path) -> Path:
+    """A shipped file by its short name ("qball2"), or the path itself when it exists.
+
+    Raises:
+        BadInput: neither; the sentence lists the shipped names.
+    """
+    path = Path(name_or_path)
+    if path.suffix == ".toml" and path.is_file():
+        return path
+    shipped = configs_dir() / kind / f"{Path(name_or_path).name.removesuffix('.toml')}.toml"
+    if path.parent == Path() and shipped.is_file():
+        return shipped
+    names = sorted(p.stem for p in (configs_dir() / kind).glob("*.toml"))
+    raise BadInput(f"{name_or_path}: no such file, and no shipped one of {kind}; there are {', '.join(names)}.")

@@ -1,0 +1,333 @@
+"""Trajectories of the flat outputs x, y, z and yaw, the motion they imply, and plans as files.
+
+The excitation is the finite Fourier series of the seed paper (eq. 18). Roll and pitch follow from eq. (26)-(27), which
+put body z along acceleration plus gravity; body rates and their derivatives follow exactly from jerk and snap.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from groundstation.errors import BadInput
+
+Array = NDArray[np.float64]
+CHANNELS = ("x", "y", "z", "yaw")
+
+
+@dataclass(frozen=True, slots=True)
+class FlatState:
+    """Flat outputs and their time derivatives at k instants.
+
+    Attributes:
+        position: [x, y, z] in the world and derivatives 0..4 (to snap), shape (5, k, 3), m, m/s, ...
+        yaw: yaw and derivatives 0..2, shape (3, k), rad, rad/s, rad/s^2.
+    """
+
+    position: Array
+    yaw: Array
+
+
+@dataclass(frozen=True, slots=True)
+class RigidMotion:
+    """The motion a vehicle with thrust along body z must make to follow flat outputs, shape (k, ...)."""
+
+    position_m: Array
+    velocity_world_m_s: Array
+    acceleration_world_m_s2: Array
+    euler_rad: Array
+    euler_rate_rad_s: Array
+    angular_velocity_body_rad_s: Array
+    angular_acceleration_body_rad_s2: Array
+    specific_thrust_m_s2: Array
+
+
+class Trajectory(Protocol):
+    """Anything that can be sampled at given times."""
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from start to end."""
+        ...
+
+    def sample(self, t_s: ArrayLike) -> FlatState:
+        """Flat outputs at times from the trajectory's start."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class FourierSeries:
+    """Seed paper eq. (18): q_i(t) = sum_l a_il/(w l) sin(w l t) - b_il/(w l) cos(w l t) + c_i.
+
+    Attributes:
+        a: sine amplitudes of x, y, z (m/s) and yaw (rad/s), shape (4, N).
+        b: cosine amplitudes, shape (4, N).
+        c: offsets, shape (4,).
+        base_frequency_rad_s: w.
+        periods: how often the period is flown.
+    """
+
+    a: Array
+    b: Array
+    c: Array
+    base_frequency_rad_s: float
+    periods: float = 1.0
+
+    @property
+    def period_s(self) -> float:
+        """2 pi / w."""
+        return 2.0 * np.pi / self.base_frequency_rad_s
+
+    @property
+    def duration_s(self) -> float:
+        """All periods."""
+        return self.periods * self.period_s
+
+    def derivatives(self, t_s: ArrayLike, highest: int) -> Array:
+        """Channels and derivatives 0..highest at times t, shape (highest + 1, k, 4)."""
+        t = np.atleast_1d(np.asarray(t_s, dtype=float))
+        w = self.base_frequency_rad_s * np.arange(1, self.a.shape[1] + 1)
+        phase = np.exp(1j * w * t[:, None])
+        # q = Re(sum z e^{iwt}) + c with z = -(b + i a)/w; each derivative multiplies by i w.
+        z = -(self.b + 1j * self.a) / w
+        out = np.stack([np.real(phase @ ((1j * w) ** n * z).T) for n in range(highest + 1)])
+        out[0] += self.c
+        return out
+
+    def sample(self, t_s: ArrayLike) -> FlatState:
+        """Flat outputs at times from the start; before and after, the ends are held at rest."""
+        t = np.atleast_1d(np.asarray(t_s, dtype=float))
+        d = self.derivatives(np.clip(t, 0.0, self.duration_s), 4)
+        d[1:, (t < 0.0) | (t > self.duration_s)] = 0.0
+        return FlatState(d[:, :, :3], d[:3, :, 3])
+
+
+@dataclass(frozen=True, slots=True)
+class RestToRest:
+    """Straight line between two points at rest, degree-9 polynomial: rates and their derivatives vanish at both ends."""
+
+    start: Array  # x, y, z, yaw
+    end: Array
+    duration_s: float
+
+    def sample(self, t_s: ArrayLike) -> FlatState:
+        """Flat outputs at times from the start, held outside."""
+        t = np.atleast_1d(np.asarray(t_s, dtype=float))
+        s = np.clip(t / self.duration_s, 0.0, 1.0)
+        polynomial = np.polynomial.Polynomial([0, 0, 0, 0, 0, 126, -420, 540, -315, 70])
+        shape = [polynomial.deriv(n)(s) / self.duration_s**n for n in range(5)]
+        d = np.stack(shape)[:, :, None] * (np.asarray(self.end) - np.asarray(self.start))
+        d[0] += self.start
+        return FlatState(d[:, :, :3], d[:3, :, 3])
+
+
+@dataclass(frozen=True, slots=True)
+class Sequence:
+    """Trajectories one after the other."""
+
+    parts: tuple[Trajectory, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Sum of the parts."""
+        return float(sum(part.duration_s for part in self.parts))
+
+    def sample(self, t_s: ArrayLike) -> FlatState:
+        """Flat outputs at times from the start of the first part; outside, the ends are held."""
+        t = np.atleast_1d(np.asarray(t_s, dtype=float))
+        position = np.empty((5, len(t), 3))
+        yaw = np.empty((3, len(t)))
+        starts = np.concatenate([[0.0], np.cumsum([part.duration_s for part in self.parts])[:-1]])
+        which = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, len(self.parts) - 1)
+        for index, part in enumerate(self.parts):
+            here = which == index
+            if here.any():
+                flat = part.sample(t[here] - starts[index])
+                position[:, here], yaw[:, here] = flat.position, flat.yaw
+        return FlatState(position, yaw)
+
+
+def rigid_motion(flat: FlatState, gravity_m_s2: float = 9.80665) -> RigidMotion:
+    """Attitude, body rates and their derivatives of a vehicle that follows flat outputs exactly.
+
+    With c1 = a_x cos(psi) + a_y sin(psi), c2 = a_x sin(psi) - a_y cos(psi), d = a_z + g: tan(theta) = c1/d (eq. 26) and
+    tan(phi) = c2/sqrt(c1^2 + d^2) (eq. 27). Both are differentiated twice in closed form; omega = W^-1 eta_dot.
+    """
+    psi, psi1, psi2 = flat.yaw
+    ax, ay, az = (flat.position[2:5, :, i] for i in range(3))  # derivatives 2, 3, 4
+    cos, sin = np.cos(psi), np.sin(psi)
+
+    def rotate(u: Array, v: Array) -> tuple[Array, Array, Array]:
+        """f = u cos(psi) + v sin(psi) with two derivatives; h = -u sin(psi) + v cos(psi) is its psi-derivative."""
+        f, h = u[0] * cos + v[0] * sin, -u[0] * sin + v[0] * cos
+        f1, h1 = u[1] * cos + v[1] * sin, -u[1] * sin + v[1] * cos
+        first = f1 + psi1 * h
+        second = (u[2] * cos + v[2] * sin) + 2 * psi1 * h1 + psi2 * h - psi1**2 * f
+        return f, first, second
+
+    c1, c1d, c1dd = rotate(ax, ay)
+    c2, c2d, c2dd = rotate(-ay, ax)
+    d, dd, ddd = az[0] + gravity_m_s2, az[1], az[2]
+    r2 = c1**2 + d**2
+    r = np.sqrt(r2)
+    rd = (c1 * c1d + d * dd) / r
+    rdd = (c1d**2 + dd**2 + c1 * c1dd + d * ddd - rd**2) / r
+
+    theta = np.arctan2(c1, d)
+    n1 = c1d * d - c1 * dd
+    theta1 = n1 / r2
+    theta2 = (c1dd * d - c1 * ddd) / r2 - theta1 * 2 * rd / r
+    s2 = c2**2 + r2
+    phi = np.arctan2(c2, r)
+    m1 = c2d * r - c2 * rd
+    phi1 = m1 / s2
+    phi2 = (c2dd * r - c2 * rdd) / s2 - phi1 * 2 * (c2 * c2d + r * rd) / s2
+
+    cp, sp, ct, st = np.cos(phi), np.sin(phi), np.cos(theta), np.sin(theta)
+    omega = np.stack([phi1 - st * psi1, cp * theta1 + sp * ct * psi1, -sp * theta1 + cp * ct * psi1], axis=-1)
+    omega1 = np.stack(
+        [
+            phi2 - ct * theta1 * psi1 - st * psi2,
+            cp * theta2 - sp * phi1 * theta1 + (cp * ct * phi1 - sp * st * theta1) * psi1 + sp * ct * psi2,
+            -sp * theta2 - cp * phi1 * theta1 - (sp * ct * phi1 + cp * st * theta1) * psi1 + cp * ct * psi2,
+        ],
+        axis=-1,
+    )
+    return RigidMotion(
+        position_m=flat.position[0],
+        velocity_world_m_s=flat.position[1],
+        acceleration_world_m_s2=flat.position[2],
+        euler_rad=np.stack([phi, theta, psi], axis=-1),
+        euler_rate_rad_s=np.stack([phi1, theta1, psi1], axis=-1),
+        angular_velocity_body_rad_s=omega,
+        angular_acceleration_body_rad_s2=omega1,
+        specific_thrust_m_s2=np.sqrt(s2),
+    )
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class ChannelCoefficients(_Model):
+    """a, b, c of eq. (18) for one channel."""
+
+    a: tuple[float, ...]
+    b: tuple[float, ...]
+    c: float = 0.0
+
+
+class Coefficients(_Model):
+    """The four channels; x, y, z in m/s and m, yaw in rad/s and rad."""
+
+    x: ChannelCoefficients
+    y: ChannelCoefficients
+    z: ChannelCoefficients
+    yaw: ChannelCoefficients
+
+    @model_validator(mode="after")
+    def _same_length(self) -> Coefficients:
+        lengths = {len(v) for c in (self.x, self.y, self.z, self.yaw) for v in (c.a, c.b)}
+        if len(lengths) != 1 or 0 in lengths:
+            raise ValueError(f"a and b of all channels must have the same number of harmonics, not {sorted(lengths)}")
+        return self
+
+
+class Plan(_Model):
+    """An excitation to fly: what is in a plan file. ``limits`` are those it was made to keep (names of ``[limits]``)."""
+
+    schema_version: str = Field(default="groundstation.plan/1", alias="schema")
+    vehicle: str
+    base_frequency_rad_s: Annotated[float, Field(gt=0.0)]
+    periods: Annotated[float, Field(gt=0.0)] = 1.0
+    coefficients: Coefficients
+    criterion: str = "condition"
+    condition_number: float | None = None
+    largest_violation: float | None = None
+    limits: dict[str, float] = Field(default_factory=dict)
+    predicted_std: dict[str, float] = Field(default_factory=dict)
+    note: str = ""
+
+    def series(self) -> FourierSeries:
+        """The excitation trajectory."""
+        channels = [getattr(self.coefficients, name) for name in CHANNELS]
+        return FourierSeries(
+            a=np.array([c.a for c in channels]),
+            b=np.array([c.b for c in channels]),
+            c=np.array([c.c for c in channels]),
+            base_frequency_rad_s=self.base_frequency_rad_s,
+            periods=self.periods,
+        )
+
+
+def coefficients_from_arrays(a: ArrayLike, b: ArrayLike, c: ArrayLike) -> Coefficients:
+    """Coefficients from arrays of shape (4, N), (4, N), (4,)."""
+    rows = zip(CHANNELS, np.asarray(a, dtype=float), np.asarray(b, dtype=float), np.asarray(c, dtype=float), strict=True)
+    return Coefficients(
+        **{k: ChannelCoefficients(a=tuple(map(float, p)), b=tuple(map(float, q)), c=float(r)) for k, p, q, r in rows}
+    )
+
+
+def plan_from_dict(document: dict, source: str = "plan") -> Plan:
+    """Validate a plan document.
+
+    Raises:
+        BadInput: one sentence naming every fault.
+    """
+    try:
+        return Plan.model_validate(document)
+    except ValidationError as error:
+        faults = "; ".join(f"{'.'.join(map(str, e['loc'])) or 'plan'}: {e['msg']}" for e in error.errors())
+        raise BadInput(f"{source}: {faults}. Correct it, or make a new plan with `groundstation plan`.") from None
+
+
+def load_plan(path: str | Path) -> Plan:
+    """Read a plan file.
+
+    Raises:
+        BadInput: the file is missing, no TOML, or wrong.
+    """
+    path = Path(path)
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); give the path of a plan.") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise BadInput(f"{path}: is not valid TOML ({error}); correct that line.") from None
+    return plan_from_dict(document, str(path))
+
+
+def plan_to_dict(plan: Plan) -> dict:
+    """The document that :func:`plan_from_dict` reads back to an equal plan."""
+    return plan.model_dump(by_alias=True, exclude_none=True, mode="json")
+
+
+def flight_path(plan: Plan, ground: ArrayLike, *, climb_m_s: float = 0.4, settle_s: float = 3.0) -> Sequence:
+    """Take-off from ``ground`` (x, y, z, yaw) to the excitation's start, settle, excite, return, and land.
+
+    The legs are rest to rest; the excitation itself starts and ends at rest, so position, velocity and acceleration are
+    continuous throughout.
+    """
+    series = plan.series()
+    ends = series.derivatives([0.0, series.duration_s], 0)[0]
+    floor = np.asarray(ground, dtype=float)
+    up = floor.copy()
+    up[2] = ends[0, 2]
+
+    def leg(start: Array, end: Array) -> RestToRest:
+        # Peak speed of the degree-9 polynomial is 2.46 times its mean.
+        distance = max(float(np.linalg.norm(end[:3] - start[:3])), abs(float(end[3] - start[3])))
+        return RestToRest(start, end, max(2.0, 2.46 * distance / climb_m_s))
+
+    def hold(point: Array) -> RestToRest:
+        return RestToRest(point, point, settle_s)
+
+    down = ends[1].copy()
+    down[2] = floor[2]
+    return Sequence((leg(floor, up), leg(up, ends[0]), hold(ends[0]), series, hold(ends[1]), leg(ends[1], down)))
