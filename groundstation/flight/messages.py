@@ -1,0 +1,97 @@
+"""What the core says and hears on the bus beside ``drivers.bus``: its status, its commands, the operator's lease."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+CLIENT_ALIVE = "gs/client/{client}/alive"
+"""Liveliness token of a client; when it vanishes, its lease is free again."""
+
+CommandName = Literal["start", "land", "abort", "kill"]
+"""``start`` and ``land`` belong to the holder of the lease; ``abort`` and ``kill`` to everyone."""
+
+
+class CoreCommand(msgspec.Struct, frozen=True):
+    """A client's order to the core. Answered by ``drivers.bus.Answer``."""
+
+    name: CommandName
+    client: str
+
+
+class Lease(msgspec.Struct, frozen=True):
+    """A client takes (or gives back) the operator's lease; ``force`` takes it from another."""
+
+    client: str
+    take: bool = True
+    force: bool = False
+
+
+class LeaseAnswer(msgspec.Struct, frozen=True):
+    """Whether the client holds the lease now, and who does."""
+
+    ok: bool
+    holder: str = ""
+    reason: str = ""
+
+
+class StreamStatus(msgspec.Struct, frozen=True):
+    """One stream as it arrives.
+
+    Attributes:
+        count: samples so far.
+        rate_hz: over the last second of the device's clock.
+        age_s: host time since the last sample arrived.
+        longest_gap_s: the longest time between two stamps so far.
+    """
+
+    count: int = 0
+    rate_hz: float = 0.0
+    age_s: float = 0.0
+    longest_gap_s: float = 0.0
+
+
+class CoreStatus(msgspec.Struct, frozen=True):
+    """What every view shows; published about ten times a second and on every change of phase.
+
+    Attributes:
+        flight, folder, vehicle: which flight this is and where it is kept.
+        phase, reason, exit_status: of the sequence (``groundstation.flight.sequence``).
+        host_s: host time, simulated in lock-step.
+        time_left_s: of the planned path, landing included.
+        tracking_error_m: distance between where the vehicle is and where it should be.
+        streams: by name.
+        recorded: samples in the recording; ``lost`` batches that never arrived; ``rejected`` that did not decode.
+        lease: client that may start and land.
+        progress, text: of the analysis, 0..1 and in words.
+        table: the newest estimates: parameter -> (nominal, estimate, low, high), absent numbers NaN.
+        notes: the last sentences of the flight's log.
+    """
+
+    flight: str
+    folder: str
+    vehicle: str
+    phase: str = "idle"
+    reason: str = ""
+    exit_status: int | None = None
+    vehicle_phase: str = ""
+    real_time: bool = False
+    host_s: float = 0.0
+    flight_s: float = 0.0
+    time_left_s: float = 0.0
+    tracking_error_m: float = 0.0
+    position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    setpoint_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    euler_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    motors: tuple[float, ...] = ()
+    battery_v: float = 0.0
+    streams: dict[str, StreamStatus] = {}
+    recorded: int = 0
+    lost: int = 0
+    rejected: int = 0
+    lease: str = ""
+    progress: float = 0.0
+    text: str = ""
+    table: dict[str, tuple[float, float, float, float]] = {}
+    notes: tuple[str, ...] = ()

@@ -1,0 +1,133 @@
+"""The recorder: a thread with a queue of its own, so that a slow disk delays nobody and no sample is dropped.
+
+It also keeps what the status shows about each stream. A failing disk is reported once, through ``on_failure``, and ends
+the flight; what was written before stays readable (small chunks).
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Protocol
+
+from drivers.samples import Batch, Event, Sample
+from groundstation.flight.messages import StreamStatus
+
+RATE_WINDOW_S = 1.0
+
+
+class Sink(Protocol):
+    """Where samples end up: ``groundstation.recording.McapRecorder``."""
+
+    def add(self, sample: Sample, host_s: float) -> None:
+        """Write one sample."""
+        ...
+
+    def close(self) -> None:
+        """Finish the file."""
+        ...
+
+
+class StreamMeter:
+    """Counts one stream. Rates come from device stamps, so that batches do not distort them."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.longest_gap_s = 0.0
+        self.last_host_s = 0.0
+        self._stamps: deque[float] = deque()
+
+    def add(self, device_s: float, host_s: float) -> None:
+        """Take note of a sample."""
+        self.count += 1
+        self.last_host_s = host_s
+        if self._stamps:
+            self.longest_gap_s = max(self.longest_gap_s, device_s - self._stamps[-1])
+        self._stamps.append(device_s)
+        while device_s - self._stamps[0] > RATE_WINDOW_S:
+            self._stamps.popleft()
+
+    def status(self, host_s: float) -> StreamStatus:
+        """As of host time."""
+        span = self._stamps[-1] - self._stamps[0] if len(self._stamps) > 1 else 0.0
+        rate = (len(self._stamps) - 1) / span if span > 0.0 else 0.0
+        return StreamStatus(self.count, rate, max(0.0, host_s - self.last_host_s), self.longest_gap_s)
+
+
+class Recorder:
+    """Writes batches in the order in which they come.
+
+    Args:
+        sink: the open file.
+        on_digested: called on the recorder's thread with the host time up to which everything is written.
+        on_failure: called once with the sentence that says why writing failed.
+    """
+
+    def __init__(self, sink: Sink, on_digested: Callable[[float], None], on_failure: Callable[[str], None]):
+        self._sink = sink
+        self._on_digested = on_digested
+        self._on_failure = on_failure
+        self._queue: queue.SimpleQueue[Batch | None] = queue.SimpleQueue()
+        self._failed = False
+        self._expected: int | None = None
+        self._lock = threading.Lock()
+        self._meters: dict[str, StreamMeter] = {}
+        self.recorded = 0
+        self.lost_batches = 0
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    def put(self, batch: Batch) -> None:
+        """Hand over a batch; returns at once."""
+        self._queue.put(batch)
+
+    def note(self, host_s: float, kind: str, text: str) -> None:
+        """Record an event of the station itself. Its stamp is the host's."""
+        self._queue.put(Batch(-1, (host_s,), (Event(host_s, kind, text),)))
+
+    def close(self) -> None:
+        """Write what is queued and finish the file. Idempotent."""
+        if self._thread.is_alive():
+            self._queue.put(None)
+            self._thread.join()
+
+    def streams(self, host_s: float) -> dict[str, StreamStatus]:
+        """How each stream does."""
+        with self._lock:
+            return {name: meter.status(host_s) for name, meter in self._meters.items()}
+
+    def _run(self) -> None:
+        while (batch := self._queue.get()) is not None:
+            if self._failed:
+                continue
+            try:
+                self._write(batch)
+            except (OSError, ValueError) as error:
+                self._fail(error)
+        try:
+            self._sink.close()
+        except (OSError, ValueError) as error:
+            self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        if not self._failed:
+            self._failed = True
+            self._on_failure(f"the recording cannot be written ({error}); free space or choose another folder")
+
+    def _write(self, batch: Batch) -> None:
+        if batch.sequence >= 0:
+            if self._expected is not None and batch.sequence > self._expected:
+                self.lost_batches += batch.sequence - self._expected
+            self._expected = batch.sequence + 1
+        for sample, host_s in zip(batch.samples, batch.host_s, strict=True):
+            self._sink.add(sample, host_s)
+        self.recorded += len(batch.samples)
+        if batch.sequence < 0 or not batch.samples:
+            return
+        with self._lock:
+            for sample, host_s in zip(batch.samples, batch.host_s, strict=True):
+                name = type(sample).__name__.lower()
+                self._meters.setdefault(name, StreamMeter()).add(sample.device_s, host_s)
+        self._on_digested(batch.host_s[-1])
