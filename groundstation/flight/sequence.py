@@ -234,7 +234,9 @@ def _enter(state: Sequence, phase: Phase, now_s: float, *actions: Action, **chan
     return replace(state, phase=phase, since_s=now_s, **changes), actions  # type: ignore[arg-type]
 
 
-def _aborted(state: Sequence, reason: str, now_s: float, *before: Action, status: int = FlightAborted.exit_status) -> Result:
+def _aborted(
+    state: Sequence, reason: str, now_s: float, *before: Action, status: int = FlightAborted.exit_status
+) -> Result:
     """Final: close the recording and end with the status of an aborted flight, or of a refusal to fly."""
     actions = (*before, Action(Do.CLOSE_RECORDING), Action(Do.FINISH, reason))
     return _enter(state, Phase.ABORTED, now_s, *actions, started=False, exit_status=status, reason=reason)
@@ -283,7 +285,9 @@ def _overdue(state: Sequence, now_s: float) -> Result | None:
     if state.phase in (Phase.AIRBORNE, Phase.EXCITING):
         allowed = limits.slack * state.plan_s + limits.take_off_s
         if wait > allowed:
-            return _abort(state, f"the flight was still {state.phase} after {allowed:.0f} s, longer than its plan", now_s)
+            return _abort(
+                state, f"the flight was still {state.phase} after {allowed:.0f} s, longer than its plan", now_s
+            )
     if state.phase is Phase.LANDING and wait > limits.slack * state.plan_s + limits.landing_s:
         reason = f"{state.aborting or 'the plan had ended'}; the landing was not confirmed, go and look"
         return _aborted(state, reason, now_s, Action(Do.LAND, reason))
@@ -347,7 +351,9 @@ def _coming_down(state: Sequence, event: Event, now_s: float) -> Result:
     if isinstance(event, VehicleLanding):
         return _enter(state, Phase.LANDING, now_s, aborting=state.aborting or event.abort_reason)
     if isinstance(event, VehicleLanded):
-        aborting = state.aborting or ("" if state.phase is Phase.EXCITING else "the vehicle landed before the excitation")
+        aborting = state.aborting or (
+            "" if state.phase is Phase.EXCITING else "the vehicle landed before the excitation"
+        )
         return _landed(replace(state, aborting=aborting), now_s)
     return state, ()
 

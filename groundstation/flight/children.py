@@ -1,0 +1,80 @@
+"""Child processes: each in a session of its own, so that a terminal's Ctrl-C reaches the station alone."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+STOP_TIMEOUT_S = 3.0
+
+
+def module_command(module: str, *arguments: str) -> list[str]:
+    """Run a module of this installation; ``-P`` keeps the working directory off the import path."""
+    return [sys.executable, "-P", "-m", module, *arguments]
+
+
+class Child:
+    """A running child whose output goes to a log file."""
+
+    def __init__(self, process: subprocess.Popen[str], log: Path):
+        self._process = process
+        self._log = log
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    def poll(self) -> int | None:
+        """Exit status once it has ended."""
+        return self._process.poll()
+
+    def wait(self, timeout_s: float | None = None) -> int:
+        """Wait for its end.
+
+        Raises:
+            subprocess.TimeoutExpired: it did not end in time.
+        """
+        return self._process.wait(timeout_s)
+
+    def lines(self) -> Iterator[str]:
+        """Lines of its standard output, if that was piped."""
+        yield from self._process.stdout or ()
+
+    def last_words(self) -> str:
+        """The last line it logged; empty when there is none."""
+        text = self._log.read_text(encoding="utf-8", errors="replace").strip() if self._log.is_file() else ""
+        return text.splitlines()[-1] if text else ""
+
+    def interrupt(self) -> None:
+        """Ask it to end (SIGTERM), as a service manager would."""
+        if self.poll() is None:
+            self._process.terminate()
+
+    def kill(self) -> None:
+        """End it at once."""
+        if self.poll() is None:
+            self._process.kill()
+
+    def stop(self) -> None:
+        """Ask it to end, and end it if it does not."""
+        self.interrupt()
+        try:
+            self.wait(STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            self.kill()
+            self.wait()
+
+
+def start_child(command: list[str], log: Path, *, stdout: int | None = None) -> Child:
+    """Start a command with its standard error (and output, unless piped) in ``log``."""
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with log.open("a", encoding="utf-8") as sink:
+        out: int | IO[str] = sink if stdout is None else stdout
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=out, stderr=sink, start_new_session=True, text=True
+        )
+    return Child(process, log)

@@ -1,0 +1,155 @@
+"""A client of the core: starts one, sees its status, gives orders. Killing a client never ends a flight."""
+
+from __future__ import annotations
+
+import os
+import queue
+import time
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from drivers import bus
+from groundstation.errors import BadInput
+from groundstation.flight.children import Child, module_command, start_child
+from groundstation.flight.journal import NAME as JOURNAL
+from groundstation.flight.journal import read_journal
+from groundstation.flight.messages import CLIENT_ALIVE, CommandName, CoreCommand, CoreStatus, Lease, LeaseAnswer
+
+if TYPE_CHECKING:
+    import zenoh
+
+ENDPOINT_FILE = "core.endpoint"
+CONNECT_TIMEOUT_S = 15.0
+
+
+class CoreClient:
+    """A connection to a core. Use :func:`connect`."""
+
+    def __init__(self, session: zenoh.Session, name: str):
+        self._session = session
+        self.name = name
+        self._inbox: queue.SimpleQueue[CoreStatus] = queue.SimpleQueue()
+        self._subscription = bus.subscribe(
+            session,
+            bus.CORE_STATUS,
+            bus.decoder_of(CoreStatus),
+            self._inbox.put,
+        )
+
+    def status(self, timeout_s: float) -> CoreStatus | None:
+        """The newest status; waits for one, and returns None when none came in time."""
+        newest = None
+        try:
+            newest = self._inbox.get(timeout=timeout_s)
+            while True:
+                newest = self._inbox.get_nowait()
+        except queue.Empty:
+            return newest
+
+    def command(self, name: CommandName, timeout_s: float = 5.0) -> bus.Answer:
+        """Give an order; ``abort`` is open to everyone."""
+        request = CoreCommand(name, self.name)
+        return bus.ask(self._session, bus.CORE_COMMAND, request, bus.Answer, timeout_s)
+
+    def take_lease(self, *, force: bool = False) -> LeaseAnswer:
+        """Become the operator, if nobody else is."""
+        request = Lease(self.name, take=True, force=force)
+        return bus.ask(self._session, bus.CORE_LEASE, request, LeaseAnswer)
+
+    def give_lease(self) -> LeaseAnswer:
+        """Stop being the operator."""
+        return bus.ask(self._session, bus.CORE_LEASE, Lease(self.name, take=False), LeaseAnswer)
+
+
+@contextmanager
+def connect(endpoint: str, *, name: str = "", timeout_s: float = CONNECT_TIMEOUT_S) -> Iterator[CoreClient]:
+    """Connect to a core's endpoint.
+
+    Args:
+        endpoint: zenoh endpoint, e.g. ``tcp/127.0.0.1:7450``.
+        name: how this client calls itself; unique by default.
+        timeout_s: how long the core may take to come up.
+
+    Raises:
+        ConnectionError: nobody listens there.
+    """
+    name = name or f"client-{os.getpid()}-{uuid.uuid4().hex[:6]}"
+    with (
+        bus.open_session(connect=[endpoint], connect_timeout_s=timeout_s) as session,
+        bus.alive(session, CLIENT_ALIVE.format(client=name)),
+    ):
+        yield CoreClient(session, name)
+
+
+def start_core(
+    folder: Path,
+    *,
+    plan: Path,
+    vehicle: Path,
+    drone: tuple[str, ...],
+    start: bool = False,
+    listen: tuple[str, ...] = (),
+) -> tuple[Child, str]:
+    """Start the core of one flight in a session of its own.
+
+    Args:
+        folder: where the flight is kept; made here.
+        plan: plan file.
+        vehicle: vehicle file.
+        drone: module and arguments of the process that stands for the vehicle.
+        start: fly as soon as the checks pass, without an operator's ``start``.
+        listen: endpoints beyond the loopback one, for clients on other machines.
+
+    Returns:
+        The process and its loopback endpoint, which is also written to ``core.endpoint`` in the folder.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    endpoint = bus.loopback(bus.free_port())
+    (folder / ENDPOINT_FILE).write_text(endpoint, encoding="utf-8")
+    arguments = ["--folder", folder, "--plan", plan, "--vehicle", vehicle, "--listen", endpoint]
+    for extra in listen:
+        arguments += ["--listen", extra]
+    if start:
+        arguments.append("--start")
+    command = module_command("groundstation.flight.core", *map(str, arguments), "--", *drone)
+    return start_child(command, folder / "core.log"), endpoint
+
+
+def running_cores(logs: Path, timeout_s: float = 1.0) -> list[tuple[Path, str]]:
+    """Flights in ``logs`` whose core answers now: (folder, endpoint), newest first."""
+    found = []
+    for file in sorted(logs.glob(f"*/{ENDPOINT_FILE}"), reverse=True):
+        endpoint = file.read_text(encoding="utf-8").strip()
+        try:
+            with bus.open_session(connect=[endpoint], connect_timeout_s=timeout_s):
+                found.append((file.parent, endpoint))
+        except ConnectionError:
+            continue
+    return found
+
+
+def outcome(folder: Path) -> tuple[int, str]:
+    """Exit status and sentence with which a core ended its flight.
+
+    Raises:
+        BadInput: the core was killed before it could write one.
+    """
+    log = folder / JOURNAL
+    entries = read_journal(log) if log.is_file() else []
+    if not entries or entries[-1]["kind"] != "outcome":
+        raise BadInput(
+            f"{folder}: the core ended without an outcome; see core.log there. The recording opens as far as it goes."
+        )
+    return int(entries[-1]["exit_status"]), str(entries[-1].get("reason", ""))
+
+
+def new_flight_folder(logs: Path, vehicle: str, now: time.struct_time | None = None) -> Path:
+    """A folder name that sorts by time: ``logs/2025-01-31T12-00-00-qball2``; a suffix keeps it unique."""
+    stem = f"{time.strftime('%Y-%m-%dT%H-%M-%S', now or time.localtime())}-{vehicle}"
+    folder, number = logs / stem, 2
+    while folder.exists():
+        folder, number = logs / f"{stem}-{number}", number + 1
+    return folder

@@ -1,0 +1,521 @@
+"""The core process of one flight: sequence, recorder and bus. It flies on when every client is gone.
+
+    python -P -m groundstation.flight.core --folder logs/NAME --plan P --vehicle V --listen tcp/127.0.0.1:7450 -- sim ...
+
+What follows ``--`` is the module and arguments of the process that stands for the vehicle: the simulated drone, or the
+link to a real one. Both speak the drone's side of ``drivers.bus``; the core adds ``--drone`` and ``--connect``.
+
+The main thread owns the sequence and waits on one queue; zenoh's threads and the recorder put into it. Requests that can
+take time (upload, arm, abort) are asked on a thread of their own, so that credit and status never wait for them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from drivers import bus
+from drivers.samples import Batch, Battery, Motors, decode_batch
+from groundstation.errors import BadInput, GroundStationError
+from groundstation.flight import sequence as seq
+from groundstation.flight.children import Child, module_command, start_child
+from groundstation.flight.journal import NAME as JOURNAL
+from groundstation.flight.journal import Journal
+from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, CoreStatus, Lease, LeaseAnswer
+from groundstation.flight.recorder import Recorder
+from groundstation.trajectory import Plan, flight_path, load_plan
+from groundstation.vehicle import Vehicle, load_vehicle
+
+DRONE = "vehicle"
+CREDIT_AHEAD_S = 1.0
+CREDIT_EVERY_S = 0.2
+STATUS_EVERY_S = 0.1
+SILENCE_S = 10.0
+GROUND_CHECK_S = 1.0
+LOCK_STEP_SLACK = 20.0
+NEEDED_STREAMS = ("imu", "motors")
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What one flight needs to know. ``drone`` is the module and arguments of the vehicle's process."""
+
+    folder: Path
+    plan: Path
+    vehicle: Path
+    listen: tuple[str, ...]
+    drone: tuple[str, ...]
+    start: bool = False
+    analyse: bool = True
+
+
+class FlightCore:
+    """Runs one flight from upload to report. Construct and :meth:`run` on the main thread.
+
+    Args:
+        settings: what to fly and where to keep it.
+        clock: monotonic seconds; passed in so that nothing here reads a clock by itself.
+    """
+
+    def __init__(self, settings: Settings, clock: Callable[[], float] = time.monotonic):
+        self.settings = settings
+        self.clock = clock
+        self.plan: Plan = load_plan(settings.plan)
+        self.vehicle: Vehicle = load_vehicle(settings.vehicle)
+        self.journal = Journal(settings.folder / JOURNAL, clock)
+        self.inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self.state = seq.Sequence()
+        self.drone_status: bus.DroneStatus | None = None
+        self.description = bus.Description()
+        self.recorder: Recorder | None = None
+        self.lease = ""
+        self.rejected = 0
+        self.battery_v = 0.0
+        self.motors: tuple[float, ...] = ()
+        self.progress, self.text = 0.0, ""
+        self.table: dict[str, tuple[float, float, float, float]] = {}
+        self.notes: deque[str] = deque(maxlen=8)
+        self.digested_s = 0.0
+        self.heard_s = clock()
+        self.finished = False
+        self._credit_sent = (-1.0, -1e9)
+        self._status_sent = -1e9
+        self._lease_lock = threading.Lock()
+        self._orders = ThreadPoolExecutor(2, thread_name_prefix="orders")
+        self._drone: Child | None = None
+        self._worker: Child | None = None
+
+    # Main loop --------------------------------------------------------------------------------------------------------
+
+    def run(self) -> int:
+        """Fly; returns the exit status."""
+        self.settings.folder.mkdir(parents=True, exist_ok=True)
+        with bus.open_session(listen=self.settings.listen) as session, bus.alive(session, bus.CORE_ALIVE):
+            self.session = session
+            keys = bus.DroneKeys(DRONE)
+            self.keys = keys
+            self._credit = bus.Publisher(session, keys.credit)
+            self._status = bus.Publisher(session, bus.CORE_STATUS)
+            self._handles = [
+                bus.subscribe(session, keys.samples, decode_batch, self._from_bus(self._on_batch)),
+                bus.subscribe(session, keys.status, bus.decoder_of(bus.DroneStatus), self._from_bus(self._on_status)),
+                bus.serve(session, bus.CORE_COMMAND, CoreCommand, self._on_command),
+                bus.serve(session, bus.CORE_LEASE, Lease, self._on_lease),
+                bus.watch_alive(session, keys.alive, self._on_drone_alive),
+                bus.watch_alive(session, CLIENT_ALIVE.format(client="*"), self._on_client_alive),
+            ]
+            try:
+                self._drone = start_child(
+                    module_command(
+                        self.settings.drone[0],
+                        *self.settings.drone[1:],
+                        *("--drone", DRONE, "--connect", self.settings.listen[0]),
+                    ),
+                    self.settings.folder / "vehicle.log",
+                )
+                while not self.finished:
+                    self._turn()
+                self._publish_status(force=True)
+            finally:
+                self._shut_down()
+        return self.state.exit_status if self.state.exit_status is not None else 1
+
+    def _turn(self) -> None:
+        """Handle what came, or what time brought."""
+        try:
+            self.inbox.get(timeout=0.05)()
+            while not self.finished:
+                self.inbox.get_nowait()()
+        except queue.Empty:
+            pass
+        self._check_children()
+        self._event(seq.Tick())
+        self._send_credit()
+        self._publish_status()
+
+    def _from_bus(self, handler: Callable[[Any], None]) -> Callable[[Any], None]:
+        """A handler for zenoh's thread that runs ``handler`` on the main thread."""
+        return lambda message: self.inbox.put(lambda: handler(message))
+
+    def _event(self, event: seq.Event) -> None:
+        before = self.state
+        self.state, actions = seq.step(self.state, event, self.clock())
+        if self.state.phase is not before.phase:
+            self._tell(
+                "phase", f"{before.phase} -> {self.state.phase}", reason=self.state.reason or self.state.aborting
+            )
+        for action in actions:
+            self._do(action)
+        if self.state.phase is not before.phase:
+            self._publish_status(force=True)
+
+    def _tell(self, kind: str, text: str, **figures: Any) -> None:
+        """One line in the flight's log, one event in the recording, one sentence for the clients."""
+        host_s = self.digested_s
+        self.journal.write(kind, text, host_s=host_s, **{k: v for k, v in figures.items() if v != ""})
+        reason = figures.get("reason")
+        self.notes.append(f"{text}: {reason}" if reason else text)
+        if self.recorder is not None:
+            self.recorder.note(host_s, kind, self.notes[-1])
+
+    # From the vehicle -------------------------------------------------------------------------------------------------
+
+    def _on_drone_alive(self, _key: str, is_alive: bool) -> None:
+        def handle() -> None:
+            if is_alive:
+                self._order(self._describe)
+            else:
+                self._event(seq.VehicleLost("the vehicle's process vanished from the bus"))
+
+        self.inbox.put(handle)
+
+    def _describe(self) -> None:
+        description = bus.ask(self.session, self.keys.describe, bus.Describe(), bus.Description)
+        self.inbox.put(lambda: self._described(description))
+
+    def _described(self, description: bus.Description) -> None:
+        from groundstation.recording import McapRecorder
+
+        self.description = description
+        metadata = {
+            "flight": self.settings.folder.name,
+            "vehicle": self.vehicle.name,
+            "scenario": description.scenario,
+            "motor_kind": description.motor_kind,
+            **versions(),
+        }
+        attachments = {"plan.toml": self.settings.plan.read_bytes(), "vehicle.toml": self.settings.vehicle.read_bytes()}
+        if description.truth_toml:
+            attachments["truth.toml"] = description.truth_toml.encode()
+        sink = McapRecorder(self.settings.folder / "flight.mcap", metadata, attachments)
+        self.recorder = Recorder(
+            sink,
+            on_digested=lambda host_s: self.inbox.put(lambda: self._digested(host_s)),
+            on_failure=lambda reason: self.inbox.put(lambda: self._event(seq.AbortRequested(reason))),
+        )
+        if not description.real_time:
+            # Deadlines run on the wall's clock; a simulation slower than real time is no fault.
+            self.state = replace(self.state, deadlines=seq.Deadlines(slack=LOCK_STEP_SLACK))
+        self._event(seq.PlanChosen(flight_path(self.plan, (0.0, 0.0, 0.0, 0.0)).duration_s))
+
+    def _digested(self, host_s: float) -> None:
+        self.digested_s = max(self.digested_s, host_s)
+        if self.state.phase is seq.Phase.UPLOADED:
+            self._check()
+
+    def _on_batch(self, batch: Batch) -> None:
+        self.heard_s = self.clock()
+        if len(batch.samples) != len(batch.host_s):
+            self.rejected += 1
+            return
+        if self.recorder is not None and self.state.phase not in (seq.Phase.LANDED, seq.Phase.IDENTIFYING):
+            self.recorder.put(batch)
+        for sample in batch.samples:
+            if isinstance(sample, Battery):
+                self.battery_v = sample.voltage_v
+            elif isinstance(sample, Motors):
+                self.motors = sample.values
+
+    def _on_status(self, status: bus.DroneStatus) -> None:
+        self.heard_s = self.clock()
+        before = self.drone_status.phase if self.drone_status else "idle"
+        self.drone_status = status
+        if status.phase == before:
+            return
+        self.journal.write("vehicle", status.phase, host_s=status.host_s, said=status.text)
+        if status.phase == "takeoff":
+            self._event(seq.VehicleAirborne())
+        elif status.phase == "exciting":
+            self._event(seq.VehicleExciting())
+        elif status.phase == "landing":
+            self._event(seq.VehicleLanding(self._early(status)))
+        elif status.phase == "landed":
+            self._event(seq.VehicleLanded())
+        elif status.phase == "crashed":
+            self._event(
+                seq.VehicleLost(f"the vehicle crashed: {status.text}" if status.text else "the vehicle crashed")
+            )
+
+    def _early(self, status: bus.DroneStatus) -> str:
+        """Why the vehicle comes down before the excitation's end although nobody here asked for it; else empty."""
+        asked = self.state.phase is seq.Phase.LANDING
+        if asked or (status.window_s is not None and status.device_s >= status.window_s[1] - 0.1):
+            return ""
+        return status.text or "the vehicle came down by itself before the excitation was over"
+
+    # From clients -----------------------------------------------------------------------------------------------------
+
+    def _on_command(self, command: CoreCommand) -> bus.Answer:
+        if command.name in ("start", "land") and command.client != self.lease:
+            holder = f"client {self.lease} holds it" if self.lease else "nobody holds it"
+            return bus.Answer(False, f"'{command.name}' needs the operator's lease; {holder}.")
+        if command.name == "start" and self.state.phase is not seq.Phase.CHECKED:
+            return bus.Answer(False, f"the flight is {self.state.phase}; it can be started once it is checked.")
+        event = {
+            "start": seq.StartRequested(),
+            "land": seq.LandRequested(),
+            "abort": seq.AbortRequested(f"aborted by {command.client}"),
+            "kill": seq.AbortRequested(f"killed by {command.client}"),
+        }[command.name]
+        self.inbox.put(lambda: self._event(event))
+        return bus.Answer(True)
+
+    def _on_lease(self, request: Lease) -> LeaseAnswer:
+        with self._lease_lock:
+            free = self.lease in ("", request.client)
+            if request.take and (free or request.force):
+                self.lease = request.client
+            elif not request.take and free:
+                self.lease = ""
+            held = self.lease == request.client
+            ok = held if request.take else not held
+            return LeaseAnswer(ok, self.lease, "" if ok else f"client {self.lease} holds the lease")
+
+    def _on_client_alive(self, key: str, is_alive: bool) -> None:
+        with self._lease_lock:
+            if not is_alive and self.lease and key == CLIENT_ALIVE.format(client=self.lease):
+                self.lease = ""
+
+    # Actions ----------------------------------------------------------------------------------------------------------
+
+    def _do(self, action: seq.Action) -> None:
+        """Carry out one action of the sequence."""
+        match action.do:
+            case seq.Do.UPLOAD:
+                self._order(self._upload)
+            case seq.Do.CHECK:
+                self._check()
+            case seq.Do.START:
+                self._order(self._start)
+            case seq.Do.ABORT | seq.Do.LAND | seq.Do.DISARM:
+                name: bus.CommandName = action.do.value  # type: ignore[assignment]
+                self._order(partial(self._command, name))
+            case seq.Do.CLOSE_RECORDING:
+                if self.recorder is not None:
+                    self.recorder.close()
+            case seq.Do.ANALYSE:
+                self._analyse()
+            case seq.Do.FINISH:
+                self.finished = True
+
+    def _order(self, job: Callable[[], object]) -> None:
+        """Run a request that waits for an answer off the main thread."""
+
+        def guarded() -> None:
+            try:
+                job()
+            except (ConnectionError, ValueError) as error:
+                reason = str(error)
+                self.inbox.put(lambda: self._event(seq.AbortRequested(reason)))
+
+        self._orders.submit(guarded)
+
+    def _upload(self) -> None:
+        upload = bus.make_upload(self.settings.plan.read_bytes())
+        answer = bus.ask(self.session, self.keys.upload, upload)
+        self.inbox.put(lambda: self._event(seq.UploadAnswered(answer.ok, answer.reason)))
+
+    def _command(self, name: bus.CommandName) -> bool:
+        answer = bus.ask(self.session, self.keys.command, bus.Command(name))
+        if not answer.ok:
+            reason = answer.reason
+            self.inbox.put(lambda: self._tell("refused", f"the vehicle refused '{name}'", reason=reason))
+            if name in ("arm", "start"):
+                self.inbox.put(lambda: self._event(seq.StartRefused(reason)))
+        return answer.ok
+
+    def _start(self) -> None:
+        if self._command("arm"):
+            self._command("start")
+
+    def _check(self) -> None:
+        """Preflight of what the core itself sees; called as data come in, until it can say yes or no."""
+        if self.recorder is None or self.digested_s < GROUND_CHECK_S:
+            return
+        streams = self.recorder.streams(self.digested_s)
+        missing = [name for name in NEEDED_STREAMS if name not in streams]
+        if missing and self.digested_s < 5.0 * GROUND_CHECK_S:
+            return
+        empty_v = self.vehicle.battery.empty_v
+        if missing:
+            self._event(
+                seq.ChecksAnswered(False, f"no samples of {' and '.join(missing)} arrive; switch the stream on")
+            )
+        elif empty_v is not None and 0.0 < self.battery_v < empty_v:
+            reason = f"the battery is at {self.battery_v:.2f} V, below {empty_v:g} V; charge it"
+            self._event(seq.ChecksAnswered(False, reason))
+        else:
+            rates = {name: round(stream.rate_hz, 1) for name, stream in streams.items()}
+            self._tell("checks", "streams and battery are as they should be", rates_hz=rates, battery_v=self.battery_v)
+            self._event(seq.ChecksAnswered(True))
+        if self.settings.start:
+            self._event(seq.StartRequested())
+
+    def _analyse(self) -> None:
+        if not self.settings.analyse:
+            self._event(seq.AnalysisFinished(0, "not asked for"))
+            return
+        command = module_command("groundstation.flight.analysis", str(self.settings.folder))
+        self._worker = start_child(command, self.settings.folder / "analysis.log", stdout=subprocess.PIPE)
+        self.state = seq.analysing(self.state, self.clock())
+        threading.Thread(target=self._follow_worker, args=(self._worker,), name="worker", daemon=True).start()
+
+    def _follow_worker(self, worker: Child) -> None:
+        last: dict[str, Any] = {}
+        for line in worker.lines():
+            try:
+                last = json.loads(line)
+            except ValueError:
+                continue
+            self.inbox.put(lambda message=last: self._on_progress(message))
+        status = worker.wait()
+        reason = last.get("text", "") if status in (0, 2, 3) else "the analysis failed; see analysis.log"
+        self.inbox.put(lambda: self._event(seq.AnalysisFinished(status, reason)))
+
+    def _on_progress(self, message: dict[str, Any]) -> None:
+        self.progress = float(message.get("progress", self.progress))
+        self.text = str(message.get("text", ""))
+        if table := message.get("table"):
+            self.table = {name: tuple(row) for name, row in table.items()}
+            self.journal.write("estimates", self.text, host_s=self.digested_s, table=table)
+
+    # Housekeeping -----------------------------------------------------------------------------------------------------
+
+    def _check_children(self) -> None:
+        done = self.state.phase in (seq.Phase.LANDED, seq.Phase.IDENTIFYING)
+        if self._drone is not None and not done and (status := self._drone.poll()) is not None:
+            detail = self._drone.last_words()
+            text = f"the vehicle's process ended with status {status}" + (f": {detail}" if detail else "")
+            self._event(seq.VehicleLost(text))
+        elif not done and self.clock() - self.heard_s > SILENCE_S:
+            self._event(seq.VehicleLost(f"nothing was heard from the vehicle for {SILENCE_S:g} s"))
+
+    def _send_credit(self) -> None:
+        now, credit = self.clock(), self.digested_s + CREDIT_AHEAD_S
+        sent, at = self._credit_sent
+        if self.recorder is not None and (credit >= sent + 0.1 or now - at > CREDIT_EVERY_S):
+            self._credit.put(bus.Credit(credit))
+            self._credit_sent = (credit, now)
+
+    def _publish_status(self, *, force: bool = False) -> None:
+        now = self.clock()
+        if not force and now - self._status_sent < STATUS_EVERY_S:
+            return
+        self._status_sent = now
+        self._status.put(self.status())
+
+    def status(self) -> CoreStatus:
+        """What clients see."""
+        drone, recorder = self.drone_status, self.recorder
+        flight: dict[str, Any] = {}
+        if drone is not None:
+            error = sum((a - b) ** 2 for a, b in zip(drone.position_m, drone.setpoint_m, strict=True)) ** 0.5
+            flight = {
+                "vehicle_phase": drone.phase,
+                "flight_s": drone.flight_s,
+                "time_left_s": max(0.0, drone.flight_end_s - drone.flight_s),
+                "tracking_error_m": error if drone.phase in ("takeoff", "exciting", "landing") else 0.0,
+                "position_m": drone.position_m,
+                "setpoint_m": drone.setpoint_m,
+                "euler_rad": drone.euler_rad,
+            }
+        return CoreStatus(
+            flight=self.settings.folder.name,
+            folder=str(self.settings.folder),
+            vehicle=self.vehicle.name,
+            phase=self.state.phase,
+            reason=self.state.reason or self.state.aborting,
+            exit_status=self.state.exit_status,
+            real_time=self.description.real_time,
+            host_s=self.digested_s,
+            motors=self.motors,
+            battery_v=self.battery_v,
+            streams=recorder.streams(self.digested_s) if recorder else {},
+            recorded=recorder.recorded if recorder else 0,
+            lost=recorder.lost_batches if recorder else 0,
+            rejected=self.rejected + sum(getattr(handle, "rejected", 0) for handle in self._handles),
+            lease=self.lease,
+            progress=self.progress,
+            text=self.text,
+            table=self.table,
+            notes=tuple(self.notes),
+            **flight,
+        )
+
+    def _shut_down(self) -> None:
+        """Leave nothing behind: recording closed, orders given, children gone, the outcome in the log."""
+        self._orders.shutdown(wait=True)
+        if self.recorder is not None:
+            self.recorder.close()
+        for child in (self._worker, self._drone):
+            if child is not None:
+                child.stop()
+        status = self.state.exit_status if self.state.exit_status is not None else 1
+        self.journal.write("outcome", self.state.phase, exit_status=status, reason=self.state.reason)
+        self.journal.close()
+
+    def abort(self, reason: str) -> None:
+        """Ask for an abort from a signal handler or another thread."""
+        self.inbox.put(lambda: self._event(seq.AbortRequested(reason)))
+
+
+def versions() -> dict[str, str]:
+    """Versions that a recording should remember."""
+    import platform
+    from importlib.metadata import version
+
+    return {
+        "python": platform.python_version(),
+        **{name: version(name) for name in ("groundstation", "numpy", "eclipse-zenoh", "mcap")},
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of the process."""
+    parser = argparse.ArgumentParser(prog="groundstation.flight.core", description=__doc__)
+    parser.add_argument("--folder", type=Path, required=True, help="where this flight is kept")
+    parser.add_argument("--plan", type=Path, required=True)
+    parser.add_argument("--vehicle", type=Path, required=True)
+    parser.add_argument("--listen", action="append", required=True, help="zenoh endpoint, e.g. tcp/127.0.0.1:7450")
+    parser.add_argument("--start", action="store_true", help="fly as soon as the checks pass; else wait for a client")
+    parser.add_argument("--no-analysis", action="store_true", help="end after landing")
+    parser.add_argument("drone", nargs="+", help="module and arguments of the vehicle's process")
+    options = parser.parse_args(arguments)
+    settings = Settings(
+        options.folder,
+        options.plan,
+        options.vehicle,
+        tuple(options.listen),
+        tuple(options.drone),
+        options.start,
+        not options.no_analysis,
+    )
+    try:
+        core = FlightCore(settings)
+    except GroundStationError as error:
+        print(error, file=sys.stderr)
+        return error.exit_status
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: core.abort("the core was asked to stop"))
+    try:
+        return core.run()
+    except ConnectionError as error:
+        print(error, file=sys.stderr)
+        return BadInput.exit_status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

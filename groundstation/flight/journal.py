@@ -1,0 +1,45 @@
+"""The flight's own structured log: what was decided, when, on which figures; one JSON document per line."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+NAME = "flight.log.jsonl"
+
+
+class Journal:
+    """Appends to a file and flushes each line, so that a crash loses none.
+
+    Args:
+        path: the file; its folder is made.
+        clock: monotonic seconds.
+    """
+
+    def __init__(self, path: Path, clock: Callable[[], float]):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = path.open("a", encoding="utf-8")
+        self._clock = clock
+
+    def write(self, kind: str, text: str, **figures: Any) -> None:
+        """One line: ``monotonic_s``, ``kind``, ``text`` and the figures it rests on."""
+        line = {"monotonic_s": round(self._clock(), 6), "kind": kind, "text": text, **figures}
+        self._file.write(json.dumps(line, default=str) + "\n")
+        self._file.flush()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def read_journal(path: Path) -> list[dict[str, Any]]:
+    """The lines of a log; a last line that was cut off is left out."""
+    entries = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            entries.append(json.loads(line))
+        except ValueError:
+            break
+    return entries
