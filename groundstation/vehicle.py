@@ -187,6 +187,15 @@ class Vehicle(_Section):
         """Declared tensor about the centre of mass, shape (3, 3), kg m^2."""
         return self.inertia_kg_m2.tensor()
 
+    def parameters(self) -> dict[str, float]:
+        """What is declared of the quantities an identification estimates, under the names its results use."""
+        tensor = {f"i{axes}_kg_m2": float(getattr(self.inertia_kg_m2, axes)) for axes in INERTIA_NAMES}
+        lag = {"rotor_lag_up_s": self.rotors.lag.up_s, "rotor_lag_down_s": self.rotors.lag.down_s}
+        values = {"mass_kg": self.mass_kg, **tensor, **lag, "torque_to_thrust_m": self.rotors.torque_to_thrust_m}
+        if self.rotors.thrust_coefficient_n_s2 is not None:
+            values["thrust_coefficient_n_s2"] = self.rotors.thrust_coefficient_n_s2
+        return values
+
     def allocation(self) -> Array:
         """Map rotor thrusts (n,) to [F_z, tau_x, tau_y, tau_z] about the declared origin, shape (4, n).
 
