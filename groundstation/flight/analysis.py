@@ -1,0 +1,182 @@
+"""What happens to a recording after landing: identify, diagnose, report. One function for the core's worker and the CLI.
+
+    python -P -m groundstation.flight.analysis FOLDER
+
+prints one JSON document per line on standard output: ``{"progress": 0.4, "text": "...", "table": {...}}``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from groundstation.diagnosis.results import Diagnosis
+from groundstation.errors import GroundStationError, NotIdentifiable, Refused
+from groundstation.flightdata import FlightData
+from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification
+
+Progress = Callable[[float, str], None]
+Table = dict[str, tuple[float, float, float, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class Analysis:
+    """Results and the files they were written to, by name ("report", "identification", ...)."""
+
+    identification: Identification
+    diagnosis: Diagnosis | None
+    files: Mapping[str, Path]
+
+
+def parameter_table(identification: Identification, declared: Mapping[str, float]) -> Table:
+    """Rows nominal, estimate, low, high of mass and tensor by the best method; NaN where the flight does not tell."""
+    best = identification.methods.get(identification.best)
+    return _rows(best.parameters if best else {}, declared)
+
+
+def _rows(parameters: Mapping[str, Estimate], declared: Mapping[str, float]) -> Table:
+    rows: Table = {}
+    for name in MASS_AND_TENSOR:
+        estimate = parameters.get(name)
+        numbers = (math.nan,) * 3 if estimate is None else (estimate.value, *estimate.ci95)
+        rows[name] = (declared.get(name, math.nan), *numbers)
+    return rows
+
+
+def preliminary(flight: FlightData) -> Table:
+    """The seed's filtered least squares: ready in seconds, biased where rotors lag; a first look, not the answer."""
+    from groundstation.identification.seed import identify_seed
+
+    return _rows(identify_seed(flight)["FMLS"].parameters, flight.vehicle.parameters())
+
+
+def analyse(
+    flights: Sequence[FlightData],
+    folder: Path,
+    *,
+    exclude: Sequence[tuple[float, float]] = (),
+    references: Sequence[FlightData] = (),
+    held_out: Sequence[FlightData] = (),
+    progress: Progress = lambda fraction, text: None,
+) -> Analysis:
+    """Identify, diagnose and report into ``folder``. A diagnosis that refuses or fails never costs the report.
+
+    Raises:
+        NotIdentifiable: the flights do not tell; nothing but the reason was found.
+        BadInput: a flight is malformed.
+    """
+    from groundstation.identification.pipeline import identify
+    from groundstation.reporting import write_report
+
+    folder.mkdir(parents=True, exist_ok=True)
+    identification = identify(flights, exclude=exclude, progress=lambda f, text: progress(0.05 + 0.5 * f, text))
+    files = write_identification(folder, identification)
+    diagnosis = _diagnose(flights, references, held_out, lambda f, text: progress(0.55 + 0.35 * f, text))
+    if diagnosis is not None:
+        files["diagnosis"] = write_json(folder / "diagnosis.json", diagnosis.to_dict())
+    progress(0.92, "writing the report")
+    files["report"] = write_report(folder / "report.html", flights[0], identification, diagnosis)
+    progress(1.0, "done")
+    return Analysis(identification, diagnosis, files)
+
+
+def _diagnose(
+    flights: Sequence[FlightData], references: Sequence[FlightData], held_out: Sequence[FlightData], progress: Progress
+) -> Diagnosis | None:
+    from groundstation.diagnosis import diagnose
+
+    first = flights[0]
+    try:
+        return diagnose(flights, references=references, held_out=held_out, progress=progress)
+    except Refused as error:
+        return Diagnosis(first.name, first.vehicle.name, "refused", reason=str(error))
+
+
+def write_identification(folder: Path, identification: Identification) -> dict[str, Path]:
+    """``identification.json`` and the same as TOML, which ``predict`` and ``export`` take."""
+    import tomli_w
+
+    document = identification.to_dict()
+    toml = folder / "identification.toml"
+    toml.write_text(tomli_w.dumps(without_none(document)), encoding="utf-8")
+    return {"identification": write_json(folder / "identification.json", document), "parameters": toml}
+
+
+def write_json(path: Path, document: Mapping[str, Any]) -> Path:
+    """A JSON file a person can read. Numbers that are not finite become null, as JSON has none."""
+    path.write_text(json.dumps(finite(document), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    return path
+
+
+def finite(value: Any) -> Any:
+    """The same document with numpy numbers as plain ones and NaN or infinity as None."""
+    if isinstance(value, Mapping):
+        return {str(key): finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(item) for item in value]
+    if hasattr(value, "tolist"):
+        return finite(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def without_none(value: Any) -> Any:
+    """The same document without the entries TOML cannot hold."""
+    if isinstance(value, Mapping):
+        return {key: without_none(item) for key, item in value.items() if item is not None}
+    if isinstance(value, (list, tuple)):
+        return [without_none(item) for item in value if item is not None]
+    return value
+
+
+def _say(fraction: float, text: str, table: Table | None = None) -> None:
+    print(json.dumps(finite({"progress": fraction, "text": text, **({"table": table} if table else {})})), flush=True)
+
+
+def main(folder: Path) -> int:
+    """The worker: a preliminary table first, then everything."""
+    try:
+        from groundstation.recording import load_flight
+
+        _say(0.01, "reading the recording")
+        flight = load_flight(folder / "flight.mcap")
+        try:
+            _say(0.04, "preliminary: filtered least squares", preliminary(flight))
+        except NotIdentifiable as error:
+            _say(0.04, str(error))
+        analysis = analyse([flight], folder, progress=_say)
+        table = parameter_table(analysis.identification, flight.vehicle.parameters())
+        _say(1.0, f"identified by {analysis.identification.best}", table)
+        return 0
+    except Refused as error:
+        write_json(folder / "refused.json", refusal(error))
+        _say(1.0, str(error))
+        return error.exit_status
+    except GroundStationError as error:
+        _say(1.0, str(error))
+        return error.exit_status
+    except Exception:
+        traceback.print_exc()
+        return 1
+
+
+def refusal(error: Refused) -> dict[str, Any]:
+    """The JSON document of a refusal."""
+    return {
+        "schema": "groundstation.refusal/1",
+        "refused": True,
+        "reason": error.reason,
+        "remedy": error.remedy,
+        "not_identifiable": list(error.not_identifiable),
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1])))

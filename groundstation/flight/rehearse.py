@@ -1,0 +1,154 @@
+"""Rehearsal: a simulated flight from plan to report, as a client of the core."""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from groundstation.errors import FlightAborted, Refused
+from groundstation.flight.client import CoreClient, connect, outcome, start_core
+from groundstation.flight.messages import CoreStatus
+from groundstation.flight.sequence import FINAL, IN_FLIGHT, Phase
+from groundstation.identification.results import Estimate
+from groundstation.reporting.units import decimals, fixed, half_width, label, scale_for, split_unit
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class FlightResult:
+    """Where a flight's files are, and with what it ended."""
+
+    folder: Path
+    exit_status: int
+    reason: str
+
+    def files(self) -> dict[str, Path]:
+        """What was written, by name; only what is there."""
+        names = ("flight.mcap", "report.html", "identification.json", "identification.toml", "diagnosis.json")
+        return {name: self.folder / name for name in names if (self.folder / name).is_file()}
+
+
+def simulated_drone(vehicle: Path, scenario: Path, seed: int, *, real_time: bool = False) -> tuple[str, ...]:
+    """Module and arguments of the simulated drone's process."""
+    arguments = ("sim", "--vehicle", str(vehicle), "--scenario", str(scenario), "--seed", str(seed))
+    return (*arguments, "--real-time") if real_time else arguments
+
+
+def fly(folder: Path, *, plan: Path, vehicle: Path, drone: tuple[str, ...], say: Say) -> FlightResult:
+    """Fly a plan through a core and follow it to the report. Ctrl-C is an abort; twice is still an abort.
+
+    Raises:
+        FlightAborted: the flight was aborted and the vehicle is down.
+        Refused: the vehicle or the checks refused to fly.
+    """
+    core, endpoint = start_core(folder, plan=plan, vehicle=vehicle, drone=drone)
+    with connect(endpoint) as client:
+        client.take_lease()
+        with _interrupts(client, say):
+            follow(client, lambda: core.poll() is not None, say)
+    core.wait()
+    status, reason = outcome(folder)
+    if status == FlightAborted.exit_status:
+        raise FlightAborted(f"the flight was aborted: {reason}. The recording is {folder / 'flight.mcap'}")
+    if status == Refused.exit_status and not (folder / "flight.mcap").is_file():
+        raise Refused(reason)
+    return FlightResult(folder, status, reason)
+
+
+def follow(client: CoreClient, ended: Callable[[], bool], say: Say) -> None:
+    """Start the flight once it is checked, and say what happens until the core is gone."""
+    asked, last = False, ""
+    while not ended():
+        status = client.status(0.2)
+        if status is None:
+            continue
+        if status.phase == Phase.CHECKED and not asked:
+            asked = client.command("start").ok
+        line = progress_line(status)
+        if line != last:
+            say(line)
+            last = line
+        if status.phase in FINAL:
+            return
+
+
+class _interrupts:
+    """While active, SIGINT and SIGTERM ask the core for an abort instead of ending this process."""
+
+    def __init__(self, client: CoreClient, say: Say):
+        self._client, self._say = client, say
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> None:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._before[number] = signal.signal(number, self._abort)
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _abort(self, *_: object) -> None:
+        self._say("abort: asking the vehicle to land")
+        try:
+            self._client.command("abort")
+        except ConnectionError as error:
+            self._say(str(error))
+
+
+def progress_line(status: CoreStatus) -> str:
+    """One line: phase, time left, tracking error, rates, samples, losses; or how far the analysis is."""
+    if status.phase in (Phase.LANDED, Phase.IDENTIFYING):
+        return f"{status.phase:<11} {100 * status.progress:3.0f} %  {status.text}"
+    parts = [f"{status.phase:<11}"]
+    if status.phase in IN_FLIGHT:
+        parts.append(f"{status.time_left_s:5.1f} s left  off by {100 * status.tracking_error_m:5.1f} cm")
+    rates = [f"{name} {stream.rate_hz:.0f}" for name, stream in sorted(status.streams.items()) if stream.rate_hz > 0.5]
+    if rates:
+        parts.append(f"Hz: {', '.join(rates)}  {status.recorded} samples, {status.lost} lost")
+    if status.reason:
+        parts.append(status.reason)
+    return "  ".join(parts)
+
+
+def result_table(identification: Mapping[str, Any], declared: Mapping[str, float], truth: Mapping[str, float]) -> str:
+    """Parameters as a table: nominal, true (in simulation), estimated by the best method, 95 % interval.
+
+    Args:
+        identification: the document of ``identification.json``.
+        declared: ``Vehicle.parameters()`` of what was declared.
+        truth: that of the true vehicle; empty for a measured flight.
+    """
+    best = identification["best"]
+    found = {**identification["model"], **identification["methods"].get(best, {}).get("parameters", {})}
+    hidden = set(identification["not_identifiable"])
+    rows = [("parameter", "unit", "nominal", "true", f"estimated ({best})", "95 % interval")]
+    for name, nominal in declared.items():
+        if name in found or name in hidden:
+            rows.append(_row(name, found.get(name), nominal, truth.get(name, math.nan)))
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return "\n".join([lines[0], "  ".join("-" * width for width in widths), *lines[1:]])
+
+
+def _row(name: str, found: Mapping[str, Any] | None, nominal: float, truth: float) -> tuple[str, ...]:
+    estimate = Estimate(found["value"], found["std"], tuple(found["ci95"])) if found else None
+    _, unit = split_unit(name)
+    scale = scale_for(unit, [value for value in (nominal, truth, estimate.value if estimate else 0.0)])
+    places = decimals(half_width(estimate) * scale.factor) if estimate else decimals(0.01 * nominal * scale.factor)
+
+    def show(value: float) -> str:
+        return fixed(value * scale.factor, places)
+
+    told = (
+        (show(estimate.value), f"{show(estimate.ci95[0])} .. {show(estimate.ci95[1])}")
+        if estimate
+        else ("not revealed", "")
+    )
+    return (label(name), scale.unit, show(nominal), show(truth), *told)
