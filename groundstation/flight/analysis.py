@@ -44,8 +44,8 @@ def _rows(parameters: Mapping[str, Estimate], declared: Mapping[str, float]) -> 
     rows: Table = {}
     for name in MASS_AND_TENSOR:
         estimate = parameters.get(name)
-        numbers = (math.nan,) * 3 if estimate is None else (estimate.value, *estimate.ci95)
-        rows[name] = (declared.get(name, math.nan), *numbers)
+        value, (low, high) = (math.nan, (math.nan, math.nan)) if estimate is None else (estimate.value, estimate.ci95)
+        rows[name] = (declared.get(name, math.nan), value, low, high)
     return rows
 
 

@@ -137,8 +137,10 @@ def result_table(identification: Mapping[str, Any], declared: Mapping[str, float
     return "\n".join([lines[0], "  ".join("-" * width for width in widths), *lines[1:]])
 
 
-def _row(name: str, found: Mapping[str, Any] | None, nominal: float, truth: float) -> tuple[str, ...]:
-    estimate = Estimate(found["value"], found["std"], tuple(found["ci95"])) if found else None
+def _row(
+    name: str, found: Mapping[str, Any] | None, nominal: float, truth: float
+) -> tuple[str, str, str, str, str, str]:
+    estimate = Estimate(found["value"], found["std"], (found["ci95"][0], found["ci95"][1])) if found else None
     _, unit = split_unit(name)
     scale = scale_for(unit, [value for value in (nominal, truth, estimate.value if estimate else 0.0)])
     places = decimals(half_width(estimate) * scale.factor) if estimate else decimals(0.01 * nominal * scale.factor)
@@ -146,9 +148,7 @@ def _row(name: str, found: Mapping[str, Any] | None, nominal: float, truth: floa
     def show(value: float) -> str:
         return fixed(value * scale.factor, places)
 
-    told = (
-        (show(estimate.value), f"{show(estimate.ci95[0])} .. {show(estimate.ci95[1])}")
-        if estimate
-        else ("not revealed", "")
-    )
-    return (label(name), scale.unit, show(nominal), show(truth), *told)
+    if estimate is None:
+        return label(name), scale.unit, show(nominal), show(truth), "not revealed", ""
+    interval = f"{show(estimate.ci95[0])} .. {show(estimate.ci95[1])}"
+    return label(name), scale.unit, show(nominal), show(truth), show(estimate.value), interval
