@@ -1,0 +1,194 @@
+"""The seed's two estimators, least squares (40) and gradient descent (42), with their evolution over time.
+
+Both are linear in the output, so both get their intervals from :mod:`uncertainty` through their influence H_k.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.errors import NotIdentifiable
+from groundstation.identification.uncertainty import coloured_covariance
+
+Array = NDArray[np.float64]
+
+ADAPTATION_RATE_PER_S = 1.0
+"""Rate at which gradient descent forgets along an average direction: memory of about one second."""
+SINGULAR = 1e-10
+"""Eigenvalues of the correlation matrix of the regressor's columns below this are zero in double precision."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinearEstimate:
+    """An estimate of Theta in Gamma Theta = Upsilon.
+
+    Attributes:
+        values: at the end, shape (p,); NaN where the data do not determine a parameter.
+        covariance: allowing for coloured residuals, shape (p, p).
+        condition_number: ratio of the largest to the smallest singular value of the stacked regressor, as in cond(W).
+        rms_residual: root mean square of Gamma Theta - Upsilon per output (eq. 43), shape (n_outputs,).
+        evolution_t_s: shape (n,).
+        evolution: estimate at those times, shape (n, p); NaN while undetermined.
+    """
+
+    values: Array
+    covariance: Array
+    condition_number: float
+    rms_residual: Array
+    evolution_t_s: Array
+    evolution: Array
+
+
+def least_squares(
+    regressor: Array, output: Array, t_s: Array, used: NDArray[np.bool_], points: int = 400
+) -> LinearEstimate:
+    r"""Least squares (seed eq. 40), with its evolution from cumulated normal equations.
+
+    Sums of Gamma^T Gamma and Gamma^T Upsilon are formed per block of samples and cumulated, so the evolution costs one
+    small solve per point. Columns are scaled to unit length first: conditioning then is of directions, not of units.
+
+    Args:
+        regressor: Gamma, shape (k, n_outputs, p).
+        output: Upsilon, shape (k, n_outputs), N and N m.
+        t_s: times on a uniform grid, shape (k,).
+        used: which samples count, shape (k,).
+        points: how many points of the evolution to keep.
+
+    Raises:
+        NotIdentifiable: no sample is used.
+    """
+    rows = _used_rows(used)
+    gamma, upsilon = regressor[rows], output[rows]
+    stops = _stops(len(rows), points)
+    blocks = [slice(a, b) for a, b in zip(np.append(0, stops[:-1]), stops, strict=True)]
+    flat, target = gamma.reshape(-1, gamma.shape[2]), upsilon.reshape(-1)
+    per_sample = gamma.shape[1]
+    normals = np.empty((len(stops), gamma.shape[2], gamma.shape[2]))
+    moments = np.empty((len(stops), gamma.shape[2]))
+    for index, block in enumerate(blocks):
+        part = flat[block.start * per_sample : block.stop * per_sample]
+        normals[index] = part.T @ part
+        moments[index] = target[block.start * per_sample : block.stop * per_sample] @ part
+    normals, moments = np.cumsum(normals, axis=0), np.cumsum(moments, axis=0)
+
+    length = np.sqrt(np.diag(normals[-1]))
+    unit = np.where(length > 0.0, length, 1.0)
+    scaled = normals / np.outer(unit, unit)
+    known = _determined(scaled[-1])
+    evolution = _solve_scaled(scaled, moments / unit) / unit
+    values = evolution[-1].copy()
+    residual = _residual(gamma, upsilon, np.where(known, values, 0.0), rows, len(used))
+    inverse = np.linalg.pinv(scaled[-1], rcond=SINGULAR, hermitian=True) / np.outer(unit, unit)
+    influence = np.zeros((len(used), gamma.shape[2], gamma.shape[1]))
+    influence[rows] = np.matmul(inverse, gamma.transpose(0, 2, 1))
+    covariance = coloured_covariance(influence, residual, float(t_s[1] - t_s[0]))
+    covariance[~known, :] = covariance[:, ~known] = np.inf
+    evolution[:, ~known] = values[~known] = np.nan
+    rms = np.sqrt(np.sum(residual**2, axis=0) / len(rows))
+    return LinearEstimate(values, covariance, _condition(normals[-1]), rms, t_s[rows[stops - 1]], evolution)
+
+
+def _determined(correlation: Array) -> NDArray[np.bool_]:
+    """Which parameters take no part in a direction that the regressor leaves at zero; columns are of unit length."""
+    eigenvalues, vectors = np.linalg.eigh(correlation)
+    return ~(np.abs(vectors[:, eigenvalues < SINGULAR]) > 1e-3).any(axis=1) & (np.diag(correlation) > 0.0)
+
+
+def _solve_scaled(normals: Array, moments: Array) -> Array:
+    """Solutions of a stack of scaled normal equations, shape (n, p); NaN while one is singular."""
+    eigenvalues, vectors = np.linalg.eigh(normals)
+    singular = eigenvalues < SINGULAR
+    inverse = np.where(singular, 0.0, 1.0 / np.where(singular, 1.0, eigenvalues))
+    solution = np.einsum("npi,ni,nqi,nq->np", vectors, inverse, vectors, moments, optimize=True)
+    touched = np.einsum("npi,ni->np", np.abs(vectors) > 1e-3, singular) > 0.0
+    last = solution[-1].copy()
+    solution[touched] = np.nan
+    solution[-1] = last
+    return solution
+
+
+def gradient_descent(
+    regressor: Array,
+    output: Array,
+    t_s: Array,
+    used: NDArray[np.bool_],
+    *,
+    rate_per_s: float = ADAPTATION_RATE_PER_S,
+    points: int = 400,
+) -> LinearEstimate:
+    r"""Gradient descent (seed eq. 42) from zero, scaled so that it is stable on every vehicle.
+
+    The printed update, Theta <- Theta - sigma T Gamma^T e, is unstable: at sigma = 30 and T = 2 ms the mass row alone makes
+    sigma T g^2 = 5.8 > 2, and on a vehicle of 30 g the tensor's rows would too. Here every parameter has a gain of its
+    own, d_j = T rate / mean(|Gamma_j|^2), so that all forget at one rate in 1/s whatever their unit, and the step is the
+    backward Euler form of (41), taken row by row with the row G and output y:
+
+        Theta <- Theta - d G^T (G Theta - y) / (1 + G d G^T),
+
+    a contraction for every gain and every sample. The price is noise: it remembers about 1/rate seconds, where least
+    squares remembers all.
+
+    Args:
+        regressor: Gamma, shape (k, n_outputs, p).
+        output: Upsilon, shape (k, n_outputs), N and N m.
+        t_s: times on a uniform grid, shape (k,).
+        used: which samples count, shape (k,).
+        rate_per_s: adaptation rate.
+        points: how many points of the evolution to keep.
+
+    Raises:
+        NotIdentifiable: no sample is used.
+    """
+    from groundstation.identification.kernels import descend, descent_influence
+
+    period_s = float(t_s[1] - t_s[0])
+    rows = _used_rows(used)
+    gamma, upsilon = np.ascontiguousarray(regressor[rows]), np.ascontiguousarray(output[rows])
+    normal = np.tensordot(gamma, gamma, axes=((0, 1), (0, 1)))
+    mean_square = np.diag(normal) / len(rows)
+    known = mean_square > 0.0
+    gain = np.where(known, rate_per_s * period_s / np.where(known, mean_square, 1.0), 0.0)
+    stops = _stops(len(rows), points)
+    evolution = descend(gamma, upsilon, gain, stops)
+    values = evolution[-1]
+    residual = _residual(gamma, upsilon, values, rows, len(used))
+    influence = np.zeros((len(used), regressor.shape[2], regressor.shape[1]))
+    influence[rows], initial = descent_influence(gamma, gain)
+    covariance = coloured_covariance(influence, residual, period_s)
+    # What is left of the start at zero is an error of its own, -M Theta.
+    left = initial @ values
+    covariance += np.outer(left, left)
+    covariance[~known, :] = covariance[:, ~known] = np.inf
+    evolution[:, ~known] = np.nan
+    rms = np.sqrt(np.sum(residual**2, axis=0) / len(rows))
+    return LinearEstimate(evolution[-1].copy(), covariance, _condition(normal), rms, t_s[rows[stops - 1]], evolution)
+
+
+def _used_rows(used: NDArray[np.bool_]) -> NDArray[np.intp]:
+    rows = np.flatnonzero(used)
+    if len(rows) == 0:
+        raise NotIdentifiable("No sample is left to estimate from.", "Exclude less.")
+    return rows
+
+
+def _stops(samples: int, points: int) -> NDArray[np.int64]:
+    """At most ``points`` numbers of samples, ascending, the last of which is all of them."""
+    return np.unique(np.linspace(1, samples, min(points, samples)).astype(np.int64))
+
+
+def _condition(normal: Array) -> float:
+    """Ratio of singular values of the stacked regressor, from its normal matrix; inf beyond what doubles resolve."""
+    eigenvalues = np.linalg.eigvalsh(normal)
+    return (
+        float(np.sqrt(eigenvalues[-1] / eigenvalues[0])) if eigenvalues[0] > 1e-15 * eigenvalues[-1] else float("inf")
+    )
+
+
+def _residual(gamma: Array, upsilon: Array, values: Array, rows: NDArray[np.intp], samples: int) -> Array:
+    """Gamma Theta - Upsilon (eq. 43) on the full grid, zero where a sample was not used."""
+    out = np.zeros((samples, upsilon.shape[1]))
+    out[rows] = gamma @ values - upsilon
+    return out

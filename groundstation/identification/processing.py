@@ -1,0 +1,365 @@
+"""From the streams of a flight to the signals of the regression model (seed II-C).
+
+Every stream is brought onto one uniform grid on the IMU's clock, low-passed forward and backward with one cut-off,
+differentiated by central differences (33) and expressed in the body. How streams are brought together:
+
+- positions linearly, attitudes by slerp, gyro and accelerometer linearly;
+- rotor speeds that were measured linearly; what was commanded (speeds asked for, normalised commands, wrenches) as held
+  until the next value, averaged over each grid cell so that nothing aliases and nothing leads;
+- nothing is extrapolated: the grid ends where the shortest needed stream ends, and samples inside a gap are not used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from groundstation.errors import NotIdentifiable
+from groundstation.flightdata import FlightData, Stream
+from groundstation.frames import (
+    quat_conjugate,
+    quat_continuous,
+    quat_exp,
+    quat_log,
+    quat_multiply,
+    quat_normalise,
+    quat_rotate,
+    quat_rotate_inverse,
+)
+from groundstation.identification.filters import central_difference, zero_phase_low_pass
+from groundstation.identification.wrench import declared_wrench
+
+Array = NDArray[np.float64]
+Segments = Sequence[tuple[float, float]]
+
+TRANSIENT_S = 10.0
+"""Left out at the start, as in the paper (10 s < t < 50 s), but at most a fifth of the window."""
+MARGIN_S = 2.0
+"""Processed beyond the window where there are data, so that filters have settled inside it."""
+SHORTEST_S = 2.0
+GAP_S = 0.1
+"""Interpolating positions over 0.1 s of a 0.5 Hz motion is 1.2 % off at worst; longer gaps are left out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Signals:
+    """What the regressors need, on a uniform grid of k samples on the IMU's clock. Absent quantities are None.
+
+    Attributes:
+        t_s: grid, seconds.
+        used: inside the window, outside gaps and excluded segments.
+        period_s: grid spacing.
+        cutoff_hz: of the zero-phase low-pass that every signal went through.
+        wrench: [F_z, tau_x, tau_y, tau_z] by the declared constants, N and N m, shape (k, 4).
+        rate: body rates, rad/s, shape (k, 3).
+        rate_derivative: their derivatives, rad/s^2, shape (k, 3).
+        specific_force: dv/dt + omega x v + g R^T e_z at the origin, m/s^2, shape (k, 3).
+        velocity_body: m/s, shape (k, 3).
+        gravity_body: g R^T e_z, m/s^2, shape (k, 3).
+        rate_derivative_noise: standard deviation that sensor noise leaves in ``rate_derivative``, rad/s^2, shape (3,).
+        specific_force_source: "accelerometer", "positions", "state", or "" when there is none.
+        window_s: first and last used time.
+        notes: choices and what missing streams leave out, one sentence each.
+    """
+
+    t_s: Array
+    used: NDArray[np.bool_]
+    period_s: float
+    cutoff_hz: float
+    wrench: Array
+    rate: Array | None
+    rate_derivative: Array | None
+    specific_force: Array | None
+    velocity_body: Array | None
+    gravity_body: Array | None
+    rate_derivative_noise: Array
+    specific_force_source: str
+    window_s: tuple[float, float]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Pose:
+    """Pose samples on the IMU's clock, of the vehicle's origin."""
+
+    t_s: Array
+    position_m: Array
+    quaternion: Array
+    velocity_world_m_s: Array | None
+    source: str
+
+
+def process_flight(
+    flight: FlightData,
+    *,
+    mocap_minus_imu_s: float = 0.0,
+    exclude: Segments = (),
+    cutoff_hz: float | None = None,
+    period_s: float | None = None,
+) -> Signals:
+    """Bring a flight's streams together and differentiate them.
+
+    Args:
+        flight: the recorded streams; motors, IMU and state are taken to share a clock.
+        mocap_minus_imu_s: motion-capture stamp minus IMU stamp of one and the same instant.
+        exclude: segments [start, end] on the IMU's clock that are not used.
+        cutoff_hz: of the low-pass; None: see :func:`default_cutoff_hz`.
+        period_s: grid spacing; None: the IMU's (or the state's, or 2 ms), between 1 and 20 ms.
+
+    Raises:
+        NotIdentifiable: the streams overlap for less than 2 s, or hold no motion at all.
+    """
+    pose = _pose(flight, mocap_minus_imu_s, exclude)
+    motors = _without(flight.motors, exclude)
+    imu = None if flight.imu is None else _without(flight.imu, exclude)
+    state = None if flight.state is None else _without(flight.state, exclude)
+    inertial = imu if imu is not None else state
+    if inertial is None and pose is None:
+        raise NotIdentifiable("The flight has neither IMU, motion capture nor state.", "Record at least one of them.")
+    notes: list[str] = []
+
+    if period_s is None:
+        rate_hz = inertial.rate_hz() if inertial is not None else 500.0
+        period_s = 1.0 / float(np.clip(rate_hz, 50.0, 1000.0))
+    window = excitation_window(flight)
+    spans = [(s.t_s[0], s.t_s[-1]) for s in (motors, inertial) if s is not None]
+    spans += [] if pose is None else [(pose.t_s[0], pose.t_s[-1])]
+    start = max([window[0] - MARGIN_S, *(a for a, _ in spans)])
+    end = min([window[1] + MARGIN_S, *(b for _, b in spans)])
+    if end - start < SHORTEST_S:
+        raise NotIdentifiable(
+            f"The streams overlap for {max(end - start, 0.0):.1f} s only.",
+            f"Record at least {SHORTEST_S:.0f} s of motion.",
+        )
+    t = start + period_s * np.arange(int((end - start) / period_s + 1e-9) + 1)
+    used = (t >= window[0]) & (t <= window[1])
+
+    if cutoff_hz is None:
+        cutoff_hz = default_cutoff_hz(flight, imu, t)
+    slowest = [s.rate_hz() for s in (imu, state) if s is not None][:1]
+    cutoff_hz = min([cutoff_hz, 0.4 / period_s, *(0.4 * rate for rate in slowest)])
+
+    def smooth(x: Array) -> Array:
+        return zero_phase_low_pass(x, cutoff_hz, period_s)
+
+    wrench = smooth(declared_wrench(flight.vehicle, motors, flight.battery, t))
+    for stream in (motors, inertial):
+        if stream is not None:
+            used &= ~_in_gap(t, stream.t_s)
+
+    rate = rate_derivative = specific = velocity = gravity = None
+    noise = np.zeros(3)
+    source = ""
+    rotation = None if pose is None else quat_normalise(smooth(slerp(t, pose.t_s, pose.quaternion)))
+    if inertial is not None:
+        columns = slice(0, 3) if imu is not None else slice(10, 13)
+        rate = smooth(interpolate(t, inertial.t_s, inertial.values[:, columns]))
+        sigma = white_noise_std(inertial.values[:, columns])
+        noise = sigma * differentiated_noise_gain(1, cutoff_hz, inertial.rate_hz())
+        if imu is None:
+            notes.append("No IMU: body rates are the vehicle's own estimate.")
+    elif rotation is not None and pose is not None:
+        rate = _rate_from_attitude(rotation, period_s)
+        sigma = white_noise_std(2.0 * pose.quaternion[:, 1:])
+        noise = sigma * differentiated_noise_gain(2, cutoff_hz, 1.0 / float(np.median(np.diff(pose.t_s))))
+        notes.append("No IMU: body rates are differentiated attitudes.")
+    if rate is not None:
+        rate_derivative = central_difference(rate, period_s)
+
+    g = flight.vehicle.gravity_m_s2
+    from_pose = None
+    if pose is not None and rotation is not None and rate is not None:
+        used &= ~_in_gap(t, pose.t_s)
+        if pose.velocity_world_m_s is None:
+            position = smooth(interpolate(t, pose.t_s, pose.position_m))
+            velocity_world = central_difference(position, period_s)
+        else:
+            velocity_world = smooth(interpolate(t, pose.t_s, pose.velocity_world_m_s))
+        velocity = quat_rotate_inverse(rotation, velocity_world)
+        gravity = quat_rotate_inverse(rotation, np.array([0.0, 0.0, g]))
+        from_pose = central_difference(velocity, period_s) + np.cross(rate, velocity) + gravity
+    elif pose is None:
+        notes.append("No poses: velocity and attitude are unknown, so drag, wind and position effects cannot be seen.")
+
+    if imu is not None and rate is not None and rate_derivative is not None:
+        felt = smooth(interpolate(t, imu.t_s, imu.values[:, 3:6]))
+        felt -= _lever_arm(rate, rate_derivative, flight.vehicle.imu.position_m)
+        if from_pose is None:
+            specific, source = felt, "accelerometer"
+            notes.append("The accelerometer's bias is unknown without poses and goes into mass.")
+        elif _accelerometer_is_better(imu, pose, cutoff_hz):
+            bias = np.mean((felt - from_pose)[used], axis=0) if used.any() else np.zeros(3)
+            specific, source = felt - bias, "accelerometer"
+            notes.append(
+                "Specific force from the accelerometer, which is quieter here than positions differentiated twice; "
+                f"its mean is held to theirs (bias {bias[0]:.3f}, {bias[1]:.3f}, {bias[2]:.3f} m/s^2)."
+            )
+    if specific is None and from_pose is not None and pose is not None:
+        specific, source = from_pose, pose.source
+        notes.append(f"Specific force from differentiated {'velocities' if source == 'state' else 'positions'}.")
+
+    guard = 0.5 / cutoff_hz
+    for first, last in exclude:
+        used &= (t < first - guard) | (t > last + guard)
+    if np.count_nonzero(used) * period_s < SHORTEST_S:
+        raise NotIdentifiable(
+            f"Only {np.count_nonzero(used) * period_s:.1f} s are left outside gaps and excluded segments.",
+            f"Exclude less, or record at least {SHORTEST_S:.0f} s of motion.",
+        )
+    notes.insert(0, f"Zero-phase Butterworth low-pass at {cutoff_hz:.2f} Hz on a {1e3 * period_s:.2f} ms grid.")
+    times = t[used]
+    return Signals(
+        t, used, period_s, cutoff_hz, wrench, rate, rate_derivative, specific, velocity, gravity, noise, source,
+        (float(times[0]), float(times[-1])), tuple(notes),
+    )  # fmt: skip
+
+
+def default_cutoff_hz(flight: FlightData, imu: Stream | None, t_s: Array) -> float:
+    """Ten times the plan's top harmonic, or ten times the frequency below which half of the gyro's power lies.
+
+    Both sides of the regression pass the same filter, so the cut-off costs no bias; it trades the noise of
+    differentiated rates against motion above the top harmonic. At least 2 Hz.
+    """
+    if flight.plan is not None:
+        top = len(flight.plan.coefficients.x.a) * flight.plan.base_frequency_rad_s / (2.0 * np.pi)
+    elif imu is not None:
+        from scipy.signal import welch
+
+        gyro = interpolate(t_s, imu.t_s, imu.values[:, :3])
+        step = float(t_s[1] - t_s[0])
+        frequency, power = welch(gyro, 1.0 / step, nperseg=min(len(t_s), int(8.0 / step)), axis=0)
+        below = np.cumsum(power.sum(axis=1))
+        top = float(frequency[np.searchsorted(below, 0.5 * below[-1])])
+    else:
+        top = 0.5
+    return max(2.0, 10.0 * top)
+
+
+def excitation_window(flight: FlightData) -> tuple[float, float]:
+    """Start and end of what is used: the known excitation, or the airborne part, less the transient.
+
+    Airborne is the longest stretch with more than half the thrust that the flight's upper quartile has, less one second
+    at each end (ground contact); no constant of the vehicle enters.
+
+    Raises:
+        NotIdentifiable: the vehicle did not fly.
+    """
+    if flight.window_s is not None:
+        start, end = flight.window_s
+        return start + min(TRANSIENT_S, 0.2 * (end - start)), end
+    motors = _without(flight.motors, ())
+    t = motors.t_s
+    thrust = declared_wrench(flight.vehicle, motors, flight.battery, t)[:, 0]
+    flying = thrust > 0.5 * np.quantile(thrust, 0.75)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flying, [False]]).astype(int)))
+    starts, ends = edges[::2], edges[1::2] - 1
+    if len(starts) == 0:
+        raise NotIdentifiable("The rotors never made thrust.", "Record a flight.")
+    longest = int(np.argmax(t[ends] - t[starts]))
+    start, end = t[starts[longest]], t[ends[longest]]
+    if end - start < SHORTEST_S + 2.0:
+        raise NotIdentifiable(f"The vehicle was in the air for {end - start:.1f} s only.", "Fly longer.")
+    whole = start == t[0] and end == t[-1]
+    return (float(start), float(end)) if whole else (float(start + 1.0), float(end - 1.0))
+
+
+def interpolate(t_s: ArrayLike, stamps_s: Array, values: Array) -> Array:
+    """Linear interpolation of the columns of ``values`` (n, d) at ``t_s``; shape (k, d)."""
+    t = np.asarray(t_s, dtype=float)
+    right = np.clip(np.searchsorted(stamps_s, t, side="right"), 1, len(stamps_s) - 1)
+    left = right - 1
+    share = ((t - stamps_s[left]) / (stamps_s[right] - stamps_s[left]))[:, None]
+    return values[left] + share * (values[right] - values[left])
+
+
+def slerp(t_s: ArrayLike, stamps_s: Array, quaternions: Array) -> Array:
+    """Spherical linear interpolation of unit quaternions (n, 4) at ``t_s``, sign-continuous, shape (k, 4)."""
+    t = np.asarray(t_s, dtype=float)
+    q = quat_continuous(quaternions)
+    right = np.clip(np.searchsorted(stamps_s, t, side="right"), 1, len(stamps_s) - 1)
+    left = right - 1
+    share = (t - stamps_s[left]) / (stamps_s[right] - stamps_s[left])
+    turn = quat_log(quat_multiply(quat_conjugate(q[:-1]), q[1:]))
+    return quat_continuous(quat_multiply(q[left], quat_exp(share[:, None] * turn[left])))
+
+
+def white_noise_std(values: Array) -> Array:
+    """Standard deviation of white noise per column, from fourth differences (which motion hardly reaches), robustly.
+
+    The fourth difference of white noise has the variance 1 + 16 + 36 + 16 + 1 = 70 sigma^2; 1.4826 makes a median
+    absolute deviation a standard deviation.
+    """
+    if len(values) < 16:
+        return np.zeros(values.shape[1])
+    fourth = np.diff(values, 4, axis=0)
+    return 1.4826 * np.median(np.abs(fourth - np.median(fourth, axis=0)), axis=0) / np.sqrt(70.0)
+
+
+def differentiated_noise_gain(order: int, cutoff_hz: float, rate_hz: float) -> float:
+    """What differentiating ``order`` times below the cut-off makes of white noise of unit standard deviation.
+
+    White noise at rate f_s has the density 2/f_s, so the variance is the integral of (2 pi f)^(2n) 2/f_s up to f_c.
+    """
+    cutoff = min(cutoff_hz, 0.5 * rate_hz)
+    power = 2 * order + 1
+    return float(np.sqrt(2.0 * (2.0 * np.pi) ** (2 * order) * cutoff**power / (power * rate_hz)))
+
+
+def _accelerometer_is_better(imu: Stream, pose: _Pose | None, cutoff_hz: float) -> bool:
+    """Compare what noise leaves on z: accelerometer as it is, against poses differentiated once or twice."""
+    if pose is None:
+        return True
+    felt = white_noise_std(imu.values[:, 5:6])[0] * differentiated_noise_gain(0, cutoff_hz, imu.rate_hz())
+    order, source = (2, pose.position_m) if pose.velocity_world_m_s is None else (1, pose.velocity_world_m_s)
+    rate_hz = 1.0 / float(np.median(np.diff(pose.t_s)))
+    seen = white_noise_std(source[:, 2:3])[0] * differentiated_noise_gain(order, cutoff_hz, rate_hz)
+    return bool(felt <= seen)
+
+
+def _pose(flight: FlightData, mocap_minus_imu_s: float, exclude: Segments) -> _Pose | None:
+    """Poses of the vehicle's origin on the IMU's clock: motion capture, or the vehicle's own state."""
+    if flight.mocap is not None and len(flight.mocap) > 3:
+        mounting = flight.vehicle.mocap
+        moved = Stream(flight.mocap.t_s - mocap_minus_imu_s, flight.mocap.values, flight.mocap.columns)
+        stream = _without(moved, exclude)
+        marker_to_body = quat_conjugate(quat_exp(np.asarray(mounting.rotation_rad)))
+        q = quat_continuous(quat_multiply(quat_normalise(stream.values[:, 3:7]), marker_to_body))
+        p = stream.values[:, :3] - quat_rotate(q, np.asarray(mounting.position_m))
+        return _Pose(stream.t_s, p, q, None, "positions")
+    if flight.state is not None and len(flight.state) > 3:
+        stream = _without(flight.state, exclude)
+        q = quat_continuous(quat_normalise(stream.values[:, 6:10]))
+        return _Pose(stream.t_s, stream.values[:, :3], q, stream.values[:, 3:6], "state")
+    return None
+
+
+def _without(stream: Stream, exclude: Segments) -> Stream:
+    """Samples with finite values and strictly increasing stamps, outside the excluded segments."""
+    keep = np.isfinite(stream.values).all(axis=1) & np.isfinite(stream.t_s)
+    for first, last in exclude:
+        keep &= (stream.t_s < first) | (stream.t_s > last)
+    kept = stream.select(keep)
+    latest = np.maximum.accumulate(np.concatenate([[-np.inf], kept.t_s[:-1]]))
+    return kept.select(kept.t_s > latest)
+
+
+def _in_gap(t_s: Array, stamps_s: Array) -> NDArray[np.bool_]:
+    """Which grid times lie between two stamps further apart than 0.1 s and than three usual steps."""
+    step = np.diff(stamps_s)
+    longest = max(GAP_S, 3.0 * float(np.median(step)))
+    return step[np.clip(np.searchsorted(stamps_s, t_s, side="right") - 1, 0, len(step) - 1)] > longest
+
+
+def _rate_from_attitude(quaternion: Array, period_s: float) -> Array:
+    """Body rates 2 q* dq/dt by central differences, shape (k, 3)."""
+    q = quat_continuous(quaternion)
+    return 2.0 * quat_multiply(quat_conjugate(q), central_difference(q, period_s))[:, 1:]
+
+
+def _lever_arm(rate: Array, rate_derivative: Array, position_m: ArrayLike) -> Array:
+    """dw/dt x r + w x (w x r): what an accelerometer at r feels beyond the origin."""
+    r = np.asarray(position_m, dtype=float)
+    return np.cross(rate_derivative, r) + np.cross(rate, np.cross(rate, r))

@@ -1,0 +1,100 @@
+"""The regressors of the seed paper: standard (12), filtered (13)-(17), and all six rows of the rigid body.
+
+With the products of the body rates kept apart, every one of them has the same form: a first entry (what multiplies the
+mass), an acceleration-like triple that multiplies the tensor (I alpha), and the six products that make omega x I omega.
+The standard regressor takes them as they are, the filtered one takes them through f and s f.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def rate_products(rate: ArrayLike) -> Array:
+    """Products [pp, pq, pr, qq, qr, rr] of body rates (k, 3), rad^2/s^2, shape (k, 6)."""
+    p, q, r = np.asarray(rate, dtype=float).T
+    return np.stack([p * p, p * q, p * r, q * q, q * r, r * r], axis=-1)
+
+
+def inertia_columns(alpha: ArrayLike, products: ArrayLike) -> Array:
+    """Columns that multiply [Ixx, Ixy, Ixz, Iyy, Iyz, Izz] in I alpha + omega x I omega (seed eq. 8-10, signs restored).
+
+    Args:
+        alpha: angular acceleration (or s f(s) of the rate), rad/s^2, shape (k, 3).
+        products: [pp, pq, pr, qq, qr, rr], rad^2/s^2, shape (k, 6).
+
+    Returns:
+        Rows roll, pitch, yaw, shape (k, 3, 6).
+    """
+    a, b, c = np.asarray(alpha, dtype=float).T
+    pp, pq, pr, qq, qr, rr = np.asarray(products, dtype=float).T
+    out = np.empty((len(a), 3, 6))
+    for row, entries in enumerate(
+        (
+            (a, b - pr, c + pq, -qr, qq - rr, qr),
+            (pr, a + qr, rr - pp, b, c - pq, -pr),
+            (-pq, pp - qq, a - qr, pq, b + pr, c),
+        )
+    ):
+        for column, entry in enumerate(entries):
+            out[:, row, column] = entry
+    return out
+
+
+def assemble(first: ArrayLike, alpha: ArrayLike, products: ArrayLike) -> Array:
+    """Regressor of [F_z, tau_x, tau_y, tau_z] on [m, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] (seed eq. 12), shape (k, 4, 7)."""
+    first = np.asarray(first, dtype=float)
+    out = np.zeros((len(first), 4, 7))
+    out[:, 0, 0] = first
+    out[:, 1:, 1:] = inertia_columns(alpha, products)
+    return out
+
+
+def standard_regressor(specific_force_z: ArrayLike, rate: ArrayLike, rate_derivative: ArrayLike) -> Array:
+    """Phi of seed eq. (12), shape (k, 4, 7).
+
+    Args:
+        specific_force_z: dw/dt + pv - qu + g cos(theta) cos(phi), m/s^2, shape (k,): what an accelerometer reads on z.
+        rate: body rates, rad/s, shape (k, 3).
+        rate_derivative: their derivatives, rad/s^2, shape (k, 3).
+    """
+    return assemble(specific_force_z, rate_derivative, rate_products(rate))
+
+
+def momentum_regressor(velocity: ArrayLike, rate: ArrayLike) -> Array:
+    """Phi_a of seed eq. (13): [m w, I omega] = Phi_a Theta, shape (k, 4, 7). Velocity in the body, m/s."""
+    velocity = np.asarray(velocity, dtype=float)
+    return assemble(velocity[:, 2], rate, np.zeros((len(velocity), 6)))
+
+
+def coriolis_gravity_regressor(velocity: ArrayLike, rate: ArrayLike, gravity_body: ArrayLike) -> Array:
+    """Phi_b of seed eq. (13): [m (S(omega) v + g R^T e_z)_z, S(omega) I omega] = Phi_b Theta, shape (k, 4, 7).
+
+    Args:
+        velocity: in the body, m/s, shape (k, 3).
+        rate: body rates, rad/s, shape (k, 3).
+        gravity_body: g R^T e_z, m/s^2, shape (k, 3).
+    """
+    first = transport_and_gravity(velocity, rate, gravity_body)[:, 2]
+    return assemble(first, np.zeros((len(first), 3)), rate_products(rate))
+
+
+def transport_and_gravity(velocity: ArrayLike, rate: ArrayLike, gravity_body: ArrayLike) -> Array:
+    """S(omega) v + g R^T e_z, m/s^2, shape (k, 3); velocity and rate in the body."""
+    return np.cross(np.asarray(rate, dtype=float), np.asarray(velocity, dtype=float)) + np.asarray(gravity_body)
+
+
+def six_row_regressor(specific_force: ArrayLike, rate: ArrayLike, rate_derivative: ArrayLike) -> Array:
+    """Regressor of [F_x, F_y, F_z, tau_x, tau_y, tau_z] on Theta, shape (k, 6, 7).
+
+    The body x and y rows (seed eq. 5-6 times m) say what the seed drops: without drag, wind or tether the specific force
+    along x and y is zero, so m times it is the residual force there.
+    """
+    specific_force = np.asarray(specific_force, dtype=float)
+    out = np.zeros((len(specific_force), 6, 7))
+    out[:, :3, 0] = specific_force
+    out[:, 3:, 1:] = inertia_columns(rate_derivative, rate_products(rate))
+    return out

@@ -1,0 +1,71 @@
+r"""Covariance of linear estimates whose residual is coloured.
+
+An estimate that is linear in the output, theta = sum_k H_k y_k, errs by sum_k H_k e_k. With e stationary, of spectrum
+S(f), its covariance is the integral of H(f)* S(f) H(f): the residual's spectrum *at the frequencies where the estimator
+listens*. For least squares H_k = A^{-1} Gamma_k^T, and this is the coloured-residual covariance of Morelli and Klein
+(1997), A^{-1} [sum_ij Gamma_i^T R(i - j) Gamma_j] A^{-1}, evaluated in the frequency domain, where the autocorrelation R
+need not be truncated. White residuals give the textbook sigma^2 A^{-1} back.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SMOOTHING_HZ = 0.25
+"""Half-width of the spectral average: wider than a harmonic's line, narrower than the colour of what flights are disturbed by."""
+
+
+def coloured_covariance(influence: Array, residual: Array, period_s: float) -> Array:
+    """Covariance of sum_k H_k e_k for a stationary, coloured, mutually correlated residual.
+
+    Args:
+        influence: H_k, shape (k, n_parameters, n_outputs); zero where a sample was not used.
+        residual: e_k, shape (k, n_outputs); zero where a sample was not used.
+        period_s: sample spacing.
+
+    Returns:
+        Shape (n_parameters, n_parameters), in the parameters' units.
+    """
+    from scipy.fft import next_fast_len, rfft
+
+    k, parameters, outputs = influence.shape
+    # Twice the length, so that the products below are linear, not circular, correlations.
+    length = next_fast_len(2 * k, real=True)
+    spectrum = _cross_spectrum(residual, period_s, length)
+    active = np.abs(influence).max(axis=0) > 0.0
+    weight = np.full(length // 2 + 1, 2.0)
+    weight[0] = 1.0
+    if length % 2 == 0:
+        weight[-1] = 1.0
+    listened = np.zeros((parameters, outputs, length // 2 + 1), dtype=complex)
+    listened[active] = rfft(influence.transpose(1, 2, 0)[active], length, axis=-1, workers=1)
+    carried = np.einsum("pof,fov->pvf", listened, spectrum)
+    covariance = np.einsum("pvf,qvf,f->pq", carried, listened.conj(), weight, optimize=True).real / length
+    return 0.5 * (covariance + covariance.T)
+
+
+def _cross_spectrum(residual: Array, period_s: float, length: int) -> Array:
+    """Smoothed two-sided cross-spectra of the residual at the rfft frequencies of ``length``, variance per sample.
+
+    Normalised so that white noise of variance s^2 has the value s^2; shape (length // 2 + 1, n_outputs, n_outputs).
+    """
+    from scipy.fft import rfft
+    from scipy.ndimage import uniform_filter1d
+
+    used = np.count_nonzero(np.abs(residual).max(axis=1) > 0.0)
+    transform = rfft(residual, length, axis=0, workers=1)
+    bins = max(3, 2 * int(SMOOTHING_HZ * length * period_s) + 1)
+    outputs = residual.shape[1]
+    out = np.empty((len(transform), outputs, outputs), dtype=complex)
+    for i in range(outputs):
+        for j in range(i, outputs):
+            raw = transform[:, i] * transform[:, j].conj() / max(used, 1)
+            smooth = uniform_filter1d(raw.real, bins, mode="reflect") + 1j * uniform_filter1d(
+                raw.imag, bins, mode="reflect"
+            )
+            out[:, i, j] = smooth
+            out[:, j, i] = smooth.conj()
+    return out
