@@ -1,0 +1,78 @@
+"""One flight's report: a self-contained HTML file that opens from disk, without a network."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from groundstation.diagnosis.results import Diagnosis
+from groundstation.errors import Refused
+from groundstation.flightdata import FlightData
+from groundstation.identification.results import Identification
+from groundstation.reporting.markup import element, fragment
+from groundstation.reporting.page import Page
+from groundstation.reporting.sections.data import add_data, add_reproduction, add_warnings
+from groundstation.reporting.sections.evidence import add_evolution, add_residuals, add_validation
+from groundstation.reporting.sections.flight import add_flight
+from groundstation.reporting.sections.parameters import add_parameters
+from groundstation.reporting.sections.verdict import add_verdict
+from groundstation.reporting.units import fixed
+
+
+def report_html(
+    flight: FlightData,
+    identification: Identification | Refused,
+    diagnosis: Diagnosis | None = None,
+    *,
+    live: Sequence[str] = (),
+) -> str:
+    """The report as HTML text.
+
+    Args:
+        flight: the recording, with the truth where it was simulated.
+        identification: the result, or the refusal with its reason and remedy.
+        diagnosis: what the declared vehicle lacks, where that was asked.
+        live: what was noticed while flying (lost messages, guard actions), one sentence each.
+    """
+    page = Page(f"{flight.name} – flight report")
+    result = None if isinstance(identification, Refused) else identification
+    add_verdict(page, identification, diagnosis)
+    if result is not None:
+        add_parameters(page, flight, result)
+    add_flight(page, flight, result)
+    if result is not None:
+        add_evolution(page, flight, result)
+        add_validation(page, result)
+    add_residuals(page, diagnosis)
+    add_data(page, flight, result, live)
+    add_warnings(page, [*(result.warnings if result else ()), *(diagnosis.warnings if diagnosis else ())])
+    add_reproduction(page, flight, result)
+    return page.html(_header(flight), _footer())
+
+
+def write_report(
+    path: str | Path,
+    flight: FlightData,
+    identification: Identification | Refused,
+    diagnosis: Diagnosis | None = None,
+    *,
+    live: Sequence[str] = (),
+) -> Path:
+    """Write :func:`report_html` to ``path`` and return it."""
+    path = Path(path)
+    path.write_text(report_html(flight, identification, diagnosis, live=live), encoding="utf-8")
+    return path
+
+
+def _header(flight: FlightData) -> str:
+    spans = [(s.t_s[0], s.t_s[-1]) for s in flight.streams().values() if len(s) > 1]
+    duration = max((end - start for start, end in spans), default=0.0)
+    kind = "simulated flight" if flight.truth is not None else "recorded flight"
+    scenario = flight.metadata.get("scenario")
+    facts = [kind, f"vehicle {flight.vehicle.name}", f"{fixed(float(duration), 1)} s"]
+    facts += [f"scenario {scenario}"] if scenario else []
+    return fragment(element("h1", flight.name), element("p", " · ".join(facts), class_="sub"))
+
+
+def _footer() -> str:
+    return element("p", "Intervals are 95 %. World z up; body x forward, y left, z up. SI units unless a prefix is written.")

@@ -1,0 +1,118 @@
+"""What the numbers rest on: streams, clocks, repairs, excluded segments, warnings, and how to get the same again."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from importlib import metadata
+
+import numpy as np
+
+import groundstation
+from groundstation.flightdata import FlightData, Stream
+from groundstation.identification.results import Clock, Identification
+from groundstation.reporting import figures
+from groundstation.reporting.markup import Markup, definition_list, element, fragment, sentence_list, table
+from groundstation.reporting.page import Page
+from groundstation.reporting.units import fixed, percent, significant
+
+
+def add_data(page: Page, flight: FlightData, identification: Identification | None, live: Sequence[str]) -> None:
+    """Streams with rates and gaps, clock offset, repairs."""
+    streams = flight.streams()
+    rows = [(name, *_stream_row(stream)) for name, stream in streams.items()]
+    header = ("stream", "samples", "rate (Hz)", "from (s)", "to (s)", "gaps", "longest gap (s)", "missing", "arrival delay spread (ms)")
+    caption = "Each stream on its own device clock. A gap is a step over five median intervals; missing is what it left out."
+    coverage = figures.coverage_figure(
+        {name: figures.stretches(stream.t_s) for name, stream in streams.items()},
+        identification.excluded_s if identification else (),
+    )
+    sentences = [*live, *(identification.quality if identification else ()), *flight.notes]
+    page.section(
+        "data",
+        "Data",
+        table(caption, header, rows),
+        page.figure(coverage, "When each stream was there; shaded: excluded from the analysis."),
+        _clock(identification.clock if identification else None),
+        _excluded(identification),
+        element("h3", "Quality and repairs"),
+        sentence_list(dict.fromkeys(sentences)) if sentences else element("p", "Nothing had to be repaired.", class_="note"),
+    )
+
+
+def _stream_row(stream: Stream) -> list[str]:
+    t = stream.t_s
+    if len(t) < 2:
+        return [str(len(t)), *["–"] * 7]
+    step = np.diff(t)
+    median = float(np.median(step))
+    gaps = step[step > 5.0 * median]
+    missing = float(np.sum(gaps / median - 1.0))
+    return [
+        str(len(t)),
+        significant(1.0 / median),
+        fixed(float(t[0]), 2),
+        fixed(float(t[-1]), 2),
+        str(len(gaps)),
+        significant(float(gaps.max())) if len(gaps) else "–",
+        percent(missing / (missing + len(t))).lstrip("+"),
+        _delay_spread(stream),
+    ]
+
+
+def _delay_spread(stream: Stream) -> str:
+    """Middle 98 % of arrival minus device time, after a straight line (the clocks' offset and drift) is taken out."""
+    if stream.received_s is None or len(stream) < 16:
+        return "–"
+    delay = stream.received_s - stream.t_s
+    line = np.polyfit(stream.t_s - stream.t_s[0], delay, 1)
+    rest = delay - np.polyval(line, stream.t_s - stream.t_s[0])
+    return significant(1e3 * float(np.subtract(*np.percentile(rest, [99, 1]))))
+
+
+def _clock(clock: Clock | None) -> Markup:
+    if clock is None:
+        return element("p", "Motion-capture and IMU clocks were not compared.", class_="note")
+    offset = f"{fixed(1e3 * clock.mocap_minus_imu_s, 3)} ± {fixed(1e3 * 1.959964 * clock.std_s, 3)} ms"
+    drift = f"{fixed(1e6 * clock.drift, 1)} ± {fixed(1e6 * 1.959964 * clock.drift_std, 1)} ppm"
+    return fragment(
+        element("h3", "Clocks"),
+        definition_list([("motion capture − IMU, at the middle of the flight (95 %)", offset), ("drift (95 %)", drift)]),
+    )
+
+
+def _excluded(identification: Identification | None) -> Markup | None:
+    if identification is None:
+        return None
+    pairs = []
+    if identification.window_s[1] > identification.window_s[0]:
+        start, end = identification.window_s
+        pairs.append(("analysed", f"{fixed(start, 2)} … {fixed(end, 2)} s"))
+    excluded = ", ".join(f"{fixed(a, 2)} … {fixed(b, 2)} s" for a, b in identification.excluded_s) or "nothing"
+    return definition_list([*pairs, ("excluded", excluded)])
+
+
+def add_warnings(page: Page, warnings: Sequence[str]) -> None:
+    """Every warning, once."""
+    unique = list(dict.fromkeys(warnings))
+    content = sentence_list(unique) if unique else element("p", "None.", class_="note")
+    page.section("warnings", f"Warnings ({len(unique)})" if unique else "Warnings", content)
+
+
+def add_reproduction(page: Page, flight: FlightData, identification: Identification | None) -> None:
+    """Versions, what is known about the recording, and the commands that give the same numbers again."""
+    versions = [("groundstation", groundstation.__version__), ("Python", platform.python_version())]
+    versions += [(name, metadata.version(name)) for name in ("numpy", "scipy")]
+    source = flight.metadata.get("source", flight.name)
+    options = "".join(f" --exclude {a:g}:{b:g}" for a, b in identification.excluded_s) if identification else ""
+    commands = "\n".join(
+        [f"groundstation identify {source}{options} --json", f"groundstation diagnose {source}{options} --json"]
+        + [f"groundstation report {source}{options}"]
+    )
+    page.section(
+        "reproduce",
+        "Reproduce",
+        element("pre", commands),
+        definition_list(versions),
+        definition_list(sorted(flight.metadata.items())),
+    )

@@ -1,0 +1,130 @@
+"""Why to believe it: evolution of the estimates, prediction errors, closed-loop simulation, residuals and their colour."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from groundstation.diagnosis.results import Diagnosis
+from groundstation.flightdata import FlightData
+from groundstation.identification.results import MASS_AND_TENSOR, Identification, Validation
+from groundstation.reporting import figures
+from groundstation.reporting.markup import Markup, element, fragment
+from groundstation.reporting.page import Page
+from groundstation.reporting.sections.parameters import declared_parameters
+from groundstation.reporting.sections.tables import error_table
+from groundstation.reporting.units import label, scale_for, split_unit
+
+_CHECKS = {
+    "output": "Output prediction error (regressor times parameters, minus output)",
+    "closed_loop": "Closed-loop simulation against the flight",
+    "prediction": "Open-loop prediction with the recorded inputs",
+}
+
+
+def key(names: list[str]) -> Markup:
+    """A legend that several small figures share: colour and dash as in the figures."""
+    dash_arrays = {"solid": "", "dash": "7 4", "dot": "2 3", "dashdot": "7 3 2 3", "longdash": "11 4", "longdashdot": "11 3 2 3"}
+    items = []
+    for i, name in enumerate(names):
+        style = figures.line(i)
+        stroke = f"var(--{style['color'][1:]})"
+        drawn = element("line", x1="0", y1="5", x2="34", y2="5", style=f"stroke:{stroke};stroke-width:2.2;stroke-dasharray:{dash_arrays[style['dash']]}")
+        items.append(element("li", element("svg", drawn, width="34", height="10", aria_hidden="true"), name))
+    return element("ul", items, class_="key")
+
+
+def add_evolution(page: Page, flight: FlightData, identification: Identification) -> None:
+    """Figures 4 and 5 of the seed paper: how the estimates moved as data came in."""
+    moving = {name: m.evolution for name, m in identification.methods.items() if m.evolution is not None}
+    if not moving:
+        return
+    nominal = declared_parameters(flight.vehicle)
+    truth = declared_parameters(flight.truth) if flight.truth is not None else {}
+    panels = []
+    for name in MASS_AND_TENSOR:
+        present = {method: e for method, e in moving.items() if name in e.values}
+        if not present:
+            continue
+        scale = scale_for(split_unit(name)[1], [e.values[name][-1] for e in present.values()] + [nominal.get(name, 0.0)])
+        lines = [
+            {**figures.trace(e.t_s, scale.factor * e.values[name], method, list(moving).index(method)), "showlegend": False}
+            for method, e in present.items()
+        ]
+        shapes = [
+            figures.reference(scale.factor * source[name], text, dash)
+            for source, text, dash in ((nominal, "nominal", "dash"), (truth, "true", "solid"))
+            if name in source
+        ]
+        figure = figures.time_figure(lines, scale.unit, shapes=shapes, height=250)
+        _robust_range(figure)
+        panels.append(page.figure(figure, label(name)))
+    lines_text = "Grey dashed line: nominal" + ("; grey solid line: truth." if truth else ".")
+    page.section(
+        "evolution",
+        "How the estimates settled",
+        element("p", "The estimate from the data up to each instant. ", lines_text, class_="note"),
+        key(list(moving)),
+        element("div", panels, class_="small"),
+    )
+
+
+def _robust_range(figure: figures.Figure) -> None:
+    """Start zoomed on where the estimates settle: the second half of every line, and the reference lines, with a margin."""
+    settled = []
+    for drawn in figure["data"]:
+        values = [v for v in drawn["y"][len(drawn["y"]) // 2 :] if v is not None]
+        settled += values
+    settled += [shape["y0"] for shape in figure["layout"]["shapes"] if shape["type"] == "line"]
+    if settled:
+        low, high = min(settled), max(settled)
+        margin = 0.15 * (high - low) or 0.05 * abs(high) or 1.0
+        figure["layout"]["yaxis"]["range"] = [low - margin, high + margin]
+
+
+def add_validation(page: Page, identification: Identification) -> None:
+    """Tables 4-6 of the seed paper: RMS errors and the improvement over nominal."""
+    seed = {name: dict(m.rms_output_error) for name, m in identification.methods.items() if m.rms_output_error}
+    parts: list[Markup] = [_validation(check, identification.best) for check in identification.validation]
+    if seed and not any(check.kind == "output" for check in identification.validation):
+        parts.append(error_table("RMS output prediction error by method.", seed, reference="nominal", improved=identification.best))
+    if not parts:
+        parts = [element("p", "No validation was run on this flight.", class_="note")]
+    note = "Improvement is 100 (1 − RMS / RMS of nominal): ▾ the error fell, ▴ it grew."
+    page.section("validation", "Validation", element("p", note, class_="note"), *parts)
+
+
+def _validation(check: Validation, best: str) -> Markup:
+    title = _CHECKS.get(check.kind, check.kind.replace("_", " "))
+    sets = dict(check.rms)
+    ordered = {name: sets[name] for name in (["nominal"] if "nominal" in sets else []) + [n for n in sets if n != "nominal"]}
+    caption = f"RMS over {check.samples} samples. {check.note}".strip()
+    return fragment(element("h3", title), error_table(caption, ordered, reference="nominal", improved=best))
+
+
+def add_residuals(page: Page, diagnosis: Diagnosis | None) -> None:
+    """Residual of each channel over time and over frequency, before and after.
+
+    ``diagnosis.residual`` holds "t_s", the residual before under the channel's name, and after the findings were added
+    under the name followed by "/after".
+    """
+    if diagnosis is None or "t_s" not in diagnosis.residual:
+        return
+    t = diagnosis.residual["t_s"]
+    parts = []
+    for channel in [c for c in diagnosis.residual if c != "t_s" and "/" not in c]:
+        series = {"before": diagnosis.residual[channel]}
+        if f"{channel}/after" in diagnosis.residual:
+            series["after"] = diagnosis.residual[f"{channel}/after"]
+        largest = max((float(np.nanmax(np.abs(v), initial=0.0)) for v in series.values()), default=0.0)
+        scale = scale_for(split_unit(channel)[1], [largest])
+        lines = [figures.trace(t, scale.factor * v, name, i) for i, (name, v) in enumerate(series.items())]
+        colour = {name: figures.spectrum(t, scale.factor * v) for name, v in series.items() if np.isfinite(v).sum() > 64}
+        parts.append(
+            element(
+                "div",
+                page.figure(figures.time_figure(lines, scale.unit), f"Residual of {label(channel)}."),
+                page.figure(figures.spectrum_figure(colour, scale.unit), f"Its amplitude density: {label(channel)}.") if colour else None,
+                class_="pair",
+            )
+        )
+    page.section("residuals", "Residuals", *parts)

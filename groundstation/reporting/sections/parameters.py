@@ -1,0 +1,176 @@
+"""Parameters by method with intervals, beside what was declared and (in simulation) what was true."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from groundstation.flightdata import FlightData
+from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification
+from groundstation.reporting import figures
+from groundstation.reporting.markup import Markup, element, fragment, table
+from groundstation.reporting.page import Page
+from groundstation.reporting.sections.tables import estimate_cell, row_name
+from groundstation.reporting.units import Scale, label, percent, scale_for, significant, split_unit
+from groundstation.vehicle import Vehicle
+
+
+def declared_parameters(vehicle: Vehicle) -> dict[str, float]:
+    """Mass, tensor, rotor constants and lag of a declared (or true) vehicle under their parameter names."""
+    inertia, rotors = vehicle.inertia_kg_m2, vehicle.rotors
+    values: dict[str, float | None] = {
+        "mass_kg": vehicle.mass_kg,
+        **{f"i{axes}_kg_m2": getattr(inertia, axes) for axes in ("xx", "xy", "xz", "yy", "yz", "zz")},
+        "thrust_coefficient_n_s2": rotors.thrust_coefficient_n_s2,
+        "torque_to_thrust_m": rotors.torque_to_thrust_m,
+        "rotor_lag_up_s": rotors.lag.up_s,
+        "rotor_lag_down_s": rotors.lag.down_s,
+    }
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def add_parameters(page: Page, flight: FlightData, identification: Identification) -> None:
+    """Tables and dot-and-whisker panels."""
+    nominal = declared_parameters(flight.vehicle)
+    truth = declared_parameters(flight.truth) if flight.truth is not None else {}
+    anchor = (
+        "The declared rotor constants fix the scale; mass and inertia are estimated against them."
+        if identification.anchor == "thrust"
+        else "The declared mass fixes the scale; the rotor constants are estimated against it."
+    )
+    best = element("p", element("strong", f"Best: {identification.best}. "), identification.best_reason)
+    page.section(
+        "parameters",
+        "Parameters",
+        best,
+        element("p", anchor, class_="note"),
+        _method_table(identification, nominal, truth),
+        _panels(page, identification, nominal, truth),
+        _notes(identification),
+        _model_table(identification, nominal, truth),
+        _not_identifiable(identification),
+    )
+
+
+def _ordered(identification: Identification) -> list[str]:
+    """Methods, the best one first."""
+    rest = [name for name in identification.methods if name != identification.best]
+    return ([identification.best] if identification.best in identification.methods else []) + rest
+
+
+def _tensor_scale(identification: Identification, nominal: Mapping[str, float]) -> Scale:
+    """One power of ten for the whole tensor."""
+    sizes = [abs(v) for n, v in nominal.items() if n.endswith("kg_m2")]
+    for method in identification.methods.values():
+        sizes += [abs(e.value) for n, e in method.parameters.items() if n.endswith("kg_m2")]
+    return scale_for("kg m²", sizes)
+
+
+def _scale(name: str, identification: Identification, nominal: Mapping[str, float]) -> Scale:
+    if name.endswith("kg_m2"):
+        return _tensor_scale(identification, nominal)
+    sizes = [nominal.get(name, 0.0)]
+    sizes += [m.parameters[name].value for m in identification.methods.values() if name in m.parameters]
+    sizes += [identification.model[name].value] if name in identification.model else []
+    return scale_for(split_unit(name)[1], sizes)
+
+
+def _against_truth(name: str, estimate: Estimate, truth: Mapping[str, float]) -> Markup | None:
+    """Error against the truth (products: as a share of the trace), and whether the interval holds it."""
+    if name not in truth:
+        return None
+    true = truth[name]
+    trace = sum(truth[f"i{a}_kg_m2"] for a in ("xx", "yy", "zz"))
+    product = name in {"ixy_kg_m2", "ixz_kg_m2", "iyz_kg_m2"}
+    size = trace if product else abs(true)
+    if size == 0.0:
+        return None
+    holds = estimate.ci95[0] <= true <= estimate.ci95[1]
+    mark = "✓ holds the truth" if holds else "✕ misses the truth"
+    text = f"{percent((estimate.value - true) / size, 2)}{' of trace' if product else ''} {mark[0]}"
+    return element("small", text, class_="better" if holds else "worse", title=mark)
+
+
+def _method_table(identification: Identification, nominal: Mapping[str, float], truth: Mapping[str, float]) -> Markup:
+    methods = _ordered(identification)
+    extra = {n for m in identification.methods.values() for n in m.parameters} - set(MASS_AND_TENSOR)
+    rows = []
+    for name in (*MASS_AND_TENSOR, *sorted(extra)):
+        scale = _scale(name, identification, nominal)
+        row: list[Markup | str] = [row_name(name, scale), _plain(nominal.get(name), scale)]
+        if truth:
+            row.append(_plain(truth.get(name), scale))
+        for method in methods:
+            estimate = identification.methods[method].parameters.get(name)
+            note = _against_truth(name, estimate, truth) if estimate is not None else None
+            row.append(estimate_cell(name, estimate, scale, note))
+        rows.append(row)
+    conditions = [identification.methods[m].condition_number for m in methods]
+    if any(c is not None for c in conditions):
+        blanks = [""] * (2 if truth else 1)
+        rows.append(["condition number", *blanks, *(significant(c) if c is not None else "–" for c in conditions)])
+    caption = "Estimates with their 95 % intervals below."
+    if truth:
+        caption += " Third line: error against the simulated truth; ✓ the interval holds it, ✕ it does not."
+    header = ["parameter", "nominal", *(["true"] if truth else []), *methods]
+    return table(caption, header, rows, highlight=len(header) - len(methods) if methods else None)
+
+
+def _plain(value: float | None, scale: Scale) -> str:
+    return "–" if value is None else significant(value * scale.factor, 5).rstrip("0").rstrip(".") or "0"
+
+
+def _panels(page: Page, identification: Identification, nominal: Mapping[str, float], truth: Mapping[str, float]) -> Markup:
+    methods = _ordered(identification)
+    panels = []
+    for name in MASS_AND_TENSOR:
+        scale = _scale(name, identification, nominal)
+        intervals = {}
+        for method in methods:
+            estimate = identification.methods[method].parameters.get(name)
+            if estimate is not None:
+                value, low, high = (scale.factor * v for v in (estimate.value, *estimate.ci95))
+                intervals[method] = (value, low, high)
+        if not intervals:
+            continue
+        marks = [scale.factor * source[name] if name in source else None for source in (nominal, truth)]
+        figure = figures.interval_figure(intervals, marks[0], marks[1], f"{label(name)} ({scale.unit})")
+        panels.append(page.figure(figure, label(name)))
+    true = ", solid line: truth" if truth else ""
+    return fragment(
+        element("h3", "Methods side by side"),
+        element("p", f"Dot: estimate, whisker: 95 % interval, dashed line: nominal{true}.", class_="note"),
+        element("div", panels, class_="small"),
+    )
+
+
+def _notes(identification: Identification) -> Markup | None:
+    notes = [(name, m.note) for name, m in identification.methods.items() if m.note]
+    return element("ul", [element("li", element("strong", f"{n}: "), note) for n, note in notes]) if notes else None
+
+
+def _model_table(
+    identification: Identification, nominal: Mapping[str, float], truth: Mapping[str, float]
+) -> Markup | None:
+    if not identification.model:
+        return None
+    rows = []
+    for name, estimate in identification.model.items():
+        scale = _scale(name, identification, nominal)
+        row = [row_name(name, scale), _plain(nominal.get(name), scale)]
+        row += [_plain(truth.get(name), scale)] if truth else []
+        row += [estimate_cell(name, estimate, scale, _against_truth(name, estimate, truth))]
+        rows.append(row)
+    header = ["parameter", "declared", *(["true"] if truth else []), "estimate"]
+    caption = f"The rest of the model, estimated together with mass and inertia ({identification.best})."
+    return fragment(element("h3", "Rotors, delays and sensors"), table(caption, header, rows, highlight=len(header) - 1))
+
+
+def _not_identifiable(identification: Identification) -> Markup | None:
+    if not identification.not_identifiable:
+        return None
+    rows = [(label(name), remedy or "–") for name, remedy in identification.not_identifiable.items()]
+    caption = "These get no number, because any number would be a guess."
+    return fragment(
+        element("h3", "What this flight does not reveal"),
+        table(caption, ("parameter", "what would reveal it"), rows, class_="text"),
+    )

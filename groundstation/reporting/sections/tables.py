@@ -1,0 +1,70 @@
+"""Tables that more than one section needs: estimates with intervals, RMS errors with their improvement."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from groundstation.identification.results import Estimate
+from groundstation.reporting.markup import Child, Markup, element, fragment, table
+from groundstation.reporting.units import (
+    Scale,
+    decimals,
+    fixed,
+    half_width,
+    label,
+    percent,
+    scale_for,
+    significant,
+    split_unit,
+)
+
+
+def estimate_cell(name: str, estimate: Estimate | None, scale: Scale | None = None, note: Child = None) -> Markup:
+    """Value with its 95 % interval below; digits follow from the interval. The unit is in the row's heading."""
+    if estimate is None:
+        return fragment("–", element("small", "not revealed"))
+    scale = scale or Scale(1.0, split_unit(name)[1])
+    width = half_width(estimate) * scale.factor
+    value = estimate.value * scale.factor
+    if width <= 0.0:
+        return fragment(significant(value, 4), note)
+    places = decimals(width)
+    low, high = (bound * scale.factor for bound in estimate.ci95)
+    interval = element("small", f"{fixed(low, places)} … {fixed(high, places)}")
+    return fragment(fixed(value, places), interval, note)
+
+
+def row_name(name: str, scale: Scale) -> Markup:
+    """A parameter's name with the unit its row is written in."""
+    return fragment(label(name), element("small", scale.unit) if scale.unit else None)
+
+
+def error_table(
+    caption: str, sets: Mapping[str, Mapping[str, float]], *, reference: str, improved: str | None = None
+) -> Markup:
+    """RMS errors by signal (rows) and parameter set (columns), each with its improvement over ``reference``.
+
+    The improvement is 100 (1 - RMS / RMS of the reference), as in the seed paper's Tables 4-6: positive is better.
+    """
+    signals = list(dict.fromkeys(signal for errors in sets.values() for signal in errors))
+    columns = list(sets)
+    rows = []
+    for signal in signals:
+        scale = scale_for(split_unit(signal)[1], [errors.get(signal, 0.0) for errors in sets.values()])
+        base = sets.get(reference, {}).get(signal)
+        cells = [_error_cell(sets[c].get(signal), base if c != reference else None, scale) for c in columns]
+        rows.append([row_name(signal, scale), *cells])
+    highlight = 1 + columns.index(improved) if improved in columns else None
+    return table(caption, ["signal", *columns], rows, highlight=highlight)
+
+
+def _error_cell(value: float | None, base: float | None, scale: Scale) -> Markup:
+    if value is None:
+        return fragment("–")
+    shown = significant(value * scale.factor)
+    if base is None or base <= 0.0:
+        return fragment(shown)
+    gain = 1.0 - value / base
+    kind = "better" if gain > 0.0 else "worse"
+    arrow = "▾" if gain > 0.0 else "▴"
+    return fragment(shown, element("small", f"{arrow} {percent(gain)}", class_=kind))

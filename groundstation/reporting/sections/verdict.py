@@ -1,0 +1,194 @@
+"""What stands first: the verdict, the findings with a sentence each, the error before and after, the next flight."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from groundstation.diagnosis.results import Diagnosis, Finding
+from groundstation.errors import Refused
+from groundstation.identification.results import Estimate, Identification
+from groundstation.reporting import figures
+from groundstation.reporting.markup import Markup, element, fragment, sentence_list, table
+from groundstation.reporting.page import Page
+from groundstation.reporting.sections.tables import error_table, estimate_cell
+from groundstation.reporting.units import label, percent, quantity, significant, split_unit
+
+VERDICTS: Mapping[str, str] = {
+    "clean": "Clean: mass, inertia and the declared constants explain this flight down to its noise.",
+    "explained": "Explained: what the declared vehicle lacks was found, and the rest is noise.",
+    "unexplained": "Unexplained: a real residual remains that no known effect removes.",
+    "refused": "Refused: this flight cannot answer the question.",
+}
+_SYMBOLS: Mapping[str, str] = {"clean": "✓", "explained": "✓", "unexplained": "?", "refused": "✕", "open": "•"}
+_NAMES: Mapping[str, str] = {
+    "com_offset": "Centre-of-mass offset",
+    "imu_misalignment": "IMU misalignment",
+    "mocap_misalignment": "Marker-body misalignment",
+    "mocap_tilt": "Motion-capture tilt",
+}
+
+
+def effect_name(effect: str) -> str:
+    """An identifier of the effects' vocabulary in words."""
+    return _NAMES.get(effect, effect.replace("_", " ").capitalize())
+
+
+def add_verdict(page: Page, identification: Identification | Refused, diagnosis: Diagnosis | None) -> None:
+    """The section a reader sees first."""
+    if isinstance(identification, Refused):
+        content = _banner("refused", VERDICTS["refused"], identification.reason, identification.remedy)
+        page.section("verdict", "Verdict", content, _missing(identification.not_identifiable))
+        return
+    if diagnosis is None:
+        best = f"Best estimate: {identification.best}. {identification.best_reason}"
+        page.section("verdict", "Verdict", _banner("open", "Identified; not diagnosed.", best), _cards(identification))
+        return
+    page.section(
+        "verdict",
+        "Verdict",
+        _banner(diagnosis.verdict, VERDICTS[diagnosis.verdict], diagnosis.reason),
+        _cards(identification),
+        _findings(diagnosis.findings),
+        _unexplained(diagnosis),
+        _before_after(page, diagnosis),
+        _bias(diagnosis),
+        _next_flight(diagnosis),
+        _candidates(diagnosis),
+    )
+
+
+def _banner(kind: str, title: str, *sentences: str) -> Markup:
+    symbol = element("span", _SYMBOLS[kind] + " ", aria_hidden="true")
+    return element(
+        "div", element("strong", symbol, title), [element("p", s) for s in sentences if s], class_=f"verdict {kind}"
+    )
+
+
+def _missing(names: tuple[str, ...]) -> Markup | None:
+    return element("p", "No number is given for: ", ", ".join(label(n) for n in names), ".") if names else None
+
+
+def _cards(identification: Identification) -> Markup:
+    """Mass and principal entries of the best method."""
+    best = identification.methods.get(identification.best)
+    shown = ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
+    present = [(n, best.parameters[n]) for n in shown if n in best.parameters] if best else []
+    present += [(n, e) for n, e in identification.model.items() if n.startswith("rotor_lag")][:1]
+    return element(
+        "div",
+        [element("div", element("b", quantity(n, e)), element("span", label(n)), class_="card") for n, e in present],
+        class_="cards",
+    )
+
+
+def _findings(findings: tuple[Finding, ...]) -> Markup | None:
+    if not findings:
+        return None
+    items = []
+    for finding in findings:
+        where = f", rotor {finding.rotor}" if finding.rotor is not None else ""
+        tags = [element("span", f"{label(n)} {quantity(n, e)}", class_="tag") for n, e in finding.parameters.items()]
+        tags.append(element("span", f"confidence {significant(100 * finding.confidence)} %", class_="tag"))
+        rivals = ", ".join(effect_name(a).lower() for a in finding.alternatives)
+        doubt = element("p", f"This flight cannot tell it from: {rivals}.", class_="note") if rivals else None
+        items.append(
+            element("li", element("h3", effect_name(finding.effect), where), element("p", finding.evidence), tags, doubt)
+        )
+    return fragment(
+        element("h3", "Findings, in the order in which they reduce the error"), element("ol", items, class_="findings")
+    )
+
+
+def _unexplained(diagnosis: Diagnosis) -> Markup | None:
+    if not diagnosis.unexplained:
+        return None
+    rows = [
+        (
+            label(item.channel),
+            percent(item.share).lstrip("+"),
+            ", ".join(label(d) for d in item.depends_on) or "nothing that was tried",
+            item.proposal or "–",
+        )
+        for item in diagnosis.unexplained
+    ]
+    caption = "What is left: share of the channel's residual variance, and what it varies with."
+    header = ("channel", "share", "varies with", "proposed formula")
+    return fragment(element("h3", "Left unexplained"), table(caption, header, rows, class_="text"))
+
+
+def _before_after(page: Page, diagnosis: Diagnosis) -> Markup | None:
+    """Tables of every check, and one figure of what the findings removed."""
+    parts: list[Markup] = []
+    for check, stages in diagnosis.error.items():
+        for prefix, title in (("", "residual"), ("simulation_", "closed-loop simulation against flight")):
+            known = {
+                stage: stages[prefix + stage] for stage in ("nominal", "before", "after") if stages.get(prefix + stage)
+            }
+            if "before" not in known:
+                continue
+            after = known.get("after")
+            if after:
+                parts.append(_relative(page, known, title))
+            caption = (
+                f"RMS, {check.replace('_', ' ')} data: {title}. Before: mass and inertia re-estimated on the same training "
+                "blocks without the effects. After: with them. Nominal: the vehicle as declared."
+            )
+            parts.append(error_table(caption, known, reference="before", improved="after"))
+    return fragment(element("h3", "Error before and after"), parts) if parts else None
+
+
+def _relative(page: Page, stages: Mapping[str, Mapping[str, float]], title: str) -> Markup:
+    channels = [c for c, v in stages["before"].items() if v > 0.0]
+    groups = {
+        stage: {label(c): 100.0 * stages[stage][c] / stages["before"][c] for c in channels if c in stages[stage]}
+        for stage in ("before", "after")
+        if stage in stages
+    }
+    figure = figures.bar_figure(groups, "RMS, % of before")
+    return page.figure(figure, f"Held-out error, {title}, relative to the error before.")
+
+
+def _bias(diagnosis: Diagnosis) -> Markup | None:
+    before, after = diagnosis.parameters_before, diagnosis.parameters_after
+    shared = [name for name in after if name in before]
+    if not shared:
+        return None
+    rows = [
+        (_name(name), estimate_cell(name, before[name]), estimate_cell(name, after[name]), _shift(before[name], after[name]))
+        for name in shared
+    ]
+    caption = "Parameters with the effects left out and put in: the difference is the bias that leaving them out causes."
+    return table(caption, ("parameter", "effects left out", "effects put in", "bias removed"), rows)
+
+
+def _name(name: str) -> Markup:
+    return fragment(label(name), element("small", split_unit(name)[1]))
+
+
+def _shift(before: Estimate, after: Estimate) -> str:
+    return percent((before.value - after.value) / abs(after.value), 2) if after.value else "–"
+
+
+def _next_flight(diagnosis: Diagnosis) -> Markup | None:
+    if not diagnosis.next_flight:
+        return None
+    return fragment(element("h3", "Next flight"), element("p", diagnosis.next_flight))
+
+
+def _candidates(diagnosis: Diagnosis) -> Markup | None:
+    if not diagnosis.candidates:
+        return None
+    columns = list(dict.fromkeys(key for candidate in diagnosis.candidates for key in candidate))
+    rows = [[_text(candidate.get(column)) for column in columns] for candidate in diagnosis.candidates]
+    listing = table("Every effect that was tried.", [c.replace("_", " ") for c in columns], rows, class_="text")
+    return element("details", element("summary", f"{len(rows)} effects were tried"), listing)
+
+
+def _text(value: object) -> str | Markup:
+    if value is None:
+        return "–"
+    if isinstance(value, float):
+        return significant(value)
+    if isinstance(value, (list, tuple)):
+        return sentence_list(str(v) for v in value)
+    return str(value)
