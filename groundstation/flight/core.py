@@ -235,10 +235,13 @@ class FlightCore:
         self.drone_status = status
         if status.phase == before:
             return
+        if self.recorder is not None:
+            self.recorder.status(status)
         self.journal.write("vehicle", status.phase, host_s=status.host_s, said=status.text)
         if status.phase == "takeoff":
             self._event(seq.VehicleAirborne())
         elif status.phase == "exciting":
+            self._note_window(status)
             self._event(seq.VehicleExciting())
         elif status.phase == "landing":
             self._event(seq.VehicleLanding(self._early(status)))
@@ -248,6 +251,11 @@ class FlightCore:
             self._event(
                 seq.VehicleLost(f"the vehicle crashed: {status.text}" if status.text else "the vehicle crashed")
             )
+
+    def _note_window(self, status: bus.DroneStatus) -> None:
+        if self.recorder is not None and status.window_s is not None:
+            start, end = status.window_s
+            self.recorder.metadata({"window_start_s": repr(start), "window_end_s": repr(end)})
 
     def _early(self, status: bus.DroneStatus) -> str:
         """Why the vehicle comes down before the excitation's end although nobody here asked for it; else empty."""

@@ -9,9 +9,10 @@ from __future__ import annotations
 import queue
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
+from drivers.bus import DroneStatus
 from drivers.samples import Batch, Event, Sample
 from groundstation.flight.messages import StreamStatus
 
@@ -21,8 +22,18 @@ RATE_WINDOW_S = 1.0
 class Sink(Protocol):
     """Where samples end up: ``groundstation.recording.McapRecorder``."""
 
+    failure: str | None
+
     def add(self, sample: Sample, host_s: float) -> None:
         """Write one sample."""
+        ...
+
+    def add_status(self, device_s: float, host_s: float, phase: str, armed: bool, text: str = "") -> None:
+        """Write the vehicle's status."""
+        ...
+
+    def set_metadata(self, values: Mapping[str, str]) -> None:
+        """Add metadata that is known only now."""
         ...
 
     def close(self) -> None:
@@ -69,7 +80,7 @@ class Recorder:
         self._sink = sink
         self._on_digested = on_digested
         self._on_failure = on_failure
-        self._queue: queue.SimpleQueue[Batch | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._failed = False
         self._expected: int | None = None
         self._lock = threading.Lock()
@@ -81,11 +92,20 @@ class Recorder:
 
     def put(self, batch: Batch) -> None:
         """Hand over a batch; returns at once."""
-        self._queue.put(batch)
+        self._queue.put(lambda: self._write(batch))
 
     def note(self, host_s: float, kind: str, text: str) -> None:
         """Record an event of the station itself. Its stamp is the host's."""
-        self._queue.put(Batch(-1, (host_s,), (Event(host_s, kind, text),)))
+        self._queue.put(lambda: self._sink.add(Event(host_s, kind, text), host_s))
+
+    def status(self, status: DroneStatus) -> None:
+        """Record what the vehicle says it is doing."""
+        told = (status.device_s, status.host_s, status.phase, status.armed, status.text)
+        self._queue.put(lambda: self._sink.add_status(*told))
+
+    def metadata(self, values: Mapping[str, str]) -> None:
+        """Record metadata that is known only now."""
+        self._queue.put(lambda: self._sink.set_metadata(values))
 
     def close(self) -> None:
         """Write what is queued and finish the file. Idempotent."""
@@ -99,35 +119,27 @@ class Recorder:
             return {name: meter.status(host_s) for name, meter in self._meters.items()}
 
     def _run(self) -> None:
-        while (batch := self._queue.get()) is not None:
-            if self._failed:
-                continue
-            try:
-                self._write(batch)
-            except (OSError, ValueError) as error:
-                self._fail(error)
-        try:
-            self._sink.close()
-        except (OSError, ValueError) as error:
-            self._fail(error)
+        while (job := self._queue.get()) is not None:
+            job()
+            self._watch()
+        self._sink.close()
+        self._watch()
 
-    def _fail(self, error: Exception) -> None:
-        if not self._failed:
+    def _watch(self) -> None:
+        if self._sink.failure and not self._failed:
             self._failed = True
-            self._on_failure(f"the recording cannot be written ({error}); free space or choose another folder")
+            self._on_failure(f"the recording cannot be written: {self._sink.failure}")
 
     def _write(self, batch: Batch) -> None:
-        if batch.sequence >= 0:
-            if self._expected is not None and batch.sequence > self._expected:
-                self.lost_batches += batch.sequence - self._expected
-            self._expected = batch.sequence + 1
+        if self._expected is not None and batch.sequence > self._expected:
+            self.lost_batches += batch.sequence - self._expected
+        self._expected = batch.sequence + 1
         for sample, host_s in zip(batch.samples, batch.host_s, strict=True):
             self._sink.add(sample, host_s)
         self.recorded += len(batch.samples)
-        if batch.sequence < 0 or not batch.samples:
-            return
         with self._lock:
             for sample, host_s in zip(batch.samples, batch.host_s, strict=True):
                 name = type(sample).__name__.lower()
                 self._meters.setdefault(name, StreamMeter()).add(sample.device_s, host_s)
-        self._on_digested(batch.host_s[-1])
+        if batch.host_s:
+            self._on_digested(batch.host_s[-1])
