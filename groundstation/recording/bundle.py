@@ -1,0 +1,232 @@
+"""Flight bundles: a flight as a folder of CSV files, read and written without loss (contract: docs/formats.md)."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from groundstation.errors import BadInput
+from groundstation.flightdata import Array, FlightData, Stream, motor_columns
+from groundstation.recording.csvfile import Columns, parse_csv, write_csv
+from groundstation.recording.recorded import (
+    COLUMNS,
+    LOG_COLUMNS,
+    STREAMS,
+    VEHICLE_FILE,
+    Recording,
+    Texts,
+    recording_of,
+)
+from groundstation.vehicle import Vehicle
+
+FLIGHT_FILE = "flight.json"
+"""Name, metadata, excitation window and the names of extra streams; only bundles written here have it."""
+_SCHEMA = "groundstation.bundle/1"
+
+
+def read_bundle(folder: Path, vehicle: Vehicle | None = None) -> Recording:
+    """Read a bundle as it is.
+
+    Args:
+        folder: the bundle.
+        vehicle: overrides the one in the bundle; decides which motor columns are meant.
+
+    Raises:
+        BadInput: names file, line or column, what is wrong and what to do.
+    """
+    files = {str(path.relative_to(folder)): path for path in sorted(folder.rglob("*")) if path.is_file()}
+    if "motors.csv" not in files:
+        raise BadInput(f"{folder}: motors.csv is missing; a flight bundle needs it ({_NEEDS}).")
+    if vehicle is None and VEHICLE_FILE not in files:
+        raise BadInput(f"{folder}: vehicle.toml is missing; add it or give one with --vehicle FILE.")
+    if not {"imu.csv", "mocap.csv", "state.csv"} & set(files):
+        raise BadInput(f"{folder}: imu.csv, mocap.csv and state.csv are all missing; the motion must come from one.")
+    about = _about(files.pop(FLIGHT_FILE)) if _is_about(files.get(FLIGHT_FILE)) else {}
+    taken = {f"{name}.csv" for name in STREAMS}
+    verbatim = {name: path.read_bytes() for name, path in files.items() if name not in taken}
+    shell = Recording(name=str(about.get("name", folder.name)), files=verbatim)
+    declared = vehicle or shell.vehicle(str(folder))
+
+    streams: dict[str, Stream] = {}
+    extras: dict[str, Stream] = {}
+    texts: dict[str, Texts] = {}
+    notes: list[str] = []
+    for name in STREAMS:
+        path = files.get(f"{name}.csv")
+        if path is None:
+            continue
+        source = f"{folder}/{path.name}"
+        data = path.read_bytes()
+        wanted = _motor_columns(data, declared, source) if name == "motors" else COLUMNS[name]
+        columns = parse_csv(data, source, frozenset((*wanted, "t_s", "received_s")))
+        streams[name], rest, words = _split(columns, wanted, source)
+        if rest is not None:
+            extras[name] = rest
+        if words is not None:
+            texts[name] = words
+        notes.extend(columns.notes)
+    for name in about.get("extras", []):
+        columns = parse_csv(verbatim.pop(f"{name}.csv"), f"{folder}/{name}.csv")
+        wanted = tuple(key for key in columns.numbers if key not in ("t_s", "received_s"))
+        extras[name] = _split(columns, wanted, name)[0]
+    for name, columns_of_log in LOG_COLUMNS.items():
+        log = _log(verbatim.get(f"{name}.csv"), columns_of_log)
+        if log is not None:
+            texts[name] = log
+            verbatim.pop(f"{name}.csv")
+    window = about.get("window_s")
+    return Recording(
+        name=shell.name,
+        streams=streams,
+        extras=extras,
+        texts=texts,
+        files=verbatim,
+        metadata={str(key): str(value) for key, value in about.get("metadata", {}).items()},
+        window_s=None if window is None else (float(window[0]), float(window[1])),
+        notes=tuple(notes),
+    )
+
+
+_NEEDS = "vehicle.toml, motors.csv, and imu.csv, mocap.csv or state.csv"
+
+
+def _is_about(path: Path | None) -> bool:
+    return path is not None and f'"{_SCHEMA}"' in path.read_text(encoding="utf-8", errors="replace")
+
+
+def _about(path: Path) -> dict[str, Any]:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise BadInput(f"{path}: is not valid JSON ({error}); correct it or remove the file.") from None
+    return document if isinstance(document, dict) else {}
+
+
+def _motor_columns(data: bytes, vehicle: Vehicle | None, source: str) -> tuple[str, ...]:
+    """The motor columns the vehicle file asks for.
+
+    Raises:
+        BadInput: the file has others, or those of another number of rotors.
+    """
+    header = data.split(b"\n", 1)[0].decode("utf-8-sig", "replace").strip().split(",")
+    present = [name.strip().strip('"') for name in header]
+    assert vehicle is not None  # noqa: S101 - read_bundle has refused a bundle without
+    kind, count = vehicle.rotors.input, vehicle.rotors.count
+    wanted = motor_columns(kind, count)
+    suffix = {"rotor_speed": "_rad_s", "command": "_command", "wrench": ""}[kind]
+    if kind == "wrench" or all(name in present for name in wanted):
+        more = f"m{count + 1}{suffix}"
+        if kind != "wrench" and more in present:
+            raise BadInput(
+                f"{source}: has column {more}, but the vehicle file declares {count} rotors; correct position_m and spin."
+            )
+        return wanted
+    same_kind = [name for name in present if name.startswith("m") and name.endswith(suffix)]
+    if same_kind:
+        raise BadInput(
+            f"{source}: column {next(name for name in wanted if name not in present)} is missing: the vehicle file "
+            f"declares {count} rotors, the file has {len(same_kind)}; correct one of them."
+        )
+    for other in ("rotor_speed", "command", "wrench"):
+        if set(motor_columns(other, 1)) <= set(present):
+            raise BadInput(
+                f'{source}: has {motor_columns(other, count)[0]}, but the vehicle file says input = "{kind}"; '
+                f'set [rotors] input = "{other}".'
+            )
+    return wanted
+
+
+def _split(columns: Columns, wanted: tuple[str, ...], source: str) -> tuple[Stream, Stream | None, Texts | None]:
+    """The contract's columns, the other columns of numbers, and the columns of texts."""
+    for name in ("t_s", *wanted):
+        if name not in columns.numbers:
+            raise BadInput(f"{source}: column {name} is missing; the first line must name t_s, {', '.join(wanted)}.")
+    t_s, received = columns.numbers["t_s"], columns.numbers.get("received_s")
+    if not len(t_s):
+        raise BadInput(f"{source}: holds no samples; record them or remove the file.")
+    values = np.column_stack([columns.numbers[name] for name in wanted])
+    rest = tuple(name for name in columns.numbers if name not in (*wanted, "t_s", "received_s"))
+    extra = Stream(t_s, np.column_stack([columns.numbers[name] for name in rest]), rest, received) if rest else None
+    words = tuple(columns.texts)
+    texts = Texts(t_s, tuple(zip(*columns.texts.values(), strict=True)), words, received) if words else None
+    return Stream(t_s, values, wanted, received), extra, texts
+
+
+def _log(data: bytes | None, wanted: tuple[str, ...]) -> Texts | None:
+    """events.csv, raw.csv or status.csv where it is one of ours; any other file of that name is carried verbatim."""
+    if data is None or data.split(b"\n", 1)[0].decode("utf-8", "replace") != ",".join(("t_s", "received_s", *wanted)):
+        return None
+    columns = parse_csv(data, "log", frozenset(("t_s", "received_s")))
+    words = [columns.texts.get(name) or tuple(map(repr, columns.numbers[name].tolist())) for name in wanted]
+    return Texts(columns.numbers["t_s"], tuple(zip(*words, strict=True)), wanted, columns.numbers["received_s"])
+
+
+def write_recording_as_bundle(recording: Recording, folder: Path) -> None:
+    """Write a recording as a bundle into a new or empty folder.
+
+    Raises:
+        BadInput: the folder holds something already, or cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            raise BadInput(f"{folder}: is not empty; name a new folder.")
+        _write(recording, folder)
+    except OSError as error:
+        raise BadInput(f"{folder}: cannot be written ({error.strerror}); name a folder on a disk with room.") from None
+
+
+def _write(recording: Recording, folder: Path) -> None:
+    for name, data in recording.files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+    for name, stream in recording.streams.items():
+        names, columns = _with_times(stream.t_s, stream.received_s)
+        for part in (stream, recording.extras.get(name)):
+            if part is not None:
+                names += part.columns
+                columns += list(part.values.T)
+        words = recording.texts.get(name)
+        if words is not None:
+            names += words.columns
+            columns += list(zip(*words.rows, strict=True))
+        write_csv(folder / f"{name}.csv", names, columns)
+    own = [name for name in recording.extras if name not in recording.streams]
+    for name in own:
+        extra = recording.extras[name]
+        names, columns = _with_times(extra.t_s, extra.received_s)
+        write_csv(folder / f"{name}.csv", names + extra.columns, columns + list(extra.values.T))
+    for name in LOG_COLUMNS:
+        log = recording.texts.get(name)
+        if log is not None:
+            received = log.received_s if log.received_s is not None else np.full(len(log), np.nan)
+            names, columns = _with_times(log.t_s, received)
+            words_of = list(zip(*log.rows, strict=True)) or [() for _ in log.columns]
+            write_csv(folder / f"{name}.csv", names + log.columns, columns + words_of)
+    about = {
+        "schema": _SCHEMA,
+        "name": recording.name,
+        "window_s": recording.window_s,
+        "metadata": dict(recording.metadata),
+        "extras": own,
+    }
+    (folder / FLIGHT_FILE).write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+
+
+def _with_times(t_s: Array, received_s: Array | None) -> tuple[tuple[str, ...], list[Any]]:
+    return (("t_s",), [t_s]) if received_s is None else (("t_s", "received_s"), [t_s, received_s])
+
+
+def write_bundle(flight: FlightData, folder: str | Path) -> Path:
+    """Write a flight as a bundle; returns the folder.
+
+    Raises:
+        BadInput: the folder holds something already, or cannot be written.
+    """
+    folder = Path(folder)
+    write_recording_as_bundle(recording_of(flight), folder)
+    return folder

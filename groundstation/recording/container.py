@@ -1,0 +1,332 @@
+"""The MCAP container: records to a file in small chunks, and back from a file that may have been cut off anywhere.
+
+The public library's writer offers no way to close a chunk by time, and its reader stops with an error where a file was
+cut; both matter for a recorder that must survive a crash on a slow link. The records themselves are the library's.
+Format: https://mcap.dev/spec.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from io import BytesIO
+from typing import BinaryIO
+
+import lz4.frame
+import zstandard
+from mcap import records
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.opcode import Opcode
+
+MAGIC = b"\x89MCAP0\r\n"
+CHUNK_BYTES = 64 * 1024
+_MESSAGE = struct.Struct("<BQHIQQ")
+_RECORD = struct.Struct("<BQ")
+
+
+class ContainerWriter:
+    """Writes one MCAP file; every chunk is on its way to the disk when it is complete.
+
+    Args:
+        file: an unbuffered binary file.
+        profile: MCAP profile; "ros2" for CDR messages with ``ros2msg`` schemas.
+        library: what wrote the file.
+    """
+
+    def __init__(self, file: BinaryIO, profile: str, library: str, *, compress: bool = True) -> None:
+        self._file = file
+        self._offset = 0
+        self._compress: Callable[[bytes], bytes] | None = (
+            zstandard.ZstdCompressor(level=1).compress if compress else None
+        )
+        self._chunk = bytearray()
+        self._chunk_span = (2**64 - 1, 0)
+        self._index: dict[int, list[tuple[int, int]]] = {}
+        self._schemas: dict[str, records.Schema] = {}
+        self._channels: dict[int, records.Channel] = {}
+        self._counts: dict[int, int] = {}
+        self._span = (2**64 - 1, 0)
+        self._chunks: list[records.ChunkIndex] = []
+        self._attachments: list[records.AttachmentIndex] = []
+        self._metadata: list[records.MetadataIndex] = []
+        self._put(MAGIC + _bytes(records.Header(profile, library)))
+
+    def _put(self, data: bytes) -> int:
+        """Write all of ``data``; return where it begins."""
+        view = memoryview(data)
+        begin = self._offset
+        while view:
+            written = self._file.write(view)
+            self._offset += written
+            view = view[written:]
+        return begin
+
+    def channel(self, topic: str, type_name: str, definition: str, metadata: Mapping[str, str] | None = None) -> int:
+        """Register a channel of CDR messages; returns its id."""
+        if type_name not in self._schemas:
+            schema = records.Schema(
+                id=len(self._schemas) + 1, name=type_name, encoding="ros2msg", data=definition.encode()
+            )
+            self._schemas[type_name] = schema
+            self._chunk += _bytes(schema)
+        channel = records.Channel(
+            id=len(self._channels) + 1,
+            topic=topic,
+            message_encoding="cdr",
+            metadata=dict(metadata or {}),
+            schema_id=self._schemas[type_name].id,
+        )
+        self._channels[channel.id] = channel
+        self._counts[channel.id] = 0
+        self._index[channel.id] = []
+        self._chunk += _bytes(channel)
+        return channel.id
+
+    def message(self, channel: int, log_ns: int, publish_ns: int, data: bytes, sequence: int | None = None) -> None:
+        """Append a message; unless given, its sequence number counts from 0 in its channel."""
+        count = self._counts[channel]
+        self._counts[channel] = count + 1
+        sequence = count if sequence is None else sequence
+        self._index[channel].append((log_ns, len(self._chunk)))
+        low, high = self._chunk_span
+        self._chunk_span = (log_ns if log_ns < low else low, log_ns if log_ns > high else high)
+        self._chunk += _MESSAGE.pack(5, 22 + len(data), channel, sequence, log_ns, publish_ns) + data
+        if len(self._chunk) >= CHUNK_BYTES:
+            self.flush()
+
+    def count(self, channel: int) -> int:
+        """Messages written to a channel: the sequence number that its next one will have."""
+        return self._counts[channel]
+
+    def pending(self) -> int:
+        """Messages of the chunk that is not yet on its way to the disk."""
+        return sum(map(len, self._index.values()))
+
+    def attachment(self, name: str, media_type: str, data: bytes) -> None:
+        """Write an attachment at once."""
+        self.flush()
+        record = records.Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
+        body = _bytes(record)
+        begin = self._put(body)
+        self._attachments.append(
+            records.AttachmentIndex(
+                offset=begin,
+                length=len(body),
+                log_time=0,
+                create_time=0,
+                data_size=len(data),
+                name=name,
+                media_type=media_type,
+            )
+        )
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a metadata record at once. Of records with one name the last holds."""
+        self.flush()
+        body = _bytes(records.Metadata(name=name, metadata=dict(values)))
+        self._metadata.append(records.MetadataIndex(offset=self._put(body), length=len(body), name=name))
+
+    def flush(self) -> None:
+        """Close the current chunk and hand it to the operating system."""
+        if not self._chunk:
+            return
+        raw = bytes(self._chunk)
+        indexed = {channel: entries for channel, entries in self._index.items() if entries}
+        start, end = self._chunk_span if indexed else (0, 0)
+        chunk = records.Chunk(
+            compression="zstd" if self._compress else "",
+            data=self._compress(raw) if self._compress else raw,
+            message_start_time=start,
+            message_end_time=end,
+            uncompressed_crc=zlib.crc32(raw),
+            uncompressed_size=len(raw),
+        )
+        parts = [_bytes(chunk)]
+        where, offsets = self._offset + len(parts[0]), {}
+        for channel, entries in indexed.items():
+            offsets[channel] = where
+            parts.append(_bytes(records.MessageIndex(channel, entries)))
+            where += len(parts[-1])
+        begin = self._offset
+        self._chunk.clear()
+        self._chunk_span = (2**64 - 1, 0)
+        for channel in indexed:
+            self._index[channel] = []
+        self._put(b"".join(parts))
+        self._chunks.append(
+            records.ChunkIndex(
+                chunk_start_offset=begin,
+                chunk_length=len(parts[0]),
+                compression=chunk.compression,
+                compressed_size=len(chunk.data),
+                uncompressed_size=len(raw),
+                message_start_time=start,
+                message_end_time=end,
+                message_index_offsets=offsets,
+                message_index_length=where - begin - len(parts[0]),
+            )
+        )
+        if indexed:
+            self._span = (min(self._span[0], start), max(self._span[1], end))
+
+    def finish(self) -> None:
+        """Write the summary section and the footer. The file stays open."""
+        self.flush()
+        self._put(_bytes(records.DataEnd(0)))
+        start = self._offset
+        total = sum(self._counts.values())
+        statistics = records.Statistics(
+            message_count=total,
+            schema_count=len(self._schemas),
+            channel_count=len(self._channels),
+            attachment_count=len(self._attachments),
+            metadata_count=len(self._metadata),
+            chunk_count=len(self._chunks),
+            message_start_time=self._span[0] if total else 0,
+            message_end_time=self._span[1],
+            channel_message_counts={channel: count for channel, count in self._counts.items() if count},
+        )
+        groups = {
+            Opcode.SCHEMA: list(self._schemas.values()),
+            Opcode.CHANNEL: list(self._channels.values()),
+            Opcode.STATISTICS: [statistics],
+            Opcode.CHUNK_INDEX: self._chunks,
+            Opcode.ATTACHMENT_INDEX: self._attachments,
+            Opcode.METADATA_INDEX: self._metadata,
+        }
+        summary, offsets = b"", b""
+        for opcode, members in groups.items():
+            body = b"".join(_bytes(record) for record in members)
+            if body:
+                offset = records.SummaryOffset(
+                    group_opcode=opcode, group_start=start + len(summary), group_length=len(body)
+                )
+                offsets += _bytes(offset)
+                summary += body
+        offset_start = start + len(summary)
+        footer = _RECORD.pack(Opcode.FOOTER, 20) + struct.pack("<QQ", start, offset_start)
+        checksum = zlib.crc32(summary + offsets + footer)
+        self._put(summary + offsets + footer + struct.pack("<I", checksum) + MAGIC)
+
+
+def _bytes(record: records.McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
+
+
+@dataclass(slots=True)
+class ReadChannel:
+    """One channel of a file and its messages in file order."""
+
+    topic: str
+    type: str
+    metadata: dict[str, str]
+    sequence: list[int] = field(default_factory=list)
+    log_ns: list[int] = field(default_factory=list)
+    payload: list[bytes] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class Contents:
+    """What a file holds up to its end, or up to where it was cut.
+
+    Attributes:
+        complete: the file has its footer.
+        damaged: chunks whose checksum failed; their messages are left out.
+    """
+
+    channels: list[ReadChannel] = field(default_factory=list)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    complete: bool = False
+    damaged: int = 0
+
+
+def read_container(data: bytes) -> Contents:
+    """Read every whole record of an MCAP file.
+
+    A record that the file ends in the middle of is left out, and ``complete`` is then false.
+
+    Raises:
+        ValueError: the data do not begin like an MCAP file.
+    """
+    if not data.startswith(MAGIC):
+        raise ValueError("it does not begin with the MCAP magic")
+    contents = Contents()
+    schemas: dict[int, str] = {}
+    channels: dict[int, ReadChannel] = {}
+    position, size = len(MAGIC), len(data)
+    while position + 9 <= size and not contents.complete:
+        opcode, length = _RECORD.unpack_from(data, position)
+        position += 9
+        if position + length > size:
+            break
+        if opcode == Opcode.CHUNK:
+            raw = _chunk_data(data[position : position + length])
+            if raw is None:
+                contents.damaged += 1
+            else:
+                _read_messages(raw, schemas, channels)
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+            _read_messages(data[position - 9 : position + length], schemas, channels)
+        elif opcode == Opcode.ATTACHMENT:
+            attachment = records.Attachment.read(_stream(data[position : position + length]))
+            contents.attachments[attachment.name] = attachment.data
+        elif opcode == Opcode.METADATA:
+            metadata = records.Metadata.read(_stream(data[position : position + length]))
+            contents.metadata[metadata.name] = metadata.metadata
+        elif opcode == Opcode.FOOTER:
+            contents.complete = True
+        position += length
+    contents.channels = list(channels.values())
+    return contents
+
+
+def _stream(body: bytes) -> ReadDataStream:
+    return ReadDataStream(BytesIO(body))
+
+
+def _chunk_data(body: bytes) -> bytes | None:
+    """Uncompressed records of a chunk, or None where its checksum says they are damaged."""
+    chunk = records.Chunk.read(_stream(body))
+    try:
+        if chunk.compression == "zstd":
+            raw = zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=chunk.uncompressed_size)
+        elif chunk.compression == "lz4":
+            raw = lz4.frame.decompress(chunk.data)
+        else:
+            raw = chunk.data
+    except (zstandard.ZstdError, RuntimeError):
+        return None
+    return raw if chunk.uncompressed_crc in (0, zlib.crc32(raw)) else None
+
+
+def _read_messages(raw: bytes, schemas: dict[int, str], channels: dict[int, ReadChannel]) -> None:
+    """Sort the schema, channel and message records of a chunk into ``channels``."""
+    position, size = 0, len(raw)
+    head = _MESSAGE.unpack_from
+    while position + 9 <= size:
+        opcode = raw[position]
+        if opcode == Opcode.MESSAGE:
+            _, length, channel_id, sequence, log_ns, _ = head(raw, position)
+            end = position + 9 + length
+            channel = channels.get(channel_id)
+            if channel is None:  # its definition was in a damaged chunk; the summary repeats it
+                channel = channels[channel_id] = ReadChannel("", "", {})
+            channel.sequence.append(sequence)
+            channel.log_ns.append(log_ns)
+            channel.payload.append(raw[position + 31 : end])
+        else:
+            end = position + 9 + _RECORD.unpack_from(raw, position)[1]
+            if opcode == Opcode.SCHEMA:
+                schema = records.Schema.read(_stream(raw[position + 9 : end]))
+                schemas[schema.id] = schema.name
+            elif opcode == Opcode.CHANNEL:
+                defined = records.Channel.read(_stream(raw[position + 9 : end]))
+                known = channels.setdefault(defined.id, ReadChannel("", "", {}))
+                known.topic, known.metadata = defined.topic, defined.metadata
+                known.type = schemas.get(defined.schema_id, "")
+        position = end

@@ -1,0 +1,142 @@
+"""Columns of numbers and texts from a CSV file and back: fast where a file is well formed, exact about where it is not."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.errors import BadInput
+
+Array = NDArray[np.float64]
+_EXACT_INTEGER = 2.0**53
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Columns of a file: numbers by name, shape (k,), and texts by name."""
+
+    names: tuple[str, ...]
+    numbers: dict[str, Array]
+    texts: dict[str, tuple[str, ...]]
+    notes: tuple[str, ...] = ()
+
+
+def parse_csv(data: bytes, source: str, required: frozenset[str] = frozenset()) -> Columns:
+    """Parse a CSV file with a header line. An empty cell is a missing value, NaN.
+
+    A column that is not ``required`` may hold texts; so may whole numbers beyond what a double holds exactly.
+
+    Raises:
+        BadInput: names file, line and column of what is wrong.
+    """
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{source}: is not UTF-8 text (byte {error.start}); save it as plain CSV.") from None
+    head, _, body = text.partition("\n")
+    names = tuple(name.strip().strip('"') for name in head.strip().split(","))
+    _check_header(names, source)
+    matrix = _fast(body, len(names))
+    if matrix is not None:
+        extras = [i for i, name in enumerate(names) if name not in required]
+        if not len(matrix) or not np.any(np.abs(matrix[:, extras]) >= _EXACT_INTEGER):
+            return Columns(names, {name: matrix[:, i] for i, name in enumerate(names)}, {})
+    return _careful(body, names, source, required)
+
+
+def _check_header(names: tuple[str, ...], source: str) -> None:
+    if names == ("",):
+        raise BadInput(f"{source}: is empty; its first line must name the columns.")
+    try:
+        float(names[0])
+    except ValueError:
+        pass
+    else:
+        raise BadInput(f"{source}: line 1 holds numbers; its first line must name the columns.")
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise BadInput(
+            f"{source}: column {twice[0] or '(without a name)'} stands twice in line 1; rename or remove one."
+        )
+
+
+def _fast(body: str, width: int) -> Array | None:
+    """All cells as numbers, shape (k, width), or None where any is not one."""
+    if not body.strip():
+        return np.empty((0, width))
+    try:
+        matrix = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2, comments=None, dtype=float)
+    except ValueError:
+        return None
+    return matrix if matrix.shape[1] == width else None
+
+
+def _careful(body: str, names: tuple[str, ...], source: str, required: frozenset[str]) -> Columns:
+    """Cell by cell: tells line and column of what is no number, keeps texts, leaves out a last line that was cut off."""
+    rows: list[list[str]] = []
+    lines: list[int] = []
+    reader = csv.reader(io.StringIO(body))
+    notes: tuple[str, ...] = ()
+    try:
+        for row in reader:
+            if row:
+                rows.append([cell.strip() for cell in row])
+                lines.append(reader.line_num + 1)
+    except csv.Error as error:
+        raise BadInput(f"{source}: line {reader.line_num + 1} is not CSV ({error}); correct it.") from None
+    if rows and len(rows[-1]) < len(names) and not body.endswith("\n"):
+        notes = (f"{source}: the last line was cut off and is left out.",)
+        rows.pop()
+    for line, row in zip(lines, rows, strict=False):
+        if len(row) != len(names):
+            raise BadInput(
+                f"{source}: line {line} has {len(row)} cells where line 1 names {len(names)} columns; correct that line."
+            )
+    numbers: dict[str, Array] = {}
+    texts: dict[str, tuple[str, ...]] = {}
+    for index, name in enumerate(names):
+        cells = [row[index] for row in rows]
+        column = _numbers(cells, exact=name not in required)
+        if column is not None:
+            numbers[name] = column
+        elif name in required:
+            line = next(line for line, cell in zip(lines, cells, strict=False) if not _is_number(cell))
+            cell = cells[lines.index(line)]
+            raise BadInput(f"{source}: line {line}, column {name}: '{cell[:40]}' is not a number; correct that cell.")
+        else:
+            texts[name] = tuple(cells)
+    return Columns(names, numbers, texts, notes)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell or "nan")
+    except ValueError:
+        return False
+    return "_" not in cell
+
+
+def _numbers(cells: list[str], *, exact: bool) -> Array | None:
+    """The cells as doubles; None where one is no number or, if ``exact``, would lose digits of a whole number."""
+    if not all(map(_is_number, cells)):
+        return None
+    column = np.array([float(cell or "nan") for cell in cells], dtype=float)
+    return None if exact and np.any(np.abs(column) >= _EXACT_INTEGER) else column
+
+
+def write_csv(path: Path, names: tuple[str, ...], columns: list[Array | tuple[str, ...]]) -> None:
+    """Write columns under their names; a double is written with the digits that give it back exactly."""
+    cells = [column if isinstance(column, tuple) else list(map(repr, column.tolist())) for column in columns]
+    with path.open("w", encoding="utf-8", newline="") as file:
+        if any(isinstance(column, tuple) for column in columns):
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(names)
+            writer.writerows(zip(*cells, strict=True))
+        else:
+            file.write(",".join(names) + "\n")
+            file.writelines(",".join(row) + "\n" for row in zip(*cells, strict=True))

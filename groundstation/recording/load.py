@@ -1,0 +1,134 @@
+"""Any recorded flight, by whatever program, as :class:`FlightData`: repaired, with a note on each repair."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from groundstation.errors import BadInput
+from groundstation.flightdata import FlightData, Stream
+from groundstation.recording.bundle import read_bundle
+from groundstation.recording.container import MAGIC as MCAP_MAGIC
+from groundstation.recording.crazyflie import is_usd_log, read_usd
+from groundstation.recording.mcapfile import read_mcap
+from groundstation.recording.recorded import VEHICLE_FILE, Recording, vehicle_file
+from groundstation.vehicle import Vehicle
+
+_KNOWN = "an MCAP recording, a flight bundle (folder), a PX4 ULog, an ArduPilot DataFlash log or a Crazyflie usd log"
+_ULOG_MAGIC = b"ULog\x01\x12\x35"
+_DATAFLASH_MAGIC = b"\xa3\x95\x80"
+
+
+def read_recording(path: str | Path, vehicle: Vehicle | None = None) -> Recording:
+    """Read a recording of any format as it is: every sample, nothing repaired.
+
+    Args:
+        path: file or folder.
+        vehicle: overrides the one it carries; a log that carries none needs it.
+
+    Raises:
+        BadInput: it is missing, of no known format, or malformed.
+    """
+    path = Path(path)
+    if path.is_dir():
+        recording = read_bundle(path, vehicle)
+    else:
+        try:
+            with path.open("rb") as file:
+                head = file.read(16)
+        except OSError as error:
+            raise BadInput(f"{path}: cannot be read ({error.strerror}); give the path of {_KNOWN}.") from None
+        if head.startswith(MCAP_MAGIC):
+            recording = read_mcap(path)
+        else:
+            recording = _foreign(path, head, vehicle)
+    if vehicle is not None:
+        recording = replace(recording, files={**recording.files, VEHICLE_FILE: vehicle_file(vehicle)})
+    return recording
+
+
+def _foreign(path: Path, head: bytes, vehicle: Vehicle | None) -> Recording:
+    """A log of an autopilot."""
+    if is_usd_log(head):
+        return read_usd(path.read_bytes(), str(path), path.name, kind=_declared(vehicle, path).rotors.input)
+    if head.startswith(_ULOG_MAGIC):
+        from groundstation.recording.ulog import read_ulog
+
+        return read_ulog(path, _declared(vehicle, path))
+    if head.startswith(_DATAFLASH_MAGIC):
+        from groundstation.recording.dataflash import read_dataflash
+
+        return read_dataflash(path, _declared(vehicle, path))
+    raise BadInput(f"{path}: is of no known format; give {_KNOWN}.")
+
+
+def _declared(vehicle: Vehicle | None, path: Path) -> Vehicle:
+    if vehicle is None:
+        raise BadInput(f"{path}: carries no vehicle; give its file with --vehicle FILE.")
+    return vehicle
+
+
+def load_flight(
+    path: str | Path, *, vehicle: Vehicle | None = None, start_s: float | None = None, end_s: float | None = None
+) -> FlightData:
+    """Read a flight of any format, check it, and repair its blemishes; ``notes`` tells what was repaired or lost.
+
+    Args:
+        path: file or folder.
+        vehicle: overrides the one the recording carries; a log that carries none needs it.
+        start_s: start of the part to use, on the motors' clock.
+        end_s: its end.
+
+    Raises:
+        BadInput: it is missing, of no known format, malformed, or a stream is beyond repair.
+    """
+    path = Path(path)
+    recording = read_recording(path, vehicle)
+    declared = vehicle or recording.vehicle(str(path))
+    if declared is None:
+        raise BadInput(f"{path}: carries no vehicle; give its file with --vehicle FILE.")
+    if "motors" not in recording.streams:
+        raise BadInput(f"{path}: holds no motor samples; without them nothing can be identified.")
+    flight = FlightData(
+        name=recording.name,
+        vehicle=declared,
+        extras=recording.extras,
+        plan=recording.plan(str(path)),
+        window_s=recording.window_s,
+        truth=recording.truth(str(path)),
+        metadata=recording.metadata,
+        notes=recording.notes,
+        **recording.streams,
+    )
+    return _cut(flight, start_s, end_s) if start_s is not None or end_s is not None else flight
+
+
+def _cut(flight: FlightData, start_s: float | None, end_s: float | None) -> FlightData:
+    """The part between two times on the motors' clock, on every stream's own clock as far as arrival times relate them."""
+    motors = flight.motors
+    start = float(motors.t_s[0]) if start_s is None else start_s
+    end = float(motors.t_s[-1]) if end_s is None else end_s
+    if not start < end or not np.any((motors.t_s >= start) & (motors.t_s <= end)):
+        raise BadInput(
+            f"{flight.name}: no motor samples between {start:g} and {end:g} s; "
+            f"the flight lasts from {motors.t_s[0]:.1f} to {motors.t_s[-1]:.1f} s."
+        )
+
+    def cut(stream: Stream) -> Stream:
+        shift = _clock_shift(stream, motors)
+        return stream.select((stream.t_s >= start + shift) & (stream.t_s <= end + shift))
+
+    streams = {name: cut(stream) for name, stream in flight.streams().items()}
+    streams = {name: stream for name, stream in streams.items() if len(stream)}
+    kept = dict.fromkeys(("imu", "mocap", "battery", "setpoint", "state"))
+    extras = {name: cut(stream) for name, stream in flight.extras.items()}
+    return replace(flight, **{**kept, **streams}, extras=extras, window_s=(start, end))
+
+
+def _clock_shift(stream: Stream, motors: Stream) -> float:
+    """This stream's clock minus the motors', to the accuracy of the arrival times; 0 where these are not known."""
+    if stream.received_s is None or motors.received_s is None:
+        return 0.0
+    return float(np.nanmedian(stream.t_s - stream.received_s) - np.nanmedian(motors.t_s - motors.received_s))
