@@ -1,0 +1,138 @@
+"""The console command ``groundstation``: finds the command, runs it, prints its result or its refusal, sets the status."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, TextIO
+
+import click
+
+from groundstation import __version__
+from groundstation.commands.common import Result
+from groundstation.errors import BadInput, GroundStationError, Refused
+
+COMMANDS = {
+    "plan": "planning",
+    "sim": "flying",
+    "rehearse": "flying",
+    "preflight": "flying",
+    "fly": "flying",
+    "identify": "analysing",
+    "predict": "analysing",
+    "diagnose": "analysing",
+    "report": "analysing",
+    "export": "files",
+    "convert": "files",
+    "flights": "files",
+    "doctor": "station",
+    "reproduce": "station",
+}
+"""Command -> module of ``groundstation.commands`` that holds it."""
+
+INTERRUPTED = 130
+
+
+class LazyGroup(click.Group):
+    """Imports the module of a command when it is asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """In the order in which one uses them."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of a name."""
+        if cmd_name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"groundstation.commands.{COMMANDS[cmd_name]}")
+        return getattr(module, cmd_name)
+
+
+@click.group(
+    cls=LazyGroup,
+    invoke_without_command=True,
+    epilog="\b\nExample:\n  groundstation rehearse          a whole flight in simulation, from plan to report",
+)
+@click.version_option(__version__, prog_name="groundstation")
+@click.option("--debug", is_flag=True, help="Show where an error comes from.")
+@click.option("--serve", is_flag=True, help="Offer the terminal UI to a browser, on this machine alone.")
+@click.pass_context
+def cli(ctx: click.Context, debug: bool, serve: bool) -> Any:
+    """Turn one short flight of a quadrotor into a model of it that can be trusted.
+
+    Without a command it opens the terminal UI.
+    """
+    if ctx.invoked_subcommand is not None:
+        return None
+    try:
+        app = importlib.import_module("groundstation.tui.app")
+    except ModuleNotFoundError:
+        click.echo(ctx.get_help())
+        return None
+    return app.serve() if serve else app.run()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status and never shows a traceback unless ``--debug`` is given."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    as_json = "--json" in arguments
+    with _standard_output(as_json) as out:
+        try:
+            result = cli.main(args=arguments, prog_name="groundstation", standalone_mode=False)
+        except (click.Abort, KeyboardInterrupt):
+            return _fail("interrupted", INTERRUPTED, as_json, out)
+        except click.ClickException as error:
+            return _fail(error.format_message(), BadInput.exit_status, as_json, out)
+        except Refused as error:
+            return _fail(str(error), error.exit_status, as_json, out, reason=error)
+        except GroundStationError as error:
+            return _fail(str(error), error.exit_status, as_json, out)
+        except Exception as error:
+            if "--debug" in arguments:
+                raise
+            text = f"this is a defect of groundstation ({type(error).__name__}: {error}); `groundstation --debug ...` shows where"
+            return _fail(text, 1, as_json, out)
+        if isinstance(result, Result):
+            from groundstation.flight.analysis import finite
+
+            print(json.dumps(finite(result.document), ensure_ascii=False) if as_json else result.text, file=out)
+            return result.exit_status
+        return result if isinstance(result, int) else 0
+
+
+def _fail(text: str, status: int, as_json: bool, out: TextIO, reason: Refused | None = None) -> int:
+    """One sentence on standard error, and as JSON on standard output where that was asked for."""
+    print(text, file=sys.stderr)
+    if as_json:
+        document: dict[str, Any] = {"error": text, "exit_status": status}
+        if reason is not None:
+            from groundstation.flight.analysis import refusal
+
+            document |= refusal(reason)
+        print(json.dumps(document, ensure_ascii=False), file=out)
+    return status
+
+
+@contextmanager
+def _standard_output(as_json: bool) -> Iterator[TextIO]:
+    """Standard output; with ``--json`` kept for the document alone: what else writes there, solvers too, goes to stderr."""
+    if not as_json:
+        yield sys.stdout
+        return
+    sys.stdout.flush()
+    kept = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        with os.fdopen(os.dup(kept), "w", encoding="utf-8") as out:
+            yield out
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

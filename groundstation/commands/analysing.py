@@ -1,0 +1,187 @@
+"""``groundstation identify``, ``predict``, ``diagnose`` and ``report``: work on recorded flights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from groundstation.commands.common import (
+    ProgressLine,
+    Result,
+    example,
+    json_option,
+    load_flights,
+    logs_option,
+    result_folder,
+    seconds_pair,
+)
+from groundstation.errors import NotIdentifiable, Refused
+
+FLIGHT = click.Path(path_type=Path)
+
+
+def flight_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """What every command on recorded flights takes."""
+    options = (
+        click.argument("flights", nargs=-1, required=True, type=FLIGHT),
+        click.option("--vehicle", default=None, help="Vehicle file or shipped name; overrides the recorded one."),
+        click.option("--from", "start_s", type=float, default=None, help="Use the flights from this time on, s."),
+        click.option("--to", "end_s", type=float, default=None, help="Use the flights up to this time, s."),
+        click.option("--exclude", multiple=True, metavar="START:END", help="Leave a stretch out, s (repeatable)."),
+        logs_option,
+        json_option,
+    )
+    for option in reversed(options):
+        function = option(function)
+    return function
+
+
+@click.command(epilog=example("groundstation identify flight.mcap --exclude 12.0:13.5 --json"))
+@flight_options
+def identify(
+    flights: tuple[Path, ...],
+    vehicle: str | None,
+    start_s: float | None,
+    end_s: float | None,
+    exclude: tuple[str, ...],
+    logs: Path,
+) -> Result:
+    """Estimate mass, inertia and the rest from one flight, or from several together, with intervals.
+
+    FLIGHTS are MCAP recordings, bundle folders, PX4 ULog, ArduPilot DataFlash or Crazyflie usd logs.
+    """
+    left_out = [seconds_pair(pair) for pair in exclude]
+    loaded = load_flights(flights, vehicle, start_s, end_s)
+    from groundstation.flight.analysis import write_identification
+    from groundstation.flight.rehearse import result_table
+    from groundstation.identification.pipeline import identify as run
+
+    line = ProgressLine()
+    found = run(loaded, exclude=left_out, progress=line.fraction)
+    line.end()
+    folder = result_folder(flights[0], logs)
+    folder.mkdir(parents=True, exist_ok=True)
+    files = write_identification(folder, found)
+    document = found.to_dict()
+    truth = loaded[0].truth.parameters() if loaded[0].truth is not None else {}
+    lines = [
+        *loaded[0].notes,
+        *found.quality,
+        *(f"warning: {text}" for text in found.warnings),
+        f"best: {found.best}" + (f" ({found.best_reason})" if found.best_reason else ""),
+        result_table(document, loaded[0].vehicle.parameters(), truth),
+        *(f"not revealed: {name}: {remedy}" for name, remedy in found.not_identifiable.items()),
+        *(f"written: {path}" for path in files.values()),
+    ]
+    if not any(method.parameters for method in found.methods.values()):
+        raise NotIdentifiable("these flights reveal none of the parameters.", "", tuple(found.not_identifiable))
+    return Result(document, "\n".join(lines))
+
+
+@click.command(epilog=example("groundstation diagnose flight.mcap --reference healthy.mcap"))
+@flight_options
+@click.option("--reference", multiple=True, type=FLIGHT, help="Healthy flight of the same vehicle (repeatable).")
+@click.option("--held-out", multiple=True, type=FLIGHT, help="Flight kept for judging (repeatable).")
+def diagnose(
+    flights: tuple[Path, ...],
+    vehicle: str | None,
+    start_s: float | None,
+    end_s: float | None,
+    exclude: tuple[str, ...],
+    logs: Path,
+    reference: tuple[Path, ...],
+    held_out: tuple[Path, ...],
+) -> Result:
+    """Find what the declared vehicle lacks: trace the residual to effects, with the error before and after."""
+    loaded = load_flights(flights, vehicle, start_s, end_s)
+    references, judges = load_flights(reference, vehicle), load_flights(held_out, vehicle)
+    from groundstation.diagnosis import diagnose as run
+    from groundstation.flight.analysis import write_json
+
+    line = ProgressLine()
+    found = run(loaded, references=references, held_out=judges, progress=line.fraction)
+    line.end()
+    folder = result_folder(flights[0], logs)
+    folder.mkdir(parents=True, exist_ok=True)
+    written = write_json(folder / "diagnosis.json", found.to_dict())
+    lines = [
+        f"verdict: {found.verdict}" + (f" ({found.reason})" if found.reason else ""),
+        *(f"{finding.effect} ({finding.confidence:.0%}): {finding.evidence}" for finding in found.findings),
+        *(
+            f"unexplained: {item.share:.0%} of {item.channel}, varies with {', '.join(item.depends_on) or 'nothing known'}"
+            for item in found.unexplained
+        ),
+        *(f"warning: {text}" for text in found.warnings),
+        *([f"next flight: {found.next_flight}"] if found.next_flight else []),
+        f"written: {written}",
+    ]
+    return Result(found.to_dict(), "\n".join(lines), Refused.exit_status if found.verdict == "refused" else 0)
+
+
+@click.command(epilog=example("groundstation report logs/2025-01-31T12-00-00-qball2/flight.mcap"))
+@flight_options
+@click.option("--reference", multiple=True, type=FLIGHT, help="Healthy flight of the same vehicle (repeatable).")
+@click.option("--held-out", multiple=True, type=FLIGHT, help="Flight kept for judging (repeatable).")
+def report(
+    flights: tuple[Path, ...],
+    vehicle: str | None,
+    start_s: float | None,
+    end_s: float | None,
+    exclude: tuple[str, ...],
+    logs: Path,
+    reference: tuple[Path, ...],
+    held_out: tuple[Path, ...],
+) -> Result:
+    """Identify and diagnose, and write the HTML report."""
+    loaded = load_flights(flights, vehicle, start_s, end_s)
+    from groundstation.flight.analysis import analyse
+
+    line = ProgressLine()
+    done = analyse(
+        loaded,
+        result_folder(flights[0], logs),
+        exclude=[seconds_pair(pair) for pair in exclude],
+        references=load_flights(reference, vehicle),
+        held_out=load_flights(held_out, vehicle),
+        progress=line.fraction,
+    )
+    line.end()
+    files = {name: str(path) for name, path in done.files.items()}
+    document = {"schema": "groundstation.report/1", "flight": done.identification.flight, "files": files}
+    return Result(document, "\n".join(f"{name:<16} {path}" for name, path in files.items()))
+
+
+@click.command(epilog=example("groundstation predict identification.toml other.mcap --horizon 0.5 --json"))
+@click.argument("model", type=FLIGHT)
+@click.argument("flight", type=FLIGHT)
+@click.option("--horizon", type=float, default=0.5, show_default=True, help="Seconds to predict.")
+@click.option("--state", type=click.Choice(["smoothed", "own"]), default="smoothed", show_default=True,
+              help="Start from and judge by the smoothed state, or the vehicle's own estimate.")  # fmt: skip
+@click.option("--save", type=click.Path(path_type=Path, dir_okay=False), default=None, help="CSV of predicted states.")
+@click.option("--vehicle", default=None, help="Vehicle file or shipped name; overrides the recorded one.")
+@click.option("--from", "start_s", type=float, default=None, help="Use the flight from this time on, s.")
+@click.option("--to", "end_s", type=float, default=None, help="Use the flight up to this time, s.")
+@json_option
+def predict(
+    model: Path,
+    flight: Path,
+    horizon: float,
+    state: str,
+    save: Path | None,
+    vehicle: str | None,
+    start_s: float | None,
+    end_s: float | None,
+) -> Result:
+    """Simulate open loop from every sample of FLIGHT with MODEL (identification.toml), and say how far off it is."""
+    loaded = load_flights((flight,), vehicle, start_s, end_s)[0]
+    from groundstation.model.prediction import predict as run
+
+    line = ProgressLine()
+    found = run(model, loaded, horizon_s=horizon, state=state, progress=line.fraction)
+    line.end()
+    if save is not None:
+        found.save(save)
+    return Result(found.to_dict(), found.to_text())

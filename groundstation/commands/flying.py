@@ -1,0 +1,149 @@
+"""``groundstation sim``, ``rehearse``, ``preflight`` and ``fly``: everything that moves."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from groundstation.commands.common import ProgressLine, Result, example, json_option, logs_option
+
+if TYPE_CHECKING:
+    from groundstation.flight.rehearse import FlightResult
+
+
+@click.command(
+    context_settings={"ignore_unknown_options": True, "allow_extra_args": True, "help_option_names": []},
+    add_help_option=False,
+    epilog=example("groundstation sim --mavlink --profile px4"),
+)
+@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
+def sim(arguments: tuple[str, ...]) -> int:
+    """Start the simulated drone, on zenoh or (--mavlink) as an autopilot."""
+    from groundstation.flight.children import module_command
+
+    command = module_command("sim", *arguments)
+    return subprocess.call(command)
+
+
+@click.command(epilog=example("groundstation rehearse --vehicle qball2 --scenario seed"))
+@click.option("--vehicle", default="qball2", show_default=True, help="Vehicle file, or the name of a shipped one.")
+@click.option("--scenario", default="seed", show_default=True, help="Scenario file, or the name of a shipped one.")
+@click.option(
+    "--plan", "plan_file", type=click.Path(path_type=Path, dir_okay=False), help="Fly this plan instead of a new one."
+)
+@click.option("--seed", type=int, default=1, show_default=True, help="Of the simulated noise and the true vehicle.")
+@click.option("--real-time", is_flag=True, help="Let the simulated drone fly at the wall clock's pace.")
+@logs_option
+@json_option
+def rehearse(vehicle: str, scenario: str, plan_file: Path | None, seed: int, real_time: bool, logs: Path) -> Result:
+    """Fly the whole loop in simulation: plan, upload over zenoh, fly, record, identify, diagnose, report.
+
+    Ctrl-C aborts: the simulated drone lands. Killing this program does not end the flight.
+    """
+    from groundstation.flight.client import new_flight_folder
+    from groundstation.flight.rehearse import fly as fly_plan
+    from groundstation.flight.rehearse import simulated_drone
+    from groundstation.paths import find_config
+    from groundstation.trajectory import load_plan
+    from groundstation.vehicle import load_vehicle
+
+    vehicle_file = find_config("vehicles", vehicle).resolve()
+    scenario_file = find_config("scenarios", scenario).resolve()
+    declared = load_vehicle(vehicle_file)
+    line = ProgressLine()
+    if plan_file is not None:
+        chosen = load_plan(plan_file)
+        if chosen.vehicle != declared.name:
+            line.say(
+                f"note: {plan_file} was made for {chosen.vehicle}; the drone checks whether {declared.name} can fly it"
+            )
+    else:
+        chosen = _new_plan(declared, line)
+    folder = new_flight_folder(logs.resolve(), declared.name)
+    plan_path = _keep_plan(chosen, folder)
+    drone = simulated_drone(vehicle_file, scenario_file, seed, real_time=real_time)
+    flown = fly_plan(folder, plan=plan_path, vehicle=vehicle_file, drone=drone, say=line.say)
+    line.end()
+    return _flight_result(flown)
+
+
+def _new_plan(declared: Any, line: ProgressLine) -> Any:
+    """A plan for a rehearsal: the paper's problem for its vehicle, the planner's defaults for any other."""
+    import math
+
+    from groundstation.planning import plan_excitation
+
+    paper = {"harmonics": 5, "base_frequency_rad_s": math.radians(36.0), "criterion": "condition"}
+    return plan_excitation(declared, progress=line.fraction, **(paper if declared.name == "qball2" else {}))
+
+
+def _keep_plan(chosen: Any, folder: Path) -> Path:
+    from groundstation.commands.planning import write_plan
+
+    folder.mkdir(parents=True)
+    return write_plan(chosen, folder / "plan.toml")
+
+
+def _flight_result(flown: FlightResult) -> Result:
+    """Where everything is, and the table."""
+    import json
+
+    from groundstation.flight.rehearse import result_table
+    from groundstation.recording import load_flight
+
+    files = flown.files()
+    document: dict[str, Any] = {
+        "schema": "groundstation.flight/1",
+        "folder": str(flown.folder),
+        "files": {name: str(path) for name, path in files.items()},
+        "exit_status": flown.exit_status,
+        "reason": flown.reason,
+    }
+    lines = [f"{name:<20} {path}" for name, path in files.items()]
+    if "identification.json" in files:
+        identification = json.loads(files["identification.json"].read_text(encoding="utf-8"))
+        flight = load_flight(files["flight.mcap"])
+        truth = flight.truth.parameters() if flight.truth is not None else {}
+        document |= {"identification": identification, "truth": truth}
+        lines += ["", result_table(identification, flight.vehicle.parameters(), truth)]
+    if "diagnosis.json" in files:
+        diagnosis = json.loads(files["diagnosis.json"].read_text(encoding="utf-8"))
+        document["diagnosis"] = diagnosis
+        lines += ["", f"diagnosis: {diagnosis['verdict']}", *(f"  {f['evidence']}" for f in diagnosis["findings"])]
+    if flown.exit_status:
+        lines.append(flown.reason)
+    return Result(document, "\n".join(lines), flown.exit_status)
+
+
+@click.command(epilog=example("groundstation preflight --link udpin://127.0.0.1:14540 --vehicle x500"))
+@click.option("--link", required=True, help="serial:///dev/ttyUSB0:921600, udpin://127.0.0.1:14540 or tcp://host:port.")
+@click.option("--vehicle", required=True, help="Vehicle file, or the name of a shipped one.")
+@click.option("--station", default=None, help="Station file: room, guard limits, motion capture.")
+@click.option("--plan", "plan_file", type=click.Path(path_type=Path, dir_okay=False), help="Plan to check against.")
+@json_option
+def preflight(**options: Any) -> Result:
+    """Check everything that can be checked before a flight; each failure with reason and remedy."""
+    from groundstation.flight.link_commands import preflight as check
+
+    return check(**options)
+
+
+@click.command(epilog=example("groundstation fly --link udpin://127.0.0.1:14540 --vehicle x500 --yes-simulated"))
+@click.option("--link", required=True, help="serial:///dev/ttyUSB0:921600, udpin://127.0.0.1:14540 or tcp://host:port.")
+@click.option("--vehicle", required=True, help="Vehicle file, or the name of a shipped one.")
+@click.option("--station", default=None, help="Station file: room, guard limits, motion capture.")
+@click.option(
+    "--plan", "plan_file", type=click.Path(path_type=Path, dir_okay=False), help="Fly this plan instead of a new one."
+)
+@click.option("--force", multiple=True, metavar="NAME", help="Fly although this check fails; recorded.")
+@click.option("--yes-simulated", is_flag=True, help="What flies is a simulation: do not ask before arming.")
+@logs_option
+@json_option
+def fly(**options: Any) -> Result:
+    """Check, upload and fly on a MAVLink link, record, and after landing identify, diagnose and report."""
+    from groundstation.flight.link_commands import fly as fly_link
+
+    return fly_link(**options)

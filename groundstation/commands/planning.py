@@ -1,0 +1,138 @@
+"""``groundstation plan``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from groundstation.commands.common import ProgressLine, Result, assignments, example, json_option
+from groundstation.errors import BadInput
+
+if TYPE_CHECKING:
+    from groundstation.trajectory import Plan
+
+LIMIT_OPTIONS = {
+    "x-max-m": "x_max_m",
+    "y-max-m": "y_max_m",
+    "z-min-m": "z_min_m",
+    "z-max-m": "z_max_m",
+    "yaw-max-deg": "yaw_max_rad",
+    "speed-max-m-s": "speed_max_m_s",
+    "yaw-rate-max-deg-s": "yaw_rate_max_rad_s",
+    "acceleration-max-m-s2": "acceleration_max_m_s2",
+    "tilt-max-deg": "tilt_max_rad",
+    "thrust-max-n": "thrust_max_n",
+    "torque-max-nm": "torque_max_nm",
+}
+"""Option -> limit of the vehicle file that it overrides; options in degrees set limits in radians."""
+
+
+def limit_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """One option per limit."""
+    for option, limit in reversed(LIMIT_OPTIONS.items()):
+        function = click.option(f"--{option}", limit, type=float, help=f"Override the vehicle's {limit}.")(function)
+    return function
+
+
+def limits_in_si(values: dict[str, float | None]) -> dict[str, float]:
+    """The limits that were given, angles in radians."""
+    degrees = {limit for option, limit in LIMIT_OPTIONS.items() if "-deg" in option}
+    return {k: math.radians(v) if k in degrees else v for k, v in values.items() if v is not None}
+
+
+@click.command(epilog=example("groundstation plan --paper --tilt-max-deg 6.2155 --output plan.toml"))
+@click.option("--vehicle", default=None, help="Vehicle file, or the name of a shipped one.  [default: qball2]")
+@click.option("--paper", is_flag=True, help="The paper's problem: QBall 2, its room, N = 5 at 36 degrees/s, cond(W).")
+@click.option("--criterion", type=click.Choice(["condition", "D", "A", "E"], case_sensitive=False), default=None)
+@click.option("--harmonics", type=click.IntRange(1, 40), default=None, help="Harmonics per channel.")
+@click.option("--base-frequency-deg-s", type=float, default=None, help="Base frequency; free if not given.")
+@click.option("--duration-s", type=float, default=None, help="Seconds of excitation.")
+@click.option("--limit", "more_limits", multiple=True, metavar="NAME=VALUE", help="Any limit by its name, SI.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the random starts.")
+@click.option("--time-budget-s", type=float, default=8.0, show_default=True, help="Seconds to search.")
+@click.option("--compare", is_flag=True, help="Compare families of signals under the same limits, as a table.")
+@click.option("--output", type=click.Path(path_type=Path, dir_okay=False), default=None, help="Plan file to write.")
+@limit_options
+@json_option
+def plan(
+    vehicle: str | None,
+    paper: bool,
+    criterion: str | None,
+    harmonics: int | None,
+    base_frequency_deg_s: float | None,
+    duration_s: float | None,
+    more_limits: tuple[str, ...],
+    seed: int,
+    time_budget_s: float,
+    compare: bool,
+    output: Path | None,
+    **limits: float | None,
+) -> Result:
+    """Optimise an excitation trajectory for a vehicle and a room. Ctrl-C gives the best so far."""
+    from groundstation.paths import find_config
+    from groundstation.planning import plan_excitation
+    from groundstation.trajectory import plan_to_dict
+    from groundstation.vehicle import load_vehicle
+
+    if paper and vehicle not in (None, "qball2"):
+        raise BadInput("--paper is the QBall 2's problem; leave out --vehicle, or plan without --paper.")
+    declared = load_vehicle(find_config("vehicles", vehicle or "qball2"))
+    settings: dict[str, Any] = {"limits": limits_in_si(limits) | assignments(more_limits), "seed": seed}
+    settings["time_budget_s"] = time_budget_s
+    if paper:
+        settings |= {"criterion": "condition", "harmonics": 5, "base_frequency_rad_s": math.radians(36.0)}
+    given = {"criterion": criterion, "harmonics": harmonics, "duration_s": duration_s}
+    settings |= {key: value for key, value in given.items() if value is not None}
+    if base_frequency_deg_s is not None:
+        settings["base_frequency_rad_s"] = math.radians(base_frequency_deg_s)
+    line = ProgressLine()
+    if compare:
+        from groundstation.planning import compare_families
+
+        table = compare_families(declared, progress=line.fraction, **settings)
+        line.end()
+        return Result(table.to_dict(), table.to_text())
+    found = plan_excitation(declared, progress=line.fraction, **settings)
+    line.end()
+    if output is not None:
+        write_plan(found, output)
+    return Result(plan_to_dict(found), plan_text(found, output))
+
+
+def write_plan(found: Plan, path: Path) -> Path:
+    """Write a plan file."""
+    import tomli_w
+
+    from groundstation.trajectory import plan_to_dict
+
+    try:
+        path.write_text(tomli_w.dumps(plan_to_dict(found)), encoding="utf-8")
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be written ({error.strerror}); name a file in a folder that exists.") from None
+    return path
+
+
+def plan_text(found: Plan, output: Path | None) -> str:
+    """A plan for people: what it is, what it keeps, what it will tell."""
+    from groundstation.reporting.units import label, scale_for, significant, split_unit
+
+    series = found.series()
+    lines = [
+        f"plan for {found.vehicle}: {series.duration_s:.1f} s, {series.a.shape[1]} harmonics of"
+        f" {math.degrees(series.base_frequency_rad_s):.3g} degrees/s, criterion {found.criterion}"
+    ]
+    if found.condition_number is not None:
+        lines.append(
+            f"cond(W) {found.condition_number:.3f}, largest violation of a limit {found.largest_violation or 0:.1e}"
+        )
+    if found.predicted_std:
+        lines.append("predicted standard deviations:")
+        for name, std in found.predicted_std.items():
+            scale = scale_for(split_unit(name)[1], [std])
+            lines.append(f"  {label(name):<12} {significant(std * scale.factor)} {scale.unit}")
+    lines.append(f"written to {output}" if output else "not written: give --output FILE to keep it")
+    return "\n".join(lines)

@@ -1,0 +1,148 @@
+"""``groundstation doctor`` and ``reproduce``."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import click
+
+from groundstation.commands.common import Result, example, json_option, logs_option
+
+Verdict = Literal["ok", "note", "wrong"]
+FREE_BYTES = 500_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing the doctor looked at, what it saw, and the remedy if that is not right."""
+
+    name: str
+    verdict: Verdict
+    seen: str
+    remedy: str = ""
+
+
+def _python() -> Check:
+    return Check("python", "ok", f"{platform.python_version()} on {platform.system()} {platform.machine()}")
+
+
+def _packages() -> Check:
+    from importlib.metadata import PackageNotFoundError, version
+
+    found, missing = [], []
+    for name in ("numpy", "scipy", "numba", "casadi", "eclipse-zenoh", "mcap", "pymavlink", "textual", "plotly"):
+        try:
+            found.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            missing.append(name)
+    if missing:
+        return Check("packages", "wrong", f"missing: {', '.join(missing)}", "install groundstation again")
+    return Check("packages", "ok", ", ".join(found))
+
+
+def _configs() -> Check:
+    from groundstation.paths import configs_dir
+
+    root = configs_dir()
+    counts = {kind: len(list((root / kind).glob("*.toml"))) for kind in ("vehicles", "plans", "scenarios", "stations")}
+    return Check("configs", "ok", f"{root}: " + ", ".join(f"{count} {kind}" for kind, count in counts.items()))
+
+
+def _bus() -> Check:
+    from drivers import bus
+
+    began = time.monotonic()
+    try:
+        with bus.open_session(listen=[bus.loopback(bus.free_port())]):
+            pass
+    except ConnectionError as error:
+        return Check("bus", "wrong", str(error), "allow programs to listen on 127.0.0.1")
+    return Check("bus", "ok", f"a loopback session opens in {1e3 * (time.monotonic() - began):.0f} ms")
+
+
+def _serial() -> Check:
+    from serial.tools import list_ports
+
+    ports = list(list_ports.comports())
+    if not ports:
+        return Check("serial ports", "note", "none found", "plug the telemetry radio or flight controller in")
+    closed = [port.device for port in ports if not os.access(port.device, os.R_OK | os.W_OK)]
+    seen = ", ".join(f"{port.device} ({port.description})" for port in ports)
+    if closed:
+        remedy = "join the group that owns them (often dialout) and log in again"
+        return Check("serial ports", "wrong", f"{seen}; no permission for {', '.join(closed)}", remedy)
+    return Check("serial ports", "ok", seen)
+
+
+def _mocap() -> Check:
+    modules = {"natnet": "OptiTrack", "qtm_rt": "Qualisys", "motioncapture": "Vicon, VRPN"}
+    found = [f"{module} ({system})" for module, system in modules.items() if importlib.util.find_spec(module)]
+    if not found:
+        return Check("motion capture", "note", "no client library installed", "pip install 'groundstation[mocap]'")
+    return Check("motion capture", "ok", ", ".join(found))
+
+
+def _clock() -> Check:
+    info = time.get_clock_info("monotonic")
+    verdict: Verdict = "ok" if info.resolution <= 1e-3 else "wrong"
+    return Check("clock", verdict, f"monotonic, resolution {info.resolution:.0e} s", "run on another machine")
+
+
+def _disk(logs: Path) -> Check:
+    place = logs if logs.is_dir() else Path()
+    free = shutil.disk_usage(place).free
+    seen = f"{free / 1e9:.1f} GB free in {place.resolve()}"
+    if not os.access(place, os.W_OK):
+        return Check("logs", "wrong", f"{place.resolve()} cannot be written", "choose another folder with --logs")
+    return Check(
+        "logs", "ok" if free > FREE_BYTES else "wrong", seen, "make room, or choose another folder with --logs"
+    )
+
+
+@click.command(epilog=example("groundstation doctor"))
+@logs_option
+@json_option
+def doctor(logs: Path) -> Result:
+    """Say what is installed, reachable and wrong here, and what to do about it."""
+    looks: list[Callable[[], Check]] = [
+        _python,
+        _packages,
+        _configs,
+        _bus,
+        _serial,
+        _mocap,
+        _clock,
+        lambda: _disk(logs),
+    ]
+    checks = [look() for look in looks]
+    document = {
+        "schema": "groundstation.doctor/1",
+        "checks": [
+            {"name": c.name, "verdict": c.verdict, "seen": c.seen, "remedy": c.remedy if c.verdict != "ok" else ""}
+            for c in checks
+        ],
+    }
+    lines = []
+    for check in checks:
+        lines.append(f"{check.verdict:<6} {check.name:<15} {check.seen}")
+        if check.verdict != "ok" and check.remedy:
+            lines.append(f"{'':<22} -> {check.remedy}")
+    return Result(document, "\n".join(lines))
+
+
+@click.command(epilog=example("groundstation reproduce"))
+@logs_option
+@json_option
+def reproduce(logs: Path) -> Result:
+    """Fly the paper's trajectory and circles on the simulated QBall 2, and print its tables beside ours."""
+    from groundstation.flight.reproduce import reproduce as run
+
+    return run(logs)
