@@ -6,7 +6,7 @@ axis, so one flip serves both: v = (x, -y, -z), q = (w, x, -y, -z), and yaw chan
 
 from __future__ import annotations
 
-from math import atan2, sqrt
+from math import atan2, cos, sin, sqrt
 
 from drivers.samples import Quaternion, Vector3
 
@@ -22,6 +22,18 @@ def flip_quaternion(quaternion: Quaternion) -> Quaternion:
     w, x, y, z = quaternion
     norm = sqrt(w * w + x * x + y * y + z * z) or 1.0
     return (w / norm, x / norm, -y / norm, -z / norm)
+
+
+def quaternion_of(roll: float, pitch: float, yaw: float) -> Quaternion:
+    """Quaternion of ZYX Euler angles, rad."""
+    cr, sr, cp, sp = cos(roll / 2), sin(roll / 2), cos(pitch / 2), sin(pitch / 2)
+    cy, sy = cos(yaw / 2), sin(yaw / 2)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
 
 
 def yaw_of(quaternion: Quaternion) -> float:

@@ -1,0 +1,94 @@
+"""ArduCopter, as measured on its software in the loop (4.8-dev) and recorded in its traffic."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+from drivers.mavlink.dialect import Message, mavlink
+from drivers.mavlink.geometry import flip
+from drivers.samples import Pose
+from groundstation.flight.profiles.base import ParameterRule, Profile, StreamWish, pose_covariance
+from groundstation.frames import euler_from_quat
+
+
+class ArduCopter(Profile):
+    """GUIDED after a take-off command; silent until asked; integers in parameters travel as values."""
+
+    name = "arducopter"
+    autopilot = mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA
+    imu = "RAW_IMU"
+    modes: ClassVar[dict[str, int]] = {
+        "STABILIZE": 0,
+        "ACRO": 1,
+        "ALT_HOLD": 2,
+        "AUTO": 3,
+        "GUIDED": 4,
+        "LOITER": 5,
+        "RTL": 6,
+        "CIRCLE": 7,
+        "LAND": 9,
+        "DRIFT": 11,
+        "SPORT": 13,
+        "FLIP": 14,
+        "POSHOLD": 16,
+        "BRAKE": 17,
+        "THROW": 18,
+        "GUIDED_NOGPS": 20,
+        "SMART_RTL": 21,
+    }
+    follow_mode = "GUIDED"
+    land_mode = "LAND"
+    hold_mode = "BRAKE"
+    pilot_modes = frozenset({"STABILIZE", "ACRO", "ALT_HOLD", "LOITER", "DRIFT", "SPORT", "POSHOLD", "FLIP"})
+    climbs_by_command = True
+    bytewise_parameters = False
+    setpoint_timeout_s = 3.0
+    log_suffix = ".bin"
+    streams = (
+        StreamWish("RAW_IMU", 300.0, 50.0, "rates and specific force: the motion the inertia shows in"),
+        StreamWish("SERVO_OUTPUT_RAW", 300.0, 50.0, "motor commands; the onboard log has them at 10 Hz only"),
+        StreamWish("ESC_TELEMETRY_1_TO_4", 100.0, 0.0, "rotor speeds, where the ESCs report them"),
+        StreamWish("ATTITUDE_QUATERNION", 100.0, 20.0, "tilt for the guard, attitude for the record"),
+        StreamWish("LOCAL_POSITION_NED", 100.0, 20.0, "position for guard and record"),
+        StreamWish("BATTERY_STATUS", 10.0, 0.2, "battery voltage for guard and thrust model"),
+        StreamWish("EXTENDED_SYS_STATE", 10.0, 0.5, "landed or not"),
+        StreamWish("SYS_STATUS", 2.0, 0.5, "whether the arming checks pass"),
+        StreamWish("EKF_STATUS_REPORT", 5.0, 0.0, "estimator health"),
+        StreamWish("VIBRATION", 2.0, 0.0, "vibration"),
+    )
+    parameters = (
+        ParameterRule("FS_GCS_ENABLE", (5.0, 1.0, 2.0, 3.0, 4.0), settable=True,
+                      why="a station that is gone shall bring the vehicle down (5: land)"),
+        ParameterRule("FS_EKF_ACTION", (1.0, 3.0), settable=True, why="a lost estimate shall land the vehicle"),
+        ParameterRule("GUID_TIMEOUT", (1.0, 3.0, 2.0, 0.5), required=False, settable=True,
+                      why="lost setpoints shall stop the vehicle soon"),
+        ParameterRule("FENCE_ENABLE", (1.0,), required=False,
+                      why="the vehicle's own geofence is the last resort when both link and station fail"),
+        ParameterRule("VISO_TYPE", (1.0,), indoors=True, why="external poses shall be taken from MAVLink"),
+        ParameterRule("EK3_SRC1_POSXY", (6.0,), indoors=True, why="position shall come from the external poses"),
+        ParameterRule("EK3_SRC1_POSZ", (6.0,), indoors=True, why="height shall come from the external poses"),
+        ParameterRule("EK3_SRC1_YAW", (6.0,), indoors=True, why="yaw shall come from the external poses"),
+        ParameterRule("GPS1_TYPE", (0.0,), indoors=True, why="no satellites indoors"),
+        ParameterRule("INS_RAW_LOG_OPT", (9.0, 1.0, 13.0), settable=True, required=False,
+                      why="raw IMU logging gives the onboard log 1 kHz instead of 25 Hz"),
+    )  # fmt: skip
+
+    def set_mode(self, mode: str) -> Message:
+        """DO_SET_MODE with the custom mode's number."""
+        return self.command(mavlink.MAV_CMD_DO_SET_MODE, 1.0, float(self.modes[mode]))
+
+    def take_off(self, height_m: float) -> Message:
+        """NAV_TAKEOFF straight up; ArduCopter reads the last parameter alone."""
+        return self.command(mavlink.MAV_CMD_NAV_TAKEOFF, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m)
+
+    def external_pose(self, pose: Pose, stamp_s: float, std_m: float, std_rad: float, resets: int) -> Sequence[Message]:
+        """VISION_POSITION_ESTIMATE; pitch and yaw change sign between FLU, z up and FRD, NED; roll does not."""
+        x, y, z = flip(pose.position_m)
+        roll, pitch, yaw = (float(a) for a in euler_from_quat(pose.quaternion))
+        covariance = pose_covariance(std_m, std_rad)
+        return (
+            mavlink.MAVLink_vision_position_estimate_message(
+                int(stamp_s * 1e6), x, y, z, roll, -pitch, -yaw, covariance, resets & 0xFF
+            ),
+        )
