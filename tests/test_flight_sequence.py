@@ -1,0 +1,182 @@
+"""The flight sequence: its rules, tried with every order of events Hypothesis can think of."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+
+from groundstation.flight import sequence as seq
+from groundstation.flight.sequence import Do, Phase
+
+GOOD = (
+    seq.PlanChosen(40.0),
+    seq.UploadAnswered(True),
+    seq.ChecksAnswered(True),
+    seq.StartRequested(),
+    seq.VehicleAirborne(),
+    seq.VehicleExciting(),
+    seq.VehicleLanding(),
+    seq.VehicleLanded(),
+)
+REASONS = st.sampled_from(["", "low battery", "operator"])
+EVENTS = st.one_of(
+    st.builds(seq.PlanChosen, st.floats(1.0, 100.0)),
+    st.builds(seq.UploadAnswered, st.booleans(), REASONS),
+    st.builds(seq.ChecksAnswered, st.booleans(), REASONS),
+    st.just(seq.StartRequested()),
+    st.builds(seq.AbortRequested, st.sampled_from(["Ctrl-C", "operator"])),
+    st.just(seq.LandRequested()),
+    st.just(seq.VehicleAirborne()),
+    st.just(seq.VehicleExciting()),
+    st.builds(seq.VehicleLanding, REASONS),
+    st.just(seq.VehicleLanded()),
+    st.builds(seq.VehicleLost, st.just("link gone")),
+    st.builds(seq.StartRefused, st.just("not armable")),
+    st.builds(seq.AnalysisFinished, st.sampled_from([0, 1, 2, 3])),
+    st.just(seq.Tick()),
+)
+
+
+def run(events, state=None, start_s=0.0):
+    """Feed events a second apart; the last state and all actions."""
+    state, actions = state or seq.Sequence(), []
+    for index, event in enumerate(events):
+        state, more = seq.step(state, event, start_s + index)
+        actions += more
+    return state, [action.do for action in actions]
+
+
+def test_a_good_flight_does_each_thing_once_and_in_order():
+    state, done = run(GOOD)
+    assert state.phase is Phase.LANDED
+    assert done == [Do.UPLOAD, Do.CHECK, Do.START, Do.CLOSE_RECORDING, Do.ANALYSE]
+    state, done = run([seq.AnalysisFinished(0)], seq.analysing(state, 8.0), 9.0)
+    assert (state.phase, state.exit_status, done) == (Phase.DONE, 0, [Do.FINISH])
+
+
+@pytest.mark.parametrize("reached", range(len(GOOD) + 1))
+def test_an_abort_from_anywhere_ends_aborted_and_in_flight_only_after_landing(reached):
+    state, _ = run(GOOD[:reached])
+    airborne = state.started
+    state, done = run([seq.AbortRequested("Ctrl-C")], state, 100.0)
+    if airborne:
+        assert state.phase is Phase.LANDING and done == [Do.ABORT]
+        state, done = run([seq.VehicleLanded()], state, 110.0)
+    assert (state.phase, state.exit_status) == (Phase.ABORTED, 4)
+    assert done[-1] is Do.FINISH
+    assert state.reason == "Ctrl-C"
+
+
+@pytest.mark.parametrize(
+    "refusal",
+    [
+        (GOOD[:1], seq.UploadAnswered(False, "tilt too large"), "tilt too large"),
+        (GOOD[:2], seq.ChecksAnswered(False, "battery empty"), "battery empty"),
+        (GOOD[:4], seq.StartRefused("accelerometer inconsistent"), "accelerometer inconsistent"),
+    ],
+)
+def test_a_refusal_to_fly_has_the_status_of_a_refusal_and_its_reason(refusal):
+    before, event, why = refusal
+    state, done = run([*before, event])
+    assert (state.phase, state.exit_status) == (Phase.ABORTED, 3)
+    assert why in state.reason
+    assert done[-3:] == [Do.DISARM, Do.CLOSE_RECORDING, Do.FINISH]
+
+
+@pytest.mark.parametrize("reached", range(1, len(GOOD)))
+def test_silence_also_ends_the_flight(reached):
+    state, _ = run(GOOD[:reached])
+    now = 10.0
+    for _ in range(3):
+        now += 10_000.0
+        state, _ = run([seq.Tick()], state, now)
+    assert state.phase is Phase.ABORTED
+    assert state.exit_status == 4
+
+
+@pytest.mark.parametrize("reached", range(1, len(GOOD)))
+def test_a_lost_vehicle_closes_the_recording(reached):
+    state, done = run([*GOOD[:reached], seq.VehicleLost("process ended")])
+    assert (state.phase, done.count(Do.CLOSE_RECORDING)) == (Phase.ABORTED, 1)
+
+
+def test_excitation_before_the_climb_was_seen_is_a_fault():
+    state, done = run([*GOOD[:4], seq.VehicleExciting()])
+    assert state.phase is Phase.LANDING and done[-1] is Do.ABORT and "airborne" in state.aborting
+
+
+def test_landing_early_on_request_keeps_what_was_recorded():
+    state, done = run([*GOOD[:6], seq.LandRequested(), seq.VehicleLanded()])
+    assert state.phase is Phase.LANDED
+    assert done[-3:] == [Do.LAND, Do.CLOSE_RECORDING, Do.ANALYSE]
+
+
+def test_a_vehicle_that_comes_down_by_itself_has_aborted():
+    state, _ = run([*GOOD[:6], seq.VehicleLanding("battery failsafe"), seq.VehicleLanded()])
+    assert (state.phase, state.exit_status, state.reason) == (Phase.ABORTED, 4, "battery failsafe")
+
+
+def test_a_second_abort_is_still_an_abort():
+    state, done = run([*GOOD[:6], seq.AbortRequested("Ctrl-C"), seq.AbortRequested("Ctrl-C again")])
+    assert done[-2:] == [Do.ABORT, Do.ABORT] and state.aborting == "Ctrl-C"
+
+
+class AnyOrder(RuleBasedStateMachine):
+    """Whatever comes, in whatever order and at whatever pace, the rules of the module hold."""
+
+    def __init__(self):
+        super().__init__()
+        self.state, self.now, self.seen, self.done = seq.Sequence(), 0.0, [Phase.IDLE], []
+
+    @rule(event=EVENTS, wait=st.floats(0.0, 300.0))
+    def happens(self, event, wait):
+        self.now += wait
+        before = self.state
+        self.state, actions = seq.step(before, event, self.now)
+        self.done += [action.do for action in actions]
+        if self.state.phase is Phase.LANDED:
+            self.state = seq.analysing(self.state, self.now)
+        if self.state.phase is not self.seen[-1]:
+            self.seen.append(self.state.phase)
+        if before.final:
+            assert self.state == before and not actions
+        if Do.START in [action.do for action in actions]:
+            assert before.phase is Phase.CHECKED and not before.started
+
+    @invariant()
+    def excites_only_from_the_air(self):
+        for earlier, later in zip(self.seen, self.seen[1:], strict=False):
+            assert later is not Phase.EXCITING or earlier is Phase.AIRBORNE
+            assert later is not Phase.AIRBORNE or earlier is Phase.CHECKED
+
+    @invariant()
+    def closes_the_recording_once_and_finishes_once(self):
+        assert self.done.count(Do.CLOSE_RECORDING) <= 1
+        assert self.done.count(Do.FINISH) == int(self.state.final)
+        assert self.done.count(Do.START) <= 1
+        assert not self.state.final or Do.CLOSE_RECORDING in self.done
+
+    @invariant()
+    def ends_with_a_status_only_when_final(self):
+        assert (self.state.exit_status is not None) == self.state.final
+        assert self.state.phase is not Phase.DONE or Phase.IDENTIFYING in self.seen
+
+    @invariant()
+    def an_abort_now_ends_the_flight(self):
+        state, _ = seq.step(self.state, seq.AbortRequested("test"), self.now)
+        if not state.final:
+            assert state.phase is Phase.LANDING and state.aborting
+            state, _ = seq.step(state, seq.VehicleLanded(), self.now)
+        assert state.final
+
+
+TestAnyOrder = AnyOrder.TestCase
+TestAnyOrder.settings = settings(max_examples=150, stateful_step_count=25, deadline=None)
+
+
+@given(st.lists(EVENTS, max_size=30))
+@settings(max_examples=100, deadline=None)
+def test_steps_are_pure(events):
+    assert run(events) == run(events)
