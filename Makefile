@@ -1,0 +1,52 @@
+# Each target does all of its own set-up and then its job: a .venv from Python 3.11 or later, at the pinned versions.
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+VENV := .venv
+PY := $(VENV)/bin/python
+READY := $(VENV)/.ready
+FIND_PYTHON = for p in $(PYTHON) python3.11 python3.12 python3.13 python3.14 python3; do \
+  "$$p" -c 'import sys, ensurepip, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { command -v "$$p"; break; }; done
+
+.PHONY: help setup rehearse test lint study blind bench faults reproduce clean
+
+help:  ## what can be made
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+$(READY): pyproject.toml constraints.txt
+	@python="$$($(FIND_PYTHON))"; \
+	  if [ -z "$$python" ]; then echo "Python 3.11 or later with venv is needed; install it, or: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)" >&2; exit 1; fi; \
+	  [ -x $(PY) ] && $(PY) -m pip --version >/dev/null 2>&1 || "$$python" -m venv --clear $(VENV)
+	$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev,mocap]'
+	@touch $@
+
+setup: $(READY)  ## the virtual environment alone
+
+rehearse: $(READY)  ## a whole flight in simulation, from plan to report
+	@$(VENV)/bin/groundstation rehearse $(ARGS)
+
+test: $(READY)  ## the whole test suite
+	@$(PY) -m pytest -n 2 $(ARGS)
+
+lint: $(READY)  ## format, lint, types, import rules
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/pyright
+	$(VENV)/bin/lint-imports
+
+study: $(READY)  ## many simulated flights: accuracy, coverage, scatter against the bound
+	@$(PY) -m benchmarks.study $(ARGS)
+
+blind: $(READY)  ## diagnosis of effects it was not told about
+	@$(PY) -m benchmarks.blind $(ARGS)
+
+bench: $(READY)  ## speed of planner, simulator, estimators, recorder, start-up
+	@$(PY) -m benchmarks.bench $(ARGS)
+
+faults: $(READY)  ## every fault of a link or process, and how soon it is safe
+	@$(PY) -m benchmarks.faults $(ARGS)
+
+reproduce: $(READY)  ## the paper's tables beside ours
+	@$(VENV)/bin/groundstation reproduce $(ARGS)
+
+clean:  ## remove the virtual environment and caches, never a flight
+	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis dist build
