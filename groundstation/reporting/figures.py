@@ -6,6 +6,7 @@ no peak is lost and nothing is averaged.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -44,7 +45,7 @@ def envelope(t_s: Array, values: Array, bins: int = 1000) -> tuple[Array, Array]
     keep = np.arange(len(t))
     if len(t) > 2 * bins:
         edges = np.linspace(0, len(t), bins + 1).astype(int)
-        pairs = [(a + int(np.argmin(y[a:b])), a + int(np.argmax(y[a:b]))) for a, b in zip(edges, edges[1:], strict=False)]
+        pairs = [(a + int(np.argmin(y[a:b])), a + int(np.argmax(y[a:b]))) for a, b in itertools.pairwise(edges)]
         after_gap = np.flatnonzero(gap)
         keep = np.unique(np.concatenate([np.ravel(pairs), after_gap, after_gap + 1]).astype(int))
     breaks = np.searchsorted(keep, np.flatnonzero(gap) + 1)
@@ -121,7 +122,13 @@ def path_figure(flown: Array, wanted: Array | None) -> Figure:
     if wanted is not None:
         data.append(_path_3d(wanted, "wanted", 1))
     axis = {axis: {"title": {"text": f"{axis[0]} (m)"}} for axis in ("xaxis", "yaxis", "zaxis")}
-    return {"data": data, "layout": {"height": 440, "scene": {"aspectmode": "data", **axis}}}
+    return {
+        "data": data,
+        "layout": {
+            "height": 440,
+            "scene": {"aspectmode": "data", "camera": {"eye": {"x": 1.5, "y": -1.5, "z": 0.9}}, **axis},
+        },
+    }
 
 
 def _path_3d(points: Array, name: str, style: int) -> dict[str, Any]:
@@ -161,14 +168,17 @@ def bar_figure(groups: Mapping[str, Mapping[str, float]], title: str) -> Figure:
         }
         for i, (name, values) in enumerate(groups.items())
     ]  # fmt: skip
-    return {"data": data, "layout": {"height": 320, "barmode": "group", "yaxis": {"title": {"text": title}, "rangemode": "tozero"}}}
+    return {
+        "data": data,
+        "layout": {"height": 320, "barmode": "group", "yaxis": {"title": {"text": title}, "rangemode": "tozero"}},
+    }
 
 
 def interval_figure(
     intervals: Mapping[str, tuple[float, float, float]], nominal: float | None, truth: float | None, unit: str
 ) -> Figure:
     """Dot and whisker per method (value, low, high), with nominal dashed and truth solid."""
-    names = list(reversed(intervals))
+    names = list(intervals)[::-1]
     data = [
         {
             "type": "scatter", "mode": "markers", "y": [name], "x": [intervals[name][0]], "name": name, "showlegend": False,
@@ -232,10 +242,12 @@ def _logarithmic(values: Array) -> list[float | None]:
     return [float(f"{v:.3e}") if np.isfinite(v) and v > 0.0 else None for v in values]
 
 
-def coverage_figure(intervals: Mapping[str, Sequence[tuple[float, float]]], excluded: Sequence[tuple[float, float]]) -> Figure:
+def coverage_figure(
+    intervals: Mapping[str, Sequence[tuple[float, float]]], excluded: Sequence[tuple[float, float]]
+) -> Figure:
     """One bar per uninterrupted stretch of each stream, so that gaps are seen; excluded segments are shaded."""
     data = []
-    for i, (name, stretches) in enumerate(reversed(intervals.items())):
+    for i, (name, stretches) in enumerate(list(intervals.items())[::-1]):
         x: list[float | None] = []
         for start, end in stretches:
             x += [round(start, 4), round(end, 4), None]

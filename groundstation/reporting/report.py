@@ -75,4 +75,6 @@ def _header(flight: FlightData) -> str:
 
 
 def _footer() -> str:
-    return element("p", "Intervals are 95 %. World z up; body x forward, y left, z up. SI units unless a prefix is written.")
+    return element(
+        "p", "Intervals are 95 %. World z up; body x forward, y left, z up. SI units unless a prefix is written."
+    )

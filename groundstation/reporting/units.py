@@ -81,14 +81,14 @@ def label(name: str) -> str:
 
 
 def scale_for(unit: str, magnitudes: Iterable[float]) -> Scale:
-    """The prefix, or power of ten, that puts the largest magnitude between 1 and 1000 (engineering notation)."""
+    """The prefix, or power of ten, that puts the largest magnitude between 0.1 and 100 (engineering notation)."""
     largest = max((abs(m) for m in magnitudes if math.isfinite(m)), default=0.0)
     if largest == 0.0 or unit in {"", "°", "Hz", "rpm", "m/s", "m/s²"}:
         return Scale(1.0, unit)
-    exponent = 3 * math.floor(math.log10(largest) / 3 + 1e-12)
+    exponent = 3 * math.floor((math.log10(largest) + 1.0) / 3 + 1e-12)
     if unit == "kg" and -6 <= exponent < 0:
         return Scale(1e3 if exponent == -3 else 1e6, "g" if exponent == -3 else "mg")
-    if exponent == 0 or (0 < exponent <= 3 and largest < 1e4):
+    if exponent == 0 or (largest < 1e4 and exponent > 0):
         return Scale(1.0, unit)
     if unit in _PREFIXED and exponent in _PREFIXES:
         return Scale(10.0**-exponent, _PREFIXES[exponent] + unit)
@@ -130,15 +130,21 @@ def half_width(estimate: Estimate) -> float:
     return width if math.isfinite(width) and width > 0.0 else 1.959964 * estimate.std
 
 
+def interval_text(estimate: Estimate, scale: Scale) -> str:
+    """Value and 95 % half width without the unit: "1.8254 ± 0.0012"; the value alone where nothing is known of its width."""
+    width = half_width(estimate) * scale.factor
+    if width <= 0.0 or not math.isfinite(width):
+        return significant(estimate.value * scale.factor)
+    places = decimals(width)
+    return f"{fixed(estimate.value * scale.factor, places)} ± {fixed(width, places)}"
+
+
 def quantity(name: str, estimate: Estimate) -> str:
     """Value, 95 % half width and unit in one line: "1.8254 ± 0.0012 kg"."""
     _, unit = split_unit(name)
     scale = scale_for(unit, [estimate.value])
-    width = half_width(estimate) * scale.factor
-    if width <= 0.0 or not math.isfinite(width):
-        return f"{significant(estimate.value * scale.factor)} {scale.unit}".strip()
-    places = decimals(width)
-    return f"{fixed(estimate.value * scale.factor, places)} ± {fixed(width, places)} {scale.unit}".strip()
+    text = interval_text(estimate, scale)
+    return f"({text})·{scale.unit}" if scale.unit.startswith("10") else f"{text} {scale.unit}".strip()
 
 
 def percent(ratio: float, places: int = 1) -> str:

@@ -17,20 +17,22 @@
   };
 
   const AXIS = { gridcolor: "@grid", zerolinecolor: "@grid", linecolor: "@muted", automargin: true, ticks: "outside", tickcolor: "@grid" };
+  const titled = (axis) => axis.title ? { ...axis, title: { standoff: 8, font: { size: 13 }, ...axis.title } } : axis;
   const themed = (figure) => {
     const style = getComputedStyle(root);
     const layout = {
       paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", autosize: true,
       font: { family: style.getPropertyValue("--font"), size: 13, color: "@text" },
-      margin: { l: 56, r: 14, t: 14, b: 44 },
+      margin: { l: 56, r: 14, t: 32, b: 44 },
       legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 },
+      modebar: { bgcolor: "rgba(0,0,0,0)", color: "@muted", activecolor: "@accent" },
       hoverlabel: { bgcolor: "@panel", bordercolor: "@grid", font: { color: "@text" } },
       ...figure.layout,
     };
-    for (const key of ["xaxis", "yaxis"]) layout[key] = { ...AXIS, ...(layout[key] || {}) };
+    for (const key of ["xaxis", "yaxis"]) layout[key] = titled({ ...AXIS, ...(layout[key] || {}) });
     if (layout.scene) {
       const scene = { ...layout.scene, bgcolor: "rgba(0,0,0,0)" };
-      for (const key of ["xaxis", "yaxis", "zaxis"]) scene[key] = { gridcolor: "@grid", zerolinecolor: "@grid", ...(scene[key] || {}) };
+      for (const key of ["xaxis", "yaxis", "zaxis"]) scene[key] = { gridcolor: "@grid", zerolinecolor: "@grid", ...titled(scene[key] || {}) };
       layout.scene = scene;
       layout.margin = { l: 0, r: 0, t: 14, b: 0 };
       delete layout.xaxis;
@@ -39,7 +41,10 @@
     return resolve({ data: figure.data, layout }, style);
   };
 
-  const CONFIG = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "toImage"] };
+  const CONFIG = {
+    responsive: true, displaylogo: false, displayModeBar: "hover", showSendToCloud: false, plotlyServerURL: "",
+    modeBarButtonsToRemove: ["select2d", "lasso2d", "toImage", "autoScale2d", "tableRotation", "resetCameraLastSave3d"],
+  };
   const webgl = () => {
     const canvas = document.createElement("canvas");
     return Boolean(canvas.getContext("webgl2") || canvas.getContext("webgl"));

@@ -21,8 +21,20 @@ def add_data(page: Page, flight: FlightData, identification: Identification | No
     """Streams with rates and gaps, clock offset, repairs."""
     streams = flight.streams()
     rows = [(name, *_stream_row(stream)) for name, stream in streams.items()]
-    header = ("stream", "samples", "rate (Hz)", "from (s)", "to (s)", "gaps", "longest gap (s)", "missing", "arrival delay spread (ms)")
-    caption = "Each stream on its own device clock. A gap is a step over five median intervals; missing is what it left out."
+    header = (
+        "stream",
+        "samples",
+        "rate (Hz)",
+        "from (s)",
+        "to (s)",
+        "gaps",
+        "longest gap (s)",
+        "missing",
+        "arrival delay spread (ms)",
+    )
+    caption = (
+        "Each stream on its own device clock. A gap is a step over five median intervals; missing is what it left out."
+    )
     coverage = figures.coverage_figure(
         {name: figures.stretches(stream.t_s) for name, stream in streams.items()},
         identification.excluded_s if identification else (),
@@ -36,7 +48,9 @@ def add_data(page: Page, flight: FlightData, identification: Identification | No
         _clock(identification.clock if identification else None),
         _excluded(identification),
         element("h3", "Quality and repairs"),
-        sentence_list(dict.fromkeys(sentences)) if sentences else element("p", "Nothing had to be repaired.", class_="note"),
+        sentence_list(dict.fromkeys(sentences))
+        if sentences
+        else element("p", "Nothing had to be repaired.", class_="note"),
     )
 
 
@@ -77,7 +91,9 @@ def _clock(clock: Clock | None) -> Markup:
     drift = f"{fixed(1e6 * clock.drift, 1)} ± {fixed(1e6 * 1.959964 * clock.drift_std, 1)} ppm"
     return fragment(
         element("h3", "Clocks"),
-        definition_list([("motion capture − IMU, at the middle of the flight (95 %)", offset), ("drift (95 %)", drift)]),
+        definition_list(
+            [("motion capture − IMU, at the middle of the flight (95 %)", offset), ("drift (95 %)", drift)]
+        ),
     )
 
 
@@ -105,10 +121,7 @@ def add_reproduction(page: Page, flight: FlightData, identification: Identificat
     versions += [(name, metadata.version(name)) for name in ("numpy", "scipy")]
     source = flight.metadata.get("source", flight.name)
     options = "".join(f" --exclude {a:g}:{b:g}" for a, b in identification.excluded_s) if identification else ""
-    commands = "\n".join(
-        [f"groundstation identify {source}{options} --json", f"groundstation diagnose {source}{options} --json"]
-        + [f"groundstation report {source}{options}"]
-    )
+    commands = "\n".join(f"groundstation {command} {source}{options}" for command in ("identify", "diagnose", "report"))
     page.section(
         "reproduce",
         "Reproduce",

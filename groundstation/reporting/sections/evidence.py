@@ -10,7 +10,7 @@ from groundstation.identification.results import MASS_AND_TENSOR, Identification
 from groundstation.reporting import figures
 from groundstation.reporting.markup import Markup, element, fragment
 from groundstation.reporting.page import Page
-from groundstation.reporting.sections.parameters import declared_parameters
+from groundstation.reporting.sections.parameters import parameter_scale
 from groundstation.reporting.sections.tables import error_table
 from groundstation.reporting.units import label, scale_for, split_unit
 
@@ -23,12 +23,26 @@ _CHECKS = {
 
 def key(names: list[str]) -> Markup:
     """A legend that several small figures share: colour and dash as in the figures."""
-    dash_arrays = {"solid": "", "dash": "7 4", "dot": "2 3", "dashdot": "7 3 2 3", "longdash": "11 4", "longdashdot": "11 3 2 3"}
+    dash_arrays = {
+        "solid": "",
+        "dash": "7 4",
+        "dot": "2 3",
+        "dashdot": "7 3 2 3",
+        "longdash": "11 4",
+        "longdashdot": "11 3 2 3",
+    }
     items = []
     for i, name in enumerate(names):
         style = figures.line(i)
         stroke = f"var(--{style['color'][1:]})"
-        drawn = element("line", x1="0", y1="5", x2="34", y2="5", style=f"stroke:{stroke};stroke-width:2.2;stroke-dasharray:{dash_arrays[style['dash']]}")
+        drawn = element(
+            "line",
+            x1="0",
+            y1="5",
+            x2="34",
+            y2="5",
+            style=f"stroke:{stroke};stroke-width:2.2;stroke-dasharray:{dash_arrays[style['dash']]}",
+        )
         items.append(element("li", element("svg", drawn, width="34", height="10", aria_hidden="true"), name))
     return element("ul", items, class_="key")
 
@@ -38,16 +52,19 @@ def add_evolution(page: Page, flight: FlightData, identification: Identification
     moving = {name: m.evolution for name, m in identification.methods.items() if m.evolution is not None}
     if not moving:
         return
-    nominal = declared_parameters(flight.vehicle)
-    truth = declared_parameters(flight.truth) if flight.truth is not None else {}
+    nominal = flight.vehicle.parameters()
+    truth = flight.truth.parameters() if flight.truth is not None else {}
     panels = []
     for name in MASS_AND_TENSOR:
         present = {method: e for method, e in moving.items() if name in e.values}
         if not present:
             continue
-        scale = scale_for(split_unit(name)[1], [e.values[name][-1] for e in present.values()] + [nominal.get(name, 0.0)])
+        scale = parameter_scale(name, identification, nominal)
         lines = [
-            {**figures.trace(e.t_s, scale.factor * e.values[name], method, list(moving).index(method)), "showlegend": False}
+            {
+                **figures.trace(e.t_s, scale.factor * e.values[name], method, list(moving).index(method)),
+                "showlegend": False,
+            }
             for method, e in present.items()
         ]
         shapes = [
@@ -86,7 +103,11 @@ def add_validation(page: Page, identification: Identification) -> None:
     seed = {name: dict(m.rms_output_error) for name, m in identification.methods.items() if m.rms_output_error}
     parts: list[Markup] = [_validation(check, identification.best) for check in identification.validation]
     if seed and not any(check.kind == "output" for check in identification.validation):
-        parts.append(error_table("RMS output prediction error by method.", seed, reference="nominal", improved=identification.best))
+        parts.append(
+            error_table(
+                "RMS output prediction error by method.", seed, reference="nominal", improved=identification.best
+            )
+        )
     if not parts:
         parts = [element("p", "No validation was run on this flight.", class_="note")]
     note = "Improvement is 100 (1 − RMS / RMS of nominal): ▾ the error fell, ▴ it grew."
@@ -95,8 +116,8 @@ def add_validation(page: Page, identification: Identification) -> None:
 
 def _validation(check: Validation, best: str) -> Markup:
     title = _CHECKS.get(check.kind, check.kind.replace("_", " "))
-    sets = dict(check.rms)
-    ordered = {name: sets[name] for name in (["nominal"] if "nominal" in sets else []) + [n for n in sets if n != "nominal"]}
+    order = dict.fromkeys(("nominal", best, *check.rms))
+    ordered = {name: check.rms[name] for name in order if name in check.rms}
     caption = f"RMS over {check.samples} samples. {check.note}".strip()
     return fragment(element("h3", title), error_table(caption, ordered, reference="nominal", improved=best))
 
@@ -118,12 +139,16 @@ def add_residuals(page: Page, diagnosis: Diagnosis | None) -> None:
         largest = max((float(np.nanmax(np.abs(v), initial=0.0)) for v in series.values()), default=0.0)
         scale = scale_for(split_unit(channel)[1], [largest])
         lines = [figures.trace(t, scale.factor * v, name, i) for i, (name, v) in enumerate(series.items())]
-        colour = {name: figures.spectrum(t, scale.factor * v) for name, v in series.items() if np.isfinite(v).sum() > 64}
+        colour = {
+            name: figures.spectrum(t, scale.factor * v) for name, v in series.items() if np.isfinite(v).sum() > 64
+        }
         parts.append(
             element(
                 "div",
                 page.figure(figures.time_figure(lines, scale.unit), f"Residual of {label(channel)}."),
-                page.figure(figures.spectrum_figure(colour, scale.unit), f"Its amplitude density: {label(channel)}.") if colour else None,
+                page.figure(figures.spectrum_figure(colour, scale.unit), f"Its amplitude density: {label(channel)}.")
+                if colour
+                else None,
                 class_="pair",
             )
         )

@@ -23,9 +23,15 @@ def add_flight(page: Page, flight: FlightData, identification: Identification | 
     shapes = _bands(identification)
     parts: list[Markup | None] = []
     if motion is None:
-        parts.append(element("p", "No pose was recorded: position, attitude and tracking cannot be shown.", class_="note"))
+        parts.append(
+            element("p", "No pose was recorded: position, attitude and tracking cannot be shown.", class_="note")
+        )
     else:
-        parts += [_paths(page, motion, identification), _attitude(page, motion, shapes), _tracking(page, motion, identification, shapes)]
+        parts += [
+            _paths(page, motion, identification),
+            _attitude(page, motion, shapes),
+            _tracking(page, motion, identification, shapes),
+        ]
     parts += [_motors(page, flight, shapes), _battery(page, flight, shapes)]
     page.section("flown", "What was flown", *parts)
 
@@ -46,15 +52,24 @@ def in_window(t_s: Array, identification: Identification | None) -> NDArray[np.b
 def _paths(page: Page, motion: Flown, identification: Identification | None) -> Markup:
     here = in_window(motion.t_s, identification)
     here = here if here.sum() > 1 else np.ones(len(here), dtype=bool)
-    path = motion.position_m[here]
-    wanted = motion.wanted[here, :3] if motion.wanted is not None else None
+    path = _broken(motion.t_s[here], motion.position_m[here])
+    wanted = _broken(motion.t_s[here], motion.wanted[here, :3]) if motion.wanted is not None else None
     part = "in the analysed part of the flight" if here.sum() < len(here) else "over the whole flight"
     return element(
         "div",
-        page.figure(figures.path_figure(path, wanted), f"The path {part}, from {motion.source}. Drag to turn, scroll to zoom."),
+        page.figure(
+            figures.path_figure(path, wanted), f"The path {part}, from {motion.source}. Drag to turn, scroll to zoom."
+        ),
         page.figure(figures.plane_figure(path, wanted, 0, 1), "The same from above, equal scales."),
         class_="pair",
     )
+
+
+def _broken(t_s: Array, points: Array) -> Array:
+    """NaN rows in the gaps of a path, so that no line is drawn across what was not seen."""
+    step = np.diff(t_s)
+    cuts = np.flatnonzero(step > 5.0 * np.median(step)) + 1 if len(step) else []
+    return np.insert(points, cuts, np.nan, axis=0)
 
 
 def _attitude(page: Page, motion: Flown, shapes: list[dict]) -> Markup:
@@ -67,7 +82,10 @@ def _attitude(page: Page, motion: Flown, shapes: list[dict]) -> Markup:
         yaw.append(figures.trace(motion.t_s, np.degrees(motion.wanted[:, 3]), "wanted", 1))
     return element(
         "div",
-        page.figure(figures.time_figure(lines, "angle (°)", shapes=shapes), f"Tilt; at most {significant(float(np.nanmax(tilt)), 3)}°."),
+        page.figure(
+            figures.time_figure(lines, "angle (°)", shapes=shapes),
+            f"Tilt; at most {significant(float(np.nanmax(tilt)), 3)}°.",
+        ),
         page.figure(figures.time_figure(yaw, "yaw (°)", shapes=shapes), "Yaw."),
         class_="pair",
     )
@@ -84,8 +102,17 @@ def _tracking(page: Page, motion: Flown, identification: Identification | None, 
         scales = ((1e3, "mm"),) * 3 + ((180.0 / np.pi, "°"),)
         for i, (name, (factor, unit)) in enumerate(zip((*AXES, "yaw"), scales, strict=True)):
             e = factor * error[here, i]
-            rows.append((f"{name} ({unit})", *(significant(float(v)) for v in (np.sqrt(np.mean(e**2)), np.mean(e), np.max(np.abs(e))))))
-    summary = table(f"Tracking error over {here.sum()} poses of the analysed part.", ("axis", "RMS", "mean", "largest"), rows) if rows else None
+            rows.append(
+                (
+                    f"{name} ({unit})",
+                    *(significant(float(v)) for v in (np.sqrt(np.mean(e**2)), np.mean(e), np.max(np.abs(e)))),
+                )
+            )
+    summary = (
+        table(f"Tracking error over {here.sum()} poses of the analysed part.", ("axis", "RMS", "mean", "largest"), rows)
+        if rows
+        else None
+    )
     return fragment(
         element("h3", "Tracking"),
         page.figure(figures.time_figure(lines, "flown − wanted (mm)", shapes=shapes), "Position error."),
@@ -103,7 +130,11 @@ def _motors(page: Page, flight: FlightData, shapes: list[dict]) -> Markup:
         if i < flight.motors.values.shape[1]
     ]
     caption = "What drove the vehicle, on the motors' clock"
-    caption += " (as commanded, not measured)." if kind != "rotor_speed" or flight.vehicle.rotors.speed_source == "command" else " (measured)."
+    caption += (
+        " (as commanded, not measured)."
+        if kind != "rotor_speed" or flight.vehicle.rotors.speed_source == "command"
+        else " (measured)."
+    )
     return fragment(
         element("h3", "Rotors"), page.figure(figures.time_figure(lines, titles[kind], shapes=shapes), caption)
     )

@@ -11,27 +11,12 @@ from groundstation.reporting.markup import Markup, element, fragment, table
 from groundstation.reporting.page import Page
 from groundstation.reporting.sections.tables import estimate_cell, row_name
 from groundstation.reporting.units import Scale, label, percent, scale_for, significant, split_unit
-from groundstation.vehicle import Vehicle
-
-
-def declared_parameters(vehicle: Vehicle) -> dict[str, float]:
-    """Mass, tensor, rotor constants and lag of a declared (or true) vehicle under their parameter names."""
-    inertia, rotors = vehicle.inertia_kg_m2, vehicle.rotors
-    values: dict[str, float | None] = {
-        "mass_kg": vehicle.mass_kg,
-        **{f"i{axes}_kg_m2": getattr(inertia, axes) for axes in ("xx", "xy", "xz", "yy", "yz", "zz")},
-        "thrust_coefficient_n_s2": rotors.thrust_coefficient_n_s2,
-        "torque_to_thrust_m": rotors.torque_to_thrust_m,
-        "rotor_lag_up_s": rotors.lag.up_s,
-        "rotor_lag_down_s": rotors.lag.down_s,
-    }
-    return {name: value for name, value in values.items() if value is not None}
 
 
 def add_parameters(page: Page, flight: FlightData, identification: Identification) -> None:
     """Tables and dot-and-whisker panels."""
-    nominal = declared_parameters(flight.vehicle)
-    truth = declared_parameters(flight.truth) if flight.truth is not None else {}
+    nominal = flight.vehicle.parameters()
+    truth = flight.truth.parameters() if flight.truth is not None else {}
     anchor = (
         "The declared rotor constants fix the scale; mass and inertia are estimated against them."
         if identification.anchor == "thrust"
@@ -65,7 +50,8 @@ def _tensor_scale(identification: Identification, nominal: Mapping[str, float]) 
     return scale_for("kg m²", sizes)
 
 
-def _scale(name: str, identification: Identification, nominal: Mapping[str, float]) -> Scale:
+def parameter_scale(name: str, identification: Identification, nominal: Mapping[str, float]) -> Scale:
+    """One scale for a parameter in all its columns and figures."""
     if name.endswith("kg_m2"):
         return _tensor_scale(identification, nominal)
     sizes = [nominal.get(name, 0.0)]
@@ -95,7 +81,7 @@ def _method_table(identification: Identification, nominal: Mapping[str, float], 
     extra = {n for m in identification.methods.values() for n in m.parameters} - set(MASS_AND_TENSOR)
     rows = []
     for name in (*MASS_AND_TENSOR, *sorted(extra)):
-        scale = _scale(name, identification, nominal)
+        scale = parameter_scale(name, identification, nominal)
         row: list[Markup | str] = [row_name(name, scale), _plain(nominal.get(name), scale)]
         if truth:
             row.append(_plain(truth.get(name), scale))
@@ -119,11 +105,13 @@ def _plain(value: float | None, scale: Scale) -> str:
     return "–" if value is None else significant(value * scale.factor, 5).rstrip("0").rstrip(".") or "0"
 
 
-def _panels(page: Page, identification: Identification, nominal: Mapping[str, float], truth: Mapping[str, float]) -> Markup:
+def _panels(
+    page: Page, identification: Identification, nominal: Mapping[str, float], truth: Mapping[str, float]
+) -> Markup:
     methods = _ordered(identification)
     panels = []
     for name in MASS_AND_TENSOR:
-        scale = _scale(name, identification, nominal)
+        scale = parameter_scale(name, identification, nominal)
         intervals = {}
         for method in methods:
             estimate = identification.methods[method].parameters.get(name)
@@ -133,7 +121,7 @@ def _panels(page: Page, identification: Identification, nominal: Mapping[str, fl
         if not intervals:
             continue
         marks = [scale.factor * source[name] if name in source else None for source in (nominal, truth)]
-        figure = figures.interval_figure(intervals, marks[0], marks[1], f"{label(name)} ({scale.unit})")
+        figure = figures.interval_figure(intervals, marks[0], marks[1], scale.unit)
         panels.append(page.figure(figure, label(name)))
     true = ", solid line: truth" if truth else ""
     return fragment(
@@ -155,14 +143,16 @@ def _model_table(
         return None
     rows = []
     for name, estimate in identification.model.items():
-        scale = _scale(name, identification, nominal)
+        scale = parameter_scale(name, identification, nominal)
         row = [row_name(name, scale), _plain(nominal.get(name), scale)]
         row += [_plain(truth.get(name), scale)] if truth else []
         row += [estimate_cell(name, estimate, scale, _against_truth(name, estimate, truth))]
         rows.append(row)
     header = ["parameter", "declared", *(["true"] if truth else []), "estimate"]
     caption = f"The rest of the model, estimated together with mass and inertia ({identification.best})."
-    return fragment(element("h3", "Rotors, delays and sensors"), table(caption, header, rows, highlight=len(header) - 1))
+    return fragment(
+        element("h3", "Rotors, delays and sensors"), table(caption, header, rows, highlight=len(header) - 1)
+    )
 
 
 def _not_identifiable(identification: Identification) -> Markup | None:

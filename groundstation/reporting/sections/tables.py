@@ -44,7 +44,8 @@ def error_table(
 ) -> Markup:
     """RMS errors by signal (rows) and parameter set (columns), each with its improvement over ``reference``.
 
-    The improvement is 100 (1 - RMS / RMS of the reference), as in the seed paper's Tables 4-6: positive is better.
+    The improvement is 100 (1 - RMS / RMS of the reference), as in the seed paper's Tables 4-6: positive is better. Columns
+    left of the reference get none.
     """
     signals = list(dict.fromkeys(signal for errors in sets.values() for signal in errors))
     columns = list(sets)
@@ -52,7 +53,8 @@ def error_table(
     for signal in signals:
         scale = scale_for(split_unit(signal)[1], [errors.get(signal, 0.0) for errors in sets.values()])
         base = sets.get(reference, {}).get(signal)
-        cells = [_error_cell(sets[c].get(signal), base if c != reference else None, scale) for c in columns]
+        first = columns.index(reference) + 1 if reference in columns else len(columns)
+        cells = [_error_cell(sets[c].get(signal), base if i >= first else None, scale) for i, c in enumerate(columns)]
         rows.append([row_name(signal, scale), *cells])
     highlight = 1 + columns.index(improved) if improved in columns else None
     return table(caption, ["signal", *columns], rows, highlight=highlight)

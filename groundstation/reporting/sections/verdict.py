@@ -10,8 +10,16 @@ from groundstation.identification.results import Estimate, Identification
 from groundstation.reporting import figures
 from groundstation.reporting.markup import Markup, element, fragment, sentence_list, table
 from groundstation.reporting.page import Page
-from groundstation.reporting.sections.tables import error_table, estimate_cell
-from groundstation.reporting.units import label, percent, quantity, significant, split_unit
+from groundstation.reporting.sections.tables import error_table, estimate_cell, row_name
+from groundstation.reporting.units import (
+    interval_text,
+    label,
+    percent,
+    quantity,
+    scale_for,
+    significant,
+    split_unit,
+)
 
 VERDICTS: Mapping[str, str] = {
     "clean": "Clean: mass, inertia and the declared constants explain this flight down to its noise.",
@@ -74,11 +82,13 @@ def _cards(identification: Identification) -> Markup:
     shown = ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
     present = [(n, best.parameters[n]) for n in shown if n in best.parameters] if best else []
     present += [(n, e) for n, e in identification.model.items() if n.startswith("rotor_lag")][:1]
-    return element(
-        "div",
-        [element("div", element("b", quantity(n, e)), element("span", label(n)), class_="card") for n, e in present],
-        class_="cards",
-    )
+    return element("div", [_card(name, estimate) for name, estimate in present], class_="cards")
+
+
+def _card(name: str, estimate: Estimate) -> Markup:
+    scale = scale_for(split_unit(name)[1], [estimate.value])
+    number = element("b", interval_text(estimate, scale))
+    return element("div", element("span", label(name)), number, element("span", scale.unit), class_="card")
 
 
 def _findings(findings: tuple[Finding, ...]) -> Markup | None:
@@ -92,7 +102,9 @@ def _findings(findings: tuple[Finding, ...]) -> Markup | None:
         rivals = ", ".join(effect_name(a).lower() for a in finding.alternatives)
         doubt = element("p", f"This flight cannot tell it from: {rivals}.", class_="note") if rivals else None
         items.append(
-            element("li", element("h3", effect_name(finding.effect), where), element("p", finding.evidence), tags, doubt)
+            element(
+                "li", element("h3", effect_name(finding.effect), where), element("p", finding.evidence), tags, doubt
+            )
         )
     return fragment(
         element("h3", "Findings, in the order in which they reduce the error"), element("ol", items, class_="findings")
@@ -126,14 +138,13 @@ def _before_after(page: Page, diagnosis: Diagnosis) -> Markup | None:
             }
             if "before" not in known:
                 continue
-            after = known.get("after")
-            if after:
-                parts.append(_relative(page, known, title))
             caption = (
-                f"RMS, {check.replace('_', ' ')} data: {title}. Before: mass and inertia re-estimated on the same training "
-                "blocks without the effects. After: with them. Nominal: the vehicle as declared."
+                f"RMS, {check.replace('_', '-')} data: {title}. Before: mass and inertia re-estimated on the same training "
+                "blocks without the effects. After: with them (▾ the error fell). Nominal: the vehicle as declared."
             )
-            parts.append(error_table(caption, known, reference="before", improved="after"))
+            rms = error_table(caption, known, reference="before", improved="after")
+            figure = _relative(page, known, title) if known.get("after") else None
+            parts.append(element("div", rms, figure, class_="pair"))
     return fragment(element("h3", "Error before and after"), parts) if parts else None
 
 
@@ -153,20 +164,26 @@ def _bias(diagnosis: Diagnosis) -> Markup | None:
     shared = [name for name in after if name in before]
     if not shared:
         return None
-    rows = [
-        (_name(name), estimate_cell(name, before[name]), estimate_cell(name, after[name]), _shift(before[name], after[name]))
-        for name in shared
-    ]
-    caption = "Parameters with the effects left out and put in: the difference is the bias that leaving them out causes."
+    trace = sum(abs(after[n].value) for n in ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2") if n in after)
+    tensor = scale_for("kg m²", [e.value for n, e in (*before.items(), *after.items()) if n.endswith("kg_m2")])
+    rows = []
+    for name in shared:
+        scale = tensor if name.endswith("kg_m2") else scale_for(split_unit(name)[1], [before[name].value])
+        cells = [estimate_cell(name, source[name], scale) for source in (before, after)]
+        rows.append((row_name(name, scale), *cells, _bias_share(name, before[name], after[name], trace)))
+    caption = (
+        "Parameters with the effects left out and put in: the difference is the bias that leaving them out causes."
+    )
     return table(caption, ("parameter", "effects left out", "effects put in", "bias removed"), rows)
 
 
-def _name(name: str) -> Markup:
-    return fragment(label(name), element("small", split_unit(name)[1]))
-
-
-def _shift(before: Estimate, after: Estimate) -> str:
-    return percent((before.value - after.value) / abs(after.value), 2) if after.value else "–"
+def _bias_share(name: str, before: Estimate, after: Estimate, trace: float) -> str:
+    """The shift as a share of the value; of products as a share of the tensor's trace."""
+    product = name in {"ixy_kg_m2", "ixz_kg_m2", "iyz_kg_m2"}
+    size = trace if product else abs(after.value)
+    if size == 0.0:
+        return "–"
+    return percent((before.value - after.value) / size, 2) + (" of trace" if product else "")
 
 
 def _next_flight(diagnosis: Diagnosis) -> Markup | None:
