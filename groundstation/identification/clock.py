@@ -1,0 +1,80 @@
+"""Coarse alignment of two clocks from rotation rates, before any model: which shift makes the two motions agree."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.errors import Refused
+from groundstation.frames import quat_conjugate, quat_log, quat_multiply
+
+Array = NDArray[np.float64]
+
+GRID_HZ = 200.0
+SMOOTHING_HZ = 8.0
+
+
+def rates_from_attitude(t_s: Array, quaternion: Array) -> tuple[Array, Array]:
+    """Mean body rates between successive attitudes and the times between them, shapes (k-1, 3) and (k-1,)."""
+    dt = np.diff(t_s)
+    step = quat_log(quat_multiply(quat_conjugate(quaternion[:-1]), quaternion[1:]))
+    return step / dt[:, None], 0.5 * (t_s[1:] + t_s[:-1])
+
+
+def coarse_offset(
+    t_gyro: Array, gyro: Array, t_pose: Array, quaternion: Array, *, expected_s: float = 0.0
+) -> tuple[float, float]:
+    """Pose stamp minus gyro stamp of one instant, to a few milliseconds, by correlating smoothed rates.
+
+    Args:
+        expected_s: centre of the search, e.g. from arrival times; the search goes as far as half of each record overlaps.
+
+    Returns:
+        Offset in seconds and the correlation coefficient there.
+
+    Raises:
+        Refused: the records share no motion to align by.
+    """
+    from scipy.signal import butter, correlate, sosfiltfilt
+
+    pose_rate, t_mid = rates_from_attitude(t_pose, quaternion)
+    step = 1.0 / GRID_HZ
+    grid_g = np.arange(t_gyro[0], t_gyro[-1], step)
+    grid_p = np.arange(t_mid[0], t_mid[-1], step)
+    if min(len(grid_g), len(grid_p)) < GRID_HZ:
+        raise Refused("the clocks cannot be aligned: a record is shorter than a second.", "Record the whole flight.")
+    low_pass = butter(4, SMOOTHING_HZ, fs=GRID_HZ, output="sos")
+
+    def smooth(grid: Array, t: Array, rate: Array) -> Array:
+        on_grid = np.stack([np.interp(grid, t, c) for c in rate.T], axis=-1)
+        limit = 8.0 * np.median(np.abs(on_grid), axis=0) + 0.5
+        return sosfiltfilt(low_pass, np.clip(on_grid, -limit, limit), axis=0)
+
+    a, b = smooth(grid_g, t_gyro, gyro), smooth(grid_p, t_mid, pose_rate)
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    total = np.asarray(sum(correlate(b[:, i], a[:, i], method="fft") for i in range(3)))
+    lags = np.arange(-(len(a) - 1), len(b))
+    # energies of the overlapping parts, so that a short overlap is not punished or favoured by its length
+    ones_a, ones_b = np.ones(len(a)), np.ones(len(b))
+    energy = np.sqrt(
+        np.maximum(correlate((b**2).sum(axis=1), ones_a, method="fft"), 0.0)
+        * np.maximum(correlate(ones_b, (a**2).sum(axis=1), method="fft"), 0.0)
+    )
+    overlap = correlate(ones_b, ones_a, method="fft")
+    enough = overlap > 0.5 * min(len(a), len(b))
+    coefficient = np.where(enough, total / np.maximum(energy, 1e-9 * energy.max() + 1e-30), -1.0)
+    offsets = lags * step + grid_p[0] - grid_g[0]
+    # Far from what arrival times say, the evidence has to be better: a periodic excitation repeats itself.
+    score = coefficient - 0.02 * np.abs(offsets - expected_s)
+    best = int(np.argmax(score))
+    if coefficient[best] < 0.3:
+        raise Refused(
+            f"the clocks of motion capture and IMU cannot be aligned: their rates correlate by {coefficient[best]:.2f} at best.",
+            "Fly with rotation about at least one axis, and check that both streams are of the same vehicle.",
+        )
+    if 0 < best < len(total) - 1:
+        y0, y1, y2 = total[best - 1 : best + 2]
+        shift = 0.5 * (y0 - y2) / (y0 - 2 * y1 + y2) if y0 - 2 * y1 + y2 < 0 else 0.0
+    else:
+        shift = 0.0
+    return float(offsets[best] + shift * step), float(coefficient[best])

@@ -1,0 +1,235 @@
+r"""Coloured disturbance and sensor noise of one channel, and the innovations they leave.
+
+Every flight has a disturbance d(t) of its own (draughts, blade wash), coloured and of unknown size. With the rates as
+output, z = omega_measured - integral of the model = integral of d + white noise; with the accelerometer as output, z = d +
+white noise. Both are small state models; the Kalman filter turns z, and every column of sensitivities, into
+one-step innovations. A prediction error estimate from those is consistent in closed loop (Ljung, System Identification,
+2nd ed., section 13.4), which a regression on the wrench is not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Colour:
+    """Noise of one channel.
+
+    Attributes:
+        disturbance: standard deviation of the Ornstein-Uhlenbeck disturbance (rad/s^2 or m/s^2).
+        correlation_s: its correlation time.
+        process: spectral density root of white acceleration noise, e.g. of noisy rotor speeds (per sqrt(Hz)).
+        sensor: standard deviation of the white measurement noise of one sample.
+    """
+
+    disturbance: float
+    correlation_s: float
+    process: float
+    sensor: float
+
+    def logarithms(self) -> Array:
+        """The vector the likelihood is searched in, shape (4,)."""
+        return np.log([self.disturbance, self.correlation_s, self.process, self.sensor])
+
+    @classmethod
+    def from_logarithms(cls, vector: Array) -> Colour:
+        """Inverse of :meth:`logarithms`."""
+        return cls(*(float(v) for v in np.exp(vector)))
+
+
+@njit(cache=True)
+def _integrated_innovations(z: Array, dt: Array, restart: NDArray[np.bool_], noise: Array) -> tuple[Array, Array]:
+    """Innovations and their variances of z = integral(d + white) + white; state [integral, d]; diffuse at restarts.
+
+    z has shape (k, m): the first column drives nothing special, all columns pass the same filter. dt[i] is the time
+    from sample i - 1 to i. Variances at restarts are infinite (the level is unknown there).
+    """
+    sigma, tau, q, r = noise
+    k, m = z.shape
+    out = np.zeros((k, m))
+    variance = np.empty(k)
+    x = np.zeros((2, m))
+    p00, p01, p11 = 0.0, 0.0, sigma * sigma
+    for i in range(k):
+        if restart[i] or i == 0:
+            for j in range(m):
+                x[0, j] = z[i, j]
+                x[1, j] = 0.0
+            p00, p01, p11 = r * r, 0.0, sigma * sigma
+            variance[i] = np.inf
+            continue
+        h = dt[i]
+        phi = np.exp(-h / tau)
+        g = tau * (1.0 - phi)
+        # exact covariance of (integral over h, end value) driven by the Ornstein-Uhlenbeck noise
+        s2 = sigma * sigma
+        q11 = s2 * (1.0 - phi * phi)
+        q01 = s2 * tau * (1.0 - phi) * (1.0 - phi)
+        q00 = s2 * tau * (2.0 * h - tau * (3.0 - 4.0 * phi + phi * phi)) + q * q * h
+        if q00 < q * q * h:
+            q00 = q * q * h
+        n00 = p00 + 2.0 * g * p01 + g * g * p11 + q00
+        n01 = phi * (p01 + g * p11) + q01
+        n11 = phi * phi * p11 + q11
+        s = n00 + r * r
+        k0, k1 = n00 / s, n01 / s
+        for j in range(m):
+            x0 = x[0, j] + g * x[1, j]
+            x1 = phi * x[1, j]
+            e = z[i, j] - x0
+            out[i, j] = e
+            x[0, j] = x0 + k0 * e
+            x[1, j] = x1 + k1 * e
+        p00, p01, p11 = n00 - k0 * n00, n01 - k0 * n01, n11 - k1 * n01
+        variance[i] = s
+    return out, variance
+
+
+@njit(cache=True)
+def _direct_innovations(z: Array, dt: Array, restart: NDArray[np.bool_], noise: Array) -> tuple[Array, Array]:
+    """Innovations and their variances of z = d + white, with stationary start at restarts. Shapes as above."""
+    sigma, tau, q, r = noise
+    k, m = z.shape
+    out = np.empty((k, m))
+    variance = np.empty(k)
+    x = np.zeros(m)
+    p = sigma * sigma
+    for i in range(k):
+        h = dt[i]
+        if restart[i] or i == 0:
+            x[:] = 0.0
+            p = sigma * sigma
+            h = 1.0
+        else:
+            phi = np.exp(-h / tau)
+            for j in range(m):
+                x[j] *= phi
+            p = phi * phi * p + sigma * sigma * (1.0 - phi * phi)
+        s = p + r * r + q * q / h
+        gain = p / s
+        for j in range(m):
+            e = z[i, j] - x[j]
+            out[i, j] = e
+            x[j] += gain * e
+        p -= gain * p
+        variance[i] = s
+    return out, variance
+
+
+def innovations(
+    z: Array, dt: Array, restart: NDArray[np.bool_], colour: Colour, *, integrated: bool
+) -> tuple[Array, Array]:
+    """One-step innovations of each column of z and their variances.
+
+    Args:
+        z: residual and sensitivities, shape (k, m).
+        dt: time since the previous sample, shape (k,).
+        restart: True where a new segment begins.
+        integrated: the channel is a rate (disturbance enters through its integral), not an acceleration.
+
+    Returns:
+        Innovations (k, m), variances (k,) with inf where a level was only initialised.
+    """
+    kernel = _integrated_innovations if integrated else _direct_innovations
+    noise = np.array([colour.disturbance, colour.correlation_s, colour.process, colour.sensor])
+    return kernel(np.ascontiguousarray(z), dt, restart, noise)
+
+
+def minus_log_likelihood(residual: Array, dt: Array, restart: NDArray[np.bool_], colour: Colour, integrated: bool) -> float:
+    """Half the Gaussian minus-log-likelihood of a residual, robustified (pseudo-Huber at 4 sigma), constants dropped."""
+    e, s = innovations(residual[:, None], dt, restart, colour, integrated=integrated)
+    keep = np.isfinite(s)
+    square = e[keep, 0] ** 2 / s[keep]
+    loss = 2.0 * 16.0 * (np.sqrt(1.0 + square / 16.0) - 1.0)
+    return 0.5 * float(np.sum(np.log(s[keep])) + np.sum(loss))
+
+
+def fit_colour(
+    residual: Array, dt: Array, restart: NDArray[np.bool_], *, integrated: bool, start: Colour | None = None
+) -> Colour:
+    """Most likely noise of a channel from its residual, within wide physical bounds.
+
+    Args:
+        residual: z of the module's docstring, shape (k,).
+        start: a previous fit to begin from.
+    """
+    from scipy.optimize import minimize
+
+    step = float(np.median(dt[1:]))
+    length = float(np.sum(dt[1:]))
+    difference = np.diff(residual)
+    scale = float(1.4826 * np.median(np.abs(difference - np.median(difference)))) + 1e-12
+    spread = float(np.std(residual - np.median(residual))) + 1e-12
+    if start is None:
+        rough = scale / step * 0.1 if integrated else spread
+        starts = [
+            Colour(rough, 0.5, scale / np.sqrt(step) * 0.2, 0.6 * scale),
+            Colour(rough, 0.05, scale / np.sqrt(step) * 0.05, 0.6 * scale),
+        ]
+    else:
+        starts = [start]
+    unit = scale / step if integrated else spread
+    floor = np.log([1e-5 * unit, 2.0 * step, 1e-5 * unit * np.sqrt(step), 1e-4 * scale])
+    ceiling = np.log([1e3 * unit, max(length / 4.0, 4.0 * step), 1e2 * unit * np.sqrt(step), 1e2 * scale])
+
+    def cost(vector: Array) -> float:
+        return minus_log_likelihood(
+            residual, dt, restart, Colour.from_logarithms(np.clip(vector, floor, ceiling)), integrated
+        )
+
+    best = None
+    for colour in starts:
+        first = np.clip(colour.logarithms(), floor + 0.1, ceiling - 0.1)
+        found = minimize(
+            cost,
+            first,
+            method="L-BFGS-B",
+            bounds=list(zip(floor, ceiling, strict=True)),
+            options={"maxiter": 40 if start is None else 15, "ftol": 1e-7, "eps": 1e-3},
+        )
+        if best is None or found.fun < best.fun:
+            best = found
+    assert best is not None
+    return Colour.from_logarithms(np.clip(best.x, floor, ceiling))
+
+
+def whitening_polynomial(innovation: Array, restart: NDArray[np.bool_], highest: int = 24) -> Array:
+    """Coefficients [1, -a_1, ...] of the autoregression that takes what colour the state model left, by BIC.
+
+    Burg's recursion on normalised innovations; order 0 (just [1.0]) when nothing is gained. Outliers are clipped at 5
+    sigma so that a spike does not shape the filter.
+    """
+    x = np.clip(innovation, -5.0, 5.0)
+    k = len(x)
+    forward, backward = x.copy(), x.copy()
+    polynomial = np.array([1.0])
+    error = float(np.mean(x**2))
+    best_cost, best = k * np.log(error), polynomial
+    for order in range(1, min(highest, k // 20) + 1):
+        f, b = forward[1:], backward[:-1]
+        ok = ~restart[order:]
+        denominator = float(np.sum((f**2 + b**2)[ok[-len(f) :]]))
+        if denominator <= 0.0:
+            break
+        reflection = -2.0 * float(np.sum((f * b)[ok[-len(f) :]])) / denominator
+        forward, backward = f + reflection * b, b + reflection * f
+        polynomial = np.concatenate([polynomial, [0.0]]) + reflection * np.concatenate([[0.0], polynomial[::-1]])
+        error *= 1.0 - reflection**2
+        cost = k * np.log(error) + order * np.log(k)
+        if cost < best_cost:
+            best_cost, best = cost, polynomial
+    return best
+
+
+def apply_polynomial(polynomial: Array, columns: Array) -> Array:
+    """Filter columns by a moving-average polynomial along the first axis, shape kept."""
+    from scipy.signal import lfilter
+
+    return columns if len(polynomial) == 1 else lfilter(polynomial, [1.0], columns, axis=0)

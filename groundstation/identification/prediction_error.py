@@ -1,0 +1,472 @@
+r"""Prediction error estimate of mass, tensor, rotor lag and delay with the flight's own coloured disturbance.
+
+Rates and specific force are the outputs, rotor thrusts the inputs, seen through a lag and a delay:
+
+    omega(t) = omega(0) + J^-1 H(t) + integral of d_tau,    H = integral of (tau(T) - c x T e_z - omega x J omega)
+    f_z(t) = T / m + b_z + d_F
+
+d are Ornstein-Uhlenbeck disturbances of unknown size and colour, estimated along with the parameters. Innovations from a Kalman
+filter per channel (``noise``) make the estimate a maximum-likelihood one and consistent although the controller feeds the
+disturbance back into the thrusts (Ljung 1999, ch. 7 and 13.4). omega x J omega uses the measured rates, whose noise
+is a part in a thousand there. Sensitivities are analytic, those of lag and delay are differences of the exact lag.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.identification.noise import (
+    Colour,
+    apply_polynomial,
+    fit_colour,
+    innovations,
+    whitening_polynomial,
+)
+from groundstation.model.rotors import MotorInput, cumulative, declared_thrust, interpolate_columns, wrench_matrix
+from groundstation.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+TENSOR = ("ixx_kg_m2", "ixy_kg_m2", "ixz_kg_m2", "iyy_kg_m2", "iyz_kg_m2", "izz_kg_m2")
+_BASIS = np.zeros((6, 3, 3))
+for _index, (_i, _j) in enumerate([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]):
+    _BASIS[_index, _i, _j] = _BASIS[_index, _j, _i] = 1.0
+FORCE_CHANNELS = (3, 4, 5)
+CHANNELS = ("torque_x_nm", "torque_y_nm", "torque_z_nm", "force_x_n", "force_y_n", "force_z_n")
+
+
+@dataclass(frozen=True, slots=True)
+class DynamicRecord:
+    """One flight's data for the dynamic fit, at the IMU's stamps (the IMU's clock).
+
+    Attributes:
+        t_s: stamps, (k,). keep: samples inside the window and outside exclusions, (k,).
+        rate_rad_s: rates less their bias, (k, 3).
+        force_m_s2: specific force of the declared origin less bias and lever arm, (k, 3); NaN when there is no accelerometer.
+        force_bias_std: what is left unknown of the bias, (3,).
+        motors: on the motors' clock.
+        block: samples averaged into one for the fit, the same on both sides of the equation.
+    """
+
+    vehicle: Vehicle
+    t_s: Array
+    keep: Mask
+    rate_rad_s: Array
+    force_m_s2: Array
+    force_bias_std: Array
+    motors: MotorInput
+    block: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class BodyWrench:
+    """An extra force and torque about the declared origin per unit of one parameter, body axes, at the IMU's stamps.
+
+    ``value`` has shape (k, 6): force (N) then torque (N m). ``prior_std`` regularises the coefficient about ``prior``.
+    """
+
+    name: str
+    value: Array
+    prior_std: float = np.inf
+    prior: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """The state of the fit in physical units; ``extra`` holds the coefficients of the BodyWrench terms."""
+
+    mass_kg: float
+    tensor: Array
+    lag_up_s: float
+    lag_down_s: float
+    delay_s: float
+    com_m: Array
+    yaw_trim_nm: float
+    force_bias_m_s2: Array
+    extra: Array = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """A finished fit. ``covariance`` is of ``names``; ``colours`` and ``whiteners`` are per channel."""
+
+    parameters: Parameters
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    colours: tuple[Colour, ...]
+    whiteners: tuple[Array, ...]
+    cost: float
+    information_gain: float
+    residual_rms: Array
+    samples: int
+    iterations: int
+
+    def std(self, name: str) -> float:
+        """Standard deviation of one parameter."""
+        index = self.names.index(name)
+        return float(np.sqrt(self.covariance[index, index]))
+
+    def value(self, name: str) -> float:
+        """Value of one parameter."""
+        return float(self.values[self.names.index(name)])
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the fit is free to change.
+
+    ``torque_axes`` and ``use_force`` select output channels; ``lag`` and ``delay`` free those parameters.
+    """
+
+    lag: bool = True
+    symmetric_lag: bool = False
+    delay: bool = True
+    com: bool = True
+    yaw_trim: bool = True
+    channels: tuple[int, ...] = (0, 1, 2, 5)
+    colour_rounds: int = 3
+    autoregression: int = 24
+
+
+class RecordModel:
+    """Predicted outputs of one record and their sensitivities. Built once per flight; pure in the parameters."""
+
+    def __init__(self, record: DynamicRecord, extra: Sequence[BodyWrench] = ()):
+        self.record = record
+        self.extra = tuple(extra)
+        self._matrix = wrench_matrix(record.vehicle)
+        block = record.block
+        index = np.flatnonzero(record.keep)
+        runs = np.split(index, np.flatnonzero(np.diff(index) > 1) + 1)
+        nominal = float(np.median(np.diff(record.t_s)))
+        blocks: list[Array] = []
+        restarts: list[bool] = []
+        for run in runs:
+            gaps = np.flatnonzero(np.diff(record.t_s[run]) > 3.5 * nominal) + 1
+            for part in np.split(run, gaps):
+                count = len(part) // block
+                if count < 8:
+                    continue
+                blocks.append(part[: count * block].reshape(count, block))
+                restarts += [True] + [False] * (count - 1)
+        self.members = np.concatenate(blocks) if blocks else np.zeros((0, block), dtype=int)
+        self.restart = np.array(restarts, dtype=bool)
+        self.t_s = record.t_s[self.members].mean(axis=1) if len(self.members) else np.zeros(0)
+        self.dt = np.concatenate([[nominal * block], np.maximum(np.diff(self.t_s), 1e-4)]) if len(self.t_s) else self.t_s
+        dt = np.concatenate([[0.0], np.diff(record.t_s)])
+        self._dt = dt
+        rate = record.rate_rad_s
+        products = np.stack([np.cross(rate, rate @ basis) for basis in _BASIS], axis=-1)  # (k, 3, 6)
+        self._gyroscopic = self._integrate(products.reshape(len(rate), -1)).reshape(len(rate), 3, 6)
+        self._elapsed = (record.t_s - record.t_s[0])[:, None]
+        self._extra_torque = [self._integrate(term.value[:, 3:]) for term in self.extra]
+        self._extra_impulse = [self._integrate(term.value[:, :3]) for term in self.extra]
+        self.rate = self.average(rate)
+        self.force = self.average(record.force_m_s2)
+
+    def _integrate(self, values: Array) -> Array:
+        mean = 0.5 * (values[1:] + values[:-1]) * self._dt[1:, None]
+        return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(mean, axis=0)])
+
+    def average(self, values: Array) -> Array:
+        """Block means of samples at the IMU's stamps, shape (blocks, ...)."""
+        return values[self.members].mean(axis=1)
+
+    def thrusts(self, up_s: float, down_s: float, delay_s: float) -> tuple[Array, Array]:
+        """[F_z, tau] at the IMU's stamps and their running integrals, shapes (k, 4), by the declared constants."""
+        motors = self.record.motors
+        lagged = motors.lagged(up_s, down_s)
+        wrench = declared_thrust(self.record.vehicle, lagged) @ self._matrix.T
+        held = not motors.measured and up_s <= 1e-6 and down_s <= 1e-6
+        query = self.record.t_s - delay_s
+        integral = cumulative(wrench, motors.step_s, held=held)
+        return (
+            interpolate_columns(query, motors.start_s, motors.step_s, wrench),
+            interpolate_columns(query, motors.start_s, motors.step_s, integral),
+        )
+
+    def evaluate(self, p: Parameters, options: Options) -> tuple[Array, Array, tuple[str, ...]]:
+        """Residuals (blocks, 6) and sensitivities d(prediction)/d(parameter) (blocks, 6, P) at ``p``, with names."""
+        inverse = np.linalg.inv(p.tensor)
+        wrench, impulse = self.thrusts(p.lag_up_s, p.lag_down_s, p.delay_s)
+        thrust, thrust_integral = wrench[:, :1], impulse[:, :1]
+        lever = np.stack([-p.com_m[1], p.com_m[0]])
+        torque = impulse[:, 1:] - self._gyroscopic @ np.array([p.tensor[i, j] for i, j in _PAIRS])
+        torque[:, :2] += lever * thrust_integral
+        torque[:, 2:] += p.yaw_trim_nm * self._elapsed
+        force = np.zeros((len(thrust), 3))
+        force[:, 2:] = thrust
+        for coefficient, term, integral, push in zip(
+            p.extra, self.extra, self._extra_torque, self._extra_impulse, strict=True
+        ):
+            torque += coefficient * (integral - np.cross(p.com_m, push))
+            force += coefficient * term.value[:, :3]
+        rate = torque @ inverse.T
+        specific = force / p.mass_kg + p.force_bias_m_s2
+        residual = np.concatenate([self.rate - self.average(rate), self.force - self.average(specific)], axis=1)
+
+        names: list[str] = []
+        columns: list[Array] = []
+        blank = np.zeros((len(thrust), 3))
+
+        def add(name: str, d_rate: Array, d_force: Array) -> None:
+            names.append(name)
+            columns.append(self.average(np.concatenate([d_rate, d_force], axis=1)))
+
+        add("mass_kg", blank, -force / p.mass_kg**2)
+        for name, basis, column in zip(TENSOR, _BASIS, np.moveaxis(self._gyroscopic, -1, 0), strict=True):
+            add(name, -(rate @ basis.T + column) @ inverse.T, blank)
+
+        def thrust_sensitivity(d_wrench: Array, d_impulse: Array) -> tuple[Array, Array]:
+            d_torque = d_impulse[:, 1:].copy()
+            d_torque[:, :2] += lever * d_impulse[:, :1]
+            d_force = blank.copy()
+            d_force[:, 2] = d_wrench[:, 0] / p.mass_kg
+            return d_torque @ inverse.T, d_force
+
+        if options.delay:
+            step = 1e-3
+            later = self.thrusts(p.lag_up_s, p.lag_down_s, p.delay_s + step)
+            add("input_delay_s", *thrust_sensitivity((later[0] - wrench) / step, (later[1] - impulse) / step))
+        if options.lag:
+            up, down = p.lag_up_s, p.lag_down_s
+            step = max(1e-3, 0.02 * max(up, down))
+            if options.symmetric_lag:
+                more = self.thrusts(up + step, down + step, p.delay_s)
+                add("rotor_lag_s", *thrust_sensitivity((more[0] - wrench) / step, (more[1] - impulse) / step))
+            else:
+                more = self.thrusts(up + step, down, p.delay_s)
+                add("rotor_lag_up_s", *thrust_sensitivity((more[0] - wrench) / step, (more[1] - impulse) / step))
+                more = self.thrusts(up, down + step, p.delay_s)
+                add("rotor_lag_down_s", *thrust_sensitivity((more[0] - wrench) / step, (more[1] - impulse) / step))
+        if options.com:
+            d = blank.copy()
+            d[:, 1] = thrust_integral[:, 0]
+            add("com_offset_x_m", d @ inverse.T, blank)
+            d = blank.copy()
+            d[:, 0] = -thrust_integral[:, 0]
+            add("com_offset_y_m", d @ inverse.T, blank)
+        if options.yaw_trim:
+            d = blank.copy()
+            d[:, 2] = self._elapsed[:, 0]
+            add("yaw_trim_nm", d @ inverse.T, blank)
+        for axis, letter in enumerate("xyz"):
+            if axis + 3 in options.channels:
+                d = blank.copy()
+                d[:, axis] = 1.0
+                add(f"accel_bias_{letter}_m_s2", blank, d)
+        for term, integral, push in zip(self.extra, self._extra_torque, self._extra_impulse, strict=True):
+            add(term.name, (integral - np.cross(p.com_m, push)) @ inverse.T, term.value[:, :3] / p.mass_kg)
+        return residual, np.stack(columns, axis=-1), tuple(names)
+
+
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+def initial_parameters(vehicle: Vehicle, *, lag_s: float, extra: int = 0) -> Parameters:
+    """The declared vehicle with a starting lag (where none is declared)."""
+    lag = vehicle.rotors.lag
+    return Parameters(
+        mass_kg=vehicle.mass_kg,
+        tensor=vehicle.inertia_tensor(),
+        lag_up_s=lag.up_s or lag_s,
+        lag_down_s=lag.down_s or lag_s,
+        delay_s=0.0,
+        com_m=np.zeros(3),
+        yaw_trim_nm=0.0,
+        force_bias_m_s2=np.zeros(3),
+        extra=np.zeros(extra),
+    )
+
+
+def _current(p: Parameters, names: Sequence[str], extra_names: Sequence[str]) -> Array:
+    table = {
+        "mass_kg": p.mass_kg,
+        **{name: p.tensor[i, j] for name, (i, j) in zip(TENSOR, _PAIRS, strict=True)},
+        "input_delay_s": p.delay_s,
+        "rotor_lag_s": p.lag_up_s,
+        "rotor_lag_up_s": p.lag_up_s,
+        "rotor_lag_down_s": p.lag_down_s,
+        "com_offset_x_m": p.com_m[0],
+        "com_offset_y_m": p.com_m[1],
+        "yaw_trim_nm": p.yaw_trim_nm,
+        **{f"accel_bias_{a}_m_s2": b for a, b in zip("xyz", p.force_bias_m_s2, strict=True)},
+        **dict(zip(extra_names, p.extra, strict=True)),
+    }
+    return np.array([table[name] for name in names], dtype=float)
+
+
+def _moved(p: Parameters, names: Sequence[str], values: Array, extra_names: Sequence[str]) -> Parameters:
+    v = dict(zip(names, values, strict=True))
+    tensor = sum(v[name] * basis for name, basis in zip(TENSOR, _BASIS, strict=True))
+    up = v.get("rotor_lag_s", v.get("rotor_lag_up_s", p.lag_up_s))
+    down = v.get("rotor_lag_s", v.get("rotor_lag_down_s", p.lag_down_s))
+    return replace(
+        p,
+        mass_kg=v["mass_kg"],
+        tensor=np.asarray(tensor),
+        lag_up_s=float(np.clip(up, 0.0, 0.5)),
+        lag_down_s=float(np.clip(down, 0.0, 0.5)),
+        delay_s=v.get("input_delay_s", p.delay_s),
+        com_m=np.array([v.get("com_offset_x_m", p.com_m[0]), v.get("com_offset_y_m", p.com_m[1]), p.com_m[2]]),
+        yaw_trim_nm=v.get("yaw_trim_nm", p.yaw_trim_nm),
+        force_bias_m_s2=np.array([v.get(f"accel_bias_{a}_m_s2", b) for a, b in zip("xyz", p.force_bias_m_s2, strict=True)]),
+        extra=np.array([v[name] for name in extra_names]),
+    )
+
+
+def _priors(record: DynamicRecord, p0: Parameters, names: Sequence[str], extra: Sequence[BodyWrench]) -> tuple[Array, Array]:
+    """Weak prior means and standard deviations that keep an unexcited direction finite; far wider than any claim."""
+    trace = float(np.trace(p0.tensor))
+    arm = record.vehicle.arm_m()
+    table = {
+        "mass_kg": (p0.mass_kg, p0.mass_kg),
+        **{
+            name: (p0.tensor[i, j], p0.tensor[i, j] * 2.0 if i == j else 0.3 * trace)
+            for name, (i, j) in zip(TENSOR, _PAIRS, strict=True)
+        },
+        "input_delay_s": (0.0, 0.05),
+        "rotor_lag_s": (0.05, 0.15),
+        "rotor_lag_up_s": (0.05, 0.15),
+        "rotor_lag_down_s": (0.05, 0.15),
+        "com_offset_x_m": (0.0, arm),
+        "com_offset_y_m": (0.0, arm),
+        "yaw_trim_nm": (0.0, p0.mass_kg * 10.0 * arm),
+        **{f"accel_bias_{a}_m_s2": (0.0, s) for a, s in zip("xyz", record.force_bias_std, strict=True)},
+        **{term.name: (term.prior, term.prior_std) for term in extra},
+    }
+    mean, std = zip(*(table[name] for name in names), strict=True)
+    return np.array(mean, dtype=float), np.array(std, dtype=float)
+
+
+def _whiten(
+    model: RecordModel, residual: Array, sensitivity: Array, channels: Sequence[int], colours: Sequence[Colour], polynomials: Sequence[Array]
+) -> tuple[list[Array], list[Array], float]:
+    """Normalised innovations and sensitivities per channel, and the log-determinant part of the cost."""
+    ys, xs, logs = [], [], 0.0
+    for channel, colour, polynomial in zip(channels, colours, polynomials, strict=True):
+        stacked = np.concatenate([residual[:, channel : channel + 1], sensitivity[:, channel, :]], axis=1)
+        e, s = innovations(stacked, model.dt, model.restart, colour, integrated=channel < 3)
+        good = np.isfinite(s)
+        e = apply_polynomial(polynomial, np.where(good[:, None], e / np.sqrt(np.where(good, s, 1.0))[:, None], 0.0))
+        ys.append(e[:, 0])
+        xs.append(e[:, 1:])
+        logs += 0.5 * float(np.sum(np.log(s[good])))
+    return ys, xs, logs
+
+
+def _huber(y: Array, limit: float = 3.0) -> Array:
+    return np.minimum(1.0, limit / np.maximum(np.abs(y), 1e-12))
+
+
+def fit(
+    models: Sequence[RecordModel],
+    start: Parameters,
+    options: Options,
+    colours: Sequence[Sequence[Colour]] | None = None,
+) -> Fitted:
+    """Gauss-Newton on the innovations, alternating with the noise model; several flights of one vehicle are pooled.
+
+    Args:
+        models: one per flight, with the same extra terms; biases and noise models are each flight's own.
+        start: first guess.
+        colours: per flight and channel, from an earlier fit, to begin from.
+    """
+    records = [model.record for model in models]
+    extra_names = [term.name for term in models[0].extra]
+    p = start
+    channels = [
+        tuple(c for c in options.channels if c < 3 or np.isfinite(model.force[:, c - 3]).all()) for model in models
+    ]
+    state = [list(c) for c in colours] if colours is not None else [None] * len(models)
+    polynomials = [[np.array([1.0])] * len(c) for c in channels]
+    iterations = 0
+    cost = np.inf
+    normal = np.eye(1)
+    names: tuple[str, ...] = ()
+    information = 0.0
+    evaluated = [model.evaluate(p, options) for model in models]
+    for round_index in range(options.colour_rounds + 1):
+        for index, model in enumerate(models):
+            residual = evaluated[index][0]
+            previous = state[index]
+            state[index] = [
+                fit_colour(
+                    residual[:, c],
+                    model.dt,
+                    model.restart,
+                    integrated=c < 3,
+                    start=None if previous is None else previous[i],
+                )
+                for i, c in enumerate(channels[index])
+            ]
+            if options.autoregression and round_index > 0:
+                blank = evaluated[index][1][:, :, :0]
+                ys, _, _ = _whiten(
+                    model, residual, blank, channels[index], state[index], [np.array([1.0])] * len(channels[index])
+                )
+                polynomials[index] = [
+                    whitening_polynomial(y, model.restart, options.autoregression) for y in ys
+                ]
+        for _ in range(8):
+            names = evaluated[0][2]
+            mean, std = _priors(records[0], start, names, models[0].extra)
+            theta = _current(p, names, extra_names)
+            normal = np.diag(1.0 / std**2)
+            gradient = (mean - theta) / std**2
+            cost = 0.5 * float(np.sum(((theta - mean) / std) ** 2))
+            for index, model in enumerate(models):
+                ys, xs, logs = _whiten(
+                    model, evaluated[index][0], evaluated[index][1], channels[index], state[index], polynomials[index]
+                )
+                cost += logs
+                for y, x in zip(ys, xs, strict=True):
+                    w = _huber(y)
+                    normal = normal + x.T @ (x * w[:, None])
+                    gradient = gradient + x.T @ (w * y)
+                    cost += float(np.sum(np.where(w < 1.0, 3.0 * np.abs(y) - 4.5, 0.5 * y**2)))
+            step = np.linalg.solve(normal, gradient)
+            p, evaluated, taken = _line_search(models, p, names, theta, step, options, extra_names, channels, state, polynomials, cost, mean, std)
+            iterations += 1
+            if taken == 0.0 or np.all(np.abs(taken * step) < 0.02 * np.sqrt(np.diag(np.linalg.inv(normal)))):
+                break
+    theta = _current(p, names, extra_names)
+    covariance = np.linalg.inv(normal)
+    rms = np.sqrt(np.mean(np.concatenate([e[0] for e in evaluated]) ** 2, axis=0))
+    samples = sum(len(m.t_s) for m in models)
+    return Fitted(
+        p, names, theta, covariance, tuple(c for s in state for c in (s or [])), tuple(q for s in polynomials for q in s),
+        cost, information, rms, samples, iterations,
+    )
+
+
+def _line_search(
+    models: Sequence[RecordModel], p: Parameters, names: Sequence[str], theta: Array, step: Array, options: Options,
+    extra_names: Sequence[str], channels: Sequence[tuple[int, ...]], state: Sequence, polynomials: Sequence, cost: float,
+    mean: Array, std: Array,
+) -> tuple[Parameters, list, float]:
+    """Halve the step until the cost falls; keep the tensor positive definite and the mass positive."""
+    fraction = 1.0
+    for _ in range(10):
+        trial = _moved(p, names, theta + fraction * step, extra_names)
+        if trial.mass_kg > 0.0 and np.linalg.eigvalsh(trial.tensor)[0] > 0.02 * np.linalg.eigvalsh(p.tensor)[0]:
+            evaluated = [model.evaluate(trial, options) for model in models]
+            values = _current(trial, names, extra_names)
+            total = 0.5 * float(np.sum(((values - mean) / std) ** 2))
+            for index, model in enumerate(models):
+                blank = evaluated[index][1][:, :, :0]
+                ys, _, logs = _whiten(model, evaluated[index][0], blank, channels[index], state[index], polynomials[index])
+                total += logs
+                for y in ys:
+                    w = _huber(y)
+                    total += float(np.sum(np.where(w < 1.0, 3.0 * np.abs(y) - 4.5, 0.5 * y**2)))
+            if total <= cost + 1e-9 * abs(cost):
+                return trial, evaluated, fraction
+        fraction *= 0.5
+    return p, [model.evaluate(p, options) for model in models], 0.0

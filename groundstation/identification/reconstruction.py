@@ -1,0 +1,458 @@
+"""Flight-path reconstruction: do gyro and attitude, accelerometer and position agree, and what made them differ.
+
+Kinematics alone, no force model (Klein and Morelli, Aircraft System Identification, ch. 10). The gyro is integrated to
+an attitude and the specific force to a position; what separates them from motion capture is linear in small errors: clock
+offset and drift, gyro and accelerometer bias, gyro scale, misalignment of the marker body, lever arm, tilt of
+the capture volume. The rest is integrated sensor noise plus capture noise: a Kalman filter whitens both sides, and least
+squares on the innovations gives values with honest standard deviations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from groundstation.frames import (
+    matrix_from_quat,
+    quat_conjugate,
+    quat_exp,
+    quat_log,
+    quat_multiply,
+    quat_normalise,
+    quat_rotate,
+)
+from groundstation.identification.noise import Colour, fit_colour, innovations
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Compatibility:
+    """What motion capture and IMU agree on.
+
+    Attributes:
+        values, std: kinematic errors by name (``mocap_minus_imu_s``, ``gyro_bias_x_rad_s``, ``mocap_rotation_x_rad`` ...).
+        covariance: of ``names`` in order.
+        kept: poses used, shape (poses,).
+        quaternion: smoothed attitude of the body at the IMU's stamps, (k, 4); ``causal_quaternion`` is the filter's.
+        position_m, velocity_m_s: of the IMU in the world, smoothed, (k, 3); ``causal_*`` likewise.
+        attitude_innovation, position_innovation: RMS over what the noise model expects (1 is right).
+    """
+
+    names: tuple[str, ...]
+    values: Mapping[str, float]
+    std: Mapping[str, float]
+    covariance: Array
+    kept: Mask
+    quaternion: Array
+    position_m: Array
+    velocity_m_s: Array
+    causal_quaternion: Array
+    causal_position_m: Array
+    causal_velocity_m_s: Array
+    pose_noise: tuple[float, float] = (0.0, 0.0)
+    notes: tuple[str, ...] = field(default=())
+
+
+@njit(cache=True)
+def _integrate_rates(start: Array, dt: Array, rate: Array) -> Array:
+    """Attitude at each sample from rates, trapezoidal rotation vectors, shape (k, 4)."""
+    k = rate.shape[0]
+    out = np.empty((k, 4))
+    out[0] = start
+    for i in range(1, k):
+        hx = 0.25 * dt[i] * (rate[i, 0] + rate[i - 1, 0])
+        hy = 0.25 * dt[i] * (rate[i, 1] + rate[i - 1, 1])
+        hz = 0.25 * dt[i] * (rate[i, 2] + rate[i - 1, 2])
+        n = np.sqrt(hx * hx + hy * hy + hz * hz)
+        c = np.cos(n)
+        s = np.sin(n) / n if n > 1e-12 else 1.0
+        x, y, z = s * hx, s * hy, s * hz
+        a, b, d, e = out[i - 1, 0], out[i - 1, 1], out[i - 1, 2], out[i - 1, 3]
+        out[i, 0] = a * c - b * x - d * y - e * z
+        out[i, 1] = a * x + b * c + d * z - e * y
+        out[i, 2] = a * y - b * z + d * c + e * x
+        out[i, 3] = a * z + b * y - d * x + e * c
+    return out
+
+
+@njit(cache=True)
+def _local_level(z: Array, dt: Array, q: float, r: float) -> tuple[Array, Array]:
+    """Filtered and smoothed level of z = random walk + white noise, columns alike, shapes (k, m)."""
+    k, m = z.shape
+    filtered = np.empty((k, m))
+    predicted_p = np.empty(k)
+    filtered_p = np.empty(k)
+    filtered[0] = z[0]
+    predicted_p[0], filtered_p[0] = 1e12, r * r
+    for i in range(1, k):
+        p = filtered_p[i - 1] + q * q * dt[i]
+        gain = p / (p + r * r)
+        filtered[i] = filtered[i - 1] + gain * (z[i] - filtered[i - 1])
+        predicted_p[i], filtered_p[i] = p, (1.0 - gain) * p
+    smoothed = filtered.copy()
+    for i in range(k - 2, -1, -1):
+        gain = filtered_p[i] / predicted_p[i + 1] if predicted_p[i + 1] > 0.0 else 0.0
+        smoothed[i] = filtered[i] + gain * (smoothed[i + 1] - filtered[i])
+    return filtered, smoothed
+
+
+@njit(cache=True)
+def _position_filter(z: Array, dt: Array, noise: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Kalman filter of [position, velocity, acceleration] errors seen in position; columns alike.
+
+    ``noise`` is (pose noise, white acceleration density, acceleration random walk density, initial acceleration). Returns
+    innovations (k, m), variances (k,), filtered states (k, 3, m), filtered and predicted covariances (k, 3, 3).
+    The first three samples only initialise (variance inf).
+    """
+    r, qv, qa, a0 = noise
+    k, m = z.shape
+    out = np.zeros((k, m))
+    variance = np.empty(k)
+    states = np.empty((k, 3, m))
+    pf = np.empty((k, 3, 3))
+    pp = np.empty((k, 3, 3))
+    x = np.zeros((3, m))
+    p = np.zeros((3, 3))
+    f = np.eye(3)
+    for i in range(k):
+        if i == 0:
+            x[0] = z[0]
+            p[0, 0], p[1, 1], p[2, 2] = r * r, 25.0, a0 * a0
+            pp[0] = p
+            variance[0] = np.inf
+        else:
+            h = dt[i]
+            f[0, 1], f[0, 2], f[1, 2] = h, 0.5 * h * h, h
+            x = f @ x
+            p = f @ p @ f.T
+            a, b = qv * qv, qa * qa
+            p[0, 0] += a * h**3 / 3 + b * h**5 / 20
+            p[0, 1] += a * h**2 / 2 + b * h**4 / 8
+            p[1, 0] += a * h**2 / 2 + b * h**4 / 8
+            p[0, 2] += b * h**3 / 6
+            p[2, 0] += b * h**3 / 6
+            p[1, 1] += a * h + b * h**3 / 3
+            p[1, 2] += b * h**2 / 2
+            p[2, 1] += b * h**2 / 2
+            p[2, 2] += b * h
+            pp[i] = p
+            s = p[0, 0] + r * r
+            gain = p[:, 0] / s
+            e = z[i] - x[0]
+            out[i] = e
+            for j in range(3):
+                x[j] += gain[j] * e
+            row = p[0, :].copy()
+            for j in range(3):
+                for n in range(3):
+                    p[j, n] -= gain[j] * row[n]
+            variance[i] = np.inf if i < 3 else s
+        states[i] = x
+        pf[i] = p
+    return out, variance, states, pf, pp
+
+
+@njit(cache=True)
+def _position_smoother(dt: Array, states: Array, pf: Array, pp: Array) -> Array:
+    """Rauch-Tung-Striebel pass over :func:`_position_filter`, shape (k, 3, m)."""
+    k = len(dt)
+    out = states.copy()
+    f = np.eye(3)
+    for i in range(k - 2, -1, -1):
+        h = dt[i + 1]
+        f[0, 1], f[0, 2], f[1, 2] = h, 0.5 * h * h, h
+        gain = np.linalg.solve(pp[i + 1], f @ pf[i]).T
+        out[i] = states[i] + gain @ (out[i + 1] - f @ states[i])
+    return out
+
+
+def _interpolate(query: Array, t: Array, values: Array) -> Array:
+    return np.stack([np.interp(query, t, column) for column in values.T], axis=-1)
+
+
+def slerp(query: Array, t: Array, quaternion: Array) -> Array:
+    """Spherical interpolation of attitudes at query times within t, held at the ends."""
+    index = np.clip(np.searchsorted(t, query, side="right") - 1, 0, len(t) - 2)
+    fraction = np.clip((query - t[index]) / (t[index + 1] - t[index]), 0.0, 1.0)
+    step = quat_log(quat_multiply(quat_conjugate(quaternion[index]), quaternion[index + 1]))
+    return quat_multiply(quaternion[index], quat_exp(step * fraction[:, None]))
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    values: Array
+    covariance: Array
+    outlier: Mask
+
+
+def _whitened_fit(e: Array, columns: Array, variance: Array, prior_std: Array) -> _Fit:
+    """Huber-weighted least squares of innovations on innovations of regressors, with zero-mean priors."""
+    keep = np.isfinite(variance)
+    scale = np.sqrt(np.where(keep, variance, 1.0))
+    y, x = np.where(keep, e / scale, 0.0), np.where(keep[:, None], columns / scale[:, None], 0.0)
+    weight = np.ones(len(y))
+    theta = np.zeros(x.shape[1])
+    information = np.diag(1.0 / prior_std**2)
+    for _ in range(6):
+        normal = x.T @ (x * weight[:, None]) + information
+        theta = np.linalg.solve(normal, x.T @ (weight * y))
+        size = np.abs(y - x @ theta)
+        weight = np.minimum(1.0, 2.5 / np.maximum(size, 1e-12))
+    residual = (y - x @ theta)[keep]
+    spread = max(1.0, float(np.sqrt(np.mean(np.clip(residual, -4, 4) ** 2))))
+    return _Fit(theta, np.linalg.inv(normal) * spread**2, keep & (np.abs(y - x @ theta) > 6.0))
+
+
+_ATTITUDE = (
+    "mocap_minus_imu_s", "clock_drift",
+    "gyro_bias_x_rad_s", "gyro_bias_y_rad_s", "gyro_bias_z_rad_s",
+    "mocap_rotation_x_rad", "mocap_rotation_y_rad", "mocap_rotation_z_rad",
+    "gyro_scale_x", "gyro_scale_y", "gyro_scale_z",
+)  # fmt: skip
+_ATTITUDE_PRIOR = np.array([0.2, 3e-3, *[0.3] * 3, *[0.3] * 3, *[0.05] * 3])
+_POSITION = (
+    "mocap_minus_imu_s", "clock_drift",
+    "accel_bias_x_m_s2", "accel_bias_y_m_s2", "accel_bias_z_m_s2",
+    "mocap_position_x_m", "mocap_position_y_m", "mocap_position_z_m",
+    "mocap_tilt_x_rad", "mocap_tilt_y_rad",
+)  # fmt: skip
+_POSITION_PRIOR = np.array([0.2, 3e-3, *[0.5] * 3, *[0.3] * 3, *[0.1] * 2])
+
+
+def reconstruct(
+    t_imu: Array,
+    gyro: Array,
+    accel: Array,
+    t_pose: Array,
+    position: Array,
+    quaternion: Array,
+    *,
+    offset_s: float,
+    gravity_m_s2: float,
+    mocap_rotation_rad: Array,
+    fixed_clock: bool = False,
+) -> Compatibility:
+    """Estimate the kinematic errors of a flight and its smoothed motion.
+
+    Args:
+        t_imu: stamps, shape (k,); gyro and accel, shape (k, 3).
+        t_pose: stamps, shape (m,); position (m, 3) and quaternion (m, 4) of the marker body.
+        offset_s: coarse pose stamp minus IMU stamp.
+        mocap_rotation_rad: declared rotation vector from the body to the marker frame.
+        fixed_clock: the poses are on the IMU's clock already (a vehicle's own estimate).
+    """
+    prior_attitude, prior_position = _ATTITUDE_PRIOR.copy(), _POSITION_PRIOR.copy()
+    if fixed_clock:
+        prior_attitude[:2] = prior_position[:2] = 1e-9
+    inside = (t_pose - offset_s > t_imu[0] + 0.05) & (t_pose - offset_s < t_imu[-1] - 0.05)
+    dt_imu = np.concatenate([[0.0], np.diff(t_imu)])
+    middle = 0.5 * (t_imu[0] + t_imu[-1])
+    alignment = quat_exp(mocap_rotation_rad)  # body from marker frame: R_marker = R_body exp(rotation)
+    bias, scale = np.zeros(3), np.zeros(3)
+    rotation = np.zeros(3)
+    offset, drift = offset_s, 0.0
+    kept = inside.copy()
+    colour: Colour | None = None
+    covariance_attitude = np.eye(len(_ATTITUDE))
+    filtered_q = smoothed_q = np.zeros((0, 4))
+    for _ in range(5):
+        tp, qm = t_pose[kept], quaternion[kept]
+        tk = tp - offset - drift * (tp - offset - middle)
+        body = quat_multiply(qm, quat_conjugate(quat_multiply(alignment, quat_exp(rotation))))
+        corrected = (gyro - bias) / (1.0 + scale)
+        rough = _integrate_rates(np.array([1.0, 0.0, 0.0, 0.0]), dt_imu, corrected)
+        at_first = slerp(tk[:1], t_imu, rough)[0]
+        attitude = quat_multiply(quat_multiply(body[0], quat_conjugate(at_first)), rough)
+        world_from_body = matrix_from_quat(attitude)
+        at_poses = slerp(tk, t_imu, attitude)
+        error = quat_log(quat_multiply(body, quat_conjugate(at_poses)))
+        r_poses = matrix_from_quat(at_poses)
+        rate_world = np.einsum("nij,nj->ni", r_poses, _interpolate(tk, t_imu, corrected))
+        drifted = np.cumsum(world_from_body * dt_imu[:, None, None], axis=0).reshape(-1, 9)
+        scaled = np.cumsum(world_from_body * corrected[:, None, :] * dt_imu[:, None, None], axis=0).reshape(-1, 9)
+        columns = np.concatenate(
+            [
+                -rate_world[:, :, None],
+                (-rate_world * (tk - middle)[:, None])[:, :, None],
+                -_interpolate(tk, t_imu, drifted).reshape(-1, 3, 3),
+                r_poses,
+                -_interpolate(tk, t_imu, scaled).reshape(-1, 3, 3),
+            ],
+            axis=2,
+        )
+        dt = np.concatenate([[0.0], np.diff(tk)])
+        count = len(tk)
+        stacked = np.concatenate([error.T.reshape(-1, 1), columns.transpose(1, 0, 2).reshape(3 * count, -1)], axis=1)
+        restart = np.zeros(3 * count, dtype=bool)
+        restart[::count] = True
+        dts = np.tile(dt, 3)
+        if colour is None:
+            colour = _local_noise(stacked[:, 0], dts, restart)
+        e, s = innovations(stacked, dts, restart, colour, integrated=True)
+        fit = _whitened_fit(e[:, 0], e[:, 1:], s, prior_attitude)
+        offset += fit.values[0]
+        drift += fit.values[1]
+        bias = bias + fit.values[2:5]
+        rotation = quat_log(quat_multiply(quat_exp(fit.values[5:8]), quat_exp(rotation)))
+        scale = scale + fit.values[8:11]
+        covariance_attitude = fit.covariance
+        bad = fit.outlier.reshape(3, count).any(axis=0)
+        corrected_error = (stacked[:, 0] - stacked[:, 1:] @ fit.values).reshape(3, count).T
+        kept_index = np.flatnonzero(kept)
+        kept = kept.copy()
+        kept[kept_index[bad]] = False
+        good = ~bad
+        dt_good = np.concatenate([[0.0], np.diff(tk[good])])
+        filtered, smoothed = _local_level(corrected_error[good], dt_good, colour.process, colour.sensor)
+        filtered_q = quat_multiply(quat_exp(_interpolate(t_imu, tk[good], filtered)), attitude)
+        smoothed_q = quat_multiply(quat_exp(_interpolate(t_imu, tk[good], smoothed)), attitude)
+        colour = _local_noise((stacked[:, 0] - stacked[:, 1:] @ fit.values), dts, restart, colour)
+        done = bool(np.all(np.abs(fit.values) < 0.05 * np.sqrt(np.diag(fit.covariance))))
+        if done:
+            break
+    assert colour is not None
+
+    # position: specific force integrated twice with the smoothed attitude
+    tp, pm = t_pose[kept], position[kept]
+    tk = tp - offset - drift * (tp - offset - middle)
+    dt = np.concatenate([[0.0], np.diff(tk)])
+    world_from_body = matrix_from_quat(smoothed_q)
+    force = np.einsum("nij,nj->ni", world_from_body, accel)
+    acceleration = force - np.array([0.0, 0.0, gravity_m_s2])
+
+    def twice(values: Array) -> tuple[Array, Array]:
+        mean = 0.5 * (values[1:] + values[:-1]) * dt_imu[1:, None]
+        speed = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(mean, axis=0)])
+        path = 0.5 * (speed[1:] + speed[:-1]) * dt_imu[1:, None]
+        return speed, np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(path, axis=0)])
+
+    speed, path = twice(acceleration)
+    _, biased = twice(world_from_body.reshape(-1, 9))
+    error = pm - _interpolate(tk, t_imu, path)
+    count = len(tk)
+    noise = _position_noise(error, dt)
+    _, _, states, _, _ = _position_filter(error, dt, noise)
+    velocity = _interpolate(tk, t_imu, speed) + states[:, 1, :]
+    lever = matrix_from_quat(slerp(tk, t_imu, smoothed_q))
+    elapsed = tk - tk[0]
+    tilt = np.zeros((count, 3, 2))
+    tilt[:, 0, 1] = 0.5 * gravity_m_s2 * elapsed**2
+    tilt[:, 1, 0] = -0.5 * gravity_m_s2 * elapsed**2
+    columns = np.concatenate(
+        [
+            -velocity[:, :, None],
+            (-velocity * (tk - middle)[:, None])[:, :, None],
+            -_interpolate(tk, t_imu, biased).reshape(-1, 3, 3),
+            lever,
+            tilt,
+        ],
+        axis=2,
+    )
+    values = np.zeros(len(_POSITION))
+    covariance_position = np.eye(len(_POSITION))
+    residual = error
+    for _ in range(3):
+        noise = _position_noise(residual, dt, noise)
+        tight = noise.copy()
+        tight[3] = 1e-3  # a constant acceleration is named (bias, tilt), not absorbed
+        parts = [
+            _position_filter(np.concatenate([error[:, i : i + 1], columns[:, i, :]], axis=1), dt, tight)[:2]
+            for i in range(3)
+        ]
+        e = np.concatenate([p[0] for p in parts])
+        s = np.concatenate([p[1] for p in parts])
+        fit = _whitened_fit(e[:, 0], e[:, 1:], s, prior_position)
+        values, covariance_position = fit.values, fit.covariance
+        residual = error - columns @ values
+    _, _, states, pf, pp = _position_filter(residual, dt, noise)
+    smooth = _position_smoother(dt, states, pf, pp)
+    named = columns.copy()
+    named[:, :, 0:2] = 0.0  # clock terms move stamps, not the vehicle
+    named[:, :, 5:8] = 0.0  # neither does the lever arm
+    named_position = named @ values
+    slope = np.gradient(named_position, tk, axis=0) if count > 2 else np.zeros_like(named_position)
+    causal_p = _interpolate(t_imu, tk, states[:, 0, :] + named_position) + path
+    causal_v = _interpolate(t_imu, tk, states[:, 1, :] + slope) + speed
+    smooth_p = _interpolate(t_imu, tk, smooth[:, 0, :] + named_position) + path
+    smooth_v = _interpolate(t_imu, tk, smooth[:, 1, :] + slope) + speed
+
+    names, theta, covariance = _combine(
+        np.array([offset, drift, *bias, *rotation, *scale]), covariance_attitude, values, covariance_position, offset
+    )
+    std = np.sqrt(np.diag(covariance))
+    return Compatibility(
+        names=names,
+        values=dict(zip(names, map(float, theta), strict=True)),
+        std=dict(zip(names, map(float, std), strict=True)),
+        covariance=covariance,
+        kept=kept,
+        quaternion=quat_normalise(smoothed_q),
+        position_m=smooth_p,
+        velocity_m_s=smooth_v,
+        causal_quaternion=quat_normalise(filtered_q),
+        causal_position_m=causal_p,
+        causal_velocity_m_s=causal_v,
+        pose_noise=(float(noise[0]), float(colour.sensor)),
+    )
+
+
+def _local_noise(residual: Array, dt: Array, restart: Mask, start: Colour | None = None) -> Colour:
+    """Random walk and capture noise of the attitude error (no slower disturbance)."""
+    fitted = fit_colour(residual, dt, restart, integrated=True, start=start)
+    return fitted
+
+
+def _position_noise(error: Array, dt: Array, start: Array | None = None) -> Array:
+    """Most likely (pose noise, white acceleration, acceleration walk, initial acceleration) of position errors."""
+    from scipy.optimize import minimize
+
+    if start is None:
+        third = np.diff(error, 3, axis=0)
+        rough = float(np.median(np.abs(third)) / 0.6745 / np.sqrt(20.0)) + 1e-7
+        start = np.array([rough, 0.01, 0.01, 0.3])
+
+    def cost(logs: Array) -> float:
+        noise = np.array([*np.exp(logs), 0.3])
+        e, s, *_ = _position_filter(error, dt, noise)
+        keep = np.isfinite(s)
+        square = np.minimum(e[keep] ** 2 / s[keep, None], 25.0)
+        return 0.5 * float(3.0 * np.sum(np.log(s[keep])) + np.sum(square))
+
+    found = minimize(cost, np.log(start[:3]), method="Nelder-Mead", options={"maxiter": 80, "xatol": 0.05, "fatol": 0.1})
+    return np.array([*np.exp(found.x), 0.3])
+
+
+def _combine(
+    attitude: Array, p_attitude: Array, position: Array, p_position: Array, offset: float
+) -> tuple[tuple[str, ...], Array, Array]:
+    """Join both fits; the clock is in both (attitude as a value, position as a correction to it) and is weighted."""
+    w_a, w_p = np.linalg.inv(p_attitude[:2, :2]), np.linalg.inv(p_position[:2, :2])
+    covariance_clock = np.linalg.inv(w_a + w_p)
+    clock = attitude[:2] + covariance_clock @ (w_p @ position[:2])
+    # Gyro and accelerometer chains may lag differently: where the two disagree, the interval says so (Birge ratio).
+    disagreement = position[:2] @ np.linalg.solve(p_attitude[:2, :2] + p_position[:2, :2], position[:2]) / 2.0
+    covariance_clock = covariance_clock * max(1.0, float(disagreement))
+    names = (*_ATTITUDE, *_POSITION[2:])
+    theta = np.concatenate([clock, attitude[2:], position[2:]])
+    covariance = np.zeros((len(names), len(names)))
+    na = len(_ATTITUDE)
+    covariance[2:na, 2:na] = p_attitude[2:, 2:]
+    covariance[na:, na:] = p_position[2:, 2:]
+    covariance[:2, :2] = covariance_clock
+    return names, theta, covariance
+
+
+def body_motion(
+    compatibility: Compatibility, rate: Array, imu_position_m: Array, *, causal: bool = False
+) -> tuple[Array, Array, Array]:
+    """Attitude, position and velocity of the declared origin from those of the IMU: p - R r, v - R (omega x r)."""
+    q = compatibility.causal_quaternion if causal else compatibility.quaternion
+    p = compatibility.causal_position_m if causal else compatibility.position_m
+    v = compatibility.causal_velocity_m_s if causal else compatibility.velocity_m_s
+    return q, p - quat_rotate(q, imu_position_m), v - quat_rotate(q, np.cross(rate, imu_position_m))

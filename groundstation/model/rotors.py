@@ -1,0 +1,103 @@
+"""Rotor thrusts over time from what a flight recorded of its motors: commands through a lag, or measured speeds.
+
+A command holds until the next one; a measured speed is interpolated linearly (it is a sample of something continuous).
+The first-order lag x' = (u - x)/tau, with tau by the sign of u - x, is solved exactly over each step of a fine grid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from groundstation.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+FINE_STEP_S = 0.001
+
+
+@njit(cache=True)
+def _lagged(value: Array, up: float, down: float, step: float) -> Array:
+    """First-order lag of each column of a piecewise constant input, exact at the grid points, shape as ``value``."""
+    out = np.empty_like(value)
+    gain_up = 1.0 - np.exp(-step / up) if up > 1e-6 else 1.0
+    gain_down = 1.0 - np.exp(-step / down) if down > 1e-6 else 1.0
+    for j in range(value.shape[1]):
+        x = value[0, j]
+        for i in range(value.shape[0]):
+            out[i, j] = x
+            error = value[i, j] - x
+            x += (gain_up if error > 0.0 else gain_down) * error
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class MotorInput:
+    """Recorded motor values on a fine uniform grid of the motors' clock.
+
+    Attributes:
+        start_s, step_s: the grid.
+        value: speeds, commands or wrench components, shape (k, n).
+        measured: the values are measured speeds (no lag between them and the thrust).
+    """
+
+    start_s: float
+    step_s: float
+    value: Array
+    measured: bool
+
+    @property
+    def t_s(self) -> Array:
+        """Grid times, shape (k,)."""
+        return self.start_s + self.step_s * np.arange(len(self.value))
+
+    def lagged(self, up_s: float, down_s: float) -> Array:
+        """Values after the first-order lag, shape (k, n). A zero lag passes the values through."""
+        if up_s <= 1e-6 and down_s <= 1e-6:
+            return self.value
+        return _lagged(self.value, up_s, down_s, self.step_s)
+
+
+def motor_input(t_s: Array, values: Array, *, measured: bool, step_s: float = FINE_STEP_S) -> MotorInput:
+    """Put recorded motor values on a uniform grid: hold commands, interpolate measured speeds.
+
+    Args:
+        t_s: strictly increasing stamps, shape (m,).
+        values: shape (m, n).
+        measured: interpolate instead of holding.
+        step_s: spacing of the grid.
+    """
+    t_s = np.asarray(t_s, dtype=float)
+    grid = t_s[0] + step_s * np.arange(int(np.floor((t_s[-1] - t_s[0]) / step_s)) + 1)
+    if measured:
+        value = np.stack([np.interp(grid, t_s, column) for column in values.T], axis=-1)
+    else:
+        value = values[np.clip(np.searchsorted(t_s, grid + 1e-9, side="right") - 1, 0, len(t_s) - 1)]
+    return MotorInput(float(t_s[0]), step_s, np.ascontiguousarray(value, dtype=float), measured)
+
+
+def cumulative(values: Array, step_s: float, *, held: bool) -> Array:
+    """Running integral from the first grid point, shape as ``values``; left sums for held values, else trapezoids."""
+    inner = values[:-1] if held else 0.5 * (values[1:] + values[:-1])
+    return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(inner, axis=0)]) * step_s
+
+
+def interpolate_columns(query_s: Array, start_s: float, step_s: float, values: Array) -> Array:
+    """Linear interpolation of all columns of a uniform grid at query times, held at the ends, shape (q, n)."""
+    position = np.clip((query_s - start_s) / step_s, 0.0, len(values) - 1.000001)
+    index = position.astype(np.int64)
+    weight = (position - index)[:, None]
+    return values[index] * (1.0 - weight) + values[index + 1] * weight
+
+
+def declared_thrust(vehicle: Vehicle, lagged: Array) -> Array:
+    """Thrust of each rotor by the declared constants from (lagged) motor values; the wrench passes through."""
+    return lagged if vehicle.rotors.input == "wrench" else vehicle.thrust(lagged)
+
+
+def wrench_matrix(vehicle: Vehicle) -> Array:
+    """Map what :func:`declared_thrust` gives to [F_z, tau_x, tau_y, tau_z], shape (4, n)."""
+    return np.eye(4) if vehicle.rotors.input == "wrench" else vehicle.allocation()

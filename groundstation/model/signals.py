@@ -1,0 +1,50 @@
+"""What the forces on a vehicle can depend on: the signals every effect model is written in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.frames import quat_rotate_inverse
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Signals:
+    """k instants of one flight, or k parallel simulations at one instant. Unknown signals are NaN.
+
+    Attributes:
+        t_s: time from the start of the flight, shape (k,).
+        position_m, velocity_world_m_s: of the declared origin in the world, shape (k, 3).
+        quaternion: attitude, (k, 4).
+        rate_rad_s: body rates, (k, 3).
+        motor: recorded motor values (speed, command or wrench) delayed but not lagged, (k, n).
+        lagged: motor values after the rotor lag, (k, n); equal to ``motor`` where speeds were measured.
+        lagged_rate: time derivative of ``lagged``, (k, n).
+        thrust_n: thrust of each rotor by the declared constants, (k, n).
+        voltage_v: battery voltage, (k,).
+        charge_as: charge drawn since the start, (k,).
+    """
+
+    t_s: Array
+    position_m: Array
+    velocity_world_m_s: Array
+    quaternion: Array
+    rate_rad_s: Array
+    motor: Array
+    lagged: Array
+    lagged_rate: Array
+    thrust_n: Array
+    voltage_v: Array
+    charge_as: Array
+
+    def velocity_body_m_s(self) -> Array:
+        """Velocity over ground in body axes, (k, 3)."""
+        return quat_rotate_inverse(self.quaternion, self.velocity_world_m_s)
+
+    def up_body(self) -> Array:
+        """World vertical in body axes, (k, 3)."""
+        return quat_rotate_inverse(self.quaternion, np.broadcast_to([0.0, 0.0, 1.0], (len(self.t_s), 3)))
