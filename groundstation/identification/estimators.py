@@ -80,7 +80,7 @@ def least_squares(
     known = _determined(scaled[-1])
     evolution = _solve_scaled(scaled, moments / unit) / unit
     values = evolution[-1].copy()
-    residual = _residual(gamma, upsilon, np.where(known, values, 0.0), rows, len(used))
+    residual = _residual(gamma, upsilon, values, rows, len(used))
     inverse = np.linalg.pinv(scaled[-1], rcond=SINGULAR, hermitian=True) / np.outer(unit, unit)
     influence = np.zeros((len(used), gamma.shape[2], gamma.shape[1]))
     influence[rows] = np.matmul(inverse, gamma.transpose(0, 2, 1))
@@ -153,8 +153,10 @@ def gradient_descent(
     gain = np.where(known, rate_per_s * period_s / np.where(known, mean_square, 1.0), 0.0)
     stops = _stops(len(rows), points)
     evolution = descend(gamma, upsilon, gain, stops)
-    values = evolution[-1]
-    residual = _residual(gamma, upsilon, values, rows, len(used))
+    values = evolution[-1].copy()
+    # The disturbance is what least squares leaves; this method's own error would add lines where it listens.
+    fitted = np.linalg.lstsq(normal, np.tensordot(gamma, upsilon, axes=((0, 1), (0, 1))), rcond=SINGULAR)[0]
+    residual = _residual(gamma, upsilon, fitted, rows, len(used))
     influence = np.zeros((len(used), regressor.shape[2], regressor.shape[1]))
     influence[rows], initial = descent_influence(gamma, gain)
     covariance = coloured_covariance(influence, residual, period_s)
@@ -163,8 +165,9 @@ def gradient_descent(
     covariance += np.outer(left, left)
     covariance[~known, :] = covariance[:, ~known] = np.inf
     evolution[:, ~known] = np.nan
-    rms = np.sqrt(np.sum(residual**2, axis=0) / len(rows))
-    return LinearEstimate(evolution[-1].copy(), covariance, _condition(normal), rms, t_s[rows[stops - 1]], evolution)
+    rms = np.sqrt(np.mean((gamma @ values - upsilon) ** 2, axis=0))
+    values[~known] = np.nan
+    return LinearEstimate(values, covariance, _condition(normal), rms, t_s[rows[stops - 1]], evolution)
 
 
 def _used_rows(used: NDArray[np.bool_]) -> NDArray[np.intp]:

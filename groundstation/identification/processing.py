@@ -31,6 +31,7 @@ from groundstation.frames import (
 )
 from groundstation.identification.filters import central_difference, zero_phase_low_pass
 from groundstation.identification.wrench import declared_wrench
+from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 Segments = Sequence[tuple[float, float]]
@@ -70,8 +71,8 @@ class Signals:
     period_s: float
     cutoff_hz: float
     wrench: Array
-    rate: Array | None
-    rate_derivative: Array | None
+    rate: Array
+    rate_derivative: Array
     specific_force: Array | None
     velocity_body: Array | None
     gravity_body: Array | None
@@ -90,6 +91,43 @@ class _Pose:
     quaternion: Array
     velocity_world_m_s: Array | None
     source: str
+
+    def rate_hz(self) -> float:
+        return float(1.0 / np.median(np.diff(self.t_s)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Grid:
+    """A uniform grid and the filter that every signal on it goes through."""
+
+    t_s: Array
+    period_s: float
+    cutoff_hz: float
+
+    def smooth(self, x: Array) -> Array:
+        return zero_phase_low_pass(x, self.cutoff_hz, self.period_s)
+
+    def resample(self, stamps_s: Array, values: Array) -> Array:
+        return self.smooth(interpolate(self.t_s, stamps_s, values))
+
+    def derivative(self, x: Array) -> Array:
+        return central_difference(x, self.period_s)
+
+
+@dataclass(frozen=True, slots=True)
+class _Rates:
+    rate: Array
+    derivative: Array
+    derivative_noise: Array
+
+
+@dataclass(frozen=True, slots=True)
+class _Translation:
+    """What poses tell of the translation, in the body."""
+
+    velocity: Array
+    gravity: Array
+    specific_force: Array
 
 
 def process_flight(
@@ -112,109 +150,136 @@ def process_flight(
     Raises:
         NotIdentifiable: the streams overlap for less than 2 s, or hold no motion at all.
     """
+    motors = clean(flight.motors, exclude)
+    imu = None if flight.imu is None else clean(flight.imu, exclude)
+    state = None if flight.state is None else clean(flight.state, exclude)
     pose = _pose(flight, mocap_minus_imu_s, exclude)
-    motors = _without(flight.motors, exclude)
-    imu = None if flight.imu is None else _without(flight.imu, exclude)
-    state = None if flight.state is None else _without(flight.state, exclude)
-    inertial = imu if imu is not None else state
-    if inertial is None and pose is None:
-        raise NotIdentifiable("The flight has neither IMU, motion capture nor state.", "Record at least one of them.")
-    notes: list[str] = []
-
-    if period_s is None:
-        rate_hz = inertial.rate_hz() if inertial is not None else 500.0
-        period_s = 1.0 / float(np.clip(rate_hz, 50.0, 1000.0))
     window = excitation_window(flight)
-    spans = [(s.t_s[0], s.t_s[-1]) for s in (motors, inertial) if s is not None]
-    spans += [] if pose is None else [(pose.t_s[0], pose.t_s[-1])]
-    start = max([window[0] - MARGIN_S, *(a for a, _ in spans)])
-    end = min([window[1] + MARGIN_S, *(b for _, b in spans)])
+    stamps = [stream.t_s for stream in (motors, imu or state, pose) if stream is not None]
+    grid = _grid(flight, imu or state, stamps, window, cutoff_hz, period_s)
+    t = grid.t_s
+    notes = [f"Zero-phase Butterworth low-pass at {grid.cutoff_hz:.2f} Hz on a {1e3 * grid.period_s:.2f} ms grid."]
+
+    wrench = grid.smooth(declared_wrench(flight.vehicle, motors, flight.battery, t))
+    rotation = None if pose is None else quat_normalise(grid.smooth(slerp(t, pose.t_s, pose.quaternion)))
+    rates, rate_note = _body_rates(grid, imu, state, pose, rotation)
+    seen = None if pose is None or rotation is None else _translation(grid, pose, rotation, rates, flight.vehicle)
+    if seen is None:
+        rate_note.append("No poses: velocity and attitude are unknown; drag, wind and position effects cannot be seen.")
+
+    guard = 0.5 / grid.cutoff_hz  # how far the low-pass carries what lies beyond an end
+    used = (t >= max(window[0], t[0] + guard)) & (t <= min(window[1], t[-1] - guard))
+    for series in stamps:
+        used &= ~_in_gap(t, series)
+    for first, last in exclude:
+        used &= (t < first - guard) | (t > last + guard)
+    left = np.count_nonzero(used) * grid.period_s
+    if left < SHORTEST_S:
+        raise NotIdentifiable(
+            f"Only {left:.1f} s are left outside gaps and excluded segments.",
+            f"Exclude less, or record at least {SHORTEST_S:.0f} s of motion.",
+        )
+    specific, source, force_note = _specific_force(grid, flight.vehicle, imu, pose, rates, seen, used)
+    return Signals(
+        t_s=t,
+        used=used,
+        period_s=grid.period_s,
+        cutoff_hz=grid.cutoff_hz,
+        wrench=wrench,
+        rate=rates.rate,
+        rate_derivative=rates.derivative,
+        specific_force=specific,
+        velocity_body=None if seen is None else seen.velocity,
+        gravity_body=None if seen is None else seen.gravity,
+        rate_derivative_noise=rates.derivative_noise,
+        specific_force_source=source,
+        window_s=(float(t[used][0]), float(t[used][-1])),
+        notes=(*notes, *rate_note, *force_note),
+    )
+
+
+def _grid(
+    flight: FlightData,
+    inertial: Stream | None,
+    stamps: Sequence[Array],
+    window: tuple[float, float],
+    cutoff_hz: float | None,
+    period_s: float | None,
+) -> _Grid:
+    """The grid that all streams cover, around the window, and the low-pass."""
+    if period_s is None:
+        period_s = 1.0 / float(np.clip(inertial.rate_hz() if inertial is not None else 500.0, 50.0, 1000.0))
+    start = max([window[0] - MARGIN_S, *(series[0] for series in stamps)])
+    end = min([window[1] + MARGIN_S, *(series[-1] for series in stamps)])
     if end - start < SHORTEST_S:
         raise NotIdentifiable(
             f"The streams overlap for {max(end - start, 0.0):.1f} s only.",
             f"Record at least {SHORTEST_S:.0f} s of motion.",
         )
-    t = start + period_s * np.arange(int((end - start) / period_s + 1e-9) + 1)
-    used = (t >= window[0]) & (t <= window[1])
-
+    t = np.asarray(start + period_s * np.arange(int((end - start) / period_s + 1e-9) + 1), dtype=float)
     if cutoff_hz is None:
-        cutoff_hz = default_cutoff_hz(flight, imu, t)
-    slowest = [s.rate_hz() for s in (imu, state) if s is not None][:1]
-    cutoff_hz = min([cutoff_hz, 0.4 / period_s, *(0.4 * rate for rate in slowest)])
+        cutoff_hz = default_cutoff_hz(flight, inertial if flight.imu is not None else None, t)
+    slowest = [] if inertial is None else [0.4 * inertial.rate_hz()]
+    return _Grid(t, period_s, min([cutoff_hz, 0.4 / period_s, *slowest]))
 
-    def smooth(x: Array) -> Array:
-        return zero_phase_low_pass(x, cutoff_hz, period_s)
 
-    wrench = smooth(declared_wrench(flight.vehicle, motors, flight.battery, t))
-    for stream in (motors, inertial):
-        if stream is not None:
-            used &= ~_in_gap(t, stream.t_s)
+def _body_rates(
+    grid: _Grid, imu: Stream | None, state: Stream | None, pose: _Pose | None, rotation: Array | None
+) -> tuple[_Rates, list[str]]:
+    """Rates from the gyro, else from the vehicle's own state, else from differentiated attitudes."""
+    if imu is not None:
+        rate = grid.resample(imu.t_s, imu.values[:, :3])
+        noise = white_noise_std(imu.values[:, :3]) * differentiated_noise_gain(1, grid.cutoff_hz, imu.rate_hz())
+        return _Rates(rate, grid.derivative(rate), noise), []
+    if state is not None:
+        rate = grid.resample(state.t_s, state.values[:, 10:13])
+        noise = white_noise_std(state.values[:, 10:13]) * differentiated_noise_gain(1, grid.cutoff_hz, state.rate_hz())
+        note = "No IMU: body rates are the vehicle's own estimate."
+        return _Rates(rate, grid.derivative(rate), noise), [note]
+    if pose is None or rotation is None:
+        raise NotIdentifiable("The flight has neither IMU, motion capture nor state.", "Record at least one of them.")
+    rate = 2.0 * quat_multiply(quat_conjugate(rotation), grid.derivative(rotation))[:, 1:]
+    # A small rotation is twice the vector part of its quaternion.
+    noise = 2.0 * white_noise_std(pose.quaternion[:, 1:]) * differentiated_noise_gain(2, grid.cutoff_hz, pose.rate_hz())
+    return _Rates(rate, grid.derivative(rate), noise), ["No IMU: body rates are differentiated attitudes."]
 
-    rate = rate_derivative = specific = velocity = gravity = None
-    noise = np.zeros(3)
-    source = ""
-    rotation = None if pose is None else quat_normalise(smooth(slerp(t, pose.t_s, pose.quaternion)))
-    if inertial is not None:
-        columns = slice(0, 3) if imu is not None else slice(10, 13)
-        rate = smooth(interpolate(t, inertial.t_s, inertial.values[:, columns]))
-        sigma = white_noise_std(inertial.values[:, columns])
-        noise = sigma * differentiated_noise_gain(1, cutoff_hz, inertial.rate_hz())
-        if imu is None:
-            notes.append("No IMU: body rates are the vehicle's own estimate.")
-    elif rotation is not None and pose is not None:
-        rate = _rate_from_attitude(rotation, period_s)
-        sigma = white_noise_std(2.0 * pose.quaternion[:, 1:])
-        noise = sigma * differentiated_noise_gain(2, cutoff_hz, 1.0 / float(np.median(np.diff(pose.t_s))))
-        notes.append("No IMU: body rates are differentiated attitudes.")
-    if rate is not None:
-        rate_derivative = central_difference(rate, period_s)
 
-    g = flight.vehicle.gravity_m_s2
-    from_pose = None
-    if pose is not None and rotation is not None and rate is not None:
-        used &= ~_in_gap(t, pose.t_s)
-        if pose.velocity_world_m_s is None:
-            position = smooth(interpolate(t, pose.t_s, pose.position_m))
-            velocity_world = central_difference(position, period_s)
-        else:
-            velocity_world = smooth(interpolate(t, pose.t_s, pose.velocity_world_m_s))
-        velocity = quat_rotate_inverse(rotation, velocity_world)
-        gravity = quat_rotate_inverse(rotation, np.array([0.0, 0.0, g]))
-        from_pose = central_difference(velocity, period_s) + np.cross(rate, velocity) + gravity
-    elif pose is None:
-        notes.append("No poses: velocity and attitude are unknown, so drag, wind and position effects cannot be seen.")
+def _translation(grid: _Grid, pose: _Pose, rotation: Array, rates: _Rates, vehicle: Vehicle) -> _Translation:
+    """Velocity (3), gravity and dv/dt + omega x v + g R^T e_z in the body, from poses (seed II-C.3)."""
+    if pose.velocity_world_m_s is None:
+        velocity_world = grid.derivative(grid.resample(pose.t_s, pose.position_m))
+    else:
+        velocity_world = grid.resample(pose.t_s, pose.velocity_world_m_s)
+    velocity = quat_rotate_inverse(rotation, velocity_world)
+    gravity = quat_rotate_inverse(rotation, np.array([0.0, 0.0, vehicle.gravity_m_s2]))
+    return _Translation(velocity, gravity, grid.derivative(velocity) + np.cross(rates.rate, velocity) + gravity)
 
-    if imu is not None and rate is not None and rate_derivative is not None:
-        felt = smooth(interpolate(t, imu.t_s, imu.values[:, 3:6]))
-        felt -= _lever_arm(rate, rate_derivative, flight.vehicle.imu.position_m)
-        if from_pose is None:
-            specific, source = felt, "accelerometer"
-            notes.append("The accelerometer's bias is unknown without poses and goes into mass.")
-        elif _accelerometer_is_better(imu, pose, cutoff_hz):
-            bias = np.mean((felt - from_pose)[used], axis=0) if used.any() else np.zeros(3)
-            specific, source = felt - bias, "accelerometer"
-            notes.append(
-                "Specific force from the accelerometer, which is quieter here than positions differentiated twice; "
-                f"its mean is held to theirs (bias {bias[0]:.3f}, {bias[1]:.3f}, {bias[2]:.3f} m/s^2)."
-            )
-    if specific is None and from_pose is not None and pose is not None:
-        specific, source = from_pose, pose.source
-        notes.append(f"Specific force from differentiated {'velocities' if source == 'state' else 'positions'}.")
 
-    guard = 0.5 / cutoff_hz
-    for first, last in exclude:
-        used &= (t < first - guard) | (t > last + guard)
-    if np.count_nonzero(used) * period_s < SHORTEST_S:
-        raise NotIdentifiable(
-            f"Only {np.count_nonzero(used) * period_s:.1f} s are left outside gaps and excluded segments.",
-            f"Exclude less, or record at least {SHORTEST_S:.0f} s of motion.",
+def _specific_force(
+    grid: _Grid,
+    vehicle: Vehicle,
+    imu: Stream | None,
+    pose: _Pose | None,
+    rates: _Rates,
+    seen: _Translation | None,
+    used: NDArray[np.bool_],
+) -> tuple[Array | None, str, list[str]]:
+    """From the accelerometer where it is quieter than differentiated poses, which then give it its mean."""
+    if imu is not None and (pose is None or _accelerometer_is_better(imu, pose, grid.cutoff_hz)):
+        felt = grid.resample(imu.t_s, imu.values[:, 3:6])
+        felt -= _lever_arm(rates.rate, rates.derivative, vehicle.imu.position_m)
+        if seen is None:
+            return felt, "accelerometer", ["The accelerometer's bias is unknown without poses and goes into mass."]
+        bias = np.mean((felt - seen.specific_force)[used], axis=0)
+        note = (
+            "Specific force from the accelerometer, which is quieter here than differentiated poses; "
+            f"its mean is held to theirs (bias {bias[0]:.3f}, {bias[1]:.3f}, {bias[2]:.3f} m/s^2)."
         )
-    notes.insert(0, f"Zero-phase Butterworth low-pass at {cutoff_hz:.2f} Hz on a {1e3 * period_s:.2f} ms grid.")
-    times = t[used]
-    return Signals(
-        t, used, period_s, cutoff_hz, wrench, rate, rate_derivative, specific, velocity, gravity, noise, source,
-        (float(times[0]), float(times[-1])), tuple(notes),
-    )  # fmt: skip
+        return felt - bias, "accelerometer", [note]
+    if seen is None or pose is None:
+        return None, "", ["Nothing tells the specific force, so mass gets no number."]
+    what = "velocities" if pose.source == "state" else "positions"
+    return seen.specific_force, pose.source, [f"Specific force from differentiated {what}."]
 
 
 def default_cutoff_hz(flight: FlightData, imu: Stream | None, t_s: Array) -> float:
@@ -250,7 +315,7 @@ def excitation_window(flight: FlightData) -> tuple[float, float]:
     if flight.window_s is not None:
         start, end = flight.window_s
         return start + min(TRANSIENT_S, 0.2 * (end - start)), end
-    motors = _without(flight.motors, ())
+    motors = clean(flight.motors)
     t = motors.t_s
     thrust = declared_wrench(flight.vehicle, motors, flight.battery, t)[:, 0]
     flying = thrust > 0.5 * np.quantile(thrust, 0.75)
@@ -286,6 +351,16 @@ def slerp(t_s: ArrayLike, stamps_s: Array, quaternions: Array) -> Array:
     return quat_continuous(quat_multiply(q[left], quat_exp(share[:, None] * turn[left])))
 
 
+def clean(stream: Stream, exclude: Segments = ()) -> Stream:
+    """Samples with finite values and strictly increasing stamps, outside the excluded segments."""
+    keep = np.isfinite(stream.values).all(axis=1) & np.isfinite(stream.t_s)
+    for first, last in exclude:
+        keep &= (stream.t_s < first) | (stream.t_s > last)
+    kept = stream.select(keep)
+    latest = np.maximum.accumulate(np.concatenate([[-np.inf], kept.t_s[:-1]]))
+    return kept.select(kept.t_s > latest)
+
+
 def white_noise_std(values: Array) -> Array:
     """Standard deviation of white noise per column, from fourth differences (which motion hardly reaches), robustly.
 
@@ -308,14 +383,11 @@ def differentiated_noise_gain(order: int, cutoff_hz: float, rate_hz: float) -> f
     return float(np.sqrt(2.0 * (2.0 * np.pi) ** (2 * order) * cutoff**power / (power * rate_hz)))
 
 
-def _accelerometer_is_better(imu: Stream, pose: _Pose | None, cutoff_hz: float) -> bool:
+def _accelerometer_is_better(imu: Stream, pose: _Pose, cutoff_hz: float) -> bool:
     """Compare what noise leaves on z: accelerometer as it is, against poses differentiated once or twice."""
-    if pose is None:
-        return True
     felt = white_noise_std(imu.values[:, 5:6])[0] * differentiated_noise_gain(0, cutoff_hz, imu.rate_hz())
     order, source = (2, pose.position_m) if pose.velocity_world_m_s is None else (1, pose.velocity_world_m_s)
-    rate_hz = 1.0 / float(np.median(np.diff(pose.t_s)))
-    seen = white_noise_std(source[:, 2:3])[0] * differentiated_noise_gain(order, cutoff_hz, rate_hz)
+    seen = white_noise_std(source[:, 2:3])[0] * differentiated_noise_gain(order, cutoff_hz, pose.rate_hz())
     return bool(felt <= seen)
 
 
@@ -324,26 +396,16 @@ def _pose(flight: FlightData, mocap_minus_imu_s: float, exclude: Segments) -> _P
     if flight.mocap is not None and len(flight.mocap) > 3:
         mounting = flight.vehicle.mocap
         moved = Stream(flight.mocap.t_s - mocap_minus_imu_s, flight.mocap.values, flight.mocap.columns)
-        stream = _without(moved, exclude)
+        stream = clean(moved, exclude)
         marker_to_body = quat_conjugate(quat_exp(np.asarray(mounting.rotation_rad)))
         q = quat_continuous(quat_multiply(quat_normalise(stream.values[:, 3:7]), marker_to_body))
         p = stream.values[:, :3] - quat_rotate(q, np.asarray(mounting.position_m))
         return _Pose(stream.t_s, p, q, None, "positions")
     if flight.state is not None and len(flight.state) > 3:
-        stream = _without(flight.state, exclude)
+        stream = clean(flight.state, exclude)
         q = quat_continuous(quat_normalise(stream.values[:, 6:10]))
         return _Pose(stream.t_s, stream.values[:, :3], q, stream.values[:, 3:6], "state")
     return None
-
-
-def _without(stream: Stream, exclude: Segments) -> Stream:
-    """Samples with finite values and strictly increasing stamps, outside the excluded segments."""
-    keep = np.isfinite(stream.values).all(axis=1) & np.isfinite(stream.t_s)
-    for first, last in exclude:
-        keep &= (stream.t_s < first) | (stream.t_s > last)
-    kept = stream.select(keep)
-    latest = np.maximum.accumulate(np.concatenate([[-np.inf], kept.t_s[:-1]]))
-    return kept.select(kept.t_s > latest)
 
 
 def _in_gap(t_s: Array, stamps_s: Array) -> NDArray[np.bool_]:
@@ -351,12 +413,6 @@ def _in_gap(t_s: Array, stamps_s: Array) -> NDArray[np.bool_]:
     step = np.diff(stamps_s)
     longest = max(GAP_S, 3.0 * float(np.median(step)))
     return step[np.clip(np.searchsorted(stamps_s, t_s, side="right") - 1, 0, len(step) - 1)] > longest
-
-
-def _rate_from_attitude(quaternion: Array, period_s: float) -> Array:
-    """Body rates 2 q* dq/dt by central differences, shape (k, 3)."""
-    q = quat_continuous(quaternion)
-    return 2.0 * quat_multiply(quat_conjugate(q), central_difference(q, period_s))[:, 1:]
 
 
 def _lever_arm(rate: Array, rate_derivative: Array, position_m: ArrayLike) -> Array:

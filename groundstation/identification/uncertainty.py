@@ -29,19 +29,15 @@ def coloured_covariance(influence: Array, residual: Array, period_s: float) -> A
     Returns:
         Shape (n_parameters, n_parameters), in the parameters' units.
     """
-    from scipy.fft import next_fast_len, rfft
-
     k, parameters, outputs = influence.shape
     # Twice the length, so that the products below are linear, not circular, correlations.
-    length = next_fast_len(2 * k, real=True)
+    length = 1 << (2 * k - 1).bit_length()
     spectrum = _cross_spectrum(residual, period_s, length)
     active = np.abs(influence).max(axis=0) > 0.0
     weight = np.full(length // 2 + 1, 2.0)
-    weight[0] = 1.0
-    if length % 2 == 0:
-        weight[-1] = 1.0
+    weight[[0, -1]] = 1.0
     listened = np.zeros((parameters, outputs, length // 2 + 1), dtype=complex)
-    listened[active] = rfft(influence.transpose(1, 2, 0)[active], length, axis=-1, workers=1)
+    listened[active] = np.fft.rfft(influence.transpose(1, 2, 0)[active], length, axis=-1)
     carried = np.einsum("pof,fov->pvf", listened, spectrum)
     covariance = np.einsum("pvf,qvf,f->pq", carried, listened.conj(), weight, optimize=True).real / length
     return 0.5 * (covariance + covariance.T)
@@ -52,11 +48,10 @@ def _cross_spectrum(residual: Array, period_s: float, length: int) -> Array:
 
     Normalised so that white noise of variance s^2 has the value s^2; shape (length // 2 + 1, n_outputs, n_outputs).
     """
-    from scipy.fft import rfft
     from scipy.ndimage import uniform_filter1d
 
     used = np.count_nonzero(np.abs(residual).max(axis=1) > 0.0)
-    transform = rfft(residual, length, axis=0, workers=1)
+    transform = np.fft.rfft(residual, length, axis=0)
     bins = max(3, 2 * int(SMOOTHING_HZ * length * period_s) + 1)
     outputs = residual.shape[1]
     out = np.empty((len(transform), outputs, outputs), dtype=complex)
