@@ -1,0 +1,192 @@
+"""Plans: what a user asks for, put to the optimiser, and the answer as a plan file or JSON document."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from groundstation.errors import BadInput
+from groundstation.paths import find_config
+from groundstation.planning.criteria import CRITERIA, condition_number
+from groundstation.planning.information import DEFAULT_NOISE, Noise, predicted_std
+from groundstation.planning.limits import Envelope, check_start, envelope, largest_violation
+from groundstation.trajectory import FourierSeries, Plan, coefficients_from_arrays, load_plan, plan_to_dict
+from groundstation.vehicle import Vehicle, load_vehicle
+
+PAPER_START = (0.0, 0.0, 0.7, 0.0)
+"""x, y, z, yaw at both ends in the seed paper (section III-B); Table 2 keeps it to its four printed digits."""
+
+PAPER_BASE_FREQUENCY_RAD_S = math.radians(36.0)
+PAPER_HARMONICS = 5
+PAPER_DURATION_S = 40.0  # section III-D identifies on 10 s < t < 50 s
+
+FREQUENCY_MAX_HZ = 1.0
+"""Highest harmonic where the base frequency is free: a position loop on a 30 Hz motion capture follows little above it."""
+
+
+def paper_problem() -> dict[str, Any]:
+    """Arguments of :func:`plan_excitation` that pose the seed paper's problem (section III-B) for its vehicle."""
+    return {
+        "vehicle": load_vehicle(find_config("vehicles", "qball2")),
+        "criterion": "condition",
+        "harmonics": PAPER_HARMONICS,
+        "base_frequency_rad_s": PAPER_BASE_FREQUENCY_RAD_S,
+        "duration_s": PAPER_DURATION_S,
+        "start": PAPER_START,
+    }
+
+
+def paper_plan() -> Plan:
+    """The published trajectory (Table 2)."""
+    return load_plan(find_config("plans", "paper_table2"))
+
+
+def plan_excitation(
+    vehicle: Vehicle | Sequence[Vehicle],
+    *,
+    criterion: str = "condition",
+    harmonics: int = 5,
+    base_frequency_rad_s: float | None = None,
+    duration_s: float | None = None,
+    frequency_max_hz: float = FREQUENCY_MAX_HZ,
+    start: tuple[float, float, float, float] | None = None,
+    noise: Noise = DEFAULT_NOISE,
+    seed: int = 0,
+    time_budget_s: float = 8.0,
+    starts: int | None = None,
+    progress: Callable[[float, str], None] = lambda fraction, text: None,
+    **limits: float,
+) -> Plan:
+    """The best excitation found for a vehicle within its limits.
+
+    Args:
+        vehicle: the vehicle, or several candidates for what it may be: then the worst case counts (robust design).
+        criterion: "condition" (the seed paper's cond(W)), "D", "A" or "E".
+        harmonics: N of eq. (18), 2 or more.
+        base_frequency_rad_s: w_f; None lets the optimiser choose, a whole number of periods filling the duration.
+        duration_s: of the excitation; default 40 s. With a given base frequency it is rounded to whole periods.
+        frequency_max_hz: no harmonic lies above it where the base frequency is free.
+        start: x, y, z, yaw at both ends (m, rad); None lets the optimiser choose.
+        noise: the disturbance and sensor noise to expect.
+        seed: of the random starting points.
+        time_budget_s: for the search; an interrupt (Ctrl-C) ends it early and keeps the best so far.
+        starts: number of starting points instead of a time.
+        progress: called with the share of the work that is done and a line of text.
+        **limits: values that replace those of the vehicle's ``[limits]``, by the same names.
+
+    Returns:
+        A plan that keeps every limit to 1e-7 of its unit between samples too.
+
+    Raises:
+        BadInput: an argument is impossible, or limits exclude even hovering; names the limit and how far off it is.
+    """
+    from groundstation.planning.optimiser import optimise
+    from groundstation.planning.program import Problem
+
+    vehicles = (vehicle,) if isinstance(vehicle, Vehicle) else tuple(vehicle)
+    envelopes = tuple(envelope(each, limits) for each in vehicles)
+    for each in envelopes:
+        if start is not None:
+            check_start(each, start)
+    duration, band = _timing(base_frequency_rad_s, duration_s, harmonics, frequency_max_hz)
+    _check(criterion, harmonics, time_budget_s)
+    problem = Problem(vehicles, envelopes, criterion, harmonics, band, duration, start, noise)
+    share = 0.5 if band[0] < band[1] else 1.0
+    found = optimise(
+        problem,
+        seed=seed,
+        time_budget_s=share * time_budget_s,
+        starts=starts,
+        progress=lambda fraction, text: progress(share * fraction, text),
+    )
+    if share < 1.0:
+        periods = max(round(duration / found.series.period_s), 1)
+        fixed = 2.0 * math.pi * periods / duration
+        found = optimise(
+            replace(problem, base_frequency_rad_s=(fixed, fixed)),
+            seed=seed + 1,
+            time_budget_s=(1.0 - share) * time_budget_s,
+            starts=starts,
+            progress=lambda fraction, text: progress(share + (1.0 - share) * fraction, text),
+        )
+    series = replace(found.series, periods=float(max(round(duration / found.series.period_s), 1)))
+    return describe(series, vehicles[0], envelopes, criterion=criterion, noise=noise)
+
+
+def describe(
+    series: FourierSeries,
+    vehicle: Vehicle,
+    envelopes: Sequence[Envelope],
+    *,
+    criterion: str,
+    noise: Noise = DEFAULT_NOISE,
+    note: str = "",
+) -> Plan:
+    """A trajectory as a plan: its condition number, what it should reveal, and by how much it exceeds a limit."""
+    std = predicted_std(series, vehicle, noise)
+    return Plan(
+        vehicle=vehicle.name,
+        base_frequency_rad_s=series.base_frequency_rad_s,
+        periods=series.periods,
+        coefficients=coefficients_from_arrays(series.a, series.b, series.c),
+        criterion=criterion,
+        condition_number=condition_number(replace(series, periods=1.0), vehicle.gravity_m_s2),
+        largest_violation=largest_violation(series, tuple(envelopes)),
+        limits=envelopes[0].stated(),
+        predicted_std={name: value for name, value in std.items() if math.isfinite(value)},
+        note=note,
+    )
+
+
+def plan_document(plan: Plan) -> dict:
+    """The document that ``plan --json`` prints (schema groundstation.plan/1)."""
+    return plan_to_dict(plan)
+
+
+def _timing(
+    base: float | None, duration: float | None, harmonics: int, frequency_max_hz: float
+) -> tuple[float, tuple[float, float]]:
+    """Duration of the flight and range of the base frequency."""
+    for name, value in (("base frequency", base), ("duration", duration), ("highest frequency", frequency_max_hz)):
+        if value is not None and not (math.isfinite(value) and value > 0.0):
+            raise BadInput(f"the {name} must be positive, not {value:g}; correct it.")
+    wanted = PAPER_DURATION_S if duration is None else duration
+    if base is not None:
+        period = 2.0 * math.pi / base
+        if wanted < 0.999 * period:
+            raise BadInput(
+                f"the duration of {wanted:g} s is shorter than one period of {period:.4g} s; "
+                f"give at least {period:.4g} s or a higher base frequency."
+            )
+        return round(wanted / period) * period, (base, base)
+    low, high = 2.0 * math.pi / wanted, 2.0 * math.pi * frequency_max_hz / harmonics
+    if high < low:
+        raise BadInput(
+            f"{harmonics} harmonics below {frequency_max_hz:g} Hz take {harmonics / frequency_max_hz:.4g} s, longer than "
+            f"the duration of {wanted:g} s; use fewer harmonics, a longer flight or a higher top frequency."
+        )
+    return wanted, (low, high)
+
+
+def _check(criterion: str, harmonics: int, time_budget_s: float) -> None:
+    if criterion not in CRITERIA:
+        raise BadInput(f"{criterion} is not a criterion; there are {', '.join(CRITERIA)}.")
+    if harmonics < 2:
+        raise BadInput(f"{harmonics} harmonics cannot start and end at rest; use 2 or more.")
+    if not time_budget_s > 0.0:
+        raise BadInput(f"the time budget must be positive, not {time_budget_s:g} s; correct it.")
+
+
+__all__ = [
+    "FREQUENCY_MAX_HZ",
+    "PAPER_START",
+    "describe",
+    "paper_plan",
+    "paper_problem",
+    "plan_document",
+    "plan_excitation",
+]
