@@ -119,12 +119,14 @@ class RigidAirframe:
         body = np.array([0.0, 0.0, force / self._mass])
         world = np.array(rotate(self._q, tuple(body)))
         acceleration = world - [0.0, 0.0, self._gravity]
-        grounded = self._position[2] <= self._floor and acceleration[2] <= 0.0 and self._velocity[2] <= 0.0
-        if grounded:
+        below = self._position[2] <= self._floor and self._velocity[2] <= 0.0
+        grounded = below and acceleration[2] <= 0.0
+        if below:
             yaw = euler(self._q)[2]
             self._q = (math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2))
             self._velocity[:] = self._rate[:] = 0.0
             self._position[2] = self._floor
+        if grounded:
             self._force = np.array([0.0, 0.0, self._gravity])
         else:
             self._velocity += dt * acceleration
@@ -133,7 +135,7 @@ class RigidAirframe:
             self._rate += dt * (self._inverse @ (np.asarray(torque) - gyroscopic))
             self._q = turned(self._q, (self._rate[0], self._rate[1], self._rate[2]), dt)
             self._force = body
-        self._on_ground = bool(grounded)
+        self._on_ground = bool(below)
 
     @property
     def state(self) -> AirframeState:

@@ -11,12 +11,15 @@ _CODES = {
 }  # fmt: skip
 
 
-def _code(definition: str) -> str:
-    """Struct code of a format's fields "type name;type[n] name;..." of basic types."""
+def _code(definition: str, formats: dict[str, str]) -> str:
+    """Struct code of a format's fields "type name;type[n] name;...", nested formats written out."""
     codes = []
     for item in filter(None, definition.split(";")):
         kind, _, count = item.split(" ")[0].rstrip("]").partition("[")
-        codes.append(f"{count}{_CODES[kind]}")
+        if kind in formats:
+            codes.append(_code(formats[kind], formats) * int(count or 1))
+        else:
+            codes.append(f"{count}{_CODES[kind]}")
     return "".join(codes)
 
 
@@ -25,7 +28,8 @@ class ULogWriter:
 
     Args:
         start_us: the autopilot's time at the start.
-        formats: fields of each topic, in the form of the format message, timestamp first.
+        formats: fields of each topic, in the form of the format message, timestamp first; a format that another one
+            contains is not a topic of its own.
         info: key-value pairs of text, integers.
         parameters: initial parameters: name, whether it is a float, value.
     """
@@ -51,11 +55,9 @@ class ULogWriter:
             self._message("P", bytes([len(key)]) + key + packed)
         self._packers: dict[str, struct.Struct] = {}
         self._ids: dict[str, int] = {}
-        for number, (name, fields) in enumerate(formats.items()):
-            if name.startswith("_"):
-                continue
-            code = _code(fields)
-            self._packers[name] = struct.Struct(f"<HBH{code}")
+        nested = {name for name in formats if any(f";{name}[" in f";{fields}" for fields in formats.values())}
+        for number, (name, fields) in enumerate((n, f) for n, f in formats.items() if n not in nested):
+            self._packers[name] = struct.Struct(f"<HBH{_code(fields, formats)}")
             self._ids[name] = number
             self._message("A", struct.pack("<BH", 0, number) + name.encode())
 

@@ -1,0 +1,456 @@
+"""PX4's manners, as measured on its software-in-the-loop build (main of March 2026) and as its recorded traffic shows.
+
+Where the recordings are silent the behaviour follows the firmware's documentation; docs/emulator.md says which is which.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import time
+import zlib
+from typing import ClassVar
+
+from drivers.mavlink.geometry import flip
+from sim.mavlink import inbound, messages
+from sim.mavlink.airframe import Vector
+from sim.mavlink.autopilot import (
+    ACCEPTED, CRITICAL, DENIED, FAILED, INFO, REJECTED, UNSUPPORTED, Autopilot, Link, Mode, Sender,
+)  # fmt: skip
+from sim.mavlink.control import Setpoint
+from sim.mavlink.estimator import EstimatorSettings
+from sim.mavlink.guidance import GuidanceSettings
+from sim.mavlink.logserver import LogFile
+from sim.mavlink.parameters import Parameter, ParameterStore
+from sim.mavlink.px4log import Px4Log
+from sim.mavlink.wire import Message, RawMessage, mavlink
+
+FORCE = 21196.0
+_HEALTHY, _PREARM = 320915519 & ~0x10000000, 0x10000000
+_CAPABILITIES = (
+    mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+    | mavlink.MAV_PROTOCOL_CAPABILITY_FTP | mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+)  # fmt: skip
+
+
+def _auto(sub: int) -> int:
+    return 4 << 16 | sub << 24
+
+
+def _link_node_status(a: messages.Autopilot) -> Message:
+    return RawMessage(8, struct.pack("<QIIIIIHHHBBB", a.boot_us, 24000, 0, 24000, 0, 0, 0, 0, 0, 0, 0, 0), 117)
+
+
+def _event_sequence(a: messages.Autopilot) -> Message:
+    return RawMessage(411, struct.pack("<HB", a.counter & 0xFF, 0), 106)
+
+
+def _current_mode(a: messages.Autopilot) -> Message:
+    intended = a.custom_of(a.intention) if isinstance(a, Px4) else a.mode.custom
+    return RawMessage(436, struct.pack("<IIB", a.mode.custom, intended, 0), 193)
+
+
+def _time_estimate(_: messages.Autopilot) -> Message:
+    return RawMessage(380, struct.pack("<5i", 0, -1, -1, -1, -1), 232)
+
+
+class Px4(Autopilot):
+    """A PX4 multicopter."""
+
+    NAME = "px4"
+    TICK_US, EMIT_US = 4000, 4000
+    ALTITUDE_M, VTOL_STATE, RULE = 489.4, 0, "px4"
+    MODES = (
+        Mode("POSCTL", 3 << 16, 81, "hold", True),
+        Mode("OFFBOARD", 6 << 16, 17, "follow", False),
+        Mode("TAKEOFF", _auto(2), 29, "takeoff", True),
+        Mode("LOITER", _auto(3), 29, "hold", True),
+        Mode("RTL", _auto(5), 29, "return", True),
+        Mode("LAND", _auto(6), 29, "land", True),
+        Mode("DESCEND", _auto(6), 29, "blind", False),
+    )
+    TOPIC_HZ: ClassVar[dict[int, float]] = {31: 188.0, 32: 125.0, 331: 125.0, 147: 100.0, 24: 8.0}
+    ESTIMATOR = EstimatorSettings(gps_error_m=0.08, gps_ready_s=4.0, vision_timeout_s=4.6)
+    GUIDANCE = GuidanceSettings(climb_m_s=1.5, descend_m_s=0.7)
+    BUILDERS: ClassVar[dict[int, messages.Builder]] = {
+        **messages.COMMON,
+        8: _link_node_status,
+        105: messages.highres_imu,
+        141: messages.altitude,
+        291: messages.esc_status,
+        331: messages.odometry,
+        375: messages.actuator_output,
+        380: _time_estimate,
+        411: _event_sequence,
+        436: _current_mode,
+    }
+    FIRST_TEXT_ID = 0
+
+    def __init__(self, *args: object, **options: object):
+        self.intention = "LOITER"
+        self._log: Px4Log | None = None
+        self._last_setpoint_s = -math.inf
+        self._failsafe_since_s: float | None = None
+        self._latched: str | None = None
+        self._link_lost_s: float | None = None
+        self._rtl_announced = ""
+        self._next_text_id = 0
+        self._intention_at_arming = "LOITER"
+        self._rate_before: Vector = (0.0, 0.0, 0.0)
+        self.angular_acceleration_frd: Vector = (0.0, 0.0, 0.0)
+        self.last_vision: tuple[int, Vector, tuple[float, float, float, float]] | None = None
+        super().__init__(*args, **options)  # type: ignore[arg-type]
+        self.parameter_changed(self.parameters.all[0])
+
+    # -- what it is -------------------------------------------------------------------------------------------------
+
+    def _parameters(self) -> ParameterStore:
+        return ParameterStore("px4", bytewise=True)
+
+    def _directories(self) -> tuple[str, ...]:
+        return ("/fs/microsd/log", "/fs/microsd/etc", "/etc/logging", "/eeprom")
+
+    def _mission_dialect(self) -> inbound.MissionDialect:
+        return "px4"
+
+    def _first_mode(self) -> str:
+        return "LOITER"
+
+    def custom_of(self, name: str) -> int:
+        """The custom mode number of a mode."""
+        return self._by_name[name].custom
+
+    def _default_streams(self, kind: str) -> dict[int, int]:
+        hz = {
+            0: 1, 1: 5, 2: 1, 4: 1, 8: 1, 24: 8, 29: 1, 42: 1, 74: 10, 83: 10, 85: 10, 111: 10, 141: 10, 147: 0.5,
+            230: 1, 241: 0.5, 242: 0.5, 245: 5, 380: 0.5, 411: 0.333, 436: 0.5,
+        }  # fmt: skip
+        if kind == "onboard":
+            hz |= {30: 100, 31: 50, 32: 30, 33: 50, 36: 10, 105: 50, 331: 30}
+        else:
+            hz |= {30: 50, 31: 50, 32: 30, 33: 10, 36: 50}
+        return {number: round(1e6 / rate) for number, rate in hz.items()}
+
+    def heartbeat(self) -> Message:
+        """HEARTBEAT; disarmed and not ready to arm shows as uninitialised, a failsafe as critical."""
+        if self.armed:
+            status = 5 if self.failsafe else 4
+        else:
+            status = 3 if self._arming_obstacle() is None else 0
+        base = self.mode.base | (128 if self.armed else 0)
+        return mavlink.MAVLink_heartbeat_message(2, 12, base, self.mode.custom, status, 3)
+
+    def system_status(self) -> Message:
+        """SYS_STATUS with the sensors of the recorded simulation."""
+        health = _HEALTHY | (_PREARM if self._arming_obstacle() is None else 0)
+        return mavlink.MAVLink_sys_status_message(
+            50348079, 50413615, health, 110, round(1000 * self.truth.voltage_v), round(100 * self.truth.current_a),
+            self.battery_percent, 0, 0, 0, 0, 0, 0,
+        )  # fmt: skip
+
+    def autopilot_version(self) -> Message:
+        """AUTOPILOT_VERSION of 1.17.0-dev."""
+        return mavlink.MAVLink_autopilot_version_message(
+            _CAPABILITIES, 0x01110040, 0x01110040, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0x5049583453494D31
+        )
+
+    @property
+    def pulse_widths_us(self) -> list[int]:
+        """1000 + 1000 u while armed, 900 otherwise and on unused outputs."""
+        used = [round(1000 + 1000 * u) for u in self.commands] if self.armed else [900] * len(self.commands)
+        return (used + [900] * 16)[:16]
+
+    @property
+    def imu_rate_hz(self) -> float:
+        """Rate of the inertial sensor's driver."""
+        return 1e6 / self.tick_us
+
+    @property
+    def gcs_alive(self) -> bool:
+        """Whether any link has a live ground station."""
+        return any(self.time_s - link.heard_s < self.parameters["COM_DL_LOSS_T"] for link in self.links.values())
+
+    # -- requests ---------------------------------------------------------------------------------------------------
+
+    def refuse_interval(self, message_id: int, interval_us: int) -> int | None:
+        """Anything known is granted, whatever the rate; RAW_IMU and what else is not streamed fails."""
+        return None if message_id in self.BUILDERS or message_id in (0, 1) else FAILED
+
+    def unknown_parameter(self, link: Link, sender: Sender, name: str) -> None:
+        """PARAM_ERROR; the hash of all parameters is one more name."""
+        if name == "_HASH_CHECK":
+            digest = 0
+            for p in self.parameters.all:
+                packed = struct.pack("<f", p.value) if p.is_float else struct.pack("<i", int(p.value))
+                digest = zlib.crc32(p.name.encode() + packed, digest)
+            value = struct.unpack("<f", struct.pack("<I", digest))[0]
+            kind = mavlink.MAV_PARAM_TYPE_UINT32
+            self.send(link, mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), 65535))
+            return
+        error = mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST
+        self.send(link, mavlink.MAVLink_param_error_message(*sender, name.encode(), -1, error))
+
+    def accepts_parameter(self, link: Link, sender: Sender, parameter: Parameter, kind: int) -> bool:
+        """Only its own type; another one leaves the value."""
+        if kind == parameter.kind:
+            return True
+        error = mavlink.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE
+        self.send(link, mavlink.MAVLink_param_error_message(*sender, parameter.name.encode(), -1, error))
+        return False
+
+    def parameter_changed(self, parameter: Parameter) -> None:
+        """Take over what the emulation depends on: IMU rate, position source, and the trap of the height reference."""
+        if not self.armed:
+            self.tick_us = 1000 if self.parameters["IMU_INTEG_RATE"] >= 500 else 4000
+        vision = int(self.parameters["EKF2_EV_CTRL"]) & 1 and not self.parameters["EKF2_GPS_CTRL"]
+        gps = self.parameters["EKF2_GPS_CTRL"] and self.parameters["SYS_HAS_GPS"]
+        self.estimator.source = "vision" if vision else "gps" if gps else "none"
+        if parameter.name == "EKF2_HGT_REF" and not self.landed:
+            self.estimator.jump((0.0, 0.0, -self.ALTITUDE_M))
+        if self._log is not None:
+            self._log.parameter(parameter.name, parameter.is_float, parameter.value)
+
+    def _vision_accepted(self, name: str, message: Message) -> bool:
+        if not int(self.parameters["EKF2_EV_CTRL"]):
+            return False
+        accepted = name != "ODOMETRY" or message.estimator_type in (0, 2, 3)  # MOCAP is not fused
+        if accepted and name == "ODOMETRY":
+            self.last_vision = (self.boot_us, (message.x, message.y, message.z), tuple(message.q))
+        return accepted
+
+    def command(self, number: int, p: list[float], link: Link, sender: Sender) -> int | None:
+        """Commands of the vehicle itself."""
+        if number == mavlink.MAV_CMD_DO_SET_MODE:
+            return self._command_mode(int(p[1]), int(p[2]), link, sender)
+        if number == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
+            return self._command_arm(forced=p[1] == FORCE) if p[0] == 1.0 else self._command_disarm(p[1] == FORCE)
+        if number == mavlink.MAV_CMD_NAV_TAKEOFF:
+            height = p[6] - self.ALTITUDE_M if math.isfinite(p[6]) else math.nan
+            return self._command_takeoff(height)
+        simple = {
+            mavlink.MAV_CMD_NAV_LAND: "LAND",
+            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: "RTL",
+            mavlink.MAV_CMD_DO_REPOSITION: "LOITER",
+        }
+        if number in simple:
+            return self._intend(simple[number])
+        if number == mavlink.MAV_CMD_DO_FLIGHTTERMINATION and p[0] > 0.5:
+            self.disarm()
+            return ACCEPTED
+        if number == mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN:
+            return DENIED
+        if number in (mavlink.MAV_CMD_DO_SET_HOME, mavlink.MAV_CMD_PREFLIGHT_STORAGE):
+            return ACCEPTED
+        return UNSUPPORTED
+
+    def _command_mode(self, main: int, sub: int, link: Link, sender: Sender) -> int:
+        custom = main << 16 | (sub << 24 if main == 4 else 0)
+        name = next((m.name for m in self.MODES if m.custom == custom), None)
+        result = REJECTED if name is None else self._intend(name)
+        if result == ACCEPTED:  # recorded: a change of mode is acknowledged twice
+            set_mode = mavlink.MAV_CMD_DO_SET_MODE
+            self.send(link, mavlink.MAVLink_command_ack_message(set_mode, ACCEPTED, 0, 0, *sender))
+        return result
+
+    def _intend(self, name: str) -> int:
+        if self._by_name[name].needs_position and not self.estimate.position_valid and self.armed:
+            self._say(CRITICAL, f"Switching to mode '{name.title()}' is currently not possible")
+            return REJECTED
+        self.intention, self._latched = name, None
+        if self._failsafe_mode() is None:
+            self._enter(name)
+        return ACCEPTED
+
+    def _command_takeoff(self, height_m: float) -> int:
+        result = self._intend("TAKEOFF")
+        if result == ACCEPTED:
+            ground = self.estimate.position_m[2]
+            target = height_m if math.isfinite(height_m) else ground + self.parameters["MIS_TAKEOFF_ALT"]
+            self.begin("takeoff", height_m=target)
+        return result
+
+    def _arming_obstacle(self) -> str | None:
+        """Why it does not arm, None when it would."""
+        if self.deny_arming is not None:
+            return self.deny_arming
+        if self.intention == "OFFBOARD" and not self._setpoints_fresh:
+            return "no offboard signal"
+        if self._by_name[self.intention].needs_position and not self.estimate.position_valid:
+            return "no valid local position estimate"
+        if self.battery_percent <= 100 * self.parameters["BAT_CRIT_THR"]:
+            return "low battery"
+        return None
+
+    def _command_arm(self, *, forced: bool) -> int:
+        if self.armed:
+            return ACCEPTED
+        obstacle = None if forced else self._arming_obstacle()
+        if obstacle is not None:
+            self._say(CRITICAL, "Arming denied: Resolve system health failures first")
+            self._say(CRITICAL, f"Preflight Fail: {obstacle}")
+            return REJECTED
+        self.arm()
+        self._intention_at_arming = self.intention
+        self._enter(self.intention, again=True)
+        begun = time.gmtime(self.unix_s)
+        path = time.strftime("/fs/microsd/log/%Y-%m-%d/%H_%M_%S.ulg", begun)
+        self.files[path] = bytearray()
+        self._log = Px4Log(self, self.files[path])
+        self._log_path = path
+        self._say(INFO, "Armed by external command")
+        return ACCEPTED
+
+    def _command_disarm(self, forced: bool) -> int:
+        if not self.armed:
+            return ACCEPTED
+        if not self.landed and not forced:
+            self._say(CRITICAL, "Disarming denied: not landed")
+            return REJECTED
+        self._say(INFO, "Disarmed by external command")
+        self.disarm()
+        return ACCEPTED
+
+    # -- flight -----------------------------------------------------------------------------------------------------
+
+    @property
+    def _setpoints_fresh(self) -> bool:
+        return self.time_s - self._last_setpoint_s < self.parameters["COM_OF_LOSS_T"]
+
+    def follow(self, setpoint: Setpoint) -> None:
+        """A set-point keeps OFFBOARD alive, whatever the mode."""
+        self._last_setpoint_s = self.time_s
+        super().follow(setpoint)
+
+    def _enter(self, name: str, *, again: bool = False) -> None:
+        if again:
+            self.begin(self._by_name[name].kind)
+        self.set_mode(name)
+
+    def begin(self, kind, *, height_m=None) -> None:  # type: ignore[no-untyped-def]
+        """A take-off without a height uses MIS_TAKEOFF_ALT."""
+        if kind == "takeoff" and height_m is None:
+            height_m = self.estimate.position_m[2] + self.parameters["MIS_TAKEOFF_ALT"]
+        super().begin(kind, height_m=height_m)
+
+    def _supervise(self) -> None:
+        rate = flip(self.imu.gyro_rad_s)
+        x, y, z = ((now - before) / self.tick_s for now, before in zip(rate, self._rate_before, strict=True))
+        self.angular_acceleration_frd, self._rate_before = (x, y, z), rate
+        wanted = self._failsafe_mode() if self.armed else None
+        if wanted is not None and not self.failsafe:
+            self._say(CRITICAL, "Failsafe activated")
+        self.failsafe = wanted is not None
+        mode = wanted or self.intention
+        if mode != self.mode.name:
+            self._enter(mode)
+        self._announce_return()
+        if self.mode.name == "TAKEOFF" and self.guidance.done:
+            self.intention = "LOITER"
+        self._disarm_by_itself()
+
+    def _disarm_by_itself(self) -> None:
+        if not self.armed:
+            return
+        landed, waiting = self.parameters["COM_DISARM_LAND"], self.parameters["COM_DISARM_PRFLT"]
+        if 0.0 < landed <= self.landed_for_s:
+            self._say(INFO, "Disarmed by landing")
+            self.disarm(by_landing=True)
+        elif self.landed and not self.has_flown and 0.0 < waiting <= self.time_s - self.armed_s:
+            self._say(INFO, "Disarmed by auto preflight disarming")
+            self.disarm()
+
+    def _announce_return(self) -> None:
+        phase = self.guidance.phase if self.mode.name == "RTL" else ""
+        if phase != self._rtl_announced and phase == "cruise":
+            height, above = self.ALTITUDE_M + self.estimate.position_m[2], self.distance_from_home[1]
+            self._say(INFO, f"RTL: start return at {height:.0f} m ({above:.0f} m above destination)")
+        elif phase != self._rtl_announced and phase == "descend":
+            self._say(INFO, "RTL: land at destination")
+        self._rtl_announced = phase
+
+    def _failsafe_mode(self) -> str | None:
+        """The mode a failsafe demands now; some stay once they have acted, loss of set-points and position do not."""
+        if not self.armed:
+            return None
+        if self._latched is None:
+            self._latched = self._battery_action() or self._fence_action() or self._link_action()
+        if self._latched is not None:
+            return self._latched
+        needs = self._by_name[self.intention].needs_position or self.intention == "OFFBOARD"
+        if needs and not self.estimate.position_valid and not self.landed:
+            return "DESCEND"
+        if self.intention == "OFFBOARD" and not self._setpoints_fresh:
+            return {4: "LAND", 5: "LOITER"}.get(int(self.parameters["COM_OBL_RC_ACT"]), "RTL")
+        return None
+
+    def _battery_action(self) -> str | None:
+        share, action = self.battery_percent / 100, int(self.parameters["COM_LOW_BAT_ACT"])
+        if action == 0 or self.landed:
+            return None
+        if share <= self.parameters["BAT_EMERGEN_THR"] or (action == 2 and share <= self.parameters["BAT_CRIT_THR"]):
+            return "LAND"
+        return "RTL" if action == 3 and share <= self.parameters["BAT_CRIT_THR"] else None
+
+    def _fence_action(self) -> str | None:
+        horizontal, vertical = self.distance_from_home
+        widest, highest = self.parameters["GF_MAX_HOR_DIST"], self.parameters["GF_MAX_VER_DIST"]
+        breached = (0.0 < widest < horizontal) or (0.0 < highest < vertical)
+        if not breached or self.landed:
+            return None
+        return {2: "LOITER", 3: "RTL", 5: "LAND"}.get(int(self.parameters["GF_ACTION"]))
+
+    def _link_action(self) -> str | None:
+        """Station silent: measured 12.4 s to the reaction with COM_DL_LOSS_T = 10, then a hold before the return."""
+        action = int(self.parameters["NAV_DLL_ACT"])
+        heard = max((link.heard_s for link in self.links.values()), default=-math.inf)
+        silence = self.time_s - heard - self.parameters["COM_DL_LOSS_T"] - 2.4
+        if action == 0 or not math.isfinite(heard) or self.landed:
+            return None
+        if silence > self.parameters["COM_FAIL_ACT_T"]:
+            return {1: "LOITER", 2: "RTL", 3: "LAND"}.get(action)
+        if silence > 0.0 and self.mode.name != "LOITER":
+            self._say(CRITICAL, "GCS connection lost")
+            self._enter("LOITER")
+        return None
+
+    def _landed_event(self, *, landed: bool) -> None:
+        self._say(INFO, "Landing detected" if landed else "Takeoff detected")
+
+    def _after_disarm(self, *, by_landing: bool) -> None:
+        """Recorded: after a landing the mode shown is the one it was armed in."""
+        if by_landing:
+            self.intention = self._intention_at_arming
+        self._latched = None
+        self.failsafe = False
+        if self._log is not None:
+            self._log = None
+            self._number_logs()
+
+    def _number_logs(self) -> None:
+        """Numbers follow the directory, not time (measured: ids are not in time order)."""
+        paths = sorted((p for p in self.files if p.endswith(".ulg")), key=lambda p: zlib.crc32(p.encode()))
+        begun = {log.path: log.begun_unix_s for log in self.logs.logs} | {self._log_path: round(self.unix_s)}
+        self.logs.logs = [LogFile(number, begun.get(path, 0), path) for number, path in enumerate(paths)]
+
+    def _record(self) -> None:
+        if self._log is not None:
+            self._log.tick(self)
+
+    # -- texts ------------------------------------------------------------------------------------------------------
+
+    def _say(self, severity: int, text: str) -> None:
+        """PX4 ends the texts of its events with a tab."""
+        self.text(severity, f"{text}\t")
+        if self._log is not None:
+            self._log.text(self.boot_us, text)
+
+    def _text_number(self, pieces: int) -> int:
+        number = self._next_text_id
+        self._next_text_id += 1
+        return number
+
+    def _text_eligible(self, link: Link) -> bool:
+        return self.time_s - link.heard_s < 2.5
+
