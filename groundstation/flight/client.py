@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING
 from drivers import bus
 from groundstation.errors import BadInput
 from groundstation.flight.children import Child, module_command, start_child
+from groundstation.flight.journal import ENDPOINT_FILE, read_journal
 from groundstation.flight.journal import NAME as JOURNAL
-from groundstation.flight.journal import read_journal
 from groundstation.flight.messages import CLIENT_ALIVE, CommandName, CoreCommand, CoreStatus, Lease, LeaseAnswer
 
 if TYPE_CHECKING:
     import zenoh
 
-ENDPOINT_FILE = "core.endpoint"
 CONNECT_TIMEOUT_S = 15.0
 
 
@@ -91,6 +90,7 @@ def start_core(
     vehicle: Path,
     drone: tuple[str, ...],
     start: bool = False,
+    analyse: bool = True,
     listen: tuple[str, ...] = (),
 ) -> tuple[Child, str]:
     """Start the core of one flight in a session of its own.
@@ -101,6 +101,7 @@ def start_core(
         vehicle: vehicle file.
         drone: module and arguments of the process that stands for the vehicle.
         start: fly as soon as the checks pass, without an operator's ``start``.
+        analyse: identify, diagnose and report after landing.
         listen: endpoints beyond the loopback one, for clients on other machines.
 
     Returns:
@@ -114,6 +115,8 @@ def start_core(
         arguments += ["--listen", extra]
     if start:
         arguments.append("--start")
+    if not analyse:
+        arguments.append("--no-analysis")
     command = module_command("groundstation.flight.core", *map(str, arguments), "--", *drone)
     return start_child(command, folder / "core.log"), endpoint
 

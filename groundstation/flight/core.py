@@ -32,8 +32,8 @@ from drivers.samples import Batch, Battery, Motors, decode_batch
 from groundstation.errors import BadInput, GroundStationError
 from groundstation.flight import sequence as seq
 from groundstation.flight.children import Child, module_command, start_child
+from groundstation.flight.journal import ENDPOINT_FILE, Journal
 from groundstation.flight.journal import NAME as JOURNAL
-from groundstation.flight.journal import Journal
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, CoreStatus, Lease, LeaseAnswer
 from groundstation.flight.recorder import Recorder
 from groundstation.trajectory import Plan, flight_path, load_plan
@@ -187,7 +187,7 @@ class FlightCore:
         self.inbox.put(lambda: self._described(description))
 
     def _described(self, description: bus.Description) -> None:
-        from groundstation.recording import McapRecorder
+        from groundstation.recording.recorder import McapRecorder
 
         self.description = description
         metadata = {
@@ -312,12 +312,20 @@ class FlightCore:
                 name: bus.CommandName = action.do.value  # type: ignore[assignment]
                 self._order(partial(self._command, name))
             case seq.Do.CLOSE_RECORDING:
-                if self.recorder is not None:
-                    self.recorder.close()
+                self._close_recording()
             case seq.Do.ANALYSE:
                 self._analyse()
             case seq.Do.FINISH:
                 self.finished = True
+
+    def _close_recording(self) -> None:
+        if self.recorder is not None:
+            self.recorder.close()
+            self.journal.write(
+                "recording",
+                f"{self.recorder.recorded} samples recorded, {self.recorder.lost_batches} batches were lost",
+                streams={k: v.count for k, v in self.recorder.streams(self.digested_s).items()},
+            )
 
     def _order(self, job: Callable[[], object]) -> None:
         """Run a request that waits for an answer off the main thread."""
@@ -471,6 +479,7 @@ class FlightCore:
         for child in (self._worker, self._drone):
             if child is not None:
                 child.stop()
+        (self.settings.folder / ENDPOINT_FILE).unlink(missing_ok=True)
         status = self.state.exit_status if self.state.exit_status is not None else 1
         self.journal.write("outcome", self.state.phase, exit_status=status, reason=self.state.reason)
         self.journal.close()

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 NAME = "flight.log.jsonl"
+ENDPOINT_FILE = "core.endpoint"
+"""Where the flight's core listens, for as long as it runs."""
 
 
 class Journal:
