@@ -13,6 +13,9 @@ from groundstation.commands.common import ProgressLine, Result, example, json_op
 if TYPE_CHECKING:
     from groundstation.flight.rehearse import FlightResult
 
+PLAN_S = 6.0
+"""Seconds a rehearsal gives the planner."""
+
 
 @click.command(
     context_settings={"ignore_unknown_options": True, "allow_extra_args": True, "help_option_names": []},
@@ -72,12 +75,12 @@ def rehearse(vehicle: str, scenario: str, plan_file: Path | None, seed: int, rea
 
 def _new_plan(declared: Any, line: ProgressLine) -> Any:
     """A plan for a rehearsal: the paper's problem for its vehicle, the planner's defaults for any other."""
-    import math
+    from groundstation.planning import paper_problem, plan_excitation
 
-    from groundstation.planning import plan_excitation
-
-    paper = {"harmonics": 5, "base_frequency_rad_s": math.radians(36.0), "criterion": "condition"}
-    return plan_excitation(declared, progress=line.fraction, **(paper if declared.name == "qball2" else {}))
+    problem = paper_problem()
+    if declared.name != problem["vehicle"].name:
+        problem = {}
+    return plan_excitation(**{**problem, "vehicle": declared}, time_budget_s=PLAN_S, progress=line.fraction)
 
 
 def _keep_plan(chosen: Any, folder: Path) -> Path:

@@ -51,6 +51,7 @@ def limits_in_si(values: dict[str, float | None]) -> dict[str, float]:
 @click.option("--harmonics", type=click.IntRange(1, 40), default=None, help="Harmonics per channel.")
 @click.option("--base-frequency-deg-s", type=float, default=None, help="Base frequency; free if not given.")
 @click.option("--duration-s", type=float, default=None, help="Seconds of excitation.")
+@click.option("--frequency-max-hz", type=float, default=None, help="No harmonic above it where the base is free.")
 @click.option("--limit", "more_limits", multiple=True, metavar="NAME=VALUE", help="Any limit by its name, SI.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the random starts.")
 @click.option("--time-budget-s", type=float, default=8.0, show_default=True, help="Seconds to search.")
@@ -65,6 +66,7 @@ def plan(
     harmonics: int | None,
     base_frequency_deg_s: float | None,
     duration_s: float | None,
+    frequency_max_hz: float | None,
     more_limits: tuple[str, ...],
     seed: int,
     time_budget_s: float,
@@ -74,33 +76,49 @@ def plan(
 ) -> Result:
     """Optimise an excitation trajectory for a vehicle and a room. Ctrl-C gives the best so far."""
     from groundstation.paths import find_config
-    from groundstation.planning import plan_excitation
-    from groundstation.trajectory import plan_to_dict
+    from groundstation.planning import paper_problem, plan_document, plan_excitation
     from groundstation.vehicle import load_vehicle
 
     if paper and vehicle not in (None, "qball2"):
         raise BadInput("--paper is the QBall 2's problem; leave out --vehicle, or plan without --paper.")
-    declared = load_vehicle(find_config("vehicles", vehicle or "qball2"))
-    settings: dict[str, Any] = {"limits": limits_in_si(limits) | assignments(more_limits), "seed": seed}
-    settings["time_budget_s"] = time_budget_s
-    if paper:
-        settings |= {"criterion": "condition", "harmonics": 5, "base_frequency_rad_s": math.radians(36.0)}
-    given = {"criterion": criterion, "harmonics": harmonics, "duration_s": duration_s}
-    settings |= {key: value for key, value in given.items() if value is not None}
-    if base_frequency_deg_s is not None:
-        settings["base_frequency_rad_s"] = math.radians(base_frequency_deg_s)
+    problem: dict[str, Any] = (
+        paper_problem() if paper else {"vehicle": load_vehicle(find_config("vehicles", vehicle or "qball2"))}
+    )
+    base = None if base_frequency_deg_s is None else math.radians(base_frequency_deg_s)
+    given = {
+        "criterion": criterion,
+        "harmonics": harmonics,
+        "base_frequency_rad_s": base,
+        "duration_s": duration_s,
+        "frequency_max_hz": frequency_max_hz,
+    }
+    problem |= {key: value for key, value in given.items() if value is not None}
+    problem |= limits_in_si(limits) | known_limits(assignments(more_limits))
     line = ProgressLine()
     if compare:
-        from groundstation.planning import compare_families
+        from groundstation.planning.compare import compare_families
 
-        table = compare_families(declared, progress=line.fraction, **settings)
+        table = compare_families(seed=seed, time_budget_s=time_budget_s, progress=line.fraction, **problem)
         line.end()
         return Result(table.to_dict(), table.to_text())
-    found = plan_excitation(declared, progress=line.fraction, **settings)
+    found = plan_excitation(seed=seed, time_budget_s=time_budget_s, progress=line.fraction, **problem)
     line.end()
     if output is not None:
         write_plan(found, output)
-    return Result(plan_to_dict(found), plan_text(found, output))
+    return Result(plan_document(found), plan_text(found, output))
+
+
+def known_limits(values: dict[str, float]) -> dict[str, float]:
+    """The same, once every name is a limit's.
+
+    Raises:
+        BadInput: a name is not; the sentence lists those there are.
+    """
+    known = sorted(LIMIT_OPTIONS.values())
+    for name in values:
+        if name not in known:
+            raise BadInput(f"{name} is not a limit; there are {', '.join(known)}.")
+    return values
 
 
 def write_plan(found: Plan, path: Path) -> Path:
