@@ -1,0 +1,64 @@
+"""Rules of the house that a linter does not know: import directions, what the wheel holds, what must not be in files."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False).stdout.split()
+
+
+def test_imports_point_the_right_way():
+    done = subprocess.run(
+        [sys.executable, "-c", "import sys; from importlinter.cli import lint_imports_command as c; sys.exit(c())"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_wheel_holds_three_packages_and_the_configs(tmp_path):
+    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path), "."]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr[-2000:]
+    names = zipfile.ZipFile(next(tmp_path.glob("*.whl"))).namelist()
+    assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {"groundstation", "drivers", "sim"}
+    for config in (ROOT / "configs").glob("*/*.toml"):
+        assert f"groundstation/{config.relative_to(ROOT).as_posix()}" in names
+    assert any(name.endswith("entry_points.txt") for name in names)
+
+
+@pytest.mark.skipif(not tracked, reason="not a git work tree")
+def test_constraints_name_versions_and_no_addresses():
+    lines = [line for line in (ROOT / "constraints.txt").read_text().splitlines() if not line.startswith("#")]
+    assert lines and all(re.fullmatch(r"[A-Za-z0-9_.-]+==[0-9][A-Za-z0-9.+!]*", line) for line in lines)
+
+
+def test_everything_imported_is_constrained():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = [*project["dependencies"], *(r for extra in project["optional-dependencies"].values() for r in extra)]
+
+    def plain(name: str) -> str:
+        return re.sub(r"[-_.]+", "-", re.split(r"[<>=!\[; ]", name)[0]).lower()
+
+    pinned = {plain(line) for line in (ROOT / "constraints.txt").read_text().splitlines() if "==" in line}
+    assert {plain(name) for name in wanted} <= pinned
+
+
+@pytest.mark.skipif(not tracked, reason="not a git work tree")
+def test_no_file_names_a_place_on_somebodys_machine():
+    homes = re.compile(r"(?<![\w.])/(?:home|Users|root|work)/\w")
+    texts = [ROOT / name for name in tracked if Path(name).suffix in {".py", ".toml", ".md", ".txt", ".tcss", ""}]
+    for path in texts:
+        if path.is_file() and path != Path(__file__).resolve():
+            match = homes.search(path.read_text(encoding="utf-8", errors="ignore"))
+            assert match is None, f"{path.relative_to(ROOT)}: {match and match.group()}"
