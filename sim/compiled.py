@@ -1,0 +1,42 @@
+"""Compilation of the simulator's inner loop with numba, cached on disk by the content of the whole package.
+
+Numba notices a change in the file of a cached function, not in the files of the functions it calls. The cache folder is
+therefore named after a digest of every source that holds compiled functions: no stale machine code after an edit or an update.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+@cache
+def _cache_folder() -> str:
+    package = Path(__file__).resolve().parent
+    digest = hashlib.sha256()
+    for source in sorted([*package.glob("*.py"), *(package / "effects").glob("*.py")]):
+        text = source.read_bytes()
+        digest.update(text if b"compiled" in text else b"")
+    name = f"kernel-{digest.hexdigest()[:16]}"
+    if os.access(package, os.W_OK):
+        return str(package / "__pycache__" / name)
+    return str(Path(tempfile.gettempdir()) / f"groundstation-{os.getuid()}" / name)
+
+
+def compiled(function: F) -> F:
+    """Compile for numbers and named tuples; division by zero gives inf, as in numpy."""
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = _cache_folder()
+    try:
+        return numba.njit(cache=True, error_model="numpy")(function)  # type: ignore[return-value]
+    finally:
+        numba.config.CACHE_DIR = before

@@ -1,0 +1,97 @@
+"""What the air does to the frame itself, and the air's own motion."""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Annotated, NamedTuple
+
+from pydantic import Field
+
+from sim.algebra import Vector, norm
+from sim.compiled import compiled
+
+
+class BodyDrag(NamedTuple):
+    """Pressure drag of the frame as flat plates: F = -rho/2 |u| (A_x u_x, A_y u_y, A_z u_z) (Hoerner 1965).
+
+    Attributes:
+        area_m2: drag coefficient times area of each face.
+    """
+
+    area_m2: tuple[float, float, float] = (0.03, 0.03, 0.06)
+    on: bool = True
+
+
+class AngularDamping(NamedTuple):
+    """Moment against the body rate: linear from the rotors' inflow when their hubs rise and fall, quadratic from the arms.
+
+    Attributes:
+        linear_nm_s: about body x, y, z.
+        quadratic_nm_s2: about body x, y, z.
+    """
+
+    linear_nm_s: tuple[float, float, float] = (0.01, 0.01, 0.005)
+    quadratic_nm_s2: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    on: bool = True
+
+
+class Wind(NamedTuple):
+    """Steady wind with Dryden turbulence (MIL-F-8785C) carried past by it; felt through whatever drag is on.
+
+    Attributes:
+        velocity_m_s: steady wind in the world.
+        gust_m_s: RMS of each component of the turbulence.
+        scale_m: its length scale.
+    """
+
+    velocity_m_s: tuple[float, float, float] = (2.0, 0.0, 0.0)
+    gust_m_s: Annotated[float, Field(ge=0.0)] = 0.3
+    scale_m: Annotated[float, Field(gt=0.0)] = 3.0
+    on: bool = True
+
+
+@compiled
+def body_drag(p: BodyDrag, u: Vector, density: float) -> Vector:
+    """Force in the body at air velocity u."""
+    q = -0.5 * density * norm(u)
+    return (q * p.area_m2[0] * u[0], q * p.area_m2[1] * u[1], q * p.area_m2[2] * u[2])
+
+
+@compiled
+def angular_damping(p: AngularDamping, w: Vector) -> Vector:
+    """Moment in the body."""
+    a, b = p.linear_nm_s, p.quadratic_nm_s2
+    return (
+        -(a[0] + b[0] * abs(w[0])) * w[0],
+        -(a[1] + b[1] * abs(w[1])) * w[1],
+        -(a[2] + b[2] * abs(w[2])) * w[2],
+    )
+
+
+@compiled
+def gust_step(p: Wind, state, noise, dt: float) -> Vector:
+    """Advance the turbulence and return the wind in the world.
+
+    Along the wind sigma sqrt(2 T)/(1 + T s), across it sigma sqrt(T) (1 + sqrt(3) T s)/(1 + T s)^2 with T = L/V. With p a unit
+    first-order process and r = p/(1 + T s), the latter is (sqrt(3) p + (1 - sqrt(3)) r)/sqrt(2).
+
+    Args:
+        p: parameters.
+        state: first-order processes (unit variance) and their lagged copies, shape (2, 3); changed in place.
+        noise: three standard normal numbers.
+        dt: time step, s.
+    """
+    speed = max(norm(p.velocity_m_s), 0.5)
+    tau = p.scale_m / speed
+    h = dt / tau
+    for i in range(3):
+        state[1, i] += h * (state[0, i] - state[1, i])
+        state[0, i] += -h * state[0, i] + sqrt(2.0 * h) * noise[i]
+    x, y = p.velocity_m_s[0] / speed, p.velocity_m_s[1] / speed
+    flat = sqrt(x * x + y * y)
+    x, y = (x / flat, y / flat) if flat > 1e-9 else (1.0, 0.0)
+    along = p.gust_m_s * state[0, 0]
+    across = p.gust_m_s * (sqrt(3.0) * state[0, 1] + (1.0 - sqrt(3.0)) * state[1, 1]) / sqrt(2.0)
+    up = p.gust_m_s * (sqrt(3.0) * state[0, 2] + (1.0 - sqrt(3.0)) * state[1, 2]) / sqrt(2.0)
+    w = p.velocity_m_s
+    return (w[0] + along * x - across * y, w[1] + along * y + across * x, w[2] + up)

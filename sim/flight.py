@@ -1,0 +1,114 @@
+"""A whole simulated flight in one call, for studies and tests: take-off, settle, excitation, landing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.errors import FlightAborted
+from groundstation.trajectory import Plan, Sequence, flight_path
+from groundstation.vehicle import Vehicle
+from sim.autopilot import SETPOINT_SIZE
+from sim.build import STEP_S
+from sim.scenario import Scenario
+from sim.simulation import Samples, SetpointSource, Simulation
+
+Array = NDArray[np.float64]
+
+EXCITATION = 3
+"""Which part of :func:`groundstation.trajectory.flight_path` is the excitation."""
+
+_CHUNK = 500  # steps simulated at a time
+_SINK_M_S = 0.3  # how fast the setpoint goes on down after the landing leg, until the floor is felt
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedFlight:
+    """What was recorded, and what was true.
+
+    Attributes:
+        streams: name to stamps, arrivals and values in flight-bundle column order; empty streams are left out.
+        vehicle: as declared.
+        truth: as it was.
+        window_s: start and end of the excitation on the motors' clock.
+        plan: what was flown.
+        scenario: its name.
+    """
+
+    streams: dict[str, Samples]
+    vehicle: Vehicle
+    truth: Vehicle
+    window_s: tuple[float, float]
+    plan: Plan
+    scenario: str
+
+
+def path_setpoints(path: Sequence, start_s: float) -> SetpointSource:
+    """Setpoint rows along a path that began at ``start_s``; past its end they sink until the floor is felt."""
+
+    def rows(times_s: Array) -> Array:
+        t = times_s - start_s
+        flat = path.sample(t)
+        out = np.empty((len(t), SETPOINT_SIZE))
+        out[:, :9] = np.concatenate(list(flat.position[:3]), axis=1)
+        out[:, 9], out[:, 10] = flat.yaw[0], flat.yaw[1]
+        over = np.maximum(t - path.duration_s, 0.0)
+        out[:, 2] -= _SINK_M_S * over
+        out[over > 0.0, 5] = -_SINK_M_S
+        return out
+
+    return rows
+
+
+def excitation_window(path: Sequence, start_s: float) -> tuple[float, float]:
+    """True start and end of the excitation of a :func:`groundstation.trajectory.flight_path`."""
+    begin = start_s + sum(part.duration_s for part in path.parts[:EXCITATION])
+    return begin, begin + path.parts[EXCITATION].duration_s
+
+
+def simulate(vehicle: Vehicle, plan: Plan, scenario: Scenario, seed: int, *, rest_s: float = 1.0) -> SimulatedFlight:
+    """Fly a plan.
+
+    Args:
+        vehicle: the declared vehicle, which the simulated one differs from as the scenario says.
+        plan: what to fly.
+        scenario: the world.
+        seed: same seed, same flight.
+        rest_s: seconds on the floor before take-off and after landing.
+
+    Raises:
+        FlightAborted: the vehicle hit the floor or did not come down.
+        BadInput: the scenario does not fit the vehicle.
+    """
+    simulation = Simulation(vehicle, scenario, seed)
+    chunks = [simulation.idle(round(rest_s / STEP_S))]
+    start = scenario.start
+    path = flight_path(plan, np.array([*start.position_m, start.yaw_rad]))
+    simulation.take_off_now()
+    source = path_setpoints(path, simulation.time_s)
+    begin, end = excitation_window(path, simulation.time_s)
+    give_up = simulation.time_s + path.duration_s + 20.0
+    while not (simulation.standing and simulation.time_s > end):
+        chunks.append(simulation.fly(_CHUNK, source))
+        if simulation.crashed:
+            raise FlightAborted(
+                f"{vehicle.name} hit the floor {simulation.time_s - simulation.flight_start_s:.1f} s after take-off; "
+                "fly a gentler plan, or look whether the scenario leaves it enough thrust."
+            )
+        if simulation.time_s > give_up:
+            raise FlightAborted(
+                f"{vehicle.name} did not come down within 20 s after the plan's end; is its thrust too high?"
+            )
+    chunks.append(simulation.idle(round(rest_s / STEP_S)))
+    joined = {name: tuple(np.concatenate([chunk[name][i] for chunk in chunks]) for i in range(3)) for name in chunks[0]}
+    clock = simulation.motor_clock_s
+    return SimulatedFlight(
+        streams={name: (s[0], s[1], s[2]) for name, s in joined.items() if len(s[0])},
+        vehicle=vehicle,
+        truth=simulation.truth,
+        window_s=(clock(begin), clock(end)),
+        plan=plan,
+        scenario=scenario.name,
+    )
