@@ -85,7 +85,7 @@ class Conversation(Generic[T]):
         except StopIteration as stop:
             self.done, self.result = True, stop.value
             return
-        except Exception as error:  # noqa: BLE001 - it belongs to whoever asked
+        except Exception as error:
             self.done, self.error = True, error
             return
         self._tries = 0

@@ -305,7 +305,13 @@ class SerialPort:
     likely: bool
 
 
-_AUTOPILOTS = {0x26AC: "3D Robotics / PX4", 0x3162: "Holybro", 0x2DAE: "CubePilot", 0x1209: "ArduPilot", 0x0483: "STM32"}
+_AUTOPILOTS = {
+    0x26AC: "3D Robotics / PX4",
+    0x3162: "Holybro",
+    0x2DAE: "CubePilot",
+    0x1209: "ArduPilot",
+    0x0483: "STM32",
+}
 _RADIOS = {0x0403: "FTDI (telemetry radio)", 0x10C4: "CP210x (telemetry radio)", 0x1A86: "CH340 (telemetry radio)"}
 
 

@@ -1,0 +1,426 @@
+"""The link without I/O: bytes and orders in, bytes, samples and answers out, on the time it is given.
+
+One :class:`LinkCore` serves one vehicle. Its :meth:`~LinkCore.step` is called whenever bytes arrive, and at least as often
+as setpoints are due; guard and setpoints come first in it and wait for nothing.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from math import inf
+
+from drivers.mavlink.codec import MavlinkCodec, Received
+from drivers.mavlink.dialect import Message, mavlink, message_id
+from drivers.mavlink.exchange import Ask, Conversation, Steps
+from drivers.mavlink.parameters import Parameters
+from drivers.mavlink.signing import Signing
+from drivers.mavlink.telemetry import Telemetry
+from drivers.mavlink.timesync import Timesync
+from drivers.mavlink.transports import Peer
+from drivers.samples import Event, Pose, Raw, Sample, Setpoint, State, Vector3
+from groundstation.errors import BadInput
+from groundstation.flight.guard import Guard, Observations, Verdict
+from groundstation.flight.pilot import GUARDED, Answered, Phase, Pilot
+from groundstation.flight.preflight import Check, Situation, failures, run_checks
+from groundstation.flight.profiles import Profile, profile_for
+from groundstation.flight.rates import fit_rates
+from groundstation.flight.station import Station
+from groundstation.flight.view import Meter, VehicleView
+from groundstation.trajectory import Plan
+from groundstation.vehicle import Vehicle
+
+HEARTBEAT_EVERY_S = 1.0
+TIMESYNC_EVERY_S = 0.1
+MEASURE_S = 2.5
+CARRIED = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What one link is to do beside flying.
+
+    Attributes:
+        system: vehicle's system id; None takes the first autopilot heard.
+        force: preflight checks whose failure the operator answers for.
+        set_parameters: set the settable ones for the flight, and restore them afterwards.
+        bytes_per_s: what the line carries; None where that is no limit.
+        keep_raw: raw frames become samples too.
+    """
+
+    system: int | None = None
+    force: tuple[str, ...] = ()
+    set_parameters: bool = False
+    bytes_per_s: float | None = None
+    keep_raw: bool = True
+
+
+@dataclass(slots=True)
+class Output:
+    """What one step gives: bytes to send, samples with the host time they came, parameters changed (name, before, now)."""
+
+    send: list[bytes] = field(default_factory=list)
+    samples: list[tuple[Sample, float]] = field(default_factory=list)
+    changed: list[tuple[str, float, float]] = field(default_factory=list)
+
+
+class LinkCore:
+    """One vehicle's link.
+
+    Args:
+        vehicle: as declared.
+        station: limits and policy.
+        options: see :class:`Options`.
+        signing: key for the whole flight; None leaves MAVLink unsigned.
+        restore: parameters an earlier flight changed and never restored: name -> value before.
+
+    Attributes:
+        view, pilot: None until an autopilot was heard.
+        ready: streams asked for and measured, parameters read.
+        trouble: why it is not; one sentence.
+        checks: of the last upload.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, station: Station, options: Options = Options(), signing: Signing | None = None,
+        restore: dict[str, float] | None = None,
+    ):  # fmt: skip
+        self.vehicle, self.station, self.options = vehicle, station, options
+        self.clock = Timesync()
+        self.view: VehicleView | None = None
+        self.pilot: Pilot | None = None
+        self.ready = False
+        self.trouble = "no autopilot heard yet"
+        self.checks: list[Check] = []
+        self.parameters: dict[str, float | None] = {}
+        self.rates: dict[str, float] = {}
+        self.changed: dict[str, float] = dict(restore or {})
+        self.verdict: Verdict | None = None
+        self._signing = signing
+        self._codecs: dict[Peer, MavlinkCodec] = {}
+        self._sender = MavlinkCodec(signing=signing)
+        self._peer: Peer | None = None
+        self._telemetry: Telemetry | None = None
+        self._guard: Guard | None = None
+        self._setup: Conversation[None] | None = None
+        self._restoring: Conversation[None] | None = None
+        self._changes: list[tuple[str, float, float]] = []
+        self._heartbeat_s = self._timesync_s = self._setpoint_due_s = -inf
+        self._sync_sent: dict[int, float] = {}
+        self._core_s: float | None = None
+        self._abort = ""
+        self._phase = Phase.IDLE
+        self._carried: deque[tuple[State, Pose]] = deque(maxlen=CARRIED)
+        self._origin: tuple[Vector3, Vector3] | None = None
+        self._pose_to_vehicle_s = -inf
+
+    # Orders from the core ---------------------------------------------------------------------------------------------
+
+    def core_heard(self, now_s: float) -> None:
+        """The core lives."""
+        self._core_s = now_s
+
+    def core_lost(self) -> None:
+        """The core is known to be gone."""
+        if self._core_s is not None:
+            self._core_s = -inf
+
+    def upload(self, plan: Plan, now_s: float) -> Answered:
+        """Check everything and take the plan."""
+        if not self.ready or self.view is None or self.pilot is None:
+            return Answered(False, f"the link is not ready: {self.trouble}.")
+        situation = Situation(
+            now_s, self.view, self.station, self.vehicle, plan, self.parameters, self.clock.error_s(now_s),
+            tuple(self._carried),
+        )  # fmt: skip
+        try:
+            self.checks = run_checks(situation, self.options.force)
+        except BadInput as error:
+            return Answered(False, str(error))
+        reason = failures(self.checks)
+        return Answered(False, reason) if reason else self.pilot.upload(plan)
+
+    def order(self, name: str, now_s: float, reason: str = "") -> Answered:
+        """Arm, start, abort, land, disarm."""
+        if self.pilot is None:
+            return Answered(False, f"there is no vehicle: {self.trouble}.")
+        if name == "abort" and self.pilot.phase in GUARDED:
+            self._abort = reason or "by the operator"
+            return Answered(True)
+        if name == "start":
+            self._abort, self.verdict = "", None
+            self._guard = Guard(self.station.guard, self.station.box, self.vehicle.battery.empty_v)
+            self._origin = None
+            if self.view is not None:
+                self.view.take_jump()
+        return self.pilot.order(name, now_s, reason)
+
+    def pose(self, pose: Pose, received_s: float) -> Output:
+        """A motion-capture pose; its stamp is on the capture system's clock, mapped to ours by its driver."""
+        out = Output(samples=[(pose, received_s)])
+        if self.view is None or self.pilot is None:
+            return out
+        self.view.sample(pose, received_s)
+        self.view.meters.setdefault("POSE", Meter()).add(received_s)
+        if self.view.state is not None and received_s - self.view.state_s < 0.05:
+            self._carried.append((self.view.state, pose))
+        mocap = self.station.mocap
+        if mocap.to_vehicle_hz > 0.0 and received_s - self._pose_to_vehicle_s >= 0.9 / mocap.to_vehicle_hz:
+            self._pose_to_vehicle_s = received_s
+            for message in self.view.profile.external_pose(pose, pose.device_s, mocap.std_m, mocap.std_rad, 0):
+                self._send(message, received_s, out)
+        return out
+
+    # One step ---------------------------------------------------------------------------------------------------------
+
+    def step(self, now_s: float, incoming: Iterable[tuple[Peer, bytes]], *, datagrams: bool = True) -> Output:
+        """Take in what came, decide, and give what leaves."""
+        out = Output()
+        messages = self._receive(now_s, incoming, datagrams, out)
+        if self.view is not None and self.pilot is not None:
+            self._guard_flight(now_s, out)
+            self._lead(now_s, messages, out)
+            self._converse(now_s, messages, out)
+        self._keep_alive(now_s, out)
+        return out
+
+    @property
+    def next_s(self) -> float:
+        """When :meth:`step` is due again though nothing arrives."""
+        return self._setpoint_due_s if self.pilot is not None and self.pilot.phase in GUARDED else -inf
+
+    @property
+    def target_system(self) -> int | None:
+        """The vehicle's system id."""
+        return None if self.view is None else self.view.profile.system
+
+    def device_s(self, now_s: float) -> float:
+        """The vehicle's clock now: by TIMESYNC, else its newest stamp."""
+        fit = self.clock.fit()
+        if fit is not None:
+            return fit.device(now_s)
+        return self._telemetry.newest_s if self._telemetry is not None else 0.0
+
+    def lost_frames(self) -> tuple[int, int]:
+        """Frames received and lost on the way here, by the vehicle's sequence numbers."""
+        counters = [
+            c for codec in self._codecs.values() for k, c in codec.counters.items() if k[0] == self.target_system
+        ]
+        return sum(c.received for c in counters), sum(c.lost for c in counters)
+
+    # Receiving --------------------------------------------------------------------------------------------------------
+
+    def _receive(
+        self, now_s: float, incoming: Iterable[tuple[Peer, bytes]], datagrams: bool, out: Output
+    ) -> list[Message]:
+        messages: list[Message] = []
+        for peer, data in incoming:
+            codec = self._codecs.get(peer)
+            if codec is None:
+                codec = self._codecs[peer] = MavlinkCodec(signing=self._signing)
+            for received in codec.decode(data, datagram=datagrams):
+                if self.view is None:
+                    self._discover(received, peer, now_s, out)
+                if peer != self._peer or received.frame.system != self.target_system:
+                    continue
+                self._take(received, now_s, out)
+                if received.message is not None:
+                    messages.append(received.message)
+        return messages
+
+    def _discover(self, received: Received, peer: Peer, now_s: float, out: Output) -> None:
+        """The first heartbeat of an autopilot decides who flies here."""
+        m = received.message
+        if received.name != "HEARTBEAT" or m is None or m.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
+            return
+        if self.options.system not in (None, received.frame.system):
+            return
+        try:
+            profile = profile_for(m.autopilot, received.frame.system, received.frame.component)
+        except BadInput as error:
+            self.trouble = str(error)
+            return
+        self._peer = peer
+        self.view = VehicleView(profile)
+        self.pilot = Pilot(profile, self.station.policy, self.view)
+        self._telemetry = Telemetry(
+            self.vehicle.rotors.count, system=profile.system, imu=profile.imu, pwm_us=profile.pwm_us
+        )
+        self._setup = Conversation(self._prepare(profile))
+        self.trouble = "asking the vehicle for its messages and parameters"
+        self._tell(out, now_s, "link", f"{profile.name} heard as system {profile.system} from {peer}")
+
+    def _take(self, received: Received, now_s: float, out: Output) -> None:
+        assert self.view is not None and self._telemetry is not None  # noqa: S101 - discovered before
+        if self.options.keep_raw:
+            out.samples.append((Raw(now_s, "in", received.frame.raw), now_s))
+        before, restarts = self.view.mode, self.view.restarts
+        self.view.message(received, now_s)
+        if self.view.restarts != restarts:
+            self._telemetry.restart()
+            self._tell(out, now_s, "link", "the autopilot restarted")
+        if self.view.mode != before:
+            self._tell(out, now_s, "mode", f"{before or 'unknown'} -> {self.view.mode}")
+        for sample in self._telemetry.samples(received):
+            self.view.sample(sample, now_s)
+            out.samples.append((sample, now_s))
+        if received.name == "TIMESYNC":
+            self._timesync(received.message, now_s, out)
+
+    def _timesync(self, m: Message, now_s: float, out: Output) -> None:
+        """Answer the vehicle's questions; use its answers to ours."""
+        now_ns = int(now_s * 1e9)
+        if m.tc1 == 0:
+            self._send(mavlink.MAVLink_timesync_message(now_ns, m.ts1), now_s, out)
+        elif (sent_s := self._sync_sent.pop(m.ts1, None)) is not None:
+            self.clock.add(sent_s, m.tc1 * 1e-9, now_s)
+
+    # Guarding and leading ---------------------------------------------------------------------------------------------
+
+    def _guard_flight(self, now_s: float, out: Output) -> None:
+        assert self.pilot is not None and self.view is not None  # noqa: S101
+        if self.pilot.phase not in GUARDED or self._guard is None:
+            return
+        verdict = self._guard.step(now_s, self._observe(now_s))
+        if verdict is not None and verdict != self.verdict:
+            self.verdict = verdict
+            self._tell(out, now_s, "guard", f"{verdict.action}: {verdict.reason}")
+            self.pilot.obey(verdict, now_s)
+
+    def _observe(self, now_s: float) -> Observations:
+        """What the guard is shown now."""
+        view, pilot = self.view, self.pilot
+        assert view is not None and pilot is not None  # noqa: S101
+        led = pilot.phase in (Phase.CLIMBING, Phase.FOLLOWING)
+        state = view.state
+        silent = self.station.policy.when_core_is_silent == "land" and led
+        watched = self.station.mocap.system != "none"
+        return Observations(
+            position_m=None if state is None else pilot.placement.to_plan(state.position_m),
+            velocity_m_s=None if state is None else state.velocity_m_s,
+            quaternion=None if state is None else state.quaternion,
+            target_m=pilot.target.position_m if pilot.target is not None and pilot.phase is Phase.FOLLOWING else None,
+            state_age_s=now_s - view.state_s,
+            link_age_s=now_s - view.heard_s,
+            pose_age_s=now_s - view.pose_changed_s if watched else None,
+            pose_disagreement_m=self._disagreement() if watched else None,
+            battery_remaining=view.battery_remaining,
+            battery_v=None if view.battery is None else view.battery.voltage_v,
+            estimator_jump_m=view.take_jump(),
+            oscillation_rad_s=view.oscillation.rms_rad_s,
+            core_age_s=now_s - self._core_s if silent and self._core_s is not None else None,
+            setpoint_age_s=now_s - pilot.setpoint_sent_s if led and pilot.setpoint_sent_s is not None else None,
+            abort=self._abort,
+        )
+
+    def _disagreement(self) -> float | None:
+        """How differently poses and estimate moved since the start; the constant between their origins does not count."""
+        assert self.view is not None  # noqa: S101
+        state, pose = self.view.state, self.view.pose
+        if state is None or pose is None:
+            return None
+        s0, p0 = self._origin = self._origin or (state.position_m, pose.position_m)
+        moved = zip(state.position_m, s0, pose.position_m, p0, strict=True)
+        return sum(((s - a) - (p - b)) ** 2 for s, a, p, b in moved) ** 0.5
+
+    def _lead(self, now_s: float, messages: list[Message], out: Output) -> None:
+        assert self.pilot is not None  # noqa: S101
+        due = now_s >= self._setpoint_due_s
+        if due:
+            period = 1.0 / self.station.policy.setpoint_hz
+            next_s = self._setpoint_due_s + period  # on a grid, so that lateness does not add up
+            self._setpoint_due_s = next_s if next_s > now_s else now_s + period
+        for message in self.pilot.step(now_s, messages, setpoint_due=due):
+            self._send(message, now_s, out)
+            if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED" and self.pilot.target is not None:
+                placed = self.pilot.placement.to_vehicle(self.pilot.target)
+                out.samples.append((Setpoint(self.device_s(now_s), placed.position_m, placed.yaw_rad), now_s))
+        if self.pilot.phase is not self._phase:
+            self._tell(out, now_s, "link", f"{self._phase} -> {self.pilot.phase} {self.pilot.reason}".strip())
+            self._phase = self.pilot.phase
+
+    # Preparing and restoring ------------------------------------------------------------------------------------------
+
+    def _prepare(self, profile: Profile) -> Steps[None]:
+        """Ask for messages, read parameters, restore what an earlier flight left, set what this one needs."""
+        yield Ask((profile.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 148.0),), _named("AUTOPILOT_VERSION"), 0.7, 3)
+        self.rates = fit_rates(profile.streams, self.options.bytes_per_s)
+        for name, rate in self.rates.items():
+            yield Ask((profile.interval(message_id(name), rate),), _acknowledges_interval, 0.5, 4)
+        dialogue = Parameters(profile.system, profile.component, bytewise=profile.bytewise_parameters)
+        yield from self._restore(dialogue)
+        indoors = self.station.mocap.system != "none"
+        for rule in profile.parameters:
+            if rule.indoors and not indoors:
+                continue
+            found = yield from dialogue.read(rule.name)
+            self.parameters[rule.name] = None if found is None else found[0]
+            wrong = found is not None and found[0] not in rule.accepted
+            if wrong and rule.settable and self.options.set_parameters:
+                self.changed.setdefault(rule.name, found[0])
+                self._changes.append((rule.name, found[0], rule.accepted[0]))
+                if (yield from dialogue.write(rule.name, rule.accepted[0])):
+                    self.parameters[rule.name] = rule.accepted[0]
+        yield Ask((), lambda _m: False, MEASURE_S, 1)
+        self.ready, self.trouble = True, ""
+
+    def _restore(self, dialogue: Parameters) -> Steps[None]:
+        """Write back what was there before."""
+        for name, value in list(self.changed.items()):
+            if (yield from dialogue.write(name, value)):
+                del self.changed[name]
+                self._changes.append((name, value, value))
+
+    def restore_parameters(self) -> None:
+        """Begin to write back what was changed for the flight; only disarmed. ``changed`` empties as it succeeds."""
+        if self.view is not None and self._restoring is None and self.changed and not self.view.armed:
+            profile = self.view.profile
+            dialogue = Parameters(profile.system, profile.component, bytewise=profile.bytewise_parameters)
+            self._restoring = Conversation(self._restore(dialogue))
+
+    def _converse(self, now_s: float, messages: Sequence[Message], out: Output) -> None:
+        for talk in (self._setup, self._restoring):
+            if talk is not None and not talk.done:
+                for message in talk.step(now_s, messages):
+                    self._send(message, now_s, out)
+                if talk.error is not None:
+                    raise talk.error
+        out.changed, self._changes = self._changes, []
+
+    # Sending ----------------------------------------------------------------------------------------------------------
+
+    def _keep_alive(self, now_s: float, out: Output) -> None:
+        if now_s - self._heartbeat_s >= HEARTBEAT_EVERY_S:
+            self._heartbeat_s = now_s
+            self._send(
+                mavlink.MAVLink_heartbeat_message(
+                    mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
+                ),
+                now_s,
+                out,
+            )
+        if self.view is not None and now_s - self._timesync_s >= TIMESYNC_EVERY_S:
+            self._timesync_s = now_s
+            stamp = int(now_s * 1e9)
+            self._sync_sent[stamp] = now_s
+            if len(self._sync_sent) > 50:
+                del self._sync_sent[next(iter(self._sync_sent))]
+            self._send(mavlink.MAVLink_timesync_message(0, stamp), now_s, out)
+
+    def _send(self, message: Message, now_s: float, out: Output) -> None:
+        raw = self._sender.encode(message)
+        out.send.append(raw)
+        if self.options.keep_raw:
+            out.samples.append((Raw(now_s, "out", raw), now_s))
+
+    def _tell(self, out: Output, now_s: float, kind: str, text: str) -> None:
+        out.samples.append((Event(self.device_s(now_s), kind, text), now_s))
+
+
+def _named(name: str):
+    return lambda m: m.get_type() == name
+
+
+def _acknowledges_interval(m: Message) -> bool:
+    return m.get_type() == "COMMAND_ACK" and m.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL

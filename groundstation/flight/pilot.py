@@ -1,0 +1,457 @@
+r"""The link's own state machine of one flight: what leaves towards the vehicle, and when nothing may. No I/O, no clock.
+
+    idle -> uploaded -> armed -> climbing -> following -> landing -> landed
+                                 \\-> holding -> landing          \\-> released (the pilot has it)
+
+Rules that hold whatever else happens:
+
+* Setpoints leave only while ``climbing`` (where the autopilot climbs by setpoints) and ``following``. After any loss they
+  never come back by themselves: PX4 re-enters OFFBOARD on the first one, and takes off again from the ground.
+* A mode we did not command means somebody else decided: released at once. From then on only the operator's ``land`` sends
+  anything.
+* A landing is commanded again and again until the vehicle shows it or a pilot takes over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from math import cos, sin, sqrt
+
+import numpy as np
+
+from drivers.mavlink.dialect import Message, mavlink
+from drivers.mavlink.exchange import Ask, Conversation, Steps
+from drivers.mavlink.geometry import yaw_of
+from drivers.samples import Vector3
+from groundstation.flight.guard import Verdict
+from groundstation.flight.profiles import Profile, Target
+from groundstation.flight.station import Policy
+from groundstation.flight.view import VehicleView
+from groundstation.trajectory import Plan, Sequence, flight_path
+
+AGAIN_S = 0.5
+STREAM_FIRST_S = 0.6
+CLIMB_TIMEOUT_S = 30.0
+MODE_TIMEOUT_S = 3.0
+_UNDER_WAY = mavlink.MAV_RESULT_IN_PROGRESS
+
+
+class Phase(StrEnum):
+    """Where the flight is."""
+
+    IDLE = "idle"
+    UPLOADED = "uploaded"
+    ARMED = "armed"
+    CLIMBING = "climbing"
+    FOLLOWING = "following"
+    HOLDING = "holding"
+    LANDING = "landing"
+    RELEASED = "released"
+    LANDED = "landed"
+
+
+IN_AIR = frozenset({Phase.CLIMBING, Phase.FOLLOWING, Phase.HOLDING, Phase.LANDING, Phase.RELEASED})
+GUARDED = frozenset({Phase.CLIMBING, Phase.FOLLOWING, Phase.HOLDING, Phase.LANDING})
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """How the plan's frame lies in the vehicle's: moved by ``origin_m`` and turned by ``yaw_rad`` about the vertical."""
+
+    origin_m: Vector3 = (0.0, 0.0, 0.0)
+    yaw_rad: float = 0.0
+
+    def to_vehicle(self, target: Target) -> Target:
+        """A target of the plan in the vehicle's frame."""
+        x, y, z = self._turn(target.position_m, self.yaw_rad)
+        a, b, c = self.origin_m
+        return Target(
+            (x + a, y + b, z + c),
+            self._turn(target.velocity_m_s, self.yaw_rad),
+            self._turn(target.acceleration_m_s2, self.yaw_rad),
+            target.yaw_rad + self.yaw_rad,
+            target.yaw_rate_rad_s,
+        )
+
+    def to_plan(self, position_m: Vector3) -> Vector3:
+        """A position of the vehicle in the plan's frame."""
+        x, y, z = (p - o for p, o in zip(position_m, self.origin_m, strict=True))
+        return self._turn((x, y, z), -self.yaw_rad)
+
+    @staticmethod
+    def _turn(vector: Vector3, angle: float) -> Vector3:
+        x, y, z = vector
+        return (cos(angle) * x - sin(angle) * y, sin(angle) * x + cos(angle) * y, z)
+
+
+def target_at(path: Sequence, t_s: float) -> Target:
+    """The path at one instant."""
+    flat = path.sample([t_s])
+    p, v, a = (tuple(float(c) for c in flat.position[n, 0]) for n in range(3))
+    return Target(p, v, a, float(flat.yaw[0, 0]), float(flat.yaw[1, 0]))  # type: ignore[arg-type]
+
+
+@dataclass(slots=True)
+class Answered:
+    """An order's answer, once there is one."""
+
+    ok: bool | None = None
+    reason: str = ""
+
+
+class Pilot:
+    """Flies one plan.
+
+    Args:
+        profile: the autopilot's manners.
+        policy: the station's.
+        view: what is known of the vehicle; kept by someone else, read here.
+
+    Attributes:
+        phase: where the flight is.
+        reason: why it is coming down, when it was not the plan's end.
+        excitation_s: host times at which the excitation began and ended.
+        target: where the vehicle should be now, in the plan's frame; None while we do not lead.
+    """
+
+    def __init__(self, profile: Profile, policy: Policy, view: VehicleView):
+        self.profile, self.policy, self.view = profile, policy, view
+        self.phase = Phase.IDLE
+        self.reason = ""
+        self.plan: Plan | None = None
+        self.placement = Placement()
+        self.path: Sequence | None = None
+        self.path_s = 0.0
+        self.excitation_s: tuple[float | None, float | None] = (None, None)
+        self.target: Target | None = None
+        self.setpoint_sent_s: float | None = None
+        self._since_s = 0.0
+        self._path_stepped_s: float | None = None
+        self._waiting_since_s: float | None = None
+        self._talk: Conversation[str] | None = None
+        self._talk_answer: Answered | None = None
+        self._again_s = -1e9
+        self._restarts = view.restarts
+        self._kill = False
+        self._led = False
+
+    # Orders -----------------------------------------------------------------------------------------------------------
+
+    def upload(self, plan: Plan) -> Answered:
+        """Take a plan; only on the ground."""
+        if self.phase in IN_AIR or self.view.armed:
+            return Answered(False, f"a plan is taken only on the ground and disarmed; the flight is {self.phase}.")
+        self.plan, self.reason, self.excitation_s = plan, "", (None, None)
+        self.phase = Phase.UPLOADED
+        return Answered(True)
+
+    def order(self, name: str, now_s: float, reason: str = "") -> Answered:
+        """An order of the operator; the answer may come later."""
+        match name:
+            case "arm":
+                return self._arm(now_s)
+            case "start":
+                return self._start(now_s)
+            case "abort" | "land":
+                return self._order_landing(name, now_s, reason)
+            case "disarm":
+                return self._order_disarm(now_s)
+        return Answered(False, f"'{name}' is no order a vehicle knows.")
+
+    def _arm(self, now_s: float) -> Answered:
+        if self.phase is not Phase.UPLOADED:
+            return Answered(False, f"arming needs an uploaded plan; the flight is {self.phase}.")
+        return self._begin(self._arming(), now_s)
+
+    def _start(self, now_s: float) -> Answered:
+        if self.phase is not Phase.ARMED or not self.view.armed or self.plan is None or self.view.state is None:
+            return Answered(False, f"starting needs an armed vehicle with a position; the flight is {self.phase}.")
+        state = self.view.state
+        if self.policy.placement == "takeoff":
+            self.placement = Placement(state.position_m, yaw_of(state.quaternion))
+        ground = self.placement.to_plan(state.position_m)
+        self._restarts = self.view.restarts
+        self._enter(Phase.CLIMBING, now_s)
+        if self.profile.climbs_by_command:
+            return self._begin(self._climbing(self._start_height() - ground[2]), now_s)
+        self._set_path(ground, now_s)
+        return self._begin(self._entering(), now_s)
+
+    def _order_landing(self, name: str, now_s: float, reason: str) -> Answered:
+        if self.phase in (Phase.IDLE, Phase.UPLOADED, Phase.LANDED):
+            return Answered(True)
+        if self.phase is Phase.ARMED:
+            return self._order_disarm(now_s)
+        if self.view.in_pilots_hands and name == "abort":
+            return Answered(False, f"the pilot flies it in {self.view.mode}; say 'land' to take it back and land it.")
+        if self.phase is not Phase.LANDING:
+            self.land(now_s, reason or f"the operator asked to {name}")
+        return Answered(True)
+
+    def _order_disarm(self, now_s: float) -> Answered:
+        if self.phase in IN_AIR and self.view.on_ground is not True:
+            return Answered(False, "disarming is refused in the air; land first.")
+        if not self.view.armed:
+            return Answered(True)
+        return self._begin(self._disarming(), now_s)
+
+    # The guard's and the station's decisions --------------------------------------------------------------------------
+
+    def obey(self, verdict: Verdict, now_s: float) -> None:
+        """Carry out what the guard decided; stronger decisions replace weaker ones."""
+        if self.phase not in GUARDED:
+            return
+        if verdict.action == "kill":
+            self._cancel_talk()
+            self.reason = self.reason or verdict.reason
+            self._kill = True
+            self._enter(Phase.LANDING, now_s)
+        elif self.phase is not Phase.LANDING and verdict.action == "land":
+            self.land(now_s, verdict.reason)
+        elif self.phase in (Phase.CLIMBING, Phase.FOLLOWING):
+            self._cancel_talk()
+            self.reason = self.reason or verdict.reason
+            self._enter(Phase.HOLDING, now_s)
+
+    def land(self, now_s: float, reason: str = "") -> None:
+        """Stop leading, and have the autopilot land."""
+        self._cancel_talk()
+        self.reason = self.reason or reason
+        self._enter(Phase.LANDING, now_s)
+
+    # One step ---------------------------------------------------------------------------------------------------------
+
+    def step(self, now_s: float, messages: list[Message], *, setpoint_due: bool = True) -> list[Message]:
+        """What leaves now; a setpoint among it only when one is due."""
+        out: list[Message] = []
+        if self._talk is not None:
+            out += self._talk.step(now_s, messages)
+            if self._talk is not None and self._talk.done:
+                self._finish_talk(now_s)
+        self._notice(now_s)
+        match self.phase:
+            case Phase.FOLLOWING:
+                self._advance_path(now_s)
+            case Phase.HOLDING:
+                self._keep_holding(now_s, out)
+            case Phase.LANDING:
+                self._keep_landing(now_s, out)
+        leading = self.phase is Phase.FOLLOWING or (self.phase is Phase.CLIMBING and self.path is not None)
+        if leading and setpoint_due:
+            self._setpoint(now_s, out)
+        return out
+
+    @property
+    def exciting(self) -> bool:
+        """Between the excitation's start and its end."""
+        return self.excitation_s[0] is not None and self.excitation_s[1] is None and self.phase is Phase.FOLLOWING
+
+    def _notice(self, now_s: float) -> None:
+        """What the vehicle did by itself, or somebody else with it."""
+        view = self.view
+        self._led = self.phase in GUARDED and (self._led or view.mode == self.profile.follow_mode)
+        if self.phase in IN_AIR and view.armed is False:
+            if self.phase is not Phase.LANDING:
+                self.reason = self.reason or f"the vehicle disarmed while {self.phase}"
+            self._cancel_talk()
+            self._enter(Phase.LANDED, now_s)
+        elif self.phase is Phase.ARMED and view.armed is False:
+            self._enter(Phase.UPLOADED, now_s)
+        elif self._led and self._taken_over():
+            self._release(now_s)
+        elif self.phase in (Phase.CLIMBING, Phase.FOLLOWING) and view.restarts != self._restarts:
+            self.land(now_s, "the autopilot restarted")
+
+    def _taken_over(self) -> bool:
+        """A mode we did not ask for: while leading any, while holding or landing a pilot's."""
+        if self.phase in (Phase.CLIMBING, Phase.FOLLOWING):
+            return self.view.mode != self.profile.follow_mode
+        return self.phase in GUARDED and self.view.in_pilots_hands
+
+    def _release(self, now_s: float) -> None:
+        self._cancel_talk()
+        self.reason = self.reason or f"the mode became {self.view.mode}, which the station did not ask for; let go"
+        self._enter(Phase.RELEASED, now_s)
+
+    def _setpoint(self, now_s: float, out: list[Message]) -> None:
+        assert self.path is not None  # noqa: S101 - set before these phases are entered
+        self.target = target_at(self.path, self.path_s)
+        self.setpoint_sent_s = now_s
+        out.append(self.profile.setpoint(self.placement.to_vehicle(self.target), now_s))
+
+    def _advance_path(self, now_s: float) -> None:
+        assert self.path is not None  # noqa: S101
+        dt = now_s - (self._path_stepped_s if self._path_stepped_s is not None else now_s)
+        self._path_stepped_s = now_s
+        begin, end = self._window()
+        before, self.path_s = self.path_s, self.path_s + dt
+        if before < begin <= self.path_s and not self._settled():
+            self.path_s = np.nextafter(begin, 0.0)
+            self._waiting_since_s = now_s if self._waiting_since_s is None else self._waiting_since_s
+            if now_s - self._waiting_since_s > self.policy.settle_timeout_s:
+                self.land(now_s, f"the vehicle did not settle within {self.policy.settle_timeout_s:g} s; not excited")
+            return
+        if before < begin <= self.path_s:
+            self.excitation_s = (now_s, None)
+        if before < end <= self.path_s:
+            self.excitation_s = (self.excitation_s[0], now_s)
+        if self.path_s >= self.path.duration_s:
+            self.land(now_s)
+
+    def _settled(self) -> bool:
+        """Close to the excitation's start, and slow."""
+        state = self.view.state
+        if state is None or self.target is None or self.view.on_ground:
+            return False
+        error = _distance(self.placement.to_plan(state.position_m), self.target.position_m)
+        speed = _distance(state.velocity_m_s, (0.0, 0.0, 0.0))
+        return error <= self.policy.settled_error_m and speed <= self.policy.settled_speed_m_s
+
+    def _window(self) -> tuple[float, float]:
+        """Start and end of the excitation on the path."""
+        assert self.path is not None  # noqa: S101
+        begin = float(sum(part.duration_s for part in self.path.parts[:3]))
+        return begin, begin + float(self.path.parts[3].duration_s)
+
+    def _set_path(self, start: Vector3, now_s: float) -> None:
+        """From where it is, through the excitation, to the hover from which the autopilot lands."""
+        assert self.plan is not None and self.view.state is not None  # noqa: S101
+        yaw = yaw_of(self.view.state.quaternion) - self.placement.yaw_rad
+        yaw = float(np.arctan2(np.sin(yaw), np.cos(yaw)))
+        whole = flight_path(self.plan, (*start, yaw), climb_m_s=self.policy.climb_m_s, settle_s=self.policy.settle_s)
+        self.path = Sequence(whole.parts[:-1])
+        self.path_s, self._path_stepped_s, self._waiting_since_s = 0.0, None, None
+
+    def _start_height(self) -> float:
+        assert self.plan is not None  # noqa: S101
+        return float(self.plan.series().derivatives([0.0], 0)[0, 0, 2])
+
+    def _keep_holding(self, now_s: float, out: list[Message]) -> None:
+        if now_s - self._since_s > self.policy.hold_s:
+            self.land(now_s)
+        elif now_s >= self._again_s and self.view.mode != self.profile.hold_mode:
+            self._again_s = now_s + AGAIN_S
+            out.append(self.profile.set_mode(self.profile.hold_mode))
+
+    def _keep_landing(self, now_s: float, out: list[Message]) -> None:
+        if now_s < self._again_s:
+            return
+        self._again_s = now_s + AGAIN_S
+        if self._kill:
+            out.append(self.profile.kill())
+            return
+        if self.view.mode != self.profile.land_mode:
+            out.append(self.profile.set_mode(self.profile.land_mode))
+        if self.view.on_ground is True and now_s - self._since_s > 3.0:
+            out.append(self.profile.disarm())  # refused in the air, should the knowledge of the ground be stale
+
+    # Conversations ----------------------------------------------------------------------------------------------------
+
+    def _begin(self, steps: Steps[str], now_s: float) -> Answered:
+        """Start a conversation that returns "" or the reason of a refusal."""
+        if self._talk is not None:
+            return Answered(False, "the vehicle is still being asked something else; try again.")
+        self._talk, self._talk_answer = Conversation(steps), Answered()
+        return self._talk_answer
+
+    def _finish_talk(self, now_s: float) -> None:
+        talk, answer = self._talk, self._talk_answer
+        self._talk = self._talk_answer = None
+        assert talk is not None and answer is not None  # noqa: S101
+        reason = str(talk.error) if talk.error is not None else talk.result or ""
+        answer.ok, answer.reason = not reason, reason
+        if self.phase is Phase.UPLOADED and not reason and self.view.armed:
+            self._enter(Phase.ARMED, now_s)
+        elif self.phase is Phase.CLIMBING and reason:
+            self.land(now_s, reason)
+        elif self.phase is Phase.CLIMBING and self.view.state is not None:
+            if self.profile.climbs_by_command:
+                self._set_path(self.placement.to_plan(self.view.state.position_m), now_s)
+            self._enter(Phase.FOLLOWING, now_s)
+
+    def _cancel_talk(self) -> None:
+        if self._talk is not None and self._talk_answer is not None:
+            self._talk.cancel()
+            self._talk_answer.ok, self._talk_answer.reason = False, self.reason or "interrupted"
+            self._talk = self._talk_answer = None
+
+    def _arming(self) -> Steps[str]:
+        if self.profile.climbs_by_command:
+            reason = yield from self._mode(self.profile.follow_mode)
+            if reason:
+                return reason
+        reason = yield from self._confirmed(self.profile.arm(), "arming", lambda: self.view.armed is True)
+        return reason
+
+    def _disarming(self) -> Steps[str]:
+        return (yield from self._confirmed(self.profile.disarm(), "disarming", lambda: self.view.armed is False))
+
+    def _entering(self) -> Steps[str]:
+        """Setpoints flow already; wait until there are enough of them, then ask for the mode that follows them."""
+        yield Ask((), _nothing, STREAM_FIRST_S, 1)
+        return (yield from self._mode(self.profile.follow_mode))
+
+    def _climbing(self, height_m: float) -> Steps[str]:
+        """Command a climb, and wait for the height."""
+        if self.view.mode != self.profile.follow_mode:
+            reason = yield from self._mode(self.profile.follow_mode)
+            if reason:
+                return reason
+        assert self.view.state is not None  # noqa: S101 - `start` was refused without a position
+        ground_m = self.view.state.position_m[2]
+
+        def there() -> bool:
+            state = self.view.state
+            return (
+                state is not None
+                and abs(state.position_m[2] - ground_m - height_m) < 0.2
+                and (_distance(state.velocity_m_s, (0.0, 0.0, 0.0)) < self.policy.settled_speed_m_s)
+            )
+
+        command = self.profile.take_off(height_m)
+        return (yield from self._confirmed(command, "taking off", there, wait_s=CLIMB_TIMEOUT_S))
+
+    def _mode(self, mode: str) -> Steps[str]:
+        command = self.profile.set_mode(mode)
+        return (yield from self._confirmed(command, f"mode {mode}", lambda: self.view.mode == mode))
+
+    def _confirmed(
+        self, command: Message, what: str, there: Callable[[], bool], wait_s: float = MODE_TIMEOUT_S
+    ) -> Steps[str]:
+        """Send a command, take its acknowledgement, and wait until the vehicle shows the effect: an acknowledgement is none."""
+        told = len(self.view.texts)
+
+        def final(m: Message) -> bool:
+            return m.get_type() == "COMMAND_ACK" and m.command == command.command and m.result != _UNDER_WAY
+
+        ack = yield Ask((command,), final, 1.0, 4)
+        if ack is None and not there():
+            return f"{what}: the vehicle did not acknowledge"
+        if ack is not None and ack.result != mavlink.MAV_RESULT_ACCEPTED and not there():
+            yield Ask((), _nothing, 0.2, 1)  # its reason comes as a text just after
+            texts = [t for t in list(self.view.texts)[told:] if not t.startswith(("info", "debug", "notice"))]
+            name = mavlink.enums["MAV_RESULT"][ack.result].name.removeprefix("MAV_RESULT_").lower().replace("_", " ")
+            return f"{what}: {name}" + (f" ({'; '.join(dict.fromkeys(texts))})" if texts else "")
+        waited = 0.0
+        while not there():
+            if waited > wait_s:
+                return f"{what} was acknowledged, but did not happen within {wait_s:g} s"
+            yield Ask((), _nothing, 0.05, 1)
+            waited += 0.05
+        return ""
+
+    def _enter(self, phase: Phase, now_s: float) -> None:
+        if phase is not self.phase:
+            self.phase, self._since_s, self._again_s = phase, now_s, -1e9
+        if phase not in (Phase.CLIMBING, Phase.FOLLOWING):
+            self.path, self.target, self.setpoint_sent_s = None, None, None
+
+
+def _nothing(_message: Message) -> bool:
+    return False
+
+
+def _distance(a: Vector3, b: Vector3) -> float:
+    return sqrt(sum((p - q) ** 2 for p, q in zip(a, b, strict=True)))

@@ -1,0 +1,148 @@
+"""The station file: the room, the limits and what happens at each, and what the operator's policy is. Validated whole."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from groundstation.errors import BadInput
+from groundstation.paths import find_config
+
+Positive = Annotated[float, Field(gt=0.0)]
+NonNegative = Annotated[float, Field(ge=0.0)]
+ActionName = Literal["hold", "land", "kill"]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Limit(_Section):
+    """One limit: past ``limit`` for ``for_s`` seconds without a break, do ``action``."""
+
+    limit: NonNegative
+    action: ActionName = "land"
+    for_s: NonNegative = 0.0
+
+
+class Box(_Section):
+    """Where the vehicle may be, in the plan's frame, metres (lowest, highest)."""
+
+    x_m: tuple[float, float] = (-3.0, 3.0)
+    y_m: tuple[float, float] = (-3.0, 3.0)
+    z_m: tuple[float, float] = (-0.5, 3.0)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Box:
+        for name in ("x_m", "y_m", "z_m"):
+            low, high = getattr(self, name)
+            if low >= high:
+                raise ValueError(f"{name}: the lowest ({low:g}) must be below the highest ({high:g})")
+        return self
+
+
+class GuardLimits(_Section):
+    """Every limit of the guard; the unit stands in the comment of ``configs/stations/default.toml``."""
+
+    box: Limit = Limit(limit=0.0, for_s=0.1)
+    speed: Limit = Limit(limit=3.0, for_s=0.1)
+    tilt: Limit = Limit(limit=0.7, for_s=0.1)
+    tracking: Limit = Limit(limit=0.8, for_s=0.3)
+    pose_age: Limit = Limit(limit=0.3)
+    pose_disagreement: Limit = Limit(limit=0.4, for_s=0.2)
+    state_age: Limit = Limit(limit=0.5)
+    link_age: Limit = Limit(limit=0.6)
+    battery: Limit = Limit(limit=0.15, for_s=2.0)
+    estimator_reset: Limit = Limit(limit=0.3)
+    oscillation: Limit = Limit(limit=0.8, for_s=0.5)
+    core_silent: Limit = Limit(limit=3.0)
+    setpoint_age: Limit = Limit(limit=0.4)
+    abort: Limit = Limit(limit=0.0)
+
+
+class Policy(_Section):
+    """How the station flies.
+
+    Attributes:
+        placement: ``takeoff``: the plan's origin is where the vehicle stands (no common frame is known);
+            ``world``: the plan is in the frame of the poses.
+        setpoint_hz: how often setpoints leave.
+        climb_m_s: of take-off and approach.
+        settle_s: hover before and after the excitation.
+        settled_error_m, settled_speed_m_s: the excitation starts only within these.
+        settle_timeout_s: lands if it has not settled by then.
+        hold_s: a hold becomes a landing after this.
+        when_core_is_silent: land, or complete the plan first.
+    """
+
+    placement: Literal["takeoff", "world"] = "takeoff"
+    setpoint_hz: Annotated[float, Field(ge=10.0, le=400.0)] = 50.0
+    climb_m_s: Positive = 0.4
+    settle_s: Positive = 3.0
+    settled_error_m: Positive = 0.3
+    settled_speed_m_s: Positive = 0.3
+    settle_timeout_s: Positive = 15.0
+    hold_s: Positive = 5.0
+    when_core_is_silent: Literal["land", "complete"] = "land"
+
+
+class MocapSource(_Section):
+    """Where poses come from, and how they are passed on to the vehicle.
+
+    Attributes:
+        system: which client; ``none`` without motion capture.
+        host: of its server.
+        body: name of the rigid body (its number for NatNet).
+        needed_hz: preflight refuses below this.
+        to_vehicle_hz: rate of poses to the vehicle's estimator; 0 sends none.
+        std_m, std_rad: what the estimator is told of their accuracy.
+    """
+
+    system: Literal["none", "natnet", "qtm", "vicon", "vrpn", "optitrack"] = "none"
+    host: str = "127.0.0.1"
+    body: str = "1"
+    needed_hz: Positive = 50.0
+    to_vehicle_hz: NonNegative = 50.0
+    std_m: Positive = 0.005
+    std_rad: Positive = 0.01
+
+
+class Station(_Section):
+    """A station file."""
+
+    schema_version: str = Field(default="groundstation.station/1", alias="schema")
+    name: str = "default"
+    box: Box = Box()
+    guard: GuardLimits = GuardLimits()
+    policy: Policy = Policy()
+    mocap: MocapSource = MocapSource()
+
+
+def station_from_dict(document: dict, source: str = "station") -> Station:
+    """Validate a parsed station file.
+
+    Raises:
+        BadInput: one sentence that names every fault.
+    """
+    try:
+        return Station.model_validate(document)
+    except ValidationError as error:
+        faults = "; ".join(f"{'.'.join(map(str, e['loc'])) or 'station'}: {e['msg']}" for e in error.errors())
+        raise BadInput(f"{source}: {faults}. Correct it; configs/stations/default.toml documents every key.") from None
+
+
+def load_station(name_or_path: str | Path = "default") -> Station:
+    """Read a station file, shipped or one's own.
+
+    Raises:
+        BadInput: the file is missing, no TOML, or wrong.
+    """
+    path = find_config("stations", name_or_path)
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise BadInput(f"{path}: cannot be read as a station file ({error}); correct it.") from None
+    return station_from_dict(document, str(path))

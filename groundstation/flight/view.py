@@ -1,0 +1,181 @@
+"""What is known of the vehicle from what it sent: modes, arming, state, ages, rates. No I/O, no clock of its own."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from math import inf, sqrt
+
+from drivers.mavlink.codec import Received
+from drivers.mavlink.dialect import Message, mavlink
+from drivers.samples import Battery, Event, Imu, Pose, Sample, State, Vector3
+from groundstation.flight.guard import Oscillation
+from groundstation.flight.profiles import Profile
+
+_RATE_WINDOW_S = 2.0
+_ON_GROUND = mavlink.MAV_LANDED_STATE_ON_GROUND
+
+
+class Meter:
+    """Arrivals of one message: count and rate over the last seconds."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._times: deque[float] = deque()
+
+    def add(self, now_s: float) -> None:
+        """One came."""
+        self.count += 1
+        self._times.append(now_s)
+        self._trim(now_s)
+
+    def rate_hz(self, now_s: float) -> float:
+        """Arrivals per second, as of now."""
+        self._trim(now_s)
+        return len(self._times) / _RATE_WINDOW_S
+
+    def _trim(self, now_s: float) -> None:
+        while self._times and now_s - self._times[0] > _RATE_WINDOW_S:
+            self._times.popleft()
+
+
+@dataclass(slots=True)
+class VehicleView:
+    """The newest of everything.
+
+    Attributes:
+        profile: how to read it.
+        mode, intended_mode: by name; PX4 keeps intending OFFBOARD after it was lost.
+        armed: as the heartbeat says; None before the first.
+        on_ground: as EXTENDED_SYS_STATE says; None where it never came.
+        checks_pass: the autopilot's own arming checks, where it tells (ArduPilot, PX4 in SYS_STATUS).
+        state, pose, battery: newest samples with ``*_s``, the host time they came.
+        pose_changed_s: host time of the newest pose that differs from the one before.
+        jump_m: largest jump of the estimate since :meth:`take_jump`.
+        texts: newest texts of the autopilot.
+        restarts: how often its clock began again.
+    """
+
+    profile: Profile
+    mode: str = ""
+    intended_mode: str = ""
+    armed: bool | None = None
+    on_ground: bool | None = None
+    checks_pass: bool | None = None
+    estimator_flags: int | None = None
+    vibration_m_s2: Vector3 | None = None
+    capabilities: int | None = None
+    software: int | None = None
+    state: State | None = None
+    state_s: float = -inf
+    pose: Pose | None = None
+    pose_s: float = -inf
+    pose_changed_s: float = -inf
+    battery: Battery | None = None
+    battery_remaining: float | None = None
+    heard_s: float = -inf
+    heartbeat_s: float = -inf
+    jump_m: float = 0.0
+    restarts: int = 0
+    meters: dict[str, Meter] = field(default_factory=dict)
+    texts: deque[str] = field(default_factory=lambda: deque(maxlen=30))
+    oscillation: Oscillation = field(default_factory=Oscillation)
+    _reset_counter: int | None = None
+    _boot_ms: int = 0
+
+    def message(self, received: Received, now_s: float) -> None:
+        """Take note of a message of the vehicle."""
+        if received.frame.system != self.profile.system:
+            return
+        self.heard_s = now_s
+        self.meters.setdefault(received.name, Meter()).add(now_s)
+        m = received.message
+        if m is None:
+            return
+        self._note_restart(m)
+        match received.name:
+            case "HEARTBEAT":
+                self._heartbeat(m, received.frame.component, now_s)
+            case "CURRENT_MODE":
+                self.mode = self.profile.mode_name(m.custom_mode)
+                self.intended_mode = self.profile.mode_name(m.intended_custom_mode)
+            case "EXTENDED_SYS_STATE":
+                if m.landed_state != mavlink.MAV_LANDED_STATE_UNDEFINED:
+                    self.on_ground = m.landed_state == _ON_GROUND
+            case "SYS_STATUS":
+                bit = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+                if m.onboard_control_sensors_present & bit:
+                    self.checks_pass = bool(m.onboard_control_sensors_health & bit)
+            case "BATTERY_STATUS" if m.battery_remaining >= 0 and m.id == 0:
+                self.battery_remaining = m.battery_remaining * 1e-2
+            case "ESTIMATOR_STATUS" | "EKF_STATUS_REPORT":
+                self.estimator_flags = m.flags
+            case "VIBRATION":
+                self.vibration_m_s2 = (m.vibration_x, m.vibration_y, m.vibration_z)
+            case "AUTOPILOT_VERSION":
+                self.capabilities, self.software = m.capabilities, m.flight_sw_version
+            case "ODOMETRY":
+                if self._reset_counter not in (None, m.reset_counter):
+                    self.jump_m = inf
+                self._reset_counter = m.reset_counter
+
+    def sample(self, sample: Sample, now_s: float) -> None:
+        """Take note of a sample."""
+        if isinstance(sample, Imu):
+            self.oscillation.add(sample.device_s, sample.gyro_rad_s)
+        elif isinstance(sample, State):
+            if self.state is None or sample.device_s > self.state.device_s:
+                self.jump_m = max(self.jump_m, _jump(self.state, sample))
+                self.state, self.state_s = sample, now_s
+        elif isinstance(sample, Battery):
+            self.battery = sample
+        elif isinstance(sample, Pose):
+            if self.pose is None or (sample.position_m, sample.quaternion) != (
+                self.pose.position_m,
+                self.pose.quaternion,
+            ):
+                self.pose_changed_s = now_s
+            self.pose, self.pose_s = sample, now_s
+        elif isinstance(sample, Event) and sample.kind == "statustext":
+            self.texts.append(sample.text)
+
+    def take_jump(self) -> float:
+        """The largest jump since the last call."""
+        jump, self.jump_m = self.jump_m, 0.0
+        return jump
+
+    def rate_hz(self, name: str, now_s: float) -> float:
+        """Measured arrival rate of a message."""
+        meter = self.meters.get(name)
+        return 0.0 if meter is None else meter.rate_hz(now_s)
+
+    @property
+    def in_pilots_hands(self) -> bool:
+        """A human's sticks fly it."""
+        return self.mode in self.profile.pilot_modes
+
+    def _heartbeat(self, m: Message, component: int, now_s: float) -> None:
+        if component != self.profile.component or m.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
+            return
+        self.heartbeat_s = now_s
+        self.mode = self.profile.mode_name(m.custom_mode)
+        self.armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+
+    def _note_restart(self, m: Message) -> None:
+        boot_ms = getattr(m, "time_boot_ms", None)
+        if not boot_ms or m.get_type() == "SYSTEM_TIME":
+            return
+        if boot_ms + 2000 < self._boot_ms:
+            self.restarts += 1
+            self._boot_ms = 0
+            self.state, self.jump_m, self._reset_counter = None, inf, None
+        self._boot_ms = max(self._boot_ms, boot_ms)
+
+
+def _jump(before: State | None, after: State) -> float:
+    """How far the estimate moved beyond what its own velocities explain; gaps over 0.2 s are the age limits' business."""
+    if before is None or not 0.0 < after.device_s - before.device_s < 0.2:
+        return 0.0
+    dt = after.device_s - before.device_s
+    pairs = zip(before.position_m, after.position_m, before.velocity_m_s, after.velocity_m_s, strict=True)
+    return sqrt(sum((p1 - p0 - 0.5 * (v0 + v1) * dt) ** 2 for p0, p1, v0, v1 in pairs))
