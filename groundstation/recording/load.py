@@ -14,6 +14,7 @@ from groundstation.recording.container import MAGIC as MCAP_MAGIC
 from groundstation.recording.crazyflie import is_usd_log, read_usd
 from groundstation.recording.mcapfile import read_mcap
 from groundstation.recording.recorded import VEHICLE_FILE, Recording, vehicle_file
+from groundstation.recording.repair import repair
 from groundstation.vehicle import Vehicle
 
 _KNOWN = "an MCAP recording, a flight bundle (folder), a PX4 ULog, an ArduPilot DataFlash log or a Crazyflie usd log"
@@ -102,7 +103,9 @@ def load_flight(
         notes=recording.notes,
         **recording.streams,
     )
-    return _cut(flight, start_s, end_s) if start_s is not None or end_s is not None else flight
+    if start_s is not None or end_s is not None:
+        flight = _cut(flight, start_s, end_s)
+    return repair(flight)
 
 
 def _cut(flight: FlightData, start_s: float | None, end_s: float | None) -> FlightData:

@@ -1,0 +1,195 @@
+"""Units and frames that cannot be: what no flight of any quadrotor looks like is refused with the likely cause.
+
+Each test compares with something the flight itself fixes (gravity, the poses, the declared rotors), so that a fast
+flight is never mistaken for degrees. What no such comparison reaches is left alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.errors import BadInput
+from groundstation.flightdata import Stream
+from groundstation.frames import quat_conjugate, quat_multiply
+from groundstation.recording.derive import rotation_vector
+from groundstation.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+_DEGREES = 180.0 / np.pi
+_SUSPICIOUS = 15.0  # a ratio between 1 and 57.3, nearer to neither in logarithm than honest data ever come
+_WINDOW_S = 0.2
+
+
+def check_quaternions(stream: Stream, name: str) -> None:
+    """Raise where quaternions are far from unit length throughout."""
+    first = stream.columns.index("qw")
+    norms = np.linalg.norm(stream.values[:, first : first + 4], axis=1)
+    norms = norms[np.isfinite(norms)]
+    if len(norms) and abs(float(np.median(norms)) - 1.0) > 0.1:
+        raise BadInput(
+            f"{name}: quaternion qw, qx, qy, qz is far from unit length throughout (median {np.median(norms):.3g}); "
+            "give unit quaternions, scalar first, body to world."
+        )
+
+
+def check_accelerometer(stream: Stream, gravity_m_s2: float) -> None:
+    """Raise where the specific force is not in m/s^2, lacks gravity, or is upside down."""
+    accel = _finite(stream.values[:, 3:6])
+    if not len(accel):
+        return
+    size = float(np.median(np.linalg.norm(accel, axis=1)))
+    vertical = float(np.median(accel[:, 2]))
+    if size < 0.4 * gravity_m_s2:
+        cause = "in g (multiply by 9.80665)" if 0.7 < size < 1.4 else "without gravity, or in another unit"
+        raise BadInput(
+            f"imu: accel_x_m_s2, accel_y_m_s2, accel_z_m_s2 cannot be specific force in m/s^2: its median size is "
+            f"{size:.3g}, where hover gives {gravity_m_s2:.4g}; it looks {cause}."
+        )
+    if size > 10.0 * gravity_m_s2:
+        raise BadInput(
+            f"imu: accel_x_m_s2, accel_y_m_s2, accel_z_m_s2 cannot be in m/s^2: the median size is {size:.4g}, where "
+            f"hover gives {gravity_m_s2:.4g}; convert it (milli-g or cm/s^2?)."
+        )
+    if vertical < -0.5 * gravity_m_s2:
+        raise BadInput(
+            f"imu: gravity is upside down: accel_z_m_s2 has the median {vertical:.3g}, where a vehicle upright shows "
+            f"{gravity_m_s2:+.4g}; give specific force in a body frame with z up (from FRD: change the sign of y and z)."
+        )
+
+
+def check_gyro(imu: Stream, attitude: Stream | None, motors: Stream, vehicle: Vehicle) -> None:
+    """Raise where the gyro cannot be in rad/s.
+
+    With poses: the vehicle turned as much as they say. Without: it turned as the declared rotors can turn it.
+    """
+    gyro = imu.values[:, :3]
+    good = np.isfinite(gyro).all(axis=1)
+    t_s, gyro = imu.t_s[good], gyro[good]
+    if len(t_s) < 100:
+        return
+    ratio = None
+    if attitude is not None:
+        ratio = _ratio_to_poses(t_s, gyro, attitude)
+    if ratio is None and vehicle.rotors.input != "wrench":
+        ratio = _ratio_to_rotors(t_s, gyro, motors, vehicle)
+    if ratio is not None and ratio > _SUSPICIOUS:
+        raise BadInput(
+            f"imu: gyro_x_rad_s, gyro_y_rad_s, gyro_z_rad_s cannot be in rad/s: they are {ratio:.0f} times what the "
+            f"{'poses' if attitude is not None else 'rotors'} say; are they in degrees per second? Divide by 57.29578."
+        )
+
+
+def _window_means(t_s: Array, values: Array) -> Array:
+    """Means over windows of 0.2 s that hold samples, shape (m, ...)."""
+    window = np.floor((t_s - t_s[0]) / _WINDOW_S).astype(np.int64)
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(window) != 0]))
+    return np.add.reduceat(values, starts, axis=0) / np.diff(np.append(starts, len(t_s)))[:, None]
+
+
+def _ratio_to_poses(t_s: Array, gyro: Array, attitude: Stream) -> float | None:
+    """RMS turn rate of the gyro over that of the poses, both over 0.2 s; None where the gyro shows too little to judge."""
+    first = attitude.columns.index("qw")
+    q = attitude.values[:, first : first + 4]
+    norm = np.linalg.norm(q, axis=1)
+    good = np.isfinite(norm) & (np.abs(norm - 1.0) < 0.1) & np.isfinite(attitude.t_s)
+    q, when = q[good] / norm[good, None], attitude.t_s[good]
+    if len(when) < 20:
+        return None
+    step = max(1, round(_WINDOW_S / max(float(np.median(np.diff(when))), 1e-6)))
+    turn = np.linalg.norm(rotation_vector(quat_multiply(quat_conjugate(q[:-step]), q[step:])), axis=1)
+    span = when[step:] - when[:-step]
+    posed = turn[span > 0.0] / span[span > 0.0]
+    measured = np.linalg.norm(_window_means(t_s, gyro), axis=1)
+    if not len(posed) or _rms(measured) < 1.0:
+        return None
+    return _rms(measured) / max(_rms(posed), 1e-3)
+
+
+def _ratio_to_rotors(t_s: Array, gyro: Array, motors: Stream, vehicle: Vehicle) -> float | None:
+    """Slope of measured on predicted changes of rate over 0.2 s, roll and pitch; None unless they go together.
+
+    Prediction: the declared rotors' torques over the declared inertia. Noise, lag and friction lower the slope, a
+    wrong nominal vehicle moves it by a small factor; degrees raise it by 57.
+    """
+    values = motors.values
+    good = np.isfinite(values).all(axis=1) & np.isfinite(motors.t_s)
+    if good.sum() < 100:
+        return None
+    wrench = vehicle.thrust(values[good]) @ vehicle.allocation().T
+    torque = _hold(motors.t_s[good], wrench[:, 1:3], t_s)
+    predicted = np.cumsum(torque[:-1] * np.diff(t_s)[:, None], axis=0) / np.diag(vehicle.inertia_tensor())[:2]
+    change_p = np.diff(_window_means(t_s[1:], predicted), axis=0)
+    change_m = np.diff(_window_means(t_s[1:], gyro[1:, :2]), axis=0)
+    change_p, change_m = change_p - np.median(change_p, axis=0), change_m - np.median(change_m, axis=0)
+    cross = float(np.sum(change_p * change_m))
+    size_p, size_m = float(np.sum(change_p**2)), float(np.sum(change_m**2))
+    if size_p <= 0.0 or size_m <= 0.0 or cross / np.sqrt(size_p * size_m) < 0.5:
+        return None
+    return cross / size_p
+
+
+def _hold(t_s: Array, values: Array, at_s: Array) -> Array:
+    return values[np.clip(np.searchsorted(t_s, at_s, side="right") - 1, 0, len(t_s) - 1)]
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def check_motors(stream: Stream, vehicle: Vehicle) -> None:
+    """Raise where motor values cannot be what their columns say."""
+    values = _finite(stream.values)
+    if not len(values) or vehicle.rotors.input == "wrench":
+        return
+    strongest = float(np.median(np.max(np.abs(values), axis=1)))
+    if vehicle.rotors.input == "command" and strongest > 2.0:
+        raise BadInput(
+            f"motors: {stream.columns[0]} ... {stream.columns[-1]} cannot be commands from 0 to 1: the median of the "
+            f"largest is {strongest:.4g}; divide by full scale (65535, 100 or, less 1000, 1000 for microseconds)."
+        )
+    if vehicle.rotors.input == "rotor_speed":
+        _check_speeds(stream, values, vehicle)
+
+
+def _check_speeds(stream: Stream, values: Array, vehicle: Vehicle) -> None:
+    """Lift at the median speeds of the spinning rotors against the declared weight: rpm lift 91 times too much."""
+    spinning = values[np.all(np.abs(values) > 0.0, axis=1)]
+    if len(spinning) < 10:
+        return
+    lift = float(np.median(np.sum(vehicle.thrust(np.abs(spinning)), axis=1)))
+    ratio = lift / (vehicle.mass_kg * vehicle.gravity_m_s2)
+    if ratio > 25.0:
+        raise BadInput(
+            f"motors: {stream.columns[0]} ... {stream.columns[-1]} cannot be rotor speeds in rad/s: with the declared "
+            f"thrust coefficient they lift {ratio:.0f} times the vehicle's weight; are they in rpm? Divide by 9.549297."
+        )
+
+
+def check_positions(stream: Stream, name: str) -> None:
+    """Raise where positions cannot be in metres: sustained speeds of more than 150 m/s (millimetres give such)."""
+    good = np.isfinite(stream.values[:, :3]).all(axis=1) & np.isfinite(stream.t_s)
+    t_s, position = stream.t_s[good], stream.values[good, :3]
+    dt = np.diff(t_s)
+    if not np.any(dt > 0.0):
+        return
+    speed = np.linalg.norm(np.diff(position, axis=0)[dt > 0.0], axis=1) / dt[dt > 0.0]
+    if float(np.median(speed)) > 150.0:
+        raise BadInput(
+            f"{name}: x_m, y_m, z_m cannot be in metres: the median speed is {np.median(speed):.4g} m/s; "
+            "divide millimetres by 1000."
+        )
+
+
+def check_battery(stream: Stream) -> None:
+    """Raise where the voltage cannot be in volts."""
+    volts = stream.values[:, 0][np.isfinite(stream.values[:, 0])]
+    if len(volts) and float(np.median(volts)) > 200.0:
+        raise BadInput(
+            f"battery: voltage_v cannot be in volts: its median is {np.median(volts):.4g}; divide millivolts by 1000."
+        )
+
+
+def _finite(values: Array) -> Array:
+    return values[np.isfinite(values).all(axis=1)]
