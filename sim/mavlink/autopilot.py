@@ -220,6 +220,9 @@ class Autopilot(ABC):
         """PARAM_REQUEST_LIST: all of them, paced."""
         link.parameters = deque(range(len(self.parameters)))
 
+    def set_origin(self) -> None:
+        """SET_GPS_GLOBAL_ORIGIN."""
+
     def mission_stored(self, link: Link) -> None:
         """An upload is complete."""
 
@@ -251,7 +254,7 @@ class Autopilot(ABC):
     # -- links ------------------------------------------------------------------------------------------------------
 
     def add_link(
-        self, name: str, kind: str = "onboard", *, bytes_per_s: float = math.inf, codec: MavlinkCodec | None = None
+        self, name: str, kind: str = "companion", *, bytes_per_s: float = math.inf, codec: MavlinkCodec | None = None
     ) -> None:
         """Open a link. ``kind`` chooses what is streamed unasked; ``bytes_per_s`` what the wire carries."""
         streams = Streams(self.RULE, dict(self.TOPIC_HZ))
@@ -343,9 +346,10 @@ class Autopilot(ABC):
         self._elapsed_us += self.tick_us
         self.boot_us = self._boot_us + self._elapsed_us
         dt = self.tick_s
+        before = self.imu
         self.truth, self.imu = self.airframe.state, self.airframe.imu()
         self.used_mah += self.truth.current_a * dt / 3.6
-        self._follow_vibration(dt)
+        self._follow_vibration(before)
         self.estimate = self.estimator.update(dt, self.time_s, self.truth, self.imu.gyro_rad_s)
         self._detect(dt)
         self._supervise()
@@ -355,11 +359,10 @@ class Autopilot(ABC):
         if self.boot_us % self.EMIT_US == 0:
             self._emit()
 
-    def _follow_vibration(self, dt: float) -> None:
-        """First-order mean of the magnitude of what the accelerometer says beyond the true specific force."""
-        share = dt / 0.5
-        pairs = zip(self.vibration_m_s2, self.imu.accel_m_s2, self.truth.specific_force_m_s2, strict=True)
-        x, y, z = ((1.0 - share) * v + share * abs(a - f) for v, a, f in pairs)
+    def _follow_vibration(self, before: ImuSample) -> None:
+        """First-order mean of the change of the accelerometer from sample to sample, per axis."""
+        pairs = zip(self.vibration_m_s2, self.imu.accel_m_s2, before.accel_m_s2, strict=True)
+        x, y, z = (0.99 * v + 0.01 * abs(new - old) for v, new, old in pairs)
         self.vibration_m_s2 = (x, y, z)
 
     def _motors(self, dt: float) -> tuple[float, ...]:

@@ -56,6 +56,8 @@ def handle(a: Autopilot, link: Link, message: Message) -> None:
     elif name == "FILE_TRANSFER_PROTOCOL":
         for payload in a.ftp.handle(bytes(message.payload)):
             a.send(link, mavlink.MAVLink_file_transfer_protocol_message(0, *sender, list(payload)))
+    elif name == "SET_GPS_GLOBAL_ORIGIN":
+        a.set_origin()
     elif name.startswith("LOG_"):
         _logs(a, name, message)
 

@@ -1,0 +1,392 @@
+"""ArduCopter's manners, as measured on its software-in-the-loop build (4.8) and as its recorded traffic shows.
+
+Where the recordings are silent the behaviour follows the firmware's documentation; docs/emulator.md says which is which.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import ClassVar
+
+from sim.mavlink import inbound, messages
+from sim.mavlink.airframe import Vector
+from sim.mavlink.apmlog import ArduCopterLog
+from sim.mavlink.autopilot import (
+    ACCEPTED, CRITICAL, DENIED, FAILED, INFO, UNSUPPORTED, Autopilot, Link, Mode, Sender,
+)  # fmt: skip
+from sim.mavlink.control import NAN3, Setpoint
+from sim.mavlink.estimator import EstimatorSettings
+from sim.mavlink.guidance import GuidanceSettings
+from sim.mavlink.logserver import LogFile
+from sim.mavlink.parameters import Parameter, ParameterStore
+from sim.mavlink.wire import Message, mavlink
+
+FORCE_DISARM, FORCE_ARM = 21196.0, 2989.0
+VISION = 6
+_CAPABILITIES = 64495  # recorded
+_PRESENT, _ENABLED, _HEALTH = 1399979023, 1380031503, 1196530703 & ~0x10000000
+_FASTEST_US = 3000
+_BASE = 1 | 16 | 64
+
+
+def _guided_target(a: messages.Autopilot) -> Message | None:
+    """POSITION_TARGET_LOCAL_NED, only in GUIDED."""
+    if a.mode.name != "GUIDED":
+        return None
+    if a.guidance.kind != "follow":
+        return mavlink.MAVLink_position_target_local_ned_message(a.boot_ms, 1, 3079, *([0.0] * 11))
+    return messages.position_target(a)
+
+
+class ArduCopter(Autopilot):
+    """An ArduCopter quadrotor."""
+
+    NAME = "arducopter"
+    VERSION = "V4.8.0-dev (64a9c787)"
+    TICK_US, EMIT_US = 2500, 2500
+    ALTITUDE_M, VTOL_STATE, RULE = 488.1, 3, "ardupilot"
+    MODES = (
+        Mode("STABILIZE", 0, _BASE, "hold", False),
+        Mode("ALT_HOLD", 2, _BASE, "hold", False),
+        Mode("GUIDED", 4, _BASE | 8, "hold", True),
+        Mode("LOITER", 5, _BASE | 8, "hold", True),
+        Mode("RTL", 6, _BASE | 8, "return", True),
+        Mode("LAND", 9, _BASE | 8, "land", False),
+        Mode("POSHOLD", 16, _BASE | 8, "hold", True),
+        Mode("BRAKE", 17, _BASE | 8, "hold", True),
+    )
+    ESTIMATOR = EstimatorSettings(gps_error_m=0.01, gps_ready_s=41.4, vision_timeout_s=8.0)
+    GUIDANCE = GuidanceSettings(climb_m_s=1.0, descend_m_s=0.5)
+    SPOOL_S, RAMP_S = 2.0, 1.0
+    PARAMETERS_PER_TICK = 4
+    LOG_PIECES_PER_TICK = 4
+    READ_BY_NAME_INDEX = 65535
+    BUILDERS: ClassVar[dict[int, messages.Builder]] = {
+        **messages.COMMON,
+        27: messages.raw_imu,
+        85: _guided_target,
+        108: messages.sim_state,
+        193: messages.ekf_status,
+        11030: messages.esc_telemetry,
+    }
+
+    def __init__(self, *args: object, **options: object):
+        self._log: ArduCopterLog | None = None
+        self._log_path = ""
+        self._origin_set = False
+        self._origin_announced = False
+        self._using_announced = False
+        self._vision_origin = False
+        self._last_setpoint_s = -math.inf
+        self._prearm_s = -math.inf
+        self._ekf_failsafe = False
+        self._station_failsafe = False
+        super().__init__(*args, **options)  # type: ignore[arg-type]
+        self._origin_announced = self._using_announced = self.time_s > self.ESTIMATOR.gps_ready_s
+        self._origin_set = self._origin_announced
+
+    # -- what it is -------------------------------------------------------------------------------------------------
+
+    def _parameters(self) -> ParameterStore:
+        return ParameterStore("arducopter", bytewise=False)
+
+    def _directories(self) -> tuple[str, ...]:
+        return ("/APM/LOGS", "/APM/scripts")
+
+    def _mission_dialect(self) -> inbound.MissionDialect:
+        return "ardupilot"
+
+    def _first_mode(self) -> str:
+        return "STABILIZE"
+
+    def _default_streams(self, kind: str) -> dict[int, int]:
+        return {0: 1_000_000, 111: 10_000_000}
+
+    def heartbeat(self) -> Message:
+        """HEARTBEAT; standby until it flies, armed or not."""
+        base = self.mode.base | (128 if self.armed else 0)
+        status = 5 if self.failsafe else 3 if self.landed else 4
+        return mavlink.MAVLink_heartbeat_message(2, 3, base, self.mode.custom, status, 3)
+
+    def system_status(self) -> Message:
+        """SYS_STATUS with the sensors of the recorded simulation; the pre-arm bit says whether it would arm."""
+        health = _HEALTH | (0x10000000 if self._arming_obstacle() is None else 0)
+        return mavlink.MAVLink_sys_status_message(
+            _PRESENT, _ENABLED, health, 0, round(1000 * self.truth.voltage_v), round(100 * self.truth.current_a),
+            self.battery_percent, 0, 0, 0, 0, 0, 0,
+        )  # fmt: skip
+
+    def autopilot_version(self) -> Message:
+        """AUTOPILOT_VERSION as recorded."""
+        commit = [54, 52, 97, 57, 99, 55, 56, 55]
+        return mavlink.MAVLink_autopilot_version_message(
+            _CAPABILITIES, 67633152, 0, 0, 0, commit, [0] * 8, [0] * 8, 0, 0, 0
+        )
+
+    @property
+    def pulse_widths_us(self) -> list[int]:
+        """1000 + 1000 u while armed, 1000 at rest; unused outputs 0."""
+        used = [round(1000 + 1000 * u) for u in self.commands]
+        return (used + [0] * 16)[:16]
+
+    def geodetic(self, position_m: Vector) -> tuple[float, float, float]:
+        """Latitude and longitude in degrees and altitude of a local position."""
+        latitude, longitude, altitude = messages.geodetic(position_m, self.ALTITUDE_M)
+        return latitude * 1e-7, longitude * 1e-7, altitude
+
+    # -- requests ---------------------------------------------------------------------------------------------------
+
+    def refuse_interval(self, message_id: int, interval_us: int) -> int | None:
+        """Denied for what it does not send (ODOMETRY among it) and for less than 3 ms."""
+        known = message_id in self.BUILDERS or message_id in (0, 1)
+        return None if known and (interval_us <= 0 or interval_us >= _FASTEST_US) else DENIED
+
+    def unknown_parameter(self, link: Link, sender: Sender, name: str) -> None:
+        """Silence."""
+
+    def accepts_parameter(self, link: Link, sender: Sender, parameter: Parameter, kind: int) -> bool:
+        """Any type; the value is converted to the parameter's own."""
+        return True
+
+    def parameters_requested(self, link: Link) -> None:
+        """All parameters, and the banner."""
+        super().parameters_requested(link)
+        self.text(INFO, f"ArduCopter {self.VERSION}")
+        self.text(INFO, "3d1219c7c4c5404aaa1f6d2a48adfda4")
+        self.text(INFO, "Frame: QUAD/PLUS")
+
+    def parameter_changed(self, parameter: Parameter) -> None:
+        """Take over what the emulation depends on: the position source."""
+        if parameter.name in ("EK3_SRC1_POSXY", "VISO_TYPE", "GPS1_TYPE"):
+            vision = self.parameters["EK3_SRC1_POSXY"] == VISION
+            if vision:
+                self.estimator.source = "vision" if self.parameters["VISO_TYPE"] and self._vision_origin else "none"
+            else:
+                self.estimator.source = "gps" if self.parameters["GPS1_TYPE"] else "none"
+        if self._log is not None:
+            self._log.parameter(self, parameter.name, parameter.value)
+
+    def set_origin(self) -> None:
+        """SET_GPS_GLOBAL_ORIGIN: without GPS the estimator needs to be told where it is."""
+        self._vision_origin = True
+        index = self.parameters.index("VISO_TYPE") or 0
+        self.parameter_changed(self.parameters.all[index])
+        for link in self.links.values():
+            self.send(link, *self.build(49))
+
+    def _vision_accepted(self, name: str, message: Message) -> bool:
+        if not self.parameters["VISO_TYPE"]:
+            return False
+        if self._log is not None and name == "VISION_POSITION_ESTIMATE":
+            self._log.vision(self, (message.x, message.y, message.z), message.yaw)
+        return True
+
+    def mission_stored(self, link: Link) -> None:
+        """The new count goes out as a parameter too."""
+        self.text(INFO, "Flight plan received")
+        index = self.parameters.index("MIS_TOTAL")
+        if index is not None:
+            self.parameters["MIS_TOTAL"] = len(self.mission.items)
+            self.send_parameter(link, index, as_index=65535)
+
+    def command(self, number: int, p: list[float], link: Link, sender: Sender) -> int | None:
+        """Commands of the vehicle itself."""
+        if number == mavlink.MAV_CMD_DO_SET_MODE:
+            return self._command_mode(int(p[1]), link, sender)
+        if number == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
+            return self._command_arm(p[1] == FORCE_ARM) if p[0] == 1.0 else self._command_disarm(p[1] == FORCE_DISARM)
+        if number == mavlink.MAV_CMD_NAV_TAKEOFF:
+            return self._command_takeoff(p[6])
+        if number in (mavlink.MAV_CMD_NAV_LAND, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH):
+            return self._change("LAND" if number == mavlink.MAV_CMD_NAV_LAND else "RTL")
+        if number == mavlink.MAV_CMD_CONDITION_YAW:
+            return ACCEPTED if self.mode.name == "GUIDED" else FAILED
+        if number == mavlink.MAV_CMD_DO_FLIGHTTERMINATION and p[0] > 0.5:
+            self.disarm()
+            return ACCEPTED
+        if number in (mavlink.MAV_CMD_DO_SET_HOME, mavlink.MAV_CMD_DO_CHANGE_SPEED):
+            return ACCEPTED
+        if number == mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN:
+            return FAILED if self.armed else ACCEPTED
+        return UNSUPPORTED
+
+    def _command_mode(self, custom: int, link: Link, sender: Sender) -> int:
+        name = next((m.name for m in self.MODES if m.custom == custom), None)
+        result = FAILED if name is None else self._change(name)
+        if result == ACCEPTED:  # recorded: the heartbeat follows the acknowledgement at once
+            acknowledged = mavlink.MAVLink_command_ack_message(mavlink.MAV_CMD_DO_SET_MODE, result, 0, 0, *sender)
+            self.send(link, acknowledged, self.heartbeat())
+            return None
+        return result
+
+    def _change(self, name: str) -> int:
+        if self._by_name[name].needs_position and self.armed and not self.estimate.position_valid:
+            self.text(CRITICAL, f"Mode change to {name} failed: requires position")
+            return FAILED
+        self.failsafe = False
+        self.set_mode(name)
+        if self._log is not None:
+            self._log.mode(self)
+        return ACCEPTED
+
+    def _command_takeoff(self, height_m: float) -> int:
+        """Only armed, in GUIDED, and upwards; the height counts from home."""
+        if self.mode.name != "GUIDED" or not self.armed or not self.landed or height_m <= 0.0:
+            return FAILED
+        self.begin("takeoff", height_m=self.home_m[2] + height_m)
+        self.armed_s = self.time_s - self.SPOOL_S * 0.5
+        return ACCEPTED
+
+    # -- arming -----------------------------------------------------------------------------------------------------
+
+    def _arming_obstacle(self) -> str | None:
+        if self.deny_arming is not None:
+            return self.deny_arming
+        if not self.estimate.position_valid:
+            return "Need Position Estimate"
+        if 0.0 < self.parameters["BATT_ARM_VOLT"] > self.truth.voltage_v:
+            return "Battery 1 below minimum arming voltage"
+        if self.mode.name in ("RTL", "LAND", "BRAKE"):
+            return f"{self.mode.name} mode not armable"
+        return None
+
+    def _command_arm(self, forced: bool) -> int:
+        if self.armed:
+            return ACCEPTED
+        obstacle = None if forced else self._arming_obstacle()
+        if obstacle is not None:
+            self.text(CRITICAL, f"Arm: {obstacle}")
+            return FAILED
+        self.arm()
+        self.begin("hold")
+        number = len(self.logs.logs) + 1
+        self._log_path = f"/APM/LOGS/{number:08d}.BIN"
+        self.files[self._log_path] = bytearray()
+        self._log = ArduCopterLog(self, self.files[self._log_path])
+        self._log.event(self, 10)
+        self.text(INFO, "Arming motors")
+        return ACCEPTED
+
+    def _command_disarm(self, forced: bool) -> int:
+        if self.armed and not self.landed and not forced:
+            return FAILED
+        if self.armed:
+            self.text(INFO, "Disarming motors")
+            self.disarm()
+        return ACCEPTED
+
+    def _after_disarm(self, *, by_landing: bool) -> None:
+        self.failsafe = self._ekf_failsafe = self._station_failsafe = False
+        if self._log is not None:
+            self._log.event(self, 11)
+            self._log = None
+            number = len(self.logs.logs) + 1
+            self.logs.logs.append(LogFile(number, round(self.unix_s), self._log_path))
+
+    def _landed_event(self, *, landed: bool) -> None:
+        if self._log is not None:
+            self._log.event(self, 18 if landed else 28)
+
+    # -- flight -----------------------------------------------------------------------------------------------------
+
+    def follow(self, setpoint: Setpoint) -> None:
+        """Obeyed in GUIDED and in the air only; a position without velocity is flown to, with it followed."""
+        if self.mode.name != "GUIDED" or not self.armed or self.landed:
+            return
+        self._last_setpoint_s = self.time_s
+        if self.guidance.kind != "follow":
+            self.begin("follow")
+        super().follow(self._with_heading(setpoint))
+
+    def _with_heading(self, setpoint: Setpoint) -> Setpoint:
+        """Without a yaw command it turns to face along its path."""
+        x, y, _ = setpoint.velocity_m_s
+        if math.isnan(setpoint.yaw_rad) and math.isnan(setpoint.yaw_rate_rad_s) and math.hypot(x, y) > 0.2:
+            return replace(setpoint, yaw_rad=math.atan2(y, x))
+        return setpoint
+
+    def _supervise(self) -> None:
+        self._announce()
+        if not self.armed:
+            return
+        if self.guidance.kind == "follow" and self.time_s - self._last_setpoint_s > self.parameters["GUID_TIMEOUT"]:
+            held = self.guidance.external
+            stop = held.position_m if math.isfinite(held.position_m[0]) else NAN3
+            self.guidance.external = replace(
+                held, position_m=stop, velocity_m_s=(0.0, 0.0, 0.0), acceleration_m_s2=NAN3, yaw_rate_rad_s=math.nan
+            )
+        if not self.landed:
+            self._failsafes()
+        if self.mode.name == "LAND" and not self.estimate.position_valid and self.guidance.kind != "blind":
+            self.begin("blind")
+        landed_long = self.has_flown and self.landed_for_s > 0.3 and self.guidance.kind in ("land", "blind", "return")
+        waiting = self.parameters["DISARM_DELAY"]
+        idle_long = self.landed and 0.0 < waiting < self.time_s - max(self.armed_s, self._landed_s)
+        if landed_long or idle_long:
+            self.text(INFO, "Disarming motors")
+            self.disarm(by_landing=landed_long)
+
+    def _failsafes(self) -> None:
+        needs = self.mode.needs_position
+        if needs and not self.estimate.position_valid and not self._ekf_failsafe:
+            self._ekf_failsafe = True
+            self.text(CRITICAL, "EKF Failsafe: changed to LAND Mode")
+            self._land_now()
+        action = int(self.parameters["FS_GCS_ENABLE"])
+        heard = max((link.heard_s for link in self.links.values()), default=-math.inf)
+        silent = math.isfinite(heard) and self.time_s - heard > self.parameters["FS_GCS_TIMEOUT"]
+        if action and silent and not self._station_failsafe:
+            self._station_failsafe = True
+            self.text(CRITICAL, "GCS Failsafe")
+            self._change("LAND" if action == 5 or not self.estimate.position_valid else "RTL")
+            self.failsafe = True
+        if self.parameters["BATT_FS_LOW_ACT"] and 0.0 < self.parameters["BATT_LOW_VOLT"] > self.truth.voltage_v:
+            if not self.failsafe:
+                self.text(CRITICAL, "Battery 1 is low")
+                self._change("LAND" if self.parameters["BATT_FS_LOW_ACT"] == 1 else "RTL")
+                self.failsafe = True
+        self._fence()
+
+    def _fence(self) -> None:
+        if not self.parameters["FENCE_ENABLE"] or self.mode.name in ("RTL", "LAND"):
+            return
+        horizontal, vertical = self.distance_from_home
+        kinds = int(self.parameters["FENCE_TYPE"])
+        high = kinds & 1 and vertical > self.parameters["FENCE_ALT_MAX"]
+        wide = kinds & 2 and horizontal > self.parameters["FENCE_RADIUS"]
+        if high or wide:
+            self.text(CRITICAL, "Fence Breached")
+            action = int(self.parameters["FENCE_ACTION"])
+            if action:
+                self._change({1: "RTL", 2: "LAND", 4: "BRAKE"}.get(action, "RTL"))
+
+    def _land_now(self) -> None:
+        self.set_mode("LAND")
+        self.failsafe = True
+        if self._log is not None:
+            self._log.mode(self)
+
+    def _announce(self) -> None:
+        """Start-up texts: origin, position source, and every half minute what keeps it from arming."""
+        if not self._origin_announced and self.estimator.source == "gps" and self.time_s > 20.0:
+            self._origin_announced = self._origin_set = True
+            self.text(INFO, "EKF3 IMU0 origin set")
+            self.text(INFO, f"Field Elevation Set: {self.ALTITUDE_M:.0f}m")
+            for link in self.links.values():
+                self.send(link, *self.build(49), *self.build(242))
+        if not self._using_announced and self.estimate.position_valid:
+            self._using_announced = True
+            source = "GPS" if self.estimator.source == "gps" else "external nav data"
+            self.text(INFO, f"EKF3 IMU0 is using {source}")
+        obstacle = self._arming_obstacle()
+        if not self.armed and obstacle is not None and self.time_s - self._prearm_s >= 30.0 and self.time_s > 25.0:
+            self._prearm_s = self.time_s
+            self.text(CRITICAL, f"PreArm: {obstacle}")
+
+    def _record(self) -> None:
+        if self._log is not None:
+            self._log.tick(self)
+
+    def _text_eligible(self, link: Link) -> bool:
+        return True
