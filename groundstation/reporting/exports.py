@@ -1,0 +1,167 @@
+"""Identified models as files: our own TOML and JSON, and the formats of the simulators people use.
+
+A *model document* is a plain dictionary that carries everything a prediction needs::
+
+    {"schema": "groundstation.model/1", "flight": "...", "method": "PE",
+     "vehicle": {...},                                          # vehicle.toml as it was declared
+     "parameters": {"mass_kg": {"value": 1.62, "std": 0.002}},  # mass and tensor of the best method
+     "model": {"rotor_lag_up_s": {"value": 0.045, "std": 0.001}},
+     "effects": {"rotor_drag": {"d_x_kg_s": {"value": 0.3, "std": 0.01}}},
+     "not_identifiable": ["com_offset_z_m"]}
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from groundstation.diagnosis.results import Diagnosis
+from groundstation.errors import BadInput
+from groundstation.identification.results import Estimate, Identification
+from groundstation.reporting import simulators
+from groundstation.reporting.identified import Identified, identified_from_document
+from groundstation.vehicle import Vehicle, vehicle_to_dict
+
+SCHEMA = "groundstation.model/1"
+
+
+def model_document(
+    identification: Identification, vehicle: Vehicle, diagnosis: Diagnosis | None = None
+) -> dict[str, Any]:
+    """The model document of an identification. With findings, mass and tensor are those re-estimated with them."""
+    best = identification.methods.get(identification.best)
+    parameters = dict(best.parameters) if best is not None else {}
+    effects: dict[str, dict[str, dict[str, float]]] = {}
+    if diagnosis is not None and diagnosis.findings:
+        parameters |= diagnosis.parameters_after
+        for finding in diagnosis.findings:
+            effects.setdefault(finding.effect, {}).update(_values(finding.parameters))
+    return {
+        "schema": SCHEMA,
+        "flight": identification.flight,
+        "method": identification.best,
+        "anchor": identification.anchor,
+        "vehicle": vehicle_to_dict(vehicle),
+        "parameters": _values(parameters),
+        "model": _values(identification.model),
+        "effects": effects,
+        "not_identifiable": list(identification.not_identifiable),
+    }
+
+
+def _values(estimates: Mapping[str, Estimate]) -> dict[str, dict[str, float]]:
+    return {name: {"value": float(e.value), "std": float(e.std)} for name, e in estimates.items()}
+
+
+def model_from_identification_json(document: Mapping[str, Any], vehicle: Vehicle, source: str) -> dict[str, Any]:
+    """The model document in what ``identify --json`` printed, which names the vehicle but does not carry it.
+
+    Raises:
+        BadInput: the best method is not among the methods.
+    """
+    best = document.get("best")
+    methods = document.get("methods", {})
+    if best not in methods:
+        raise BadInput(f"{source}: its best method '{best}' is not among {', '.join(methods) or 'no methods'}.")
+
+    def values(estimates: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+        return {name: {"value": e["value"], "std": e["std"]} for name, e in estimates.items()}
+
+    return {
+        "schema": SCHEMA,
+        "flight": document.get("flight", ""),
+        "method": best,
+        "anchor": document.get("anchor", "thrust"),
+        "vehicle": vehicle_to_dict(vehicle),
+        "parameters": values(methods[best]["parameters"]),
+        "model": values(document.get("model", {})),
+        "effects": {},
+        "not_identifiable": list(document.get("not_identifiable", [])),
+    }
+
+
+def read_model(path: str | Path, vehicle: Vehicle | None = None) -> dict[str, Any]:
+    """Read a model document from ``identification.toml`` or ``.json``, or from the JSON of ``identify``.
+
+    Args:
+        path: the file.
+        vehicle: replaces the declared vehicle; needed for JSON of ``identify``, which carries none.
+
+    Raises:
+        BadInput: missing, malformed, of another schema, or without a vehicle.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+        document = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); give an identification file.") from None
+    except ValueError as error:  # of JSON, of TOML and of the encoding
+        raise BadInput(f"{path}: is neither valid JSON nor TOML ({error}); write it again with `identify`.") from None
+    schema = document.get("schema") if isinstance(document, dict) else None
+    if schema == SCHEMA:
+        return {**document, "vehicle": vehicle_to_dict(vehicle)} if vehicle is not None else document
+    if schema == "groundstation.identification/1":
+        if vehicle is None:
+            raise BadInput(f"{path}: names its vehicle but does not carry it; give the vehicle file with --vehicle.")
+        return model_from_identification_json(document, vehicle, str(path))
+    raise BadInput(f"{path}: has schema {schema!r}; {SCHEMA} or groundstation.identification/1 is expected.")
+
+
+def write_model(path: str | Path, document: Mapping[str, Any]) -> Path:
+    """Write a model document as TOML, or as JSON where the name ends in .json."""
+    path = Path(path)
+    path.write_text(_json(document) if path.suffix == ".json" else _toml(document), encoding="utf-8")
+    return path
+
+
+def _toml(document: Mapping[str, Any]) -> str:
+    import tomli_w
+
+    return tomli_w.dumps(dict(document))
+
+
+def _json(document: Mapping[str, Any]) -> str:
+    return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _simulator(write: Callable[[Identified], str]) -> Callable[[Mapping[str, Any]], str]:
+    return lambda document: write(identified_from_document(document))
+
+
+FORMATS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
+    "toml": _toml,
+    "json": _json,
+    "csv": _simulator(simulators.to_csv),
+    "vehicle": _simulator(simulators.to_vehicle_toml),
+    "px4-sih": _simulator(simulators.to_px4_sih),
+    "sdf": _simulator(simulators.to_sdf),
+    "urdf": _simulator(simulators.to_urdf),
+    "mjcf": _simulator(simulators.to_mjcf),
+    "rotorpy": _simulator(simulators.to_rotorpy),
+}
+"""Writers by the name of the format."""
+
+
+def export(model: Mapping[str, Any] | str | Path, format_name: str, vehicle: Vehicle | None = None) -> str:
+    """An identified model in another format.
+
+    Args:
+        model: a model document, or the file it is in.
+        format_name: a key of :data:`FORMATS`.
+        vehicle: replaces the vehicle declared in the document.
+
+    Raises:
+        BadInput: unknown format, malformed model, or a model that the format cannot hold.
+        Refused: numbers that the simulator would not load.
+    """
+    if format_name not in FORMATS:
+        raise BadInput(f"unknown format '{format_name}'; there are {', '.join(FORMATS)}.")
+    if isinstance(model, (str, Path)):
+        document = read_model(model, vehicle)
+    else:
+        document = {**model, "vehicle": vehicle_to_dict(vehicle)} if vehicle is not None else dict(model)
+    return FORMATS[format_name](document)

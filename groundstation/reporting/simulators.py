@@ -1,0 +1,370 @@
+"""Writers for simulators: each documents, in the file it writes, the units, the signs and what got lost.
+
+Common ground: body x forward, y left, z up, origin at the declared geometric centre; the tensor is about the centre of mass
+and its products are the tensor's entries (I_xy = -integral x y dm). A rotor with spin +1 turns counter-clockwise seen from
+above, and its reaction torque about body z is -c T.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from groundstation.errors import BadInput
+from groundstation.reporting.identified import Identified
+from groundstation.reporting.units import split_unit
+from groundstation.vehicle import INERTIA_NAMES, vehicle_to_dict
+
+
+def _number(value: float) -> str:
+    return f"{float(value):.9g}"
+
+
+def _numbers(values: object) -> str:
+    return " ".join(_number(v) for v in np.ravel(np.asarray(values, dtype=float)))
+
+
+def _identifier(name: str) -> str:
+    """A name that every simulator takes."""
+    return re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "vehicle"
+
+
+def _comment(sentences: list[str]) -> Any:
+    """An XML comment; "--" may not stand in one."""
+    return ET.Comment(" " + re.sub(r"-{2,}", "-", " ".join(sentences)).rstrip("-") + " ")
+
+
+def _hash_comment(sentences: Iterable[str]) -> str:
+    """Lines that start with #, whatever breaks a sentence has."""
+    return "".join(f"# {line}\n" for sentence in sentences for line in sentence.splitlines())
+
+
+def _xml(root: ET.Element) -> str:
+    ET.indent(root)
+    return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _child(parent: ET.Element, tag: str, text: str | None = None, **attributes: str) -> ET.Element:
+    node = ET.SubElement(parent, tag, attributes)
+    node.text = text
+    return node
+
+
+def _mean_lag_s(model: Identified) -> float:
+    lag = model.vehicle.rotors.lag
+    return 0.5 * (lag.up_s + lag.down_s)
+
+
+def to_csv(model: Identified) -> str:
+    """One line per number: name, value, standard deviation, unit, identified or declared."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["name", "value", "std", "unit", "source"])
+    values = model.vehicle.parameters()
+    values |= {f"com_offset_{a}_m": v for a, v in zip("xyz", model.com_offset_m, strict=True)}
+    values |= {f"rotor_drag_{a}_kg_s": v for a, v in zip("xy", model.rotor_drag_kg_s, strict=True)}
+    values["input_delay_s"] = model.delay_s
+    for name, value in values.items():
+        std = model.std.get(name.replace("rotor_drag", "d"))
+        source = "identified" if std is not None else "declared"
+        writer.writerow([name, repr(float(value)), "" if std is None else repr(std), split_unit(name)[1], source])
+    return out.getvalue()
+
+
+def to_vehicle_toml(model: Identified) -> str:
+    """A vehicle file in which what was identified is now declared, for the next plan and flight."""
+    import tomli_w
+
+    return _hash_comment(model.provenance()) + tomli_w.dumps(vehicle_to_dict(model.vehicle))
+
+
+def sih_order(model: Identified) -> tuple[int, int, int, int]:
+    """Our rotor numbers (from 0) in the order of PX4's SIH quadrotor: front right, rear left, front left, rear right.
+
+    Raises:
+        BadInput: the rotors are no symmetric X whose diagonals spin alike, front right counter-clockwise.
+    """
+    position = np.asarray(model.vehicle.rotors.position_m)[:, :2]
+    wanted = ((1, -1), (-1, 1), (1, 1), (-1, -1))
+    size = np.mean(np.abs(position), axis=0)
+    order = []
+    for sign_x, sign_y in wanted:
+        distance = np.linalg.norm(position - size * (sign_x, sign_y), axis=1)
+        order.append(int(np.argmin(distance)))
+    matched = position[order] if len(position) == 4 else position
+    target = size * np.asarray(wanted)
+    if len(position) != 4 or len(set(order)) != 4 or np.abs(matched - target).max() > 0.05 * size.max():
+        raise BadInput("px4-sih models four rotors in a symmetric X, which this vehicle's are not; export sdf or mjcf.")
+    if [model.vehicle.rotors.spin[i] for i in order] != [1, 1, -1, -1]:
+        raise BadInput(
+            "px4-sih spins front right and rear left counter-clockwise, the others clockwise; this vehicle does not; "
+            "export sdf or mjcf."
+        )
+    return (order[0], order[1], order[2], order[3])
+
+
+def to_px4_sih(model: Identified) -> str:
+    """A parameter file (tab separated, as ground stations load it) for PX4's simulation in hardware.
+
+    SIH works in FRD: with x kept and y, z turned round, I_xy and I_xz change sign and I_yz does not. Its thrust is linear in
+    the command, T = SIH_T_MAX u, so full throttle is matched; drag is one number, the mean of x and y.
+    """
+    order = sih_order(model)
+    vehicle = model.vehicle
+    position = np.asarray(vehicle.rotors.position_m)[list(order)]
+    top = vehicle.rotor_thrust_max_n()
+    if not np.isfinite(top):
+        raise BadInput("px4-sih needs the rotors' top thrust: declare speed_max_rad_s, a thrust_curve or thrust_max_n.")
+    tensor = dict(zip(INERTIA_NAMES, (getattr(vehicle.inertia_kg_m2, a) for a in INERTIA_NAMES), strict=True))
+    flipped = {name: -value if name in {"xy", "xz"} else value for name, value in tensor.items()}
+    values = {
+        "SIH_MASS": vehicle.mass_kg,
+        **{f"SIH_I{name.upper()}": value for name, value in flipped.items()},
+        "SIH_T_MAX": top,
+        "SIH_Q_MAX": top * vehicle.rotors.torque_to_thrust_m,
+        "SIH_L_ROLL": float(np.mean(np.abs(position[:, 1]))),
+        "SIH_L_PITCH": float(np.mean(np.abs(position[:, 0]))),
+        "SIH_KDV": float(np.mean(model.rotor_drag_kg_s)),
+        "SIH_KDW": float(np.mean(model.damping_nm_s)),
+        "SIH_T_TAU": _mean_lag_s(model),
+    }
+    lost = []
+    if np.any(model.com_offset_m):
+        lost.append("centre-of-mass offset")
+    if model.delay_s > 0.0:
+        lost.append(f"input delay of {model.delay_s:.4f} s")
+    if vehicle.rotors.lag.up_s != vehicle.rotors.lag.down_s:
+        lost.append("different lags up and down (their mean is written)")
+    notes = [
+        *model.provenance(),
+        "Axes are FRD: I_xy and I_xz have the sign opposite to FLU. SI units.",
+        "SIH thrust is linear in the command; SIH_T_MAX is the thrust of one rotor at full command.",
+        f"PX4 motors 1 to 4 are rotors {', '.join(str(i + 1) for i in order)} of the vehicle file.",
+        f"SIH has no place for: {', '.join(lost) or 'nothing that was found'}.",
+    ]
+    lines = [f"1\t1\t{name}\t{_number(value)}\t9" for name, value in values.items()]
+    return _hash_comment(notes) + "#\n# Vehicle-Id Component-Id Name Value Type\n" + "\n".join(lines) + "\n"
+
+
+def _inertial(parent: ET.Element, mass: float, centre: np.ndarray, tensor: np.ndarray, *, urdf: bool) -> None:
+    """``<inertial>`` of SDF or URDF: both take the tensor's entries about the centre of mass."""
+    node = _child(parent, "inertial")
+    entries = {f"i{a}{b}": tensor["xyz".index(a), "xyz".index(b)] for a, b in INERTIA_NAMES}
+    if urdf:
+        _child(node, "origin", xyz=_numbers(centre), rpy="0 0 0")
+        _child(node, "mass", value=_number(mass))
+        _child(node, "inertia", **{name: _number(value) for name, value in entries.items()})
+        return
+    _child(node, "pose", f"{_numbers(centre)} 0 0 0")
+    _child(node, "mass", _number(mass))
+    inertia = _child(node, "inertia")
+    for name, value in entries.items():
+        _child(inertia, name, _number(value))
+
+
+def to_urdf(model: Identified) -> str:
+    """Inertial properties of one link, and a massless frame per rotor."""
+    model.require_rigid("a URDF reader")
+    vehicle = model.vehicle
+    root = ET.Element("robot", name=_identifier(vehicle.name))
+    root.append(
+        _comment([*model.provenance(), "SI units; x forward, y left, z up; products are the tensor's entries."])
+    )
+    link = _child(root, "link", name="base_link")
+    _inertial(link, vehicle.mass_kg, model.com_offset_m, vehicle.inertia_tensor(), urdf=True)
+    for i, position in enumerate(vehicle.rotors.position_m, start=1):
+        _child(root, "link", name=f"rotor_{i}")
+        joint = _child(root, "joint", name=f"rotor_{i}_joint", type="fixed")
+        _child(joint, "parent", link="base_link")
+        _child(joint, "child", link=f"rotor_{i}")
+        _child(joint, "origin", xyz=_numbers(position), rpy="0 0 0")
+    return _xml(root)
+
+
+ROTOR_MASS_FRACTION = 1e-4
+"""Share of the vehicle's mass that each rotor link of the SDF gets: Gazebo needs massive links to turn."""
+
+
+def _parallel_axis(mass: float, offset: np.ndarray) -> np.ndarray:
+    """Inertia of a point mass about the origin, m (|d|^2 E - d d^T), shape (3, 3)."""
+    return mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+
+
+def to_sdf(model: Identified) -> str:
+    """A Gazebo model: a base link, a turning link per rotor, and the multicopter motor model where rotor speeds are known.
+
+    What the rotor links weigh is taken off the base, so that all links together have the identified mass, centre and tensor.
+    """
+    model.require_rigid("Gazebo")
+    vehicle, rotors = model.vehicle, model.vehicle.rotors
+    positions = np.asarray(rotors.position_m, dtype=float)
+    each = ROTOR_MASS_FRACTION * vehicle.mass_kg
+    disc = each * rotors.radius_m**2 * np.diag([0.25, 0.25, 0.5])
+    base_mass = vehicle.mass_kg - len(positions) * each
+    centre = (vehicle.mass_kg * model.com_offset_m - each * positions.sum(axis=0)) / base_mass
+    about_origin = vehicle.inertia_tensor() + _parallel_axis(vehicle.mass_kg, model.com_offset_m)
+    about_origin -= sum(disc + _parallel_axis(each, position) for position in positions)
+    base_tensor = about_origin - _parallel_axis(base_mass, centre)
+
+    root = ET.Element("sdf", version="1.9")
+    body = _child(root, "model", name=_identifier(vehicle.name))
+    notes = [
+        *model.provenance(),
+        "SI units; x forward, y left, z up; products are the tensor's entries about the centre of mass.",
+    ]
+    notes.append("motorConstant: N s^2 (T = k Omega^2); momentConstant: m (Q = c T); time constants: s.")
+    body.append(_comment(notes))
+    base = _child(body, "link", name="base_link")
+    _inertial(base, base_mass, centre, base_tensor, urdf=False)
+    for i, position in enumerate(positions):
+        link = _child(body, "link", name=f"rotor_{i}")
+        _child(link, "pose", f"{_numbers(position)} 0 0 0")
+        _inertial(link, each, np.zeros(3), disc, urdf=False)
+        joint = _child(body, "joint", name=f"rotor_{i}_joint", type="revolute")
+        _child(joint, "parent", "base_link")
+        _child(joint, "child", f"rotor_{i}")
+        axis = _child(joint, "axis")
+        _child(axis, "xyz", "0 0 1")
+        limit = _child(axis, "limit")
+        _child(limit, "lower", "-1e16")
+        _child(limit, "upper", "1e16")
+    if rotors.thrust_coefficient_n_s2 is None or rotors.speed_max_rad_s is None:
+        body.append(
+            _comment(["No motor model: it needs thrust_coefficient_n_s2 and speed_max_rad_s, which are not known."])
+        )
+        return _xml(root)
+    for i in range(len(positions)):
+        _motor_plugin(body, model, i)
+    return _xml(root)
+
+
+def _motor_plugin(body: ET.Element, model: Identified, index: int) -> None:
+    rotors = model.vehicle.rotors
+    speed_sum = model.hover_speed_sum_rad_s() or 1.0
+    plugin = _child(
+        body,
+        "plugin",
+        filename="gz-sim-multicopter-motor-model-system",
+        name="gz::sim::systems::MulticopterMotorModel",
+    )
+    settings = {
+        "jointName": f"rotor_{index}_joint",
+        "linkName": f"rotor_{index}",
+        "turningDirection": "ccw" if rotors.spin[index] > 0 else "cw",
+        "timeConstantUp": _number(rotors.lag.up_s),
+        "timeConstantDown": _number(rotors.lag.down_s),
+        "maxRotVelocity": _number(rotors.speed_max_rad_s or 0.0),
+        "motorConstant": _number(rotors.thrust_coefficient_n_s2 or 0.0),
+        "momentConstant": _number(rotors.torque_to_thrust_m),
+        "commandSubTopic": "command/motor_speed",
+        "motorNumber": str(index),
+        "actuator_number": str(index),
+        "rotorDragCoefficient": _number(float(np.mean(model.rotor_drag_kg_s)) / speed_sum),
+        "rollingMomentCoefficient": "0",
+        "rotorVelocitySlowdownSim": "10",
+        "motorType": "velocity",
+    }
+    for tag, text in settings.items():
+        _child(plugin, tag, text)
+
+
+def to_mjcf(model: Identified) -> str:
+    """A MuJoCo model: a free body with one site and one actuator per rotor; the control is the rotor's thrust in newton."""
+    model.require_rigid("MuJoCo")
+    vehicle, rotors = model.vehicle, model.vehicle.rotors
+    tensor = vehicle.inertia_kg_m2
+    root = ET.Element("mujoco", model=_identifier(vehicle.name))
+    curve = (
+        f"T = {_number(rotors.thrust_coefficient_n_s2)} Omega^2"
+        if rotors.thrust_coefficient_n_s2
+        else "T from the thrust curve"
+    )
+    root.append(
+        _comment(
+            [
+                *model.provenance(),
+                "SI units; x forward, y left, z up; fullinertia is xx yy zz xy xz yz, entries of the tensor about the centre of mass.",
+                f"Controls are rotor thrusts in newton ({curve}); the mean of the lags up and down acts on the thrust.",
+            ]
+        )
+    )
+    _child(root, "compiler", angle="radian", autolimits="true")
+    _child(root, "option", gravity=f"0 0 {_number(-vehicle.gravity_m_s2)}", timestep="0.001", integrator="RK4")
+    body = _child(_child(root, "worldbody"), "body", name="base")
+    _child(body, "freejoint", name="root")
+    entries = [getattr(tensor, name) for name in ("xx", "yy", "zz", "xy", "xz", "yz")]
+    _child(
+        body, "inertial", pos=_numbers(model.com_offset_m), mass=_number(vehicle.mass_kg), fullinertia=_numbers(entries)
+    )
+    for i, position in enumerate(rotors.position_m, start=1):
+        _child(body, "site", name=f"rotor{i}", pos=_numbers(position))
+    _child(body, "site", name="imu", pos=_numbers(vehicle.imu.position_m))
+    actuators = _child(root, "actuator")
+    lag, top = _mean_lag_s(model), vehicle.rotor_thrust_max_n()
+    for i, spin in enumerate(rotors.spin, start=1):
+        attributes = {
+            "name": f"rotor{i}",
+            "site": f"rotor{i}",
+            "gear": f"0 0 1 0 0 {_number(-spin * rotors.torque_to_thrust_m)}",
+        }
+        if np.isfinite(top):
+            attributes["ctrlrange"] = f"0 {_number(top)}"
+        if lag > 0.0:
+            attributes |= {"dyntype": "filterexact", "dynprm": _number(lag)}
+        _child(actuators, "general", **attributes)
+    sensors = _child(root, "sensor")
+    _child(sensors, "gyro", name="gyro", site="imu")
+    _child(sensors, "accelerometer", name="accelerometer", site="imu")
+    return _xml(root)
+
+
+def to_rotorpy(model: Identified) -> str:
+    """A Python module with RotorPy's ``quad_params``. Its positions are from the centre of mass; +direction is +torque about z."""
+    rotors = model.vehicle.rotors
+    if rotors.thrust_coefficient_n_s2 is None or rotors.speed_max_rad_s is None:
+        raise BadInput(
+            "rotorpy drives rotors by speed: declare thrust_coefficient_n_s2 and speed_max_rad_s, or export mjcf."
+        )
+    k = rotors.thrust_coefficient_n_s2
+    tensor = model.vehicle.inertia_kg_m2
+    drag = float(np.mean(model.rotor_drag_kg_s)) / (model.hover_speed_sum_rad_s() or 1.0)
+    lines = [
+        '"""' + " ".join(_safe(s) for s in model.provenance()),
+        "",
+        "SI units; x forward, y left, z up.",
+        '"""',
+        "",
+    ]
+    lines += ["import numpy as np", "", "quad_params = {", f"    'mass': {model.vehicle.mass_kg!r},"]
+    lines += [f"    'I{name}': {getattr(tensor, name)!r}," for name in INERTIA_NAMES]
+    lines += [f"    'num_rotors': {rotors.count},", "    'rotor_pos': {"]
+    for i, position in enumerate(np.asarray(rotors.position_m) - model.com_offset_m, start=1):
+        lines.append(f"        'r{i}': np.array({position.tolist()!r}),")
+    lines += ["    },", f"    'rotor_directions': np.array({[-s for s in rotors.spin]!r}),"]
+    lines.append(f"    'rI': np.array({(np.asarray(model.vehicle.imu.position_m) - model.com_offset_m).tolist()!r}),")
+    rest = {
+        **{f"c_D{axis}": 0.0 for axis in "xyz"},
+        "k_eta": k,
+        "k_m": k * rotors.torque_to_thrust_m,
+        "k_d": drag,
+        "k_z": 0.0,
+        "k_h": 0.0,
+        "k_flap": 0.0,
+        "tau_m": _mean_lag_s(model),
+        "rotor_speed_min": 0.0,
+        "rotor_speed_max": rotors.speed_max_rad_s,
+        "motor_noise_std": 0.0,
+    }
+    lines += [f"    {name!r}: {value!r}," for name, value in rest.items()]
+    return "\n".join([*lines, "}", ""])
+
+
+def _safe(text: str) -> str:
+    """Text that cannot end a docstring."""
+    return text.replace("\\", "/").replace('"', "'")

@@ -1,0 +1,307 @@
+"""Exports read back by readers nobody here wrote, and compared with what was identified, signs included."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import tomllib
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from groundstation.diagnosis.results import Diagnosis, Finding
+from groundstation.errors import BadInput, Refused
+from groundstation.frames import skew
+from groundstation.identification.results import Estimate, Identification
+from groundstation.paths import find_config
+from groundstation.reporting.exports import FORMATS, export, model_document, read_model, write_model
+from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
+from tests.reporting_fixture import identification
+
+TENSOR = np.array([[0.0268, 0.0011, -0.0006], [0.0011, 0.0331, 0.0004], [-0.0006, 0.0004, 0.0412]])
+MASS = 1.8258
+OFFSET = np.array([0.004, -0.003, 0.002])
+
+
+def x_frame(**rotors: object) -> Vehicle:
+    """An X quadrotor with PX4's numbering and spins."""
+    document = vehicle_to_dict(load_vehicle(find_config("vehicles", "qball2")))
+    document["rotors"] |= {
+        "position_m": [[0.16, -0.18, 0.01], [-0.16, 0.18, 0.01], [0.16, 0.18, 0.01], [-0.16, -0.18, 0.01]]
+    }
+    document["rotors"] |= {"spin": [1, 1, -1, -1], **rotors}
+    return vehicle_from_dict(document)
+
+
+def planted(tensor: np.ndarray = TENSOR) -> Identification:
+    axes = [("xx", 0, 0), ("xy", 0, 1), ("xz", 0, 2), ("yy", 1, 1), ("yz", 1, 2), ("zz", 2, 2)]
+    parameters = {
+        "mass_kg": Estimate.normal(MASS, 0.002),
+        **{f"i{n}_kg_m2": Estimate.normal(tensor[i, j], 1e-4) for n, i, j in axes},
+    }
+    base = identification()
+    model = {
+        "rotor_lag_up_s": Estimate.normal(0.04, 0.001),
+        "rotor_lag_down_s": Estimate.normal(0.06, 0.001),
+        "input_delay_s": Estimate.normal(0.002, 0.001),
+        **{f"com_offset_{a}_m": Estimate.normal(v, 1e-4) for a, v in zip("xyz", OFFSET, strict=True)},
+    }
+    return replace(base, methods={"PE": replace(base.methods["PE"], parameters=parameters)}, model=model)
+
+
+def drag() -> Diagnosis:
+    finding = Finding(
+        "rotor_drag", {"d_x_kg_s": Estimate.normal(0.3, 0.01), "d_y_kg_s": Estimate.normal(0.3, 0.01)}, "", 0.99
+    )
+    return Diagnosis("f", "v", "explained", findings=(finding,))
+
+
+def document(vehicle: Vehicle | None = None, tensor: np.ndarray = TENSOR) -> dict:
+    return model_document(planted(tensor), vehicle or x_frame(), drag())
+
+
+def tensor_of(get) -> np.ndarray:
+    xx, xy, xz, yy, yz, zz = (float(get(n)) for n in ("xx", "xy", "xz", "yy", "yz", "zz"))
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+@pytest.mark.parametrize("suffix", [".toml", ".json"])
+def test_a_model_document_survives_its_file(tmp_path, suffix):
+    path = write_model(tmp_path / f"identification{suffix}", document())
+    assert read_model(path) == document()
+    assert read_model(path)["effects"]["rotor_drag"]["d_x_kg_s"] == {"value": 0.3, "std": 0.01}
+    assert vehicle_from_dict(read_model(path)["vehicle"]) == x_frame()
+
+
+def test_the_json_of_identify_exports_the_same_once_the_vehicle_is_given(tmp_path):
+    path = tmp_path / "identification.json"
+    path.write_text(json.dumps(planted().to_dict()), encoding="utf-8")
+    with pytest.raises(BadInput, match="--vehicle"):
+        export(path, "urdf")
+    without_effects = model_document(planted(), x_frame())
+    assert export(path, "urdf", x_frame()) == export(without_effects, "urdf")
+
+
+def test_mujoco_loads_mass_centre_tensor_and_wrench():
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(export(document(), "mjcf"))
+    body = model.body("base").id
+    assert model.body_mass[body] == pytest.approx(MASS, rel=1e-8)
+    np.testing.assert_allclose(model.body_ipos[body], OFFSET, rtol=1e-8)
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, model.body_iquat[body])
+    axes = rotation.reshape(3, 3)
+    np.testing.assert_allclose(axes @ np.diag(model.body_inertia[body]) @ axes.T, TENSOR, atol=1e-9)
+
+    # One rotor at 2 N: acceleration of a free body at rest, from Newton and Euler about the centre of mass.
+    data = mujoco.MjData(model)
+    vehicle = x_frame()
+    for i, (position, spin) in enumerate(zip(vehicle.rotors.position_m, vehicle.rotors.spin, strict=True)):
+        mujoco.mj_resetData(model, data)
+        data.act[:] = 0.0
+        data.act[i] = 2.0
+        mujoco.mj_forward(model, data)
+        torque = np.cross(np.array(position) - OFFSET, [0.0, 0.0, 2.0]) + np.array([0.0, 0.0, -spin * 0.016 * 2.0])
+        np.testing.assert_allclose(data.qacc[3:6], np.linalg.solve(TENSOR, torque), rtol=1e-6, atol=1e-9)
+    assert model.actuator_ctrlrange[0, 1] == pytest.approx(vehicle.rotor_thrust_max_n(), rel=1e-6)
+
+
+def test_px4_flies_the_same_torque_in_its_own_axes():
+    """Turn SIH's FRD tensor, thrusts and torques back into FLU: angular acceleration must be that of our own numbers."""
+    lines = [line.split("\t") for line in export(document(), "px4-sih").splitlines() if not line.startswith("#")]
+    assert {(len(row), row[4]) for row in lines} == {(5, "9")}
+    p = {row[2]: float(row[3]) for row in lines}
+    frd = tensor_of(lambda n: p[f"SIH_I{n.upper()}"])
+    turn = np.diag([1.0, -1.0, -1.0])
+    np.testing.assert_allclose(turn @ frd @ turn, TENSOR, rtol=1e-6)
+    assert p["SIH_MASS"] == pytest.approx(MASS)
+    assert p["SIH_KDV"] == pytest.approx(0.3)
+    assert p["SIH_T_TAU"] == pytest.approx(0.05)
+
+    u = np.array([0.3, 0.5, 0.2, 0.7])  # sih.cpp: mixing of its quadrotor, FRD
+    roll = p["SIH_L_ROLL"] * p["SIH_T_MAX"] * (-u[0] + u[1] + u[2] - u[3])
+    pitch = p["SIH_L_PITCH"] * p["SIH_T_MAX"] * (u[0] - u[1] + u[2] - u[3])
+    yaw = p["SIH_Q_MAX"] * (u[0] + u[1] - u[2] - u[3])
+    ours = x_frame().allocation() @ (p["SIH_T_MAX"] * u)
+    np.testing.assert_allclose(turn @ [roll, pitch, yaw], ours[1:], rtol=1e-6)
+
+
+def test_px4_gets_the_rotors_of_a_shuffled_vehicle_in_its_own_order():
+    plain = x_frame()
+    shuffled = x_frame(position_m=[plain.rotors.position_m[i] for i in (2, 0, 3, 1)], spin=[-1, 1, -1, 1])
+    text = export(document(shuffled), "px4-sih")
+    assert "PX4 motors 1 to 4 are rotors 2, 4, 1, 3 " in text
+
+
+def test_px4_refuses_frames_it_cannot_hold():
+    with pytest.raises(BadInput, match="symmetric X"):
+        export(document(load_vehicle(find_config("vehicles", "qball2"))), "px4-sih")
+    with pytest.raises(BadInput, match="counter-clockwise"):
+        export(document(x_frame(spin=[-1, -1, 1, 1])), "px4-sih")
+
+
+def composite(links: list[tuple[float, np.ndarray, np.ndarray]]) -> tuple[float, np.ndarray, np.ndarray]:
+    """Mass, centre and central tensor of rigidly joined links (mass, centre, central tensor), by S(d)^T S(d)."""
+    mass = sum(m for m, _, _ in links)
+    centre = sum(m * c for m, c, _ in links) / mass
+    tensor = sum(t + m * skew(c - centre).T @ skew(c - centre) for m, c, t in links)
+    return mass, centre, tensor
+
+
+def test_gazebo_links_together_weigh_and_turn_as_identified():
+    root = ET.fromstring(export(document(), "sdf"))  # noqa: S314
+    links = []
+    for link in root.iter("link"):
+        pose = np.array((link.findtext("pose") or "0 0 0").split()[:3], dtype=float)
+        inertial = link.find("inertial")
+        inner = np.array(inertial.findtext("pose").split()[:3], dtype=float)
+        tensor = tensor_of(lambda n, i=inertial: i.findtext(f"inertia/i{n}"))
+        links.append((float(inertial.findtext("mass")), pose + inner, tensor))
+    assert len(links) == 5
+    mass, centre, tensor = composite(links)
+    assert mass == pytest.approx(MASS, rel=1e-7)
+    np.testing.assert_allclose(centre, OFFSET, atol=1e-9)
+    np.testing.assert_allclose(tensor, TENSOR, atol=1e-10)
+
+    plugins = list(root.iter("plugin"))
+    assert [p.findtext("turningDirection") for p in plugins] == ["ccw", "ccw", "cw", "cw"]
+    k, top = float(plugins[0].findtext("motorConstant")), float(plugins[0].findtext("maxRotVelocity"))
+    assert k * top**2 == pytest.approx(x_frame().rotor_thrust_max_n())
+    assert (plugins[2].findtext("timeConstantUp"), plugins[2].findtext("timeConstantDown")) == ("0.04", "0.06")
+    # Gazebo: per rotor, drag = coefficient |Omega| v. Together at hover they must give 0.3 N per m/s.
+    hover = np.sqrt(MASS * 9.80665 / (4 * k))
+    assert 4 * hover * float(plugins[0].findtext("rotorDragCoefficient")) == pytest.approx(0.3, rel=1e-6)
+
+
+def test_urdf_carries_the_tensor_with_its_signs():
+    root = ET.fromstring(export(document(), "urdf"))  # noqa: S314
+    inertia = root.find("link/inertial/inertia")
+    np.testing.assert_allclose(tensor_of(lambda n: inertia.get(f"i{n}")), TENSOR, rtol=1e-8)
+    assert float(root.find("link/inertial/mass").get("value")) == pytest.approx(MASS)
+    np.testing.assert_allclose(np.array(root.find("link/inertial/origin").get("xyz").split(), dtype=float), OFFSET)
+    fourth = next(j for j in root.iter("joint") if j.get("name") == "rotor_4_joint")
+    assert fourth.find("origin").get("xyz") == "-0.16 -0.18 0.01"
+
+
+def test_rotorpy_accelerates_as_the_numbers_say():
+    multirotor = pytest.importorskip("rotorpy.vehicles.multirotor")
+    scope: dict = {}
+    exec(export(document(), "rotorpy"), scope)  # noqa: S102
+    from rotorpy.vehicles.crazyflie_params import quad_params as theirs
+
+    params = scope["quad_params"]
+    assert set(params) >= {k for k in theirs if not k.startswith(("k_w", "k_v", "kp_", "kd_"))}
+    speeds = np.array([600.0, 610.0, 650.0, 640.0])
+    velocity = np.array([0.5, -0.2, 0.0])
+    state = {
+        "x": np.zeros(3),
+        "v": velocity,
+        "q": np.array([0.0, 0.0, 0.0, 1.0]),
+        "w": np.zeros(3),
+        "wind": np.zeros(3),
+        "rotor_speeds": speeds,
+    }
+    quad = multirotor.Multirotor(params, initial_state=state)
+    # RotorPy also turns the rotors' drag into a moment; without motion there is none.
+    rate = quad.statedot({**state, "v": np.zeros(3)}, {"cmd_motor_speeds": speeds}, 0.0)
+    thrust = 1.11e-5 * speeds**2
+    vehicle = x_frame()
+    arms = np.asarray(vehicle.rotors.position_m) - OFFSET
+    torque = np.cross(arms, np.outer(thrust, [0, 0, 1])).sum(axis=0)
+    torque[2] += -np.dot(vehicle.rotors.spin, 0.016 * thrust)
+    np.testing.assert_allclose(rate["wdot"], np.linalg.solve(TENSOR, torque), rtol=1e-9)
+    moving = quad.statedot(state, {"cmd_motor_speeds": speeds}, 0.0)
+    hover = 4 * np.sqrt(MASS * 9.81 / (4 * 1.11e-5))
+    np.testing.assert_allclose(
+        MASS * (moving["vdot"] - rate["vdot"])[:2], -0.3 * speeds.sum() / hover * velocity[:2], rtol=1e-3
+    )
+
+
+def test_csv_says_what_was_identified_and_what_declared():
+    rows = {row["name"]: row for row in csv.DictReader(io.StringIO(export(document(), "csv")))}
+    assert float(rows["ixz_kg_m2"]["value"]) == TENSOR[0, 2]
+    assert (rows["ixz_kg_m2"]["std"], rows["ixz_kg_m2"]["unit"], rows["ixz_kg_m2"]["source"]) == (
+        "0.0001",
+        "kg m²",
+        "identified",
+    )
+    assert (rows["torque_to_thrust_m"]["std"], rows["torque_to_thrust_m"]["source"]) == ("", "declared")
+    assert float(rows["rotor_drag_x_kg_s"]["value"]) == 0.3
+    assert rows["rotor_drag_x_kg_s"]["source"] == "identified"
+
+
+def test_the_vehicle_file_declares_what_was_identified():
+    vehicle = vehicle_from_dict(tomllib.loads(export(document(), "vehicle")))
+    np.testing.assert_array_equal(vehicle.inertia_tensor(), TENSOR)
+    assert vehicle.rotors.lag.down_s == 0.06
+    assert vehicle.rotors.position_m == x_frame().rotors.position_m
+
+
+def test_what_was_not_identified_keeps_its_declared_value_and_says_so():
+    partial = document()
+    del partial["parameters"]["ixy_kg_m2"]
+    text = export(partial, "urdf")
+    assert "declared values kept: ixy_kg_m2" in text
+    assert ET.fromstring(text).find("link/inertial/inertia").get("ixy") == "0"  # noqa: S314
+
+
+@pytest.mark.parametrize("format_name", ["mjcf", "sdf", "urdf"])
+def test_a_tensor_of_no_rigid_body_is_refused_where_it_would_not_load(format_name):
+    impossible = np.diag([0.0120, 0.0121, 0.0830])  # the seed paper's Table 3, LS
+    with pytest.raises(Refused, match="no rigid body"):
+        export(document(tensor=impossible), format_name)
+    assert "SIH_IZZ\t0.083\t" in export(document(tensor=impossible), "px4-sih")
+
+
+def test_a_thrust_curve_exports_where_it_can():
+    curve = x_frame(input="command", thrust_curve=[0.0, 5.0, 2.0], thrust_coefficient_n_s2=None, speed_max_rad_s=None)
+    model = document(vehicle_from_dict(vehicle_to_dict(curve)))
+    assert "No motor model" in export(model, "sdf")
+    assert "SIH_T_MAX\t7\t" in export(model, "px4-sih")
+    with pytest.raises(BadInput, match="drives rotors by speed"):
+        export(model, "rotorpy")
+
+
+@pytest.mark.parametrize("format_name", list(FORMATS))
+def test_hostile_names_break_no_format(format_name):
+    named = x_frame().model_copy(update={"name": '--"""<a>&\n]]> \\'})
+    model = {**model_document(planted(), named), "flight": '-->"""\n"\\ <b>'}
+    text = export(model, format_name)
+    if format_name in {"mjcf", "sdf", "urdf"}:
+        ET.fromstring(text)  # noqa: S314
+    elif format_name in {"toml", "vehicle"}:
+        tomllib.loads(text)
+    elif format_name == "json":
+        json.loads(text)
+    elif format_name == "rotorpy":
+        compile(text, "params", "exec")
+    elif format_name == "px4-sih":
+        assert all(line.startswith("#") or line.count("\t") == 4 for line in text.splitlines())
+    else:
+        assert len(next(csv.reader(io.StringIO(text)))) == 5
+
+
+@pytest.mark.parametrize(
+    ("content", "name", "message"),
+    [
+        (None, "m.toml", "cannot be read"),
+        ("a = [", "m.toml", "neither valid JSON nor TOML"),
+        ("[]", "m.json", "schema None"),
+        ('schema = "other/1"', "m.toml", "'other/1'"),
+        ('schema = "groundstation.model/1"', "m.toml", "lacks 'vehicle'"),
+    ],
+)
+def test_bad_model_files_get_one_sentence(tmp_path, content, name, message):
+    path = tmp_path / name
+    if content is not None:
+        path.write_text(content, encoding="utf-8")
+    with pytest.raises(BadInput, match=message):
+        export(path, "csv")
+
+
+def test_an_unknown_format_lists_the_known_ones():
+    with pytest.raises(BadInput, match=r"mjcf, rotorpy"):
+        export(document(), "blender")
