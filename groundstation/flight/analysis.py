@@ -2,13 +2,15 @@
 
     python -P -m groundstation.flight.analysis FOLDER
 
-prints one JSON document per line on standard output: ``{"progress": 0.4, "text": "...", "table": {...}}``.
+waits for a line on standard input and prints one JSON document per line on standard output: ``{"progress": 0.4, "text": "...", "table": {...}}``.
 """
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
+import os
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -158,9 +160,19 @@ def _say(fraction: float, text: str, table: Table | None = None) -> None:
     print(json.dumps(finite({"progress": fraction, "text": text, **({"table": table} if table else {})})), flush=True)
 
 
+def warm_up() -> None:
+    """Import what takes seconds while the flight still goes on, behind everything that flies."""
+    os.nice(5)
+    for module in ("recording", "identification.seed", "reporting", "diagnosis"):
+        importlib.import_module(f"groundstation.{module}")
+
+
 def main(folder: Path) -> int:
-    """The worker: a preliminary table first, then everything."""
+    """The worker: waits for a line, then a preliminary table first, then everything."""
     try:
+        warm_up()
+        if not sys.stdin.readline():
+            return 0  # whoever was to say "go" is gone
         from groundstation.recording import load_flight
 
         _say(0.01, "reading the recording")

@@ -44,6 +44,15 @@ class Child:
         """Lines of its standard output, if that was piped."""
         yield from self._process.stdout or ()
 
+    def tell(self, line: str) -> None:
+        """Write a line to its standard input, if that was piped; one that has ended does not hear it."""
+        if self._process.stdin is not None:
+            try:
+                self._process.stdin.write(line + "\n")
+                self._process.stdin.flush()
+            except BrokenPipeError:
+                return
+
     def last_words(self) -> str:
         """The last line it logged; empty when there is none."""
         text = self._log.read_text(encoding="utf-8", errors="replace").strip() if self._log.is_file() else ""
@@ -69,12 +78,11 @@ class Child:
             self.wait()
 
 
-def start_child(command: list[str], log: Path, *, stdout: int | None = None) -> Child:
-    """Start a command with its standard error (and output, unless piped) in ``log``."""
+def start_child(command: list[str], log: Path, *, piped: bool = False) -> Child:
+    """Start a command with its standard error in ``log``, its standard output too unless both ends are ``piped``."""
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("a", encoding="utf-8") as sink:
-        out: int | IO[str] = sink if stdout is None else stdout
-        process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=out, stderr=sink, start_new_session=True, text=True
-        )
+        output: int | IO[str] = subprocess.PIPE if piped else sink
+        input_ = subprocess.PIPE if piped else subprocess.DEVNULL
+        process = subprocess.Popen(command, stdin=input_, stdout=output, stderr=sink, start_new_session=True, text=True)
     return Child(process, log)

@@ -15,7 +15,6 @@ import argparse
 import json
 import queue
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -308,6 +307,7 @@ class FlightCore:
                 self._check()
             case seq.Do.START:
                 self._order(self._start)
+                self._prepare_analysis()
             case seq.Do.ABORT | seq.Do.LAND | seq.Do.DISARM:
                 name: bus.CommandName = action.do.value  # type: ignore[assignment]
                 self._order(partial(self._command, name))
@@ -380,12 +380,17 @@ class FlightCore:
         if self.settings.start:
             self._event(seq.StartRequested())
 
+    def _prepare_analysis(self) -> None:
+        """Start the worker during the flight, so that it is warm at landing; it waits for one line."""
+        if self.settings.analyse:
+            command = module_command("groundstation.flight.analysis", str(self.settings.folder))
+            self._worker = start_child(command, self.settings.folder / "analysis.log", piped=True)
+
     def _analyse(self) -> None:
-        if not self.settings.analyse:
+        if self._worker is None:
             self._event(seq.AnalysisFinished(0, "not asked for"))
             return
-        command = module_command("groundstation.flight.analysis", str(self.settings.folder))
-        self._worker = start_child(command, self.settings.folder / "analysis.log", stdout=subprocess.PIPE)
+        self._worker.tell("go")
         self.state = seq.analysing(self.state, self.clock())
         threading.Thread(target=self._follow_worker, args=(self._worker,), name="worker", daemon=True).start()
 
