@@ -42,6 +42,8 @@ DRONE = "vehicle"
 CREDIT_AHEAD_S = 1.0
 CREDIT_EVERY_S = 0.2
 STATUS_EVERY_S = 0.1
+START_UP_S = 90.0
+"""How long the vehicle's process may take to appear: the simulator's first start on a machine compiles it."""
 SILENCE_S = 10.0
 GROUND_CHECK_S = 1.0
 LOCK_STEP_SLACK = 20.0
@@ -186,6 +188,7 @@ class FlightCore:
         self.inbox.put(lambda: self._described(description))
 
     def _described(self, description: bus.Description) -> None:
+        self.heard_s = self.clock()
         from groundstation.recording.recorder import McapRecorder
 
         self.description = description
@@ -417,12 +420,14 @@ class FlightCore:
 
     def _check_children(self) -> None:
         done = self.state.phase in (seq.Phase.LANDED, seq.Phase.IDENTIFYING)
-        if self._drone is not None and not done and (status := self._drone.poll()) is not None:
+        if not done and self._drone is not None and (status := self._drone.poll()) is not None:
             detail = self._drone.last_words()
             text = f"the vehicle's process ended with status {status}" + (f": {detail}" if detail else "")
             self._event(seq.VehicleLost(text))
-        elif not done and self.clock() - self.heard_s > SILENCE_S:
-            self._event(seq.VehicleLost(f"nothing was heard from the vehicle for {SILENCE_S:g} s"))
+            return
+        patience = START_UP_S if self.recorder is None else SILENCE_S
+        if not done and self.clock() - self.heard_s > patience:
+            self._event(seq.VehicleLost(f"nothing was heard from the vehicle for {patience:g} s"))
 
     def _send_credit(self) -> None:
         now, credit = self.clock(), self.digested_s + CREDIT_AHEAD_S
