@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -86,7 +86,7 @@ def read_bundle(folder: Path, vehicle: Vehicle | None = None) -> Recording:
         files=verbatim,
         metadata={str(key): str(value) for key, value in about.get("metadata", {}).items()},
         window_s=None if window is None else (float(window[0]), float(window[1])),
-        notes=tuple(notes),
+        notes=(*map(str, about.get("notes", ())), *notes),
     )
 
 
@@ -179,9 +179,24 @@ def write_recording_as_bundle(recording: Recording, folder: Path) -> None:
         raise BadInput(f"{folder}: cannot be written ({error.strerror}); name a folder on a disk with room.") from None
 
 
+def unholdable(recording: Recording) -> tuple[str, ...]:
+    """What a bundle cannot hold: attachments whose names lead out of the folder or are those of its own files."""
+    return tuple(
+        f"attachment '{name}': its name is not one a bundle can give to an extra file."
+        for name in recording.files
+        if not _is_extra_file(name)
+    )
+
+
+def _is_extra_file(name: str) -> bool:
+    path = PurePosixPath(name)
+    own = {f"{stream}.csv" for stream in (*STREAMS, *LOG_COLUMNS)} | {FLIGHT_FILE}
+    return bool(name) and not path.is_absolute() and ".." not in path.parts and "\\" not in name and name not in own
+
+
 def _write(recording: Recording, folder: Path) -> None:
-    for name, data in recording.files.items():
-        path = folder / name
+    for name in filter(_is_extra_file, recording.files):
+        data, path = recording.files[name], folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)
     for name, stream in recording.streams.items():
@@ -199,7 +214,9 @@ def _write(recording: Recording, folder: Path) -> None:
     for name in own:
         extra = recording.extras[name]
         names, columns = _with_times(extra.t_s, extra.received_s)
-        write_csv(folder / f"{name}.csv", names + extra.columns, columns + list(extra.values.T))
+        path = folder / f"{name}.csv"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_csv(path, names + extra.columns, columns + list(extra.values.T))
     for name in LOG_COLUMNS:
         log = recording.texts.get(name)
         if log is not None:
@@ -213,6 +230,7 @@ def _write(recording: Recording, folder: Path) -> None:
         "window_s": recording.window_s,
         "metadata": dict(recording.metadata),
         "extras": own,
+        "notes": list(recording.notes),
     }
     (folder / FLIGHT_FILE).write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
 

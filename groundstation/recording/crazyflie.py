@@ -208,6 +208,13 @@ def _state(t_s: Array, columns: dict[str, Array]) -> tuple[Stream, list[str]]:
     roll = np.radians(get("roll")) if "roll" in has else derived_roll
     if pitch is None:
         pitch = np.full(len(t_s), np.nan)
+    if "roll" in has and "pitch" not in has and force is not None:
+        flying = get("z") > 0.2
+        if flying.any():
+            miss = np.degrees(np.sqrt(np.mean((derived_roll - roll)[flying] ** 2)))
+            notes.append(
+                f"state: roll derived in the same way misses the logged roll by {miss:.1f} degrees rms in flight."
+            )
     quaternion = quat_from_euler(roll, pitch, yaw)
     rates = body_rates(t_s, quaternion)
     notes.append("state: body rates are derived from the attitude by central differences.")

@@ -26,7 +26,7 @@ from groundstation.recording.recorded import (
 from groundstation.recording.recorder import METADATA, SCHEMA, McapRecorder
 from groundstation.recording.schemas import EXACT_TYPE, ROW_TYPE, STREAM_OF_TYPE, TOPICS
 
-_OWN_KEYS = ("schema", "groundstation", "flight", "window_start_s", "window_end_s")
+_OWN_KEYS = ("schema", "groundstation", "flight", "window_start_s", "window_end_s", "notes")
 _EXTRA = "/extra/"
 
 
@@ -48,6 +48,8 @@ def write_recording_as_mcap(recording: Recording, path: Path) -> Path:
     about = {**recording.metadata, "flight": recording.name}
     if recording.window_s is not None:
         about |= {"window_start_s": repr(recording.window_s[0]), "window_end_s": repr(recording.window_s[1])}
+    if recording.notes:
+        about["notes"] = json.dumps(recording.notes)
     with McapRecorder(path, about, recording.files) as recorder:
         # Keys are made non-decreasing: order within a stream is the recording's own, whatever its stamps say.
         sources = [_samples(recorder, recording.streams[name], name) for name in recording.streams]
@@ -165,7 +167,7 @@ def read_mcap(path: Path) -> Recording:
         files=contents.attachments,
         metadata={key: value for key, value in about.items() if key not in _OWN_KEYS},
         window_s=None if None in window else (float(window[0] or 0), float(window[1] or 0)),
-        notes=_losses(contents, path),
+        notes=(*json.loads(about.get("notes", "[]")), *_losses(contents, path)),
     )
 
 

@@ -71,6 +71,7 @@ class Recording:
         metadata: scenario name, versions and the like.
         window_s: start and end of the excitation on the motors' clock.
         notes: what was lost or derived on the way in, one sentence each.
+        left_out: what the source holds and this does not.
     """
 
     name: str
@@ -81,6 +82,7 @@ class Recording:
     metadata: Mapping[str, str] = field(default_factory=dict)
     window_s: tuple[float, float] | None = None
     notes: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
 
     def vehicle(self, source: str) -> Vehicle | None:
         """The declared vehicle, where the recording carries one.
@@ -147,4 +149,5 @@ def recording_of(flight: FlightData) -> Recording:
         files=files,
         metadata=flight.metadata,
         window_s=flight.window_s,
+        notes=flight.notes,
     )
