@@ -320,8 +320,10 @@ class LinkCore:
         state, pose = self.view.state, self.view.pose
         if state is None or pose is None:
             return None
-        s0, p0 = self._origin = self._origin or (state.position_m, pose.position_m)
-        moved = zip(state.position_m, s0, pose.position_m, p0, strict=True)
+        if self._origin is None:
+            self._origin = (state.position_m, pose.position_m)
+        origin = self._origin
+        moved = zip(state.position_m, origin[0], pose.position_m, origin[1], strict=True)
         return sum(((s - a) - (p - b)) ** 2 for s, a, p, b in moved) ** 0.5
 
     def _lead(self, now_s: float, messages: list[Message], out: Output) -> None:

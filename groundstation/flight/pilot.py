@@ -34,7 +34,7 @@ from groundstation.trajectory import Plan, Sequence, flight_path
 AGAIN_S = 0.5
 STREAM_FIRST_S = 0.6
 CLIMB_TIMEOUT_S = 30.0
-MODE_TIMEOUT_S = 3.0
+MODE_TIMEOUT_S = 2.0
 _UNDER_WAY = mavlink.MAV_RESULT_IN_PROGRESS
 
 
@@ -248,6 +248,21 @@ class Pilot:
         """Between the excitation's start and its end."""
         return self.excitation_s[0] is not None and self.excitation_s[1] is None and self.phase is Phase.FOLLOWING
 
+    def window_s(self, now_s: float) -> tuple[float, float] | None:
+        """Host times of the excitation: as it happened, else as planned from here; None before the path begins."""
+        begun, ended = self.excitation_s
+        if begun is not None and ended is not None:
+            return begun, ended
+        if self.path is None:
+            return None if begun is None else (begun, now_s)
+        begin, end = self._window()
+        started = begun if begun is not None else now_s + max(0.0, begin - self.path_s)
+        return started, started + end - begin
+
+    def progress_s(self) -> tuple[float, float]:
+        """Seconds flown on the path, and its length; zeros off it."""
+        return (0.0, 0.0) if self.path is None else (self.path_s, self.path.duration_s)
+
     def _notice(self, now_s: float) -> None:
         """What the vehicle did by itself, or somebody else with it."""
         view = self.view
@@ -426,7 +441,7 @@ class Pilot:
         def final(m: Message) -> bool:
             return m.get_type() == "COMMAND_ACK" and m.command == command.command and m.result != _UNDER_WAY
 
-        ack = yield Ask((command,), final, 1.0, 4)
+        ack = yield Ask((command,), final, 0.5, 4)
         if ack is None and not there():
             return f"{what}: the vehicle did not acknowledge"
         if ack is not None and ack.result != mavlink.MAV_RESULT_ACCEPTED and not there():

@@ -1,0 +1,408 @@
+"""The link process: owns the port, the guard, the setpoints' age and the raw log of one vehicle.
+
+    python -P -m groundstation.flight.link --link udpin://127.0.0.1:14540 --vehicle V --station S \
+        --drone vehicle --connect tcp/127.0.0.1:7450
+
+Towards the core it is a drone like the simulated one (``drivers.bus``). One thread flies: it waits for bytes or for the next
+setpoint, steps :class:`~groundstation.flight.link_core.LinkCore` and writes what comes out. Publishing and the raw log have
+threads and queues of their own, so that neither a slow core nor a full disk delays a setpoint. When the core dies the
+vehicle is landed, parameters are restored, and the process ends.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import queue
+import signal
+import sys
+import threading
+import time
+import tomllib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import msgspec
+
+from drivers import bus
+from drivers.mavlink import tlog
+from drivers.mavlink.signing import Signing, signing_stamp
+from drivers.mavlink.transports import Transport, open_transport
+from drivers.samples import Batch, Motors, Raw, Sample, encode_batch
+from groundstation.errors import BadInput, GroundStationError, Refused
+from groundstation.flight.link_core import LinkCore, Options, Output
+from groundstation.flight.parameter_journal import ParameterJournal
+from groundstation.flight.pilot import IN_AIR, Answered, Phase
+from groundstation.flight.station import load_station
+from groundstation.trajectory import plan_from_dict
+from groundstation.vehicle import Vehicle, load_vehicle
+
+READY_S = 45.0
+IDLE_WAIT_S = 0.02
+PUBLISH_EVERY_S = 0.02
+STATUS_EVERY_S = 0.1
+ORDER_S = 4.6
+RESTORE_S = 5.0
+
+_PHASES: dict[Phase, bus.DronePhase] = {
+    Phase.IDLE: "idle",
+    Phase.UPLOADED: "uploaded",
+    Phase.ARMED: "armed",
+    Phase.CLIMBING: "takeoff",
+    Phase.FOLLOWING: "takeoff",
+    Phase.HOLDING: "landing",
+    Phase.LANDING: "landing",
+    Phase.RELEASED: "landing",
+    Phase.LANDED: "landed",
+}
+
+
+class Writer:
+    """A thread that does slow things in order: publishing, and writing the raw log."""
+
+    def __init__(self, name: str, work: Callable[[object], None]):
+        self._queue: queue.SimpleQueue[object] = queue.SimpleQueue()
+        self._work = work
+        self.failure = ""
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def put(self, item: object) -> None:
+        """Hand over; returns at once."""
+        self._queue.put(item)
+
+    def close(self) -> None:
+        """Do what is queued, but not for longer than a second."""
+        self._queue.put(None)
+        self._thread.join(1.0)
+
+    def _run(self) -> None:
+        while (item := self._queue.get()) is not None:
+            try:
+                self._work(item)
+            except Exception as error:  # a broken disk or bus must not reach the thread that flies
+                self.failure = self.failure or str(error)
+
+
+class LinkProcess:
+    """Runs one link until the vehicle is down and nobody needs it.
+
+    Args:
+        core: the link without I/O.
+        transport: the port.
+        drone: name on the bus.
+        vehicle: as declared.
+        raw_log: where frames of both directions go, as a telemetry log; None keeps none.
+        journal: remembers changed parameters through a crash.
+        clock: monotonic seconds.
+    """
+
+    def __init__(
+        self,
+        core: LinkCore,
+        transport: Transport,
+        drone: str,
+        vehicle: Vehicle,
+        raw_log: Path | None,
+        journal: ParameterJournal,
+        clock: Callable[[], float] = time.monotonic,
+    ):
+        self.core, self.transport, self.vehicle, self.clock = core, transport, vehicle, clock
+        self._keys = bus.DroneKeys(drone)
+        self._drone = drone
+        self._journal = journal
+        self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._waiting: list[tuple[Answered, queue.SimpleQueue[bus.Answer]]] = []
+        self._batch: list[tuple[Sample, float]] = []
+        self._sequence = 0
+        self._sent_s = self._status_s = -1e9
+        self._phase = ""
+        self._stop_reason = ""
+        self._core_seen = False
+        self._core_gone_s: float | None = None
+        self._motor_kind: str | None = None
+        self._log = raw_log.open("ab") if raw_log is not None else None
+        self._logger = Writer("raw log", self._write_log) if self._log is not None else None
+
+    def run(self, endpoint: str) -> int:
+        """Serve the core at an endpoint; returns the exit status."""
+        gc.freeze()
+        gc.disable()  # collections of a long run would delay setpoints; samples hold no cycles
+        with bus.open_session(connect=[endpoint]) as session:
+            self._samples = bus.Publisher(session, self._keys.samples, lossless=True)
+            self._status = bus.Publisher(session, self._keys.status)
+            self._publisher = Writer("publisher", lambda item: item())  # type: ignore[operator]
+            credit = bus.subscribe(
+                session, self._keys.credit, bus.decoder_of(bus.Credit), lambda _c: self._later(self._hear)
+            )
+            core_alive = bus.watch_alive(
+                session, bus.CORE_ALIVE, lambda _k, alive: self._later(lambda: self._core(alive))
+            )
+            handles = [credit, core_alive]
+            try:
+                self._until(lambda: self.core.ready or bool(self._stop_reason), self.clock() + READY_S)
+                if not self.core.ready:
+                    raise Refused(
+                        f"the vehicle is not ready: {self.core.trouble}.",
+                        self.transport.trouble or "Check the link, and that nothing else speaks to the vehicle on it.",
+                    )
+                handles += [
+                    bus.serve(session, self._keys.upload, bus.Upload, self._on_upload),
+                    bus.serve(session, self._keys.command, bus.Command, self._on_command),
+                    bus.serve(session, self._keys.describe, bus.Describe, lambda _d: self.describe()),
+                ]
+                with bus.alive(session, self._keys.alive):
+                    self._until(self._finished, None)
+                    self._restore()
+            finally:
+                self._publish(force=True)
+                self._publisher.close()
+                if self._logger is not None:
+                    self._logger.close()
+                self.transport.close()
+                del handles
+        return 0
+
+    def stop(self, reason: str) -> None:
+        """Ask for the end from a signal handler; in the air the vehicle is landed first."""
+        self._stop_reason = self._stop_reason or reason
+
+    def describe(self) -> bus.Description:
+        """What flies here."""
+        view = self.core.view
+        name = view.profile.name if view is not None else ""
+        return bus.Description(
+            drone=self._drone,
+            vehicle=self.vehicle.name,
+            motor_kind=self.motor_kind(),  # type: ignore[arg-type]
+            real_time=True,
+            scenario=f"mavlink {name}",
+        )
+
+    def motor_kind(self) -> str:
+        """Rotor speeds where the vehicle declares them and the ESCs report them; else commands."""
+        if self._motor_kind is None:
+            view, now = self.core.view, self.clock()
+            reported = view is not None and any(
+                view.rate_hz(name, now) > 1.0 for name in ("ESC_STATUS", "ESC_TELEMETRY_1_TO_4")
+            )
+            wanted = self.vehicle.rotors.input
+            self._motor_kind = "rotor_speed" if wanted == "rotor_speed" and reported else "command"
+        return self._motor_kind
+
+    # The loop ---------------------------------------------------------------------------------------------------------
+
+    def _until(self, done: Callable[[], bool], deadline_s: float | None) -> None:
+        while not done() and (deadline_s is None or self.clock() < deadline_s):
+            self.turn()
+
+    def turn(self) -> None:
+        """Wait, step, write."""
+        due = self.core.next_s - self.clock()
+        self.transport.wait(min(IDLE_WAIT_S, due) if due > -1e6 else IDLE_WAIT_S)
+        while not self._inbox.empty():
+            self._inbox.get_nowait()()
+        now = self.clock()
+        if self._stop_reason and self.core.pilot is not None and self.core.pilot.phase in IN_AIR:
+            self.core.order("abort", now, self._stop_reason)
+        self._emit(self.core.step(now, self.transport.read(), datagrams=self.transport.datagrams))
+        self._answer()
+        self._publish()
+
+    def _emit(self, out: Output) -> None:
+        for name, before, after in out.changed:  # on disk before the vehicle hears of it
+            self._journal.note(name, before, after)
+        for data in out.send:
+            self.transport.write(data)
+        for sample, host_s in out.samples:
+            if isinstance(sample, Raw) and self._logger is not None:
+                self._logger.put((time.time(), sample.data))
+            if not isinstance(sample, Motors) or sample.kind == self.motor_kind() or not self.core.ready:
+                self._batch.append((sample, host_s))
+
+    def _finished(self) -> bool:
+        phase = self.core.pilot.phase if self.core.pilot is not None else Phase.IDLE
+        if phase in IN_AIR:
+            return False
+        gone = self._core_gone_s is not None and self.clock() - self._core_gone_s > 1.0
+        return gone or bool(self._stop_reason)
+
+    def _restore(self) -> None:
+        self.core.restore_parameters()
+        self._until(lambda: not self.core.changed, self.clock() + RESTORE_S)
+
+    # The bus ----------------------------------------------------------------------------------------------------------
+
+    def _later(self, job: Callable[[], None]) -> None:
+        self._inbox.put(job)
+
+    def _hear(self) -> None:
+        self._core_gone_s = None
+        self.core.core_heard(self.clock())
+
+    def _core(self, alive: bool) -> None:
+        if alive:
+            self._core_seen = True
+            self._hear()
+        elif self._core_seen:
+            self._core_gone_s = self.clock()
+            self.core.core_lost()
+
+    def _on_upload(self, upload: bus.Upload) -> bus.Answer:
+        """On the bus's thread: check the bytes, and have the flying thread check the flight."""
+        if not bus.checksum_holds(upload):
+            return bus.Answer(False, "the plan was damaged on its way (checksum); send it again")
+        try:
+            document = (
+                tomllib.loads(upload.plan.decode()) if upload.format == "toml" else msgspec.json.decode(upload.plan)
+            )
+            plan = plan_from_dict(document, "the uploaded plan")
+        except (ValueError, GroundStationError) as error:
+            return bus.Answer(False, str(error))
+        return self._ask(lambda: self.core.upload(plan, self.clock()))
+
+    def _on_command(self, command: bus.Command) -> bus.Answer:
+        if command.name == "shutdown":
+            if self.core.pilot is not None and self.core.pilot.phase in IN_AIR:
+                return bus.Answer(False, "shutting down is refused in the air; land first")
+            self.stop("the core asked for it")
+            return bus.Answer(True)
+        return self._ask(lambda: self.core.order(command.name, self.clock()), at_once=command.name == "start")
+
+    def _ask(self, job: Callable[[], Answered], *, at_once: bool = False) -> bus.Answer:
+        """Run a request on the flying thread and wait for its answer; ``at_once``: that it has begun is answer enough."""
+        reply: queue.SimpleQueue[bus.Answer] = queue.SimpleQueue()
+
+        def run() -> None:
+            answered = job()
+            if at_once and answered.ok is None:
+                reply.put(bus.Answer(True))
+            else:
+                self._waiting.append((answered, reply))
+
+        self._later(run)
+        try:
+            return reply.get(timeout=ORDER_S)
+        except queue.Empty:
+            return bus.Answer(False, "the vehicle did not answer in time")
+
+    def _answer(self) -> None:
+        for answered, reply in list(self._waiting):
+            if answered.ok is not None:
+                reply.put(bus.Answer(answered.ok, answered.reason))
+                self._waiting.remove((answered, reply))
+
+    def _publish(self, *, force: bool = False) -> None:
+        now = self.clock()
+        if self._batch and (force or now - self._sent_s >= PUBLISH_EVERY_S):
+            samples, times = zip(*self._batch, strict=True)
+            batch = Batch(self._sequence, times, samples)
+            self._publisher.put(lambda: self._samples.put(encode_batch(batch)))
+            self._sequence, self._batch, self._sent_s = self._sequence + 1, [], now
+        status = self.status(now)
+        if force or status.phase != self._phase or now - self._status_s >= STATUS_EVERY_S:
+            self._phase, self._status_s = status.phase, now
+            self._publisher.put(lambda: self._status.put(status))
+
+    def status(self, now_s: float) -> bus.DroneStatus:
+        """What the core is shown."""
+        core, pilot, view = self.core, self.core.pilot, self.core.view
+        device_s = core.device_s(now_s)
+        if pilot is None or view is None:
+            return bus.DroneStatus("idle", False, device_s, now_s, core.trouble)
+        phase = _PHASES[pilot.phase]
+        begun, ended = pilot.excitation_s
+        if pilot.phase is Phase.FOLLOWING and begun is not None:
+            phase = "exciting" if ended is None else "landing"
+        flight: dict[str, object] = {}
+        if view.state is not None:
+            from groundstation.frames import euler_from_quat
+
+            roll, pitch, yaw = (float(a) for a in euler_from_quat(view.state.quaternion))
+            flight = {"position_m": view.state.position_m, "euler_rad": (roll, pitch, yaw)}
+        if pilot.target is not None:
+            flight["setpoint_m"] = pilot.placement.to_vehicle(pilot.target).position_m
+        if (window := pilot.window_s(now_s)) is not None:
+            flight["window_s"] = tuple(device_s + (t - now_s) * self._rate() for t in window)
+        text = pilot.reason or core.trouble or self.transport.trouble
+        flight_s, end_s = pilot.progress_s()
+        return bus.DroneStatus(
+            phase,
+            bool(view.armed),
+            device_s,
+            now_s,
+            text,
+            flight_s=flight_s,
+            flight_end_s=end_s,
+            **flight,  # type: ignore[arg-type]
+        )
+
+    def _rate(self) -> float:
+        fit = self.core.clock.fit()
+        return 1.0 if fit is None else fit.rate
+
+    def _write_log(self, item: object) -> None:
+        assert self._log is not None and isinstance(item, tuple)  # noqa: S101 - this thread's own queue
+        self._log.write(tlog.record(*item))
+
+
+def bandwidth_of(url: str) -> float | None:
+    """Bytes a second of a serial line (10 bits a byte); None elsewhere."""
+    if not url.startswith("serial://"):
+        return None
+    number = url.rsplit(":", 1)[-1]
+    return (int(number) if number.isdigit() else 57600) / 10.0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of the process."""
+    parser = argparse.ArgumentParser(prog="groundstation.flight.link", description=__doc__)
+    parser.add_argument("--link", required=True, help="serial:///dev/ttyACM0:921600, udpin://127.0.0.1:14540, ...")
+    parser.add_argument("--vehicle", type=Path, required=True)
+    parser.add_argument("--station", default="default")
+    parser.add_argument("--drone", required=True, help="name on the bus")
+    parser.add_argument("--connect", required=True, help="zenoh endpoint of the core")
+    parser.add_argument("--system", type=int, help="the vehicle's system id; default the first autopilot heard")
+    parser.add_argument("--force", action="append", default=[], metavar="NAME", help="fly although this check fails")
+    parser.add_argument(
+        "--set-parameters", action="store_true", help="set what the flight needs, restore it afterwards"
+    )
+    parser.add_argument("--bytes-per-s", type=float, help="what the link carries, e.g. a radio behind USB")
+    parser.add_argument("--raw-log", type=Path, help="telemetry log of every frame")
+    parser.add_argument("--journal", type=Path, help="where changed parameters are remembered through a crash")
+    parser.add_argument("--key-file", type=Path, help="32-byte signing key; signs and verifies every frame")
+    options = parser.parse_args(arguments)
+    try:
+        vehicle, station = load_vehicle(options.vehicle), load_station(options.station)
+        journal = ParameterJournal(options.journal)
+        signing = _signing(options.key_file)
+        settings = Options(
+            options.system,
+            tuple(options.force),
+            options.set_parameters,
+            options.bytes_per_s or bandwidth_of(options.link),
+        )
+        core = LinkCore(vehicle, station, settings, signing, journal.pending())
+        process = LinkProcess(core, open_transport(options.link), options.drone, vehicle, options.raw_log, journal)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: process.stop("the link was asked to stop"))
+        return process.run(options.connect)
+    except GroundStationError as error:
+        print(error, file=sys.stderr)
+        return error.exit_status
+    except (ValueError, ConnectionError) as error:
+        print(error, file=sys.stderr)
+        return BadInput.exit_status
+
+
+def _signing(path: Path | None) -> Signing | None:
+    if path is None:
+        return None
+    try:
+        return Signing(path.read_bytes(), signing_stamp(time.time()))
+    except (OSError, ValueError) as error:
+        raise BadInput(f"{path}: is no signing key ({error}); it holds exactly 32 bytes.") from None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

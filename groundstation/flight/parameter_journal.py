@@ -1,0 +1,56 @@
+"""What was changed on a vehicle for a flight, kept on disk until it is restored, so that a crash forgets nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+from groundstation.errors import BadInput
+
+
+class ParameterJournal:
+    """Names and values to restore.
+
+    Args:
+        path: the file; None keeps nothing (nothing may be changed then, or it is lost with the process).
+    """
+
+    def __init__(self, path: Path | None):
+        self._path = path
+        self._values: dict[str, float] = {}
+        if path is not None and path.is_file():
+            try:
+                document = json.loads(path.read_text(encoding="utf-8"))
+                self._values = {str(name): float(value) for name, value in document["restore"].items()}
+            except (OSError, ValueError, KeyError, AttributeError, TypeError):
+                raise BadInput(
+                    f"{path}: should list parameters to restore and cannot be read; look at it, restore them by hand, "
+                    "and remove it."
+                ) from None
+
+    def pending(self) -> dict[str, float]:
+        """What an earlier flight left changed: name -> value to write back."""
+        return dict(self._values)
+
+    def note(self, name: str, before: float, after: float) -> None:
+        """A parameter is about to change, or (``before == after``) was restored. On disk when this returns."""
+        if before == after:
+            self._values.pop(name, None)
+        else:
+            self._values.setdefault(name, before)
+        self._write()
+
+    def _write(self) -> None:
+        if self._path is None:
+            return
+        if not self._values:
+            self._path.unlink(missing_ok=True)
+            return
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = self._path.with_suffix(".new")
+        with temporary.open("w", encoding="utf-8") as file:
+            json.dump({"restore": self._values}, file)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(self._path)
