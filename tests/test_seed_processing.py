@@ -19,7 +19,7 @@ from groundstation.identification.processing import (
     slerp,
     white_noise_std,
 )
-from groundstation.identification.wrench import declared_wrench, held_mean, lagged
+from groundstation.identification.wrench import declared_wrench, held_mean
 from groundstation.paths import find_config
 from groundstation.trajectory import rigid_motion
 from groundstation.vehicle import load_vehicle, vehicle_from_dict, vehicle_to_dict
@@ -196,16 +196,24 @@ def test_held_values_are_averaged_over_the_cell():
     np.testing.assert_allclose(held_mean(np.array([1.0, 2.0]), stamps, values)[:, 0], [1.5, 3.0])
 
 
-def test_declared_lag_is_applied_to_what_was_commanded():
-    t = 0.001 * np.arange(2000)
-    step = np.where(t < 0.5, 0.0, 1.0)[:, None]
-    down = np.where(t < 0.5, 1.0, 0.0)[:, None]
-    up = lagged(t, step, 0.05, 0.1)[:, 0]
-    fall = lagged(t, down, 0.05, 0.1)[:, 0]
-    at = np.searchsorted(t, 0.6)
-    # The value belongs to the middle of the step that starts at its stamp.
-    assert up[at] == pytest.approx(1 - np.exp(-(0.1 + 0.0005) / 0.05), rel=1e-3)
-    assert fall[at] == pytest.approx(np.exp(-(0.1 + 0.0005) / 0.1), rel=1e-3)
+def test_declared_lag_is_applied_to_what_was_commanded_and_only_to_that(declared):
+    from groundstation.flightdata import motor_columns
+
+    document = vehicle_to_dict(declared)
+    document["rotors"] |= {"speed_source": "command", "lag": {"up_s": 0.05, "down_s": 0.1}}
+    t = 0.002 * np.arange(1000)
+    for start, end, tau in ((300.0, 400.0, 0.05), (400.0, 300.0, 0.1)):
+        speed = np.where(t < 0.5, start, end)[:, None] * np.ones(4)
+        stream = Stream(t, speed, motor_columns("rotor_speed", 4))
+        lagging = declared_wrench(vehicle_from_dict(document), stream, None, t)[:, 0]
+        expected = end + (start - end) * np.exp(-0.1 / tau)
+        at = np.searchsorted(t, 0.6)
+        k = declared.rotors.thrust_coefficient_n_s2
+        assert lagging[at] == pytest.approx(4 * k * expected**2, rel=3e-3)
+        document["rotors"]["speed_source"] = "telemetry"
+        measured = declared_wrench(vehicle_from_dict(document), stream, None, t)[:, 0]
+        assert measured[at] == pytest.approx(4 * k * end**2, rel=1e-9)
+        document["rotors"]["speed_source"] = "command"
 
 
 def test_declared_wrench_of_a_hover_is_the_weight(declared):

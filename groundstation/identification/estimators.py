@@ -155,7 +155,8 @@ def gradient_descent(
     evolution = descend(gamma, upsilon, gain, stops)
     values = evolution[-1].copy()
     # The disturbance is what least squares leaves; this method's own error would add lines where it listens.
-    fitted = np.linalg.lstsq(normal, np.tensordot(gamma, upsilon, axes=((0, 1), (0, 1))), rcond=SINGULAR)[0]
+    moment = np.tensordot(gamma, upsilon, axes=((0, 1), (0, 1)))
+    fitted = np.asarray(np.linalg.lstsq(normal, moment, rcond=SINGULAR)[0], dtype=float)
     residual = _residual(gamma, upsilon, fitted, rows, len(used))
     influence = np.zeros((len(used), regressor.shape[2], regressor.shape[1]))
     influence[rows], initial = descent_influence(gamma, gain)

@@ -7,20 +7,6 @@ from numba import njit
 
 
 @njit(cache=True)
-def first_order_lag(values, up, down):
-    """Lag of held values, shape (n, d); up, down: decay exp(-dt/(2 tau)) over half a step, shape (n,)."""
-    out = np.empty_like(values)
-    for column in range(values.shape[1]):
-        x = values[0, column]
-        for index in range(values.shape[0]):
-            target = values[index, column]
-            decay = up[index] if target > x else down[index]
-            out[index, column] = target + (x - target) * decay
-            x = target + (x - target) * decay * decay
-    return out
-
-
-@njit(cache=True)
 def descend(gamma, upsilon, gain, stops):
     """Implicit gradient descent from zero, one scalar row after the other.
 

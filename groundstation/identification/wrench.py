@@ -29,7 +29,10 @@ def declared_wrench(vehicle: Vehicle, motors: Stream, battery: Stream | None, t_
         values = values * voltage_ratio(vehicle, battery, stamps)[:, None]
     lag = vehicle.rotors.lag
     if lag.up_s > 0.0 or lag.down_s > 0.0:
-        values = lagged(stamps, values, lag.up_s, lag.down_s)
+        from groundstation.model.rotors import motor_input
+
+        fine = motor_input(stamps, values, measured=False)
+        stamps, values = fine.t_s, fine.lagged(lag.up_s, lag.down_s)
     return held_mean(t_s, stamps, vehicle.thrust(values) @ vehicle.allocation().T)
 
 
@@ -46,18 +49,6 @@ def held_mean(t_s: Array, stamps_s: Array, values: Array) -> Array:
     width = np.maximum(last - first, 1e-12)
     columns = [(np.interp(last, stamps_s, c) - np.interp(first, stamps_s, c)) / width for c in integral.T]
     return np.stack(columns, axis=1)
-
-
-def lagged(stamps_s: Array, values: Array, up_s: float, down_s: float) -> Array:
-    """First-order lag of held values with its own time constant up and down, from the steady state, shape (n, d).
-
-    Exact for a held input: x moves towards u by 1 - exp(-dt/tau) in each step; given at the middle of the step.
-    """
-    step = np.append(np.diff(stamps_s), 0.0)
-    halves = [np.exp(-0.5 * step / tau) if tau > 0.0 else np.zeros(len(step)) for tau in (up_s, down_s)]
-    from groundstation.identification.kernels import first_order_lag
-
-    return first_order_lag(np.ascontiguousarray(values), *halves)
 
 
 def voltage_ratio(vehicle: Vehicle, battery: Stream | None, t_s: Array) -> Array:

@@ -1,0 +1,149 @@
+"""The seed's two validations: output prediction error (43), and the closed loop simulated against the flight (Tables 4-6)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.errors import NotIdentifiable
+from groundstation.flightdata import FlightData
+from groundstation.frames import euler_from_quat, quat_conjugate, quat_exp, quat_multiply, quat_rotate
+from groundstation.identification.processing import clean, excitation_window, interpolate, slerp
+from groundstation.identification.results import MASS_AND_TENSOR, OUTPUTS, MethodResult, Validation
+from groundstation.identification.seed import Regression
+from groundstation.identification.wrench import declared_wrench, held_mean
+from groundstation.model.closed_loop import STEP_S, Conditions, simulate_closed_loop
+from groundstation.trajectory import Plan
+from groundstation.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+ParameterSets = Mapping[str, Mapping[str, float]]
+
+SETTLE_S = 3.0
+"""The simulated loop holds the start for this long before the excitation, as the flight did."""
+CLOSED_LOOP_SIGNALS = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad", *OUTPUTS)
+
+
+def parameter_sets(vehicle: Vehicle, methods: Mapping[str, MethodResult]) -> dict[str, dict[str, float]]:
+    """The nominal set and one per method; what a method does not give is nominal."""
+    tensor = vehicle.inertia_tensor()[np.triu_indices(3)]
+    nominal = dict(zip(MASS_AND_TENSOR, map(float, (vehicle.mass_kg, *tensor)), strict=True))
+    sets = {"nominal": nominal}
+    for name, method in methods.items():
+        found = {key: estimate.value for key, estimate in method.parameters.items() if key in nominal}
+        sets[name] = nominal | found
+    return sets
+
+
+def improvement_percent(validation: Validation, reference: str = "nominal") -> dict[str, dict[str, float]]:
+    """P_imp of every set and signal: 100 (RMS of the reference - RMS)/RMS of the reference; positive is better."""
+    base = validation.rms[reference]
+    return {
+        name: {
+            signal: 100.0 * (base[signal] - rms) / base[signal] for signal, rms in errors.items() if base[signal] > 0.0
+        }
+        for name, errors in validation.rms.items()
+        if name != reference
+    }
+
+
+def output_validation(regression: Regression, sets: ParameterSets, note: str = "") -> Validation:
+    """RMS of Gamma Theta - Upsilon (eq. 43) for each parameter set, over the samples in use."""
+    gamma, upsilon = regression.regressor[regression.used], regression.output[regression.used]
+    rms = {}
+    for name, values in sets.items():
+        error = gamma @ np.array([values[key] for key in MASS_AND_TENSOR]) - upsilon
+        rms[name] = dict(zip(OUTPUTS, map(float, np.sqrt(np.mean(error**2, axis=0))), strict=True))
+    return Validation("output", rms, len(gamma), note)
+
+
+def closed_loop_validation(
+    flight: FlightData,
+    plan: Plan,
+    sets: ParameterSets,
+    *,
+    mocap_minus_imu_s: float = 0.0,
+    exclude: Sequence[tuple[float, float]] = (),
+    conditions: Conditions | None = None,
+) -> Validation:
+    """Simulate the closed loop with each parameter set and compare it with the flight (Table 4).
+
+    The loop is the declared controller on the plan, started where the flight was three seconds before the excitation. It
+    stands for the flight only as far as the vehicle flew by that controller.
+
+    Args:
+        flight: with poses and a known excitation window.
+        plan: what was flown in that window.
+        sets: parameter sets, names of ``MASS_AND_TENSOR``.
+        mocap_minus_imu_s: motion-capture stamp minus IMU stamp of one instant.
+        exclude: segments that are not compared.
+        conditions: sampling and limits; None: section IV-A's, at the flight's own rate of poses.
+
+    Raises:
+        NotIdentifiable: no poses, or the flight does not say when the excitation began.
+    """
+    if flight.mocap is None or flight.window_s is None:
+        missing = "poses" if flight.mocap is None else "a known start of the excitation"
+        raise NotIdentifiable(f"A closed-loop comparison needs {missing}.", "Record it, or validate by output error.")
+    conditions = conditions or Conditions(pose_hz=flight.mocap.rate_hz())
+    poses, motors = clean(flight.mocap), clean(flight.motors)
+    stamps = poses.t_s - mocap_minus_imu_s
+    start = max(flight.window_s[0] - SETTLE_S, stamps[0], motors.t_s[0])
+    end = min(flight.window_s[1], stamps[-1], motors.t_s[-1])
+    t = np.asarray(start + STEP_S * np.arange(int((end - start) / STEP_S)), dtype=float)
+    flown = _flown(flight.vehicle, t, stamps, poses.values)
+    wrench = declared_wrench(flight.vehicle, motors, flight.battery, t)
+    window = excitation_window(flight)
+    used = (t >= window[0]) & (t <= window[1])
+    for first, last in exclude:
+        used &= (t < first) | (t > last)
+
+    rms = {}
+    for name, values in sets.items():
+        upper = [values[key] for key in MASS_AND_TENSOR[1:]]
+        tensor = np.zeros((3, 3))
+        tensor[np.triu_indices(3)] = upper
+        tensor = tensor + tensor.T - np.diag(np.diag(tensor))
+        if np.linalg.eigvalsh(tensor)[0] <= 0.0 or values["mass_kg"] <= 0.0:
+            continue
+        simulated = simulate_closed_loop(
+            flight.vehicle,
+            plan.series(),
+            mass_kg=values["mass_kg"],
+            inertia=tensor,
+            start_s=start - flight.window_s[0],
+            duration_s=float(t[-1] - start),
+            initial=_start_state(t, flown),
+            conditions=conditions,
+        )
+        k = min(len(t), len(simulated.t_s))
+        # Both wrenches hold until their next value, so both are averaged over the same cells.
+        applied = held_mean(simulated.t_s, simulated.t_s, simulated.wrench)
+        error = np.column_stack([simulated.position_m, simulated.euler_rad, applied])[:k]
+        error = np.column_stack([flown, wrench])[:k] - error
+        error[:, 5] = np.angle(np.exp(1j * error[:, 5]))
+        error = error[used[:k]]
+        rms[name] = dict(zip(CLOSED_LOOP_SIGNALS, map(float, np.sqrt(np.mean(error**2, axis=0))), strict=True))
+    left_out = [name for name in sets if name not in rms]
+    note = "The declared controller on the plan, section IV-A's sampling and limits."
+    if left_out:
+        note += f" Not simulated, because no body has such a tensor: {', '.join(left_out)}."
+    return Validation("closed_loop", rms, int(np.count_nonzero(used)), note)
+
+
+def _flown(vehicle: Vehicle, t_s: Array, stamps_s: Array, poses: Array) -> Array:
+    """Position of the origin and roll, pitch, yaw at the grid times, shape (k, 6)."""
+    mounting = vehicle.mocap
+    q = quat_multiply(slerp(t_s, stamps_s, poses[:, 3:7]), quat_conjugate(quat_exp(np.asarray(mounting.rotation_rad))))
+    position = interpolate(t_s, stamps_s, poses[:, :3]) - quat_rotate(q, np.asarray(mounting.position_m))
+    return np.column_stack([position, euler_from_quat(q)])
+
+
+def _start_state(t_s: Array, flown: Array) -> Array:
+    """State at the start, at rest: mean pose over the first 0.1 s, for the vehicle hovers there."""
+    early = flown[t_s <= t_s[0] + 0.1].mean(axis=0)
+    state = np.zeros(12)
+    state[:3], state[6:9] = early[:3], early[3:]
+    return state

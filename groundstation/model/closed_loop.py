@@ -1,0 +1,121 @@
+"""The seed's closed loop: rigid body (1)-(4) under its PID (28)-(32), in the conditions of section IV-A.
+
+Used to ask which parameter set flies most like the recorded flight (Tables 4-6). Fixed step of 1 ms; position and yaw are
+sampled and held at the motion capture's rate, roll, pitch and their rates at the IMU's; commanded tilt is differentiated by
+20 s/(s + 20); thrust and torque saturate. The controller knows the declared mass, whatever the plant weighs.
+
+Two corrections to the printed equations: virtual work with d(eta)/dt = W omega gives tau = W^T (...) in (31), and (29)-(30)
+need no factor m, f_p being a force.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from groundstation.trajectory import Trajectory
+from groundstation.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+STEP_S = 0.001
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """How the loop is sampled and limited (section IV-A).
+
+    Attributes:
+        pose_hz: rate at which position, velocity, yaw and yaw rate are sampled and held.
+        imu_hz: rate at which roll, pitch and their rates are sampled and held.
+        rotor_level: limit each rotor's thrust; False limits the wrench, as the seed does.
+    """
+
+    pose_hz: float = 30.0
+    imu_hz: float = 500.0
+    rotor_level: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedLoop:
+    """A simulated flight, one row per millisecond.
+
+    Attributes:
+        t_s: seconds from the start, shape (k,).
+        position_m: world, shape (k, 3).
+        euler_rad: roll, pitch, yaw, shape (k, 3).
+        velocity_body_m_s: shape (k, 3).
+        rate_rad_s: body rates, shape (k, 3).
+        wrench: applied [F_z, tau_x, tau_y, tau_z], N and N m, shape (k, 4).
+    """
+
+    t_s: Array
+    position_m: Array
+    euler_rad: Array
+    velocity_body_m_s: Array
+    rate_rad_s: Array
+    wrench: Array
+
+
+def simulate_closed_loop(
+    vehicle: Vehicle,
+    trajectory: Trajectory,
+    *,
+    mass_kg: float,
+    inertia: ArrayLike,
+    start_s: float = 0.0,
+    duration_s: float | None = None,
+    initial: ArrayLike | None = None,
+    conditions: Conditions | None = None,
+) -> ClosedLoop:
+    """Fly a trajectory with given plant parameters.
+
+    Args:
+        vehicle: declared: gains, limits, gravity, and the mass that the controller reckons with.
+        trajectory: desired x, y, z, yaw.
+        mass_kg: of the plant.
+        inertia: tensor of the plant about the centre of mass, kg m^2, shape (3, 3).
+        start_s: time on the trajectory at which the simulation starts; before its start it is held.
+        duration_s: None: to the trajectory's end.
+        initial: position (world), velocity (body), roll, pitch, yaw, body rates, shape (12,); None: on the trajectory, at
+            rest and level.
+        conditions: sampling and limits; None: those of section IV-A.
+    """
+    from groundstation.model.closed_loop_kernel import fly
+
+    conditions = conditions or Conditions()
+    length = trajectory.duration_s - start_s if duration_s is None else duration_s
+    t = np.asarray(STEP_S * np.arange(int(length / STEP_S + 1e-9) + 1), dtype=float)
+    flat = trajectory.sample(start_s + t)
+    wanted = np.column_stack([flat.position[0], flat.position[1], flat.position[2], flat.yaw[0], flat.yaw[1]])
+    if initial is None:
+        state = np.zeros(12)
+        state[:3], state[8] = wanted[0, :3], wanted[0, 9]
+    else:
+        state = np.array(initial, dtype=float)
+    control, limits = vehicle.control, vehicle.limits
+    gains = np.array(
+        [control.position_p, control.position_i, control.position_d,
+         control.attitude_p, control.attitude_i, control.attitude_d]
+    )  # fmt: skip
+    rotor_max = vehicle.rotor_thrust_max_n() if conditions.rotor_level else np.inf
+    allocation = np.ascontiguousarray(vehicle.allocation())
+    tensor = np.ascontiguousarray(inertia, dtype=float)
+    thrust_max = limits.thrust_max_n or vehicle.rotor_thrust_max_n() * vehicle.rotors.count
+    states, wrenches = fly(
+        wanted,
+        state,
+        np.array([vehicle.mass_kg, vehicle.gravity_m_s2, control.derivative_filter_rad_s]),
+        gains,
+        float(mass_kg),
+        tensor,
+        np.ascontiguousarray(np.linalg.inv(tensor)),
+        np.array([thrust_max, limits.torque_max_nm or np.inf, rotor_max]),
+        allocation,
+        np.ascontiguousarray(np.linalg.pinv(allocation)),
+        np.array([conditions.pose_hz, conditions.imu_hz]),
+        STEP_S,
+    )
+    return ClosedLoop(t, states[:, :3], states[:, 6:9], states[:, 3:6], states[:, 9:], wrenches)

@@ -1,0 +1,160 @@
+"""Compiled loop of :mod:`closed_loop`, in scalars, which compile fast. Import where it is used: numba takes time to load."""
+
+from __future__ import annotations
+
+from math import atan, cos, exp, inf, sin, tan
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def _clip(value, low, high):
+    return min(max(value, low), high)
+
+
+@njit(cache=True)
+def _slope(x, wrench, mass, inertia, inverse, gravity, out):
+    """Time derivative of [p, v, eta, omega] (seed eq. 1-4), written into ``out``."""
+    u, v, w, p, q, r = x[3], x[4], x[5], x[9], x[10], x[11]
+    sp, cp, st, ct = sin(x[6]), cos(x[6]), sin(x[7]), cos(x[7])
+    sy, cy, tt = sin(x[8]), cos(x[8]), tan(x[7])
+    out[0] = ct * cy * u + (st * cy * sp - sy * cp) * v + (st * cy * cp + sy * sp) * w
+    out[1] = ct * sy * u + (st * sy * sp + cy * cp) * v + (st * sy * cp - cy * sp) * w
+    out[2] = -st * u + ct * sp * v + ct * cp * w
+    out[3] = r * v - q * w + gravity * st
+    out[4] = p * w - r * u - gravity * ct * sp
+    out[5] = q * u - p * v - gravity * ct * cp + wrench[0] / mass
+    turning = sp * q + cp * r
+    out[6] = p + tt * turning
+    out[7] = cp * q - sp * r
+    out[8] = turning / ct
+    hx = inertia[0, 0] * p + inertia[0, 1] * q + inertia[0, 2] * r
+    hy = inertia[1, 0] * p + inertia[1, 1] * q + inertia[1, 2] * r
+    hz = inertia[2, 0] * p + inertia[2, 1] * q + inertia[2, 2] * r
+    mx = wrench[1] - (q * hz - r * hy)
+    my = wrench[2] - (r * hx - p * hz)
+    mz = wrench[3] - (p * hy - q * hx)
+    for i in range(3):
+        out[9 + i] = inverse[i, 0] * mx + inverse[i, 1] * my + inverse[i, 2] * mz
+
+
+@njit(cache=True)
+def _ticks(t, step, rate_hz):
+    """Whether a sampler of this rate fires at t."""
+    return int(t * rate_hz + 1e-6) != int((t - step) * rate_hz + 1e-6) or t == 0.0
+
+
+@njit(cache=True)
+def _sample(x, held, poses, tilts):
+    """Zero-order holds: position (0-2), world velocity (3-5), angles (6-8), their rates (9-11)."""
+    sp, cp, st, ct, tt = sin(x[6]), cos(x[6]), sin(x[7]), cos(x[7]), tan(x[7])
+    sy, cy = sin(x[8]), cos(x[8])
+    u, v, w = x[3], x[4], x[5]
+    turning = sp * x[10] + cp * x[11]
+    if poses:
+        for i in range(3):
+            held[i] = x[i]
+        held[3] = ct * cy * u + (st * cy * sp - sy * cp) * v + (st * cy * cp + sy * sp) * w
+        held[4] = ct * sy * u + (st * sy * sp + cy * cp) * v + (st * sy * cp - cy * sp) * w
+        held[5] = -st * u + ct * sp * v + ct * cp * w
+        held[8] = x[8]
+        held[11] = turning / ct
+    if tilts:
+        held[6], held[7] = x[6], x[7]
+        held[9] = x[9] + tt * turning
+        held[10] = cp * x[10] - sp * x[11]
+
+
+@njit(cache=True)
+def _control(wanted, held, memory, declared, gains, limits, step, first, wrench):
+    """PID (28)-(32) on held measurements; memory: position sums (0-2), angle sums (3-5), filtered roll and pitch (6-7)."""
+    force = np.empty(3)
+    weight = declared[0] * declared[1]
+    for i in range(3):
+        error = wanted[i] - held[i]
+        force[i] = declared[0] * wanted[6 + i] + gains[0, i] * error + gains[1, i] * memory[i]
+        force[i] += gains[2, i] * (wanted[3 + i] - held[3 + i])
+        memory[i] += step * error
+    force[2] = max(force[2] + weight, 0.1 * weight)
+    sy, cy = sin(wanted[9]), cos(wanted[9])
+    pitch = atan((force[0] * cy + force[1] * sy) / force[2])
+    roll = atan(cos(pitch) * (force[0] * sy - force[1] * cy) / force[2])
+    if first:
+        memory[6], memory[7] = roll, pitch
+    share = 1.0 - exp(-declared[2] * step)
+    u = np.empty(3)
+    for i in range(3):
+        target = roll if i == 0 else (pitch if i == 1 else wanted[9])
+        slope = wanted[10]
+        if i < 2:
+            slope = declared[2] * (target - memory[6 + i])
+            memory[6 + i] += share * (target - memory[6 + i])
+        error = target - held[6 + i]
+        u[i] = gains[3, i] * error + gains[4, i] * memory[3 + i] + gains[5, i] * (slope - held[9 + i])
+        memory[3 + i] += step * error
+    sp, cp, tt, ct = sin(held[6]), cos(held[6]), tan(held[7]), cos(held[7])
+    wrench[0] = _clip(force[2] / (cp * ct), 0.0, limits[0])
+    wrench[1] = _clip(u[0], -limits[1], limits[1])
+    wrench[2] = _clip(sp * tt * u[0] + cp * u[1] + sp / ct * u[2], -limits[1], limits[1])
+    wrench[3] = _clip(cp * tt * u[0] - sp * u[1] + cp / ct * u[2], -limits[1], limits[1])
+
+
+@njit(cache=True)
+def _limit_rotors(wrench, allocation, mixing, largest):
+    """Clip each rotor's thrust to [0, largest] and put the wrench together again."""
+    thrusts = np.empty(allocation.shape[1])
+    for rotor in range(len(thrusts)):
+        thrusts[rotor] = 0.0
+        for i in range(4):
+            thrusts[rotor] += mixing[rotor, i] * wrench[i]
+        thrusts[rotor] = _clip(thrusts[rotor], 0.0, largest)
+    for i in range(4):
+        wrench[i] = 0.0
+        for rotor in range(len(thrusts)):
+            wrench[i] += allocation[i, rotor] * thrusts[rotor]
+
+
+@njit(cache=True)
+def fly(wanted, start, declared, gains, mass, inertia, inverse, limits, allocation, mixing, rates_hz, step):
+    """Integrate the closed loop with fourth-order Runge-Kutta, the wrench held over each step.
+
+    Args:
+        wanted: desired position, velocity, acceleration, yaw, yaw rate per step, shape (k, 11).
+        start: state at the start, shape (12,).
+        declared: mass, gravity, bandwidth of the derivative filter.
+        gains: rows position p, i, d and attitude p, i, d, shape (6, 3).
+        mass: of the plant.
+        inertia: of the plant, shape (3, 3).
+        inverse: of ``inertia``.
+        limits: thrust, torque, thrust of one rotor (inf: not limited).
+        allocation: thrusts to wrench, shape (4, n).
+        mixing: its pseudo-inverse, shape (n, 4).
+        rates_hz: of position and yaw, of roll and pitch.
+        step: s.
+
+    Returns:
+        States (k, 12) and wrenches (k, 4).
+    """
+    k = len(wanted)
+    states, wrenches = np.empty((k, 12)), np.empty((k, 4))
+    x, held, memory, wrench = start.copy(), np.zeros(12), np.zeros(8), np.zeros(4)
+    stages, probe = np.empty((4, 12)), np.empty(12)
+    for i in range(k):
+        t = i * step
+        _sample(x, held, _ticks(t, step, rates_hz[0]), _ticks(t, step, rates_hz[1]))
+        _control(wanted[i], held, memory, declared, gains, limits, step, i == 0, wrench)
+        if limits[2] < inf:
+            _limit_rotors(wrench, allocation, mixing, limits[2])
+        for j in range(12):
+            states[i, j] = x[j]
+        for j in range(4):
+            wrenches[i, j] = wrench[j]
+        for stage in range(4):
+            share = 0.0 if stage == 0 else (step if stage == 3 else 0.5 * step)
+            for j in range(12):
+                probe[j] = x[j] + (share * stages[stage - 1, j] if stage > 0 else 0.0)
+            _slope(probe, wrench, mass, inertia, inverse, declared[1], stages[stage])
+        for j in range(12):
+            x[j] += step / 6.0 * (stages[0, j] + 2.0 * stages[1, j] + 2.0 * stages[2, j] + stages[3, j])
+    return states, wrenches
