@@ -42,7 +42,9 @@ def vehicle() -> Vehicle:
 
 def truth(declared: Vehicle) -> Vehicle:
     """Two percent heavier, another tensor, and a lag that nobody declared."""
-    rotors = declared.rotors.model_copy(update={"lag": declared.rotors.lag.model_copy(update={"up_s": 0.042, "down_s": 0.055})})
+    rotors = declared.rotors.model_copy(
+        update={"lag": declared.rotors.lag.model_copy(update={"up_s": 0.042, "down_s": 0.055})}
+    )
     return declared.model_copy(update={"mass_kg": 1.8258, "inertia_kg_m2": Inertia(**TRUE_TENSOR), "rotors": rotors})
 
 
@@ -50,7 +52,13 @@ def plan() -> Plan:
     rng = np.random.default_rng(3)
     a, b = 0.11 * rng.standard_normal((2, 4, 5))
     c = np.array([0.0, 0.0, 1.1, 0.0])
-    return Plan(vehicle="qball2", base_frequency_rad_s=2 * np.pi / 10, periods=1.0, coefficients=coefficients_from_arrays(a, b, c), condition_number=16.4)
+    return Plan(
+        vehicle="qball2",
+        base_frequency_rad_s=2 * np.pi / 10,
+        periods=1.0,
+        coefficients=coefficients_from_arrays(a, b, c),
+        condition_number=16.4,
+    )
 
 
 def flight(seed: int = 1) -> FlightData:
@@ -69,13 +77,20 @@ def flight(seed: int = 1) -> FlightData:
     gyro = motion.angular_velocity_body_rad_s + 0.004 * rng.standard_normal((len(t_imu), 3))
     q = quat_from_euler(*motion.euler_rad.T)
     accel = quat_rotate_inverse(q, motion.acceleration_world_m_s2 + np.array([0.0, 0.0, 9.80665]))
-    imu = Stream(t_imu, np.column_stack([gyro, accel + 0.05 * rng.standard_normal((len(t_imu), 3))]), IMU_COLUMNS, t_imu + 100.0 + rng.exponential(2e-4, len(t_imu)))
+    imu = Stream(
+        t_imu,
+        np.column_stack([gyro, accel + 0.05 * rng.standard_normal((len(t_imu), 3))]),
+        IMU_COLUMNS,
+        t_imu + 100.0 + rng.exponential(2e-4, len(t_imu)),
+    )
 
     t_pose = times(120.0)
     t_pose = t_pose[(t_pose < 14.2) | (t_pose > 14.9)]
     flown = path.sample(t_pose - 0.08)
     pose = rigid_motion(flown)
-    mocap_values = np.column_stack([pose.position_m + 4e-4 * rng.standard_normal((len(t_pose), 3)), quat_from_euler(*pose.euler_rad.T)])
+    mocap_values = np.column_stack(
+        [pose.position_m + 4e-4 * rng.standard_normal((len(t_pose), 3)), quat_from_euler(*pose.euler_rad.T)]
+    )
     mocap = Stream(t_pose + OFFSET_S, mocap_values, MOCAP_COLUMNS)
 
     force = true.mass_kg * motion.specific_thrust_m_s2
@@ -90,7 +105,9 @@ def flight(seed: int = 1) -> FlightData:
         motors=Stream(t_imu, speeds, motor_columns("rotor_speed", 4)),
         imu=imu,
         mocap=mocap,
-        battery=Stream(times(5.0), np.column_stack([12.5 - 0.02 * times(5.0), np.full(len(times(5.0)), 14.0)]), BATTERY_COLUMNS),
+        battery=Stream(
+            times(5.0), np.column_stack([12.5 - 0.02 * times(5.0), np.full(len(times(5.0)), 14.0)]), BATTERY_COLUMNS
+        ),
         setpoint=Stream(t_set, np.column_stack([wanted.position[0], wanted.yaw[0]]), SETPOINT_COLUMNS),
         plan=plan(),
         window_s=(10.0, 20.0),
@@ -145,15 +162,32 @@ def identification(seed: int = 2) -> Identification:
         best="PE",
         best_reason="Its innovations are white, it lies inside the set of real bodies, and it agrees with the filtered regression.",
         clock=Clock(OFFSET_S, 0.00011, 2.1e-5, 4.0e-6),
-        not_identifiable={"com_offset_z_m": "Fly with changing horizontal acceleration at constant thrust, or tilt beyond 15°."},
+        not_identifiable={
+            "com_offset_z_m": "Fly with changing horizontal acceleration at constant thrust, or tilt beyond 15°."
+        },
         warnings=("The pose stream stood still for 0.7 s at 14.2 s.",),
         bound={name: 0.5 * e.std for name, e in methods["PE"].parameters.items()},
         window_s=(10.0, 20.0),
         excluded_s=((14.1, 15.0),),
-        quality=("Gyro and attitude agree to 0.004 rad/s RMS after alignment.", "Marker body turned by 0.3° ± 0.1° against the IMU."),
+        quality=(
+            "Gyro and attitude agree to 0.004 rad/s RMS after alignment.",
+            "Marker body turned by 0.3° ± 0.1° against the IMU.",
+        ),
         validation=(
-            Validation("closed_loop", {k: {n: s * v * (1.3 if n == "z_m" and k in ("LS", "GD") else 1) for n, v in pose.items()} for k, s in scales.items()}, 5000),
-            Validation("output", {k: {n: s**0.5 * v for n, v in output.items()} for k, s in scales.items()}, 5000, "Standard regressor (12)."),
+            Validation(
+                "closed_loop",
+                {
+                    k: {n: s * v * (1.3 if n == "z_m" and k in ("LS", "GD") else 1) for n, v in pose.items()}
+                    for k, s in scales.items()
+                },
+                5000,
+            ),
+            Validation(
+                "output",
+                {k: {n: s**0.5 * v for n, v in output.items()} for k, s in scales.items()},
+                5000,
+                "Standard regressor (12).",
+            ),
         ),
     )
 
@@ -168,7 +202,14 @@ def diagnosis(seed: int = 4) -> Diagnosis:
         residual[f"{channel}/after"] = noise
     ident = identification()
     before = ident.methods["FMLS"].parameters
-    channels = {"force_x_n": 0.41, "force_y_n": 0.38, "force_z_n": 0.22, "torque_x_nm": 0.013, "torque_y_nm": 0.012, "torque_z_nm": 0.004}
+    channels = {
+        "force_x_n": 0.41,
+        "force_y_n": 0.38,
+        "force_z_n": 0.22,
+        "torque_x_nm": 0.013,
+        "torque_y_nm": 0.012,
+        "torque_z_nm": 0.004,
+    }
 
     def scaled(factor: float) -> dict[str, float]:
         return {name: factor * value for name, value in channels.items()}
@@ -178,18 +219,49 @@ def diagnosis(seed: int = 4) -> Diagnosis:
         vehicle="qball2",
         verdict="explained",
         findings=(
-            Finding("rotor_drag", {"d_x_kg_s": Estimate.normal(0.302, 0.011), "d_y_kg_s": Estimate.normal(0.287, 0.012)}, "The vehicle is held back in proportion to its speed: 0.30 N for each metre per second.", 0.994),
-            Finding("motor_lag", {"rotor_lag_up_s": Estimate.normal(0.0417, 0.0009)}, "Thrust follows the command 42 ms late, speeding up faster than slowing down.", 0.97, ("input_delay",)),
-            Finding("weak_rotor", {"thrust_scale": Estimate.normal(0.91, 0.01)}, "Rotor 3 gives 9 % less thrust than the others at the same speed.", 0.88, ("com_offset",), 3),
+            Finding(
+                "rotor_drag",
+                {"d_x_kg_s": Estimate.normal(0.302, 0.011), "d_y_kg_s": Estimate.normal(0.287, 0.012)},
+                "The vehicle is held back in proportion to its speed: 0.30 N for each metre per second.",
+                0.994,
+            ),
+            Finding(
+                "motor_lag",
+                {"rotor_lag_up_s": Estimate.normal(0.0417, 0.0009)},
+                "Thrust follows the command 42 ms late, speeding up faster than slowing down.",
+                0.97,
+                ("input_delay",),
+            ),
+            Finding(
+                "weak_rotor",
+                {"thrust_scale": Estimate.normal(0.91, 0.01)},
+                "Rotor 3 gives 9 % less thrust than the others at the same speed.",
+                0.88,
+                ("com_offset",),
+                3,
+            ),
         ),
         unexplained=(Unexplained("torque_z_nm", 0.12, ("position_x_m", "speed_m_s"), "0.0021 N m/m · x"),),
-        error={"held_out": {"nominal": scaled(1.4), "before": scaled(1.0), "after": {**scaled(0.2), "torque_z_nm": 0.0042}, "simulation_before": {"x_m": 0.011, "y_m": 0.009}, "simulation_after": {"x_m": 0.003, "y_m": 0.0021}}},
+        error={
+            "held_out": {
+                "nominal": scaled(1.4),
+                "before": scaled(1.0),
+                "after": {**scaled(0.2), "torque_z_nm": 0.0042},
+                "simulation_before": {"x_m": 0.011, "y_m": 0.009},
+                "simulation_after": {"x_m": 0.003, "y_m": 0.0021},
+            }
+        },
         parameters_before=before,
         parameters_after=ident.methods["PE"].parameters,
         next_flight="Hover 10 s, then fly 1.5 m/s along x and y: it separates the weak rotor from a centre-of-mass offset with odds of 40 to 1.",
         reason="Three effects together remove 80 % of the residual on the held-out blocks; the rest is as large as the sensor noise.",
-        warnings=("The controller of this autopilot is not known; closed-loop simulation is the simulated vehicle's own.",),
-        candidates=({"effect": "rotor_drag", "gain": 0.61, "kept": True, "why": "beats every rival"}, {"effect": "wind", "gain": 0.02, "kept": False, "why": "no better than chance"}),
+        warnings=(
+            "The controller of this autopilot is not known; closed-loop simulation is the simulated vehicle's own.",
+        ),
+        candidates=(
+            {"effect": "rotor_drag", "gain": 0.61, "kept": True, "why": "beats every rival"},
+            {"effect": "wind", "gain": 0.02, "kept": False, "why": "no better than chance"},
+        ),
         residual=residual,
     )
 
@@ -198,9 +270,39 @@ def hostile(text: str) -> tuple[FlightData, Identification, Diagnosis]:
     """The same with ``text`` in every place where a log, a vehicle file or a folder can put words."""
     data, ident, found = flight(), identification(), diagnosis()
     named = data.vehicle.model_copy(update={"name": text})
-    data = replace(data, name=text, vehicle=named, metadata={text: text, "source": text, "scenario": text}, notes=(text,), truth=None)
+    data = replace(
+        data,
+        name=text,
+        vehicle=named,
+        metadata={text: text, "source": text, "scenario": text},
+        notes=(text,),
+        truth=None,
+    )
     methods = {**ident.methods, text: ident.methods["LS"]}
-    ident = replace(ident, flight=text, vehicle=text, methods=methods, best_reason=text, warnings=(text,), quality=(text,), not_identifiable={text: text}, model={**ident.model, text: ident.model["rotor_lag_up_s"]})
-    finding = replace(found.findings[0], effect=text, evidence=text, alternatives=(text,), parameters={text: Estimate.normal(1.0, 0.1)})
-    found = replace(found, findings=(finding,), next_flight=text, reason=text, candidates=({text: text},), unexplained=(Unexplained(text, 0.1, (text,), text),))
+    ident = replace(
+        ident,
+        flight=text,
+        vehicle=text,
+        methods=methods,
+        best_reason=text,
+        warnings=(text,),
+        quality=(text,),
+        not_identifiable={text: text},
+        model={**ident.model, text: ident.model["rotor_lag_up_s"]},
+    )
+    finding = replace(
+        found.findings[0],
+        effect=text,
+        evidence=text,
+        alternatives=(text,),
+        parameters={text: Estimate.normal(1.0, 0.1)},
+    )
+    found = replace(
+        found,
+        findings=(finding,),
+        next_flight=text,
+        reason=text,
+        candidates=({text: text},),
+        unexplained=(Unexplained(text, 0.1, (text,), text),),
+    )
     return data, ident, found

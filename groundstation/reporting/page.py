@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import gzip
 import json
+import math
 from dataclasses import dataclass, field
 from importlib import resources
 from typing import Any
@@ -31,7 +32,7 @@ class Page:
     def figure(self, figure: dict[str, Any], caption: Child, *, class_: str | None = None) -> Markup:
         """Register a plotly figure and return the place it is drawn at."""
         name = f"figure-{len(self.figures) + 1}"
-        self.figures[name] = figure
+        self.figures[name] = _finite(figure)
         place = element(
             "div",
             class_="plot",
@@ -73,6 +74,15 @@ class Page:
             element("script", Markup(_asset("report.js"))),
         )
         return "<!doctype html>\n" + fragment(element("html", head, body, lang="en")) + "\n"
+
+
+def _finite(value: Any) -> Any:
+    """The same document with None for numbers that JSON does not have."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _payload(name: str, text: str) -> Markup:
