@@ -37,6 +37,7 @@ _BASIS = np.zeros((6, 3, 3))
 for _index, (_i, _j) in enumerate([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]):
     _BASIS[_index, _i, _j] = _BASIS[_index, _j, _i] = 1.0
 FORCE_CHANNELS = (3, 4, 5)
+INSTRUMENT_SHIFTS_S = (-0.25, -0.1, 0.0, 0.1, 0.25)
 CHANNELS = ("torque_x_nm", "torque_y_nm", "torque_z_nm", "force_x_n", "force_y_n", "force_z_n")
 
 
@@ -61,6 +62,40 @@ class DynamicRecord:
     force_bias_std: Array
     motors: MotorInput
     block: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedMotion:
+    """The motion that was asked for, at the IMU's stamps: it owes nothing to this flight's disturbances.
+
+    Attributes:
+        rate_rad_s: body rates, (k, 3).
+        angular_acceleration_rad_s2: (k, 3).
+        specific_thrust_m_s2: thrust over mass, (k,).
+        extra: planned wrench of each BodyWrench term, (k, 6) each.
+    """
+
+    rate_rad_s: Array
+    angular_acceleration_rad_s2: Array
+    specific_thrust_m_s2: Array
+    extra: tuple[Array, ...] = ()
+
+    def shifted(self, seconds: float, t_s: Array) -> PlannedMotion:
+        """The same motion, later by ``seconds``; the ends are held."""
+        if seconds == 0.0:
+            return self
+        query = t_s - seconds
+
+        def move(values: Array) -> Array:
+            columns = values.reshape(len(t_s), -1)
+            return np.stack([np.interp(query, t_s, c) for c in columns.T], axis=-1).reshape(values.shape)
+
+        return PlannedMotion(
+            move(self.rate_rad_s),
+            move(self.angular_acceleration_rad_s2),
+            move(self.specific_thrust_m_s2),
+            tuple(move(value) for value in self.extra),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +137,6 @@ class Fitted:
     colours: tuple[Colour, ...]
     whiteners: tuple[Array, ...]
     cost: float
-    information_gain: float
     residual_rms: Array
     samples: int
     iterations: int
@@ -137,8 +171,9 @@ class Options:
 class RecordModel:
     """Predicted outputs of one record and their sensitivities. Built once per flight; pure in the parameters."""
 
-    def __init__(self, record: DynamicRecord, extra: Sequence[BodyWrench] = ()):
+    def __init__(self, record: DynamicRecord, extra: Sequence[BodyWrench] = (), planned: PlannedMotion | None = None):
         self.record = record
+        self.planned = planned
         self.extra = tuple(extra)
         self._matrix = wrench_matrix(record.vehicle)
         block = record.block
@@ -266,6 +301,73 @@ class RecordModel:
         return residual, np.stack(columns, axis=-1), tuple(names)
 
 
+    def instruments(self, p: Parameters, options: Options) -> Array:
+        """Sensitivities the planned motion would have at ``p``, shifted by INSTRUMENT_SHIFTS_S, (blocks, 6, P * shifts).
+
+        Any function of the plan is a valid instrument (Soderstrom and Stoica 1983); what the vehicle really did is a filtered
+        plan, which a few shifted copies span. The lag is approximated by its first order: d(impulse)/d(tau) = -wrench.
+        """
+        if self.planned is None:
+            raise ValueError("no planned motion was given for this record")
+        shifted = [self._planned_sensitivities(self.planned.shifted(s, self.record.t_s), p, options) for s in INSTRUMENT_SHIFTS_S]
+        return np.concatenate(shifted, axis=2)
+
+    def _planned_sensitivities(self, plan: PlannedMotion, p: Parameters, options: Options) -> Array:
+        inverse = np.linalg.inv(p.tensor)
+        rate = plan.rate_rad_s
+        torque = plan.angular_acceleration_rad_s2 @ p.tensor + np.cross(rate, rate @ p.tensor)
+        thrust = p.mass_kg * plan.specific_thrust_m_s2[:, None]
+        wrench = np.concatenate([thrust, torque], axis=1)
+        slope = np.gradient(wrench, self.record.t_s, axis=0)
+        per_rotor = slope @ np.linalg.pinv(self._matrix).T
+        rising = np.maximum(per_rotor, 0.0) @ self._matrix.T
+        gyroscopic = self._integrate(
+            np.stack([np.cross(rate, rate @ basis) for basis in _BASIS], axis=-1).reshape(len(rate), -1)
+        ).reshape(len(rate), 3, 6)
+        blank = np.zeros((len(rate), 3))
+        columns: list[Array] = []
+
+        def add(d_rate: Array, d_force: Array) -> None:
+            columns.append(self.average(np.concatenate([d_rate, d_force], axis=1)))
+
+        up = blank.copy()
+        up[:, 2:] = thrust
+        add(blank, -up / p.mass_kg**2)
+        for basis, column in zip(_BASIS, np.moveaxis(gyroscopic, -1, 0), strict=True):
+            add(-(rate @ basis.T + column) @ inverse.T, blank)
+
+        def later(part: Array) -> None:
+            force = blank.copy()
+            force[:, 2] = -part[:, 0] / p.mass_kg
+            add(-self._integrate(part)[:, 1:] @ inverse.T, force)
+
+        if options.delay:
+            later(slope)
+        if options.lag and options.symmetric_lag:
+            later(slope)
+        elif options.lag:
+            later(rising)
+            later(slope - rising)
+        impulse = self._integrate(thrust)[:, 0]
+        if options.com:
+            for axis, sign in ((1, 1.0), (0, -1.0)):
+                d = blank.copy()
+                d[:, axis] = sign * impulse
+                add(d @ inverse.T, blank)
+        if options.yaw_trim:
+            d = blank.copy()
+            d[:, 2] = self._elapsed[:, 0]
+            add(d @ inverse.T, blank)
+        for axis in range(3):
+            if axis + 3 in options.channels:
+                d = blank.copy()
+                d[:, axis] = 1.0
+                add(blank, d)
+        for value in plan.extra:
+            add(self._integrate(value[:, 3:]) @ inverse.T, value[:, :3] / p.mass_kg)
+        return np.stack(columns, axis=-1)
+
+
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
@@ -390,7 +492,6 @@ def fit(
     cost = np.inf
     normal = np.eye(1)
     names: tuple[str, ...] = ()
-    information = 0.0
     evaluated = [model.evaluate(p, options) for model in models]
     for round_index in range(options.colour_rounds + 1):
         for index, model in enumerate(models):
@@ -442,7 +543,7 @@ def fit(
     samples = sum(len(m.t_s) for m in models)
     return Fitted(
         p, names, theta, covariance, tuple(c for s in state for c in (s or [])), tuple(q for s in polynomials for q in s),
-        cost, information, rms, samples, iterations,
+        cost, rms, samples, iterations,
     )
 
 
@@ -470,3 +571,129 @@ def _line_search(
                 return trial, evaluated, fraction
         fraction *= 0.5
     return p, [model.evaluate(p, options) for model in models], 0.0
+
+
+def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: Options) -> Fitted:
+    """Prediction error estimate from the declared vehicle: first one lag and no dead time from two starts, then all."""
+    extra = len(models[0].extra)
+    if not options.lag:
+        return fit(models, initial_parameters(vehicle, lag_s=0.0, extra=extra), options)
+    first = replace(options, symmetric_lag=True, delay=False, colour_rounds=1, autoregression=0)
+    tried = [fit(models, initial_parameters(vehicle, lag_s=lag, extra=extra), first) for lag in (0.02, 0.08)]
+    best = min(tried, key=lambda found: found.cost)
+    channels = [
+        tuple(c for c in options.channels if c < 3 or np.isfinite(model.force[:, c - 3]).all()) for model in models
+    ]
+    return fit(models, best.parameters, options, per_flight(best.colours, channels))
+
+
+def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options) -> Fitted:
+    r"""Refined instrumental variable estimate: solve Z^T W e(theta) = 0 with Z from the planned motion.
+
+    A prediction error estimate is consistent in closed loop only when the controller saw no more than the record holds
+    (Van den Hof 1998). The plan is independent of every disturbance, so this holds whatever the controller saw:
+
+        theta <- theta + (Z^T W X)^-1 Z^T W e,    cov = (Z^T W X)^-1 (Z^T W Z) (X^T W Z)^-1
+
+    with X, Z, e whitened by the same noise model, which is refitted to the residual (Young's refined IV).
+    """
+    extra_names = [term.name for term in models[0].extra]
+    channels = [
+        tuple(c for c in options.channels if c < 3 or np.isfinite(model.force[:, c - 3]).all()) for model in models
+    ]
+    colours, polynomials = per_flight(start.colours, channels), per_flight(start.whiteners, channels)
+    p, names = start.parameters, start.names
+    covariance = start.covariance
+    split = _lag_split_precision(names)
+    evaluated = [model.evaluate(p, options) for model in models]
+    iterations = 0
+    for round_index in range(2):
+        if round_index > 0:
+            colours = [
+                [
+                    fit_colour(e[0][:, c], model.dt, model.restart, integrated=c < 3, start=colour)
+                    for c, colour in zip(chosen, previous, strict=True)
+                ]
+                for model, e, chosen, previous in zip(models, evaluated, channels, colours, strict=True)
+            ]
+        instruments = [model.instruments(p, options) for model in models]
+        for _ in range(10):
+            theta = _current(p, names, extra_names)
+            mean, std = _priors(models[0].record, start.parameters, names, models[0].extra)
+            precision = np.diag(1.0 / std**2) + split
+            zx, zz = precision.copy(), precision.copy()
+            ze = (mean - theta) / std**2 + split @ (start.values - theta)
+            for index, model in enumerate(models):
+                joined = np.concatenate([evaluated[index][1], instruments[index]], axis=2)
+                ys, both, _ = _whiten(
+                    model, evaluated[index][0], joined, channels[index], colours[index], polynomials[index]
+                )
+                for y, columns in zip(ys, both, strict=True):
+                    x = columns[:, : len(names)]
+                    z = _projected(x, columns[:, len(names) :])
+                    w = _huber(y)[:, None]
+                    zx += z.T @ (x * w)
+                    zz += z.T @ (z * w)
+                    ze += z.T @ (w[:, 0] * y)
+            step = np.linalg.solve(zx, ze)
+            inverse = np.linalg.inv(zx)
+            covariance = inverse @ zz @ inverse.T
+            p = _bounded_move(p, names, theta, step, extra_names)
+            evaluated = [model.evaluate(p, options) for model in models]
+            iterations += 1
+            moved = _current(p, names, extra_names) - theta
+            if np.all(np.abs(moved) < 0.02 * np.sqrt(np.diag(covariance))):
+                break
+    theta = _current(p, names, extra_names)
+    rms = np.sqrt(np.mean(np.concatenate([e[0] for e in evaluated]) ** 2, axis=0))
+    return replace(
+        start, parameters=p, values=theta, covariance=covariance, residual_rms=rms, iterations=iterations,
+        colours=tuple(c for s in colours for c in s),
+    )
+
+
+def _projected(x: Array, basis: Array) -> Array:
+    """The part of the columns of x that lies in the span of a basis (first stage of two-stage least squares)."""
+    size = np.linalg.norm(basis, axis=0)
+    used = basis[:, size > 1e-9 * max(float(size.max()), 1e-30)] / size[size > 1e-9 * max(float(size.max()), 1e-30)]
+    left, singular, _ = np.linalg.svd(used, full_matrices=False)
+    left = left[:, singular > 1e-3 * singular[0]] if len(singular) else left
+    return left @ (left.T @ x)
+
+
+def _lag_split_precision(names: Sequence[str]) -> Array:
+    """Prior precision that keeps how the total delay divides into lag up, lag down and dead time near the first estimate.
+
+    The plan excites low frequencies, where only the sum shows; its division comes from the prediction error estimate, to
+    10 ms for the dead time and 5 ms for up against down. The sum stays free.
+    """
+    precision = np.zeros((len(names), len(names)))
+    row = np.zeros(len(names))
+    if "input_delay_s" in names:
+        row[names.index("input_delay_s")] = 1.0
+        precision += np.outer(row, row) / 0.010**2
+    if "rotor_lag_up_s" in names:
+        row = np.zeros(len(names))
+        row[names.index("rotor_lag_up_s")], row[names.index("rotor_lag_down_s")] = 1.0, -1.0
+        precision += np.outer(row, row) / 0.005**2
+    return precision
+
+
+def per_flight(items: Sequence, channels: Sequence[Sequence[int]]) -> list[list]:
+    """Split what :class:`Fitted` keeps in one row into one list per flight."""
+    out, first = [], 0
+    for chosen in channels:
+        out.append(list(items[first : first + len(chosen)]))
+        first += len(chosen)
+    return out
+
+
+def _bounded_move(p: Parameters, names: Sequence[str], theta: Array, step: Array, extra_names: Sequence[str]) -> Parameters:
+    """The step, shortened until the tensor stays positive definite and the mass positive."""
+    fraction = 1.0
+    for _ in range(12):
+        trial = _moved(p, names, theta + fraction * step, extra_names)
+        if trial.mass_kg > 0.2 * p.mass_kg and np.linalg.eigvalsh(trial.tensor)[0] > 0.05 * np.linalg.eigvalsh(p.tensor)[0]:
+            return trial
+        fraction *= 0.5
+    return p

@@ -1,0 +1,392 @@
+"""From the streams of a flight to what the dynamic fit needs: one clock, biases out, motion and plan at the IMU's stamps.
+
+The IMU's clock is the reference. Where there is no IMU, rates and accelerations are differenced from poses or from the
+vehicle's own state, and the noise model learns what that costs. Nothing is extrapolated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.errors import NotIdentifiable, Refused
+from groundstation.flightdata import FlightData, Stream
+from groundstation.frames import quat_log, quat_multiply, quat_conjugate, quat_exp, quat_rotate_inverse
+from groundstation.identification.clock import coarse_offset, rates_from_attitude
+from groundstation.identification.prediction_error import DynamicRecord, PlannedMotion
+from groundstation.identification.processing import clean, excitation_window
+from groundstation.identification.reconstruction import Compatibility, body_motion, reconstruct, slerp
+from groundstation.identification.results import Clock
+from groundstation.model.rotors import (
+    MotorInput,
+    cumulative,
+    declared_thrust,
+    interpolate_columns,
+    motor_input,
+    wrench_matrix,
+)
+from groundstation.model.signals import Signals
+from groundstation.trajectory import FlatState, rigid_motion
+
+Array = NDArray[np.float64]
+
+FIT_RATE_HZ = 150.0
+SHORTEST_S = 4.0
+UNKNOWN_ACCEL_BIAS_M_S2 = 0.1
+"""Standard deviation of an accelerometer bias nobody measured: 10 mg, a consumer MEMS sensor's turn-on bias."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """One flight, ready for the dynamic fit and for diagnosis.
+
+    Attributes:
+        record: rates, specific force and motors.
+        planned: the motion that was asked for, where a plan or setpoints are known.
+        compatibility: kinematic findings, where poses and IMU both exist.
+        quaternion, position_m, velocity_m_s: smoothed motion of the declared origin at the record's stamps; NaN if unknown.
+        causal_quaternion, causal_position_m, causal_velocity_m_s: the same from the past alone.
+        voltage_v, charge_as: battery at the record's stamps; NaN if unknown.
+        source: "imu", "poses" or "state": where rates and accelerations come from.
+        window_s: start and end of what is used, on the record's clock.
+    """
+
+    flight: FlightData
+    record: DynamicRecord
+    planned: PlannedMotion | None
+    compatibility: Compatibility | None
+    quaternion: Array
+    position_m: Array
+    velocity_m_s: Array
+    causal_quaternion: Array
+    causal_position_m: Array
+    causal_velocity_m_s: Array
+    voltage_v: Array
+    charge_as: Array
+    clock: Clock | None
+    source: str
+    window_s: tuple[float, float]
+    notes: tuple[str, ...]
+
+    def signals(self, up_s: float, down_s: float, delay_s: float) -> Signals:
+        """What forces can depend on, at the record's stamps, for a given lag and delay."""
+        record, motors = self.record, self.record.motors
+        lagged = motors.lagged(up_s, down_s)
+        query = record.t_s - delay_s
+
+        def at(values: Array) -> Array:
+            return interpolate_columns(query, motors.start_s, motors.step_s, values)
+
+        slope = np.gradient(lagged, motors.step_s, axis=0)
+        return Signals(
+            t_s=record.t_s - record.t_s[0],
+            position_m=self.position_m,
+            velocity_world_m_s=self.velocity_m_s,
+            quaternion=self.quaternion,
+            rate_rad_s=record.rate_rad_s,
+            motor=at(motors.value),
+            lagged=at(lagged),
+            lagged_rate=at(slope),
+            thrust_n=at(declared_thrust(record.vehicle, lagged)),
+            voltage_v=self.voltage_v,
+            charge_as=self.charge_as,
+        )
+
+
+def prepare(flight: FlightData, *, exclude: Sequence[tuple[float, float]] = ()) -> Prepared:
+    """Bring a flight's streams together.
+
+    Args:
+        exclude: segments (start, end) to leave out, on the IMU's clock.
+
+    Raises:
+        Refused: the flight is too short, has no motion data, or its clocks cannot be aligned.
+    """
+    notes: list[str] = []
+    motors = clean(flight.motors)
+    vehicle = flight.vehicle
+    measured = vehicle.rotors.input == "rotor_speed" and vehicle.rotors.speed_source == "telemetry"
+    start_s, end_s = flight.window_s if flight.window_s is not None else excitation_window(flight)
+    if end_s - start_s < SHORTEST_S:
+        raise NotIdentifiable(
+            f"the flight is too short: {end_s - start_s:.1f} s in the air, {SHORTEST_S:.0f} s is the least.",
+            "Fly the excitation for 20 s or more.",
+        )
+    inputs = motor_input(motors.t_s, motors.values, measured=measured)
+    motion = _motion(flight, notes)
+    offset = _motor_offset(flight, motion, inputs)
+    if offset != 0.0:
+        notes.append(f"The motors' stamps run {offset * 1e3:+.0f} ms against the IMU's; they were shifted by that.")
+        inputs = replace(inputs, start_s=inputs.start_s - offset)
+        start_s, end_s = start_s - offset, end_s - offset
+    t = motion.t_s
+    keep = (t >= max(start_s, inputs.start_s + 0.3)) & (t < min(end_s, inputs.t_s[-1] - 0.1))
+    for first, last in exclude:
+        keep &= (t < first) | (t > last)
+    if keep.sum() < SHORTEST_S * motion.rate_hz:
+        raise NotIdentifiable(
+            f"the streams share {keep.sum() / motion.rate_hz:.1f} s of flight, {SHORTEST_S:.0f} s is the least.",
+            "Record IMU and motors over the whole flight, or leave out less.",
+        )
+    record = DynamicRecord(
+        vehicle=vehicle,
+        t_s=t,
+        keep=keep,
+        rate_rad_s=motion.rate,
+        force_m_s2=motion.force,
+        force_bias_std=motion.force_bias_std,
+        motors=inputs,
+        block=max(1, round(motion.rate_hz / FIT_RATE_HZ)),
+    )
+    voltage, charge = _battery(flight, t)
+    return Prepared(
+        flight=flight,
+        record=record,
+        planned=planned_motion(flight, t, motion.rate, keep, start_s),
+        compatibility=motion.compatibility,
+        quaternion=motion.smooth[0],
+        position_m=motion.smooth[1],
+        velocity_m_s=motion.smooth[2],
+        causal_quaternion=motion.causal[0],
+        causal_position_m=motion.causal[1],
+        causal_velocity_m_s=motion.causal[2],
+        voltage_v=voltage,
+        charge_as=charge,
+        clock=motion.clock,
+        source=motion.source,
+        window_s=(float(t[keep][0]), float(t[keep][-1])),
+        notes=tuple(notes),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    t_s: Array
+    rate: Array
+    force: Array
+    force_bias_std: Array
+    smooth: tuple[Array, Array, Array]
+    causal: tuple[Array, Array, Array]
+    compatibility: Compatibility | None
+    clock: Clock | None
+    source: str
+    rate_hz: float
+
+
+def _motion(flight: FlightData, notes: list[str]) -> _Motion:
+    pose = None if flight.mocap is None else clean(flight.mocap)
+    state = None if flight.state is None else clean(flight.state)
+    if flight.imu is not None and len(flight.imu) > 50:
+        return _from_imu(flight, clean(flight.imu), pose, state, notes)
+    if pose is not None and len(pose) > 50:
+        notes.append("There is no IMU: rates and accelerations are differences of motion-capture poses, which is noisier.")
+        return _from_poses(flight, pose)
+    if state is not None and len(state) > 50:
+        notes.append("There is no IMU: rates and accelerations come from the vehicle's own state estimate.")
+        return _from_state(flight, state)
+    raise Refused(
+        "the flight has no motion data: neither imu, mocap nor state holds 50 samples.", "Record one of them."
+    )
+
+
+def _from_imu(flight: FlightData, imu: Stream, pose: Stream | None, state: Stream | None, notes: list[str]) -> _Motion:
+    t, gyro, accel = imu.t_s, imu.values[:, :3], imu.values[:, 3:6]
+    lever = np.asarray(flight.vehicle.imu.position_m)
+    unknown = (np.full((len(t), 4), np.nan), np.full((len(t), 3), np.nan), np.full((len(t), 3), np.nan))
+    fixed_clock = False
+    if (pose is None or len(pose) < 50) and state is not None and len(state) >= 50:
+        pose = Stream(state.t_s, state.values[:, [0, 1, 2, 6, 7, 8, 9]], (), state.received_s)
+        notes.append("There is no motion capture: the vehicle's own state stands in for it.")
+        fixed_clock = True
+    compatibility = clock = None
+    smooth = causal = unknown
+    rate, force = gyro, accel
+    bias_std = np.full(3, UNKNOWN_ACCEL_BIAS_M_S2)
+    if pose is None or len(pose) < 50:
+        notes.append(
+            "There are no poses: attitude, velocity and the accelerometer's bias are unknown, so the mass is only as sure as "
+            f"a bias of {UNKNOWN_ACCEL_BIAS_M_S2:.1f} m/s^2 leaves it, and drag, wind and ground effect cannot be told."
+        )
+    else:
+        expected = _arrival_difference(pose, imu)
+        offset, _ = coarse_offset(t, gyro, pose.t_s, pose.values[:, 3:7], expected_s=expected or 0.0)
+        compatibility = reconstruct(
+            t, gyro, accel, pose.t_s, pose.values[:, :3], pose.values[:, 3:7],
+            offset_s=offset, gravity_m_s2=flight.vehicle.gravity_m_s2,
+            mocap_rotation_rad=np.asarray(flight.vehicle.mocap.rotation_rad),
+        )  # fmt: skip
+        v, s = compatibility.values, compatibility.std
+        if not fixed_clock:
+            clock = Clock(v["mocap_minus_imu_s"], s["mocap_minus_imu_s"], v["clock_drift"], s["clock_drift"])
+        rate = gyro - np.array([v[f"gyro_bias_{a}_rad_s"] for a in "xyz"])
+        force = accel - np.array([v[f"accel_bias_{a}_m_s2"] for a in "xyz"])
+        bias_std = np.array([s[f"accel_bias_{a}_m_s2"] for a in "xyz"])
+        smooth = body_motion(compatibility, rate, lever)
+        causal = body_motion(compatibility, rate, lever, causal=True)
+        dropped = int((~compatibility.kept).sum())
+        if dropped:
+            notes.append(f"{dropped} of {len(compatibility.kept)} poses lay outside the IMU's record or did not fit it and were left out.")
+    if np.any(lever != 0.0):
+        force = force - _lever_arm(t, rate, lever)
+    return _Motion(t, rate, force, bias_std, smooth, causal, compatibility, clock, "imu", imu.rate_hz())
+
+
+def _lever_arm(t: Array, rate: Array, lever: Array) -> Array:
+    """omega_dot x r + omega x (omega x r), rates low-passed at 20 Hz before they are differenced, shape (k, 3)."""
+    from scipy.signal import butter, sosfiltfilt
+
+    sample_hz = 1.0 / float(np.median(np.diff(t)))
+    smooth = sosfiltfilt(butter(2, min(20.0, 0.4 * sample_hz), fs=sample_hz, output="sos"), rate, axis=0)
+    derivative = np.gradient(smooth, t, axis=0)
+    return np.cross(derivative, lever) + np.cross(smooth, np.cross(smooth, lever))
+
+
+def _from_poses(flight: FlightData, pose: Stream) -> _Motion:
+    t, p = pose.t_s, pose.values[:, :3]
+    rotation = quat_exp(np.asarray(flight.vehicle.mocap.rotation_rad))
+    q = quat_multiply(pose.values[:, 3:7], quat_conjugate(rotation))
+    p = p - np.stack([_rotate(q, np.asarray(flight.vehicle.mocap.position_m))], axis=0)[0]
+    rate, middle = rates_from_attitude(t, q)
+    velocity = np.diff(p, axis=0) / np.diff(t)[:, None]
+    half = quat_multiply(q[:-1], quat_exp(0.5 * quat_log(quat_multiply(quat_conjugate(q[:-1]), q[1:]))))
+    acceleration = np.gradient(velocity, middle, axis=0)
+    force = quat_rotate_inverse(half, acceleration + np.array([0.0, 0.0, flight.vehicle.gravity_m_s2]))
+    motion = (half, 0.5 * (p[1:] + p[:-1]), velocity)
+    return _Motion(middle, rate, force, np.full(3, 1e-4), motion, motion, None, None, "poses", 1.0 / float(np.median(np.diff(t))))
+
+
+def _rotate(q: Array, vector: Array) -> Array:
+    from groundstation.frames import quat_rotate
+
+    return quat_rotate(q, vector)
+
+
+def _from_state(flight: FlightData, state: Stream) -> _Motion:
+    t, x = state.t_s, state.values
+    q, velocity, rate = x[:, 6:10], x[:, 3:6], x[:, 10:13]
+    force = quat_rotate_inverse(
+        q, np.gradient(velocity, t, axis=0) + np.array([0.0, 0.0, flight.vehicle.gravity_m_s2])
+    )
+    motion = (q, x[:, :3], velocity)
+    return _Motion(t, rate, force, np.full(3, 1e-3), motion, motion, None, None, "state", state.rate_hz())
+
+
+def _arrival_difference(first: Stream, second: Stream) -> float | None:
+    """First clock minus second clock by arrival times, where both have them."""
+    if first.received_s is None or second.received_s is None:
+        return None
+    return float(np.min(second.received_s - second.t_s) - np.min(first.received_s - first.t_s))
+
+
+def _motor_offset(flight: FlightData, motion: _Motion, inputs: MotorInput) -> float:
+    """Motors' stamp minus IMU stamp, coarsely, when they plainly disagree (over 60 ms); else 0 and the fit's delay does it.
+
+    Angular acceleration against the torque the declared vehicle would make, correlated over shifts.
+    """
+    from scipy.signal import butter, correlate, sosfiltfilt
+
+    expected = _arrival_difference(flight.motors, flight.imu) if flight.imu is not None else None
+    centre = expected if expected is not None and abs(expected) > 0.5 else 0.0
+    step = 0.005
+    grid = np.arange(motion.t_s[0], motion.t_s[-1], step)
+    wrench = declared_thrust(flight.vehicle, inputs.value) @ wrench_matrix(flight.vehicle).T
+    low_pass = butter(2, [0.2, 8.0], btype="band", fs=1.0 / step, output="sos")
+    rate = np.stack([np.interp(grid, motion.t_s, c) for c in motion.rate.T], axis=-1)
+    measured = sosfiltfilt(low_pass, np.gradient(rate, step, axis=0), axis=0)
+    torque = interpolate_columns(grid + centre, inputs.start_s, inputs.step_s, wrench)[:, 1:]
+    predicted = sosfiltfilt(low_pass, torque @ np.linalg.inv(flight.vehicle.inertia_tensor()), axis=0)
+    scale = np.std(measured, axis=0) * np.std(predicted, axis=0) * len(grid) + 1e-12
+    score = sum(correlate(predicted[:, i], measured[:, i], method="fft") / scale[i] for i in range(2))
+    lags = (np.arange(2 * len(grid) - 1) - (len(grid) - 1)) * step
+    reach = np.abs(lags) < 10.0
+    best = int(np.argmax(np.where(reach, np.asarray(score), -np.inf)))
+    here = float(np.interp(0.0, lags, np.asarray(score)))
+    shift = float(lags[best])
+    # Rotor lag and dead time make the torque lead by up to 0.15 s: that is the fit's to find, not a clock's fault.
+    unexpected = shift > 0.06 or shift < -0.2
+    if unexpected and score[best] > 0.4 and score[best] > 1.3 * here:
+        return centre + shift
+    return centre
+
+
+def _battery(flight: FlightData, t: Array) -> tuple[Array, Array]:
+    if flight.battery is None or len(flight.battery) < 2:
+        return np.full(len(t), np.nan), np.full(len(t), np.nan)
+    battery = clean(Stream(flight.battery.t_s, flight.battery.values[:, :1], ("voltage_v",)))
+    voltage = np.interp(t, battery.t_s, battery.values[:, 0]) if len(battery) > 1 else np.full(len(t), np.nan)
+    current = flight.battery.values[:, 1] if flight.battery.values.shape[1] > 1 else np.full(len(flight.battery), np.nan)
+    known = np.isfinite(current)
+    charge = np.full(len(t), np.nan)
+    if known.sum() > 1:
+        stamps = flight.battery.t_s[known]
+        drawn = cumulative(current[known, None], 1.0, held=False)[:, 0] * float(np.median(np.diff(stamps)))
+        charge = np.interp(t, stamps, drawn)
+    return voltage, charge
+
+
+def planned_motion(flight: FlightData, t: Array, rate: Array, keep: NDArray[np.bool_], start_s: float) -> PlannedMotion | None:
+    """The motion the plan (or the setpoints) asked for, at stamps t, shifted to where the vehicle followed it.
+
+    The shift is the vehicle's own tracking delay and whatever separates the clocks; it maximises the correlation of body rates.
+    """
+    if flight.plan is not None:
+        series = flight.plan.series()
+
+        def reference(query: Array) -> FlatState:
+            return series.sample(query - start_s)
+    elif flight.setpoint is not None and len(flight.setpoint) > 50:
+        spline = _setpoint_spline(flight.setpoint)
+        if spline is None:
+            return None
+        reference = spline
+    else:
+        return None
+    gravity = flight.vehicle.gravity_m_s2
+    step = 0.02
+    grid = np.arange(t[keep][0], t[keep][-1], step)
+    actual = np.stack([np.interp(grid, t, c) for c in rate.T], axis=-1)
+    shifts = np.arange(-1.5, 1.5, step)
+    wide = np.arange(grid[0] - 1.6, grid[-1] + 1.6, step)
+    planned = rigid_motion(reference(wide), gravity).angular_velocity_body_rad_s
+    if float(np.std(planned)) < 1e-4:
+        return None
+    index = np.arange(len(grid))
+    scores = []
+    for shift in shifts:
+        first = round((1.6 - shift) / step)
+        scores.append(float(np.sum(planned[index + first] * actual)))
+    best = float(shifts[int(np.argmax(scores))])
+    moved = rigid_motion(reference(t - best), gravity)
+    coherence = max(scores) / (np.sqrt(np.sum(planned**2) * np.sum(actual**2)) + 1e-12)
+    if coherence < 0.2:
+        return None
+    return PlannedMotion(
+        moved.angular_velocity_body_rad_s, moved.angular_acceleration_body_rad_s2, moved.specific_thrust_m_s2
+    )
+
+
+def _setpoint_spline(setpoint: Stream):  # noqa: ANN202
+    """Quintic least-squares spline through position and yaw setpoints, knots every 0.2 s; None if they do not move."""
+    from scipy.interpolate import make_lsq_spline
+
+    stream = clean(setpoint)
+    t = stream.t_s
+    values = stream.values[:, :4].copy()
+    values[:, 3] = np.unwrap(values[:, 3])
+    if len(t) < 50 or np.ptp(values[:, :3], axis=0).max() < 0.02:
+        return None
+    spacing = max(0.2, 3.0 * float(np.max(np.diff(t))))
+    inner = np.arange(t[0] + spacing, t[-1] - spacing, spacing)
+    knots = np.concatenate([np.full(6, t[0]), inner, np.full(6, t[-1])])
+    spline = make_lsq_spline(t, values, knots, k=5)
+
+    def sample(query: Array) -> FlatState:
+        inside = np.clip(query, t[0], t[-1])
+        d = np.stack([spline.derivative(n)(inside) if n else spline(inside) for n in range(5)])
+        d[1:, (query < t[0]) | (query > t[-1])] = 0.0
+        return FlatState(d[:, :, :3], d[:3, :, 3])
+
+    return sample
