@@ -205,6 +205,12 @@ class RecordModel:
         self.rate = self.average(rate)
         self.force = self.average(record.force_m_s2)
 
+    def restarted(self, restart: Mask) -> RecordModel:
+        """The same record with other segment starts."""
+        other = RecordModel(self.record, self.extra, self.planned)
+        other.restart = restart
+        return other
+
     def _integrate(self, values: Array) -> Array:
         mean = 0.5 * (values[1:] + values[:-1]) * self._dt[1:, None]
         return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(mean, axis=0)])
@@ -472,6 +478,8 @@ def fit(
     start: Parameters,
     options: Options,
     colours: Sequence[Sequence[Colour]] | None = None,
+    *,
+    fixed: bool = False,
 ) -> Fitted:
     """Gauss-Newton on the innovations, alternating with the noise model; several flights of one vehicle are pooled.
 
@@ -479,6 +487,7 @@ def fit(
         models: one per flight, with the same extra terms; biases and noise models are each flight's own.
         start: first guess.
         colours: per flight and channel, from an earlier fit, to begin from.
+        fixed: take ``colours`` as they are.
     """
     records = [model.record for model in models]
     extra_names = [term.name for term in models[0].extra]
@@ -497,6 +506,8 @@ def fit(
         for index, model in enumerate(models):
             residual = evaluated[index][0]
             previous = state[index]
+            if fixed:
+                continue
             state[index] = [
                 fit_colour(
                     residual[:, c],
@@ -585,6 +596,30 @@ def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: 
         tuple(c for c in options.channels if c < 3 or np.isfinite(model.force[:, c - 3]).all()) for model in models
     ]
     return fit(models, best.parameters, options, per_flight(best.colours, channels))
+
+
+SHOOTING_S = 2.0
+
+
+def output_error(models: Sequence[RecordModel], start: Fitted, options: Options) -> Fitted:
+    """Output error by multiple shooting: every SHOOTING_S the state starts anew, and the rest is taken for white noise.
+
+    The classical estimate (Klein and Morelli, ch. 6), for comparison: what it takes for noise is mostly disturbance.
+    """
+    white = []
+    shooting = []
+    for model in models:
+        every = max(2, round(SHOOTING_S / float(np.median(model.dt))))
+        restart = model.restart.copy()
+        restart[::every] = True
+        shooting.append(model.restarted(restart))
+        residual = model.evaluate(start.parameters, options)[0]
+        chosen = [c for c in options.channels if c < 3 or np.isfinite(model.force[:, c - 3]).all()]
+        spread = [
+            max(float(np.std(np.diff(residual[:, c]))) if c < 3 else float(np.std(residual[:, c])), 1e-9) for c in chosen
+        ]
+        white.append([Colour(1e-9 * s, 1.0, 1e-9 * s, s) for s in spread])
+    return fit(shooting, start.parameters, replace(options, colour_rounds=0, autoregression=0), white, fixed=True)
 
 
 def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options) -> Fitted:

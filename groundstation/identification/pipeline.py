@@ -1,0 +1,268 @@
+"""``identify``: from recorded flights to parameters with intervals, by every method, and which of them to believe."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.errors import GroundStationError, NotIdentifiable
+from groundstation.flightdata import FlightData
+from groundstation.identification.anchoring import anchored, physically_consistent
+from groundstation.identification.preparation import Prepared, prepare
+from groundstation.identification.prediction_error import (
+    Fitted,
+    Options,
+    RecordModel,
+    fit_from_declared,
+    instrumental,
+    output_error,
+)
+from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification, MethodResult
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+UNREVEALED = 0.25
+"""A mass or moment known to no better than this fraction gets no number."""
+UNREVEALED_PRODUCT = 0.05
+"""The same for a product of inertia, as a fraction of the trace."""
+
+REMEDY = {
+    "mass_kg": "an accelerometer or poses while the rotors carry the vehicle",
+    "ixx_kg_m2": "roll: accelerate sideways (y) and back, repeatedly",
+    "iyy_kg_m2": "pitch: accelerate forward (x) and back, repeatedly",
+    "izz_kg_m2": "yaw: turn left and right, repeatedly",
+    "ixy_kg_m2": "roll and pitch at different frequencies at once",
+    "ixz_kg_m2": "roll and yaw at different frequencies at once",
+    "iyz_kg_m2": "pitch and yaw at different frequencies at once",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class DynamicFit:
+    """The fits of one or several flights of one vehicle, before they are read under an anchor."""
+
+    prepared: tuple[Prepared, ...]
+    models: tuple[RecordModel, ...]
+    options: Options
+    filter_error: Fitted
+    instrumental: Fitted | None
+
+    @property
+    def best(self) -> Fitted:
+        """The instrumental estimate where a plan is known, else the prediction error estimate."""
+        return self.filter_error if self.instrumental is None else self.instrumental
+
+
+def options_for(prepared: Prepared) -> Options:
+    """What is free for this kind of input: measured speeds and wrenches have no lag to find."""
+    rotors = prepared.record.vehicle.rotors
+    channels = (0, 1, 2, 5) if np.isfinite(prepared.record.force_m_s2).all() else (0, 1, 2)
+    return Options(lag=not prepared.record.motors.measured and rotors.input != "wrench", channels=channels)
+
+
+def fit_dynamics(prepared: Sequence[Prepared], progress: Progress = lambda fraction, text: None) -> DynamicFit:
+    """Prediction error and instrumental estimates of the pooled flights."""
+    options = options_for(prepared[0])
+    models = tuple(RecordModel(item.record, planned=item.planned) for item in prepared)
+    if any(len(model.t_s) < 50 for model in models):
+        raise NotIdentifiable("a flight holds less than a second of usable data.", "Leave out less of it, or fly longer.")
+    progress(0.4, "prediction error with the flight's own disturbance")
+    filter_error = fit_from_declared(models, prepared[0].record.vehicle, options)
+    refined = None
+    if all(item.planned is not None for item in prepared):
+        progress(0.7, "instrumental variables from the plan")
+        refined = instrumental(models, filter_error, options)
+    return DynamicFit(tuple(prepared), models, options, filter_error, refined)
+
+
+def identify(
+    flights: Sequence[FlightData],
+    *,
+    exclude: Sequence[tuple[float, float]] = (),
+    progress: Progress = lambda fraction, text: None,
+) -> Identification:
+    """Identify one vehicle from one or several of its flights.
+
+    Args:
+        flights: recordings of the same vehicle; they are pooled.
+        exclude: segments (start, end) to leave out, seconds on the IMU's clock.
+        progress: told the fraction done and what is being done.
+
+    Raises:
+        Refused: too short, clocks that cannot be aligned, or a motion that reveals too little; with the remedy.
+    """
+    progress(0.05, "bringing the streams onto one clock")
+    prepared = [prepare(flight, exclude=exclude) for flight in flights]
+    fitted = fit_dynamics(prepared, progress)
+    best = fitted.best
+    vehicle = prepared[0].record.vehicle
+    hidden = unrevealed(best, prepared)
+    _refuse_if_empty(best, hidden, prepared)
+    methods = dict(_seed_methods(prepared, exclude, progress))
+    progress(0.85, "output error")
+    oe = output_error(fitted.models, best, fitted.options)
+    model: dict[str, Estimate] = {}
+    for name, fit in (("OE", oe), ("FE", fitted.filter_error), ("IV", fitted.instrumental)):
+        if fit is None:
+            continue
+        parameters, constants = anchored(vehicle, fit.names, fit.values, fit.covariance)
+        rms = dict(zip(("torque_x_nm", "torque_y_nm", "torque_z_nm"), _torque_rms(fitted.models, fit, fitted.options), strict=True))
+        methods[name] = MethodResult(
+            parameters={key: value for key, value in parameters.items() if key not in hidden},
+            rms_output_error={"force_z_n": float(fit.residual_rms[5] * fit.parameters.mass_kg), **rms},
+            note=_METHOD_NOTES[name],
+        )
+        if fit is best:
+            model = {**_model(fit, prepared[0]), **constants}
+    name = "IV" if fitted.instrumental is not None else "FE"
+    reason = _reason(fitted)
+    warnings = []
+    trouble = physically_consistent(methods[name].parameters)
+    if trouble:
+        warnings.append(
+            f"The best estimate belongs to no rigid body ({trouble}): an effect is missing from the model, or the data lack it."
+        )
+    if vehicle.identification.anchor == "mass" and vehicle.rotors.input != "wrench":
+        hidden["torque_to_thrust_m"] = (
+            "a measured reaction torque: yaw torque and yaw inertia scale together, weighing does not fix them"
+        )
+    bounds, _ = anchored(vehicle, fitted.filter_error.names, best.values, _bound(fitted))
+    progress(1.0, "done")
+    first = prepared[0]
+    return Identification(
+        flight=" + ".join(flight.name for flight in flights),
+        vehicle=vehicle.name,
+        anchor=vehicle.identification.anchor,
+        methods=methods,
+        model=model,
+        best=name,
+        best_reason=reason,
+        clock=first.clock,
+        not_identifiable=hidden,
+        warnings=tuple(warnings),
+        bound={key: value.std for key, value in bounds.items() if key not in hidden},
+        window_s=first.window_s,
+        excluded_s=tuple((float(a), float(b)) for a, b in exclude),
+        quality=tuple(note for item in prepared for note in (*item.flight.notes, *item.notes)),
+    )
+
+
+_METHOD_NOTES = {
+    "OE": "Output error over shooting windows of 2 s: right only where there is no disturbance.",
+    "FE": "Filter (prediction) error with the flight's own coloured disturbance; takes the rotor speeds for exact.",
+    "IV": "Instrumental variables: the planned motion is the instrument, so neither feedback nor noisy inputs bias it.",
+}
+
+
+def _bound(fitted: DynamicFit) -> Array:
+    """Cramer-Rao covariance: what an efficient estimator could reach on this record with its disturbance."""
+    best = fitted.best.covariance
+    return best if fitted.instrumental is not None else fitted.filter_error.covariance
+
+
+def _reason(fitted: DynamicFit) -> str:
+    if fitted.instrumental is None:
+        return "FE: no plan or setpoints are recorded, so the prediction error estimate with a noise model is the best there is."
+    iv, fe = fitted.instrumental, fitted.filter_error
+    worst, size = "", 0.0
+    for name in ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2"):
+        spread = float(np.hypot(iv.std(name), fe.std(name)))
+        distance = abs(iv.value(name) - fe.value(name)) / spread
+        if distance > size:
+            worst, size = name, distance
+    verdict = (
+        f"FE agrees within {size:.1f} standard deviations"
+        if size < 3.0
+        else f"FE differs by {size:.1f} standard deviations in {worst}: feedback or noisy rotor speeds bias it"
+    )
+    return f"IV: the plan is known, so it is immune to feedback from disturbances; {verdict}."
+
+
+def _model(fit: Fitted, prepared: Prepared) -> dict[str, Estimate]:
+    """The other parameters of the model, those that mean something for this vehicle."""
+    out: dict[str, Estimate] = {}
+    for name in fit.names:
+        if name in MASS_AND_TENSOR or name.startswith("accel_bias"):
+            continue
+        if name == "input_delay_s":
+            value, std = fit.value(name), fit.std(name)
+            low = max(0.0, value - 1.96 * std)
+            out[name] = Estimate(max(value, 0.0), std, (low, max(low, value + 1.96 * std)))
+            continue
+        out[name] = Estimate.normal(fit.value(name), fit.std(name))
+    if not fit.names.count("rotor_lag_up_s") and "rotor_lag_s" in fit.names:
+        out["rotor_lag_up_s"] = out["rotor_lag_down_s"] = out.pop("rotor_lag_s")
+    if prepared.compatibility is not None:
+        values, std = prepared.compatibility.values, prepared.compatibility.std
+        for name in values:
+            if name.startswith(("gyro_bias", "accel_bias")):
+                out[name] = Estimate.normal(values[name], std[name])
+    return out
+
+
+def _torque_rms(models: Sequence[RecordModel], fit: Fitted, options: Options) -> list[float]:
+    """RMS of the torque residual at up to 10 Hz, from differences of the rate residual over 0.1 s."""
+    rows = []
+    for model in models:
+        residual = model.evaluate(fit.parameters, options)[0][:, :3]
+        lag = max(1, round(0.1 / float(np.median(model.dt))))
+        if len(residual) > lag:
+            rows.append((residual[lag:] - residual[:-lag]) / (model.t_s[lag:] - model.t_s[:-lag])[:, None] @ fit.parameters.tensor)
+    return [float(v) for v in np.sqrt(np.mean(np.concatenate(rows) ** 2, axis=0))] if rows else [float("nan")] * 3
+
+
+def unrevealed(fit: Fitted, prepared: Sequence[Prepared]) -> dict[str, str]:
+    """Parameters whose standard deviation says the motion did not show them, with the motion that would."""
+    trace = float(np.trace(fit.parameters.tensor))
+    hidden = {}
+    for name in MASS_AND_TENSOR:
+        relative = fit.std(name) / (trace if name[1] != name[2] and name != "mass_kg" else abs(fit.value(name)))
+        limit = UNREVEALED_PRODUCT if name[1] != name[2] and name != "mass_kg" else UNREVEALED
+        if relative > limit:
+            hidden[name] = REMEDY[name]
+    return hidden
+
+
+def _refuse_if_empty(fit: Fitted, hidden: Mapping[str, str], prepared: Sequence[Prepared]) -> None:
+    """Refuse a flight that shows at most one moment of inertia and no change of thrust, for its own reason."""
+    moments = [name for name in ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2") if name not in hidden]
+    if len(moments) >= 2:
+        return
+    first = prepared[0]
+    record = first.record
+    thrust = first.signals(fit.parameters.lag_up_s, fit.parameters.lag_down_s, 0.0).thrust_n[record.keep].sum(axis=1)
+    if record.vehicle.rotors.input != "wrench" and np.std(thrust) > 0.1 * np.mean(thrust):
+        return
+    rate = np.std(record.rate_rad_s[record.keep], axis=0)
+    moving = [axis for axis, size in zip(("roll", "pitch", "yaw"), rate, strict=True) if size > 0.3 * rate.max()]
+    if rate.max() < 0.03:
+        reason = f"this flight is a hover: the largest body rate is {rate.max():.3f} rad/s RMS, and inertia shows only when the body turns."
+    elif len(moving) == 1:
+        reason = f"this flight turns about one axis only ({moving[0]}), so it shows at most one moment of inertia."
+    else:
+        reason = "the motion is too weak against the disturbance of this flight: no two moments of inertia stand out."
+    listed = tuple(name for name in MASS_AND_TENSOR if name in hidden)
+    raise NotIdentifiable(
+        reason, "Fly an excitation in x, y, z and yaw, larger or faster (`groundstation plan`).", listed
+    )
+
+
+def _seed_methods(
+    prepared: Sequence[Prepared], exclude: Sequence[tuple[float, float]], progress: Progress
+) -> dict[str, MethodResult]:
+    """The seed's four methods on the first flight; a refusal of theirs is a note, not a failure of the whole."""
+    from groundstation.identification.seed import identify_seed
+
+    progress(0.75, "the seed's four methods")
+    first = prepared[0]
+    offset = 0.0 if first.clock is None else first.clock.mocap_minus_imu_s
+    try:
+        return identify_seed(first.flight, mocap_minus_imu_s=offset, exclude=exclude)
+    except GroundStationError as error:
+        note = str(error)
+        return {name: MethodResult(parameters={}, note=note) for name in ("LS", "GD", "FMLS", "FMGD")}
+
