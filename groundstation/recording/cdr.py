@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 ENCAPSULATION = b"\x00\x01\x00\x00"
 _SECONDS_MAX = 2**31 - 1
+_NANOSECONDS_MAX_S = 9.2e9
 
 
 def stamp_ns(seconds: float) -> int:
-    """A time in whole nanoseconds, the nearest; 0 where it is not a number. May be negative."""
-    return round(seconds * 1e9) if math.isfinite(seconds) else 0
+    """A time in whole nanoseconds, the nearest; 0 where that is no time 64 bits hold. May be negative."""
+    return round(seconds * 1e9) if abs(seconds) < _NANOSECONDS_MAX_S else 0
 
 
 def seconds_of_ns(nanoseconds: NDArray[np.int64]) -> Array:
