@@ -95,3 +95,10 @@ def exponential(r: Vector) -> Quaternion:
         return normalise((1.0, 0.5 * r[0], 0.5 * r[1], 0.5 * r[2]))
     s = sin(0.5 * angle) / angle
     return (cos(0.5 * angle), s * r[0], s * r[1], s * r[2])
+
+
+@compiled
+def copy(source, target) -> None:
+    """Copy the first numbers of an array into a shorter (or equally long) one; compiles faster than slices do."""
+    for i in range(len(target)):
+        target[i] = source[i]

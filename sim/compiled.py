@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+from numba.core import config
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -34,9 +35,9 @@ def _cache_folder() -> str:
 
 def compiled(function: F) -> F:
     """Compile for numbers and named tuples; division by zero gives inf, as in numpy."""
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = _cache_folder()
+    before = config.CACHE_DIR  # pyright: ignore[reportAttributeAccessIssue]
+    config.CACHE_DIR = _cache_folder()  # pyright: ignore[reportAttributeAccessIssue]
     try:
         return numba.njit(cache=True, error_model="numpy")(function)  # type: ignore[return-value]
     finally:
-        numba.config.CACHE_DIR = before
+        config.CACHE_DIR = before  # pyright: ignore[reportAttributeAccessIssue]

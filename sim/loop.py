@@ -16,6 +16,7 @@ from sim.algebra import (
     Vector,
     add,
     conjugate,
+    copy,
     exponential,
     multiply,
     normalise,
@@ -211,16 +212,12 @@ def open_circuit_ratio(charge_left: float) -> float:
 
 
 @compiled
-def drain(world: World, memory: Memory, powered: bool) -> float:
+def drain(supply: Supply, battery, power: float, dt: float) -> float:
     """Terminal voltage now, from the last current; charge and current are carried over one step. Returns V over full V."""
-    supply, battery = world.supply, memory.battery
     voltage = supply.full_v * open_circuit_ratio(1.0 - battery[0] / supply.capacity) - supply.resistance * battery[2]
-    power = supply.avionics_w
-    if powered:
-        power += mechanical_power(memory.x, world.plant) / supply.efficiency
     battery[1] = max(voltage, 0.3 * supply.full_v)
     battery[2] = power / battery[1]
-    battery[0] += world.dt * battery[2]
+    battery[0] += dt * battery[2]
     return battery[1] / supply.full_v
 
 
@@ -243,12 +240,10 @@ def drift_step(p: Disturbance, state, noise, dt: float) -> tuple[Vector, Vector]
 
 
 @compiled
-def measure_imu(world: World, memory: Memory, w: Vector, felt: Vector, noise, out) -> None:
+def measure_imu(p: Instruments, state, w: Vector, felt: Vector, noise, out) -> None:
     """One IMU sample in its own axes with scale, bias, noise and the driver's filter, written into ``out``."""
-    p = world.instruments
     rate, force = to_body(p.imu_turn, w), to_body(p.imu_turn, felt)
     b0, b1, b2, a1, a2 = p.low_pass
-    state = memory.low_pass
     for i in range(3):
         out[i] = p.gyro_scale[i] * rate[i] + p.gyro_bias[i] + noise[i]
         out[3 + i] = p.accel_scale[i] * force[i] + p.accel_bias[i] + noise[3 + i]
@@ -260,24 +255,22 @@ def measure_imu(world: World, memory: Memory, w: Vector, felt: Vector, noise, ou
 
 
 @compiled
-def measure_pose(world: World, memory: Memory, position: Vector, q: Quaternion, frozen: bool, noise, out) -> None:
+def measure_pose(p: Instruments, last, position: Vector, q: Quaternion, frozen: bool, noise, out) -> None:
     """One pose of the marker body, written into ``out``."""
-    p = world.instruments
     if not frozen:
         seen = to_world(p.world_turn, add(position, to_world(q, p.point)))
         turn = multiply(multiply(p.world_turn, q), p.marker_turn)
         turn = normalise(multiply(turn, exponential((noise[3], noise[4], noise[5]))))
         for i in range(3):
-            memory.last_pose[i] = seen[i] + noise[i]
+            last[i] = seen[i] + noise[i]
         for i in range(4):
-            memory.last_pose[3 + i] = turn[i]
-    out[:] = memory.last_pose
+            last[3 + i] = turn[i]
+    copy(last, out)
 
 
 @compiled
-def body_pose(world: World, pose, out) -> None:
+def body_pose(p: Instruments, pose, out) -> None:
     """Pose of the body as the flight software takes it, from the pose of the marker body."""
-    p = world.instruments
     q = multiply((pose[3], pose[4], pose[5], pose[6]), conjugate(p.known_marker_turn))
     shift = to_world(q, p.known_point)
     for i in range(3):
@@ -287,29 +280,24 @@ def body_pose(world: World, pose, out) -> None:
 
 
 @compiled
-def deliver_poses(world: World, memory: Memory, t: float) -> None:
-    """Hand poses that have arrived to the estimator, compared with the estimate at the exposure it assumes."""
-    flags, ring = memory.flags, memory.pending
+def deliver_poses(observer: Observer, estimate, ring, flags, history, step: int, age: int, t: float) -> None:
+    """Hand poses that have arrived to the estimator, compared with the estimate ``age`` steps ago."""
     while flags[PENDING_HEAD] != flags[PENDING_TAIL]:
         row = ring[flags[PENDING_HEAD]]
         if row[1] > t:
             return
-        age = round(min(max(world.instruments.latency, 0.0), (HISTORY - 1) * world.dt) / world.dt)
-        step = round(t / world.dt)
-        then = memory.history[max(step - age, 0) % HISTORY]
-        correct(world.observer, memory.estimate, then, row[2:])
+        correct(observer, estimate, history[max(step - age, 0) % HISTORY], row[2:])
         flags[PENDING_HEAD] = (flags[PENDING_HEAD] + 1) % PENDING
 
 
 @compiled
-def touch_floor(world: World, memory: Memory) -> None:
+def touch_floor(x, flags, ground_m: float) -> None:
     """Lift off and touch down: the floor holds the vehicle level until its thrust exceeds its weight."""
-    x, flags = memory.x, memory.flags
     if flags[STANDING]:
         if x[VELOCITY + 2] > 0.0:
             flags[STANDING] = 0
         return
-    if x[2] > world.ground_m or x[VELOCITY + 2] > 0.0:
+    if x[2] > ground_m or x[VELOCITY + 2] > 0.0:
         return
     q = (x[ATTITUDE], x[ATTITUDE + 1], x[ATTITUDE + 2], x[ATTITUDE + 3])
     up = to_world(q, (0.0, 0.0, 1.0))[2]
@@ -317,7 +305,7 @@ def touch_floor(world: World, memory: Memory) -> None:
     if up < 0.5 or speed > 2.5:
         flags[CRASHED] = 1
     yaw = euler_of(q)[2]
-    x[2] = world.ground_m
+    x[2] = ground_m
     for i in range(3):
         x[VELOCITY + i] = 0.0
         x[RATE + i] = 0.0
@@ -326,16 +314,16 @@ def touch_floor(world: World, memory: Memory) -> None:
 
 
 @compiled
-def fly_law(world: World, memory: Memory, setpoint, outer: bool, outer_s: float) -> None:
-    """One control tick: new motor values into ``memory.target``."""
-    standing = memory.flags[STANDING] == 1
+def fly_law(
+    law: Law, control, estimate, target, setpoint, outer: bool, inner_s: float, outer_s: float, standing: bool
+) -> None:
+    """One control tick: new motor values into ``target``; the position loop runs where ``outer`` says so."""
     if outer:
-        position_loop(world.law, memory.control, memory.estimate, setpoint, outer_s, standing)
-    inner_s = world.control_every * world.dt
-    thrust, torque = attitude_loop(world.law, memory.control, memory.estimate, setpoint, inner_s, standing)
+        position_loop(law, control, estimate, setpoint, outer_s, standing)
+    thrust, torque = attitude_loop(law, control, estimate, setpoint, inner_s, standing)
     if standing:
         torque = (0.0, 0.0, 0.0)
-    mix(world.law, thrust, torque, memory.target)
+    mix(law, thrust, torque, target)
 
 
 @compiled
@@ -359,28 +347,43 @@ def run(world: World, memory: Memory, stretch: Stretch):
     i_imu, i_pose, i_speed, i_battery, i_tick = 0, 0, 0, 0, 0
     asked = np.empty(n)
     effects = plant.effects
+    pose_age = min(round(world.instruments.latency / dt), HISTORY - 1)
     delay_steps = round(effects.input_delay.delay_s / dt) if effects.input_delay.on else 0
 
     for k in range(stretch.steps):
         step = stretch.first + k
         t = step * dt
         powered = stretch.mode != IDLE and memory.flags[CRASHED] == 0
-        memory.history[step % HISTORY] = memory.estimate[np.array((0, 1, 2, 6, 7, 8, 9))]
-        deliver_poses(world, memory, t)
+        for i in range(7):
+            memory.history[step % HISTORY, i] = memory.estimate[i if i < 3 else i + 3]
+        deliver_poses(world.observer, memory.estimate, memory.pending, memory.flags, memory.history, step, pose_age, t)
         if step % world.control_every == 0:
             if powered and stretch.mode == FLYING:
                 before = int((step - world.control_every) / world.outer_every + 1e-9)
                 outer = int(step / world.outer_every + 1e-9) != before or step == 0
-                fly_law(world, memory, stretch.setpoints[i_tick], outer, world.outer_every * dt)
+                fly_law(
+                    world.law,
+                    memory.control,
+                    memory.estimate,
+                    memory.target,
+                    stretch.setpoints[i_tick],
+                    outer,
+                    world.control_every * dt,
+                    world.outer_every * dt,
+                    memory.flags[STANDING] == 1,
+                )
             elif powered:
-                memory.target[:] = stretch.motors[i_tick]
+                copy(stretch.motors[i_tick], memory.target)
             else:
-                memory.target[:] = 0.0
-            commands[i_tick] = memory.target
-            estimates[i_tick] = memory.estimate[:13]
+                memory.target.fill(0.0)
+            copy(memory.target, commands[i_tick])
+            copy(memory.estimate, estimates[i_tick])
             i_tick += 1
-        memory.delay[step % HISTORY] = memory.target
-        ratio = drain(world, memory, powered)
+        copy(memory.target, memory.delay[step % HISTORY])
+        power = world.supply.avionics_w
+        if powered:
+            power += mechanical_power(x, plant.rotors, plant.air_density) / world.supply.efficiency
+        ratio = drain(world.supply, memory.battery, power, dt)
         sag = 1.0
         if effects.battery_sag.on:
             sag = 1.0 - effects.battery_sag.strength * (1.0 - ratio)
@@ -400,7 +403,7 @@ def run(world: World, memory: Memory, stretch: Stretch):
         position, velocity = (x[0], x[1], x[2]), (x[3], x[4], x[5])
         q = (x[6], x[7], x[8], x[9])
         w = (x[10], x[11], x[12])
-        path[k] = x[:13]
+        copy(x, path[k])
         rk4_step(x, memory.work, asked, memory.thrust, plant, now, dt)
         first, last = memory.work[0], memory.work[3]
 
@@ -420,7 +423,7 @@ def run(world: World, memory: Memory, stretch: Stretch):
             w_s = add(w, scale(s, (first[10], first[11], first[12])))
             q_s = multiply(q, exponential(scale(s, w)))
             felt = specific_force(push, turn, w_s, q_s, world.instruments.lever, plant.gravity)
-            measure_imu(world, memory, w_s, felt, stretch.imu_noise[i_imu], imu[i_imu])
+            measure_imu(world.instruments, memory.low_pass, w_s, felt, stretch.imu_noise[i_imu], imu[i_imu])
             row = imu[i_imu]
             predict(world.observer, memory.estimate, (row[0], row[1], row[2]), (row[3], row[4], row[5]))
             i_imu += 1
@@ -430,12 +433,14 @@ def run(world: World, memory: Memory, stretch: Stretch):
             w_mid = add(w, scale(0.5 * s, (first[10], first[11], first[12])))
             q_s = multiply(q, exponential(scale(s, w_mid)))
             frozen = stretch.pose_frozen[i_pose]
-            measure_pose(world, memory, seen, q_s, frozen, stretch.pose_noise[i_pose], poses[i_pose])
+            measure_pose(
+                world.instruments, memory.last_pose, seen, q_s, frozen, stretch.pose_noise[i_pose], poses[i_pose]
+            )
             if stretch.pose_arrival_s[i_pose] < np.inf:
                 tail = memory.flags[PENDING_TAIL]
                 memory.pending[tail, 0] = stretch.pose_s[i_pose]
                 memory.pending[tail, 1] = stretch.pose_arrival_s[i_pose]
-                body_pose(world, poses[i_pose], memory.pending[tail, 2:])
+                body_pose(world.instruments, poses[i_pose], memory.pending[tail, 2:])
                 memory.flags[PENDING_TAIL] = (tail + 1) % PENDING
             i_pose += 1
         while i_speed < len(stretch.speed_s) and stretch.speed_s[i_speed] < t + dt - 1e-9:
@@ -446,5 +451,5 @@ def run(world: World, memory: Memory, stretch: Stretch):
         while i_battery < len(stretch.battery_s) and stretch.battery_s[i_battery] < t + dt - 1e-9:
             volts[i_battery, 0], volts[i_battery, 1] = memory.battery[1], memory.battery[2]
             i_battery += 1
-        touch_floor(world, memory)
+        touch_floor(x, memory.flags, world.ground_m)
     return imu, poses, speeds, volts, commands, estimates, path

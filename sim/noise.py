@@ -66,7 +66,7 @@ class Ticker:
         period = 1.0 / (self.rate_hz * (1.0 + 1e-6 * self.clock.drift_ppm))
         # A hair of tolerance keeps instants on the step grid in the stretch they belong to.
         last = max(int(np.ceil((end_s - self._phase) / period - 1e-6)), self._next)
-        true = self._phase + np.arange(self._next, last) * period
+        true = self._phase + period * np.arange(self._next, last, dtype=float)
         self._next = last
         return true, *self._stamper.stamp(true)
 

@@ -22,6 +22,7 @@ from sim.algebra import (
     Symmetric,
     Vector,
     add,
+    copy,
     cross,
     multiply,
     scale,
@@ -129,27 +130,23 @@ def thrust_of(rotors: Rotors, value: float) -> float:
 
 
 @compiled
-def body_now(plant: Plant, flight_s: float) -> Body:
-    """Mass properties at this time of flight."""
-    return plant.after if flight_s >= plant.change_s else plant.before
-
-
-@compiled
-def rotor_wrench(x, slope, memory, plant: Plant, now: Surroundings, u: Vector) -> tuple[Vector, Vector, float, float]:
+def rotor_wrench(
+    x, slope, memory, rotors: Rotors, effects: Effects, flight_s: float, u: Vector
+) -> tuple[Vector, Vector, float, float]:
     """Sum of the rotors in the body about the origin.
 
     Args:
         x: state vector.
         slope: its derivative so far, of which the rotors' part is read.
         memory: memory of each rotor's thrust (effect ``thrust_memory``), shape (n,).
-        plant: constants.
-        now: surroundings.
+        rotors: constants.
+        effects: those switched on.
+        flight_s: seconds since take-off.
         u: velocity relative to the air in the body, m/s.
 
     Returns:
         Force (N), torque (N m), angular momentum h about z and its derivative.
     """
-    rotors, effects = plant.rotors, plant.effects
     n = len(rotors.spin)
     force, torque = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     momentum, momentum_slope = 0.0, 0.0
@@ -166,7 +163,7 @@ def rotor_wrench(x, slope, memory, plant: Plant, now: Surroundings, u: Vector) -
             thrust += effects.thrust_memory.gain * (memory[i] - thrust)
         if effects.thrust_scale.on:
             thrust *= effects.thrust_scale.density_ratio
-        left = loss_of(effects.weak_rotor, effects.rotor_degradation, i, now.flight_s)
+        left = loss_of(effects.weak_rotor, effects.rotor_degradation, i, flight_s)
         reaction = -rotors.spin[i] * rotors.torque_ratio * thrust
         if left != 1.0:
             thrust *= left
@@ -192,13 +189,12 @@ def rotor_wrench(x, slope, memory, plant: Plant, now: Surroundings, u: Vector) -
 
 
 @compiled
-def attached_wrench(x, slope, plant: Plant, now: Surroundings) -> tuple[Vector, Vector]:
+def attached_wrench(x, slope, effects: Effects, wall_direction: Vector, gravity: float) -> tuple[Vector, Vector]:
     """Forces that act at points of the body from the room and from what hangs on it; moves the slung load.
 
     Returns:
         Force in the world (N) and torque about the origin in the body (N m).
     """
-    effects = plant.effects
     position = (x[0], x[1], x[2])
     q = (x[ATTITUDE], x[ATTITUDE + 1], x[ATTITUDE + 2], x[ATTITUDE + 3])
     force, torque = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -210,7 +206,7 @@ def attached_wrench(x, slope, plant: Plant, now: Surroundings) -> tuple[Vector, 
         force = add(force, pull)
         torque = add(torque, cross(effects.tether.attachment_m, to_body(q, pull)))
     if effects.attracting_wall.on:
-        force = add(force, wall(effects.attracting_wall, position, plant.wall_direction))
+        force = add(force, wall(effects.attracting_wall, position, wall_direction))
     if effects.magnet.on:
         pull, twist = magnet(effects.magnet, position, q)
         force = add(force, pull)
@@ -222,7 +218,7 @@ def attached_wrench(x, slope, plant: Plant, now: Surroundings) -> tuple[Vector, 
         tied_velocity = attachment_velocity((x[3], x[4], x[5]), q, w, p.attachment_m)
         load = (x[LOAD], x[LOAD + 1], x[LOAD + 2])
         load_velocity = (x[LOAD_VELOCITY], x[LOAD_VELOCITY + 1], x[LOAD_VELOCITY + 2])
-        pull, load_acceleration = cable(p, tied, tied_velocity, load, load_velocity, plant.gravity)
+        pull, load_acceleration = cable(p, tied, tied_velocity, load, load_velocity, gravity)
         force = add(force, pull)
         torque = add(torque, cross(p.attachment_m, to_body(q, pull)))
         for i in range(3):
@@ -244,7 +240,7 @@ def derivative(x, slope, target, memory, plant: Plant, now: Surroundings) -> Non
         now: surroundings, held over the step.
     """
     rotors, effects = plant.rotors, plant.effects
-    slope[:] = 0.0
+    slope.fill(0.0)
     for i in range(len(rotors.spin)):
         value = x[ROTOR + i]
         lag = rotors.lag_up if target[i] >= value else rotors.lag_down
@@ -258,16 +254,16 @@ def derivative(x, slope, target, memory, plant: Plant, now: Surroundings) -> Non
 
     force, torque, momentum, momentum_slope = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0
     if now.powered:
-        force, torque, momentum, momentum_slope = rotor_wrench(x, slope, memory, plant, now, u)
+        force, torque, momentum, momentum_slope = rotor_wrench(x, slope, memory, rotors, effects, now.flight_s, u)
     if effects.body_drag.on:
         force = add(force, body_drag(effects.body_drag, u, plant.air_density))
     if effects.angular_damping.on:
         torque = add(torque, angular_damping(effects.angular_damping, w))
-    room_force, room_torque = attached_wrench(x, slope, plant, now)
+    room_force, room_torque = attached_wrench(x, slope, effects, plant.wall_direction, plant.gravity)
     force = add(force, to_body(q, add(room_force, now.force)))
     torque = add(torque, add(room_torque, now.torque))
 
-    body = body_now(plant, now.flight_s)
+    body = plant.after if now.flight_s >= plant.change_s else plant.before
     spin = add(times(body.inertia, w), (0.0, 0.0, momentum))
     moment = subtract(subtract(torque, cross(body.com, force)), cross(w, spin))
     turn = times(body.inverse, (moment[0], moment[1], moment[2] - momentum_slope))
@@ -303,12 +299,12 @@ def rk4_step(x, work, target, memory, plant: Plant, now: Surroundings, dt: float
     if not (plant.effects.motor_lag.on or plant.rotors.lag_up > 0.0):
         for i in range(len(plant.rotors.spin)):
             x[ROTOR + i] = target[i]
-    derivative(x, work[0], target, memory, plant, now)
-    for stage in range(1, 4):
-        h = dt if stage == 3 else 0.5 * dt
-        for i in range(size):
-            work[4, i] = x[i] + h * work[stage - 1, i]
+    copy(x, work[4])
+    for stage in range(4):
         derivative(work[4], work[stage], target, memory, plant, now)
+        h = dt if stage == 2 else 0.5 * dt
+        for i in range(size):
+            work[4, i] = x[i] + h * work[stage, i]
     for i in range(size):
         x[i] += dt / 6.0 * (work[0, i] + 2.0 * work[1, i] + 2.0 * work[2, i] + work[3, i])
     length = sqrt(x[6] * x[6] + x[7] * x[7] + x[8] * x[8] + x[9] * x[9])
@@ -324,12 +320,11 @@ def specific_force(acceleration: Vector, turn: Vector, w: Vector, q, lever: Vect
 
 
 @compiled
-def mechanical_power(x, plant: Plant) -> float:
+def mechanical_power(x, rotors: Rotors, density: float) -> float:
     """Power of the rotors by momentum theory, sum T^1.5 / sqrt(2 rho A), W."""
-    rotors = plant.rotors
     disc = 3.141592653589793 * rotors.radius * rotors.radius
     total = 0.0
     for i in range(len(rotors.spin)):
         thrust = max(thrust_of(rotors, x[ROTOR + i]), 0.0)
-        total += thrust * sqrt(thrust / (2.0 * plant.air_density * disc))
+        total += thrust * sqrt(thrust / (2.0 * density * disc))
     return total

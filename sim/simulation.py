@@ -182,7 +182,7 @@ class Simulation:
         """True times of the control ticks in the next stretch."""
         every = self.world.control_every
         first = -(-self.step // every) * every
-        return np.arange(first, self.step + steps, every) * STEP_S
+        return STEP_S * np.arange(first, self.step + steps, every, dtype=float)
 
     def idle(self, steps: int) -> dict[str, Samples]:
         """Run with the rotors off."""
