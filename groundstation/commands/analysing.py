@@ -64,7 +64,7 @@ def identify(
     line.end()
     folder = result_folder(flights[0], logs)
     folder.mkdir(parents=True, exist_ok=True)
-    files = write_identification(folder, found)
+    files = write_identification(folder, found, loaded[0].vehicle)
     document = found.to_dict()
     truth = loaded[0].truth.parameters() if loaded[0].truth is not None else {}
     lines = [

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
-from groundstation.commands.common import Result, example, json_option, logs_option
+from groundstation.commands.common import Result, example, json_option, load_vehicle_option, logs_option
+from groundstation.errors import BadInput
 
+MOVED = 3.0
+"""Combined standard deviations from which a change from flight to flight is worth a word."""
 ANY = click.Path(path_type=Path)
 
 
@@ -38,20 +43,39 @@ def flights(logs: Path) -> Result:
     from groundstation.recording import catalogue
 
     rows = catalogue(logs)
-    return Result(
-        {"schema": "groundstation.flights/1", "flights": rows}, "\n".join(map(str, rows)) or f"no flights in {logs}"
+    text = (
+        "\n".join(_flight_line(row) for row in rows) or f"no flights in {logs}; make one with `groundstation rehearse`"
     )
+    return Result({"schema": "groundstation.flights/1", "flights": rows}, text)
 
 
-@click.command(epilog=example("groundstation export identification.toml --format px4 --output params.txt"))
-@click.argument("identification", type=ANY)
-@click.option("--format", "form", required=True, help="toml, json, or a simulator's name.")
-@click.option("--output", type=click.Path(path_type=Path), required=True, help="File to write.")
+def _flight_line(row: Mapping[str, Any]) -> str:
+    """One flight: when, what, how it ended, its mass, and what moved by more than chance allows."""
+    mass = row["parameters"].get("mass_kg")
+    told = f"mass {mass['value']:.4g} kg" if mass else row["reason"]
+    moved = [f"{name} {change:+.1f}" for name, change in (row.get("moved") or {}).items() if abs(change) > MOVED]
+    tail = f"; moved (in standard deviations): {', '.join(moved)}" if moved else ""
+    return f"{row['date'][:19]}  {row['flight']:<36} {row['state']:<10} {row['verdict'] or '-':<12} {told}{tail}"
+
+
+@click.command(epilog=example("groundstation export identification.toml --format mjcf --output vehicle.xml"))
+@click.argument("model", type=ANY)
+@click.option("--format", "form", required=True, help="toml, json, csv, vehicle, px4-sih, sdf, urdf, mjcf or rotorpy.")
+@click.option("--output", type=click.Path(path_type=Path, dir_okay=False), help="File to write; else standard output.")
+@click.option("--vehicle", default=None, help="Vehicle file or shipped name; overrides the model's.")
 @json_option
-def export(identification: Path, form: str, output: Path) -> Result:
-    """Write the identified parameters in the format of a simulator or autopilot."""
+def export(model: Path, form: str, output: Path | None, vehicle: str | None) -> Result:
+    """Write an identified MODEL (identification.toml) in the format of a simulator or autopilot."""
     from groundstation.reporting.exports import export as run
 
-    notes = run(identification, form, output)
-    document = {"schema": "groundstation.export/1", "format": form, "file": str(output), "notes": list(notes)}
-    return Result(document, "\n".join([f"written: {output}", *notes]))
+    text = run(model, form, load_vehicle_option(vehicle))
+    document: dict[str, Any] = {"schema": "groundstation.export/1", "format": form}
+    if output is None:
+        return Result({**document, "content": text}, text.rstrip("\n"))
+    try:
+        output.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise BadInput(
+            f"{output}: cannot be written ({error.strerror}); name a file in a folder that exists."
+        ) from None
+    return Result({**document, "file": str(output)}, f"written: {output}")

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from groundstation.commands.common import ProgressLine, Result, example, json_option, logs_option
+from groundstation.errors import BadInput, Refused
 
 if TYPE_CHECKING:
     from groundstation.flight.rehearse import FlightResult
@@ -121,32 +124,95 @@ def _flight_result(flown: FlightResult) -> Result:
     return Result(document, "\n".join(lines), flown.exit_status)
 
 
-@click.command(epilog=example("groundstation preflight --link udpin://127.0.0.1:14540 --vehicle x500"))
-@click.option("--link", required=True, help="serial:///dev/ttyUSB0:921600, udpin://127.0.0.1:14540 or tcp://host:port.")
-@click.option("--vehicle", required=True, help="Vehicle file, or the name of a shipped one.")
-@click.option("--station", default=None, help="Station file: room, guard limits, motion capture.")
-@click.option("--plan", "plan_file", type=click.Path(path_type=Path, dir_okay=False), help="Plan to check against.")
-@json_option
-def preflight(**options: Any) -> Result:
-    """Check everything that can be checked before a flight; each failure with reason and remedy."""
-    from groundstation.flight.link_commands import preflight as check
+def link_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """What a command on a MAVLink link takes."""
+    options = (
+        click.option(
+            "--link", required=True, help="serial:///dev/ttyUSB0:921600, udpin://127.0.0.1:14540, tcp://host:port."
+        ),
+        click.option("--vehicle", required=True, help="Vehicle file, or the name of a shipped one."),
+        click.option(
+            "--station", default="default", show_default=True, help="Station file: room, guard limits, policy."
+        ),
+        click.option(
+            "--plan", "plan_file", type=click.Path(path_type=Path, dir_okay=False), help="Plan; else a new one."
+        ),
+        click.option("--force", multiple=True, metavar="NAME", help="Fly although this check fails; recorded."),
+        click.option(
+            "--set-parameters", is_flag=True, help="Set what the flight needs on the vehicle; restored afterwards."
+        ),
+        click.option(
+            "--key-file", type=click.Path(path_type=Path, dir_okay=False), help="32-byte MAVLink signing key."
+        ),
+        logs_option,
+        json_option,
+    )
+    for option in reversed(options):
+        function = option(function)
+    return function
 
-    return check(**options)
+
+def _link_flight(vehicle: str, plan_file: Path | None, logs: Path, line: ProgressLine, **link: Any) -> dict[str, Any]:
+    """Folder, plan, vehicle and link process of a flight on a MAVLink link."""
+    from groundstation.flight.client import new_flight_folder
+    from groundstation.flight.rehearse import linked_vehicle
+    from groundstation.flight.station import load_station
+    from groundstation.paths import find_config
+    from groundstation.trajectory import load_plan
+    from groundstation.vehicle import load_vehicle
+
+    load_station(link["station"])
+    vehicle_file = find_config("vehicles", vehicle).resolve()
+    declared = load_vehicle(vehicle_file)
+    chosen = load_plan(plan_file) if plan_file is not None else _new_plan(declared, line)
+    folder = new_flight_folder(logs.resolve(), declared.name)
+    drone = linked_vehicle(folder, vehicle_file, **link)
+    return {"folder": folder, "plan": _keep_plan(chosen, folder), "vehicle": vehicle_file, "drone": drone}
+
+
+@click.command(epilog=example("groundstation preflight --link udpin://127.0.0.1:14540 --vehicle x500"))
+@link_options
+def preflight(vehicle: str, plan_file: Path | None, logs: Path, **link: Any) -> Result:
+    """Check everything that can be checked before a flight; each failure with reason and remedy. Nothing is armed."""
+    from groundstation.flight.rehearse import check
+
+    line = ProgressLine()
+    flight = _link_flight(vehicle, plan_file, logs, line, **link)
+    why_not = check(**flight, say=line.say)
+    line.end()
+    document = {
+        "schema": "groundstation.preflight/1",
+        "ok": not why_not,
+        "reason": why_not,
+        "folder": str(flight["folder"]),
+    }
+    return Result(document, why_not or "ready to fly", Refused.exit_status if why_not else 0)
 
 
 @click.command(epilog=example("groundstation fly --link udpin://127.0.0.1:14540 --vehicle x500 --yes-simulated"))
-@click.option("--link", required=True, help="serial:///dev/ttyUSB0:921600, udpin://127.0.0.1:14540 or tcp://host:port.")
-@click.option("--vehicle", required=True, help="Vehicle file, or the name of a shipped one.")
-@click.option("--station", default=None, help="Station file: room, guard limits, motion capture.")
-@click.option(
-    "--plan", "plan_file", type=click.Path(path_type=Path, dir_okay=False), help="Fly this plan instead of a new one."
-)
-@click.option("--force", multiple=True, metavar="NAME", help="Fly although this check fails; recorded.")
+@link_options
 @click.option("--yes-simulated", is_flag=True, help="What flies is a simulation: do not ask before arming.")
-@logs_option
-@json_option
-def fly(**options: Any) -> Result:
-    """Check, upload and fly on a MAVLink link, record, and after landing identify, diagnose and report."""
-    from groundstation.flight.link_commands import fly as fly_link
+def fly(vehicle: str, plan_file: Path | None, logs: Path, yes_simulated: bool, **link: Any) -> Result:
+    """Check, upload and fly on a MAVLink link, record, and after landing identify, diagnose and report.
 
-    return fly_link(**options)
+    Ctrl-C aborts: the vehicle lands. Killing this program does not end the flight.
+    """
+    from groundstation.flight.rehearse import fly as fly_plan
+
+    if not yes_simulated and not sys.stdin.isatty():
+        raise BadInput("a real vehicle is armed only by somebody at a terminal; a simulated one with --yes-simulated.")
+    line = ProgressLine()
+    flight = _link_flight(vehicle, plan_file, logs, line, **link)
+    flown = fly_plan(**flight, say=line.say, confirm=lambda: yes_simulated or _typed_confirmation(line))
+    line.end()
+    return _flight_result(flown)
+
+
+def _typed_confirmation(line: ProgressLine) -> bool:
+    """Whether the operator typed the word."""
+    line.end()
+    print(
+        "Everything is checked. Is the area clear? Type FLY to arm and take off, anything else to stop: ",
+        file=sys.stderr,
+    )
+    return sys.stdin.readline().strip() == "FLY"

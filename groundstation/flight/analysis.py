@@ -22,6 +22,7 @@ from groundstation.diagnosis.results import Diagnosis
 from groundstation.errors import GroundStationError, NotIdentifiable, Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification
+from groundstation.vehicle import Vehicle
 
 Progress = Callable[[float, str], None]
 Table = dict[str, tuple[float, float, float, float]]
@@ -77,8 +78,9 @@ def analyse(
 
     folder.mkdir(parents=True, exist_ok=True)
     identification = identify(flights, exclude=exclude, progress=lambda f, text: progress(0.05 + 0.5 * f, text))
-    files = write_identification(folder, identification)
+    write_identification(folder, identification, flights[0].vehicle)
     diagnosis = _diagnose(flights, references, held_out, lambda f, text: progress(0.55 + 0.35 * f, text))
+    files = write_identification(folder, identification, flights[0].vehicle, diagnosis)
     if diagnosis is not None:
         files["diagnosis"] = write_json(folder / "diagnosis.json", diagnosis.to_dict())
     progress(0.92, "writing the report")
@@ -118,14 +120,16 @@ def _diagnose(
         return Diagnosis(first.name, first.vehicle.name, "refused", reason=str(error))
 
 
-def write_identification(folder: Path, identification: Identification) -> dict[str, Path]:
-    """``identification.json`` and the same as TOML, which ``predict`` and ``export`` take."""
-    import tomli_w
+def write_identification(
+    folder: Path, identification: Identification, vehicle: Vehicle, diagnosis: Diagnosis | None = None
+) -> dict[str, Path]:
+    """``identification.json``, and as ``identification.toml`` the model that ``predict`` and ``export`` take."""
+    from groundstation.reporting.exports import model_document, write_model
 
-    document = identification.to_dict()
-    toml = folder / "identification.toml"
-    toml.write_text(tomli_w.dumps(without_none(document)), encoding="utf-8")
-    return {"identification": write_json(folder / "identification.json", document), "parameters": toml}
+    return {
+        "identification": write_json(folder / "identification.json", identification.to_dict()),
+        "model": write_model(folder / "identification.toml", model_document(identification, vehicle, diagnosis)),
+    }
 
 
 def write_json(path: Path, document: Mapping[str, Any]) -> Path:
@@ -144,15 +148,6 @@ def finite(value: Any) -> Any:
         return finite(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    return value
-
-
-def without_none(value: Any) -> Any:
-    """The same document without the entries TOML cannot hold."""
-    if isinstance(value, Mapping):
-        return {key: without_none(item) for key, item in value.items() if item is not None}
-    if isinstance(value, (list, tuple)):
-        return [without_none(item) for item in value if item is not None]
     return value
 
 

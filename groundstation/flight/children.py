@@ -68,14 +68,20 @@ class Child:
         if self.poll() is None:
             self._process.kill()
 
-    def stop(self) -> None:
-        """Ask it to end, and end it if it does not."""
-        self.interrupt()
-        try:
-            self.wait(STOP_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
+    def stop(self, patience_s: float = STOP_TIMEOUT_S) -> None:
+        """Ask it to end, and end it if it does not in time."""
+        if not self.leave(patience_s):
             self.kill()
             self.wait()
+
+    def leave(self, patience_s: float) -> bool:
+        """Ask it to end, and leave it alone if it has not in time; whether it has."""
+        self.interrupt()
+        try:
+            self.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
 
 
 def start_child(command: list[str], log: Path, *, piped: bool = False) -> Child:

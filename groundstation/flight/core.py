@@ -47,6 +47,7 @@ START_UP_S = 90.0
 SILENCE_S = 10.0
 GROUND_CHECK_S = 1.0
 LOCK_STEP_SLACK = 20.0
+DRONE_PATIENCE_S = 10.0
 NEEDED_STREAMS = ("imu", "motors")
 
 
@@ -90,6 +91,7 @@ class FlightCore:
         self.table: dict[str, tuple[float, float, float, float]] = {}
         self.notes: deque[str] = deque(maxlen=8)
         self.digested_s = 0.0
+        self._first_s: float | None = None
         self.heard_s = clock()
         self.finished = False
         self._credit_sent = (-1.0, -1e9)
@@ -215,6 +217,7 @@ class FlightCore:
 
     def _digested(self, host_s: float) -> None:
         self.digested_s = max(self.digested_s, host_s)
+        self._first_s = host_s if self._first_s is None else self._first_s
         if self.state.phase is seq.Phase.UPLOADED:
             self._check()
 
@@ -362,11 +365,12 @@ class FlightCore:
 
     def _check(self) -> None:
         """Preflight of what the core itself sees; called as data come in, until it can say yes or no."""
-        if self.recorder is None or self.digested_s < GROUND_CHECK_S:
+        seen_s = self.digested_s - (self.digested_s if self._first_s is None else self._first_s)
+        if self.recorder is None or seen_s < GROUND_CHECK_S:
             return
         streams = self.recorder.streams(self.digested_s)
         missing = [name for name in NEEDED_STREAMS if name not in streams]
-        if missing and self.digested_s < 5.0 * GROUND_CHECK_S:
+        if missing and seen_s < 5.0 * GROUND_CHECK_S:
             return
         empty_v = self.vehicle.battery.empty_v
         if missing:
@@ -486,9 +490,11 @@ class FlightCore:
         self._orders.shutdown(wait=True)
         if self.recorder is not None:
             self.recorder.close()
-        for child in (self._worker, self._drone):
-            if child is not None:
-                child.stop()
+        if self._worker is not None:
+            self._worker.stop()
+        # A link may still have to bring its vehicle down or restore its parameters: it is never killed.
+        if self._drone is not None and not self._drone.leave(DRONE_PATIENCE_S):
+            self._tell("vehicle", "the vehicle's process goes on by itself", pid=self._drone.pid)
         (self.settings.folder / ENDPOINT_FILE).unlink(missing_ok=True)
         status = self.state.exit_status if self.state.exit_status is not None else 1
         self.journal.write("outcome", self.state.phase, exit_status=status, reason=self.state.reason)

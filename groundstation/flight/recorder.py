@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from typing import Protocol
 
 from drivers.bus import DroneStatus
-from drivers.samples import Batch, Event, Sample
+from drivers.samples import Batch, Event, Raw, Sample
 from groundstation.flight.messages import StreamStatus
 
 RATE_WINDOW_S = 1.0
@@ -139,7 +139,8 @@ class Recorder:
         self.recorded += len(batch.samples)
         with self._lock:
             for sample, host_s in zip(batch.samples, batch.host_s, strict=True):
-                name = type(sample).__name__.lower()
-                self._meters.setdefault(name, StreamMeter()).add(sample.device_s, host_s)
+                if not isinstance(sample, Event | Raw):
+                    name = type(sample).__name__.lower()
+                    self._meters.setdefault(name, StreamMeter()).add(sample.device_s, host_s)
         if batch.host_s:
             self._on_digested(batch.host_s[-1])

@@ -40,8 +40,66 @@ def simulated_drone(vehicle: Path, scenario: Path, seed: int, *, real_time: bool
     return (*arguments, "--real-time") if real_time else arguments
 
 
-def fly(folder: Path, *, plan: Path, vehicle: Path, drone: tuple[str, ...], say: Say) -> FlightResult:
+def linked_vehicle(
+    folder: Path,
+    vehicle: Path,
+    *,
+    link: str,
+    station: str,
+    force: tuple[str, ...] = (),
+    set_parameters: bool = False,
+    key_file: Path | None = None,
+) -> tuple[str, ...]:
+    """Module and arguments of the link process to a MAVLink vehicle; its raw log goes beside the recording."""
+    arguments = ["--link", link, "--vehicle", str(vehicle), "--station", station, "--raw-log", str(folder / "raw.tlog")]
+    arguments += ["--journal", str(folder.parent / "parameters.journal")]
+    for name in force:
+        arguments += ["--force", name]
+    if set_parameters:
+        arguments.append("--set-parameters")
+    if key_file is not None:
+        arguments += ["--key-file", str(key_file)]
+    return ("groundstation.flight.link", *arguments)
+
+
+def check(folder: Path, *, plan: Path, vehicle: Path, drone: tuple[str, ...], say: Say) -> str:
+    """Upload and check, but do not fly: why it would not fly; empty when it would."""
+    core, endpoint = start_core(folder, plan=plan, vehicle=vehicle, drone=drone, analyse=False)
+    with connect(endpoint) as client:
+        client.take_lease()
+        while core.poll() is None:
+            status = client.status(0.2)
+            if status is None:
+                continue
+            say(progress_line(status))
+            if status.phase == Phase.CHECKED:
+                client.command("abort")
+                core.wait()
+                return ""
+            if status.phase in FINAL:
+                break
+    core.wait()
+    return outcome(folder)[1]
+
+
+def fly(
+    folder: Path,
+    *,
+    plan: Path,
+    vehicle: Path,
+    drone: tuple[str, ...],
+    say: Say,
+    confirm: Callable[[], bool] = lambda: True,
+) -> FlightResult:
     """Fly a plan through a core and follow it to the report. Ctrl-C is an abort; twice is still an abort.
+
+    Args:
+        folder: where the flight is kept.
+        plan: plan file.
+        vehicle: vehicle file.
+        drone: module and arguments of the vehicle's process.
+        say: takes lines of progress.
+        confirm: asked once everything is checked; the flight is given up when it says no.
 
     Raises:
         FlightAborted: the flight was aborted and the vehicle is down.
@@ -51,17 +109,17 @@ def fly(folder: Path, *, plan: Path, vehicle: Path, drone: tuple[str, ...], say:
     with connect(endpoint) as client:
         client.take_lease()
         with _interrupts(client, say):
-            follow(client, lambda: core.poll() is not None, say)
+            follow(client, lambda: core.poll() is not None, say, confirm)
     core.wait()
     status, reason = outcome(folder)
     if status == FlightAborted.exit_status:
         raise FlightAborted(f"the flight was aborted: {reason}. The recording is {folder / 'flight.mcap'}")
-    if status == Refused.exit_status and not (folder / "flight.mcap").is_file():
+    if status == Refused.exit_status and not (folder / "report.html").is_file():
         raise Refused(reason)
     return FlightResult(folder, status, reason)
 
 
-def follow(client: CoreClient, ended: Callable[[], bool], say: Say) -> None:
+def follow(client: CoreClient, ended: Callable[[], bool], say: Say, confirm: Callable[[], bool] = lambda: True) -> None:
     """Start the flight once it is checked, and say what happens until the core is gone."""
     asked, last = False, ""
     while not ended():
@@ -69,7 +127,7 @@ def follow(client: CoreClient, ended: Callable[[], bool], say: Say) -> None:
         if status is None:
             continue
         if status.phase == Phase.CHECKED and not asked:
-            asked = client.command("start").ok
+            asked = client.command("start" if confirm() else "abort").ok
         line = progress_line(status)
         if line != last:
             say(line)
