@@ -22,16 +22,19 @@ PLAN_S = 6.0
 
 @click.command(
     context_settings={"ignore_unknown_options": True, "allow_extra_args": True, "help_option_names": []},
-    add_help_option=False,
     epilog=example("groundstation sim --mavlink --profile px4"),
 )
 @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
-def sim(arguments: tuple[str, ...]) -> int:
-    """Start the simulated drone, on zenoh or (--mavlink) as an autopilot."""
+@click.pass_context
+def sim(ctx: click.Context, arguments: tuple[str, ...]) -> int:
+    """Start the simulated drone, on zenoh or (--mavlink) as an autopilot; it takes the arguments below."""
     from groundstation.flight.children import module_command
 
-    command = module_command("sim", *arguments)
-    return subprocess.call(command)
+    if "--help" in arguments:
+        click.echo(ctx.get_help(), nl=True)
+        click.echo()
+        sys.stdout.flush()
+    return subprocess.call(module_command("sim", *arguments))
 
 
 @click.command(epilog=example("groundstation rehearse --vehicle qball2 --scenario seed"))
