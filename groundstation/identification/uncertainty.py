@@ -33,13 +33,13 @@ def coloured_covariance(influence: Array, residual: Array, period_s: float) -> A
     # Twice the length, so that the products below are linear, not circular, correlations.
     length = 1 << (2 * k - 1).bit_length()
     spectrum = _cross_spectrum(residual, period_s, length)
-    active = np.abs(influence).max(axis=0) > 0.0
     weight = np.full(length // 2 + 1, 2.0)
     weight[[0, -1]] = 1.0
-    listened = np.zeros((parameters, outputs, length // 2 + 1), dtype=complex)
-    listened[active] = np.fft.rfft(influence.transpose(1, 2, 0)[active], length, axis=-1)
-    carried = np.einsum("pof,fov->pvf", listened, spectrum)
-    covariance = np.einsum("pvf,qvf,f->pq", carried, listened.conj(), weight, optimize=True).real / length
+    active = (influence != 0.0).any(axis=0)
+    listened = np.zeros((length // 2 + 1, parameters, outputs), dtype=complex)
+    listened[:, active] = np.fft.rfft(influence[:, active], length, axis=0)
+    carried = weight[:, None, None] * np.matmul(listened, spectrum)
+    covariance = np.tensordot(carried, listened.conj(), axes=((0, 2), (0, 2))).real / length
     return 0.5 * (covariance + covariance.T)
 
 
