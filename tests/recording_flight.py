@@ -37,7 +37,7 @@ def flight(duration_s: float = 6.0, seed: int = 0, scale: float = 1.0) -> Flight
     def motion(t_s):
         flat = plan.series().sample((t_s * scale) % 10.0)
         flat.position[:] *= scale ** np.arange(5)[:, None, None]
-        flat.yaw[:] *= scale ** np.arange(3)[:, None]
+        flat.yaw[:] *= scale ** (np.arange(3)[:, None] - 2.0)  # as small a yaw as keeps its acceleration
         return rigid_motion(flat)
 
     def times(rate_hz):
@@ -55,7 +55,7 @@ def flight(duration_s: float = 6.0, seed: int = 0, scale: float = 1.0) -> Flight
     w = m.angular_velocity_body_rad_s
     torque = m.angular_acceleration_body_rad_s2 @ inertia.T + np.cross(w, w @ inertia.T)
     wrench = np.column_stack([vehicle.mass_kg * m.specific_thrust_m_s2, torque])
-    thrust = np.linalg.lstsq(vehicle.allocation(), wrench.T, rcond=None)[0].T
+    thrust = np.linalg.lstsq(vehicle.allocation(), wrench.T, rcond=None)[0].T.clip(0.05)
     speed = np.sqrt(thrust / vehicle.rotors.thrust_coefficient_n_s2) + rng.normal(size=(len(t_s), 4))
 
     t_pose, received_pose = times(100.0)

@@ -52,7 +52,9 @@ def test_an_independent_ros2_reader_decodes_every_topic(tmp_path):
         decoded = {channel.topic: (message, ros) for _, channel, message, ros in reader.iter_decoded_messages()}
         attachments = {attachment.name for attachment in reader.iter_attachments()}
         metadata = {record.name: record.metadata for record in reader.iter_metadata()}
-        assert reader.get_summary().statistics.message_count == len(SAMPLES) + 2  # and the status, and what the battery had to round
+        assert (
+            reader.get_summary().statistics.message_count == len(SAMPLES) + 2
+        )  # and the status, and what the battery had to round
     assert attachments == {"vehicle.toml"}
     assert metadata["groundstation"]["scenario"] == "none"
     imu = decoded["/imu"][1]
