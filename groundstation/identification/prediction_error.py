@@ -168,6 +168,14 @@ class Options:
     autoregression: int = 24
 
 
+@dataclass(frozen=True, slots=True)
+class _Prediction:
+    wrench: Array
+    impulse: Array
+    rate: Array
+    force: Array
+
+
 class RecordModel:
     """Predicted outputs of one record and their sensitivities. Built once per flight; pure in the parameters."""
 
@@ -217,7 +225,10 @@ class RecordModel:
 
     def average(self, values: Array) -> Array:
         """Block means of samples at the IMU's stamps, shape (blocks, ...)."""
-        return values[self.members].mean(axis=1)
+        total = values[self.members[:, 0]].copy()
+        for column in self.members.T[1:]:
+            total += values[column]
+        return total / self.members.shape[1]
 
     def thrusts(self, up_s: float, down_s: float, delay_s: float) -> tuple[Array, Array]:
         """[F_z, tau] at the IMU's stamps and their running integrals, shapes (k, 4), by the declared constants."""
@@ -232,9 +243,7 @@ class RecordModel:
             interpolate_columns(query, motors.start_s, motors.step_s, integral),
         )
 
-    def evaluate(self, p: Parameters, options: Options) -> tuple[Array, Array, tuple[str, ...]]:
-        """Residuals (blocks, 6) and sensitivities d(prediction)/d(parameter) (blocks, 6, P) at ``p``, with names."""
-        inverse = np.linalg.inv(p.tensor)
+    def _predict(self, p: Parameters) -> _Prediction:
         wrench, impulse = self.thrusts(p.lag_up_s, p.lag_down_s, p.delay_s)
         thrust, thrust_integral = wrench[:, :1], impulse[:, :1]
         lever = np.stack([-p.com_m[1], p.com_m[0]])
@@ -248,9 +257,25 @@ class RecordModel:
         ):
             torque += coefficient * (integral - np.cross(p.com_m, push))
             force += coefficient * term.value[:, :3]
-        rate = torque @ inverse.T
-        specific = force / p.mass_kg + p.force_bias_m_s2
-        residual = np.concatenate([self.rate - self.average(rate), self.force - self.average(specific)], axis=1)
+        rate = torque @ np.linalg.inv(p.tensor).T
+        return _Prediction(wrench, impulse, rate, force)
+
+    def residual(self, p: Parameters) -> Array:
+        """Measured less predicted rates and specific forces at ``p``, (blocks, 6)."""
+        return self._residual(p, self._predict(p))
+
+    def _residual(self, p: Parameters, prediction: _Prediction) -> Array:
+        predicted = np.concatenate([prediction.rate, prediction.force / p.mass_kg + p.force_bias_m_s2], axis=1)
+        return np.concatenate([self.rate, self.force], axis=1) - self.average(predicted)
+
+    def evaluate(self, p: Parameters, options: Options) -> tuple[Array, Array, tuple[str, ...]]:
+        """Residuals (blocks, 6) and sensitivities d(prediction)/d(parameter) (blocks, 6, P) at ``p``, with names."""
+        inverse = np.linalg.inv(p.tensor)
+        prediction = self._predict(p)
+        wrench, impulse, rate, force = prediction.wrench, prediction.impulse, prediction.rate, prediction.force
+        thrust, thrust_integral = wrench[:, :1], impulse[:, :1]
+        lever = np.stack([-p.com_m[1], p.com_m[0]])
+        residual = self._residual(p, prediction)
 
         names: list[str] = []
         columns: list[Array] = []
@@ -544,8 +569,10 @@ def fit(
                     gradient = gradient + x.T @ (w * y)
                     cost += float(np.sum(np.where(w < 1.0, 3.0 * np.abs(y) - 4.5, 0.5 * y**2)))
             step = np.linalg.solve(normal, gradient)
-            p, evaluated, taken = _line_search(models, p, names, theta, step, options, extra_names, channels, state, polynomials, cost, mean, std)
+            p, taken = _line_search(models, p, names, theta, step, extra_names, channels, state, polynomials, cost, mean, std)
             iterations += 1
+            if taken > 0.0:
+                evaluated = [model.evaluate(p, options) for model in models]
             if taken == 0.0 or np.all(np.abs(taken * step) < 0.02 * np.sqrt(np.diag(np.linalg.inv(normal)))):
                 break
     theta = _current(p, names, extra_names)
@@ -559,29 +586,29 @@ def fit(
 
 
 def _line_search(
-    models: Sequence[RecordModel], p: Parameters, names: Sequence[str], theta: Array, step: Array, options: Options,
+    models: Sequence[RecordModel], p: Parameters, names: Sequence[str], theta: Array, step: Array,
     extra_names: Sequence[str], channels: Sequence[tuple[int, ...]], state: Sequence, polynomials: Sequence, cost: float,
     mean: Array, std: Array,
-) -> tuple[Parameters, list, float]:
+) -> tuple[Parameters, float]:
     """Halve the step until the cost falls; keep the tensor positive definite and the mass positive."""
     fraction = 1.0
     for _ in range(10):
         trial = _moved(p, names, theta + fraction * step, extra_names)
         if trial.mass_kg > 0.0 and np.linalg.eigvalsh(trial.tensor)[0] > 0.02 * np.linalg.eigvalsh(p.tensor)[0]:
-            evaluated = [model.evaluate(trial, options) for model in models]
+            residuals = [model.residual(trial) for model in models]
             values = _current(trial, names, extra_names)
             total = 0.5 * float(np.sum(((values - mean) / std) ** 2))
             for index, model in enumerate(models):
-                blank = evaluated[index][1][:, :, :0]
-                ys, _, logs = _whiten(model, evaluated[index][0], blank, channels[index], state[index], polynomials[index])
+                blank = np.zeros((*residuals[index].shape, 0))
+                ys, _, logs = _whiten(model, residuals[index], blank, channels[index], state[index], polynomials[index])
                 total += logs
                 for y in ys:
                     w = _huber(y)
                     total += float(np.sum(np.where(w < 1.0, 3.0 * np.abs(y) - 4.5, 0.5 * y**2)))
             if total <= cost + 1e-9 * abs(cost):
-                return trial, evaluated, fraction
+                return trial, fraction
         fraction *= 0.5
-    return p, [model.evaluate(p, options) for model in models], 0.0
+    return p, 0.0
 
 
 def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: Options) -> Fitted:
@@ -613,7 +640,7 @@ def output_error(models: Sequence[RecordModel], start: Fitted, options: Options)
         restart = model.restart.copy()
         restart[::every] = True
         shooting.append(model.restarted(restart))
-        residual = model.evaluate(start.parameters, options)[0]
+        residual = model.residual(start.parameters)
         chosen = [c for c in options.channels if c < 3 or np.isfinite(model.force[:, c - 3]).all()]
         spread = [
             max(float(np.std(np.diff(residual[:, c]))) if c < 3 else float(np.std(residual[:, c])), 1e-9) for c in chosen

@@ -34,6 +34,7 @@ from groundstation.trajectory import FlatState, rigid_motion
 Array = NDArray[np.float64]
 
 FIT_RATE_HZ = 150.0
+MEASURED_RATE_HZ = 30.0
 SHORTEST_S = 4.0
 UNKNOWN_ACCEL_BIAS_M_S2 = 0.1
 """Standard deviation of an accelerometer bias nobody measured: 10 mg, a consumer MEMS sensor's turn-on bias."""
@@ -139,7 +140,7 @@ def prepare(flight: FlightData, *, exclude: Sequence[tuple[float, float]] = ()) 
         force_m_s2=motion.force,
         force_bias_std=motion.force_bias_std,
         motors=inputs,
-        block=max(1, round(motion.rate_hz / FIT_RATE_HZ)),
+        block=max(1, round(motion.rate_hz / (MEASURED_RATE_HZ if measured else FIT_RATE_HZ))),
     )
     voltage, charge = _battery(flight, t)
     return Prepared(
