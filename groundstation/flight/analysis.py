@@ -118,6 +118,10 @@ def _diagnose(
         return diagnose(flights, references=references, held_out=held_out, progress=progress)
     except Refused as error:
         return Diagnosis(first.name, first.vehicle.name, "refused", reason=str(error))
+    except Exception as error:
+        traceback.print_exc()
+        reason = f"the diagnosis failed ({type(error).__name__}: {error}); this is a defect"
+        return Diagnosis(first.name, first.vehicle.name, "refused", reason=reason)
 
 
 def write_identification(
@@ -162,6 +166,17 @@ def warm_up() -> None:
         importlib.import_module(f"groundstation.{module}")
 
 
+def first_look(flight: FlightData) -> None:
+    """Show the preliminary table. What goes wrong here is told, and never costs the analysis proper."""
+    try:
+        _say(0.04, "preliminary: filtered least squares", preliminary(flight))
+    except NotIdentifiable as error:
+        _say(0.04, str(error))
+    except Exception as error:
+        traceback.print_exc()
+        _say(0.04, f"no preliminary result ({type(error).__name__})")
+
+
 def main(folder: Path) -> int:
     """The worker: waits for a line, then a preliminary table first, then everything."""
     try:
@@ -172,10 +187,7 @@ def main(folder: Path) -> int:
 
         _say(0.01, "reading the recording")
         flight = load_flight(folder / "flight.mcap")
-        try:
-            _say(0.04, "preliminary: filtered least squares", preliminary(flight))
-        except NotIdentifiable as error:
-            _say(0.04, str(error))
+        first_look(flight)
         analysis = analyse([flight], folder, progress=_say)
         table = parameter_table(analysis.identification, flight.vehicle.parameters())
         _say(1.0, f"identified by {analysis.identification.best}", table)

@@ -1,0 +1,155 @@
+"""The whole loop with the simulated drone as real processes, and what happens when one of them is killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import tomli_w
+
+from drivers import bus
+from groundstation.flight.client import outcome, start_core
+from groundstation.flight.core import DRONE
+from groundstation.flight.journal import NAME as JOURNAL
+from groundstation.flight.journal import read_journal
+from groundstation.flight.rehearse import simulated_drone
+from groundstation.paths import find_config
+from groundstation.recording import load_flight
+from groundstation.trajectory import load_plan, plan_from_dict, plan_to_dict
+
+DEADLINE_S = 120.0  # the simulator compiles on its first start
+
+
+@pytest.fixture
+def plan_file(tmp_path) -> Path:
+    """One period of the published trajectory, a tenth smaller so that it keeps its own limits."""
+    document = plan_to_dict(load_plan(find_config("plans", "paper_table2")))
+    for channel in document["coefficients"].values():
+        channel["a"] = [0.9 * value for value in channel["a"]]
+        channel["b"] = [0.9 * value for value in channel["b"]]
+    document["periods"] = 1.0
+    plan_from_dict(document)
+    path = tmp_path / "short.toml"
+    path.write_text(tomli_w.dumps(document))
+    return path
+
+
+def rehearse(plan_file: Path, *more: str) -> subprocess.Popen[str]:
+    arguments = ["rehearse", "--scenario", "clean", "--plan", str(plan_file), "--logs", "logs", *more]
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", "groundstation.cli", *arguments],
+        cwd=plan_file.parent,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def until_line(process: subprocess.Popen[str], start: str) -> None:
+    """Read the client's progress up to a line that starts so."""
+    for line in process.stderr:
+        if line.startswith(start):
+            return
+    raise AssertionError(f"no line starts with {start}; status {process.wait()}")
+
+
+def the_flight(plan_file: Path) -> Path:
+    (folder,) = (plan_file.parent / "logs").iterdir()
+    return folder
+
+
+def test_the_whole_loop_ends_with_a_report_and_the_truth_beside_the_estimates(plan_file):
+    process = rehearse(plan_file, "--json")
+    out, err = process.communicate(timeout=DEADLINE_S)
+    assert process.returncode == 0, err
+    document = json.loads(out)
+    folder = Path(document["folder"])
+    assert {path.name for path in folder.iterdir()} >= {
+        *("flight.mcap", "report.html", "identification.json", "identification.toml", "flight.log.jsonl"),
+    }
+    flight = load_flight(folder / "flight.mcap")
+    assert flight.truth is not None and flight.plan == load_plan(plan_file)
+    assert flight.metadata["scenario"] == "clean"
+    assert flight.window_s is not None
+    assert flight.window_s[1] - flight.window_s[0] == pytest.approx(10.0, abs=0.01)
+    best = document["identification"]["best"]
+    mass = document["identification"]["methods"][best]["parameters"]["mass_kg"]
+    assert mass["value"] == pytest.approx(document["truth"]["mass_kg"], rel=0.01)
+    assert "exciting" in err and "s left" in err and "Hz: " in err
+    kinds = [entry["kind"] for entry in read_journal(folder / JOURNAL)]
+    assert kinds[-1] == "outcome" and "estimates" in kinds
+
+
+def test_a_killed_client_changes_nothing_for_the_flight(plan_file):
+    process = rehearse(plan_file)
+    until_line(process, "airborne")
+    process.kill()
+    process.wait()
+    folder, end = the_flight(plan_file), time.monotonic() + DEADLINE_S
+    while read_journal(folder / JOURNAL)[-1]["kind"] != "outcome":
+        assert time.monotonic() < end, "the core did not finish"
+        time.sleep(0.05)
+    assert outcome(folder)[0] == 0
+    assert (folder / "report.html").is_file()
+
+
+def test_an_interrupt_lands_the_vehicle_and_says_so(plan_file):
+    process = rehearse(plan_file, "--json")
+    until_line(process, "airborne")
+    os.kill(process.pid, signal.SIGINT)
+    out, err = process.communicate(timeout=DEADLINE_S)
+    assert process.returncode == 4, err
+    assert "aborted" in json.loads(out)["error"]
+    folder = the_flight(plan_file)
+    flight = load_flight(folder / "flight.mcap")
+    assert abs(flight.setpoint.values[-1, 2]) < 0.6
+    phases = [entry["text"] for entry in read_journal(folder / JOURNAL) if entry["kind"] == "vehicle"]
+    assert phases[-1] == "landed"
+
+
+def test_a_killed_core_leaves_an_open_recording_and_the_drone_lands_itself(plan_file):
+    folder = plan_file.parent / "logs" / "flight"
+    vehicle, scenario = find_config("vehicles", "qball2"), find_config("scenarios", "clean")
+    drone = simulated_drone(vehicle, scenario, 1)
+    core, endpoint = start_core(folder, plan=plan_file, vehicle=vehicle, drone=drone, start=True, analyse=False)
+    end = time.monotonic() + DEADLINE_S
+    while not ((log := folder / JOURNAL).is_file() and any("-> exciting" in e["text"] for e in read_journal(log))):
+        assert time.monotonic() < end and core.poll() is None, (folder / "core.log").read_text()
+        time.sleep(0.01)
+    core.kill()
+    core.wait()
+    seen: queue.SimpleQueue[bus.DroneStatus] = queue.SimpleQueue()
+    with bus.open_session(listen=[endpoint]) as session:
+        keys = bus.DroneKeys(DRONE)
+        handle = bus.subscribe(session, keys.status, bus.decoder_of(bus.DroneStatus), seen.put)
+        # The drone connects again by itself; asked what it is doing, it stands on the ground.
+        for _ in range(20):
+            try:
+                bus.ask(session, keys.command, bus.Command("abort"), timeout_s=1.0)
+                break
+            except ConnectionError:
+                continue
+        status = seen.get(timeout=10.0)
+        assert status.phase == "landed" and not status.armed
+        assert bus.ask(session, keys.command, bus.Command("shutdown")).ok
+        handle.close()
+    flight = load_flight(folder / "flight.mcap")
+    assert len(flight.motors) > 1000 and flight.plan is not None
+
+
+def test_a_plan_the_vehicle_cannot_fly_is_refused_with_its_reason(plan_file):
+    document = plan_to_dict(load_plan(plan_file))
+    document["coefficients"]["x"]["a"] = [8.0 * value for value in document["coefficients"]["x"]["a"]]
+    plan_file.write_text(tomli_w.dumps(document))
+    process = rehearse(plan_file, "--json")
+    out, err = process.communicate(timeout=DEADLINE_S)
+    assert process.returncode == 3, err
+    assert "refused" in json.loads(out)["reason"]
