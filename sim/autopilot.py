@@ -21,6 +21,9 @@ POSITION_SUM, ANGLE_SUM, TILT, FORCE, CONTROL_SIZE = 0, 3, 6, 8, 11
 EST_POSITION, EST_VELOCITY, EST_ATTITUDE, EST_RATE, GYRO_BIAS, ACCEL_BIAS, ESTIMATE_SIZE = 0, 3, 6, 10, 13, 16, 19
 """Estimator state; the first 13 are the columns of a ``state`` stream. The acceleration bias is in the world."""
 
+LEAD_RATIO = 0.35
+"""What share of a known rotor lag is left in the loop after the lead; less would pass more sensor noise to the rotors."""
+
 SETPOINT_SIZE = 11
 """Setpoint row: position (3), velocity (3), acceleration (3) in the world, yaw, yaw rate."""
 
@@ -38,6 +41,7 @@ class Law(NamedTuple):
         tilt_max: largest commanded tilt, rad.
         curve: declared c0, c1, c2 of thrust against motor value.
         value_max: largest motor value.
+        lead_s: rotor lag that the law knows of and leads by; 0 for none.
     """
 
     mass: float
@@ -57,6 +61,7 @@ class Law(NamedTuple):
     tilt_max: float
     curve: Vector
     value_max: float
+    lead_s: float
 
 
 class Observer(NamedTuple):
@@ -240,3 +245,20 @@ def mix(law: Law, thrust: float, torque: Vector, values) -> None:
             yaw_share = min(yaw_share, max(values[i] - law.rotor_min, 0.0) / -turn)
     for i in range(n):
         values[i] = motor_value(law, values[i] + yaw_share * m[i, 3] * tz)
+
+
+@compiled
+def lead(law: Law, dt: float, state, values) -> None:
+    """Lead motor values by (1 + T s)/(1 + r T s), r = LEAD_RATIO, which leaves a rotor lag of r T in the loop.
+
+    Args:
+        law: constants; T is ``lead_s``.
+        dt: control period, s.
+        state: lagged motor values, shape (n,), changed in place.
+        values: motor values, changed in place and kept within the rotors' limits.
+    """
+    share = 1.0 - exp(-dt / (LEAD_RATIO * law.lead_s))
+    low, high = motor_value(law, law.rotor_min), motor_value(law, law.rotor_max)
+    for i in range(len(values)):
+        state[i] += share * (values[i] - state[i])
+        values[i] = clip(state[i] + (values[i] - state[i]) / LEAD_RATIO, low, high)

@@ -10,7 +10,7 @@ from groundstation import frames
 from groundstation.errors import BadInput
 from groundstation.vehicle import Vehicle
 from sim.algebra import Symmetric, Vector
-from sim.autopilot import Law, Observer
+from sim.autopilot import LEAD_RATIO, Law, Observer
 from sim.loop import Disturbance, Instruments, Supply, World
 from sim.plant import Body, Plant, Rotors
 from sim.scenario import Scenario, true_vehicle
@@ -148,10 +148,9 @@ def build_law(declared: Vehicle, scenario: Scenario) -> Law:
         lag = effects.motor_lag.hover_s / effects.motor_lag.braking_share
     if effects.input_delay.on:
         lag += effects.input_delay.delay_s
-    if "control" in declared.model_fields_set:
-        gains = declared.control
-    else:
-        gains = tuned_control(declared, lag + 1.0 / scenario.control.attitude_hz + 1.0 / scenario.imu.rate_hz)
+    tuned = "control" not in declared.model_fields_set
+    delay = LEAD_RATIO * lag + 1.0 / scenario.control.attitude_hz + 1.0 / scenario.imu.rate_hz
+    gains = tuned_control(declared, delay) if tuned else declared.control
     count = declared.rotors.count
     weight = declared.mass_kg * declared.gravity_m_s2
     highest = declared.rotor_thrust_max_n()
@@ -175,6 +174,7 @@ def build_law(declared: Vehicle, scenario: Scenario) -> Law:
         tilt_max=_TILT_MAX,
         curve=motor_curve(declared),
         value_max=motor_value_max(declared),
+        lead_s=lag if tuned else 0.0,
     )
 
 

@@ -24,7 +24,7 @@ from sim.algebra import (
     to_body,
     to_world,
 )
-from sim.autopilot import Law, Observer, attitude_loop, correct, euler_of, mix, position_loop, predict
+from sim.autopilot import Law, Observer, attitude_loop, correct, euler_of, lead, mix, position_loop, predict
 from sim.compiled import compiled
 from sim.effects.airframe import gust_step
 from sim.effects.rotor_faults import play, power_law
@@ -122,6 +122,7 @@ class Memory(NamedTuple):
         delay: past targets, one per step, shape (HISTORY, n).
         control: controller state.
         estimate: estimator state.
+        led: state of the rotors' lead.
         history: estimated position and quaternion, one per step, shape (HISTORY, 7).
         pending: poses on their way: exposure, arrival, pose, shape (PENDING, 9).
         last_pose: last measured pose, for freezes.
@@ -139,6 +140,7 @@ class Memory(NamedTuple):
     delay: np.ndarray
     control: np.ndarray
     estimate: np.ndarray
+    led: np.ndarray
     history: np.ndarray
     pending: np.ndarray
     last_pose: np.ndarray
@@ -315,7 +317,7 @@ def touch_floor(x, flags, ground_m: float) -> None:
 
 @compiled
 def fly_law(
-    law: Law, control, estimate, target, setpoint, outer: bool, inner_s: float, outer_s: float, standing: bool
+    law: Law, control, estimate, led, target, setpoint, outer: bool, inner_s: float, outer_s: float, standing: bool
 ) -> None:
     """One control tick: new motor values into ``target``; the position loop runs where ``outer`` says so."""
     if outer:
@@ -324,6 +326,8 @@ def fly_law(
     if standing:
         torque = (0.0, 0.0, 0.0)
     mix(law, thrust, torque, target)
+    if law.lead_s > 0.0:
+        lead(law, inner_s, led, target)
 
 
 @compiled
@@ -365,6 +369,7 @@ def run(world: World, memory: Memory, stretch: Stretch):
                     world.law,
                     memory.control,
                     memory.estimate,
+                    memory.led,
                     memory.target,
                     stretch.setpoints[i_tick],
                     outer,

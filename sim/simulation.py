@@ -123,6 +123,7 @@ class Simulation:
             delay=np.zeros((HISTORY, count)),
             control=np.zeros(CONTROL_SIZE),
             estimate=estimate,
+            led=np.zeros(count),
             history=history,
             pending=np.zeros((PENDING, 9)),
             last_pose=np.concatenate([x[:3], attitude]),
