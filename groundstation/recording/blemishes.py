@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _NOISE_FACTOR = 12.0  # times the local noise: a normal sample in 10^32 lies beyond
-_LOCAL = 50  # samples to each side in which the local noise is measured
+_LOCAL = 20  # samples on each side, of which the noisier one sets the local noise: a vibration may begin anywhere
 _ACCELERATION = 50.0  # m/s^2, 5 g: the most a vehicle's velocity changes
 _ANGULAR_ACCELERATION = 300.0  # rad/s^2: above what the smallest racing quadrotors reach for more than an instant
 _REST_M_S, _REST_RAD_S = 0.02, 0.05  # slower than this on both sides, a repeated pose may be a vehicle at rest
@@ -96,8 +96,9 @@ def _beyond_noise(deviation: Array, floor: float) -> Mask:
     """Where a deviation exceeds both a floor and twelve times its local robust level."""
     out = np.zeros(len(deviation), bool)
     for at in np.flatnonzero(deviation > floor):
-        near = deviation[max(at - _LOCAL, 0) : at + _LOCAL + 1]
-        out[at] = deviation[at] > _NOISE_FACTOR * 1.4826 * float(np.median(near))
+        sides = deviation[max(at - _LOCAL, 0) : at], deviation[at + 1 : at + 1 + _LOCAL]
+        level = max(float(np.median(side)) for side in sides if len(side))
+        out[at] = deviation[at] > _NOISE_FACTOR * 1.4826 * level
     return out
 
 
