@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.identification.prediction_error import TENSOR
+from groundstation.identification.record_model import TENSOR
 from groundstation.identification.results import Estimate
 from groundstation.vehicle import Vehicle
 
@@ -50,7 +50,11 @@ def anchored(
     jacobian[1:, 0] = -scale * tensor / theta[0]
     jacobian[1:, 1:] = scale * np.eye(6)
     anchored_values = np.concatenate([[vehicle.mass_kg], scale * tensor])
-    cov_anchored = jacobian @ cov @ jacobian.T + relative_mass_std**2 * np.outer(anchored_values, anchored_values) + extra * scale**2
+    cov_anchored = (
+        jacobian @ cov @ jacobian.T
+        + relative_mass_std**2 * np.outer(anchored_values, anchored_values)
+        + extra * scale**2
+    )
     scale_std = scale * float(np.hypot(np.sqrt(cov[0, 0]) / theta[0], relative_mass_std))
     return _estimates(order, anchored_values, cov_anchored), thrust_constants(vehicle, scale, scale_std)
 

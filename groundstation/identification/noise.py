@@ -142,7 +142,9 @@ def innovations(
     return kernel(np.ascontiguousarray(z), dt, restart, noise)
 
 
-def minus_log_likelihood(residual: Array, dt: Array, restart: NDArray[np.bool_], colour: Colour, integrated: bool) -> float:
+def minus_log_likelihood(
+    residual: Array, dt: Array, restart: NDArray[np.bool_], colour: Colour, integrated: bool
+) -> float:
     """Half the Gaussian minus-log-likelihood of a residual, robustified (pseudo-Huber at 4 sigma), constants dropped."""
     e, s = innovations(residual[:, None], dt, restart, colour, integrated=integrated)
     keep = np.isfinite(s)

@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 from groundstation.errors import GroundStationError, NotIdentifiable
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored, physically_consistent
-from groundstation.identification.preparation import Prepared, prepare
 from groundstation.identification.prediction_error import (
     Fitted,
-    Options,
-    RecordModel,
     fit_from_declared,
     instrumental,
     output_error,
 )
+from groundstation.identification.preparation import Prepared, prepare
+from groundstation.identification.record_model import Options, RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification, MethodResult
 
 Array = NDArray[np.float64]
@@ -69,7 +68,9 @@ def fit_dynamics(prepared: Sequence[Prepared], progress: Progress = lambda fract
     options = options_for(prepared[0])
     models = tuple(RecordModel(item.record, planned=item.planned) for item in prepared)
     if any(len(model.t_s) < 50 for model in models):
-        raise NotIdentifiable("a flight holds less than a second of usable data.", "Leave out less of it, or fly longer.")
+        raise NotIdentifiable(
+            "a flight holds less than a second of usable data.", "Leave out less of it, or fly longer."
+        )
     progress(0.4, "prediction error with the flight's own disturbance")
     filter_error = fit_from_declared(models, prepared[0].record.vehicle, options)
     refined = None
@@ -110,7 +111,13 @@ def identify(
         if fit is None:
             continue
         parameters, constants = anchored(vehicle, fit.names, fit.values, fit.covariance)
-        rms = dict(zip(("torque_x_nm", "torque_y_nm", "torque_z_nm"), _torque_rms(fitted.models, fit, fitted.options), strict=True))
+        rms = dict(
+            zip(
+                ("torque_x_nm", "torque_y_nm", "torque_z_nm"),
+                _torque_rms(fitted.models, fit, fitted.options),
+                strict=True,
+            )
+        )
         methods[name] = MethodResult(
             parameters={key: value for key, value in parameters.items() if key not in hidden},
             rms_output_error={"force_z_n": float(fit.residual_rms[5] * fit.parameters.mass_kg), **rms},
@@ -211,7 +218,11 @@ def _torque_rms(models: Sequence[RecordModel], fit: Fitted, options: Options) ->
         residual = model.evaluate(fit.parameters, options)[0][:, :3]
         lag = max(1, round(0.1 / float(np.median(model.dt))))
         if len(residual) > lag:
-            rows.append((residual[lag:] - residual[:-lag]) / (model.t_s[lag:] - model.t_s[:-lag])[:, None] @ fit.parameters.tensor)
+            rows.append(
+                (residual[lag:] - residual[:-lag])
+                / (model.t_s[lag:] - model.t_s[:-lag])[:, None]
+                @ fit.parameters.tensor
+            )
     return [float(v) for v in np.sqrt(np.mean(np.concatenate(rows) ** 2, axis=0))] if rows else [float("nan")] * 3
 
 
@@ -265,4 +276,3 @@ def _seed_methods(
     except GroundStationError as error:
         note = str(error)
         return {name: MethodResult(parameters={}, note=note) for name in ("LS", "GD", "FMLS", "FMGD")}
-

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from groundstation.errors import NotIdentifiable, Refused
 from groundstation.flightdata import FlightData, Stream
-from groundstation.frames import quat_log, quat_multiply, quat_conjugate, quat_exp, quat_rotate_inverse
+from groundstation.frames import quat_conjugate, quat_exp, quat_log, quat_multiply, quat_rotate_inverse
 from groundstation.identification.clock import coarse_offset, rates_from_attitude
-from groundstation.identification.prediction_error import DynamicRecord, PlannedMotion
 from groundstation.identification.processing import clean, excitation_window
-from groundstation.identification.reconstruction import Compatibility, body_motion, reconstruct, slerp
+from groundstation.identification.reconstruction import Compatibility, body_motion, reconstruct
+from groundstation.identification.record_model import DynamicRecord, PlannedMotion
 from groundstation.identification.results import Clock
 from groundstation.model.rotors import (
     MotorInput,
@@ -183,7 +183,9 @@ def _motion(flight: FlightData, notes: list[str]) -> _Motion:
     if flight.imu is not None and len(flight.imu) > 50:
         return _from_imu(flight, clean(flight.imu), pose, state, notes)
     if pose is not None and len(pose) > 50:
-        notes.append("There is no IMU: rates and accelerations are differences of motion-capture poses, which is noisier.")
+        notes.append(
+            "There is no IMU: rates and accelerations are differences of motion-capture poses, which is noisier."
+        )
         return _from_poses(flight, pose)
     if state is not None and len(state) > 50:
         notes.append("There is no IMU: rates and accelerations come from the vehicle's own state estimate.")
@@ -229,7 +231,9 @@ def _from_imu(flight: FlightData, imu: Stream, pose: Stream | None, state: Strea
         causal = body_motion(compatibility, rate, lever, causal=True)
         dropped = int((~compatibility.kept).sum())
         if dropped:
-            notes.append(f"{dropped} of {len(compatibility.kept)} poses lay outside the IMU's record or did not fit it and were left out.")
+            notes.append(
+                f"{dropped} of {len(compatibility.kept)} poses lay outside the IMU's record or did not fit it and were left out."
+            )
     if np.any(lever != 0.0):
         force = force - _lever_arm(t, rate, lever)
     return _Motion(t, rate, force, bias_std, smooth, causal, compatibility, clock, "imu", imu.rate_hz())
@@ -256,7 +260,9 @@ def _from_poses(flight: FlightData, pose: Stream) -> _Motion:
     acceleration = np.gradient(velocity, middle, axis=0)
     force = quat_rotate_inverse(half, acceleration + np.array([0.0, 0.0, flight.vehicle.gravity_m_s2]))
     motion = (half, 0.5 * (p[1:] + p[:-1]), velocity)
-    return _Motion(middle, rate, force, np.full(3, 1e-4), motion, motion, None, None, "poses", 1.0 / float(np.median(np.diff(t))))
+    return _Motion(
+        middle, rate, force, np.full(3, 1e-4), motion, motion, None, None, "poses", 1.0 / float(np.median(np.diff(t)))
+    )
 
 
 def _rotate(q: Array, vector: Array) -> Array:
@@ -268,9 +274,7 @@ def _rotate(q: Array, vector: Array) -> Array:
 def _from_state(flight: FlightData, state: Stream) -> _Motion:
     t, x = state.t_s, state.values
     q, velocity, rate = x[:, 6:10], x[:, 3:6], x[:, 10:13]
-    force = quat_rotate_inverse(
-        q, np.gradient(velocity, t, axis=0) + np.array([0.0, 0.0, flight.vehicle.gravity_m_s2])
-    )
+    force = quat_rotate_inverse(q, np.gradient(velocity, t, axis=0) + np.array([0.0, 0.0, flight.vehicle.gravity_m_s2]))
     motion = (q, x[:, :3], velocity)
     return _Motion(t, rate, force, np.full(3, 1e-3), motion, motion, None, None, "state", state.rate_hz())
 
@@ -318,7 +322,9 @@ def _battery(flight: FlightData, t: Array) -> tuple[Array, Array]:
         return np.full(len(t), np.nan), np.full(len(t), np.nan)
     battery = clean(Stream(flight.battery.t_s, flight.battery.values[:, :1], ("voltage_v",)))
     voltage = np.interp(t, battery.t_s, battery.values[:, 0]) if len(battery) > 1 else np.full(len(t), np.nan)
-    current = flight.battery.values[:, 1] if flight.battery.values.shape[1] > 1 else np.full(len(flight.battery), np.nan)
+    current = (
+        flight.battery.values[:, 1] if flight.battery.values.shape[1] > 1 else np.full(len(flight.battery), np.nan)
+    )
     known = np.isfinite(current)
     charge = np.full(len(t), np.nan)
     if known.sum() > 1:
@@ -328,7 +334,9 @@ def _battery(flight: FlightData, t: Array) -> tuple[Array, Array]:
     return voltage, charge
 
 
-def planned_motion(flight: FlightData, t: Array, rate: Array, keep: NDArray[np.bool_], start_s: float) -> PlannedMotion | None:
+def planned_motion(
+    flight: FlightData, t: Array, rate: Array, keep: NDArray[np.bool_], start_s: float
+) -> PlannedMotion | None:
     """The motion the plan (or the setpoints) asked for, at stamps t, shifted to where the vehicle followed it.
 
     The shift is the vehicle's own tracking delay and whatever separates the clocks; it maximises the correlation of body rates.
@@ -369,7 +377,7 @@ def planned_motion(flight: FlightData, t: Array, rate: Array, keep: NDArray[np.b
     )
 
 
-def _setpoint_spline(setpoint: Stream):  # noqa: ANN202
+def _setpoint_spline(setpoint: Stream):
     """Quintic least-squares spline through position and yaw setpoints, knots every 0.2 s; None if they do not move."""
     from scipy.interpolate import make_lsq_spline
 

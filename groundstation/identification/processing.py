@@ -137,6 +137,8 @@ def process_flight(
     exclude: Segments = (),
     cutoff_hz: float | None = None,
     period_s: float | None = None,
+    transient_s: float | None = None,
+    accelerometer: bool = True,
 ) -> Signals:
     """Bring a flight's streams together and differentiate them.
 
@@ -146,6 +148,8 @@ def process_flight(
         exclude: segments [start, end] on the IMU's clock that are not used.
         cutoff_hz: of the low-pass; None: see :func:`default_cutoff_hz`.
         period_s: grid spacing; None: the IMU's (or the state's, or 2 ms), between 1 and 20 ms.
+        transient_s: left out at the start of a known excitation; None: 10 s, at most a fifth of it.
+        accelerometer: may be used where poses are there too; the paper has none.
 
     Raises:
         NotIdentifiable: the streams overlap for less than 2 s, or hold no motion at all.
@@ -154,7 +158,7 @@ def process_flight(
     imu = None if flight.imu is None else clean(flight.imu, exclude)
     state = None if flight.state is None else clean(flight.state, exclude)
     pose = _pose(flight, mocap_minus_imu_s, exclude)
-    window = excitation_window(flight)
+    window = excitation_window(flight, transient_s)
     stamps = [stream.t_s for stream in (motors, imu or state, pose) if stream is not None]
     grid = _grid(flight, imu or state, stamps, window, cutoff_hz, period_s)
     t = grid.t_s
@@ -179,7 +183,9 @@ def process_flight(
             f"Only {left:.1f} s are left outside gaps and excluded segments.",
             f"Exclude less, or record at least {SHORTEST_S:.0f} s of motion.",
         )
-    specific, source, force_note = _specific_force(grid, flight.vehicle, imu, pose, rates, seen, used)
+    specific, source, force_note = _specific_force(
+        grid, flight.vehicle, imu if accelerometer or pose is None else None, pose, rates, seen, used
+    )
     return Signals(
         t_s=t,
         used=used,
@@ -303,7 +309,7 @@ def default_cutoff_hz(flight: FlightData, imu: Stream | None, t_s: Array) -> flo
     return max(2.0, 10.0 * top)
 
 
-def excitation_window(flight: FlightData) -> tuple[float, float]:
+def excitation_window(flight: FlightData, transient_s: float | None = None) -> tuple[float, float]:
     """Start and end of what is used: the known excitation, or the airborne part, less the transient.
 
     Airborne is the longest stretch with more than half the thrust that the flight's upper quartile has, less one second
@@ -314,7 +320,7 @@ def excitation_window(flight: FlightData) -> tuple[float, float]:
     """
     if flight.window_s is not None:
         start, end = flight.window_s
-        return start + min(TRANSIENT_S, 0.2 * (end - start)), end
+        return start + (min(TRANSIENT_S, 0.2 * (end - start)) if transient_s is None else transient_s), end
     motors = clean(flight.motors)
     t = motors.t_s
     thrust = declared_wrench(flight.vehicle, motors, flight.battery, t)[:, 0]

@@ -424,7 +424,9 @@ def _position_noise(error: Array, dt: Array, start: Array | None = None) -> Arra
         square = np.minimum(e[keep] ** 2 / s[keep, None], 25.0)
         return 0.5 * float(3.0 * np.sum(np.log(s[keep])) + np.sum(square))
 
-    found = minimize(cost, np.log(start[:3]), method="Nelder-Mead", options={"maxiter": 80, "xatol": 0.05, "fatol": 0.1})
+    found = minimize(
+        cost, np.log(start[:3]), method="Nelder-Mead", options={"maxiter": 80, "xatol": 0.05, "fatol": 0.1}
+    )
     return np.array([*np.exp(found.x), 0.3])
 
 

@@ -1,0 +1,387 @@
+"""The predicted rates and specific forces of one recorded flight, and their sensitivities to the parameters.
+
+    omega(t) = omega(0) + J^-1 H(t),    H = integral of (tau(T) - c x T e_z - omega x J omega)
+    f(t) = (T e_z + extra forces) / m + b
+
+T are rotor thrusts behind a lag and a delay. omega x J omega uses the measured rates, whose noise is a part in a thousand
+there. Sensitivities are analytic; those of lag and delay are differences of the exact lag. Everything is linear in running
+integrals, so those are averaged to the fit's rate once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.model.rotors import MotorInput, cumulative, declared_thrust, interpolate_columns, wrench_matrix
+from groundstation.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+TENSOR = ("ixx_kg_m2", "ixy_kg_m2", "ixz_kg_m2", "iyy_kg_m2", "iyz_kg_m2", "izz_kg_m2")
+BASIS = np.zeros((6, 3, 3))
+for _index, (_i, _j) in enumerate([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]):
+    BASIS[_index, _i, _j] = BASIS[_index, _j, _i] = 1.0
+INSTRUMENT_SHIFTS_S = (-0.25, -0.1, 0.0, 0.1, 0.25)
+PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+"""Where the entries of TENSOR stand in the matrix."""
+CHANNELS = ("torque_x_nm", "torque_y_nm", "torque_z_nm", "force_x_n", "force_y_n", "force_z_n")
+
+
+@dataclass(frozen=True, slots=True)
+class DynamicRecord:
+    """One flight's data for the dynamic fit, at the IMU's stamps (the IMU's clock).
+
+    Attributes:
+        t_s: stamps, (k,). keep: samples inside the window and outside exclusions, (k,).
+        rate_rad_s: rates less their bias, (k, 3).
+        force_m_s2: specific force of the declared origin less bias and lever arm, (k, 3); NaN when there is no accelerometer.
+        force_bias_std: what is left unknown of the bias, (3,).
+        motors: on the motors' clock.
+        block: samples averaged into one for the fit, the same on both sides of the equation.
+    """
+
+    vehicle: Vehicle
+    t_s: Array
+    keep: Mask
+    rate_rad_s: Array
+    force_m_s2: Array
+    force_bias_std: Array
+    motors: MotorInput
+    block: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedMotion:
+    """The motion that was asked for, at the IMU's stamps: it owes nothing to this flight's disturbances.
+
+    Attributes:
+        rate_rad_s: body rates, (k, 3).
+        angular_acceleration_rad_s2: (k, 3).
+        specific_thrust_m_s2: thrust over mass, (k,).
+        extra: planned wrench of each BodyWrench term, (k, 6) each.
+    """
+
+    rate_rad_s: Array
+    angular_acceleration_rad_s2: Array
+    specific_thrust_m_s2: Array
+    extra: tuple[Array, ...] = ()
+
+    def shifted(self, seconds: float, t_s: Array) -> PlannedMotion:
+        """The same motion, later by ``seconds``; the ends are held."""
+        if seconds == 0.0:
+            return self
+        query = t_s - seconds
+
+        def move(values: Array) -> Array:
+            columns = values.reshape(len(t_s), -1)
+            return np.stack([np.interp(query, t_s, c) for c in columns.T], axis=-1).reshape(values.shape)
+
+        return PlannedMotion(
+            move(self.rate_rad_s),
+            move(self.angular_acceleration_rad_s2),
+            move(self.specific_thrust_m_s2),
+            tuple(move(value) for value in self.extra),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class BodyWrench:
+    """An extra force and torque about the declared origin per unit of one parameter, body axes, at the IMU's stamps.
+
+    ``value`` has shape (k, 6): force (N) then torque (N m). ``prior_std`` regularises the coefficient about ``prior``.
+    """
+
+    name: str
+    value: Array
+    prior_std: float = np.inf
+    prior: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters:
+    """The state of the fit in physical units; ``extra`` holds the coefficients of the BodyWrench terms."""
+
+    mass_kg: float
+    tensor: Array
+    lag_up_s: float
+    lag_down_s: float
+    delay_s: float
+    com_m: Array
+    yaw_trim_nm: float
+    force_bias_m_s2: Array
+    extra: Array = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the fit is free to change.
+
+    ``torque_axes`` and ``use_force`` select output channels; ``lag`` and ``delay`` free those parameters.
+    """
+
+    lag: bool = True
+    symmetric_lag: bool = False
+    delay: bool = True
+    com: bool = True
+    yaw_trim: bool = True
+    channels: tuple[int, ...] = (0, 1, 2, 5)
+    colour_rounds: int = 3
+    autoregression: int = 24
+
+
+@dataclass(frozen=True, slots=True)
+class _Prediction:
+    wrench: Array
+    impulse: Array
+    rate: Array
+    force: Array
+
+
+@dataclass(frozen=True, slots=True)
+class _PlannedBase:
+    """What the planned sensitivities are made of, averaged to the fit's rate."""
+
+    rate: Array
+    gyroscopic: Array
+    thrust: Array
+    impulse: Array
+    slope: Array
+    rising: Array
+    d_slope: Array
+    d_rising: Array
+    extra: tuple[tuple[Array, Array], ...]
+
+
+class RecordModel:
+    """Predicted outputs of one record and their sensitivities, at the fit's rate. Built once per flight; pure in the parameters.
+
+    Attributes:
+        t_s, dt, restart: blocks of averaged samples, shape (blocks,); ``restart`` marks the first of a segment.
+        rate, force: measured, averaged, (blocks, 3).
+    """
+
+    def __init__(self, record: DynamicRecord, extra: Sequence[BodyWrench] = (), planned: PlannedMotion | None = None):
+        self.record = record
+        self.planned = planned
+        self.extra = tuple(extra)
+        self._matrix = wrench_matrix(record.vehicle)
+        self._members, self.restart = _blocks(record)
+        self._step = np.concatenate([[0.0], np.diff(record.t_s)])
+        self.t_s = self.average(record.t_s[:, None])[:, 0]
+        nominal = float(np.median(np.diff(record.t_s))) * record.block
+        self.dt = np.concatenate([[nominal], np.maximum(np.diff(self.t_s), 1e-4)])[: len(self.t_s)]
+        self.rate = self.average(record.rate_rad_s)
+        self.force = self.average(record.force_m_s2)
+        self._elapsed = self.t_s - record.t_s[0]
+        self._gyroscopic = self._integrated_gyroscopic(record.rate_rad_s)
+        self._extra = tuple((self.average(self._integrate(e.value)), self.average(e.value[:, :3])) for e in self.extra)
+        self._bases: tuple[_PlannedBase, ...] = ()
+
+    def restarted(self, restart: Mask) -> RecordModel:
+        """The same record with other segment starts."""
+        other = RecordModel(self.record, self.extra, self.planned)
+        other.restart = restart
+        return other
+
+    def _integrate(self, values: Array) -> Array:
+        mean = 0.5 * (values[1:] + values[:-1]) * self._step[1:, None]
+        return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(mean, axis=0)])
+
+    def _integrated_gyroscopic(self, rate: Array) -> Array:
+        products = np.stack([np.cross(rate, rate @ basis) for basis in BASIS], axis=-1)
+        return self.average(self._integrate(products.reshape(len(rate), -1))).reshape(-1, 3, 6)
+
+    def average(self, values: Array) -> Array:
+        """Block means of samples at the IMU's stamps, shape (blocks, columns)."""
+        if not len(self._members):
+            return np.zeros((0, values.shape[1]))
+        total = values[self._members[:, 0]].copy()
+        for column in self._members.T[1:]:
+            total += values[column]
+        return total / self._members.shape[1]
+
+    def thrusts(self, up_s: float, down_s: float, delay_s: float) -> tuple[Array, Array]:
+        """[F_z, tau] and their running integrals by the declared constants, shapes (blocks, 4)."""
+        motors = self.record.motors
+        lagged = motors.lagged(up_s, down_s)
+        wrench = declared_thrust(self.record.vehicle, lagged) @ self._matrix.T
+        held = not motors.measured and up_s <= 1e-6 and down_s <= 1e-6
+        query = self.record.t_s - delay_s
+        both = np.concatenate([wrench, cumulative(wrench, motors.step_s, held=held)], axis=1)
+        averaged = self.average(interpolate_columns(query, motors.start_s, motors.step_s, both))
+        return averaged[:, :4], averaged[:, 4:]
+
+    def _predict(self, p: Parameters) -> _Prediction:
+        wrench, impulse = self.thrusts(p.lag_up_s, p.lag_down_s, p.delay_s)
+        torque = impulse[:, 1:] - self._gyroscopic @ np.array([p.tensor[i, j] for i, j in PAIRS])
+        torque[:, :2] += np.stack([-p.com_m[1], p.com_m[0]]) * impulse[:, :1]
+        torque[:, 2] += p.yaw_trim_nm * self._elapsed
+        force = np.zeros((len(wrench), 3))
+        force[:, 2] = wrench[:, 0]
+        for coefficient, (integral, push) in zip(p.extra, self._extra, strict=True):
+            torque += coefficient * (integral[:, 3:] - np.cross(p.com_m, integral[:, :3]))
+            force += coefficient * push
+        return _Prediction(wrench, impulse, torque @ np.linalg.inv(p.tensor).T, force)
+
+    def residual(self, p: Parameters) -> Array:
+        """Measured less predicted rates and specific forces at ``p``, (blocks, 6)."""
+        return self._residual(p, self._predict(p))
+
+    def _residual(self, p: Parameters, prediction: _Prediction) -> Array:
+        force = prediction.force / p.mass_kg + p.force_bias_m_s2
+        return np.concatenate([self.rate - prediction.rate, self.force - force], axis=1)
+
+    def evaluate(self, p: Parameters, options: Options) -> tuple[Array, Array, tuple[str, ...]]:
+        """Residuals (blocks, 6) and sensitivities d(prediction)/d(parameter) (blocks, 6, P) at ``p``, with names."""
+        inverse = np.linalg.inv(p.tensor)
+        prediction = self._predict(p)
+        wrench, impulse = prediction.wrench, prediction.impulse
+        table: dict[str, tuple[Array, Array]] = {}
+        blank = np.zeros((len(wrench), 3))
+        table["mass_kg"] = blank, -prediction.force / p.mass_kg**2
+        for name, basis, column in zip(TENSOR, BASIS, np.moveaxis(self._gyroscopic, -1, 0), strict=True):
+            table[name] = -(prediction.rate @ basis.T + column) @ inverse.T, blank
+
+        def difference(up: float, down: float, delay: float, step: float) -> tuple[Array, Array]:
+            moved = self.thrusts(up, down, delay)
+            d_impulse = (moved[1] - impulse) / step
+            torque = d_impulse[:, 1:].copy()
+            torque[:, :2] += np.stack([-p.com_m[1], p.com_m[0]]) * d_impulse[:, :1]
+            force = blank.copy()
+            force[:, 2] = (moved[0] - wrench)[:, 0] / step / p.mass_kg
+            return torque @ inverse.T, force
+
+        up, down, delay = p.lag_up_s, p.lag_down_s, p.delay_s
+        step = max(1e-3, 0.02 * max(up, down))
+        if options.delay:
+            table["input_delay_s"] = difference(up, down, delay + 1e-3, 1e-3)
+        if options.lag and options.symmetric_lag:
+            table["rotor_lag_s"] = difference(up + step, down + step, delay, step)
+        elif options.lag:
+            table["rotor_lag_up_s"] = difference(up + step, down, delay, step)
+            table["rotor_lag_down_s"] = difference(up, down + step, delay, step)
+        self._add_offsets(table, inverse, impulse[:, 0], options)
+        for term, (integral, push) in zip(self.extra, self._extra, strict=True):
+            torque = integral[:, 3:] - np.cross(p.com_m, integral[:, :3])
+            table[term.name] = torque @ inverse.T, push / p.mass_kg
+        return self._residual(p, prediction), _stacked(table), tuple(table)
+
+    def _add_offsets(
+        self, table: dict[str, tuple[Array, Array]], inverse: Array, impulse: Array, options: Options
+    ) -> None:
+        """Sensitivities to centre of mass, yaw trim and accelerometer bias."""
+        blank = np.zeros((len(impulse), 3))
+
+        def along(axis: int, values: Array | float) -> Array:
+            out = blank.copy()
+            out[:, axis] = values
+            return out
+
+        if options.com:
+            table["com_offset_x_m"] = along(1, impulse) @ inverse.T, blank
+            table["com_offset_y_m"] = along(0, -impulse) @ inverse.T, blank
+        if options.yaw_trim:
+            table["yaw_trim_nm"] = along(2, self._elapsed) @ inverse.T, blank
+        for axis, letter in enumerate("xyz"):
+            if axis + 3 in options.channels:
+                table[f"accel_bias_{letter}_m_s2"] = blank, along(axis, 1.0)
+
+    def instruments(self, p: Parameters, options: Options) -> Array:
+        """Sensitivities the planned motion would have at ``p``, shifted by INSTRUMENT_SHIFTS_S, (blocks, 6, P * shifts).
+
+        Any function of the plan is a valid instrument (Soderstrom and Stoica 1983); what the vehicle really did is a filtered
+        plan, which a few shifted copies span. The lag is approximated by its first order: d(impulse)/d(tau) = -wrench.
+        """
+        if self.planned is None:
+            raise ValueError("no planned motion was given for this record")
+        if not self._bases:
+            planned = [self.planned.shifted(seconds, self.record.t_s) for seconds in INSTRUMENT_SHIFTS_S]
+            self._bases = tuple(self._planned_base(motion, p) for motion in planned)
+        return np.concatenate([self._planned_sensitivities(base, p, options) for base in self._bases], axis=2)
+
+    def _planned_base(self, plan: PlannedMotion, p: Parameters) -> _PlannedBase:
+        rate = plan.rate_rad_s
+        torque = plan.angular_acceleration_rad_s2 @ p.tensor + np.cross(rate, rate @ p.tensor)
+        thrust = p.mass_kg * plan.specific_thrust_m_s2[:, None]
+        slope = np.gradient(np.concatenate([thrust, torque], axis=1), self.record.t_s, axis=0)
+        rising = np.maximum(slope @ np.linalg.pinv(self._matrix).T, 0.0) @ self._matrix.T
+        return _PlannedBase(
+            rate=self.average(rate),
+            gyroscopic=self._integrated_gyroscopic(rate),
+            thrust=self.average(thrust)[:, 0],
+            impulse=self.average(self._integrate(thrust))[:, 0],
+            slope=self.average(self._integrate(slope)),
+            rising=self.average(self._integrate(rising)),
+            d_slope=self.average(slope),
+            d_rising=self.average(rising),
+            extra=tuple((self.average(self._integrate(e)), self.average(e[:, :3])) for e in plan.extra),
+        )
+
+    def _planned_sensitivities(self, base: _PlannedBase, p: Parameters, options: Options) -> Array:
+        inverse = np.linalg.inv(p.tensor)
+        table: dict[str, tuple[Array, Array]] = {}
+        blank = np.zeros((len(base.thrust), 3))
+
+        def upward(values: Array) -> Array:
+            out = blank.copy()
+            out[:, 2] = values
+            return out
+
+        table["mass_kg"] = blank, upward(-base.thrust / p.mass_kg**2)
+        for name, basis, column in zip(TENSOR, BASIS, np.moveaxis(base.gyroscopic, -1, 0), strict=True):
+            table[name] = -(base.rate @ basis.T + column) @ inverse.T, blank
+        later = (-base.slope[:, 1:] @ inverse.T, upward(-base.d_slope[:, 0] / p.mass_kg))
+        rising = (-base.rising[:, 1:] @ inverse.T, upward(-base.d_rising[:, 0] / p.mass_kg))
+        if options.delay:
+            table["input_delay_s"] = later
+        if options.lag and options.symmetric_lag:
+            table["rotor_lag_s"] = later
+        elif options.lag:
+            table["rotor_lag_up_s"] = rising
+            table["rotor_lag_down_s"] = later[0] - rising[0], later[1] - rising[1]
+        self._add_offsets(table, inverse, base.impulse, options)
+        for term, (integral, push) in zip(self.extra, base.extra, strict=True):
+            table[term.name] = integral[:, 3:] @ inverse.T, push / p.mass_kg
+        return _stacked(table)
+
+
+def _blocks(record: DynamicRecord) -> tuple[NDArray[np.int64], Mask]:
+    """Indices of the samples of each block, (blocks, block), and which blocks begin a segment."""
+    index = np.flatnonzero(record.keep)
+    nominal = float(np.median(np.diff(record.t_s)))
+    broken = (np.diff(index) > 1) | (np.diff(record.t_s[index]) > 3.5 * nominal)
+    members: list[NDArray[np.int64]] = []
+    restarts: list[bool] = []
+    for part in np.split(index, np.flatnonzero(broken) + 1):
+        count = len(part) // record.block
+        if count >= 8:
+            members.append(part[: count * record.block].reshape(count, record.block))
+            restarts += [True] + [False] * (count - 1)
+    empty = np.zeros((0, record.block), dtype=np.int64)
+    return (np.concatenate(members) if members else empty), np.array(restarts, dtype=bool)
+
+
+def _stacked(table: dict[str, tuple[Array, Array]]) -> Array:
+    """Columns (rate, force) of each parameter side by side, (blocks, 6, P)."""
+    return np.stack([np.concatenate(pair, axis=1) for pair in table.values()], axis=-1)
+
+
+def initial_parameters(vehicle: Vehicle, *, lag_s: float, extra: int = 0) -> Parameters:
+    """The declared vehicle with a starting lag (where none is declared)."""
+    lag = vehicle.rotors.lag
+    return Parameters(
+        mass_kg=vehicle.mass_kg,
+        tensor=vehicle.inertia_tensor(),
+        lag_up_s=lag.up_s or lag_s,
+        lag_down_s=lag.down_s or lag_s,
+        delay_s=0.0,
+        com_m=np.zeros(3),
+        yaw_trim_nm=0.0,
+        force_bias_m_s2=np.zeros(3),
+        extra=np.zeros(extra),
+    )
