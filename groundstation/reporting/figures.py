@@ -116,6 +116,25 @@ def time_figure(
     }
 
 
+def focus(figure: Figure, start_s: float, end_s: float) -> Figure:
+    """Start a time figure on a part of it; both axes fit what is drawn there (a double click shows the whole)."""
+    if end_s <= start_s:
+        return figure
+    seen = [
+        value
+        for drawn in figure["data"]
+        for t, value in zip(drawn["x"], drawn["y"], strict=True)
+        if t is not None and value is not None and start_s <= t <= end_s
+    ]
+    if not seen:
+        return figure
+    margin = 0.08 * (max(seen) - min(seen)) or 0.05 * abs(seen[0]) or 1.0
+    layout = figure["layout"]
+    layout["xaxis"] = {**layout["xaxis"], "range": [start_s, end_s]}
+    layout["yaxis"] = {**layout["yaxis"], "range": [min(seen) - margin, max(seen) + margin]}
+    return figure
+
+
 def path_figure(flown: Array, wanted: Array | None) -> Figure:
     """The path in three dimensions, flown and wanted, shape (k, 3)."""
     data = [_path_3d(flown, "flown", 0)]
@@ -126,7 +145,11 @@ def path_figure(flown: Array, wanted: Array | None) -> Figure:
         "data": data,
         "layout": {
             "height": 440,
-            "scene": {"aspectmode": "data", "camera": {"eye": {"x": 1.5, "y": -1.5, "z": 0.9}}, **axis},
+            "scene": {
+                "aspectmode": "data",
+                "camera": {"eye": {"x": 1.6, "y": -1.6, "z": 0.9}, "center": {"x": 0, "y": 0, "z": -0.1}},
+                **axis,
+            },
         },
     }
 
@@ -247,13 +270,13 @@ def coverage_figure(
 ) -> Figure:
     """One bar per uninterrupted stretch of each stream, so that gaps are seen; excluded segments are shaded."""
     data = []
-    for i, (name, stretches) in enumerate(list(intervals.items())[::-1]):
+    for name, stretches in list(intervals.items())[::-1]:
         x: list[float | None] = []
         for start, end in stretches:
             x += [round(start, 4), round(end, 4), None]
         data.append({
             "type": "scatter", "mode": "lines", "x": x, "y": [name] * len(x), "name": name, "showlegend": False,
-            "line": {"color": f"@{i % COLOURS + 1}", "width": 12}, "connectgaps": False,
+            "line": {"color": "@1", "width": 12}, "connectgaps": False,
         })  # fmt: skip
     layout = {
         "height": 100 + 30 * len(data), "xaxis": {"title": {"text": "device time (s)"}},

@@ -103,6 +103,8 @@ def identified_from_document(document: Mapping[str, Any]) -> Identified:
     for name in _ROTOR_KEYS:
         if name in value and name in rotors:
             rotors[name] = value[name]
+    if "thrust_curve" in rotors:
+        rotors["thrust_curve"] = [value.get(f"thrust_curve_c{i}_n", c) for i, c in enumerate(rotors["thrust_curve"])]
     for side in ("up", "down"):
         if f"rotor_lag_{side}_s" in value:
             rotors["lag"][f"{side}_s"] = max(0.0, value[f"rotor_lag_{side}_s"])

@@ -75,7 +75,11 @@ def table(
         for row in rows
     ]
     content = element(
-        "table", element("caption", caption), element("thead", head), element("tbody", body), class_=class_ or None
+        "table",
+        element("caption", element("span", caption)),
+        element("thead", head),
+        element("tbody", body),
+        class_=class_ or None,
     )
     return element("div", content, class_="scroll", role="region", tabindex="0", aria_label="Table")
 

@@ -25,6 +25,7 @@ def report_html(
     diagnosis: Diagnosis | None = None,
     *,
     live: Sequence[str] = (),
+    source: str | None = None,
 ) -> str:
     """The report as HTML text.
 
@@ -33,6 +34,7 @@ def report_html(
         identification: the result, or the refusal with its reason and remedy.
         diagnosis: what the declared vehicle lacks, where that was asked.
         live: what was noticed while flying (lost messages, guard actions), one sentence each.
+        source: what to call the recording in the commands that reproduce the report; by default the flight's name.
     """
     page = Page(f"{flight.name} – flight report")
     result = None if isinstance(identification, Refused) else identification
@@ -46,7 +48,7 @@ def report_html(
     add_residuals(page, diagnosis)
     add_data(page, flight, result, live)
     add_warnings(page, [*(result.warnings if result else ()), *(diagnosis.warnings if diagnosis else ())])
-    add_reproduction(page, flight, result)
+    add_reproduction(page, flight, result, source or flight.metadata.get("source", flight.name))
     return page.html(_header(flight), _footer())
 
 
@@ -58,9 +60,11 @@ def write_report(
     *,
     live: Sequence[str] = (),
 ) -> Path:
-    """Write :func:`report_html` to ``path`` and return it."""
+    """Write :func:`report_html` to ``path`` and return it; a ``flight.mcap`` beside it is named as the recording."""
     path = Path(path)
-    path.write_text(report_html(flight, identification, diagnosis, live=live), encoding="utf-8")
+    recording = path.with_name("flight.mcap")
+    source = str(recording) if recording.is_file() else None
+    path.write_text(report_html(flight, identification, diagnosis, live=live, source=source), encoding="utf-8")
     return path
 
 

@@ -115,17 +115,17 @@ def add_warnings(page: Page, warnings: Sequence[str]) -> None:
     page.section("warnings", f"Warnings ({len(unique)})" if unique else "Warnings", content)
 
 
-def add_reproduction(page: Page, flight: FlightData, identification: Identification | None) -> None:
+def add_reproduction(page: Page, flight: FlightData, identification: Identification | None, source: str) -> None:
     """Versions, what is known about the recording, and the commands that give the same numbers again."""
     versions = [("groundstation", groundstation.__version__), ("Python", platform.python_version())]
     versions += [(name, metadata.version(name)) for name in ("numpy", "scipy")]
-    source = flight.metadata.get("source", flight.name)
     options = "".join(f" --exclude {a:g}:{b:g}" for a, b in identification.excluded_s) if identification else ""
     commands = "\n".join(f"groundstation {command} {source}{options}" for command in ("identify", "diagnose", "report"))
     page.section(
         "reproduce",
         "Reproduce",
         element("pre", commands),
+        element("h3", "Analysed with"),
         definition_list(versions),
-        definition_list(sorted(flight.metadata.items())),
+        [element("h3", "Recorded with"), definition_list(sorted(flight.metadata.items()))] if flight.metadata else None,
     )

@@ -111,7 +111,8 @@ def add_validation(page: Page, identification: Identification) -> None:
     if not parts:
         parts = [element("p", "No validation was run on this flight.", class_="note")]
     note = "Improvement is 100 (1 − RMS / RMS of nominal): ▾ the error fell, ▴ it grew."
-    page.section("validation", "Validation", element("p", note, class_="note"), *parts)
+    legend = element("p", note, class_="note") if identification.validation else None
+    page.section("validation", "Validation", legend, *parts)
 
 
 def _validation(check: Validation, best: str) -> Markup:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,41 +19,51 @@ Array = NDArray[np.float64]
 AXES = ("x", "y", "z")
 
 
+@dataclass(frozen=True, slots=True)
+class View:
+    """Where time figures start, and what they shade.
+
+    Attributes:
+        window_s: the analysed part; empty (0, 0) where none is stated.
+        excluded_s: segments left out of the analysis.
+    """
+
+    window_s: tuple[float, float] = (0.0, 0.0)
+    excluded_s: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def partial(self) -> bool:
+        """An analysed part is stated."""
+        return self.window_s[1] > self.window_s[0]
+
+    def holds(self, t_s: Array) -> NDArray[np.bool_]:
+        """Samples inside the analysed part; all of them where none is stated, or where it holds fewer than two."""
+        inside = (t_s >= self.window_s[0]) & (t_s <= self.window_s[1])
+        return inside if self.partial and inside.sum() > 1 else np.ones(len(t_s), dtype=bool)
+
+    def figure(self, lines: list[dict], y_title: str, height: int = 300) -> figures.Figure:
+        """Lines over time, starting on the analysed part, excluded segments shaded."""
+        shapes = [figures.shade(a, b) for a, b in self.excluded_s]
+        return figures.focus(figures.time_figure(lines, y_title, shapes=shapes, height=height), *self.window_s)
+
+
 def add_flight(page: Page, flight: FlightData, identification: Identification | None) -> None:
     """Path and attitude where there are poses; rotors and battery where they were recorded."""
     motion = flown(flight, identification.clock if identification else None)
-    shapes = _bands(identification)
-    parts: list[Markup | None] = []
+    view = View(identification.window_s, identification.excluded_s) if identification else View()
+    hint = "Figures over time start on the analysed part; a double click shows the whole flight. Shaded: excluded."
+    parts: list[Markup | None] = [element("p", hint, class_="note") if view.partial else None]
     if motion is None:
-        parts.append(
-            element("p", "No pose was recorded: position, attitude and tracking cannot be shown.", class_="note")
-        )
+        text = "No pose was recorded: position, attitude and tracking cannot be shown."
+        parts.append(element("p", text, class_="note"))
     else:
-        parts += [
-            _paths(page, motion, identification),
-            _attitude(page, motion, shapes),
-            _tracking(page, motion, identification, shapes),
-        ]
-    parts += [_motors(page, flight, shapes), _battery(page, flight, shapes)]
+        parts += [_paths(page, motion, view), _attitude(page, motion, view), _tracking(page, motion, view)]
+    parts += [_motors(page, flight, view), _battery(page, flight, view)]
     page.section("flown", "What was flown", *parts)
 
 
-def _bands(identification: Identification | None) -> list[dict]:
-    """Excluded segments, shaded."""
-    return [figures.shade(a, b) for a, b in identification.excluded_s] if identification else []
-
-
-def in_window(t_s: Array, identification: Identification | None) -> NDArray[np.bool_]:
-    """Samples inside the analysed window; all of them where none is stated."""
-    if identification is None or identification.window_s[1] <= identification.window_s[0]:
-        return np.ones(len(t_s), dtype=bool)
-    start, end = identification.window_s
-    return (t_s >= start) & (t_s <= end)
-
-
-def _paths(page: Page, motion: Flown, identification: Identification | None) -> Markup:
-    here = in_window(motion.t_s, identification)
-    here = here if here.sum() > 1 else np.ones(len(here), dtype=bool)
+def _paths(page: Page, motion: Flown, view: View) -> Markup:
+    here = view.holds(motion.t_s)
     path = _broken(motion.t_s[here], motion.position_m[here])
     wanted = _broken(motion.t_s[here], motion.wanted[here, :3]) if motion.wanted is not None else None
     part = "in the analysed part of the flight" if here.sum() < len(here) else "over the whole flight"
@@ -72,7 +84,7 @@ def _broken(t_s: Array, points: Array) -> Array:
     return np.insert(points, cuts, np.nan, axis=0)
 
 
-def _attitude(page: Page, motion: Flown, shapes: list[dict]) -> Markup:
+def _attitude(page: Page, motion: Flown, view: View) -> Markup:
     degrees = np.degrees(motion.euler_rad)
     tilt = np.degrees(np.arccos(np.clip(np.cos(motion.euler_rad[:, 0]) * np.cos(motion.euler_rad[:, 1]), -1, 1)))
     lines = [figures.trace(motion.t_s, degrees[:, i], name, i) for i, name in enumerate(("roll", "pitch"))]
@@ -83,19 +95,19 @@ def _attitude(page: Page, motion: Flown, shapes: list[dict]) -> Markup:
     return element(
         "div",
         page.figure(
-            figures.time_figure(lines, "angle (°)", shapes=shapes),
+            view.figure(lines, "angle (°)"),
             f"Tilt; at most {significant(float(np.nanmax(tilt)), 3)}°.",
         ),
-        page.figure(figures.time_figure(yaw, "yaw (°)", shapes=shapes), "Yaw."),
+        page.figure(view.figure(yaw, "yaw (°)"), "Yaw."),
         class_="pair",
     )
 
 
-def _tracking(page: Page, motion: Flown, identification: Identification | None, shapes: list[dict]) -> Markup | None:
+def _tracking(page: Page, motion: Flown, view: View) -> Markup | None:
     error = motion.tracking_error()
     if error is None:
         return element("p", "No setpoints and no plan were recorded: tracking cannot be judged.", class_="note")
-    here = in_window(motion.t_s, identification) & np.isfinite(error).all(axis=1)
+    here = view.holds(motion.t_s) & np.isfinite(error).all(axis=1)
     lines = [figures.trace(motion.t_s, 1e3 * error[:, i], axis, i) for i, axis in enumerate(AXES)]
     rows = []
     if here.any():
@@ -115,12 +127,12 @@ def _tracking(page: Page, motion: Flown, identification: Identification | None, 
     )
     return fragment(
         element("h3", "Tracking"),
-        page.figure(figures.time_figure(lines, "flown − wanted (mm)", shapes=shapes), "Position error."),
+        page.figure(view.figure(lines, "flown − wanted (mm)"), "Position error."),
         summary,
     )
 
 
-def _motors(page: Page, flight: FlightData, shapes: list[dict]) -> Markup:
+def _motors(page: Page, flight: FlightData, view: View) -> Markup:
     kind = flight.vehicle.rotors.input
     titles = {"rotor_speed": "rotor speed (rad/s)", "command": "command", "wrench": "wrench (N, N m)"}
     names = flight.motors.columns if kind == "wrench" else [f"rotor {i + 1}" for i in range(len(flight.motors.columns))]
@@ -135,14 +147,12 @@ def _motors(page: Page, flight: FlightData, shapes: list[dict]) -> Markup:
         if kind != "rotor_speed" or flight.vehicle.rotors.speed_source == "command"
         else " (measured)."
     )
-    return fragment(
-        element("h3", "Rotors"), page.figure(figures.time_figure(lines, titles[kind], shapes=shapes), caption)
-    )
+    return fragment(element("h3", "Rotors"), page.figure(view.figure(lines, titles[kind]), caption))
 
 
-def _battery(page: Page, flight: FlightData, shapes: list[dict]) -> Markup | None:
+def _battery(page: Page, flight: FlightData, view: View) -> Markup | None:
     if flight.battery is None or len(flight.battery) < 2:
         return None
     lines = [figures.trace(flight.battery.t_s, flight.battery.column("voltage_v"), "voltage", 0)]
-    figure = figures.time_figure(lines, "voltage (V)", shapes=shapes, height=220)
+    figure = view.figure(lines, "voltage (V)", height=220)
     return page.figure(figure, "Battery at the terminals.")

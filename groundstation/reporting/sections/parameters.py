@@ -22,7 +22,7 @@ def add_parameters(page: Page, flight: FlightData, identification: Identificatio
         if identification.anchor == "thrust"
         else "The declared mass fixes the scale; the rotor constants are estimated against it."
     )
-    best = element("p", element("strong", f"Best: {identification.best}. "), identification.best_reason)
+    best = element("p", element("strong", f"Best: {identification.best}. "), reason(identification))
     page.section(
         "parameters",
         "Parameters",
@@ -34,6 +34,12 @@ def add_parameters(page: Page, flight: FlightData, identification: Identificatio
         _model_table(identification, nominal, truth),
         _not_identifiable(identification),
     )
+
+
+def reason(identification: Identification) -> str:
+    """Why the best method is the best, as a sentence of its own."""
+    text = identification.best_reason.removeprefix(f"{identification.best}:").strip()
+    return text[:1].upper() + text[1:]
 
 
 def _ordered(identification: Identification) -> list[str]:
@@ -132,8 +138,13 @@ def _panels(
 
 
 def _notes(identification: Identification) -> Markup | None:
-    notes = [(name, m.note) for name, m in identification.methods.items() if m.note]
-    return element("ul", [element("li", element("strong", f"{n}: "), note) for n, note in notes]) if notes else None
+    """What the methods have to say, methods that say the same together."""
+    methods: dict[str, list[str]] = {}
+    for name, method in identification.methods.items():
+        if method.note:
+            methods.setdefault(method.note, []).append(name)
+    items = [element("li", element("strong", f"{', '.join(names)}: "), note) for note, names in methods.items()]
+    return element("ul", items) if items else None
 
 
 def _model_table(

@@ -10,6 +10,7 @@ from groundstation.identification.results import Estimate, Identification
 from groundstation.reporting import figures
 from groundstation.reporting.markup import Markup, element, fragment, sentence_list, table
 from groundstation.reporting.page import Page
+from groundstation.reporting.sections.parameters import reason
 from groundstation.reporting.sections.tables import error_table, estimate_cell, row_name
 from groundstation.reporting.units import (
     interval_text,
@@ -48,7 +49,7 @@ def add_verdict(page: Page, identification: Identification | Refused, diagnosis:
         page.section("verdict", "Verdict", content, _missing(identification.not_identifiable))
         return
     if diagnosis is None:
-        best = f"Best estimate: {identification.best}. {identification.best_reason}"
+        best = f"Best estimate: {identification.best}. {reason(identification)}"
         page.section("verdict", "Verdict", _banner("open", "Identified; not diagnosed.", best), _cards(identification))
         return
     page.section(
