@@ -30,7 +30,9 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
         help="udpout://HOST:PORT, udpin://HOST:PORT, tcpin://HOST:PORT, tcp://HOST:PORT or serial://DEVICE:BAUD; repeatable",
     )  # fmt: skip
     parser.add_argument("--real-time", type=float, default=1.0, metavar="SPEED", help="simulated seconds per second")
-    parser.add_argument("--clock-drift", type=float, metavar="SHARE", help="how much faster its clock runs than the host's")
+    parser.add_argument(
+        "--clock-drift", type=float, metavar="SHARE", help="how much faster its clock runs than the host's"
+    )
     parser.add_argument("--just-booted", action="store_true", help="begin with the start-up, not a minute after it")
     return parser.parse_args(argv)
 

@@ -78,7 +78,19 @@ class ArduCopterLog:
     def vision(self, a: ArduCopter, position_ned: tuple[float, float, float], yaw_ned: float) -> None:
         """A pose that arrived."""
         self._log.add(
-            "VISP", a.boot_us, a.boot_us, a.boot_ms, *position_ned, 0.0, 0.0, math.degrees(yaw_ned), 0.01, 0.01, 0, 0, 100
+            "VISP",
+            a.boot_us,
+            a.boot_us,
+            a.boot_ms,
+            *position_ned,
+            0.0,
+            0.0,
+            math.degrees(yaw_ned),
+            0.01,
+            0.01,
+            0,
+            0,
+            100,
         )
 
     def _due(self, name: str, time_s: float) -> bool:

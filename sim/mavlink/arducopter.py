@@ -9,17 +9,26 @@ import math
 from dataclasses import replace
 from typing import ClassVar
 
-from sim.mavlink import inbound, messages
+from sim.mavlink import messages
 from sim.mavlink.airframe import Vector
 from sim.mavlink.apmlog import ArduCopterLog
 from sim.mavlink.autopilot import (
-    ACCEPTED, CRITICAL, DENIED, FAILED, INFO, UNSUPPORTED, Autopilot, Link, Mode, Sender,
+    ACCEPTED,
+    CRITICAL,
+    DENIED,
+    FAILED,
+    INFO,
+    UNSUPPORTED,
+    Autopilot,
+    Mode,
+    Sender,
 )  # fmt: skip
 from sim.mavlink.control import NAN3, Setpoint
 from sim.mavlink.estimator import EstimatorSettings
 from sim.mavlink.guidance import GuidanceSettings
 from sim.mavlink.logserver import LogFile
-from sim.mavlink.parameters import Parameter, ParameterStore
+from sim.mavlink.outbox import Link, parameter_value
+from sim.mavlink.parameters import Parameter
 from sim.mavlink.wire import Message, mavlink
 
 FORCE_DISARM, FORCE_ARM = 21196.0, 2989.0
@@ -28,6 +37,15 @@ _CAPABILITIES = 64495  # recorded
 _PRESENT, _ENABLED, _HEALTH = 1399979023, 1380031503, 1196530703 & ~0x10000000
 _FASTEST_US = 3000
 _BASE = 1 | 16 | 64
+ORIGIN_S = 20.0
+STARTUP = (
+    (4.45, "EKF3 IMU0 initialised"), (4.45, "EKF3 IMU1 initialised"), (4.46, "AHRS: EKF3 active"),
+    (5.79, "EKF3 IMU0 tilt alignment complete"), (5.79, "EKF3 IMU1 tilt alignment complete"),
+    (5.89, "EKF3 IMU0 MAG0 initial yaw alignment complete"), (5.89, "EKF3 IMU1 MAG0 initial yaw alignment complete"),
+    (9.81, "GPS 1: probing for u-blox at 230400 baud"), (9.82, "GPS 1: detected u-blox"),
+    (20.01, "EKF3 IMU0 origin set"), (20.04, "Field Elevation Set: 488m"), (20.21, "EKF3 IMU1 origin set"),
+)  # fmt: skip
+"""Texts after boot, seconds since boot, as recorded."""
 
 
 def _guided_target(a: messages.Autopilot) -> Message | None:
@@ -42,7 +60,9 @@ def _guided_target(a: messages.Autopilot) -> Message | None:
 class ArduCopter(Autopilot):
     """An ArduCopter quadrotor."""
 
-    NAME = "arducopter"
+    PARAMETER_TABLE = ("arducopter", False)
+    DIRECTORIES = ("/APM/LOGS", "/APM/scripts")
+    FIRST_MODE = "STABILIZE"
     VERSION = "V4.8.0-dev (64a9c787)"
     TICK_US, EMIT_US = 2500, 2500
     ALTITUDE_M, VTOL_STATE, RULE = 488.1, 3, "ardupilot"
@@ -57,8 +77,10 @@ class ArduCopter(Autopilot):
         Mode("BRAKE", 17, _BASE | 8, "hold", True),
     )
     ESTIMATOR = EstimatorSettings(gps_error_m=0.01, gps_ready_s=41.4, vision_timeout_s=8.0)
-    GUIDANCE = GuidanceSettings(climb_m_s=1.0, descend_m_s=0.5)
-    SPOOL_S, RAMP_S = 2.0, 1.0
+    GUIDANCE = GuidanceSettings(climb_m_s=1.15, descend_m_s=0.5)
+    SPOOL_S, RAMP_S, CONTACT_S = 2.0, 0.5, 1.59
+    THROTTLE_RAMP_S, DISARM_LANDED_S = 1.0, 0.5
+    PREARM_FIRST_S, PREARM_EVERY_S = 26.45, 30.0
     PARAMETERS_PER_TICK = 4
     LOG_PIECES_PER_TICK = 4
     READ_BY_NAME_INDEX = 65535
@@ -74,31 +96,22 @@ class ArduCopter(Autopilot):
     def __init__(self, *args: object, **options: object):
         self._log: ArduCopterLog | None = None
         self._log_path = ""
+        self._startup: list[tuple[float, str]] = []
         self._origin_set = False
-        self._origin_announced = False
         self._using_announced = False
         self._vision_origin = False
         self._last_setpoint_s = -math.inf
-        self._prearm_s = -math.inf
+        self._prearm_s = self.PREARM_FIRST_S
         self._ekf_failsafe = False
         self._station_failsafe = False
         super().__init__(*args, **options)  # type: ignore[arg-type]
-        self._origin_announced = self._using_announced = self.time_s > self.ESTIMATOR.gps_ready_s
-        self._origin_set = self._origin_announced
+        self._startup = [(t, text) for t, text in STARTUP if t > self.time_s]
+        self._origin_set = self.time_s > ORIGIN_S
+        self._using_announced = self.time_s > self.ESTIMATOR.gps_ready_s
+        while self._prearm_s < self.time_s:
+            self._prearm_s += self.PREARM_EVERY_S
 
     # -- what it is -------------------------------------------------------------------------------------------------
-
-    def _parameters(self) -> ParameterStore:
-        return ParameterStore("arducopter", bytewise=False)
-
-    def _directories(self) -> tuple[str, ...]:
-        return ("/APM/LOGS", "/APM/scripts")
-
-    def _mission_dialect(self) -> inbound.MissionDialect:
-        return "ardupilot"
-
-    def _first_mode(self) -> str:
-        return "STABILIZE"
 
     def _default_streams(self, kind: str) -> dict[int, int]:
         return {0: 1_000_000, 111: 10_000_000}
@@ -172,8 +185,7 @@ class ArduCopter(Autopilot):
         self._vision_origin = True
         index = self.parameters.index("VISO_TYPE") or 0
         self.parameter_changed(self.parameters.all[index])
-        for link in self.links.values():
-            self.send(link, *self.build(49))
+        self._send_origin()
 
     def _vision_accepted(self, name: str, message: Message) -> bool:
         if not self.parameters["VISO_TYPE"]:
@@ -188,7 +200,7 @@ class ArduCopter(Autopilot):
         index = self.parameters.index("MIS_TOTAL")
         if index is not None:
             self.parameters["MIS_TOTAL"] = len(self.mission.items)
-            self.send_parameter(link, index, as_index=65535)
+            link.send(parameter_value(self, index, shown=self.READ_BY_NAME_INDEX))
 
     def command(self, number: int, p: list[float], link: Link, sender: Sender) -> int | None:
         """Commands of the vehicle itself."""
@@ -199,7 +211,7 @@ class ArduCopter(Autopilot):
         if number == mavlink.MAV_CMD_NAV_TAKEOFF:
             return self._command_takeoff(p[6])
         if number in (mavlink.MAV_CMD_NAV_LAND, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH):
-            return self._change("LAND" if number == mavlink.MAV_CMD_NAV_LAND else "RTL")
+            return self._acknowledged(number, "LAND" if number == mavlink.MAV_CMD_NAV_LAND else "RTL", link, sender)
         if number == mavlink.MAV_CMD_CONDITION_YAW:
             return ACCEPTED if self.mode.name == "GUIDED" else FAILED
         if number == mavlink.MAV_CMD_DO_FLIGHTTERMINATION and p[0] > 0.5:
@@ -211,14 +223,17 @@ class ArduCopter(Autopilot):
             return FAILED if self.armed else ACCEPTED
         return UNSUPPORTED
 
-    def _command_mode(self, custom: int, link: Link, sender: Sender) -> int:
+    def _command_mode(self, custom: int, link: Link, sender: Sender) -> int | None:
         name = next((m.name for m in self.MODES if m.custom == custom), None)
-        result = FAILED if name is None else self._change(name)
-        if result == ACCEPTED:  # recorded: the heartbeat follows the acknowledgement at once
-            acknowledged = mavlink.MAVLink_command_ack_message(mavlink.MAV_CMD_DO_SET_MODE, result, 0, 0, *sender)
-            self.send(link, acknowledged, self.heartbeat())
-            return None
-        return result
+        return FAILED if name is None else self._acknowledged(mavlink.MAV_CMD_DO_SET_MODE, name, link, sender)
+
+    def _acknowledged(self, command: int, mode: str, link: Link, sender: Sender) -> int | None:
+        """Change the mode; recorded: the heartbeat follows the acknowledgement at once."""
+        result = self._change(mode)
+        if result != ACCEPTED:
+            return result
+        link.send(mavlink.MAVLink_command_ack_message(command, result, 0, 0, *sender), self.heartbeat())
+        return None
 
     def _change(self, name: str) -> int:
         if self._by_name[name].needs_position and self.armed and not self.estimate.position_valid:
@@ -235,7 +250,7 @@ class ArduCopter(Autopilot):
         if self.mode.name != "GUIDED" or not self.armed or not self.landed or height_m <= 0.0:
             return FAILED
         self.begin("takeoff", height_m=self.home_m[2] + height_m)
-        self.armed_s = self.time_s - self.SPOOL_S * 0.5
+        self._spooled_s = max(self._spooled_s, self.time_s) + self.THROTTLE_RAMP_S
         return ACCEPTED
 
     # -- arming -----------------------------------------------------------------------------------------------------
@@ -266,6 +281,7 @@ class ArduCopter(Autopilot):
         self._log = ArduCopterLog(self, self.files[self._log_path])
         self._log.event(self, 10)
         self.text(INFO, "Arming motors")
+        self._send_origin()
         return ACCEPTED
 
     def _command_disarm(self, forced: bool) -> int:
@@ -320,7 +336,11 @@ class ArduCopter(Autopilot):
             self._failsafes()
         if self.mode.name == "LAND" and not self.estimate.position_valid and self.guidance.kind != "blind":
             self.begin("blind")
-        landed_long = self.has_flown and self.landed_for_s > 0.3 and self.guidance.kind in ("land", "blind", "return")
+        landed_long = (
+            self.has_flown
+            and self.landed_for_s > self.DISARM_LANDED_S
+            and self.guidance.kind in ("land", "blind", "return")
+        )
         waiting = self.parameters["DISARM_DELAY"]
         idle_long = self.landed and 0.0 < waiting < self.time_s - max(self.armed_s, self._landed_s)
         if landed_long or idle_long:
@@ -334,18 +354,18 @@ class ArduCopter(Autopilot):
             self.text(CRITICAL, "EKF Failsafe: changed to LAND Mode")
             self._land_now()
         action = int(self.parameters["FS_GCS_ENABLE"])
-        heard = max((link.heard_s for link in self.links.values()), default=-math.inf)
+        heard = max((link.heard_s for link in self.outbox.links.values()), default=-math.inf)
         silent = math.isfinite(heard) and self.time_s - heard > self.parameters["FS_GCS_TIMEOUT"]
         if action and silent and not self._station_failsafe:
             self._station_failsafe = True
             self.text(CRITICAL, "GCS Failsafe")
             self._change("LAND" if action == 5 or not self.estimate.position_valid else "RTL")
             self.failsafe = True
-        if self.parameters["BATT_FS_LOW_ACT"] and 0.0 < self.parameters["BATT_LOW_VOLT"] > self.truth.voltage_v:
-            if not self.failsafe:
-                self.text(CRITICAL, "Battery 1 is low")
-                self._change("LAND" if self.parameters["BATT_FS_LOW_ACT"] == 1 else "RTL")
-                self.failsafe = True
+        low = 0.0 < self.parameters["BATT_LOW_VOLT"] > self.truth.voltage_v
+        if self.parameters["BATT_FS_LOW_ACT"] and low and not self.failsafe:
+            self.text(CRITICAL, "Battery 1 is low")
+            self._change("LAND" if self.parameters["BATT_FS_LOW_ACT"] == 1 else "RTL")
+            self.failsafe = True
         self._fence()
 
     def _fence(self) -> None:
@@ -368,25 +388,32 @@ class ArduCopter(Autopilot):
             self._log.mode(self)
 
     def _announce(self) -> None:
-        """Start-up texts: origin, position source, and every half minute what keeps it from arming."""
-        if not self._origin_announced and self.estimator.source == "gps" and self.time_s > 20.0:
-            self._origin_announced = self._origin_set = True
-            self.text(INFO, "EKF3 IMU0 origin set")
-            self.text(INFO, f"Field Elevation Set: {self.ALTITUDE_M:.0f}m")
-            for link in self.links.values():
-                self.send(link, *self.build(49), *self.build(242))
+        """Start-up texts, the position source, and every half minute what keeps it from arming."""
+        while self._startup and self._startup[0][0] <= self.time_s:
+            _, text = self._startup.pop(0)
+            self.text(INFO, text)
+        if not self._origin_set and self.estimator.source == "gps" and self.time_s > ORIGIN_S:
+            self._origin_set = True
+            self._send_origin()
         if not self._using_announced and self.estimate.position_valid:
             self._using_announced = True
             source = "GPS" if self.estimator.source == "gps" else "external nav data"
-            self.text(INFO, f"EKF3 IMU0 is using {source}")
-        obstacle = self._arming_obstacle()
-        if not self.armed and obstacle is not None and self.time_s - self._prearm_s >= 30.0 and self.time_s > 25.0:
-            self._prearm_s = self.time_s
-            self.text(CRITICAL, f"PreArm: {obstacle}")
+            for imu in (0, 1):
+                self.text(INFO, f"EKF3 IMU{imu} is using {source}")
+        if self.time_s >= self._prearm_s:
+            self._prearm_s += self.PREARM_EVERY_S
+            obstacle = self._arming_obstacle()
+            if not self.armed and obstacle is not None:
+                self.text(CRITICAL, f"PreArm: {obstacle}")
+
+    def _send_origin(self) -> None:
+        """Origin and home, unasked, to everybody."""
+        self.outbox.broadcast(*self.build(49), *self.build(242))
 
     def _record(self) -> None:
         if self._log is not None:
             self._log.tick(self)
 
-    def _text_eligible(self, link: Link) -> bool:
+    def text_eligible(self, link: Link) -> bool:
+        """Always."""
         return True

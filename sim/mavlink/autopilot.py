@@ -12,20 +12,21 @@ import math
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from drivers.mavlink.codec import MavlinkCodec
 from drivers.mavlink.geometry import flip
 from groundstation.vehicle import Vehicle
 from sim.mavlink import inbound, messages
-from sim.mavlink.airframe import Airframe, ImuSample, Vector, euler
+from sim.mavlink.airframe import Airframe, ImuSample, Vector
 from sim.mavlink.control import Cascade, Gains, Setpoint
 from sim.mavlink.estimator import Estimator, EstimatorSettings
 from sim.mavlink.ftp import FtpServer
-from sim.mavlink.guidance import Guidance, GuidanceSettings, Kind, wants_up
+from sim.mavlink.guidance import Guidance, GuidanceSettings, Kind, braked, wants_up
 from sim.mavlink.logserver import LogServer
 from sim.mavlink.mission import MissionServer
+from sim.mavlink.outbox import TEXT_LENGTH, Link, Outbox
 from sim.mavlink.parameters import Parameter, ParameterStore
 from sim.mavlink.streams import Rule, Streams
 from sim.mavlink.wire import Message, mavlink
@@ -47,21 +48,6 @@ class Mode:
     needs_position: bool
 
 
-@dataclass(slots=True)
-class Link:
-    """One connection to a station."""
-
-    name: str
-    codec: MavlinkCodec
-    streams: Streams
-    bytes_per_s: float = math.inf
-    heard_s: float = -math.inf
-    budget: float = 4096.0
-    texts_sent: int = 0
-    parameters: deque[int] = field(default_factory=deque)
-    out: list[bytes] = field(default_factory=list)
-
-
 class Autopilot(ABC):
     """One vehicle with its firmware.
 
@@ -74,7 +60,9 @@ class Autopilot(ABC):
         seed: of the estimator's errors.
     """
 
-    NAME: ClassVar[str]
+    PARAMETER_TABLE: ClassVar[tuple[str, bool]]
+    DIRECTORIES: ClassVar[tuple[str, ...]]
+    FIRST_MODE: ClassVar[str]
     SYSTEM = 1
     TICK_US: ClassVar[int]
     EMIT_US: ClassVar[int]
@@ -89,7 +77,7 @@ class Autopilot(ABC):
     GAINS = Gains()
     SPOOL_S = 1.0
     RAMP_S = 3.0
-    DISARM_LANDED_S = 2.0
+    CONTACT_S = 1.4
     IDLE = 0.1
     PARAMETERS_PER_TICK = 4
     LOG_PIECES_PER_TICK = 40
@@ -106,16 +94,17 @@ class Autopilot(ABC):
         seed: int = 0,
     ):
         self.vehicle, self.airframe = vehicle, airframe
-        self.parameters = self._parameters()
+        table, bytewise = self.PARAMETER_TABLE
+        self.parameters = ParameterStore(table, bytewise=bytewise)
         self.estimator = Estimator(self.ESTIMATOR, seed=seed)
         self.cascade = Cascade(vehicle, self.GAINS)
         self.guidance = Guidance(self.GUIDANCE)
         self.files: dict[str, bytearray] = {}
-        self.ftp = FtpServer(self.files, self._directories())
+        self.ftp = FtpServer(self.files, self.DIRECTORIES)
         self.logs = LogServer(self.files, pieces_per_tick=self.LOG_PIECES_PER_TICK)
         latitude, longitude, _ = messages.geodetic((0.0, 0.0, 0.0), 0.0)
-        self.mission = MissionServer(self._mission_dialect(), (latitude, longitude, self.ALTITUDE_M))
-        self.links: dict[str, Link] = {}
+        self.mission = MissionServer(self.RULE, (latitude, longitude, self.ALTITUDE_M))
+        self.outbox = Outbox()
         self._by_name = {mode.name: mode for mode in self.MODES}
         self._clock_rate = 1.0 + clock_drift
         self._unix_offset_s = unix_s - boot_s
@@ -134,30 +123,17 @@ class Autopilot(ABC):
         self.used_mah = 0.0
         self.armed = False
         self.armed_s = -math.inf
+        self._spooled_s = math.inf
         self.landed = True
         self.failsafe = False
         self.deny_arming: str | None = None
         self._landed_s = -math.inf
         self._contact_s = 0.0
         self._ramp: float | None = None
-        self._texts: deque[tuple[float, int, Message]] = deque(maxlen=64)
-        self._text_count = 0
         self._clock_offset_s: float | None = None
-        self.mode = self._by_name[self._first_mode()]
+        self.mode = self._by_name[self.FIRST_MODE]
 
     # -- what the firmwares decide ----------------------------------------------------------------------------------
-
-    @abstractmethod
-    def _parameters(self) -> ParameterStore: ...
-
-    @abstractmethod
-    def _directories(self) -> tuple[str, ...]: ...
-
-    @abstractmethod
-    def _mission_dialect(self) -> inbound.MissionDialect: ...
-
-    @abstractmethod
-    def _first_mode(self) -> str: ...
 
     @abstractmethod
     def _default_streams(self, kind: str) -> dict[int, int]: ...
@@ -207,7 +183,8 @@ class Autopilot(ABC):
         """Write this cycle to the onboard log."""
 
     @abstractmethod
-    def _text_eligible(self, link: Link) -> bool: ...
+    def text_eligible(self, link: Link) -> bool:
+        """Whether status texts go out on this link now."""
 
     @abstractmethod
     def _landed_event(self, *, landed: bool) -> None:
@@ -220,12 +197,13 @@ class Autopilot(ABC):
         """PARAM_REQUEST_LIST: all of them, paced."""
         link.parameters = deque(range(len(self.parameters)))
 
-    def set_origin(self) -> None:
+    def set_origin(self) -> None:  # noqa: B027 - an event most may ignore
         """SET_GPS_GLOBAL_ORIGIN."""
 
-    def mission_stored(self, link: Link) -> None:
+    def mission_stored(self, link: Link) -> None:  # noqa: B027 - an event most may ignore
         """An upload is complete."""
 
+    @abstractmethod
     def parameter_changed(self, parameter: Parameter) -> None:
         """A parameter was set from outside."""
 
@@ -260,23 +238,15 @@ class Autopilot(ABC):
         streams = Streams(self.RULE, dict(self.TOPIC_HZ))
         for message_id, interval_us in self._default_streams(kind).items():
             streams.set(message_id, interval_us)
-        self.links[name] = Link(name, codec or MavlinkCodec(self.SYSTEM, 1), streams, bytes_per_s)
-
-    def send(self, link: Link, *outgoing: Message) -> None:
-        """Queue messages on a link."""
-        link.out.extend(link.codec.encode(message) for message in outgoing)
+        self.outbox.links[name] = Link(name, codec or MavlinkCodec(self.SYSTEM, 1), streams, bytes_per_s)
 
     def text(self, severity: int, text: str) -> None:
-        """STATUSTEXT to whoever listens; long texts go in pieces of fifty."""
-        pieces = [text[i : i + 50] for i in range(0, len(text), 50)]
-        number = self._text_number(len(pieces))
-        for index, piece in enumerate(pieces):
-            message = mavlink.MAVLink_statustext_message(severity, piece.encode(), number, index)
-            self._text_count += 1
-            self._texts.append((self.time_s, self._text_count, message))
+        """STATUSTEXT to whoever listens."""
+        self.outbox.text(self.time_s, severity, text, self._text_number(text))
 
-    def _text_number(self, pieces: int) -> int:
-        return 0 if pieces == 1 else 1
+    def _text_number(self, text: str) -> int:
+        """The number that holds the pieces of a long text together; 0 for a short one."""
+        return int(len(text) > TEXT_LENGTH)
 
     # -- the outside ------------------------------------------------------------------------------------------------
 
@@ -296,14 +266,11 @@ class Autopilot(ABC):
         while self._elapsed_us + self.tick_us <= due_us + 1e-3:
             self._tick()
         for name, data in incoming:
-            link = self.links[name]
+            link = self.outbox.links[name]
             for received in link.codec.decode(data):
                 if received.message is not None:
                     inbound.handle(self, link, received.message)
-        out = [(link.name, frame) for link in self.links.values() for frame in link.out]
-        for link in self.links.values():
-            link.out.clear()
-        return out
+        return self.outbox.drain()
 
     def set_mode(self, name: str) -> None:
         """Change the flight mode and begin what is flown in it."""
@@ -329,7 +296,9 @@ class Autopilot(ABC):
     def arm(self) -> None:
         """Start the rotors."""
         self.armed, self.armed_s = True, self.time_s
+        self._spooled_s = self.time_s + self.SPOOL_S
         self.home_m = self.estimate.position_m
+        self.guidance.ground_m = self.home_m[2]
         self._ramp = self.estimate.position_m[2]
         self.cascade.reset()
 
@@ -357,7 +326,8 @@ class Autopilot(ABC):
         self.airframe.step(dt, self.commands)
         self._record()
         if self.boot_us % self.EMIT_US == 0:
-            self._emit()
+            self.counter = (self.counter + 1) % 65536
+            self.outbox.emit(self)
 
     def _follow_vibration(self, before: ImuSample) -> None:
         """First-order mean of the change of the accelerometer from sample to sample, per axis."""
@@ -371,7 +341,7 @@ class Autopilot(ABC):
             return (0.0,) * count
         self.setpoint = self._ramped(dt, self.guidance.setpoint(dt, self.estimate))
         e = self.estimate
-        spooling = self.time_s - self.armed_s < self.SPOOL_S
+        spooling = self.time_s < self._spooled_s
         if self.truth.on_ground and (spooling or not wants_up(self.setpoint, e)):
             self.cascade.reset()
             return (self.IDLE,) * count
@@ -381,10 +351,11 @@ class Autopilot(ABC):
         """After arming the commanded height may not leave the ground faster than the take-off ramp."""
         if self._ramp is None:
             return wanted
-        since = self.time_s - self.armed_s - self.SPOOL_S
-        rate = self.GUIDANCE.climb_m_s * min(1.0, max(0.0, since) / self.RAMP_S)
+        since = self.time_s - self._spooled_s
         height = wanted.position_m[2]
-        if math.isnan(height) or height <= self._ramp + rate * dt:
+        rate = self.GUIDANCE.climb_m_s * min(1.0, max(0.0, since) / self.RAMP_S)
+        rate = braked(rate, height - self._ramp)
+        if math.isnan(height) or height <= self._ramp + 0.01:
             if since > self.RAMP_S and not self.landed:
                 self._ramp = None
             return wanted
@@ -395,7 +366,7 @@ class Autopilot(ABC):
         )
 
     def _detect(self, dt: float) -> None:
-        """Take-off: off the ground under thrust. Landing: a second on the ground without asking to rise."""
+        """Take-off: off the ground under thrust. Landing: some time on the ground without asking to rise."""
         if not self.armed:
             self.landed, self._contact_s = True, 0.0
             return
@@ -406,7 +377,7 @@ class Autopilot(ABC):
             return
         resting = self.truth.on_ground and not wants_up(self.setpoint, self.estimate)
         self._contact_s = self._contact_s + dt if resting else 0.0
-        if self._contact_s > 1.0:
+        if self._contact_s > self.CONTACT_S:
             self.landed, self._landed_s = True, self.time_s
             self._landed_event(landed=True)
 
@@ -426,7 +397,8 @@ class Autopilot(ABC):
         if self.landed:
             return ON_GROUND
         descending = self.guidance.kind in ("land", "blind") or self.guidance.phase == "descend"
-        return LANDING if descending else TAKING_OFF if self.guidance.kind == "takeoff" else IN_AIR
+        climbing = self.guidance.kind == "takeoff" and not self.guidance.done
+        return LANDING if descending else TAKING_OFF if climbing else IN_AIR
 
     @property
     def has_esc_telemetry(self) -> bool:
@@ -467,43 +439,6 @@ class Autopilot(ABC):
         built = self.BUILDERS[message_id](self)
         return [] if built is None else built if isinstance(built, list) else [built]
 
-    def _emit(self) -> None:
-        self.counter = (self.counter + 1) % 65536
-        pieces = self.logs.due()
-        for link in self.links.values():
-            throttled = math.isfinite(link.bytes_per_s)
-            if throttled:
-                link.budget = min(4096.0, link.budget + link.bytes_per_s * self.EMIT_US * 1e-6)
-            before = len(link.out)
-            self._emit_texts(link)
-            for _ in range(min(len(link.parameters), self.PARAMETERS_PER_TICK)):
-                self.send_parameter(link, link.parameters.popleft())
-            self.send(link, *pieces)
-            for message_id in link.streams.due(self.boot_us):
-                if link.budget > 0.0:
-                    self.send(link, *self.build(message_id))
-            if throttled:
-                link.budget -= sum(len(frame) for frame in link.out[before:])
-
-    def _emit_texts(self, link: Link) -> None:
-        if link.texts_sent == self._text_count or not self._text_eligible(link):
-            return
-        fresh = [(t, n, m) for t, n, m in self._texts if n > link.texts_sent and self.time_s - t < 5.0]
-        self.send(link, *(message for _, _, message in fresh))
-        link.texts_sent = self._text_count
-
-    def send_parameter(self, link: Link, index: int, *, as_index: int | None = None) -> None:
-        """PARAM_VALUE by index."""
-        parameter = self.parameters.all[index]
-        value = self.parameters.to_wire(parameter)
-        shown = index if as_index is None else as_index
-        self.send(
-            link,
-            mavlink.MAVLink_param_value_message(
-                parameter.name.encode(), value, parameter.kind, len(self.parameters), shown
-            ),
-        )
-
     # -- external vision --------------------------------------------------------------------------------------------
 
     def vision(self, name: str, message: Message, stamp_us: int, position_ned: Vector, yaw_ned: float | None) -> None:
@@ -516,8 +451,3 @@ class Autopilot(ABC):
     def station_clock(self, station_minus_own_s: float) -> None:
         """A TIMESYNC exchange has given the station's clock."""
         self._clock_offset_s = station_minus_own_s
-
-    @property
-    def yaw_rad(self) -> float:
-        """Estimated heading, world z up."""
-        return euler(self.estimate.quaternion)[2]

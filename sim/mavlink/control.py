@@ -117,9 +117,7 @@ class Cascade:
         out[2] = max(-0.8 * self._gravity, min(1.2 * self._gravity, out[2]))
         return (out[0], out[1], out[2])
 
-    def _torque(
-        self, dt: float, wanted: Quaternion, yaw_rate: float, attitude: Quaternion, rate: Vector
-    ) -> np.ndarray:
+    def _torque(self, dt: float, wanted: Quaternion, yaw_rate: float, attitude: Quaternion, rate: Vector) -> np.ndarray:
         gains = self._gains
         error = _rotation_between(attitude, wanted)
         target = np.asarray(gains.attitude_p) * error

@@ -38,7 +38,14 @@ class Packet:
     def pack(self) -> bytes:
         """The 251 bytes on the wire."""
         head = _HEADER.pack(
-            self.sequence % 65536, self.session, self.opcode, self.size, self.requested, self.burst_complete, 0, self.offset
+            self.sequence % 65536,
+            self.session,
+            self.opcode,
+            self.size,
+            self.requested,
+            self.burst_complete,
+            0,
+            self.offset,
         )
         return (head + self.data).ljust(251, b"\0")
 
@@ -162,9 +169,7 @@ class FtpServer:
         starts = range(request.offset, end, size)[:48]
         replies = [_ack(request, bytes(content[at : at + size]), offset=at, ahead=k + 1) for k, at in enumerate(starts)]
         last = replies[-1]
-        replies[-1] = Packet(
-            last.sequence, last.session, ACK, last.size, last.requested, 1, last.offset, last.data
-        )
+        replies[-1] = Packet(last.sequence, last.session, ACK, last.size, last.requested, 1, last.offset, last.data)
         return replies
 
     def _list(self, request: Packet, name: str) -> Packet:
@@ -179,7 +184,9 @@ class FtpServer:
 
     def _entries(self, directory: str) -> list[bytes]:
         prefix = directory.rstrip("/") + "/"
-        inside = [d[len(prefix) :].split("/")[0] for d in self._all_directories() if d.startswith(prefix) and d != prefix]
+        inside = [
+            d[len(prefix) :].split("/")[0] for d in self._all_directories() if d.startswith(prefix) and d != prefix
+        ]
         folders = [f"D{d}\0".encode() for d in sorted({d for d in inside if d})]
         names = sorted(p for p in self.files if p.startswith(prefix) and "/" not in p[len(prefix) :])
         return folders + [f"F{p[len(prefix) :]}\t{len(self.files[p])}\0".encode() for p in names]
@@ -210,11 +217,11 @@ class FtpServer:
         return _ack(request)
 
     def _rename(self, request: Packet, _: str) -> Packet:
-        old, _, new = request.data.partition(b"\0")
-        content = self.files.pop(_path(old), None)
+        before, __, after = request.data.partition(b"\0")
+        content = self.files.pop(_path(before), None)
         if content is None:
             return _nak(request, NOT_FOUND)
-        self.files[_path(new)] = content
+        self.files[_path(after)] = content
         return _ack(request)
 
     def _truncate(self, request: Packet, name: str) -> Packet:
@@ -239,9 +246,7 @@ def _path(data: bytes) -> str:
     return "/" + name.lstrip("/")
 
 
-def _ack(
-    request: Packet, data: bytes = b"", *, session: int | None = None, offset: int = 0, ahead: int = 1
-) -> Packet:
+def _ack(request: Packet, data: bytes = b"", *, session: int | None = None, offset: int = 0, ahead: int = 1) -> Packet:
     session = request.session if session is None else session
     return Packet(request.sequence + ahead, session, ACK, len(data), request.opcode, 0, offset, data)
 

@@ -15,10 +15,12 @@ Kind = Literal["idle", "hold", "follow", "takeoff", "land", "blind", "return"]
 
 @dataclass(frozen=True, slots=True)
 class GuidanceSettings:
-    """Speeds of the automatic flight phases, m/s."""
+    """Speeds of the automatic flight phases, m/s; below ``crawl_below_m`` over home a landing slows to ``crawl_m_s``."""
 
     climb_m_s: float = 1.5
     descend_m_s: float = 0.7
+    crawl_m_s: float = 0.7
+    crawl_below_m: float = 0.0
     cruise_m_s: float = 2.0
 
 
@@ -29,7 +31,11 @@ class Guidance:
         kind: what is flown.
         phase: of a return, "cruise" or "descend".
         done: the take-off has reached its height.
+        external: the station's latest set-point.
+        ground_m: height of home.
     """
+
+    ARRIVED_M = 0.4
 
     def __init__(self, settings: GuidanceSettings):
         self.settings = settings
@@ -40,6 +46,7 @@ class Guidance:
         self._point = [0.0, 0.0, 0.0]
         self._yaw = 0.0
         self.external = Setpoint()
+        self.ground_m = 0.0
 
     def enter(self, kind: Kind, estimate: Estimate, *, target: Vector | None = None) -> None:
         """Begin a kind of flight here. ``target``: height of a take-off, or the home of a return."""
@@ -59,7 +66,7 @@ class Guidance:
         if self.kind == "return":
             return self._returning(dt, estimate)
         if self.kind == "land":
-            return self._sinking()
+            return self._sinking(estimate)
         if self.kind == "blind":
             return Setpoint(velocity_m_s=(math.nan, math.nan, -self.settings.descend_m_s), yaw_rad=self._yaw)
         return Setpoint(self._here(), yaw_rad=self._yaw)
@@ -76,19 +83,20 @@ class Guidance:
         return wanted
 
     def _climbing(self, dt: float, estimate: Estimate) -> Setpoint:
-        rate = self.settings.climb_m_s
-        self._point[2] = min(self._target[2], self._point[2] + rate * dt)
-        climbing = self._point[2] < self._target[2]
-        self.done = not climbing and abs(estimate.position_m[2] - self._target[2]) < 0.2
-        return Setpoint(self._here(), (0.0, 0.0, rate if climbing else 0.0), yaw_rad=self._yaw)
+        rate = braked(self.settings.climb_m_s, self._target[2] - self._point[2])
+        self._point[2] += rate * dt
+        self.done = self._target[2] - self._point[2] < 0.05 and abs(estimate.position_m[2] - self._target[2]) < 0.2
+        return Setpoint(self._here(), (0.0, 0.0, rate), yaw_rad=self._yaw)
 
-    def _sinking(self) -> Setpoint:
+    def _sinking(self, estimate: Estimate) -> Setpoint:
         x, y, _ = self._point
-        return Setpoint((x, y, math.nan), (0.0, 0.0, -self.settings.descend_m_s), yaw_rad=self._yaw)
+        near = estimate.position_m[2] - self.ground_m < self.settings.crawl_below_m
+        speed = self.settings.crawl_m_s if near else self.settings.descend_m_s
+        return Setpoint((x, y, math.nan), (0.0, 0.0, -speed), yaw_rad=self._yaw)
 
     def _returning(self, dt: float, estimate: Estimate) -> Setpoint:
         if self.phase == "descend":
-            return self._sinking()
+            return self._sinking(estimate)
         dx, dy = self._target[0] - self._point[0], self._target[1] - self._point[1]
         distance = math.hypot(dx, dy)
         step = self.settings.cruise_m_s * dt
@@ -98,9 +106,14 @@ class Guidance:
         else:
             self._point[0], self._point[1] = self._target[0], self._target[1]
             x, y, _ = estimate.position_m
-            if math.hypot(x - self._target[0], y - self._target[1]) < 0.4:
+            if math.hypot(x - self._target[0], y - self._target[1]) < self.ARRIVED_M:
                 self.phase = "descend"
         return Setpoint(self._here(), yaw_rad=self._yaw)
+
+
+def braked(speed_m_s: float, distance_m: float) -> float:
+    """Speed towards a point so far away that a deceleration of 1 m/s^2 still stops there: min(v, sqrt(2 a d))."""
+    return min(speed_m_s, math.sqrt(2.0 * max(0.0, distance_m)))
 
 
 def wants_up(setpoint: Setpoint, estimate: Estimate) -> bool:

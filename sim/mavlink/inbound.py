@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING
 from drivers.mavlink.geometry import flip, rotate
 from sim.mavlink.airframe import Vector, euler
 from sim.mavlink.control import NAN3, Setpoint
-from sim.mavlink.mission import Dialect as MissionDialect
+from sim.mavlink.outbox import Link, parameter_value
 from sim.mavlink.parameters import Parameter
 from sim.mavlink.wire import Message, mavlink
 
 if TYPE_CHECKING:
-    from sim.mavlink.autopilot import Autopilot, Link
-
-__all__ = ["MissionDialect", "handle"]
+    from sim.mavlink.autopilot import Autopilot
 
 _MISSION = frozenset(
     {"MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_LIST", "MISSION_REQUEST_INT", "MISSION_REQUEST",
@@ -38,24 +36,24 @@ def handle(a: Autopilot, link: Link, message: Message) -> None:
             link.heard_s = a.time_s
     elif name in ("COMMAND_LONG", "COMMAND_INT"):
         _command(a, link, message, sender)
-    elif name in ("SET_POSITION_TARGET_LOCAL_NED",):
+    elif name == "SET_POSITION_TARGET_LOCAL_NED":
         _setpoint(a, message)
     elif name in _VISION:
         _vision(a, name, message)
     elif name == "TIMESYNC":
         _timesync(a, link, message)
     elif name == "PING" and message.target_system == 0:
-        a.send(link, mavlink.MAVLink_ping_message(message.time_usec, message.seq, *sender))
+        link.send(mavlink.MAVLink_ping_message(message.time_usec, message.seq, *sender))
     elif name.startswith("PARAM_"):
         _parameter(a, link, name, message, sender)
     elif name in _MISSION:
         replies, stored = a.mission.handle(message, sender)
-        a.send(link, *replies)
+        link.send(*replies)
         if stored:
             a.mission_stored(link)
     elif name == "FILE_TRANSFER_PROTOCOL":
         for payload in a.ftp.handle(bytes(message.payload)):
-            a.send(link, mavlink.MAVLink_file_transfer_protocol_message(0, *sender, list(payload)))
+            link.send(mavlink.MAVLink_file_transfer_protocol_message(0, *sender, list(payload)))
     elif name == "SET_GPS_GLOBAL_ORIGIN":
         a.set_origin()
     elif name.startswith("LOG_"):
@@ -73,7 +71,7 @@ def _command(a: Autopilot, link: Link, message: Message, sender: tuple[int, int]
         result = _set_interval(a, link, int(p[0]), p[1])
     elif number == mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
         interval = link.streams.interval_us(int(p[0])) or 0
-        a.send(link, mavlink.MAVLink_message_interval_message(int(p[0]), interval))
+        link.send(mavlink.MAVLink_message_interval_message(int(p[0]), interval))
         result = mavlink.MAV_RESULT_ACCEPTED
     elif number in (mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES):
         wanted = int(p[0]) if number == mavlink.MAV_CMD_REQUEST_MESSAGE else mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
@@ -81,7 +79,7 @@ def _command(a: Autopilot, link: Link, message: Message, sender: tuple[int, int]
     else:
         result = a.command(number, p, link, sender)
     if result is not None:
-        a.send(link, mavlink.MAVLink_command_ack_message(number, result, 0, 0, *sender))
+        link.send(mavlink.MAVLink_command_ack_message(number, result, 0, 0, *sender))
 
 
 def _set_interval(a: Autopilot, link: Link, message_id: int, interval_us: float) -> int:
@@ -97,9 +95,9 @@ def _request_message(a: Autopilot, link: Link, command: int, wanted: int, sender
     version = wanted == mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
     known = version or wanted in a.BUILDERS or wanted in (0, 1)
     result = mavlink.MAV_RESULT_ACCEPTED if known else mavlink.MAV_RESULT_DENIED
-    a.send(link, mavlink.MAVLink_command_ack_message(command, result, 0, 0, *sender))
+    link.send(mavlink.MAVLink_command_ack_message(command, result, 0, 0, *sender))
     if known:
-        a.send(link, *([a.autopilot_version()] if version else a.build(wanted)))
+        link.send(*([a.autopilot_version()] if version else a.build(wanted)))
 
 
 def _masked(values: Vector, bits: tuple[int, int, int], mask: int) -> Vector:
@@ -107,7 +105,9 @@ def _masked(values: Vector, bits: tuple[int, int, int], mask: int) -> Vector:
     return flip((x, y, z))
 
 
-def setpoint_of(message: Message, estimate_position: Vector, quaternion: tuple[float, float, float, float]) -> Setpoint | None:
+def setpoint_of(
+    message: Message, estimate_position: Vector, quaternion: tuple[float, float, float, float]
+) -> Setpoint | None:
     """The set-point of SET_POSITION_TARGET_LOCAL_NED in the house's frames; None for a frame nobody flies.
 
     MAV_FRAME_LOCAL_OFFSET_NED counts from the present position, MAV_FRAME_BODY_NED turns by the heading too.
@@ -150,7 +150,7 @@ def _vision(a: Autopilot, name: str, m: Message) -> None:
 def _timesync(a: Autopilot, link: Link, m: Message) -> None:
     if m.tc1 == 0:
         reply = (a.boot_us * 1000, m.ts1)
-        a.send(link, mavlink.MAVLink_timesync_message(*reply))
+        link.send(mavlink.MAVLink_timesync_message(*reply))
     elif m.ts1 <= a.boot_us * 1000 < m.ts1 + 10**10:
         a.station_clock((m.tc1 - (m.ts1 + a.boot_us * 1000) / 2) * 1e-9)
 
@@ -164,7 +164,7 @@ def _parameter(a: Autopilot, link: Link, name: str, m: Message, sender: tuple[in
         if index is None or not 0 <= index < len(a.parameters):
             a.unknown_parameter(link, sender, m.param_id)
         else:
-            a.send_parameter(link, index, as_index=a.READ_BY_NAME_INDEX if by_name else None)
+            link.send(parameter_value(a, index, shown=a.READ_BY_NAME_INDEX if by_name else None))
     elif name == "PARAM_SET":
         index = a.parameters.index(m.param_id)
         if index is None:
@@ -174,7 +174,7 @@ def _parameter(a: Autopilot, link: Link, name: str, m: Message, sender: tuple[in
         if a.accepts_parameter(link, sender, parameter, m.param_type):
             a.parameters[parameter.name] = a.parameters.from_wire(m.param_value, m.param_type)
             a.parameter_changed(parameter)
-            a.send_parameter(link, index, as_index=a.READ_BY_NAME_INDEX)
+            link.send(parameter_value(a, index, shown=a.READ_BY_NAME_INDEX))
 
 
 def _logs(a: Autopilot, name: str, m: Message) -> None:

@@ -75,9 +75,9 @@ def highres_imu(a: Autopilot) -> Message:
 
 def raw_imu(a: Autopilot) -> Message:
     """RAW_IMU as ArduPilot fills it: milli-g, mrad/s, mgauss."""
-    force = (round(1000 * f / 9.80665) for f in flip(a.imu.accel_m_s2))
-    gyro = (round(1000 * r) for r in flip(a.imu.gyro_rad_s))
-    return mavlink.MAVLink_raw_imu_message(a.boot_us, *force, *gyro, 217, 12, 429, 0, 2514)
+    fx, fy, fz = (round(1000 * f / 9.80665) for f in flip(a.imu.accel_m_s2))
+    gx, gy, gz = (round(1000 * r) for r in flip(a.imu.gyro_rad_s))
+    return mavlink.MAVLink_raw_imu_message(a.boot_us, fx, fy, fz, gx, gy, gz, 217, 12, 429, 0, 2514)
 
 
 def servo_output(a: Autopilot) -> Message:
@@ -118,7 +118,17 @@ def battery_status(a: Autopilot) -> Message:
     """BATTERY_STATUS: the pack's voltage in the first cell's place, as PX4 does when cells are not measured."""
     cells = [round(1000 * a.truth.voltage_v)] + [65535] * 9
     return mavlink.MAVLink_battery_status_message(
-        0, 1, 1, 32767, cells, round(100 * a.truth.current_a), round(a.used_mah), -1, a.battery_percent, 0, a.charge_state
+        0,
+        1,
+        1,
+        32767,
+        cells,
+        round(100 * a.truth.current_a),
+        round(a.used_mah),
+        -1,
+        a.battery_percent,
+        0,
+        a.charge_state,
     )
 
 

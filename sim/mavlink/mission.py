@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
 
+from sim.mavlink.streams import Rule
 from sim.mavlink.wire import Message, mavlink
 
-Dialect = Literal["px4", "ardupilot"]
-_RELATIVE_INT = {
+_RELATIVE_INT: dict[int, int] = {
     mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT: mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
     mavlink.MAV_FRAME_GLOBAL_INT: mavlink.MAV_FRAME_GLOBAL,
 }
@@ -24,7 +23,7 @@ class MissionServer:
         home: latitude and longitude in 1e-7 deg, altitude in m: what ArduPilot puts into item 0.
     """
 
-    dialect: Dialect
+    dialect: Rule
     home: tuple[int, int, float]
     items: list[Message] = field(default_factory=list)
     _incoming: list[Message] = field(default_factory=list)
@@ -73,13 +72,14 @@ class MissionServer:
 
     def _item(self, sequence: int, sender: tuple[int, int]) -> Message:
         m = self.items[sequence]
-        frame, x, y, z, parameters = m.frame, m.x, m.y, m.z, [m.param1, m.param2, m.param3, m.param4]
+        frame, x, y, z = m.frame, m.x, m.y, m.z
+        p1, p2, p3, p4 = m.param1, m.param2, m.param3, m.param4
         if self.dialect == "ardupilot":
-            frame = _RELATIVE_INT.get(frame, frame)
+            frame = _RELATIVE_INT.get(int(m.frame), int(m.frame))
             if sequence == 0:
                 frame, (x, y, z) = mavlink.MAV_FRAME_GLOBAL, self.home
             if m.command == mavlink.MAV_CMD_NAV_LAND:
-                parameters[3] = 1.0  # recorded: the yaw of a landing reads back as 1
+                p4 = 1.0  # recorded: the yaw of a landing reads back as 1
         return mavlink.MAVLink_mission_item_int_message(
-            *sender, sequence, frame, m.command, 0, m.autocontinue, *parameters, x, y, z, 0
+            *sender, sequence, frame, m.command, 0, m.autocontinue, p1, p2, p3, p4, x, y, z, 0
         )

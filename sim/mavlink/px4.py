@@ -12,16 +12,27 @@ import zlib
 from typing import ClassVar
 
 from drivers.mavlink.geometry import flip
-from sim.mavlink import inbound, messages
+from sim.mavlink import messages
 from sim.mavlink.airframe import Vector
 from sim.mavlink.autopilot import (
-    ACCEPTED, CRITICAL, DENIED, FAILED, INFO, REJECTED, UNSUPPORTED, Autopilot, Link, Mode, Sender,
+    ACCEPTED,
+    CRITICAL,
+    DENIED,
+    FAILED,
+    INFO,
+    REJECTED,
+    UNSUPPORTED,
+    Autopilot,
+    Mode,
+    Sender,
 )  # fmt: skip
 from sim.mavlink.control import Setpoint
 from sim.mavlink.estimator import EstimatorSettings
 from sim.mavlink.guidance import GuidanceSettings
 from sim.mavlink.logserver import LogFile
-from sim.mavlink.parameters import Parameter, ParameterStore
+from sim.mavlink.outbox import Link
+from sim.mavlink.parameters import Parameter
+from sim.mavlink.px4failsafe import link_action, silent_for_s, standing_failsafe
 from sim.mavlink.px4log import Px4Log
 from sim.mavlink.wire import Message, RawMessage, mavlink
 
@@ -59,7 +70,9 @@ def _time_estimate(_: messages.Autopilot) -> Message:
 class Px4(Autopilot):
     """A PX4 multicopter."""
 
-    NAME = "px4"
+    PARAMETER_TABLE = ("px4", True)
+    DIRECTORIES = ("/fs/microsd/log", "/fs/microsd/etc", "/etc/logging", "/eeprom")
+    FIRST_MODE = "LOITER"
     TICK_US, EMIT_US = 4000, 4000
     ALTITUDE_M, VTOL_STATE, RULE = 489.4, 0, "px4"
     MODES = (
@@ -73,7 +86,9 @@ class Px4(Autopilot):
     )
     TOPIC_HZ: ClassVar[dict[int, float]] = {31: 188.0, 32: 125.0, 331: 125.0, 147: 100.0, 24: 8.0}
     ESTIMATOR = EstimatorSettings(gps_error_m=0.08, gps_ready_s=4.0, vision_timeout_s=4.6)
-    GUIDANCE = GuidanceSettings(climb_m_s=1.5, descend_m_s=0.7)
+    GUIDANCE = GuidanceSettings(climb_m_s=1.5, descend_m_s=0.7, crawl_m_s=0.3, crawl_below_m=1.0)
+    COMMANDER_US, COMMANDER_PHASE_US = 100_000, 24_000
+    NAVIGATOR_S = 0.05
     BUILDERS: ClassVar[dict[int, messages.Builder]] = {
         **messages.COMMON,
         8: _link_node_status,
@@ -86,16 +101,15 @@ class Px4(Autopilot):
         411: _event_sequence,
         436: _current_mode,
     }
-    FIRST_TEXT_ID = 0
 
     def __init__(self, *args: object, **options: object):
         self.intention = "LOITER"
         self._log: Px4Log | None = None
         self._last_setpoint_s = -math.inf
-        self._failsafe_since_s: float | None = None
+        self._setpoints_lost = False
         self._latched: str | None = None
-        self._link_lost_s: float | None = None
         self._rtl_announced = ""
+        self._later: list[tuple[float, str]] = []
         self._next_text_id = 0
         self._intention_at_arming = "LOITER"
         self._rate_before: Vector = (0.0, 0.0, 0.0)
@@ -105,18 +119,6 @@ class Px4(Autopilot):
         self.parameter_changed(self.parameters.all[0])
 
     # -- what it is -------------------------------------------------------------------------------------------------
-
-    def _parameters(self) -> ParameterStore:
-        return ParameterStore("px4", bytewise=True)
-
-    def _directories(self) -> tuple[str, ...]:
-        return ("/fs/microsd/log", "/fs/microsd/etc", "/etc/logging", "/eeprom")
-
-    def _mission_dialect(self) -> inbound.MissionDialect:
-        return "px4"
-
-    def _first_mode(self) -> str:
-        return "LOITER"
 
     def custom_of(self, name: str) -> int:
         """The custom mode number of a mode."""
@@ -170,7 +172,7 @@ class Px4(Autopilot):
     @property
     def gcs_alive(self) -> bool:
         """Whether any link has a live ground station."""
-        return any(self.time_s - link.heard_s < self.parameters["COM_DL_LOSS_T"] for link in self.links.values())
+        return any(self.time_s - link.heard_s < self.parameters["COM_DL_LOSS_T"] for link in self.outbox.links.values())
 
     # -- requests ---------------------------------------------------------------------------------------------------
 
@@ -187,17 +189,19 @@ class Px4(Autopilot):
                 digest = zlib.crc32(p.name.encode() + packed, digest)
             value = struct.unpack("<f", struct.pack("<I", digest))[0]
             kind = mavlink.MAV_PARAM_TYPE_UINT32
-            self.send(link, mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), 65535))
+            self.send(
+                link, mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), 65535)
+            )
             return
         error = mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST
-        self.send(link, mavlink.MAVLink_param_error_message(*sender, name.encode(), -1, error))
+        link.send(mavlink.MAVLink_param_error_message(*sender, name.encode(), -1, error))
 
     def accepts_parameter(self, link: Link, sender: Sender, parameter: Parameter, kind: int) -> bool:
         """Only its own type; another one leaves the value."""
         if kind == parameter.kind:
             return True
         error = mavlink.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE
-        self.send(link, mavlink.MAVLink_param_error_message(*sender, parameter.name.encode(), -1, error))
+        link.send(mavlink.MAVLink_param_error_message(*sender, parameter.name.encode(), -1, error))
         return False
 
     def parameter_changed(self, parameter: Parameter) -> None:
@@ -251,16 +255,16 @@ class Px4(Autopilot):
         result = REJECTED if name is None else self._intend(name)
         if result == ACCEPTED:  # recorded: a change of mode is acknowledged twice
             set_mode = mavlink.MAV_CMD_DO_SET_MODE
-            self.send(link, mavlink.MAVLink_command_ack_message(set_mode, ACCEPTED, 0, 0, *sender))
+            link.send(mavlink.MAVLink_command_ack_message(set_mode, ACCEPTED, 0, 0, *sender))
         return result
 
     def _intend(self, name: str) -> int:
         if self._by_name[name].needs_position and not self.estimate.position_valid and self.armed:
-            self._say(CRITICAL, f"Switching to mode '{name.title()}' is currently not possible")
+            self.say(CRITICAL, f"Switching to mode '{name.title()}' is currently not possible")
             return REJECTED
         self.intention, self._latched = name, None
         if self._failsafe_mode() is None:
-            self._enter(name)
+            self.enter(name)
         return ACCEPTED
 
     def _command_takeoff(self, height_m: float) -> int:
@@ -288,27 +292,27 @@ class Px4(Autopilot):
             return ACCEPTED
         obstacle = None if forced else self._arming_obstacle()
         if obstacle is not None:
-            self._say(CRITICAL, "Arming denied: Resolve system health failures first")
-            self._say(CRITICAL, f"Preflight Fail: {obstacle}")
+            self.say(CRITICAL, "Arming denied: Resolve system health failures first")
+            self.say(CRITICAL, f"Preflight Fail: {obstacle}")
             return REJECTED
         self.arm()
         self._intention_at_arming = self.intention
-        self._enter(self.intention, again=True)
+        self.enter(self.intention, again=True)
         begun = time.gmtime(self.unix_s)
         path = time.strftime("/fs/microsd/log/%Y-%m-%d/%H_%M_%S.ulg", begun)
         self.files[path] = bytearray()
         self._log = Px4Log(self, self.files[path])
         self._log_path = path
-        self._say(INFO, "Armed by external command")
+        self.say(INFO, "Armed by external command")
         return ACCEPTED
 
     def _command_disarm(self, forced: bool) -> int:
         if not self.armed:
             return ACCEPTED
         if not self.landed and not forced:
-            self._say(CRITICAL, "Disarming denied: not landed")
+            self.say(CRITICAL, "Disarming denied: not landed")
             return REJECTED
-        self._say(INFO, "Disarmed by external command")
+        self.say(INFO, "Disarmed by external command")
         self.disarm()
         return ACCEPTED
 
@@ -321,9 +325,11 @@ class Px4(Autopilot):
     def follow(self, setpoint: Setpoint) -> None:
         """A set-point keeps OFFBOARD alive, whatever the mode."""
         self._last_setpoint_s = self.time_s
+        self._setpoints_lost = False
         super().follow(setpoint)
 
-    def _enter(self, name: str, *, again: bool = False) -> None:
+    def enter(self, name: str, *, again: bool = False) -> None:
+        """Fly a mode; the intention stays."""
         if again:
             self.begin(self._by_name[name].kind)
         self.set_mode(name)
@@ -338,13 +344,17 @@ class Px4(Autopilot):
         rate = flip(self.imu.gyro_rad_s)
         x, y, z = ((now - before) / self.tick_s for now, before in zip(rate, self._rate_before, strict=True))
         self.angular_acceleration_frd, self._rate_before = (x, y, z), rate
+        if (
+            self.boot_us % self.COMMANDER_US == self.COMMANDER_PHASE_US
+        ):  # a loss is seen at the commander's rate, a return at once
+            self._setpoints_lost = not self._setpoints_fresh
         wanted = self._failsafe_mode() if self.armed else None
         if wanted is not None and not self.failsafe:
-            self._say(CRITICAL, "Failsafe activated")
+            self.say(CRITICAL, "Failsafe activated")
         self.failsafe = wanted is not None
         mode = wanted or self.intention
         if mode != self.mode.name:
-            self._enter(mode)
+            self.enter(mode)
         self._announce_return()
         if self.mode.name == "TAKEOFF" and self.guidance.done:
             self.intention = "LOITER"
@@ -355,68 +365,48 @@ class Px4(Autopilot):
             return
         landed, waiting = self.parameters["COM_DISARM_LAND"], self.parameters["COM_DISARM_PRFLT"]
         if 0.0 < landed <= self.landed_for_s:
-            self._say(INFO, "Disarmed by landing")
+            self.say(INFO, "Disarmed by landing")
             self.disarm(by_landing=True)
         elif self.landed and not self.has_flown and 0.0 < waiting <= self.time_s - self.armed_s:
-            self._say(INFO, "Disarmed by auto preflight disarming")
+            self.say(INFO, "Disarmed by auto preflight disarming")
             self.disarm()
 
     def _announce_return(self) -> None:
+        """The navigator's texts, one of its cycles after what they report; said even if the mode has changed again."""
         phase = self.guidance.phase if self.mode.name == "RTL" else ""
-        if phase != self._rtl_announced and phase == "cruise":
-            height, above = self.ALTITUDE_M + self.estimate.position_m[2], self.distance_from_home[1]
-            self._say(INFO, f"RTL: start return at {height:.0f} m ({above:.0f} m above destination)")
-        elif phase != self._rtl_announced and phase == "descend":
-            self._say(INFO, "RTL: land at destination")
-        self._rtl_announced = phase
+        if phase != self._rtl_announced and not (phase == "cruise" and self._rtl_announced == "descend"):
+            begun = self._rtl_announced == ""
+            self._rtl_announced = phase
+            distance, above = self.distance_from_home
+            if phase and begun:
+                height = self.ALTITUDE_M + self.estimate.position_m[2]
+                text = f"RTL: start return at {height:.0f} m ({above:.0f} m above destination)"
+                self._later.append((self.time_s + self.NAVIGATOR_S, text))
+            if phase == "descend" or (phase and distance < self.guidance.ARRIVED_M):
+                self._later.append((self.time_s + 2.0 * self.NAVIGATOR_S, "RTL: land at destination"))
+                self._rtl_announced = "descend"
+        while self._later and self._later[0][0] <= self.time_s:
+            self.say(INFO, self._later.pop(0)[1])
 
     def _failsafe_mode(self) -> str | None:
         """The mode a failsafe demands now; some stay once they have acted, loss of set-points and position do not."""
         if not self.armed:
             return None
         if self._latched is None:
-            self._latched = self._battery_action() or self._fence_action() or self._link_action()
+            self._latched = standing_failsafe(self)
         if self._latched is not None:
             return self._latched
+        if not self.landed and link_action(self, silent_for_s(self)) is not None:
+            return "LOITER"  # for COM_FAIL_ACT_T, before what NAV_DLL_ACT says
         needs = self._by_name[self.intention].needs_position or self.intention == "OFFBOARD"
         if needs and not self.estimate.position_valid and not self.landed:
             return "DESCEND"
-        if self.intention == "OFFBOARD" and not self._setpoints_fresh:
+        if self.intention == "OFFBOARD" and self._setpoints_lost:
             return {4: "LAND", 5: "LOITER"}.get(int(self.parameters["COM_OBL_RC_ACT"]), "RTL")
         return None
 
-    def _battery_action(self) -> str | None:
-        share, action = self.battery_percent / 100, int(self.parameters["COM_LOW_BAT_ACT"])
-        if action == 0 or self.landed:
-            return None
-        if share <= self.parameters["BAT_EMERGEN_THR"] or (action == 2 and share <= self.parameters["BAT_CRIT_THR"]):
-            return "LAND"
-        return "RTL" if action == 3 and share <= self.parameters["BAT_CRIT_THR"] else None
-
-    def _fence_action(self) -> str | None:
-        horizontal, vertical = self.distance_from_home
-        widest, highest = self.parameters["GF_MAX_HOR_DIST"], self.parameters["GF_MAX_VER_DIST"]
-        breached = (0.0 < widest < horizontal) or (0.0 < highest < vertical)
-        if not breached or self.landed:
-            return None
-        return {2: "LOITER", 3: "RTL", 5: "LAND"}.get(int(self.parameters["GF_ACTION"]))
-
-    def _link_action(self) -> str | None:
-        """Station silent: measured 12.4 s to the reaction with COM_DL_LOSS_T = 10, then a hold before the return."""
-        action = int(self.parameters["NAV_DLL_ACT"])
-        heard = max((link.heard_s for link in self.links.values()), default=-math.inf)
-        silence = self.time_s - heard - self.parameters["COM_DL_LOSS_T"] - 2.4
-        if action == 0 or not math.isfinite(heard) or self.landed:
-            return None
-        if silence > self.parameters["COM_FAIL_ACT_T"]:
-            return {1: "LOITER", 2: "RTL", 3: "LAND"}.get(action)
-        if silence > 0.0 and self.mode.name != "LOITER":
-            self._say(CRITICAL, "GCS connection lost")
-            self._enter("LOITER")
-        return None
-
     def _landed_event(self, *, landed: bool) -> None:
-        self._say(INFO, "Landing detected" if landed else "Takeoff detected")
+        self.say(INFO, "Landing detected" if landed else "Takeoff detected")
 
     def _after_disarm(self, *, by_landing: bool) -> None:
         """Recorded: after a landing the mode shown is the one it was armed in."""
@@ -440,17 +430,17 @@ class Px4(Autopilot):
 
     # -- texts ------------------------------------------------------------------------------------------------------
 
-    def _say(self, severity: int, text: str) -> None:
+    def say(self, severity: int, text: str) -> None:
         """PX4 ends the texts of its events with a tab."""
         self.text(severity, f"{text}\t")
         if self._log is not None:
             self._log.text(self.boot_us, text)
 
-    def _text_number(self, pieces: int) -> int:
+    def _text_number(self, text: str) -> int:
         number = self._next_text_id
         self._next_text_id += 1
         return number
 
-    def _text_eligible(self, link: Link) -> bool:
+    def text_eligible(self, link: Link) -> bool:
+        """Only to a live ground station."""
         return self.time_s - link.heard_s < 2.5
-

@@ -118,7 +118,9 @@ class Px4Log:
                     add(topic, t, 16, *a.pulse_widths_us)
                 case "battery_status":
                     left = a.battery_percent / 100
-                    add(topic, t, a.truth.voltage_v, a.truth.current_a, a.used_mah, left, True, 4, 1, a.charge_state - 1)
+                    add(
+                        topic, t, a.truth.voltage_v, a.truth.current_a, a.used_mah, left, True, 4, 1, a.charge_state - 1
+                    )
                 case "vehicle_attitude":
                     add(topic, t, t, *flip_quaternion(a.estimate.quaternion), 1.0, 0.0, 0.0, 0.0, 0)
                 case "vehicle_local_position":
@@ -153,5 +155,22 @@ class Px4Log:
             on = index < count
             rpm = round(a.truth.rotor_speed_rad_s[index] * 30.0 / math.pi) if on else 0
             volt, amp = (a.truth.voltage_v, share) if on else (0.0, 0.0)
-            reports += [t if on else 0, 0, rpm, volt, amp, 30.0, 0, 0, index, 0, 0, 101 + index if on else 0, 0, 0, 0, 0]
+            reports += [
+                t if on else 0,
+                0,
+                rpm,
+                volt,
+                amp,
+                30.0,
+                0,
+                0,
+                index,
+                0,
+                0,
+                101 + index if on else 0,
+                0,
+                0,
+                0,
+                0,
+            ]
         self._ulog.add("esc_status", t, a.counter, count, 0, (1 << count) - 1, (1 << count) - 1, 0, 0, *reports)

@@ -51,7 +51,7 @@ class ParameterStore:
     """
 
     def __init__(self, table: str, *, bytewise: bool):
-        text = (resources.files(__package__) / f"{table}.csv").read_text(encoding="ascii")
+        text = (resources.files("sim.mavlink.parameters") / f"{table}.csv").read_text(encoding="ascii")
         rows = csv.DictReader(text.splitlines())
         self.all = [Parameter(r["name"], _TYPES[r["type"]], single(float(r["value"]))) for r in rows]
         for parameter in self.all:
