@@ -144,3 +144,21 @@ def test_progress_elsewhere_than_on_a_terminal_is_a_line_now_and_then(capsys):
     for step in range(4):
         line.fraction(0.1 * step, f"step {step}")
     assert capsys.readouterr().err.splitlines() == ["  0 %  step 0", " 20 %  step 2"]
+
+
+def test_the_table_shows_truth_only_where_there_is_one_and_says_what_is_not_revealed():
+    from groundstation.flight.rehearse import result_table
+
+    found = {"value": 1.8253, "std": 0.0003, "ci95": [1.8247, 1.8259]}
+    document = {
+        "best": "PE",
+        "methods": {"PE": {"parameters": {"mass_kg": found}}},
+        "model": {},
+        "not_identifiable": ["izz_kg_m2"],
+    }
+    declared = {"mass_kg": 1.79, "izz_kg_m2": 0.04, "rotor_lag_up_s": 0.0}
+    lines = result_table(document, declared, {"mass_kg": 1.8258}).splitlines()
+    assert lines[0].split()[:4] == ["parameter", "unit", "nominal", "true"]
+    assert lines[2].split() == ["mass", "kg", "1.79000", "1.82580", "1.82530", "1.82470", "..", "1.82590"]
+    assert "not revealed" in lines[3] and len(lines) == 4
+    assert "true" not in result_table(document, declared, {})

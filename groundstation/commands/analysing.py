@@ -55,9 +55,9 @@ def identify(
     """
     left_out = [seconds_pair(pair) for pair in exclude]
     loaded = load_flights(flights, vehicle, start_s, end_s)
-    from groundstation.flight.analysis import identify as run
     from groundstation.flight.analysis import write_identification
     from groundstation.flight.rehearse import result_table
+    from groundstation.identification.pipeline import identify as run
 
     line = ProgressLine()
     found = run(loaded, exclude=left_out, progress=line.fraction)

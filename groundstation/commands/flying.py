@@ -205,6 +205,7 @@ def fly(vehicle: str, plan_file: Path | None, logs: Path, yes_simulated: bool, *
     if not yes_simulated and not sys.stdin.isatty():
         raise BadInput("a real vehicle is armed only by somebody at a terminal; a simulated one with --yes-simulated.")
     line = ProgressLine()
+    link["set_parameters"] |= yes_simulated  # asked for on a real vehicle, a matter of course on a simulated one
     flight = _link_flight(vehicle, plan_file, logs, line, **link)
     flown = fly_plan(**flight, say=line.say, confirm=lambda: yes_simulated or _typed_confirmation(line))
     line.end()

@@ -74,6 +74,7 @@ def analyse(
         NotIdentifiable: the flights do not tell; nothing but the reason was found.
         BadInput: a flight is malformed.
     """
+    from groundstation.identification.pipeline import identify
     from groundstation.reporting import write_report
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -87,22 +88,6 @@ def analyse(
     files["report"] = write_report(folder / "report.html", flights[0], identification, diagnosis)
     progress(1.0, "done")
     return Analysis(identification, diagnosis, files)
-
-
-def identify(
-    flights: Sequence[FlightData], *, exclude: Sequence[tuple[float, float]], progress: Progress
-) -> Identification:
-    """INTERIM until the pipeline is there: the seed's four methods."""
-    try:
-        from groundstation.identification.pipeline import identify as run
-
-        return run(flights, exclude=exclude, progress=progress)
-    except ModuleNotFoundError:
-        from groundstation.identification.seed import identify_seed
-
-        flight = flights[0]
-        methods = identify_seed(flight, exclude=exclude)
-        return Identification(flight.name, flight.vehicle.name, "thrust", methods, {}, "FMLS")
 
 
 def _diagnose(

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import queue
 import signal
 import sys
@@ -417,7 +418,8 @@ class FlightCore:
         self.progress = float(message.get("progress", self.progress))
         self.text = str(message.get("text", ""))
         if table := message.get("table"):
-            self.table = {name: tuple(row) for name, row in table.items()}
+            # JSON has no NaN: what the flight does not tell came as null.
+            self.table = {k: tuple(math.nan if v is None else v for v in row) for k, row in table.items()}
             self.journal.write("estimates", self.text, host_s=self.digested_s, table=table)
 
     # Housekeeping -----------------------------------------------------------------------------------------------------

@@ -121,13 +121,16 @@ def fly(
 
 def follow(client: CoreClient, ended: Callable[[], bool], say: Say, confirm: Callable[[], bool] = lambda: True) -> None:
     """Start the flight once it is checked, and say what happens until the core is gone."""
-    asked, last = False, ""
+    asked, shown, last = False, False, ""
     while not ended():
         status = client.status(0.2)
         if status is None:
             continue
         if status.phase == Phase.CHECKED and not asked:
             asked = client.command("start" if confirm() else "abort").ok
+        if status.table and not shown:
+            say(f"preliminary: {table_line(status.table)}")
+            shown = True
         line = progress_line(status)
         if line != last:
             say(line)
@@ -160,6 +163,12 @@ class _interrupts:
             self._say(str(error))
 
 
+def table_line(table: Mapping[str, tuple[float, float, float, float]]) -> str:
+    """The estimates of a status in one line, those that are known."""
+    rows = {name: row for name, row in table.items() if math.isfinite(row[1])}
+    return ", ".join(f"{label(name)} {row[1]:.4g} ({row[2]:.4g} .. {row[3]:.4g})" for name, row in rows.items())
+
+
 def progress_line(status: CoreStatus) -> str:
     """One line: phase, time left, tracking error, rates, samples, losses; or how far the analysis is."""
     if status.phase in (Phase.LANDED, Phase.IDENTIFYING):
@@ -186,10 +195,12 @@ def result_table(identification: Mapping[str, Any], declared: Mapping[str, float
     best = identification["best"]
     found = {**identification["model"], **identification["methods"].get(best, {}).get("parameters", {})}
     hidden = set(identification["not_identifiable"])
-    rows = [("parameter", "unit", "nominal", "true", f"estimated ({best})", "95 % interval")]
+    rows: list[tuple[str, ...]] = [("parameter", "unit", "nominal", "true", f"estimated ({best})", "95 % interval")]
     for name, nominal in declared.items():
         if name in found or name in hidden:
             rows.append(_row(name, found.get(name), nominal, truth.get(name, math.nan)))
+    if not truth:
+        rows = [row[:3] + row[4:] for row in rows]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     return "\n".join([lines[0], "  ".join("-" * width for width in widths), *lines[1:]])
