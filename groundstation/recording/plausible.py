@@ -18,8 +18,10 @@ from groundstation.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 _DEGREES = 180.0 / np.pi
-_SUSPICIOUS = 15.0  # a ratio between 1 and 57.3, nearer to neither in logarithm than honest data ever come
-_WINDOW_S = 0.2
+_SUSPICIOUS = 12.0  # between 1 and 57.3: a wrong nominal vehicle or noise does not come near it from below
+_WINDOW_S = 0.1
+_LAGS_S = (0.0, 0.03, 0.06, 0.09, 0.12)  # of rotors and drivers
+_FASTEST_RAD_S = 100.0  # 5700 degrees/s: beyond the range of the gyros that fly (2000 to 4000 degrees/s)
 
 
 def check_quaternions(stream: Stream, name: str) -> None:
@@ -62,16 +64,22 @@ def check_accelerometer(stream: Stream, gravity_m_s2: float) -> None:
 def check_gyro(imu: Stream, attitude: Stream | None, motors: Stream, vehicle: Vehicle) -> None:
     """Raise where the gyro cannot be in rad/s.
 
-    With poses: the vehicle turned as much as they say. Without: it turned as the declared rotors can turn it.
+    With poses: the vehicle turned as much as they say. Without: it turned as the declared rotors can turn it. And in any
+    case no faster than gyros measure, for five samples in a row.
     """
     gyro = imu.values[:, :3]
     good = np.isfinite(gyro).all(axis=1)
     t_s, gyro = imu.t_s[good], gyro[good]
     if len(t_s) < 100:
         return
-    ratio = None
-    if attitude is not None:
-        ratio = _ratio_to_poses(t_s, gyro, attitude)
+    size = np.linalg.norm(gyro, axis=1)
+    lasting = float(np.min(np.stack([size[i : len(size) - 4 + i] for i in range(5)]), axis=0).max())
+    if lasting > _FASTEST_RAD_S:
+        raise BadInput(
+            f"imu: gyro_x_rad_s, gyro_y_rad_s, gyro_z_rad_s cannot be in rad/s: they reach {lasting:.0f}, beyond any "
+            "gyro's range; are they in degrees per second? Divide by 57.29578."
+        )
+    ratio = _ratio_to_poses(t_s, gyro, attitude) if attitude is not None else None
     if ratio is None and vehicle.rotors.input != "wrench":
         ratio = _ratio_to_rotors(t_s, gyro, motors, vehicle)
     if ratio is not None and ratio > _SUSPICIOUS:
@@ -82,14 +90,14 @@ def check_gyro(imu: Stream, attitude: Stream | None, motors: Stream, vehicle: Ve
 
 
 def _window_means(t_s: Array, values: Array) -> Array:
-    """Means over windows of 0.2 s that hold samples, shape (m, ...)."""
+    """Means over windows of 0.1 s that hold samples, shape (m, ...)."""
     window = np.floor((t_s - t_s[0]) / _WINDOW_S).astype(np.int64)
     starts = np.flatnonzero(np.concatenate([[True], np.diff(window) != 0]))
     return np.add.reduceat(values, starts, axis=0) / np.diff(np.append(starts, len(t_s)))[:, None]
 
 
 def _ratio_to_poses(t_s: Array, gyro: Array, attitude: Stream) -> float | None:
-    """RMS turn rate of the gyro over that of the poses, both over 0.2 s; None where the gyro shows too little to judge."""
+    """RMS turn rate of the gyro over that of the poses, both over 0.1 s; None where the gyro shows too little to judge."""
     first = attitude.columns.index("qw")
     q = attitude.values[:, first : first + 4]
     norm = np.linalg.norm(q, axis=1)
@@ -108,26 +116,33 @@ def _ratio_to_poses(t_s: Array, gyro: Array, attitude: Stream) -> float | None:
 
 
 def _ratio_to_rotors(t_s: Array, gyro: Array, motors: Stream, vehicle: Vehicle) -> float | None:
-    """Slope of measured on predicted changes of rate over 0.2 s, roll and pitch; None unless they go together.
+    """Slope of measured on predicted changes of rate over 0.1 s, roll and pitch; None unless they go together.
 
-    Prediction: the declared rotors' torques over the declared inertia. Noise, lag and friction lower the slope, a
-    wrong nominal vehicle moves it by a small factor; degrees raise it by 57.
+    Prediction: the declared rotors' torques over the declared inertia, at the lag at which they go together best. Noise
+    and friction lower the slope, a wrong nominal vehicle moves it by a small factor; degrees raise it by 57.
     """
     values = motors.values
     good = np.isfinite(values).all(axis=1) & np.isfinite(motors.t_s)
     if good.sum() < 100:
         return None
-    wrench = vehicle.thrust(values[good]) @ vehicle.allocation().T
-    torque = _hold(motors.t_s[good], wrench[:, 1:3], t_s)
-    predicted = np.cumsum(torque[:-1] * np.diff(t_s)[:, None], axis=0) / np.diag(vehicle.inertia_tensor())[:2]
-    change_p = np.diff(_window_means(t_s[1:], predicted), axis=0)
-    change_m = np.diff(_window_means(t_s[1:], gyro[1:, :2]), axis=0)
-    change_p, change_m = change_p - np.median(change_p, axis=0), change_m - np.median(change_m, axis=0)
-    cross = float(np.sum(change_p * change_m))
-    size_p, size_m = float(np.sum(change_p**2)), float(np.sum(change_m**2))
-    if size_p <= 0.0 or size_m <= 0.0 or cross / np.sqrt(size_p * size_m) < 0.5:
-        return None
-    return cross / size_p
+    torque = (vehicle.thrust(values[good]) @ vehicle.allocation().T)[:, 1:3]
+    inertia = np.diag(vehicle.inertia_tensor())[:2]
+    measured = _changes(t_s[1:], gyro[1:, :2])
+    best, slope = 0.5, None
+    for lag_s in _LAGS_S:
+        rate = np.cumsum(_hold(motors.t_s[good] + lag_s, torque, t_s[:-1]) * np.diff(t_s)[:, None], axis=0) / inertia
+        predicted = _changes(t_s[1:], rate)
+        size = float(np.sum(predicted**2)) * float(np.sum(measured**2))
+        cross = float(np.sum(predicted * measured))
+        if size > 0.0 and cross / np.sqrt(size) > best:
+            best, slope = cross / np.sqrt(size), cross / float(np.sum(predicted**2))
+    return slope
+
+
+def _changes(t_s: Array, values: Array) -> Array:
+    """Changes from one 0.1 s mean to the next, less their median."""
+    changes = np.diff(_window_means(t_s, values), axis=0)
+    return changes - np.median(changes, axis=0)
 
 
 def _hold(t_s: Array, values: Array, at_s: Array) -> Array:
