@@ -50,7 +50,7 @@ def regressor(motion: RigidMotion) -> Array:
 
 def stacked_regressor(trajectory: Trajectory, gravity_m_s2: float, step_s: float = SAMPLE_STEP_S) -> Array:
     """W of eq. (20): Phi at every step of the trajectory, the end excluded, shape (4 k, 7)."""
-    count = max(int(round(trajectory.duration_s / step_s)), 1)
+    count = max(round(trajectory.duration_s / step_s), 1)
     t = np.arange(count) * (trajectory.duration_s / count)
     return regressor(rigid_motion(trajectory.sample(t), gravity_m_s2)).reshape(-1, len(PARAMETERS))
 

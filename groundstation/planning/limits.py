@@ -89,7 +89,7 @@ def envelope(vehicle: Vehicle, overrides: dict[str, float] | None = None) -> Env
         rotor_thrust_n=rotor_thrust_range_n(vehicle),
         mass_kg=vehicle.mass_kg,
         inertia_kg_m2=vehicle.inertia_tensor(),
-        mixing=np.linalg.pinv(allocation),
+        mixing=np.asarray(np.linalg.pinv(allocation), dtype=float),
         gravity_m_s2=vehicle.gravity_m_s2,
     )
     _check_hover(result, vehicle.name)

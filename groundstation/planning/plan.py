@@ -7,8 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from groundstation.errors import BadInput
 from groundstation.paths import find_config
 from groundstation.planning.criteria import CRITERIA, condition_number
@@ -55,7 +53,8 @@ def plan_excitation(
     frequency_max_hz: float = FREQUENCY_MAX_HZ,
     start: tuple[float, float, float, float] | None = None,
     noise: Noise = DEFAULT_NOISE,
-    seed: int = 0,
+    effects: Sequence[str] = (),
+    seed: int = 3,
     time_budget_s: float = 8.0,
     starts: int | None = None,
     progress: Callable[[float, str], None] = lambda fraction, text: None,
@@ -72,6 +71,7 @@ def plan_excitation(
         frequency_max_hz: no harmonic lies above it where the base frequency is free.
         start: x, y, z, yaw at both ends (m, rad); None lets the optimiser choose.
         noise: the disturbance and sensor noise to expect.
+        effects: identifiers of effects whose parameters are estimated with mass and inertia (criteria D, A and E).
         seed: of the random starting points.
         time_budget_s: for the search; an interrupt (Ctrl-C) ends it early and keeps the best so far.
         starts: number of starting points instead of a time.
@@ -84,37 +84,21 @@ def plan_excitation(
     Raises:
         BadInput: an argument is impossible, or limits exclude even hovering; names the limit and how far off it is.
     """
-    from groundstation.planning.optimiser import optimise
-    from groundstation.planning.program import Problem
+    from groundstation.planning.optimiser import best_of
+    from groundstation.planning.problem import Problem
 
     vehicles = (vehicle,) if isinstance(vehicle, Vehicle) else tuple(vehicle)
     envelopes = tuple(envelope(each, limits) for each in vehicles)
     for each in envelopes:
         if start is not None:
             check_start(each, start)
-    duration, band = _timing(base_frequency_rad_s, duration_s, harmonics, frequency_max_hz)
     _check(criterion, harmonics, time_budget_s)
-    problem = Problem(vehicles, envelopes, criterion, harmonics, band, duration, start, noise)
-    share = 0.5 if band[0] < band[1] else 1.0
-    found = optimise(
-        problem,
-        seed=seed,
-        time_budget_s=share * time_budget_s,
-        starts=starts,
-        progress=lambda fraction, text: progress(share * fraction, text),
-    )
-    if share < 1.0:
-        periods = max(round(duration / found.series.period_s), 1)
-        fixed = 2.0 * math.pi * periods / duration
-        found = optimise(
-            replace(problem, base_frequency_rad_s=(fixed, fixed)),
-            seed=seed + 1,
-            time_budget_s=(1.0 - share) * time_budget_s,
-            starts=starts,
-            progress=lambda fraction, text: progress(share + (1.0 - share) * fraction, text),
-        )
-    series = replace(found.series, periods=float(max(round(duration / found.series.period_s), 1)))
-    return describe(series, vehicles[0], envelopes, criterion=criterion, noise=noise)
+    duration, periods = _timing(base_frequency_rad_s, duration_s, harmonics, frequency_max_hz)
+    base = Problem(vehicles, envelopes, criterion, harmonics, 1.0, duration, start, noise, tuple(effects))
+    problems = [replace(base, base_frequency_rad_s=2.0 * math.pi * count / duration) for count in periods]
+    found = best_of(problems, seed=seed, time_budget_s=time_budget_s, starts=starts, progress=progress)
+    series = replace(found.series, periods=float(round(duration / found.series.period_s)))
+    return describe(series, vehicles[0], envelopes, criterion=criterion, noise=noise, effects=effects)
 
 
 def describe(
@@ -124,10 +108,11 @@ def describe(
     *,
     criterion: str,
     noise: Noise = DEFAULT_NOISE,
+    effects: Sequence[str] = (),
     note: str = "",
 ) -> Plan:
     """A trajectory as a plan: its condition number, what it should reveal, and by how much it exceeds a limit."""
-    std = predicted_std(series, vehicle, noise)
+    std = predicted_std(series, vehicle, noise, effects)
     return Plan(
         vehicle=vehicle.name,
         base_frequency_rad_s=series.base_frequency_rad_s,
@@ -149,8 +134,8 @@ def plan_document(plan: Plan) -> dict:
 
 def _timing(
     base: float | None, duration: float | None, harmonics: int, frequency_max_hz: float
-) -> tuple[float, tuple[float, float]]:
-    """Duration of the flight and range of the base frequency."""
+) -> tuple[float, list[int]]:
+    """Duration of the flight, and how many periods it may consist of."""
     for name, value in (("base frequency", base), ("duration", duration), ("highest frequency", frequency_max_hz)):
         if value is not None and not (math.isfinite(value) and value > 0.0):
             raise BadInput(f"the {name} must be positive, not {value:g}; correct it.")
@@ -162,14 +147,14 @@ def _timing(
                 f"the duration of {wanted:g} s is shorter than one period of {period:.4g} s; "
                 f"give at least {period:.4g} s or a higher base frequency."
             )
-        return round(wanted / period) * period, (base, base)
-    low, high = 2.0 * math.pi / wanted, 2.0 * math.pi * frequency_max_hz / harmonics
-    if high < low:
+        return round(wanted / period) * period, [round(wanted / period)]
+    most = math.floor(wanted * frequency_max_hz / harmonics + 1e-9)
+    if most < 1:
         raise BadInput(
             f"{harmonics} harmonics below {frequency_max_hz:g} Hz take {harmonics / frequency_max_hz:.4g} s, longer than "
             f"the duration of {wanted:g} s; use fewer harmonics, a longer flight or a higher top frequency."
         )
-    return wanted, (low, high)
+    return wanted, sorted({max(round(most / share), 1) for share in (1.0, 1.3, 1.7, 2.2, 3.0, 4.0)}, reverse=True)
 
 
 def _check(criterion: str, harmonics: int, time_budget_s: float) -> None:
