@@ -211,7 +211,7 @@ class LinkProcess:
 
     def _emit(self, out: Output) -> None:
         for name, before, after in out.changed:  # on disk before the vehicle hears of it
-            self._journal.note(name, before, after)
+            self._journal.note(self.core.vehicle_key, name, before, after)
         for data in out.send:
             self.transport.write(data)
         for sample, host_s in out.samples:

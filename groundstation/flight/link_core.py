@@ -73,7 +73,7 @@ class LinkCore:
         station: limits and policy.
         options: see :class:`Options`.
         signing: key for the whole flight; None leaves MAVLink unsigned.
-        restore: parameters an earlier flight changed and never restored: name -> value before.
+        restore: parameters earlier flights changed and never restored: vehicle -> name -> value before.
 
     Attributes:
         view, pilot: None until an autopilot was heard.
@@ -84,7 +84,7 @@ class LinkCore:
 
     def __init__(
         self, vehicle: Vehicle, station: Station, options: Options = Options(), signing: Signing | None = None,
-        restore: dict[str, float] | None = None,
+        restore: dict[str, dict[str, float]] | None = None,
     ):  # fmt: skip
         self.vehicle, self.station, self.options = vehicle, station, options
         self.clock = Timesync()
@@ -95,7 +95,8 @@ class LinkCore:
         self.checks: list[Check] = []
         self.parameters: dict[str, float | None] = {}
         self.rates: dict[str, float] = {}
-        self.changed: dict[str, float] = dict(restore or {})
+        self.changed: dict[str, float] = {}
+        self._left_changed = restore or {}
         self.verdict: Verdict | None = None
         self._signing = signing
         self._codecs: dict[Peer, MavlinkCodec] = {}
@@ -106,6 +107,7 @@ class LinkCore:
         self._setup: Conversation[None] | None = None
         self._restoring: Conversation[None] | None = None
         self._changes: list[tuple[str, float, float]] = []
+        self._events: list[Event] = []
         self._heartbeat_s = self._timesync_s = self._setpoint_due_s = -inf
         self._sync_sent: dict[int, float] = {}
         self._core_s: float | None = None
@@ -128,18 +130,29 @@ class LinkCore:
 
     def upload(self, plan: Plan, now_s: float) -> Answered:
         """Check everything and take the plan."""
-        if not self.ready or self.view is None or self.pilot is None:
+        if not self.ready or self.pilot is None:
             return Answered(False, f"the link is not ready: {self.trouble}.")
-        situation = Situation(
-            now_s, self.view, self.station, self.vehicle, plan, self.parameters, self.clock.error_s(now_s),
-            tuple(self._carried),
-        )  # fmt: skip
         try:
-            self.checks = run_checks(situation, self.options.force)
+            self.check(plan, now_s)
         except BadInput as error:
             return Answered(False, str(error))
         reason = failures(self.checks)
         return Answered(False, reason) if reason else self.pilot.upload(plan)
+
+    def check(self, plan: Plan | None, now_s: float) -> list[Check]:
+        """Run every check as of now; the answers also go into the recording.
+
+        Raises:
+            BadInput: a forced check does not exist.
+        """
+        assert self.view is not None  # noqa: S101 - ready
+        error_s, carried = self.clock.error_s(now_s), tuple(self._carried)
+        situation = Situation(now_s, self.view, self.station, self.vehicle, plan, self.parameters, error_s, carried)
+        self.checks = run_checks(situation, self.options.force)
+        for check in self.checks:
+            verdict = "forced" if check.forced else "ok" if check.ok else "failed"
+            self._events.append(Event(self.device_s(now_s), "preflight", f"{check.name} {verdict}: {check.reason}"))
+        return self.checks
 
     def order(self, name: str, now_s: float, reason: str = "") -> Answered:
         """Arm, start, abort, land, disarm."""
@@ -183,6 +196,8 @@ class LinkCore:
             self._lead(now_s, messages, out)
             self._converse(now_s, messages, out)
         self._keep_alive(now_s, out)
+        out.samples += [(event, now_s) for event in self._events]
+        self._events.clear()
         return out
 
     @property
@@ -194,6 +209,13 @@ class LinkCore:
     def target_system(self) -> int | None:
         """The vehicle's system id."""
         return None if self.view is None else self.view.profile.system
+
+    @property
+    def vehicle_key(self) -> str:
+        """What this one vehicle is remembered by: its autopilot's serial number, else autopilot and system id."""
+        if self.view is None:
+            return ""
+        return self.view.serial or f"{self.view.profile.name}-{self.view.profile.system}"
 
     def device_s(self, now_s: float) -> float:
         """The vehicle's clock now: by TIMESYNC, else its newest stamp."""
@@ -322,8 +344,8 @@ class LinkCore:
             return None
         if self._origin is None:
             self._origin = (state.position_m, pose.position_m)
-        origin = self._origin
-        moved = zip(state.position_m, origin[0], pose.position_m, origin[1], strict=True)
+        there, here = self._origin
+        moved = zip(state.position_m, there, pose.position_m, here, strict=True)
         return sum(((s - a) - (p - b)) ** 2 for s, a, p, b in moved) ** 0.5
 
     def _lead(self, now_s: float, messages: list[Message], out: Output) -> None:
@@ -351,15 +373,18 @@ class LinkCore:
         for name, rate in self.rates.items():
             yield Ask((profile.interval(message_id(name), rate),), _acknowledges_interval, 0.5, 4)
         dialogue = Parameters(profile.system, profile.component, bytewise=profile.bytewise_parameters)
+        self.changed = dict(self._left_changed.get(self.vehicle_key, {}))
         yield from self._restore(dialogue)
         indoors = self.station.mocap.system != "none"
         for rule in profile.parameters:
             if rule.indoors and not indoors:
                 continue
             found = yield from dialogue.read(rule.name)
-            self.parameters[rule.name] = None if found is None else found[0]
-            wrong = found is not None and found[0] not in rule.accepted
-            if wrong and rule.settable and self.options.set_parameters:
+            if found is None:
+                self.parameters[rule.name] = None
+                continue
+            self.parameters[rule.name] = found[0]
+            if found[0] not in rule.accepted and rule.settable and self.options.set_parameters:
                 self.changed.setdefault(rule.name, found[0])
                 self._changes.append((rule.name, found[0], rule.accepted[0]))
                 if (yield from dialogue.write(rule.name, rule.accepted[0])):

@@ -18,27 +18,33 @@ class ParameterJournal:
 
     def __init__(self, path: Path | None):
         self._path = path
-        self._values: dict[str, float] = {}
+        self._values: dict[str, dict[str, float]] = {}
         if path is not None and path.is_file():
             try:
                 document = json.loads(path.read_text(encoding="utf-8"))
-                self._values = {str(name): float(value) for name, value in document["restore"].items()}
+                self._values = {
+                    str(vehicle): {str(name): float(value) for name, value in values.items()}
+                    for vehicle, values in document["restore"].items()
+                }
             except (OSError, ValueError, KeyError, AttributeError, TypeError):
                 raise BadInput(
                     f"{path}: should list parameters to restore and cannot be read; look at it, restore them by hand, "
                     "and remove it."
                 ) from None
 
-    def pending(self) -> dict[str, float]:
-        """What an earlier flight left changed: name -> value to write back."""
-        return dict(self._values)
+    def pending(self) -> dict[str, dict[str, float]]:
+        """What earlier flights left changed: vehicle -> name -> value to write back."""
+        return {vehicle: dict(values) for vehicle, values in self._values.items()}
 
-    def note(self, name: str, before: float, after: float) -> None:
+    def note(self, vehicle: str, name: str, before: float, after: float) -> None:
         """A parameter is about to change, or (``before == after``) was restored. On disk when this returns."""
+        values = self._values.setdefault(vehicle, {})
         if before == after:
-            self._values.pop(name, None)
+            values.pop(name, None)
         else:
-            self._values.setdefault(name, before)
+            values.setdefault(name, before)
+        if not values:
+            del self._values[vehicle]
         self._write()
 
     def _write(self) -> None:

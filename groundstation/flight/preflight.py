@@ -53,10 +53,9 @@ class Situation:
     Attributes:
         now_s: host time.
         view: what is known of the vehicle.
-        station, vehicle, plan: the files.
+        station, vehicle, plan: the files; without a plan what concerns it is not checked, and says so.
         parameters: read from the vehicle; None for one it does not have.
         clock_error_s: of the vehicle's clock against ours.
-        scale: by which the asked rates were reduced for a slow link (1: not).
         carried: (state, pose) pairs over which the vehicle was moved, to compare their frames.
     """
 
@@ -64,7 +63,7 @@ class Situation:
     view: VehicleView
     station: Station
     vehicle: Vehicle
-    plan: Plan
+    plan: Plan | None
     parameters: Mapping[str, float | None]
     clock_error_s: float
     carried: Sequence[tuple[State, Pose]] = ()
@@ -284,6 +283,8 @@ def compare_frames(carried: Sequence[tuple[State, Pose]]) -> Check | None:
 
 def _plan_fits_vehicle(s: Situation) -> Check:
     """Thrust, tilt and speed of the plan against what this vehicle has (declared top speed, limits)."""
+    if s.plan is None:
+        return Check("plan", True, "no plan was given to check")
     series = s.plan.series()
     times = np.linspace(0.0, series.duration_s, max(200, int(50 * series.duration_s)))
     motion = rigid_motion(series.sample(times), s.vehicle.gravity_m_s2)
@@ -309,6 +310,8 @@ def _plan_fits_vehicle(s: Situation) -> Check:
 
 
 def _plan_fits_room(s: Situation) -> Check:
+    if s.plan is None:
+        return Check("room", True, "no plan was given to check")
     state = s.view.state
     ground = (0.0, 0.0, 0.0, 0.0)
     if s.station.policy.placement == "world" and state is not None:

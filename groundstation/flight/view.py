@@ -48,6 +48,7 @@ class VehicleView:
         mode, intended_mode: by name; PX4 keeps intending OFFBOARD after it was lost.
         armed: as the heartbeat says; None before the first.
         on_ground: as EXTENDED_SYS_STATE says; None where it never came.
+        serial: the autopilot's own number; empty where it tells none.
         checks_pass: the autopilot's own arming checks, where it tells (ArduPilot, PX4 in SYS_STATUS).
         state, pose, battery: newest samples with ``*_s``, the host time they came.
         pose_changed_s: host time of the newest pose that differs from the one before.
@@ -66,6 +67,7 @@ class VehicleView:
     vibration_m_s2: Vector3 | None = None
     capabilities: int | None = None
     software: int | None = None
+    serial: str = ""
     state: State | None = None
     state_s: float = -inf
     pose: Pose | None = None
@@ -114,6 +116,7 @@ class VehicleView:
                 self.vibration_m_s2 = (m.vibration_x, m.vibration_y, m.vibration_z)
             case "AUTOPILOT_VERSION":
                 self.capabilities, self.software = m.capabilities, m.flight_sw_version
+                self.serial = bytes(m.uid2).hex().rstrip("0") or (f"{m.uid:x}" if m.uid else "")
             case "ODOMETRY":
                 if self._reset_counter not in (None, m.reset_counter):
                     self.jump_m = inf
