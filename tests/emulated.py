@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Callable
 
 import numpy as np
 
+from drivers.mavlink.codec import MavlinkCodec, Received
+from drivers.mavlink.dialect import Message, mavlink
 from drivers.mavlink.geometry import rotate, turned
-from groundstation.vehicle import Vehicle
+from groundstation.vehicle import Vehicle, vehicle_from_dict
 from sim.mavlink.airframe import AirframeState, ImuSample, Quaternion, Vector, euler
+from sim.mavlink.autopilot import Autopilot
 
 
 def triple(values) -> Vector:
@@ -52,7 +56,7 @@ class RigidAirframe:
 
     def _substep(self, dt: float, commands: np.ndarray) -> None:
         self._commands += (commands - self._commands) * min(1.0, dt / self._lag_s)
-        force, *torque = self._allocation @ (self._thrust_max * self._commands**2)
+        force, *torque = self._allocation @ self._thrust(self._commands)
         body = np.array([0.0, 0.0, force / self._mass])
         world = np.array(rotate(self._q, tuple(body)))
         acceleration = world - [0.0, 0.0, self._gravity]
@@ -73,6 +77,11 @@ class RigidAirframe:
             self._q = turned(self._q, (self._rate[0], self._rate[1], self._rate[2]), dt)
             self._force = body
         self._on_ground = bool(below)
+
+    def _thrust(self, commands: np.ndarray) -> np.ndarray:
+        if self._vehicle.rotors.thrust_curve is not None:
+            return self._vehicle.thrust(commands)
+        return self._thrust_max * commands**2
 
     @property
     def state(self) -> AirframeState:
@@ -95,3 +104,109 @@ class RigidAirframe:
         noise = self._random.gauss
         gyro = tuple(float(r) + noise(0.0, 0.002) for r in self._rate)
         return ImuSample(gyro, tuple(float(f) + noise(0.0, 0.03) for f in self._force))
+
+
+class Station:
+    """Drives an emulated autopilot on virtual time over one link and keeps what it says.
+
+    Args:
+        autopilot: with no links yet.
+        kind: of link.
+        step_s: how often the autopilot is stepped.
+    """
+
+    LINK = "station"
+
+    def __init__(self, autopilot: Autopilot, *, kind: str = "companion", step_s: float = 0.004, **link):
+        self.autopilot = autopilot
+        self.codec = MavlinkCodec()
+        self.heard: list[tuple[float, Received]] = []
+        self.now_s = 0.0
+        self.heartbeats = True
+        self._step_s, self._beat_s = step_s, 0.0
+        self._outgoing: list[bytes] = []
+        self.repeating: Callable[[float], Message | None] | None = None
+        self._repeat_s = 0.0
+        autopilot.add_link(self.LINK, kind, **link)
+
+    def send(self, *messages: Message) -> None:
+        """Messages that reach the autopilot at the next step."""
+        self._outgoing += [self.codec.encode(m) for m in messages]
+
+    def command(self, number: int, *p: float) -> int | None:
+        """COMMAND_LONG; the result of its acknowledgement within 100 ms."""
+        seen = len(self.heard)
+        self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *(list(p) + [0.0] * 7)[:7]))
+        self.run(0.1)
+        return next((r.message.result for _, r in self.heard[seen:] if is_ack(r, number)), None)
+
+    def request(self, message: Message, reply: str, within_s: float = 0.5):
+        """The first message of that name after sending another."""
+        seen = len(self.heard)
+        self.send(message)
+        self.run(within_s)
+        return next((r.message for _, r in self.heard[seen:] if r.name == reply), None)
+
+    def run(self, duration_s: float, until: Callable[[], bool] | None = None) -> bool:
+        """Let time pass; whether ``until`` came true."""
+        end = self.now_s + duration_s
+        while self.now_s < end - 1e-9:
+            self.now_s += self._step_s
+            if self.heartbeats and self.now_s >= self._beat_s:
+                self._beat_s = self.now_s + 1.0
+                self.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
+            if self.repeating is not None and self.now_s >= self._repeat_s:
+                self._repeat_s = self.now_s + 0.02
+                message = self.repeating(self.now_s)
+                if message is not None:
+                    self.send(message)
+            incoming = [(self.LINK, data) for data in self._outgoing]
+            self._outgoing = []
+            for _, frame in self.autopilot.step(self.now_s, incoming):
+                self.heard += [(self.now_s, r) for r in self.codec.decode(frame, datagram=True)]
+            if until is not None and until():
+                return True
+        return False
+
+    def named(self, name: str, since_s: float = -1.0) -> list:
+        """All messages of a name since a time."""
+        return [r.message for t, r in self.heard if r.name == name and t > since_s]
+
+    def texts(self, since_s: float = -1.0) -> list[str]:
+        """Status texts since a time."""
+        return [m.text.strip() for m in self.named("STATUSTEXT", since_s)]
+
+    def rate_hz(self, name: str, since_s: float) -> float:
+        """How often a message came since a time."""
+        return len(self.named(name, since_s)) / (self.now_s - since_s)
+
+
+def is_ack(received: Received, command: int) -> bool:
+    """Whether it acknowledges this command."""
+    return received.name == "COMMAND_ACK" and received.message.command == command
+
+
+def position_setpoint(x: float, y: float, z: float, *, yaw: float = 0.0) -> Message:
+    """SET_POSITION_TARGET_LOCAL_NED at rest at a point of the house's world (z up)."""
+    return mavlink.MAVLink_set_position_target_local_ned_message(
+        0, 1, 1, 1, 2048, x, -y, -z, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -yaw, 0.0
+    )
+
+
+def quadrotor(**rotors) -> Vehicle:
+    """The 1 kg quadrotor of PX4's built-in simulation: 5 N per rotor at full command, linear in it, 50 ms lag."""
+    return vehicle_from_dict(
+        {
+            "vehicle": {"name": "sih", "mass_kg": 1.0, "inertia_kg_m2": {"xx": 0.025, "yy": 0.025, "zz": 0.03}},
+            "rotors": {
+                "position_m": [[0.2, -0.2, 0.0], [-0.2, 0.2, 0.0], [0.2, 0.2, 0.0], [-0.2, -0.2, 0.0]],
+                "spin": [1, 1, -1, -1],
+                "torque_to_thrust_m": 0.02,
+                "input": "command",
+                "thrust_curve": [0.0, 5.0, 0.0],
+                "lag": {"up_s": 0.05, "down_s": 0.05},
+                **rotors,
+            },
+            "battery": {"full_v": 16.2},
+        }
+    )

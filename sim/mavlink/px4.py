@@ -189,9 +189,7 @@ class Px4(Autopilot):
                 digest = zlib.crc32(p.name.encode() + packed, digest)
             value = struct.unpack("<f", struct.pack("<I", digest))[0]
             kind = mavlink.MAV_PARAM_TYPE_UINT32
-            self.send(
-                link, mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), 65535)
-            )
+            link.send(mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), 65535))
             return
         error = mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST
         link.send(mavlink.MAVLink_param_error_message(*sender, name.encode(), -1, error))
