@@ -65,6 +65,7 @@
         place.classList.add("absent");
       } else {
         const { data, layout } = themed(figure);
+        if (root.classList.contains("print")) layout.width = place.clientWidth;
         await Plotly.react(place, data, layout, CONFIG);
       }
       drawn.add(place);

@@ -136,18 +136,24 @@ def _motors(page: Page, flight: FlightData, view: View) -> Markup:
     kind = flight.vehicle.rotors.input
     titles = {"rotor_speed": "rotor speed (rad/s)", "command": "command", "wrench": "wrench (N, N m)"}
     names = flight.motors.columns if kind == "wrench" else [f"rotor {i + 1}" for i in range(len(flight.motors.columns))]
-    lines = [
-        figures.trace(flight.motors.t_s, flight.motors.values[:, i], name.replace("_", " "), i)
-        for i, name in enumerate(names)
-        if i < flight.motors.values.shape[1]
-    ]
-    caption = "What drove the vehicle, on the motors' clock"
-    caption += (
-        " (as commanded, not measured)."
-        if kind != "rotor_speed" or flight.vehicle.rotors.speed_source == "command"
-        else " (measured)."
+    solid = {"dash": "solid", "width": 1}
+    lines, rows = [], []
+    here = view.holds(flight.motors.t_s)
+    for i, (name, values) in enumerate(zip(names, flight.motors.values.T, strict=True)):
+        line = {**figures.line(i), **solid}  # dashes drown in the noise of a fast stream
+        lines.append({**figures.trace(flight.motors.t_s, values, name.replace("_", " "), i), "line": line})
+        numbers = (f(values[here]) for f in (np.nanmean, np.nanstd, np.nanmin, np.nanmax))
+        rows.append((name.replace("_", " "), *(significant(float(v), 4) for v in numbers)))
+    summary = table(
+        f"{titles[kind].capitalize()} over {here.sum()} samples of the analysed part.",
+        ("channel", "mean", "standard deviation", "smallest", "largest"),
+        rows,
     )
-    return fragment(element("h3", "Rotors"), page.figure(view.figure(lines, titles[kind]), caption))
+    commanded = kind != "rotor_speed" or flight.vehicle.rotors.speed_source == "command"
+    caption = (
+        f"What drove the vehicle, on the motors' clock ({'as commanded, not measured' if commanded else 'measured'})."
+    )
+    return fragment(element("h3", "Rotors"), page.figure(view.figure(lines, titles[kind]), caption), summary)
 
 
 def _battery(page: Page, flight: FlightData, view: View) -> Markup | None:
