@@ -12,14 +12,10 @@ take time (upload, arm, abort) are asked on a thread of their own, so that credi
 from __future__ import annotations
 
 import argparse
-import json
-import math
 import queue
 import signal
 import sys
-import threading
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -28,14 +24,18 @@ from pathlib import Path
 from typing import Any
 
 from drivers import bus
-from drivers.samples import Batch, Battery, Motors, decode_batch
+from drivers.samples import Batch, decode_batch
 from groundstation.errors import BadInput, GroundStationError
 from groundstation.flight import sequence as seq
 from groundstation.flight.children import Child, module_command, start_child
+from groundstation.flight.ground_check import check_ground
 from groundstation.flight.journal import ENDPOINT_FILE, Journal
 from groundstation.flight.journal import NAME as JOURNAL
-from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, CoreStatus, Lease, LeaseAnswer
-from groundstation.flight.recorder import Recorder
+from groundstation.flight.lease import OperatorLease
+from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, Lease
+from groundstation.flight.overview import FlightView
+from groundstation.flight.recorder import Recorder, open_recording
+from groundstation.flight.worker import AnalysisWorker, Progress
 from groundstation.trajectory import Plan, flight_path, load_plan
 from groundstation.vehicle import Vehicle, load_vehicle
 
@@ -46,10 +46,8 @@ STATUS_EVERY_S = 0.1
 START_UP_S = 90.0
 """How long the vehicle's process may take to appear: the simulator's first start on a machine compiles it."""
 SILENCE_S = 10.0
-GROUND_CHECK_S = 1.0
 LOCK_STEP_SLACK = 20.0
 DRONE_PATIENCE_S = 10.0
-NEEDED_STREAMS = ("imu", "motors")
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,26 +79,20 @@ class FlightCore:
         self.journal = Journal(settings.folder / JOURNAL, clock)
         self.inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self.state = seq.Sequence()
-        self.drone_status: bus.DroneStatus | None = None
+        self.view = FlightView(settings.folder, self.vehicle.name)
         self.description = bus.Description()
         self.recorder: Recorder | None = None
-        self.lease = ""
-        self.rejected = 0
-        self.battery_v = 0.0
-        self.motors: tuple[float, ...] = ()
-        self.progress, self.text = 0.0, ""
-        self.table: dict[str, tuple[float, float, float, float]] = {}
-        self.notes: deque[str] = deque(maxlen=8)
+        self.lease = OperatorLease()
         self.digested_s = 0.0
         self._first_s: float | None = None
         self.heard_s = clock()
         self.finished = False
         self._credit_sent = (-1.0, -1e9)
         self._status_sent = -1e9
-        self._lease_lock = threading.Lock()
+        self._malformed = 0
         self._orders = ThreadPoolExecutor(2, thread_name_prefix="orders")
         self._drone: Child | None = None
-        self._worker: Child | None = None
+        self._worker: AnalysisWorker | None = None
 
     # Main loop --------------------------------------------------------------------------------------------------------
 
@@ -117,9 +109,9 @@ class FlightCore:
                 bus.subscribe(session, keys.samples, decode_batch, self._from_bus(self._on_batch)),
                 bus.subscribe(session, keys.status, bus.decoder_of(bus.DroneStatus), self._from_bus(self._on_status)),
                 bus.serve(session, bus.CORE_COMMAND, CoreCommand, self._on_command),
-                bus.serve(session, bus.CORE_LEASE, Lease, self._on_lease),
+                bus.serve(session, bus.CORE_LEASE, Lease, self.lease.request),
                 bus.watch_alive(session, keys.alive, self._on_drone_alive),
-                bus.watch_alive(session, CLIENT_ALIVE.format(client="*"), self._on_client_alive),
+                bus.watch_alive(session, CLIENT_ALIVE.format(client="*"), self.lease.client_alive),
             ]
             try:
                 self._drone = start_child(
@@ -171,9 +163,9 @@ class FlightCore:
         host_s = self.digested_s
         self.journal.write(kind, text, host_s=host_s, **{k: v for k, v in figures.items() if v != ""})
         reason = figures.get("reason")
-        self.notes.append(f"{text}: {reason}" if reason else text)
+        self.view.notes.append(f"{text}: {reason}" if reason else text)
         if self.recorder is not None:
-            self.recorder.note(host_s, kind, self.notes[-1])
+            self.recorder.note(host_s, kind, self.view.notes[-1])
 
     # From the vehicle -------------------------------------------------------------------------------------------------
 
@@ -192,20 +184,8 @@ class FlightCore:
 
     def _described(self, description: bus.Description) -> None:
         self.heard_s = self.clock()
-        from groundstation.recording.recorder import McapRecorder
-
         self.description = description
-        metadata = {
-            "flight": self.settings.folder.name,
-            "vehicle": self.vehicle.name,
-            "scenario": description.scenario,
-            "motor_kind": description.motor_kind,
-            **versions(),
-        }
-        attachments = {"plan.toml": self.settings.plan.read_bytes(), "vehicle.toml": self.settings.vehicle.read_bytes()}
-        if description.truth_toml:
-            attachments["truth.toml"] = description.truth_toml.encode()
-        sink = McapRecorder(self.settings.folder / "flight.mcap", metadata, attachments)
+        sink = open_recording(self.settings.folder, self.settings.plan, self.settings.vehicle, description)
         self.recorder = Recorder(
             sink,
             on_digested=lambda host_s: self.inbox.put(lambda: self._digested(host_s)),
@@ -225,21 +205,16 @@ class FlightCore:
     def _on_batch(self, batch: Batch) -> None:
         self.heard_s = self.clock()
         if len(batch.samples) != len(batch.host_s):
-            self.rejected += 1
+            self._malformed += 1
             return
         if self.recorder is not None and self.state.phase not in (seq.Phase.LANDED, seq.Phase.IDENTIFYING):
             self.recorder.put(batch)
-        for sample in batch.samples:
-            if isinstance(sample, Battery):
-                self.battery_v = sample.voltage_v
-            elif isinstance(sample, Motors):
-                self.motors = sample.values
+        self.view.see(batch.samples)
 
     def _on_status(self, status: bus.DroneStatus) -> None:
         self.heard_s = self.clock()
-        before = self.drone_status.phase if self.drone_status else "idle"
-        self.drone_status = status
-        if status.phase == before:
+        before, self.view.drone = self.view.drone, status
+        if before is not None and status.phase == before.phase:
             return
         if self.recorder is not None:
             self.recorder.status(status)
@@ -273,35 +248,17 @@ class FlightCore:
     # From clients -----------------------------------------------------------------------------------------------------
 
     def _on_command(self, command: CoreCommand) -> bus.Answer:
-        if command.name in ("start", "land") and command.client != self.lease:
-            holder = f"client {self.lease} holds it" if self.lease else "nobody holds it"
-            return bus.Answer(False, f"'{command.name}' needs the operator's lease; {holder}.")
+        if command.name in ("start", "land") and (refusal := self.lease.refusal(command.client, command.name)):
+            return bus.Answer(False, refusal)
         if command.name == "start" and self.state.phase is not seq.Phase.CHECKED:
             return bus.Answer(False, f"the flight is {self.state.phase}; it can be started once it is checked.")
         event = {
             "start": seq.StartRequested(),
             "land": seq.LandRequested(),
             "abort": seq.AbortRequested(f"aborted by {command.client}"),
-            "kill": seq.AbortRequested(f"killed by {command.client}"),
         }[command.name]
         self.inbox.put(lambda: self._event(event))
         return bus.Answer(True)
-
-    def _on_lease(self, request: Lease) -> LeaseAnswer:
-        with self._lease_lock:
-            free = self.lease in ("", request.client)
-            if request.take and (free or request.force):
-                self.lease = request.client
-            elif not request.take and free:
-                self.lease = ""
-            held = self.lease == request.client
-            ok = held if request.take else not held
-            return LeaseAnswer(ok, self.lease, "" if ok else f"client {self.lease} holds the lease")
-
-    def _on_client_alive(self, key: str, is_alive: bool) -> None:
-        with self._lease_lock:
-            if not is_alive and self.lease and key == CLIENT_ALIVE.format(client=self.lease):
-                self.lease = ""
 
     # Actions ----------------------------------------------------------------------------------------------------------
 
@@ -365,62 +322,41 @@ class FlightCore:
             self._command("start")
 
     def _check(self) -> None:
-        """Preflight of what the core itself sees; called as data come in, until it can say yes or no."""
-        seen_s = self.digested_s - (self.digested_s if self._first_s is None else self._first_s)
-        if self.recorder is None or seen_s < GROUND_CHECK_S:
+        """Called as data come in, until it can say yes or no."""
+        if self.recorder is None or self._first_s is None:
             return
         streams = self.recorder.streams(self.digested_s)
-        missing = [name for name in NEEDED_STREAMS if name not in streams]
-        if missing and seen_s < 5.0 * GROUND_CHECK_S:
+        answer = check_ground(streams, self.view.battery_v, self.vehicle, self.digested_s - self._first_s)
+        if answer is None:
             return
-        empty_v = self.vehicle.battery.empty_v
-        if missing:
-            self._event(
-                seq.ChecksAnswered(False, f"no samples of {' and '.join(missing)} arrive; switch the stream on")
-            )
-        elif empty_v is not None and 0.0 < self.battery_v < empty_v:
-            reason = f"the battery is at {self.battery_v:.2f} V, below {empty_v:g} V; charge it"
-            self._event(seq.ChecksAnswered(False, reason))
-        else:
-            rates = {name: round(stream.rate_hz, 1) for name, stream in streams.items()}
-            self._tell("checks", "streams and battery are as they should be", rates_hz=rates, battery_v=self.battery_v)
-            self._event(seq.ChecksAnswered(True))
+        rates = {name: round(stream.rate_hz, 1) for name, stream in streams.items()}
+        told = "streams and battery are as they should be" if answer.ok else "not ready to fly"
+        self._tell("checks", told, reason=answer.reason, rates_hz=rates, battery_v=self.view.battery_v)
+        self._event(answer)
         if self.settings.start:
             self._event(seq.StartRequested())
 
     def _prepare_analysis(self) -> None:
-        """Start the worker during the flight, so that it is warm at landing; it waits for one line."""
+        """Start the worker during the flight, so that it is warm at landing."""
         if self.settings.analyse:
-            command = module_command("groundstation.flight.analysis", str(self.settings.folder))
-            self._worker = start_child(command, self.settings.folder / "analysis.log", piped=True)
+            self._worker = AnalysisWorker(
+                self.settings.folder,
+                on_progress=self._from_bus(self._on_progress),
+                on_end=lambda status, text: self.inbox.put(lambda: self._event(seq.AnalysisFinished(status, text))),
+            )
 
     def _analyse(self) -> None:
         if self._worker is None:
             self._event(seq.AnalysisFinished(0, "not asked for"))
             return
-        self._worker.tell("go")
+        self._worker.go()
         self.state = seq.analysing(self.state, self.clock())
-        threading.Thread(target=self._follow_worker, args=(self._worker,), name="worker", daemon=True).start()
 
-    def _follow_worker(self, worker: Child) -> None:
-        last: dict[str, Any] = {}
-        for line in worker.lines():
-            try:
-                last = json.loads(line)
-            except ValueError:
-                continue
-            self.inbox.put(lambda message=last: self._on_progress(message))
-        status = worker.wait()
-        reason = last.get("text", "") if status in (0, 2, 3) else "the analysis failed; see analysis.log"
-        self.inbox.put(lambda: self._event(seq.AnalysisFinished(status, reason)))
-
-    def _on_progress(self, message: dict[str, Any]) -> None:
-        self.progress = float(message.get("progress", self.progress))
-        self.text = str(message.get("text", ""))
-        if table := message.get("table"):
-            # JSON has no NaN: what the flight does not tell came as null.
-            self.table = {k: tuple(math.nan if v is None else v for v in row) for k, row in table.items()}
-            self.journal.write("estimates", self.text, host_s=self.digested_s, table=table)
+    def _on_progress(self, message: Progress) -> None:
+        self.view.progress, self.view.text = message.progress, message.text
+        if message.table:
+            self.view.table = message.numbers()
+            self.journal.write("estimates", message.text, host_s=self.digested_s, table=message.table)
 
     # Housekeeping -----------------------------------------------------------------------------------------------------
 
@@ -447,45 +383,9 @@ class FlightCore:
         if not force and now - self._status_sent < STATUS_EVERY_S:
             return
         self._status_sent = now
-        self._status.put(self.status())
-
-    def status(self) -> CoreStatus:
-        """What clients see."""
-        drone, recorder = self.drone_status, self.recorder
-        flight: dict[str, Any] = {}
-        if drone is not None:
-            error = sum((a - b) ** 2 for a, b in zip(drone.position_m, drone.setpoint_m, strict=True)) ** 0.5
-            flight = {
-                "vehicle_phase": drone.phase,
-                "flight_s": drone.flight_s,
-                "time_left_s": max(0.0, drone.flight_end_s - drone.flight_s),
-                "tracking_error_m": error if drone.phase in ("takeoff", "exciting", "landing") else 0.0,
-                "position_m": drone.position_m,
-                "setpoint_m": drone.setpoint_m,
-                "euler_rad": drone.euler_rad,
-            }
-        return CoreStatus(
-            flight=self.settings.folder.name,
-            folder=str(self.settings.folder),
-            vehicle=self.vehicle.name,
-            phase=self.state.phase,
-            reason=self.state.reason or self.state.aborting,
-            exit_status=self.state.exit_status,
-            real_time=self.description.real_time,
-            host_s=self.digested_s,
-            motors=self.motors,
-            battery_v=self.battery_v,
-            streams=recorder.streams(self.digested_s) if recorder else {},
-            recorded=recorder.recorded if recorder else 0,
-            lost=recorder.lost_batches if recorder else 0,
-            rejected=self.rejected + sum(getattr(handle, "rejected", 0) for handle in self._handles),
-            lease=self.lease,
-            progress=self.progress,
-            text=self.text,
-            table=self.table,
-            notes=tuple(self.notes),
-            **flight,
-        )
+        self.view.rejected = self._malformed + sum(getattr(handle, "rejected", 0) for handle in self._handles)
+        self.view.lease, self.view.real_time = self.lease.holder, self.description.real_time
+        self._status.put(self.view.status(self.state, self.recorder, self.digested_s))
 
     def _shut_down(self) -> None:
         """Leave nothing behind: recording closed, orders given, children gone, the outcome in the log."""
@@ -505,17 +405,6 @@ class FlightCore:
     def abort(self, reason: str) -> None:
         """Ask for an abort from a signal handler or another thread."""
         self.inbox.put(lambda: self._event(seq.AbortRequested(reason)))
-
-
-def versions() -> dict[str, str]:
-    """Versions that a recording should remember."""
-    import platform
-    from importlib.metadata import version
-
-    return {
-        "python": platform.python_version(),
-        **{name: version(name) for name in ("groundstation", "numpy", "eclipse-zenoh", "mcap")},
-    }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -6,13 +6,16 @@ the flight; what was written before stays readable (small chunks).
 
 from __future__ import annotations
 
+import platform
 import queue
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
+from importlib.metadata import version
+from pathlib import Path
 from typing import Protocol
 
-from drivers.bus import DroneStatus
+from drivers.bus import Description, DroneStatus
 from drivers.samples import Batch, Event, Raw, Sample
 from groundstation.flight.messages import StreamStatus
 
@@ -144,3 +147,21 @@ class Recorder:
                     self._meters.setdefault(name, StreamMeter()).add(sample.device_s, host_s)
         if batch.host_s:
             self._on_digested(batch.host_s[-1])
+
+
+def open_recording(folder: Path, plan: Path, vehicle: Path, description: Description) -> Sink:
+    """``flight.mcap`` of a flight, with what has to be known to read it: vehicle, plan, truth if simulated, versions."""
+    from groundstation.recording.recorder import McapRecorder
+
+    metadata = {
+        "flight": folder.name,
+        "vehicle": description.vehicle,
+        "scenario": description.scenario,
+        "motor_kind": description.motor_kind,
+        "python": platform.python_version(),
+        **{name: version(name) for name in ("groundstation", "numpy", "eclipse-zenoh", "mcap")},
+    }
+    attachments = {"plan.toml": plan.read_bytes(), "vehicle.toml": vehicle.read_bytes()}
+    if description.truth_toml:
+        attachments["truth.toml"] = description.truth_toml.encode()
+    return McapRecorder(folder / "flight.mcap", metadata, attachments)

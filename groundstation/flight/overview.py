@@ -1,0 +1,84 @@
+"""What clients are shown of a flight, gathered as it goes. Nothing here decides anything."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from drivers.bus import DroneStatus
+from drivers.samples import Battery, Motors, Sample
+from groundstation.flight.messages import CoreStatus
+from groundstation.flight.recorder import Recorder
+from groundstation.flight.sequence import Sequence
+
+NOTES = 8
+
+
+class FlightView:
+    """The newest of everything.
+
+    Args:
+        folder: of the flight.
+        vehicle: its name.
+    """
+
+    def __init__(self, folder: Path, vehicle: str):
+        self._folder, self._vehicle = folder, vehicle
+        self.drone: DroneStatus | None = None
+        self.battery_v = 0.0
+        self.motors: tuple[float, ...] = ()
+        self.progress, self.text = 0.0, ""
+        self.table: dict[str, tuple[float, float, float, float]] = {}
+        self.notes: deque[str] = deque(maxlen=NOTES)
+        self.lease, self.real_time, self.rejected = "", False, 0
+
+    def see(self, samples: Iterable[Sample]) -> None:
+        """Keep the newest values that views show."""
+        for sample in samples:
+            if isinstance(sample, Battery):
+                self.battery_v = sample.voltage_v
+            elif isinstance(sample, Motors):
+                self.motors = sample.values
+
+    def status(self, sequence: Sequence, recorder: Recorder | None, host_s: float) -> CoreStatus:
+        """As of host time."""
+        return CoreStatus(
+            flight=self._folder.name,
+            folder=str(self._folder),
+            vehicle=self._vehicle,
+            phase=sequence.phase,
+            reason=sequence.reason or sequence.aborting,
+            exit_status=sequence.exit_status,
+            real_time=self.real_time,
+            host_s=host_s,
+            motors=self.motors,
+            battery_v=self.battery_v,
+            streams=recorder.streams(host_s) if recorder else {},
+            recorded=recorder.recorded if recorder else 0,
+            lost=recorder.lost_batches if recorder else 0,
+            rejected=self.rejected,
+            lease=self.lease,
+            progress=self.progress,
+            text=self.text,
+            table=self.table,
+            notes=tuple(self.notes),
+            **self._motion(),
+        )
+
+    def _motion(self) -> dict[str, Any]:
+        drone = self.drone
+        if drone is None:
+            return {}
+        moving = drone.phase in ("takeoff", "exciting", "landing")
+        return {
+            "vehicle_phase": drone.phase,
+            "flight_s": drone.flight_s,
+            "time_left_s": max(0.0, drone.flight_end_s - drone.flight_s),
+            "tracking_error_m": math.dist(drone.position_m, drone.setpoint_m) if moving else 0.0,
+            "position_m": drone.position_m,
+            "setpoint_m": drone.setpoint_m,
+            "euler_rad": drone.euler_rad,
+        }
