@@ -102,16 +102,15 @@ def _motion(gravity_m_s2: float) -> _Motion:
     )
     thrust = ca.sqrt(length**2 + sideways**2)
     up_axis = ca.vertcat(acceleration[0], acceleration[1], up) / thrust
-    heading = ca.vertcat(ca.cos(yaw), ca.sin(yaw), 0.0)
-    left = ca.cross(up_axis, heading)
-    left = left / ca.norm_2(left)
+    nose = ca.cross(ca.vertcat(-ca.sin(yaw), ca.cos(yaw), 0.0), up_axis)
+    nose = nose / ca.norm_2(nose)
     velocity = flat[_VELOCITY : _VELOCITY + 3]
     return _Motion(
         flat=flat,
         tangents=ca.vertcat(sideways / length, forward / up),
         specific_thrust=thrust,
         velocity_body=ca.vertcat(
-            ca.dot(ca.cross(left, up_axis), velocity), ca.dot(left, velocity), ca.dot(up_axis, velocity)
+            ca.dot(nose, velocity), ca.dot(ca.cross(up_axis, nose), velocity), ca.dot(up_axis, velocity)
         ),
         rate=rate,
         turning=ca.jtimes(rate, state, first) + ca.jtimes(rate, first, second),
