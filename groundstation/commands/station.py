@@ -139,10 +139,13 @@ def doctor(logs: Path) -> Result:
 
 
 @click.command(epilog=example("groundstation reproduce"))
-@logs_option
+@click.option(
+    "--keep", type=click.Path(path_type=Path), help="New folder that the simulated flights are left in, as bundles."
+)
 @json_option
-def reproduce(logs: Path) -> Result:
+def reproduce(keep: Path | None) -> Result:
     """Fly the paper's trajectory and circles on the simulated QBall 2, and print its tables beside ours."""
-    from groundstation.flight.reproduce import reproduce as run
+    from groundstation.reproduction import reproduce as run
 
-    return run(logs)
+    document, text = run(keep)
+    return Result(document, text)
