@@ -17,6 +17,9 @@ $(READY): pyproject.toml constraints.txt
 	  if [ -z "$$python" ]; then echo "Python 3.11 or later with venv is needed; install it, or: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)" >&2; exit 1; fi; \
 	  [ -x $(PY) ] && $(PY) -m pip --version >/dev/null 2>&1 || "$$python" -m venv --clear $(VENV)
 	$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev,mocap]'
+	@# A first flight compiles what numba compiles, so that the next one starts at once.
+	@$(VENV)/bin/groundstation rehearse --scenario clean --logs $(VENV)/first-flight >/dev/null 2>$(VENV)/first-flight.log || \
+	  { tail -n 5 $(VENV)/first-flight.log; echo "the first flight failed; going on" >&2; }
 	@touch $@
 
 setup: $(READY)  ## the virtual environment alone
