@@ -81,7 +81,8 @@ def table(
         element("tbody", body),
         class_=class_ or None,
     )
-    return element("div", content, class_="scroll", role="region", tabindex="0", aria_label="Table")
+    name = caption if isinstance(caption, str) and not isinstance(caption, Markup) else "Table"
+    return element("div", content, class_="scroll", role="region", tabindex="0", aria_label=name)
 
 
 def definition_list(pairs: Iterable[tuple[Child, Child]]) -> Markup:

@@ -7,6 +7,7 @@ import gzip
 import json
 import math
 from dataclasses import dataclass, field
+from functools import cache
 from importlib import resources
 from typing import Any
 
@@ -45,8 +46,6 @@ class Page:
 
     def html(self, header: Child, footer: Child) -> str:
         """The whole document."""
-        from plotly.offline import get_plotlyjs
-
         contents = element(
             "nav",
             element("ul", [element("li", element("a", h, href=f"#{a}")) for a, h, _ in self.sections]),
@@ -69,7 +68,7 @@ class Page:
             element("noscript", element("p", "The tables are complete; the figures need JavaScript.", class_="note")),
             element("main", [section for _, _, section in self.sections]),
             element("footer", footer),
-            _payload("data-plotly", get_plotlyjs()),
+            _plotly(),
             _payload("data-figures", json.dumps(self.figures, allow_nan=False, separators=(",", ":"))),
             element("script", Markup(_asset("report.js"))),
         )
@@ -89,6 +88,14 @@ def _payload(name: str, text: str) -> Markup:
     """Compressed text in an inert script element; base64 cannot end the element early."""
     packed = base64.b64encode(gzip.compress(text.encode(), 9, mtime=0)).decode()
     return element("script", Markup(packed), id=name, type="application/gzip")
+
+
+@cache
+def _plotly() -> Markup:
+    """The plotting library, packed once per process."""
+    from plotly.offline import get_plotlyjs
+
+    return _payload("data-plotly", get_plotlyjs())
 
 
 def _asset(name: str) -> str:

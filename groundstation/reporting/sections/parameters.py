@@ -95,16 +95,34 @@ def _method_table(identification: Identification, nominal: Mapping[str, float], 
             estimate = identification.methods[method].parameters.get(name)
             note = _against_truth(name, estimate, truth) if estimate is not None else None
             row.append(estimate_cell(name, estimate, scale, note))
+        if identification.bound:
+            row.append(_bound_cell(identification, name, scale))
         rows.append(row)
     conditions = [identification.methods[m].condition_number for m in methods]
     if any(c is not None for c in conditions):
         blanks = [""] * (2 if truth else 1)
-        rows.append(["condition number", *blanks, *(significant(c) if c is not None else "–" for c in conditions)])
+        numbers = [significant(c) if c is not None else "–" for c in conditions]
+        rows.append(["condition number", *blanks, *numbers, *([""] if identification.bound else [])])
     caption = "Estimates with their 95 % intervals below."
     if truth:
         caption += " Third line: error against the simulated truth; ✓ the interval holds it, ✕ it does not."
-    header = ["parameter", "nominal", *(["true"] if truth else []), *methods]
-    return table(caption, header, rows, highlight=len(header) - len(methods) if methods else None)
+    before = ["parameter", "nominal", *(["true"] if truth else [])]
+    after = []
+    if identification.bound:
+        caption += " Last column: the least standard deviation any unbiased estimator can reach on this flight."
+        after = ["Cramér–Rao bound"]
+    return table(caption, [*before, *methods, *after], rows, highlight=len(before) if methods else None)
+
+
+def _bound_cell(identification: Identification, name: str, scale: Scale) -> Markup:
+    """The bound, and how many times wider the best method's standard deviation is."""
+    bound = identification.bound.get(name)
+    if bound is None or bound <= 0.0:
+        return fragment("–")
+    best = identification.methods.get(identification.best)
+    estimate = best.parameters.get(name) if best else None
+    ratio = f"{identification.best} is {significant(estimate.std / bound, 2)} times it" if estimate else None
+    return fragment(significant(bound * scale.factor, 2), element("small", ratio) if ratio else None)
 
 
 def _plain(value: float | None, scale: Scale) -> str:

@@ -44,18 +44,22 @@ def effect_name(effect: str) -> str:
 
 def add_verdict(page: Page, identification: Identification | Refused, diagnosis: Diagnosis | None) -> None:
     """The section a reader sees first."""
+    warnings = _warnings(identification, diagnosis)
     if isinstance(identification, Refused):
         content = _banner("refused", VERDICTS["refused"], identification.reason, identification.remedy)
         page.section("verdict", "Verdict", content, _missing(identification.not_identifiable))
         return
     if diagnosis is None:
         best = f"Best estimate: {identification.best}. {reason(identification)}"
-        page.section("verdict", "Verdict", _banner("open", "Identified; not diagnosed.", best), _cards(identification))
+        page.section(
+            "verdict", "Verdict", _banner("open", "Identified; not diagnosed.", best), warnings, _cards(identification)
+        )
         return
     page.section(
         "verdict",
         "Verdict",
         _banner(diagnosis.verdict, VERDICTS[diagnosis.verdict], diagnosis.reason),
+        warnings,
         _cards(identification),
         _findings(diagnosis.findings),
         _unexplained(diagnosis),
@@ -71,6 +75,16 @@ def _banner(kind: str, title: str, *sentences: str) -> Markup:
     return element(
         "div", element("strong", symbol, title), [element("p", s) for s in sentences if s], class_=f"verdict {kind}"
     )
+
+
+def _warnings(identification: Identification | Refused, diagnosis: Diagnosis | None) -> Markup | None:
+    """How many warnings there are, where they stand."""
+    found = {*(() if isinstance(identification, Refused) else identification.warnings)}
+    found |= {*(diagnosis.warnings if diagnosis else ())}
+    if not found:
+        return None
+    text = "One warning" if len(found) == 1 else f"{len(found)} warnings"
+    return element("p", element("a", f"{text}: read them before you use these numbers.", href="#warnings"))
 
 
 def _missing(names: tuple[str, ...]) -> Markup | None:
