@@ -14,7 +14,7 @@ from typing import Literal
 
 import click
 
-from groundstation.commands.common import Result, example, json_option, logs_option
+from groundstation.commands.common import ProgressLine, Result, example, json_option, logs_option
 
 Verdict = Literal["ok", "note", "wrong"]
 FREE_BYTES = 500_000_000
@@ -139,13 +139,13 @@ def doctor(logs: Path) -> Result:
 
 
 @click.command(epilog=example("groundstation reproduce"))
-@click.option(
-    "--keep", type=click.Path(path_type=Path), help="New folder that the simulated flights are left in, as bundles."
-)
+@click.option("--keep", type=click.Path(path_type=Path, file_okay=False), help="Folder to leave the flights in.")
 @json_option
 def reproduce(keep: Path | None) -> Result:
     """Fly the paper's trajectory and circles on the simulated QBall 2, and print its tables beside ours."""
     from groundstation.reproduction import reproduce as run
 
-    document, text = run(keep)
+    line = ProgressLine()
+    document, text = run(keep, line.fraction)
+    line.end()
     return Result(document, text)
