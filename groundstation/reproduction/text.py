@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -11,6 +12,7 @@ from groundstation.reproduction.ours import Columns, Ours
 from groundstation.reproduction.published import METHODS, OUTPUT_TABLES, TABLE_3, TABLE_4, OutputTable
 
 TORQUES = OUTPUTS[1:]
+WIDTH = 118
 
 
 def side_by_side(title: str, columns: Sequence[str], paper: Columns, here: Columns, *, improvement: bool) -> str:
@@ -65,12 +67,15 @@ def _triangle(values: Mapping[str, float]) -> float:
     return float(moments[2] / (moments[0] + moments[1]))
 
 
+def _wrapped(text: str) -> str:
+    return textwrap.fill(text, WIDTH)
+
+
 def table_2(facts: Mapping[str, float]) -> str:
     """What the published coefficients do, and that they are flown as printed."""
-    return (
-        "Table 2. Coefficients of the optimised trajectory: flown as printed.\n"
+    return "Table 2. Coefficients of the optimised trajectory: flown as printed.\n" + _wrapped(
         f"cond(W) over one period at 2 ms is {facts['condition_number']:.2f}. The trajectory does not keep the limits of "
-        f"III-B:\nroll reaches {facts['roll_deg']:.2f} and pitch {facts['pitch_deg']:.2f} degrees (limit 5.73), the yaw rate "
+        f"III-B: roll reaches {facts['roll_deg']:.2f} and pitch {facts['pitch_deg']:.2f} degrees (limit 5.73), the yaw rate "
         f"{facts['yaw_rate_rad_s']:.4f} rad/s (limit 0.5)."
     )
 
@@ -81,6 +86,7 @@ def table_3(runs: Sequence[Ours]) -> str:
     for run in runs:
         title = f"True vehicle here: {run.truth.name} ({run.truth.why})."
         block = side_by_side(title, METHODS, TABLE_3, run.parameters, improvement=False).splitlines()
+        block[0] = _wrapped(title)
         block[1] += f"  {'truth':>9}  {'std of LS':>9}"
         for index, name in enumerate(MASS_AND_TENSOR):
             block[3 + index] += f"  {run.parameters['truth'][name]:>9.5f}  {run.std['LS'][name]:>9.5f}"
@@ -92,13 +98,15 @@ def table_3(runs: Sequence[Ours]) -> str:
     ratios = [_triangle(values) for values in TABLE_3.values()]
     ours = max(_triangle(run.parameters[name]) for run in runs for name in METHODS)
     parts.append(
-        f"Where they differ: from one flight the paper's LS is {_disagreement(TABLE_3, 'ixx_kg_m2'):.0f} % above its FMLS on Ixx "
-        f"and {_disagreement(TABLE_3, 'izz_kg_m2'):.0f} % on Izz;\nhere it is {'; '.join(here)} %, of which the seed's own "
-        "filter pair makes 3.0 %: on a rigid body with four immediate\nrotors the two models agree, whatever the tensor. "
-        f"All four published sets have a largest principal moment {min(ratios):.1f} to {max(ratios):.1f} times the sum\nof the "
-        f"others, which no rigid body has; here the ratio is at most {ours:.2f}. What can tear LS and FMLS apart is in "
-        "docs/disagreement.md.\nGradient descent remembers about a second, so it differs from least squares by more of "
-        "the draught, in the paper as here."
+        _wrapped(
+            f"Where they differ: from one flight the paper's LS is {_disagreement(TABLE_3, 'ixx_kg_m2'):.0f} % above its FMLS "
+            f"on Ixx and {_disagreement(TABLE_3, 'izz_kg_m2'):.0f} % on Izz; here it is {'; '.join(here)} %, of which the "
+            "seed's own filter pair makes 3.0 %: on a rigid body with four immediate rotors the two models agree, whatever the "
+            f"tensor. All four published sets have a largest principal moment {min(ratios):.1f} to {max(ratios):.1f} times the "
+            f"sum of the others, which no rigid body has; here the ratio is at most {ours:.2f} (1 is the limit, and the third "
+            "vehicle lies on it). What can tear LS and FMLS apart is in docs/disagreement.md. Gradient descent remembers about "
+            "a second, so it takes in more of the draught than least squares does."
+        )
     )
     return "\n\n".join(parts)
 
@@ -106,58 +114,59 @@ def table_3(runs: Sequence[Ours]) -> str:
 def table_4(run: Ours) -> str:
     """Closed-loop simulation against the flight."""
     names = ("nominal", *METHODS)
-    body = side_by_side(
-        "Table 4. Flight against closed-loop simulation, RMS, 10 s to 50 s.",
-        names,
-        TABLE_4,
-        run.closed_loop,
-        improvement=True,
-    )
+    title = "Table 4. Flight against closed-loop simulation, RMS, 10 s to 50 s."
+    body = side_by_side(title, names, TABLE_4, run.closed_loop, improvement=True)
     ratio = TABLE_4["nominal"]["roll_deg"] / run.closed_loop["nominal"]["roll_deg"]
     torque = TABLE_4["nominal"]["torque_x_nm"] / run.closed_loop["nominal"]["torque_x_nm"]
     worse = [s for s in TABLE_4["nominal"] if _gain(run.closed_loop, "LS", s) < -0.5]
-    return (
-        f"{body}\nWhere they differ: the paper's roll error is {ratio:.0f} times ours and its roll torque error {torque:.0f} times: "
-        "our vehicle really flies by the simulated law,\nwith its noise, its own state estimate and a draught between; "
-        "the paper's experiment holds much that its simulation lacks.\nIn the paper e_z and e_psi grow after "
-        f"identification; here LS makes {', '.join(worse) if worse else 'nothing'} worse. Thrust gains most here, because the "
-        "mass is what the nominal set has wrong\nand nothing else hides it."
+    words = (
+        f"Where they differ: the paper's roll error is {ratio:.0f} times ours and its roll torque error {torque:.0f} times: our "
+        "vehicle really flies by the simulated law, with sensor noise, its own state estimate and a draught between; the "
+        "paper's experiment holds much that its simulation lacks. In the paper e_z and e_psi grow after identification; here "
+        f"LS makes {', '.join(worse) if worse else 'nothing'} worse. Thrust gains most here, because the mass is what the "
+        "nominal set has wrong and nothing else hides it."
     )
+    return f"{body}\n{_wrapped(words)}"
 
 
 def output_table(table: OutputTable, run: Ours) -> str:
     """One of Tables 5 to 12."""
     here = run.outputs[table.number]
-    names = ("nominal", *table.methods)
-    model = "standard" if table.methods[0] == "LS" else "filtered"
-    title = f"Table {table.number}. Output error (43), {table.flight}, {model} model, RMS, 0 s to 50 s."
-    body = side_by_side(title, names, table.rms, here, improvement=True)
     best = table.methods[0]
+    model = "standard" if best == "LS" else "filtered"
+    title = f"Table {table.number}. Output error (43), {table.flight}, {model} model, RMS, 0 s to 50 s."
+    body = side_by_side(title, ("nominal", *table.methods), table.rms, here, improvement=True)
     torque = np.median([table.rms[best][s] / here[best][s] for s in TORQUES])
     force = table.rms[best]["force_z_n"] / here[best]["force_z_n"]
     gains = [f"{_gain(columns, best, 'force_z_n'):.0f}" for columns in (table.rms, here)]
-    return (
-        f"{body}\nWhere they differ: the paper's torque residual after {best} is {torque:.0f} times ours and its thrust residual "
-        f"{force:.0f} times; {best} takes {gains[0]} % off\nthe paper's thrust residual and {gains[1]} % off ours, where a wrong "
-        "mass and sensor noise are all there is. " + _circle_words(table)
+    words = (
+        f"Where they differ: the paper's torque residual after {best} is {torque:.0f} times ours and its thrust residual "
+        f"{force:.0f} times; {best} takes {gains[0]} % off the paper's thrust residual and {gains[1]} % off ours, where a wrong "
+        f"mass, sensor noise and a draught are all there is. {_last_words(table)}"
     )
+    return f"{body}\n{_wrapped(words)}"
 
 
-def _circle_words(table: OutputTable) -> str:
+def _last_words(table: OutputTable) -> str:
     if table.flight == "identification":
-        return "Excitation asks for about 0.018 N m of roll torque\n(RMS), so the paper's residual is several times the motion it explains."
-    return "The paper's torque residual grows\nwith the radius, so with speed; ours, without aerodynamics, does not."
+        return (
+            "The excitation asks for about 0.018 N m of roll torque (RMS), so the paper's residual is several times the "
+            "motion it explains."
+        )
+    return (
+        "The paper's tilt torque residual grows with the radius, so with speed; ours, without aerodynamics, does not."
+    )
 
 
 def all_tables(runs: Sequence[Ours], facts: Mapping[str, float]) -> str:
     """Tables 2 to 12."""
     main = runs[0]
-    head = (
+    head = _wrapped(
         "The paper's tables beside ours, on the simulated QBall 2 with IV-A's conditions: poses at 30 Hz, IMU and attitude loop "
-        "at 500 Hz,\nwrench as commanded, saturations of IV-A, T = 2 ms, lambda = 30 rad/s. Zero-phase low-pass at "
-        f"{main.cutoff_hz:.1f} Hz (the printed 0.001 Hz would\nremove the motion). Accelerations from differentiated positions, "
-        "as in II-C. One flight each; same seeds, same flights.\nWhat the paper leaves open, the true vehicle, is varied in Table 3; "
-        f"Tables 4 to 12 are with the first ({main.truth.name})."
+        "at 500 Hz, wrench as commanded, saturations of IV-A, T = 2 ms, lambda = 30 rad/s. Zero-phase low-pass at "
+        f"{main.cutoff_hz:.1f} Hz (the printed 0.001 Hz would remove the motion). Accelerations from differentiated positions, "
+        "as in II-C. One flight each; same seeds, same flights. What the paper leaves open, the true vehicle, is varied in "
+        f"Table 3; Tables 4 to 12 are with the first ({main.truth.name}). P% is the improvement over nominal in percent."
     )
     tables = [table_2(facts), table_3(runs), table_4(main), *(output_table(table, main) for table in OUTPUT_TABLES)]
     return "\n\n\n".join([head, *tables]) + "\n"
