@@ -17,7 +17,7 @@ from groundstation.identification.prediction_error import (
     instrumental,
     output_error,
 )
-from groundstation.identification.preparation import Prepared, prepare
+from groundstation.identification.preparation import Prepared, damping_terms, prepare
 from groundstation.identification.record_model import Options, RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification, MethodResult
 
@@ -63,10 +63,15 @@ def options_for(prepared: Prepared) -> Options:
     return Options(lag=not prepared.record.motors.measured and rotors.input != "wrench", channels=channels)
 
 
+def _model_of(prepared: Prepared) -> RecordModel:
+    terms, planned = damping_terms(prepared)
+    return RecordModel(prepared.record, terms, planned)
+
+
 def fit_dynamics(prepared: Sequence[Prepared], progress: Progress = lambda fraction, text: None) -> DynamicFit:
     """Prediction error and instrumental estimates of the pooled flights."""
     options = options_for(prepared[0])
-    models = tuple(RecordModel(item.record, planned=item.planned) for item in prepared)
+    models = tuple(_model_of(item) for item in prepared)
     if any(len(model.t_s) < 50 for model in models):
         raise NotIdentifiable(
             "a flight holds less than a second of usable data.", "Leave out less of it, or fly longer."

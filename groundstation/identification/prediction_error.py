@@ -355,7 +355,20 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
                 ]
                 for model, e, chosen, previous in zip(models, evaluated, channels, colours, strict=True)
             ]
-        instruments = [model.instruments(p, options) for model in models]
+        bases = [
+            [
+                _orthonormal(z)
+                for z in _whiten(
+                    model,
+                    model.residual(p),
+                    model.instruments(p, options),
+                    channels[index],
+                    colours[index],
+                    polynomials[index],
+                )[1]
+            ]
+            for index, model in enumerate(models)
+        ]
         for _ in range(10):
             theta = _current(p, names, extra_names)
             mean, std = _priors(models[0].record, start.parameters, names, models[0].extra)
@@ -363,13 +376,9 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
             zx, zz = precision.copy(), precision.copy()
             ze = (mean - theta) / std**2 + split @ (start.values - theta)
             for index, model in enumerate(models):
-                joined = np.concatenate([evaluated[index][1], instruments[index]], axis=2)
-                ys, both, _ = _whiten(
-                    model, evaluated[index][0], joined, channels[index], colours[index], polynomials[index]
-                )
-                for y, columns in zip(ys, both, strict=True):
-                    x = columns[:, : len(names)]
-                    z = _projected(x, columns[:, len(names) :])
+                ys, xs, _ = _whiten(model, *evaluated[index][:2], channels[index], colours[index], polynomials[index])
+                for y, x, basis in zip(ys, xs, bases[index], strict=True):
+                    z = basis @ (basis.T @ x)
                     w = _huber(y)[:, None]
                     zx += z.T @ (x * w)
                     zz += z.T @ (z * w)
@@ -396,13 +405,14 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
     )
 
 
-def _projected(x: Array, basis: Array) -> Array:
-    """The part of the columns of x that lies in the span of a basis (first stage of two-stage least squares)."""
+def _orthonormal(basis: Array) -> Array:
+    """Orthonormal columns that span a basis (first stage of two-stage least squares), weak directions dropped."""
     size = np.linalg.norm(basis, axis=0)
-    used = basis[:, size > 1e-9 * max(float(size.max()), 1e-30)] / size[size > 1e-9 * max(float(size.max()), 1e-30)]
-    left, singular, _ = np.linalg.svd(used, full_matrices=False)
-    left = left[:, singular > 1e-3 * singular[0]] if len(singular) else left
-    return left @ (left.T @ x)
+    used = basis[:, size > 1e-9 * max(float(size.max()), 1e-30)]
+    gram = (used / np.linalg.norm(used, axis=0)).T @ (used / np.linalg.norm(used, axis=0))
+    values, vectors = np.linalg.eigh(gram)
+    keep = values > 1e-6 * values[-1]
+    return (used / np.linalg.norm(used, axis=0)) @ (vectors[:, keep] / np.sqrt(values[keep]))
 
 
 def _lag_split_precision(names: Sequence[str]) -> Array:

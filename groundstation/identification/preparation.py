@@ -14,11 +14,19 @@ from numpy.typing import NDArray
 
 from groundstation.errors import NotIdentifiable, Refused
 from groundstation.flightdata import FlightData, Stream
-from groundstation.frames import quat_conjugate, quat_exp, quat_log, quat_multiply, quat_rotate_inverse
+from groundstation.frames import (
+    quat_conjugate,
+    quat_exp,
+    quat_from_euler,
+    quat_log,
+    quat_multiply,
+    quat_rotate,
+    quat_rotate_inverse,
+)
 from groundstation.identification.clock import coarse_offset, rates_from_attitude
 from groundstation.identification.processing import clean, excitation_window
 from groundstation.identification.reconstruction import Compatibility, body_motion, reconstruct
-from groundstation.identification.record_model import DynamicRecord, PlannedMotion
+from groundstation.identification.record_model import BodyWrench, DynamicRecord, PlannedMotion
 from groundstation.identification.results import Clock
 from groundstation.model.rotors import (
     MotorInput,
@@ -29,7 +37,7 @@ from groundstation.model.rotors import (
     wrench_matrix,
 )
 from groundstation.model.signals import Signals
-from groundstation.trajectory import FlatState, rigid_motion
+from groundstation.trajectory import FlatState, RigidMotion, rigid_motion
 
 Array = NDArray[np.float64]
 
@@ -253,7 +261,7 @@ def _from_poses(flight: FlightData, pose: Stream) -> _Motion:
     t, p = pose.t_s, pose.values[:, :3]
     rotation = quat_exp(np.asarray(flight.vehicle.mocap.rotation_rad))
     q = quat_multiply(pose.values[:, 3:7], quat_conjugate(rotation))
-    p = p - np.stack([_rotate(q, np.asarray(flight.vehicle.mocap.position_m))], axis=0)[0]
+    p = p - quat_rotate(q, np.asarray(flight.vehicle.mocap.position_m))
     rate, middle = rates_from_attitude(t, q)
     velocity = np.diff(p, axis=0) / np.diff(t)[:, None]
     half = quat_multiply(q[:-1], quat_exp(0.5 * quat_log(quat_multiply(quat_conjugate(q[:-1]), q[1:]))))
@@ -263,12 +271,6 @@ def _from_poses(flight: FlightData, pose: Stream) -> _Motion:
     return _Motion(
         middle, rate, force, np.full(3, 1e-4), motion, motion, None, None, "poses", 1.0 / float(np.median(np.diff(t)))
     )
-
-
-def _rotate(q: Array, vector: Array) -> Array:
-    from groundstation.frames import quat_rotate
-
-    return quat_rotate(q, vector)
 
 
 def _from_state(flight: FlightData, state: Stream) -> _Motion:
@@ -372,9 +374,47 @@ def planned_motion(
     coherence = max(scores) / (np.sqrt(np.sum(planned**2) * np.sum(actual**2)) + 1e-12)
     if coherence < 0.2:
         return None
+    return _planned(moved)
+
+
+def _planned(motion: RigidMotion) -> PlannedMotion:
+    attitude = quat_from_euler(*motion.euler_rad.T)
     return PlannedMotion(
-        moved.angular_velocity_body_rad_s, moved.angular_acceleration_body_rad_s2, moved.specific_thrust_m_s2
+        motion.angular_velocity_body_rad_s,
+        motion.angular_acceleration_body_rad_s2,
+        motion.specific_thrust_m_s2,
+        quat_rotate_inverse(attitude, motion.velocity_world_m_s),
     )
+
+
+def damping_terms(prepared: Prepared) -> tuple[list[BodyWrench], PlannedMotion | None]:
+    """Linear damping of the three rates and of climb, free in every fit, and the plan with their planned values.
+
+    Every vehicle has some; left out, it passes for rotor lag and lengthens the moments of inertia. Its regressor stands at
+    a right angle to the acceleration's, so freeing it costs mass and inertia next to nothing.
+    """
+    record = prepared.record
+    vehicle = record.vehicle
+    count = len(record.t_s)
+    climb = quat_rotate_inverse(prepared.quaternion, prepared.velocity_m_s)[:, 2]
+    sources = [(3, record.rate_rad_s[:, 0]), (4, record.rate_rad_s[:, 1]), (5, record.rate_rad_s[:, 2]), (2, climb)]
+    plan = prepared.planned
+    terms: list[BodyWrench] = []
+    planned: list[Array] = []
+    moments = np.diag(vehicle.inertia_tensor())
+    scales = (*(5.0 * moments), vehicle.mass_kg)
+    names = ("damping_x_nms", "damping_y_nms", "damping_z_nms", "damping_climb_kg_s")
+    for index, ((column, values), name, scale) in enumerate(zip(sources, names, scales, strict=True)):
+        if not np.isfinite(values).all():
+            continue
+        wrench = np.zeros((count, 6))
+        wrench[:, column] = -values
+        terms.append(BodyWrench(name, wrench, prior_std=float(scale)))
+        if plan is not None:
+            wished = np.zeros((count, 6))
+            wished[:, column] = -(plan.rate_rad_s[:, index] if index < 3 else plan.velocity_body_m_s[:, 2])
+            planned.append(wished)
+    return terms, None if plan is None else replace(plan, extra=tuple(planned))
 
 
 def _setpoint_spline(setpoint: Stream):

@@ -63,12 +63,14 @@ class PlannedMotion:
         rate_rad_s: body rates, (k, 3).
         angular_acceleration_rad_s2: (k, 3).
         specific_thrust_m_s2: thrust over mass, (k,).
+        velocity_body_m_s: (k, 3).
         extra: planned wrench of each BodyWrench term, (k, 6) each.
     """
 
     rate_rad_s: Array
     angular_acceleration_rad_s2: Array
     specific_thrust_m_s2: Array
+    velocity_body_m_s: Array
     extra: tuple[Array, ...] = ()
 
     def shifted(self, seconds: float, t_s: Array) -> PlannedMotion:
@@ -85,6 +87,7 @@ class PlannedMotion:
             move(self.rate_rad_s),
             move(self.angular_acceleration_rad_s2),
             move(self.specific_thrust_m_s2),
+            move(self.velocity_body_m_s),
             tuple(move(value) for value in self.extra),
         )
 
