@@ -1,0 +1,28 @@
+"""Body drag: air resistance of the frame, with the square of speed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from groundstation.diagnosis.effect import Effect, ParameterInfo, blank
+from groundstation.model.signals import Signals
+from groundstation.vehicle import Vehicle
+
+
+def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
+    velocity = signals.velocity_body_m_s()
+    out = blank(signals)
+    out[:, :3, 0] = -np.linalg.norm(velocity, axis=1, keepdims=True) * velocity
+    return out
+
+
+EFFECT = Effect(
+    identifier="body_drag",
+    equation="F = -c |v| v",
+    source="Hoerner, Fluid-Dynamic Drag, 1965, ch. 3",
+    parameters=(ParameterInfo("c_kg_m", lambda v: v.mass_kg, (0.0, np.inf)),),
+    wrench=_wrench,
+    sentence="Air resistance grows with the square of speed: {c_kg_m} N at 1 m/s.",
+    confused_with=("rotor_drag", "climb_inflow"),
+    manoeuvre="fly straight at clearly different speeds: linear and square drag part at twice the speed",
+)

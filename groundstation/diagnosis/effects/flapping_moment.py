@@ -1,0 +1,29 @@
+"""Blade flapping: a moment that pitches the nose up when flying forward."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, weight
+from groundstation.model.signals import Signals
+from groundstation.vehicle import Vehicle
+
+
+def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
+    velocity = signals.velocity_body_m_s()
+    out = blank(signals)
+    out[:, 3, 0] = velocity[:, 1]
+    out[:, 4, 0] = -velocity[:, 0]
+    return out
+
+
+EFFECT = Effect(
+    identifier="flapping_moment",
+    equation="tau = k (v_y, -v_x, 0): nose up (negative pitch torque in FLU) when flying forward",
+    source="Hoffmann et al. 2007, AIAA 2007-6461, sec. IV; Pounds et al. 2010",
+    parameters=(ParameterInfo("k_nm_s_m", lambda v: 0.1 * weight(v) * v.arm_m(), (0.0, np.inf)),),
+    wrench=_wrench,
+    sentence="Flying forward lifts the nose with {k_nm_s_m} N m per m/s.",
+    confused_with=("com_offset", "angular_damping"),
+    manoeuvre="long straight legs at constant speed in four directions",
+)

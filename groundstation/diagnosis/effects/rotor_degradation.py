@@ -1,0 +1,37 @@
+"""Rotor degradation: a rotor loses thrust during the flight."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, from_thrust, has_rotors
+from groundstation.model.signals import Signals
+from groundstation.vehicle import Vehicle
+
+
+def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
+    lost = np.zeros_like(signals.thrust_n)
+    rotor = int(settings["rotor"]) - 1
+    lost[:, rotor] = -signals.thrust_n[:, rotor] * (signals.t_s > settings["from_s"])
+    out = blank(signals)
+    out[:, :, 0] = from_thrust(vehicle, lost)
+    return out
+
+
+def _variants(signals: Signals, vehicle: Vehicle) -> tuple[Settings, ...]:
+    instants = np.quantile(signals.t_s, np.linspace(0.15, 0.85, 15))
+    return tuple({"rotor": float(i), "from_s": float(s)} for i in range(1, vehicle.rotors.count + 1) for s in instants)
+
+
+EFFECT = Effect(
+    identifier="rotor_degradation",
+    equation="T_i = (1 - loss H(t - t_0)) k_i Omega_i^2",
+    source="Freddi, Lanzon, Longhi 2011 (abrupt loss of effectiveness)",
+    parameters=(ParameterInfo("loss", lambda v: 0.5, (-0.5, 1.0)),),
+    wrench=_wrench,
+    sentence="From {from_s} s on, rotor {rotor} gives a fraction {loss} less thrust than before.",
+    confused_with=("weak_rotor", "payload_change"),
+    manoeuvre="repeat the same manoeuvre early and late",
+    variants=_variants,
+    applies=has_rotors,
+)

@@ -1,0 +1,34 @@
+"""Angular momentum of the rotors: spin-up reaction about z, and coupling of roll and pitch."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, has_rotors
+from groundstation.model.signals import Signals
+from groundstation.vehicle import Vehicle
+
+
+def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
+    spin = np.asarray(vehicle.rotors.spin, dtype=float)
+    scale = vehicle.rotors.speed_max_rad_s or 1.0 if vehicle.rotors.input == "command" else 1.0
+    momentum = scale * signals.lagged @ spin
+    change = scale * signals.lagged_rate @ spin
+    out = blank(signals)
+    out[:, 3, 0] = -signals.rate_rad_s[:, 1] * momentum  # -omega x (h e_z) = (-q h, p h, 0)
+    out[:, 4, 0] = signals.rate_rad_s[:, 0] * momentum
+    out[:, 5, 0] = -change
+    return out
+
+
+EFFECT = Effect(
+    identifier="rotor_gyroscopic",
+    equation="tau = -J_r (sum s_i dOmega_i/dt e_z + omega x e_z sum s_i Omega_i)",
+    source="Bouabdallah 2007, thesis EPFL 3727, eq. 2.13",
+    parameters=(ParameterInfo("rotor_inertia_kg_m2", lambda v: 0.05 * float(v.inertia_tensor()[2, 2]), (0.0, np.inf)),),
+    wrench=_wrench,
+    sentence="The rotors' own spin shows: each behaves as {rotor_inertia_kg_m2} kg m^2 about its axis.",
+    confused_with=("motor_lag", "angular_damping"),
+    manoeuvre="brisk yaw reversals: spin-up reaction leads the aerodynamic torque",
+    applies=has_rotors,
+)

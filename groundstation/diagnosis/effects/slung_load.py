@@ -1,0 +1,40 @@
+"""Slung load: a pendulum hangs below the vehicle."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank
+from groundstation.frames import quat_rotate_inverse
+from groundstation.model.signals import Signals
+from groundstation.vehicle import Vehicle
+
+
+def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
+    from scipy.signal import cont2discrete, lfilter
+
+    step = float(np.median(np.diff(signals.t_s))) if len(signals.t_s) > 1 else 1.0
+    natural = np.sqrt(vehicle.gravity_m_s2 / settings["length_m"])
+    damping = 0.03
+    # swing angle times length, driven by the vehicle's horizontal speed: l theta'' + 2 z w l theta' + g theta = -a
+    b, a, _ = cont2discrete(([-1.0, 0.0], [1.0, 2.0 * damping * natural, natural**2]), step, method="bilinear")
+    velocity = signals.velocity_world_m_s - signals.velocity_world_m_s[:1]
+    swing = lfilter(np.ravel(b), a, velocity, axis=0)
+    force = natural**2 * swing
+    force[:, 2] = 0.0
+    out = blank(signals)
+    out[:, :3, 0] = quat_rotate_inverse(signals.quaternion, force)
+    return out
+
+
+EFFECT = Effect(
+    identifier="slung_load",
+    equation="s'' + 2 z w s' + w^2 s = -a_xy, w^2 = g/l; F_xy = m_l w^2 s on the vehicle",
+    source="Bisgaard 2008, thesis Aalborg, ch. 3, linearised for small swing",
+    parameters=(ParameterInfo("load_kg", lambda v: 0.3 * v.mass_kg, (0.0, np.inf)),),
+    wrench=_wrench,
+    sentence="Something of {load_kg} kg swings below the vehicle on {length_m} m.",
+    confused_with=("wind", "payload_change"),
+    manoeuvre="a brisk sideways stop, then hover still for ten seconds and watch the swing ring down",
+    variants=lambda signals, vehicle: tuple({"length_m": float(length)} for length in np.geomspace(0.15, 4.0, 28)),
+)

@@ -1,0 +1,37 @@
+"""Tether: a spring or steady pull toward a point."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, weight
+from groundstation.frames import quat_rotate_inverse
+from groundstation.model.signals import Signals
+from groundstation.vehicle import Vehicle
+
+
+def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
+    count = len(signals.t_s)
+    centre = np.nanmean(signals.position_m, axis=0)
+    out = blank(signals, 4)
+    out[:, :3, 0] = quat_rotate_inverse(signals.quaternion, -(signals.position_m - centre))
+    for axis in range(3):
+        out[:, :3, 1 + axis] = quat_rotate_inverse(signals.quaternion, np.broadcast_to(np.eye(3)[axis], (count, 3)))
+    return out
+
+
+EFFECT = Effect(
+    identifier="tether",
+    equation="F_world = F_0 - K (p - p_mean)",
+    source="Hooke's law, linearised about the middle of the flight",
+    parameters=(
+        ParameterInfo("stiffness_n_m", lambda v: weight(v), (0.0, np.inf)),
+        ParameterInfo("pull_x_n", lambda v: 0.3 * weight(v)),
+        ParameterInfo("pull_y_n", lambda v: 0.3 * weight(v)),
+        ParameterInfo("pull_z_n", lambda v: 0.3 * weight(v)),
+    ),
+    wrench=_wrench,
+    sentence="Something pulls the vehicle back with {stiffness_n_m} N per metre of displacement.",
+    confused_with=("wind", "ground_effect", "rotor_drag"),
+    manoeuvre="hover at the corners of the room: a pull that changes with place is a tether, not wind",
+)

@@ -1,0 +1,30 @@
+"""Translational lift: thrust grows with horizontal speed squared."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, from_thrust, has_rotors
+from groundstation.model.signals import Signals
+from groundstation.vehicle import Vehicle
+
+
+def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
+    velocity = signals.velocity_body_m_s()
+    speed2 = (velocity[:, :2] ** 2).sum(axis=1, keepdims=True)
+    out = blank(signals)
+    out[:, :, 0] = from_thrust(vehicle, signals.thrust_n * speed2)
+    return out
+
+
+EFFECT = Effect(
+    identifier="translational_lift",
+    equation="T = T_0 (1 + c v_xy^2)",
+    source="Leishman 2006, sec. 2.14 (Glauert inflow expanded for small advance ratio); Svacha et al. 2017",
+    parameters=(ParameterInfo("lift_s2_m2", lambda v: 0.1, (0.0, np.inf)),),
+    wrench=_wrench,
+    sentence="Thrust grows by a fraction {lift_s2_m2} per (m/s)^2 of horizontal speed.",
+    confused_with=("ground_effect", "body_drag"),
+    manoeuvre="level legs at clearly different speeds, at one height",
+    applies=has_rotors,
+)
