@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from groundstation.flightdata import FlightData
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification
@@ -83,35 +83,42 @@ def _against_truth(name: str, estimate: Estimate, truth: Mapping[str, float]) ->
 
 
 def _method_table(identification: Identification, nominal: Mapping[str, float], truth: Mapping[str, float]) -> Markup:
-    methods = _ordered(identification)
-    extra = {n for m in identification.methods.values() for n in m.parameters} - set(MASS_AND_TENSOR)
-    rows = []
-    for name in (*MASS_AND_TENSOR, *sorted(extra)):
-        scale = parameter_scale(name, identification, nominal)
-        row: list[Markup | str] = [row_name(name, scale), _plain(nominal.get(name), scale)]
-        if truth:
-            row.append(_plain(truth.get(name), scale))
-        for method in methods:
+    """One row per parameter; the best method stands next to its name, then nominal and truth, then the others."""
+
+    def method_column(method: str) -> Callable[[str, Scale], Markup]:
+        def cell(name: str, scale: Scale) -> Markup:
             estimate = identification.methods[method].parameters.get(name)
             note = _against_truth(name, estimate, truth) if estimate is not None else None
-            row.append(estimate_cell(name, estimate, scale, note))
-        if identification.bound:
-            row.append(_bound_cell(identification, name, scale))
-        rows.append(row)
-    conditions = [identification.methods[m].condition_number for m in methods]
-    if any(c is not None for c in conditions):
-        blanks = [""] * (2 if truth else 1)
-        numbers = [significant(c) if c is not None else "–" for c in conditions]
-        rows.append(["condition number", *blanks, *numbers, *([""] if identification.bound else [])])
+            return estimate_cell(name, estimate, scale, note)
+
+        return cell
+
+    columns: dict[str, Callable[[str, Scale], Markup | str]] = {}
+    names = {f"{m}, best" if m == identification.best else m: m for m in _ordered(identification)}
+    methods = {header: method_column(method) for header, method in names.items()}
+    columns |= dict(list(methods.items())[:1])
+    columns["nominal"] = lambda name, scale: _plain(nominal.get(name), scale)
+    if truth:
+        columns["true"] = lambda name, scale: _plain(truth.get(name), scale)
+    columns |= methods
+    if identification.bound:
+        columns["Cramér–Rao bound"] = lambda name, scale: _bound_cell(identification, name, scale)
+
+    extra = {n for m in identification.methods.values() for n in m.parameters} - set(MASS_AND_TENSOR)
+    rows: list[list[Markup | str]] = []
+    for name in (*MASS_AND_TENSOR, *sorted(extra)):
+        scale = parameter_scale(name, identification, nominal)
+        rows.append([row_name(name, scale), *(cell(name, scale) for cell in columns.values())])
+    conditions = {header: identification.methods[method].condition_number for header, method in names.items()}
+    if any(c is not None for c in conditions.values()):
+        numbers = [conditions.get(header) for header in columns]
+        rows.append(["condition number", *(significant(c) if c is not None else "" for c in numbers)])
     caption = "Estimates with their 95 % intervals below."
     if truth:
         caption += " Third line: error against the simulated truth; ✓ the interval holds it, ✕ it does not."
-    before = ["parameter", "nominal", *(["true"] if truth else [])]
-    after = []
     if identification.bound:
         caption += " Last column: the least standard deviation any unbiased estimator can reach on this flight."
-        after = ["Cramér–Rao bound"]
-    return table(caption, [*before, *methods, *after], rows, highlight=len(before) if methods else None)
+    return table(caption, ["parameter", *columns], rows, highlight=1 if identification.best in names.values() else None)
 
 
 def _bound_cell(identification: Identification, name: str, scale: Scale) -> Markup:
@@ -126,7 +133,11 @@ def _bound_cell(identification: Identification, name: str, scale: Scale) -> Mark
 
 
 def _plain(value: float | None, scale: Scale) -> str:
-    return "–" if value is None else significant(value * scale.factor, 5).rstrip("0").rstrip(".") or "0"
+    """A declared or true value, without the zeros nobody wrote."""
+    if value is None:
+        return "–"
+    text = significant(value * scale.factor, 5)
+    return text.rstrip("0").rstrip(".") if "." in text and "·" not in text else text
 
 
 def _panels(
