@@ -173,8 +173,14 @@ class Station:
         return [r.message for t, r in self.heard if r.name == name and t > since_s]
 
     def texts(self, since_s: float = -1.0) -> list[str]:
-        """Status texts since a time."""
-        return [m.text.strip() for m in self.named("STATUSTEXT", since_s)]
+        """Status texts since a time, long ones put together."""
+        whole: list[str] = []
+        for m in self.named("STATUSTEXT", since_s):
+            if m.chunk_seq:
+                whole[-1] += m.text
+            else:
+                whole.append(m.text)
+        return [text.strip() for text in whole]
 
     def rate_hz(self, name: str, since_s: float) -> float:
         """How often a message came since a time."""

@@ -5,6 +5,7 @@ Where the recordings are silent the behaviour follows the firmware's documentati
 
 from __future__ import annotations
 
+import hashlib
 import math
 import struct
 import time
@@ -418,7 +419,7 @@ class Px4(Autopilot):
 
     def _number_logs(self) -> None:
         """Numbers follow the directory, not time (measured: ids are not in time order)."""
-        paths = sorted((p for p in self.files if p.endswith(".ulg")), key=lambda p: zlib.crc32(p.encode()))
+        paths = sorted((p for p in self.files if p.endswith(".ulg")), key=lambda p: hashlib.sha256(p.encode()).digest())
         begun = {log.path: log.begun_unix_s for log in self.logs.logs} | {self._log_path: round(self.unix_s)}
         self.logs.logs = [LogFile(number, begun.get(path, 0), path) for number, path in enumerate(paths)]
 
