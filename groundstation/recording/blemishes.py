@@ -12,8 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.frames import quat_conjugate, quat_continuous, quat_multiply
-from groundstation.recording.derive import rotation_vector
+from groundstation.frames import quat_conjugate, quat_continuous, quat_log, quat_multiply
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -128,7 +127,7 @@ def pose_spikes(t_s: Array, position_m: Array, quaternion: Array) -> Mask:
     q = _hemisphere(quaternion)
     centre = _running_median5(q)
     centre /= np.maximum(np.linalg.norm(centre, axis=1, keepdims=True), 1e-9)
-    angle = np.linalg.norm(rotation_vector(quat_multiply(quat_conjugate(centre), q)), axis=1)
+    angle = np.linalg.norm(quat_log(quat_multiply(quat_conjugate(centre), q)), axis=1)
     return _beyond_noise(distance, curvature_floor(0.05, _ACCELERATION, step)) | _beyond_noise(
         angle, curvature_floor(0.2, _ANGULAR_ACCELERATION, step)
     )
@@ -152,7 +151,7 @@ def frozen(t_s: Array, position_m: Array, quaternion: Array) -> Mask:
     ends = np.append(starts[1:], len(t_s)) - 1
     q = _hemisphere(quaternion)
     steps = np.linalg.norm(np.diff(position_m[starts], axis=0), axis=1)
-    turns = np.linalg.norm(rotation_vector(quat_multiply(quat_conjugate(q[starts[:-1]]), q[starts[1:]])), axis=1)
+    turns = np.linalg.norm(quat_log(quat_multiply(quat_conjugate(q[starts[:-1]]), q[starts[1:]])), axis=1)
     pause = t_s[starts[1:]] - t_s[ends[:-1]]
     slow = (steps < _REST_M_S * pause) & (turns < _REST_RAD_S * pause)
     resting = np.concatenate([[True], slow]) & np.append(slow, True)
@@ -172,7 +171,7 @@ def jumps(t_s: Array, position_m: Array, quaternion: Array) -> Mask:
     q = _hemisphere(quaternion)
     dt = np.diff(t_s)
     velocity = np.diff(position_m, axis=0) / dt[:, None]
-    rate = rotation_vector(quat_multiply(quat_conjugate(q[:-1]), q[1:])) / dt[:, None]
+    rate = quat_log(quat_multiply(quat_conjugate(q[:-1]), q[1:])) / dt[:, None]
     speed_noise = 1.4826 * float(np.median(np.linalg.norm(np.diff(velocity, axis=0), axis=1)))
     rate_noise = 1.4826 * float(np.median(np.linalg.norm(np.diff(rate, axis=0), axis=1)))
     step = typical_step_s(t_s)
@@ -187,7 +186,7 @@ def jumps(t_s: Array, position_m: Array, quaternion: Array) -> Mask:
         v = [np.median(velocity[part], axis=0) for part in (before, after) if len(velocity[part])]
         w = [np.median(rate[part], axis=0) for part in (before, after) if len(rate[part])]
         leap = position_m[right] - position_m[left] - pause * np.mean(v, axis=0)
-        turn = rotation_vector(quat_multiply(quat_conjugate(q[left]), q[right])) - pause * np.mean(w, axis=0)
+        turn = quat_log(quat_multiply(quat_conjugate(q[left]), q[right])) - pause * np.mean(w, axis=0)
         return bool(
             np.linalg.norm(leap) < allow_m + 0.5 * _ACCELERATION * pause**2
             and np.linalg.norm(turn) < allow_rad + 0.5 * _ANGULAR_ACCELERATION * pause**2

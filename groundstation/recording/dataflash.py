@@ -43,7 +43,9 @@ _FIELDS: dict[str, tuple[str, ...]] = {
     "XKF1": ("C", "PN", "PE", "PD", "VN", "VE", "VD"),
     "XKQ": ("C", "Q1", "Q2", "Q3", "Q4"),
     "ATT": ("Roll", "Pitch", "Yaw"),
-    "VISP": ("PX", "PY", "PZ", "Roll", "Pitch", "Yaw"),
+    "GYR": ("I", "SampleUS", "GyrX", "GyrY", "GyrZ"),
+    "ACC": ("I", "SampleUS", "AccX", "AccY", "AccZ"),
+    "VISP": ("RTimeUS", "PX", "PY", "PZ", "R", "P", "Y"),
     "SIM": ("Q1", "Q2", "Q3", "Q4"),
     "SIM2": ("PN", "PE", "PD"),
     "BAT": ("Inst", "Volt", "Curr"),
@@ -63,7 +65,7 @@ _IMU_REMEDY = (
 def read_dataflash(path: Path, vehicle: Vehicle) -> Recording:
     """Read the messages that identification needs.
 
-    IMU (first instance), RCOU as commands or ESC as speeds, XKF1 and XKQ as the vehicle's own state, VISP (or in
+    GYR and ACC where raw logging was on, else IMU (first instance of each), RCOU as commands or ESC as speeds, XKF1 and XKQ as the vehicle's own state, VISP (or in
     simulation SIM and SIM2) for motion capture, BAT, GUIP as setpoints.
 
     Raises:
@@ -74,13 +76,10 @@ def read_dataflash(path: Path, vehicle: Vehicle) -> Recording:
     streams: dict[str, Stream] = {}
     streams["motors"], said = _motors(tables, parameters, vehicle, str(path))
     notes += said
-    if "IMU" in tables:
-        imu = _instance(tables["IMU"], "I", 0)
-        values = np.hstack([z_up(_stack(imu, "GyrX", "GyrY", "GyrZ")), z_up(_stack(imu, "AccX", "AccY", "AccZ"))])
-        streams["imu"] = Stream(imu["t_s"], values, IMU_COLUMNS)
-        notes += slow_note("imu", streams["imu"], 100.0, _IMU_REMEDY)
-    else:
-        notes.append(f"imu: not in the log; {_IMU_REMEDY}")
+    imu, said = _imu(tables)
+    notes += said
+    if imu is not None:
+        streams["imu"] = imu
     for name, read in (("mocap", _mocap), ("state", _state)):
         stream, said = read(tables)
         notes += said
@@ -137,6 +136,23 @@ def _instance(table: dict[str, Array], key: str, wanted: int) -> dict[str, Array
     return {name: column[mask] for name, column in table.items()}
 
 
+def _imu(tables: Tables) -> tuple[Stream | None, list[str]]:
+    if {"GYR", "ACC"} <= set(tables):
+        gyro, accel = _instance(tables["GYR"], "I", 0), _instance(tables["ACC"], "I", 0)
+        t_s, t_accel = gyro["SampleUS"] / 1e6, accel["SampleUS"] / 1e6
+        inside = (t_s >= t_accel[0]) & (t_s <= t_accel[-1])
+        t_s = t_s[inside]
+        force = [np.interp(t_s, t_accel, column) for column in z_up(_stack(accel, "AccX", "AccY", "AccZ")).T]
+        values = np.hstack([z_up(_stack(gyro, "GyrX", "GyrY", "GyrZ"))[inside], np.column_stack(force)])
+        return Stream(t_s, values, IMU_COLUMNS), ["imu: raw (GYR and ACC), accelerations at the gyro's stamps."]
+    if "IMU" not in tables:
+        return None, [f"imu: not in the log; {_IMU_REMEDY}"]
+    imu = _instance(tables["IMU"], "I", 0)
+    values = np.hstack([z_up(_stack(imu, "GyrX", "GyrY", "GyrZ")), z_up(_stack(imu, "AccX", "AccY", "AccZ"))])
+    stream = Stream(imu["t_s"], values, IMU_COLUMNS)
+    return stream, slow_note("imu", stream, 100.0, _IMU_REMEDY)
+
+
 def _motors(tables: Tables, parameters: dict[str, float], vehicle: Vehicle, source: str) -> tuple[Stream, list[str]]:
     count = vehicle.rotors.count
     spinning = "ESC" in tables and bool(np.any(tables["ESC"]["RPM"] != 0.0))
@@ -179,9 +195,13 @@ def _speeds(escs: dict[str, Array], order: list[int], source: str) -> Stream:
 def _mocap(tables: Tables) -> tuple[Stream | None, list[str]]:
     if "VISP" in tables:
         pose = tables["VISP"]
-        attitude = z_up_quaternion(quat_from_euler(*np.radians(_stack(pose, "Roll", "Pitch", "Yaw")).T))
+        attitude = z_up_quaternion(quat_from_euler(*np.radians(_stack(pose, "R", "P", "Y")).T))
         values = np.hstack([z_up(_stack(pose, "PX", "PY", "PZ")), attitude])
-        return Stream(pose["t_s"], values, MOCAP_COLUMNS), ["mocap: VISP, as the vehicle received it."]
+        # Spaced by the sender's clock, which stamped the exposure, and set to the vehicle's as they arrived.
+        remote = pose["RTimeUS"] / 1e6
+        return Stream(remote + np.median(pose["t_s"] - remote), values, MOCAP_COLUMNS, pose["t_s"]), [
+            "mocap: VISP, as the vehicle received it, spaced by the sender's stamps."
+        ]
     if "SIM" not in tables or "SIM2" not in tables:
         return None, []
     attitude, position = tables["SIM"], tables["SIM2"]

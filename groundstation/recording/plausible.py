@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from groundstation.errors import BadInput
 from groundstation.flightdata import Stream
-from groundstation.frames import quat_conjugate, quat_multiply
-from groundstation.recording.derive import rotation_vector
+from groundstation.frames import quat_conjugate, quat_log, quat_multiply
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -106,7 +105,7 @@ def _ratio_to_poses(t_s: Array, gyro: Array, attitude: Stream) -> float | None:
     if len(when) < 20:
         return None
     step = max(1, round(_WINDOW_S / max(float(np.median(np.diff(when))), 1e-6)))
-    turn = np.linalg.norm(rotation_vector(quat_multiply(quat_conjugate(q[:-step]), q[step:])), axis=1)
+    turn = np.linalg.norm(quat_log(quat_multiply(quat_conjugate(q[:-step]), q[step:])), axis=1)
     span = when[step:] - when[:-step]
     posed = turn[span > 0.0] / span[span > 0.0]
     measured = np.linalg.norm(_window_means(t_s, gyro), axis=1)
