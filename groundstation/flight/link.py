@@ -217,7 +217,7 @@ class LinkProcess:
         for sample, host_s in out.samples:
             if isinstance(sample, Raw) and self._logger is not None:
                 self._logger.put((time.time(), sample.data))
-            if not isinstance(sample, Motors) or sample.kind == self.motor_kind() or not self.core.ready:
+            if not isinstance(sample, Motors) or (self.core.ready and sample.kind == self.motor_kind()):
                 self._batch.append((sample, host_s))
 
     def _finished(self) -> bool:

@@ -134,6 +134,7 @@ class Pilot:
         self._talk_answer: Answered | None = None
         self._again_s = -1e9
         self._restarts = view.restarts
+        self._excitation_lasts_s = 0.0
         self._kill = False
         self._led = False
 
@@ -249,15 +250,15 @@ class Pilot:
         return self.excitation_s[0] is not None and self.excitation_s[1] is None and self.phase is Phase.FOLLOWING
 
     def window_s(self, now_s: float) -> tuple[float, float] | None:
-        """Host times of the excitation: as it happened, else as planned from here; None before the path begins."""
+        """Host times of the excitation: as it happened, what has not happened as planned; None before the path begins."""
         begun, ended = self.excitation_s
-        if begun is not None and ended is not None:
-            return begun, ended
+        if begun is not None:
+            return begun, ended if ended is not None else begun + self._excitation_lasts_s
         if self.path is None:
-            return None if begun is None else (begun, now_s)
+            return None
         begin, end = self._window()
-        started = begun if begun is not None else now_s + max(0.0, begin - self.path_s)
-        return started, started + end - begin
+        start_s = now_s + max(0.0, begin - self.path_s)
+        return start_s, start_s + end - begin
 
     def progress_s(self) -> tuple[float, float]:
         """Seconds flown on the path, and its length; zeros off it."""
@@ -337,6 +338,7 @@ class Pilot:
         yaw = float(np.arctan2(np.sin(yaw), np.cos(yaw)))
         whole = flight_path(self.plan, (*start, yaw), climb_m_s=self.policy.climb_m_s, settle_s=self.policy.settle_s)
         self.path = Sequence(whole.parts[:-1])
+        self._excitation_lasts_s = float(whole.parts[3].duration_s)
         self.path_s, self._path_stepped_s, self._waiting_since_s = 0.0, None, None
 
     def _start_height(self) -> float:
