@@ -198,22 +198,15 @@ def bar_figure(groups: Mapping[str, Mapping[str, float]], title: str) -> Figure:
 
 
 def interval_figure(
-    intervals: Mapping[str, tuple[float, float, float]], nominal: float | None, truth: float | None, unit: str
+    intervals: Mapping[str, tuple[float, float, float]],
+    methods: Sequence[str],
+    nominal: float | None,
+    truth: float | None,
+    unit: str,
 ) -> Figure:
-    """Dot and whisker per method (value, low, high), with nominal dashed and truth solid."""
+    """Dot and whisker per method (value, low, high), nominal dashed, truth solid; ``methods`` fixes each one's style."""
     names = list(intervals)[::-1]
-    data = [
-        {
-            "type": "scatter", "mode": "markers", "y": [name], "x": [intervals[name][0]], "name": name, "showlegend": False,
-            "marker": {"color": f"@{i % COLOURS + 1}", "symbol": MARKERS[i % len(MARKERS)], "size": 9},
-            "error_x": {
-                "type": "data", "symmetric": False, "thickness": 2, "width": 5,
-                "array": [intervals[name][2] - intervals[name][0]],
-                "arrayminus": [intervals[name][0] - intervals[name][1]],
-            },
-        }
-        for i, name in ((len(names) - 1 - k, n) for k, n in enumerate(names))
-    ]  # fmt: skip
+    data = [_interval(name, methods.index(name), *intervals[name]) for name in names]
     shapes = [
         {"type": "line", "yref": "paper", "y0": 0, "y1": 1, "x0": v, "x1": v,
          "line": {"color": colour, "width": width, "dash": dash}}
@@ -231,6 +224,21 @@ def interval_figure(
             "showlegend": False, "hoverinfo": "skip",
         })  # fmt: skip
     return {"data": data, "layout": layout}
+
+
+def _interval(name: str, style: int, value: float, low: float, high: float) -> dict[str, Any]:
+    whisker = {
+        "type": "data",
+        "symmetric": False,
+        "thickness": 2,
+        "width": 5,
+        "array": [high - value],
+        "arrayminus": [value - low],
+    }
+    return {
+        "type": "scatter", "mode": "markers", "x": [value], "y": [name], "name": name, "showlegend": False, "error_x": whisker,
+        "marker": {"color": f"@{style % COLOURS + 1}", "symbol": MARKERS[style % len(MARKERS)], "size": 9},
+    }  # fmt: skip
 
 
 def spectrum(t_s: Array, values: Array) -> tuple[Array, Array]:

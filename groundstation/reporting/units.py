@@ -11,6 +11,7 @@ from groundstation.identification.results import Estimate
 UNITS: Mapping[str, str] = {
     "kg_m2": "kg m²",
     "nm_s": "N m s",
+    "nms": "N m s",
     "n_s2": "N s²",
     "m_s2": "m/s²",
     "m_s3": "m/s³",

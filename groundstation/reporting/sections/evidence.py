@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from groundstation.diagnosis.results import Diagnosis
@@ -21,8 +23,8 @@ _CHECKS = {
 }
 
 
-def key(names: list[str]) -> Markup:
-    """A legend that several small figures share: colour and dash as in the figures."""
+def key(names: Mapping[str, int]) -> Markup:
+    """A legend that several small figures share: the name of each style, by its number."""
     dash_arrays = {
         "solid": "",
         "dash": "7 4",
@@ -32,8 +34,8 @@ def key(names: list[str]) -> Markup:
         "longdashdot": "11 3 2 3",
     }
     items = []
-    for i, name in enumerate(names):
-        style = figures.line(i)
+    for name, number in names.items():
+        style = figures.line(number)
         stroke = f"var(--{style['color'][1:]})"
         drawn = element(
             "line",
@@ -62,7 +64,9 @@ def add_evolution(page: Page, flight: FlightData, identification: Identification
         scale = parameter_scale(name, identification, nominal)
         lines = [
             {
-                **figures.trace(e.t_s, scale.factor * e.values[name], method, list(moving).index(method)),
+                **figures.trace(
+                    e.t_s, scale.factor * e.values[name], method, list(identification.methods).index(method)
+                ),
                 "showlegend": False,
             }
             for method, e in present.items()
@@ -80,7 +84,7 @@ def add_evolution(page: Page, flight: FlightData, identification: Identification
         "evolution",
         "How the estimates settled",
         element("p", "The estimate from the data up to each instant. ", lines_text, class_="note"),
-        key(list(moving)),
+        key({name: list(identification.methods).index(name) for name in moving}),
         element("div", panels, class_="small"),
     )
 

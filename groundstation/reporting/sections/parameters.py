@@ -49,10 +49,10 @@ def _ordered(identification: Identification) -> list[str]:
 
 
 def _tensor_scale(identification: Identification, nominal: Mapping[str, float]) -> Scale:
-    """One power of ten for the whole tensor."""
-    sizes = [abs(v) for n, v in nominal.items() if n.endswith("kg_m2")]
-    for method in identification.methods.values():
-        sizes += [abs(e.value) for n, e in method.parameters.items() if n.endswith("kg_m2")]
+    """One power of ten for the whole tensor, from nominal and the best method: others may be far off."""
+    best = identification.methods.get(identification.best)
+    sizes = [v for n, v in nominal.items() if n.endswith("kg_m2")]
+    sizes += [e.value for n, e in best.parameters.items() if n.endswith("kg_m2")] if best else []
     return scale_for("kg m²", sizes)
 
 
@@ -156,7 +156,7 @@ def _panels(
         if not intervals:
             continue
         marks = [scale.factor * source[name] if name in source else None for source in (nominal, truth)]
-        figure = figures.interval_figure(intervals, marks[0], marks[1], scale.unit)
+        figure = figures.interval_figure(intervals, list(identification.methods), marks[0], marks[1], scale.unit)
         panels.append(page.figure(figure, label(name)))
     true = ", solid line: truth" if truth else ""
     return fragment(
