@@ -311,7 +311,12 @@ def load_vehicle(path: str | Path) -> Vehicle:
 
 
 def vehicle_to_dict(vehicle: Vehicle) -> dict:
-    """The document that :func:`vehicle_from_dict` reads back to an equal vehicle."""
+    """The document that :func:`vehicle_from_dict` reads back to an equal vehicle.
+
+    Gains that were never given stay out: their absence tells the simulator to tune its own.
+    """
     sections = vehicle.model_dump(exclude_none=True, mode="json")
+    if "control" not in vehicle.model_fields_set:
+        sections.pop("control")
     body = {key: sections.pop(key) for key in ("name", "mass_kg", "inertia_kg_m2")}
     return {"vehicle": body, **sections}

@@ -29,7 +29,7 @@ class ImuMisalignment(NamedTuple):
         accel_scale: factors of the three axes.
     """
 
-    rotation_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation_rad: tuple[float, float, float] = (0.01, -0.015, 0.02)
     gyro_bias_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     accel_bias_m_s2: tuple[float, float, float] = (0.0, 0.0, 0.0)
     gyro_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -45,8 +45,8 @@ class MocapMisalignment(NamedTuple):
         offset_m: of the tracked point, in the body.
     """
 
-    rotation_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation_rad: tuple[float, float, float] = (0.01, 0.0, 0.02)
+    offset_m: tuple[float, float, float] = (0.01, 0.0, 0.02)
     on: bool = True
 
 

@@ -19,7 +19,7 @@ class ConstantWrench(NamedTuple):
         torque_body_nm: torque in the body.
     """
 
-    force_world_n: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    force_world_n: tuple[float, float, float] = (0.3, 0.0, 0.0)
     force_body_n: tuple[float, float, float] = (0.0, 0.0, 0.0)
     torque_body_nm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     on: bool = True
@@ -50,7 +50,7 @@ class Magnet(NamedTuple):
     """
 
     position_m: tuple[float, float, float] = (0.5, 0.0, 0.3)
-    strength_n_m4: Annotated[float, Field(ge=0.0)] = 0.1
+    strength_n_m4: Annotated[float, Field(ge=0.0)] = 0.02
     moment_body: tuple[float, float, float] = (0.0, 0.0, 1.0)
     on: bool = True
 
