@@ -35,7 +35,8 @@ _COARSE = 24  # phases per period and harmonic on which a limit is held from the
 _FINE = 200  # phases per period and harmonic on which the exchange looks for points
 _NEAR = 0.05  # a point joins when this close to its bound, as a share of it
 _REACHES = (0.02, 0.003, 0.0003)  # how far the unknowns may move in each round of the exchange
-_LAZY = ("thrust", "torque", "rotors")  # held only once a plan exceeds them
+_LAZY = ("thrust", "torque", "rotors")  # held only once a plan comes near them
+_SLACK = 0.2  # how near a starting motion may come, as a share of the bound (of hover thrust for rotors)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,12 +152,12 @@ class _Exchange:
         d = series.derivatives(self._fine / series.base_frequency_rad_s, 4)
         return np.hstack([*d[:, :, :3], d[:3, :, 3].T]).T
 
-    def add_groups(self, series: FourierSeries) -> bool:
-        """Hold from now on what the trajectory exceeds and no program has held yet."""
+    def add_groups(self, series: FourierSeries, slack: float = 0.0) -> bool:
+        """Hold from now on what the trajectory exceeds, or nearly so, and no program has held yet."""
         samples, added = self._samples(series), False
         for groups, coarse in zip(self.groups, self.coarse, strict=True):
             for name in set(groups) - set(coarse):
-                if groups[name].excess(samples).max() > 0.0:
+                if groups[name].excess(samples).max() > -slack:
                     coarse[name] = self._grid
                     added = True
         return added
@@ -272,9 +273,10 @@ class _Search:
         problem = self._problem
         if self._exchange is None:
             self._exchange = _Exchange(problem)
-        if self._program is None:
+        start = random_start(problem, rng)
+        if self._exchange.add_groups(problem.series(start), slack=_SLACK) or self._program is None:
             self._program = Program(problem, self._exchange.groups, self._exchange.coarse)
-        found = self._program.solve(random_start(problem, rng))
+        found = self._program.solve(start)
         while self._exchange.add_groups(problem.series(found)):
             self._program = Program(problem, self._exchange.groups, self._exchange.coarse)
             found = self._program.solve(random_start(problem, rng))

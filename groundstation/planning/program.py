@@ -167,13 +167,13 @@ class Program:
         options = {
             "print_level": 0,
             "sb": "yes",
-            "max_iter": 300,
+            "max_iter": 200,
             "tol": 1e-6,
             "constr_viol_tol": 1e-9,
             "mu_strategy": "adaptive",
         }
         if self._warm:
-            options |= {"mu_strategy": "monotone", "mu_init": 1e-5, "bound_push": 1e-8, "bound_frac": 1e-8}
+            options |= {"max_iter": 60, "mu_strategy": "monotone", "mu_init": 1e-4, "bound_push": 1e-4, "bound_frac": 1e-4}
         settings = {"grad_f": gradient, "jac_g": jacobian, "hess_lag": hessian, "ipopt": options}
         quiet = {"print_time": False, "error_on_fail": False, "no_nlp_grad": True}
         return ca.nlpsol("plan", "ipopt", nlp, settings | quiet)
