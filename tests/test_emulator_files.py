@@ -156,13 +156,13 @@ def test_the_downloaded_ulog_opens_in_pyulog_with_the_measured_rates(px4_log):
         stamps = topics[name]["timestamp"] * 1e-6
         assert (len(stamps) - 1) / (stamps[-1] - stamps[0]) == pytest.approx(hz, rel=0.02), name
     assert len(log.initial_parameters) == 888
-    assert [m.message for m in log.logged_messages][0] == "Armed by external command"
+    assert next(m.message for m in log.logged_messages) == "Armed by external command"
     assert not log.file_corruption
 
 
 def test_the_log_holds_the_physics_that_was_flown(px4_log):
     """Specific force is thrust over mass, and the commands say how much thrust, at the hover and on average."""
-    s, path = px4_log
+    _, path = px4_log
     topics = {d.name: d.data for d in ULog(str(path)).data_list}
     imu, motors = topics["sensor_combined"], topics["actuator_motors"]
     flying = (imu["timestamp"] > imu["timestamp"][0] + 5_000_000) & (imu["timestamp"] < imu["timestamp"][0] + 7_500_000)
