@@ -16,6 +16,7 @@ from groundstation.errors import NotIdentifiable, Refused
 from groundstation.flightdata import FlightData, Stream
 from groundstation.frames import (
     quat_conjugate,
+    quat_continuous,
     quat_exp,
     quat_from_euler,
     quat_log,
@@ -384,6 +385,8 @@ def _planned(motion: RigidMotion) -> PlannedMotion:
         motion.angular_acceleration_body_rad_s2,
         motion.specific_thrust_m_s2,
         quat_rotate_inverse(attitude, motion.velocity_world_m_s),
+        motion.position_m,
+        quat_continuous(attitude),
     )
 
 

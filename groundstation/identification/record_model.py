@@ -64,6 +64,8 @@ class PlannedMotion:
         angular_acceleration_rad_s2: (k, 3).
         specific_thrust_m_s2: thrust over mass, (k,).
         velocity_body_m_s: (k, 3).
+        position_m: (k, 3).
+        quaternion: (k, 4), continuous in sign.
         extra: planned wrench of each BodyWrench term, (k, 6) each.
     """
 
@@ -71,6 +73,8 @@ class PlannedMotion:
     angular_acceleration_rad_s2: Array
     specific_thrust_m_s2: Array
     velocity_body_m_s: Array
+    position_m: Array
+    quaternion: Array
     extra: tuple[Array, ...] = ()
 
     def shifted(self, seconds: float, t_s: Array) -> PlannedMotion:
@@ -88,6 +92,8 @@ class PlannedMotion:
             move(self.angular_acceleration_rad_s2),
             move(self.specific_thrust_m_s2),
             move(self.velocity_body_m_s),
+            move(self.position_m),
+            move(self.quaternion),
             tuple(move(value) for value in self.extra),
         )
 

@@ -1,0 +1,381 @@
+r"""Whitened evidence of one or several flights, and what each effect would explain of it.
+
+About a base fit everything is linear: y = X theta_base + sum C_v theta_v + e, rows whitened by each channel's own coloured
+disturbance. Because the controller feeds disturbances back into the thrusts, a plain regression lets any flexible term in
+the inputs win, on held-out blocks too. So the normal equations are taken with instruments from the planned motion,
+Z^T (y - A theta) = 0, and an effect's evidence is its Wald statistic in the joint estimate. Without a plan Z = A.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.diagnosis.effect import Effect, Settings
+from groundstation.frames import quat_normalise, quat_rotate
+from groundstation.identification.noise import Colour, apply_polynomial, fit_colour, innovations, whitening_polynomial
+from groundstation.identification.prediction_error import Fitted
+from groundstation.identification.preparation import Prepared
+from groundstation.identification.record_model import Options, Parameters, RecordModel
+from groundstation.model.rotors import wrench_matrix
+from groundstation.model.signals import Signals
+
+Array = NDArray[np.float64]
+
+SIGNAL_RATE_HZ = 100.0
+EFFECT_SHIFTS_S = (-0.1, 0.0, 0.15)
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """An effect in one setting, e.g. the weak rotor number 3."""
+
+    effect: Effect
+    settings: Settings
+
+    @property
+    def identifier(self) -> str:
+        """Of the effect."""
+        return self.effect.identifier
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Whitened sensitivities to a candidate's parameters and their instruments, (rows, p) each; RMS of its wrench per unit."""
+
+    sensitivity: Array
+    instrument: Array
+    wrench_rms: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """A joint estimate: base parameters first, then the candidates' in order."""
+
+    theta: Array
+    covariance: Array
+    base: int
+
+    def part(self, first: int, count: int) -> tuple[Array, Array]:
+        """Values and covariance of ``count`` parameters after the base, from ``first``."""
+        index = slice(self.base + first, self.base + first + count)
+        return self.theta[index], self.covariance[index, index]
+
+    def wald(self, first: int, count: int) -> float:
+        """theta^T cov^-1 theta of those parameters."""
+        values, covariance = self.part(first, count)
+        return float(values @ np.linalg.solve(covariance, values))
+
+
+class FlightEvidence:
+    """One flight, whitened about a base fit."""
+
+    def __init__(self, prepared: Prepared, fitted: Fitted, options: Options, colours: Sequence[Colour] | None = None):
+        self.prepared = prepared
+        record = prepared.record
+        p = fitted.parameters
+        self.parameters = replace(p, com_m=np.zeros(3), yaw_trim_nm=0.0, force_bias_m_s2=np.zeros(3), extra=np.zeros(0))
+        channels = [0, 1, 2]
+        if np.isfinite(record.force_m_s2).all():
+            channels += [3, 4, 5] if prepared.source == "imu" or np.isfinite(prepared.velocity_m_s).all() else [5]
+        self.channels = tuple(channels)
+        self.options = Options(
+            lag=options.lag, symmetric_lag=False, delay=options.delay, com=False, yaw_trim=False, channels=self.channels
+        )
+        self.model = RecordModel(record, (), None if prepared.planned is None else replace(prepared.planned, extra=()))
+        self._stride = max(1, round(1.0 / float(np.median(np.diff(record.t_s))) / SIGNAL_RATE_HZ))
+        self.signals = _thinned(prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s), self._stride)
+        self._t = record.t_s[:: self._stride]
+        self._step = np.concatenate([[0.0], np.diff(self._t)])
+        self._keep = record.keep[:: self._stride]
+        self._inverse = np.linalg.inv(self.parameters.tensor)
+        self.residual, self.sensitivity, self.names = self.model.evaluate(self.parameters, self.options)
+        self.planned = [planned_signals(prepared, self.parameters, shift, self._stride) for shift in EFFECT_SHIFTS_S]
+        self.colours = self._colours(colours)
+        self.polynomials = [np.array([1.0])] * len(self.channels)
+        self.polynomials = self._polynomials()
+        self.y = self._whitened(self.residual[:, :, None])[:, 0]
+        self.x = self._whitened(self.sensitivity)
+        if prepared.planned is None:
+            self._basis = None
+            self.z = self.x
+        else:
+            self._basis = _orthonormal_rows(self._whitened(self.model.instruments(self.parameters, self.options)), self)
+            self.z = self._project(self.x, self._basis)
+
+    def _nuisance(self) -> Array:
+        """Generic low-order columns (blocks, 6, m) that keep an effect's own residual out of the noise model."""
+        t = self.model.t_s - self.model.t_s[0]
+        blank = np.zeros((len(t), 6))
+        columns = [self.sensitivity]
+        extra: list[Array] = []
+        rate = self._at_blocks(
+            np.concatenate(
+                [np.zeros((1, 3)), np.cumsum(_middle(self.signals.rate_rad_s) * self._step[1:, None], axis=0)]
+            )
+        )
+        thrust = self._at_blocks(
+            np.concatenate(
+                [
+                    [[0.0]],
+                    np.cumsum(_middle(self.signals.thrust_n.sum(axis=1, keepdims=True)) * self._step[1:, None], axis=0),
+                ]
+            )
+        )
+        velocity = self._at_blocks(self.signals.velocity_body_m_s())
+        for axis in range(3):
+            for values in (t, rate[:, axis], thrust[:, 0]):
+                column = blank.copy()
+                column[:, axis] = values
+                extra.append(column)
+            for values in (np.ones(len(t)), t / max(t[-1], 1.0), velocity[:, axis]):
+                if np.isfinite(values).all():
+                    column = blank.copy()
+                    column[:, 3 + axis] = values
+                    extra.append(column)
+        return np.concatenate([*columns, np.stack(extra, axis=-1)], axis=2)
+
+    def _colours(self, start: Sequence[Colour] | None) -> list[Colour]:
+        """Noise of each channel from what generic columns leave of the residual; two rounds of whitened least squares."""
+        nuisance = self._nuisance()
+        found: list[Colour] = []
+        for index, channel in enumerate(self.channels):
+            z = self.residual[:, channel]
+            columns = nuisance[:, channel, :]
+            columns = columns[:, np.ptp(columns, axis=0) > 0.0]
+            colour = start[index] if start is not None else None
+            remainder = z
+            for _ in range(2):
+                colour = fit_colour(remainder, self.model.dt, self.model.restart, integrated=channel < 3, start=colour)
+                stacked = np.concatenate([z[:, None], columns], axis=1)
+                e, s = innovations(stacked, self.model.dt, self.model.restart, colour, integrated=channel < 3)
+                good = np.isfinite(s)
+                white = e[good] / np.sqrt(s[good])[:, None]
+                scale = np.linalg.norm(white[:, 1:], axis=0) + 1e-30
+                theta = np.linalg.lstsq(white[:, 1:] / scale, white[:, 0], rcond=1e-8)[0] / scale
+                remainder = z - columns @ theta
+            if colour is not None:
+                found.append(
+                    fit_colour(remainder, self.model.dt, self.model.restart, integrated=channel < 3, start=colour)
+                )
+        self._remainder = nuisance
+        return found
+
+    def _polynomials(self) -> list[Array]:
+        white = self._whitened(self.residual[:, :, None])[:, 0].reshape(len(self.channels), -1)
+        nuisance = self._whitened(self._remainder)
+        rows = nuisance.reshape(len(self.channels), white.shape[1], -1)
+        out = []
+        for y, x in zip(white, rows, strict=True):
+            scale = np.linalg.norm(x, axis=0)
+            x = x[:, scale > 1e-9] / scale[scale > 1e-9]
+            theta = np.linalg.lstsq(x, y, rcond=1e-8)[0]
+            out.append(whitening_polynomial(y - x @ theta, self.model.restart, 12))
+        return out
+
+    def _whitened(self, columns: Array) -> Array:
+        """Stack the whitened channels of (blocks, 6, m) below each other, (channels * blocks, m)."""
+        parts = []
+        for channel, colour, polynomial in zip(self.channels, self.colours, self.polynomials, strict=True):
+            e, s = innovations(
+                columns[:, channel, :], self.model.dt, self.model.restart, colour, integrated=channel < 3
+            )
+            good = np.isfinite(s)
+            white = np.where(good[:, None], e / np.sqrt(np.where(good, s, 1.0))[:, None], 0.0)
+            parts.append(apply_polynomial(polynomial, white))
+        return np.concatenate(parts)
+
+    def _project(self, columns: Array, basis: Sequence[Array]) -> Array:
+        out = np.empty_like(columns)
+        count = len(self.model.t_s)
+        for index, q in enumerate(basis):
+            rows = slice(index * count, (index + 1) * count)
+            out[rows] = q @ (q.T @ columns[rows])
+        return out
+
+    def _at_blocks(self, values: Array) -> Array:
+        return np.stack([np.interp(self.model.t_s, self._t, column) for column in values.T], axis=-1)
+
+    def _predicted(self, wrench: Array) -> Array:
+        """Rates and specific forces (blocks, 6, p) that a body wrench (k, 6, p) adds."""
+        count = wrench.shape[2]
+        out = np.zeros((len(self.model.t_s), 6, count))
+        for j in range(count):
+            torque = np.concatenate(
+                [np.zeros((1, 3)), np.cumsum(_middle(wrench[:, 3:, j]) * self._step[1:, None], axis=0)]
+            )
+            out[:, :3, j] = self._at_blocks(torque @ self._inverse.T)
+            out[:, 3:, j] = self._at_blocks(wrench[:, :3, j] / self.parameters.mass_kg)
+        return out
+
+    def columns(self, candidate: Candidate) -> Columns | None:
+        """Whitened sensitivities and instruments of a candidate; None where its signals are unknown or it does nothing."""
+        vehicle = self.prepared.record.vehicle
+        wrench = candidate.effect.wrench(self.signals, vehicle, candidate.settings)
+        if not np.isfinite(wrench).all():
+            return None
+        rms = np.sqrt(np.mean(wrench[self._keep] ** 2, axis=0))
+        sensitivity = self._whitened(self._predicted(wrench))
+        if self._basis is None:
+            return Columns(sensitivity, sensitivity, rms)
+        count = len(self.model.t_s)
+        planned = []
+        for signals in self.planned:
+            wished = candidate.effect.wrench(signals, vehicle, candidate.settings) if signals is not None else None
+            if wished is not None and np.isfinite(wished).all():
+                planned.append(self._whitened(self._predicted(wished)))
+        if not planned:
+            return None
+        stacked = np.concatenate(planned, axis=1)
+        out = np.empty_like(sensitivity)
+        for index, q in enumerate(self._basis):
+            rows = slice(index * count, (index + 1) * count)
+            own = stacked[rows] - q @ (q.T @ stacked[rows])
+            more = _orthonormal(own)
+            c = sensitivity[rows]
+            out[rows] = q @ (q.T @ c) + more @ (more.T @ c)
+        return Columns(sensitivity, out, rms)
+
+
+class Evidence:
+    """Several flights of one vehicle with a common base; biases are each flight's own but share names and priors."""
+
+    def __init__(self, flights: Sequence[FlightEvidence]):
+        self.flights = tuple(flights)
+        self.names = flights[0].names
+        self.y = np.concatenate([f.y for f in flights])
+        self.x = np.concatenate([f.x for f in flights])
+        self.z = np.concatenate([f.z for f in flights])
+        prior = np.zeros(len(self.names))
+        for index, name in enumerate(self.names):
+            if name.startswith("accel_bias"):
+                axis = "xyz".index(name.split("_")[2])
+                prior[index] = 1.0 / max(float(flights[0].prepared.record.force_bias_std[axis]), 1e-4) ** 2
+            elif name.startswith(("rotor_lag", "input_delay")):
+                prior[index] = 1.0 / 0.15**2
+            elif name == "mass_kg":
+                prior[index] = 1.0 / (0.5 * flights[0].parameters.mass_kg) ** 2
+            else:
+                prior[index] = 1.0 / float(np.trace(flights[0].parameters.tensor)) ** 2
+        self.prior = prior
+        self._base = Columns(self.x, self.z, np.zeros(6))
+        self._products: dict[tuple[int, int], tuple[Array, Array]] = {}
+        self.weight = np.minimum(1.0, 4.0 / np.maximum(np.abs(self.y - self.x @ self._plain()), 1e-9))
+
+    def _plain(self) -> Array:
+        return np.linalg.solve(self.x.T @ self.x + np.diag(self.prior), self.x.T @ self.y)
+
+    def columns(self, candidate: Candidate) -> Columns | None:
+        """A candidate's columns over all flights."""
+        parts = [flight.columns(candidate) for flight in self.flights]
+        if any(part is None for part in parts):
+            return None
+        known = [part for part in parts if part is not None]
+        rms = np.sqrt(np.mean([part.wrench_rms**2 for part in known], axis=0))
+        return Columns(
+            np.concatenate([p.sensitivity for p in known]), np.concatenate([p.instrument for p in known]), rms
+        )
+
+    def solve(self, chosen: Sequence[tuple[Candidate, Columns]], rows: NDArray[np.bool_] | None = None) -> Solution:
+        """Joint instrumental estimate of base and chosen candidates.
+
+        Args:
+            chosen: candidates with their columns.
+            rows: which rows to use (all). Products over all rows are remembered.
+        """
+        vehicle = self.flights[0].prepared.record.vehicle
+        members = [self._base, *(columns for _, columns in chosen)]
+        prior = np.concatenate(
+            [self.prior, *([1.0 / p.prior_std(vehicle) ** 2 for p in c.effect.parameters] for c, _ in chosen)]
+        )
+        products = [[self._product(a, b, rows) for b in members] for a in members]
+        zx = np.block([[cell[0] for cell in line] for line in products]) + np.diag(prior)
+        zz = np.block([[cell[1] for cell in line] for line in products]) + np.diag(prior)
+        w = self.weight if rows is None else self.weight * rows
+        zy = np.concatenate([a.instrument.T @ (w * self.y) for a in members])
+        scale = np.sqrt(np.diag(zz))
+        inverse = np.linalg.pinv(zx / np.outer(scale, scale), rcond=1e-12) / np.outer(scale, scale)
+        return Solution(inverse @ zy, inverse @ zz @ inverse.T, self.x.shape[1])
+
+    def _product(self, a: Columns, b: Columns, rows: NDArray[np.bool_] | None) -> tuple[Array, Array]:
+        """(Z_a^T W C_b, Z_a^T W Z_b), remembered for all rows."""
+        key = (id(a), id(b))
+        if rows is None and key in self._products:
+            return self._products[key]
+        w = self.weight if rows is None else self.weight * rows
+        left = (a.instrument * w[:, None]).T
+        pair = left @ b.sensitivity, left @ b.instrument
+        if rows is None:
+            self._products[key] = pair
+        return pair
+
+    def remainder(self, chosen: Sequence[tuple[Candidate, Columns]], solution: Solution) -> Array:
+        """Whitened residual after a solution."""
+        a = np.concatenate([self.x, *(c.sensitivity for _, c in chosen)], axis=1)
+        return self.y - a @ solution.theta
+
+    def time_of_rows(self) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+        """Time, channel and flight of each whitened row."""
+        times, channels, flights = [], [], []
+        for number, flight in enumerate(self.flights):
+            for channel in flight.channels:
+                times.append(flight.model.t_s)
+                channels.append(np.full(len(flight.model.t_s), channel))
+                flights.append(np.full(len(flight.model.t_s), number))
+        return np.concatenate(times), np.concatenate(channels), np.concatenate(flights)
+
+
+def planned_signals(prepared: Prepared, p: Parameters, shift_s: float, stride: int) -> Signals | None:
+    """The signals the plan asked for: thrusts by inverse dynamics at ``p``; time and battery as they were."""
+    plan = prepared.planned
+    if plan is None:
+        return None
+    moved = plan.shifted(shift_s, prepared.record.t_s)
+    vehicle = prepared.record.vehicle
+    rate = moved.rate_rad_s
+    torque = moved.angular_acceleration_rad_s2 @ p.tensor + np.cross(rate, rate @ p.tensor)
+    wrench = np.concatenate([p.mass_kg * moved.specific_thrust_m_s2[:, None], torque], axis=1)
+    thrust = wrench @ np.linalg.pinv(wrench_matrix(vehicle)).T
+    motor = thrust if vehicle.rotors.input == "wrench" else vehicle.motor_for_thrust(thrust)
+    quaternion = quat_normalise(moved.quaternion)
+    signals = Signals(
+        t_s=prepared.record.t_s - prepared.record.t_s[0],
+        position_m=moved.position_m,
+        velocity_world_m_s=quat_rotate(quaternion, moved.velocity_body_m_s),
+        quaternion=quaternion,
+        rate_rad_s=rate,
+        motor=motor,
+        lagged=motor,
+        lagged_rate=np.gradient(motor, prepared.record.t_s, axis=0),
+        thrust_n=thrust,
+        voltage_v=prepared.voltage_v,
+        charge_as=prepared.charge_as,
+    )
+    return _thinned(signals, stride)
+
+
+def _thinned(signals: Signals, stride: int) -> Signals:
+    return Signals(*(getattr(signals, name)[::stride] for name in Signals.__slots__))
+
+
+def _middle(values: Array) -> Array:
+    return 0.5 * (values[1:] + values[:-1])
+
+
+def _orthonormal(basis: Array) -> Array:
+    size = np.linalg.norm(basis, axis=0)
+    used = basis[:, size > 1e-7 * max(float(size.max(initial=0.0)), 1e-30)]
+    if used.shape[1] == 0 or float(size.max()) < 1e-12:
+        return np.zeros((len(basis), 0))
+    used = used / np.linalg.norm(used, axis=0)
+    values, vectors = np.linalg.eigh(used.T @ used)
+    keep = values > 1e-6 * values[-1]
+    return used @ (vectors[:, keep] / np.sqrt(values[keep]))
+
+
+def _orthonormal_rows(stacked: Array, flight: FlightEvidence) -> list[Array]:
+    count = len(flight.model.t_s)
+    return [_orthonormal(stacked[i * count : (i + 1) * count]) for i in range(len(flight.channels))]
