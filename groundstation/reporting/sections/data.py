@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import metadata
 
 import numpy as np
@@ -15,6 +15,8 @@ from groundstation.reporting import figures
 from groundstation.reporting.markup import Markup, definition_list, element, fragment, sentence_list, table
 from groundstation.reporting.page import Page
 from groundstation.reporting.units import fixed, percent, significant
+
+LINE = 80
 
 
 def add_data(page: Page, flight: FlightData, identification: Identification | None, live: Sequence[str]) -> None:
@@ -115,6 +117,17 @@ def add_warnings(page: Page, warnings: Sequence[str]) -> None:
     page.section("warnings", f"Warnings ({len(unique)})" if unique else "Warnings", content)
 
 
+def _metadata(known: Mapping[str, str]) -> Markup:
+    """What the recording says of itself; what is longer than a line is folded."""
+    short = [(name, text) for name, text in sorted(known.items()) if len(text) <= LINE]
+    folded = [
+        element("details", element("summary", name), element("pre", text))
+        for name, text in sorted(known.items())
+        if len(text) > LINE
+    ]
+    return fragment(definition_list(short), folded)
+
+
 def add_reproduction(page: Page, flight: FlightData, identification: Identification | None, source: str) -> None:
     """Versions, what is known about the recording, and the commands that give the same numbers again."""
     versions = [("groundstation", groundstation.__version__), ("Python", platform.python_version())]
@@ -127,5 +140,5 @@ def add_reproduction(page: Page, flight: FlightData, identification: Identificat
         element("pre", commands),
         element("h3", "Analysed with"),
         definition_list(versions),
-        [element("h3", "Recorded with"), definition_list(sorted(flight.metadata.items()))] if flight.metadata else None,
+        [element("h3", "Recorded with"), _metadata(flight.metadata)] if flight.metadata else None,
     )

@@ -10,7 +10,7 @@ from groundstation.reporting import figures
 from groundstation.reporting.markup import Markup, element, fragment, table
 from groundstation.reporting.page import Page
 from groundstation.reporting.sections.tables import estimate_cell, row_name
-from groundstation.reporting.units import Scale, label, percent, scale_for, significant, split_unit
+from groundstation.reporting.units import Scale, half_width, label, percent, scale_for, significant, split_unit
 
 
 def add_parameters(page: Page, flight: FlightData, identification: Identification) -> None:
@@ -60,9 +60,9 @@ def parameter_scale(name: str, identification: Identification, nominal: Mapping[
     """One scale for a parameter in all its columns and figures."""
     if name.endswith("kg_m2"):
         return _tensor_scale(identification, nominal)
-    sizes = [nominal.get(name, 0.0)]
-    sizes += [m.parameters[name].value for m in identification.methods.values() if name in m.parameters]
-    sizes += [identification.model[name].value] if name in identification.model else []
+    estimates = [m.parameters[name] for m in identification.methods.values() if name in m.parameters]
+    estimates += [identification.model[name]] if name in identification.model else []
+    sizes = [nominal.get(name, 0.0), *(max(abs(e.value), half_width(e)) for e in estimates)]
     return scale_for(split_unit(name)[1], sizes)
 
 
