@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import shlex
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +122,12 @@ def diagnose(
     return Result(found.to_dict(), "\n".join(lines), Refused.exit_status if found.verdict == "refused" else 0)
 
 
+def _arguments(flights: tuple[Path, ...], options: Mapping[str, object]) -> str:
+    """Flights and options as they were given, quoted for a shell."""
+    given = [str(part) for name, value in options.items() if value is not None for part in (name, value)]
+    return shlex.join([*map(str, flights), *given])
+
+
 @click.command(epilog=example("groundstation report logs/2025-01-31T12-00-00-qball2/flight.mcap"))
 @flight_options
 @click.option("--reference", multiple=True, type=FLIGHT, help="Healthy flight of the same vehicle (repeatable).")
@@ -147,6 +154,7 @@ def report(
         references=load_flights(reference, vehicle),
         held_out=load_flights(held_out, vehicle),
         progress=line.fraction,
+        source=_arguments(flights, {"--vehicle": vehicle, "--from": start_s, "--to": end_s}),
     )
     line.end()
     files = {name: str(path) for name, path in done.files.items()}

@@ -67,25 +67,33 @@ def analyse(
     references: Sequence[FlightData] = (),
     held_out: Sequence[FlightData] = (),
     progress: Progress = lambda fraction, text: None,
+    source: str | None = None,
 ) -> Analysis:
     """Identify, diagnose and report into ``folder``. A diagnosis that refuses or fails never costs the report.
 
+    Args:
+        source: the recordings and options as on the command line, for the report's commands that repeat it.
+
     Raises:
-        NotIdentifiable: the flights do not tell; nothing but the reason was found.
+        Refused: the flights do not tell; the report holds the reason and the remedy.
         BadInput: a flight is malformed.
     """
     from groundstation.identification.pipeline import identify
     from groundstation.reporting import write_report
 
     folder.mkdir(parents=True, exist_ok=True)
-    identification = identify(flights, exclude=exclude, progress=lambda f, text: progress(0.05 + 0.5 * f, text))
+    try:
+        identification = identify(flights, exclude=exclude, progress=lambda f, text: progress(0.05 + 0.5 * f, text))
+    except Refused as error:
+        write_report(folder / "report.html", flights[0], error, source=source)
+        raise
     write_identification(folder, identification, flights[0].vehicle)
     diagnosis = _diagnose(flights, references, held_out, lambda f, text: progress(0.55 + 0.35 * f, text))
     files = write_identification(folder, identification, flights[0].vehicle, diagnosis)
     if diagnosis is not None:
         files["diagnosis"] = write_json(folder / "diagnosis.json", diagnosis.to_dict())
     progress(0.92, "writing the report")
-    files["report"] = write_report(folder / "report.html", flights[0], identification, diagnosis)
+    files["report"] = write_report(folder / "report.html", flights[0], identification, diagnosis, source=source)
     progress(1.0, "done")
     return Analysis(identification, diagnosis, files)
 

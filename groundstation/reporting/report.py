@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -34,7 +35,7 @@ def report_html(
         identification: the result, or the refusal with its reason and remedy.
         diagnosis: what the declared vehicle lacks, where that was asked.
         live: what was noticed while flying (lost messages, guard actions), one sentence each.
-        source: what to call the recording in the commands that reproduce the report; by default the flight's name.
+        source: the recording (and options) in the commands that reproduce the report; by default the flight's name.
     """
     page = Page(f"{flight.name} – flight report")
     result = None if isinstance(identification, Refused) else identification
@@ -59,11 +60,13 @@ def write_report(
     diagnosis: Diagnosis | None = None,
     *,
     live: Sequence[str] = (),
+    source: str | None = None,
 ) -> Path:
-    """Write :func:`report_html` to ``path`` and return it; a ``flight.mcap`` beside it is named as the recording."""
+    """Write :func:`report_html` to ``path`` and return it; without a ``source``, a ``flight.mcap`` beside it is named."""
     path = Path(path)
     recording = path.with_name("flight.mcap")
-    source = str(recording) if recording.is_file() else None
+    if source is None and recording.is_file():
+        source = shlex.quote(str(recording))
     path.write_text(report_html(flight, identification, diagnosis, live=live, source=source), encoding="utf-8")
     return path
 
