@@ -15,7 +15,7 @@ from groundstation.errors import BadInput, GroundStationError
 from groundstation.paths import find_config
 from groundstation.vehicle import load_vehicle
 from sim.firmware.arducopter import JsonExchange
-from sim.firmware.px4 import STEP_US, HilExchange
+from sim.firmware.px4 import HilExchange
 
 ANSWER_S = 2.0
 """A firmware in lock-step that has been silent for so long is stuck or gone."""
@@ -108,8 +108,7 @@ def _serve(options: argparse.Namespace, stopped: Callable[[], bool]) -> None:
     vehicle = load_vehicle(find_config("vehicles", options.vehicle))
     scenario = load_scenario(find_config("scenarios", options.scenario)) if options.scenario else Scenario()
     count = vehicle.rotors.count
-    rate_hz = 1000.0 if options.arducopter else 1e6 / STEP_US
-    airframe = SimulatedAirframe(vehicle, scenario, seed=options.seed, imu_rate_hz=rate_hz)
+    airframe = SimulatedAirframe(vehicle, scenario, seed=options.seed)
     airframe.step(0.004, (0.0,) * count)  # compiles before the firmware waits
     if options.arducopter:
         host, port = _place(options.arducopter)

@@ -59,7 +59,7 @@ def _service(options: argparse.Namespace, vehicle) -> Service:  # type: ignore[n
 
     scenario = load_scenario(find_config("scenarios", options.scenario)) if options.scenario else Scenario()
     kind = Px4 if options.profile == "px4" else ArduCopter
-    airframe = SimulatedAirframe(vehicle, scenario, seed=options.seed, imu_rate_hz=1e6 / kind.TICK_US)
+    airframe = SimulatedAirframe(vehicle, scenario, seed=options.seed)
     airframe.step(kind.TICK_US * 1e-6, (0.0,) * vehicle.rotors.count)  # compiles before the clock starts
     drift = DRIFT[options.profile] if options.clock_drift is None else options.clock_drift
     boot_s = 2.25 if options.just_booted else 60.0

@@ -37,7 +37,7 @@ class Gains:
     position_p: Vector = (0.95, 0.95, 1.0)
     velocity_p: Vector = (1.8, 1.8, 4.0)
     velocity_i: Vector = (0.4, 0.4, 2.0)
-    attitude_p: Vector = (4.0, 4.0, 2.8)
+    attitude_p: Vector = (6.0, 6.0, 2.8)
     rate_p: Vector = (14.0, 14.0, 6.0)
     rate_i: Vector = (6.0, 6.0, 2.0)
     rate_d: Vector = (0.5, 0.5, 0.0)

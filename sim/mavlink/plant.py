@@ -10,7 +10,7 @@ from groundstation.vehicle import Vehicle
 from sim.build import STEP_S
 from sim.mavlink.airframe import AirframeState, ImuSample
 from sim.plant import ATTITUDE, POSITION, RATE, ROTOR, VELOCITY
-from sim.scenario import Scenario
+from sim.scenario import Clock, Scenario
 from sim.simulation import Samples, Simulation
 
 
@@ -19,19 +19,20 @@ class SimulatedAirframe:
 
     Args:
         declared: the vehicle as declared.
-        scenario: the world; its IMU is sampled at the firmware's rate.
+        scenario: the world; its IMU is sampled at 1 kHz, and what the firmware gets is the mean of the samples since it
+            last asked, as inertial drivers integrate.
         seed: of all noise.
-        imu_rate_hz: rate of the firmware's inertial driver.
 
     Attributes:
         poses: what motion capture has delivered since somebody emptied the list: stamps, arrivals, rows (see
             :data:`sim.simulation.Samples`).
     """
 
-    def __init__(self, declared: Vehicle, scenario: Scenario, *, seed: int = 0, imu_rate_hz: float = 250.0):
+    def __init__(self, declared: Vehicle, scenario: Scenario, *, seed: int = 0):
+        clock = Clock(phase=0.5)  # in the middle of the plant's step: the mean over n steps is that of their middle
         world = scenario.model_copy(
             update={
-                "imu": scenario.imu.model_copy(update={"rate_hz": imu_rate_hz}),
+                "imu": scenario.imu.model_copy(update={"rate_hz": 1.0 / STEP_S, "clock": clock}),
                 "control": scenario.control.model_copy(update={"attitude_hz": 1000}),
             }
         )
@@ -67,13 +68,13 @@ class SimulatedAirframe:
     def _keep(self, samples: dict[str, Samples]) -> None:
         rows = samples["imu"][2]
         if len(rows):
-            gx, gy, gz, ax, ay, az = rows[-1].tolist()
+            gx, gy, gz, ax, ay, az = rows.mean(axis=0).tolist()
             self._imu = ImuSample((gx, gy, gz), (ax, ay, az))
         if len(samples["mocap"][0]):
             self.poses.append(samples["mocap"])
 
     def imu(self) -> ImuSample:
-        """The newest inertial sample."""
+        """The mean inertial sample of the last step."""
         return self._imu
 
     @property
