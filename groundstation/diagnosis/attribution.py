@@ -112,7 +112,7 @@ class Selection:
         return solution.wald(first, count) - threshold(candidate, self.variants[candidate.identifier])
 
     def _best_addition(self, chosen: list[tuple[Candidate, Columns]]) -> tuple[float, tuple[Candidate, Columns] | None]:
-        taken = {c.identifier for c, _ in chosen} | {c.identifier for c, _ in self.baseline}
+        taken = {c.identifier for c, _ in chosen}
         best, found = 0.0, None
         for entry in self.pool:
             if entry[0].identifier in taken:

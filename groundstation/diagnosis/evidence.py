@@ -199,7 +199,7 @@ class FlightEvidence:
     def _at_blocks(self, values: Array) -> Array:
         return np.stack([np.interp(self.model.t_s, self._t, column) for column in values.T], axis=-1)
 
-    def _predicted(self, wrench: Array) -> Array:
+    def predicted(self, wrench: Array) -> Array:
         """Rates and specific forces (blocks, 6, p) that a body wrench (k, 6, p) adds."""
         count = wrench.shape[2]
         out = np.zeros((len(self.model.t_s), 6, count))
@@ -218,7 +218,7 @@ class FlightEvidence:
         if not np.isfinite(wrench).all():
             return None
         rms = np.sqrt(np.mean(wrench[self._keep] ** 2, axis=0))
-        sensitivity = self._whitened(self._predicted(wrench))
+        sensitivity = self._whitened(self.predicted(wrench))
         if self._basis is None:
             return Columns(sensitivity, sensitivity, rms)
         count = len(self.model.t_s)
@@ -226,7 +226,7 @@ class FlightEvidence:
         for signals in self.planned:
             wished = candidate.effect.wrench(signals, vehicle, candidate.settings) if signals is not None else None
             if wished is not None and np.isfinite(wished).all():
-                planned.append(self._whitened(self._predicted(wished)))
+                planned.append(self._whitened(self.predicted(wished)))
         if not planned:
             return None
         stacked = np.concatenate(planned, axis=1)
@@ -241,9 +241,16 @@ class FlightEvidence:
 
 
 class Evidence:
-    """Several flights of one vehicle with a common base; biases are each flight's own but share names and priors."""
+    """Several flights of one vehicle with a common base, reference flights of its healthy state among them.
 
-    def __init__(self, flights: Sequence[FlightEvidence]):
+    Args:
+        flights: those under suspicion.
+        references: healthy flights: they share the base and the baseline, and no candidate acts on them.
+    """
+
+    def __init__(self, flights: Sequence[FlightEvidence], references: Sequence[FlightEvidence] = ()):
+        self.suspects = len(flights)
+        flights = [*flights, *references]
         self.flights = tuple(flights)
         self.names = flights[0].names
         self.y = np.concatenate([f.y for f in flights])
@@ -268,13 +275,20 @@ class Evidence:
     def _plain(self) -> Array:
         return np.linalg.solve(self.x.T @ self.x + np.diag(self.prior), self.x.T @ self.y)
 
-    def columns(self, candidate: Candidate) -> Columns | None:
-        """A candidate's columns over all flights."""
-        parts = [flight.columns(candidate) for flight in self.flights]
-        if any(part is None for part in parts):
-            return None
-        known = [part for part in parts if part is not None]
-        rms = np.sqrt(np.mean([part.wrench_rms**2 for part in known], axis=0))
+    def columns(self, candidate: Candidate, *, everywhere: bool = False) -> Columns | None:
+        """A candidate's columns over all flights, zero on the references unless ``everywhere``."""
+        count = len(candidate.effect.parameters)
+        known: list[Columns] = []
+        for number, flight in enumerate(self.flights):
+            if number < self.suspects or everywhere:
+                part = flight.columns(candidate)
+                if part is None:
+                    return None
+            else:
+                nothing = np.zeros((len(flight.y), count))
+                part = Columns(nothing, nothing, np.zeros((6, count)))
+            known.append(part)
+        rms = np.sqrt(np.mean([part.wrench_rms**2 for part in known[: self.suspects]], axis=0))
         return Columns(
             np.concatenate([p.sensitivity for p in known]), np.concatenate([p.instrument for p in known]), rms
         )

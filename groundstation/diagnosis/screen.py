@@ -1,0 +1,154 @@
+"""What the residual still depends on when every named effect has been taken out: all there is for the unknown.
+
+For each variable a smooth basis (hat functions over its quantiles) is offered to each channel, through the same instruments
+and whitening as an effect; its joint Wald statistic against chance, shared among all pairs, is the measure. It sees nonlinear
+dependence, and colour is in the noise model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings
+from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
+from groundstation.diagnosis.results import Unexplained
+from groundstation.frames import euler_from_quat
+from groundstation.identification.record_model import CHANNELS
+from groundstation.model.signals import Signals
+from groundstation.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+CHANCE = 1e-6
+"""Chance, over all pairs of channel and variable, that noise alone would show a dependence."""
+MATERIAL = 2e-3
+"""Least RMS of an unexplained dependence, as a share of weight or of weight times arm."""
+KNOTS = 6
+
+_WRENCH_ROW = {0: 3, 1: 4, 2: 5, 3: 0, 4: 1, 5: 2}
+
+
+def _yaw(signals: Signals) -> Array:
+    return np.unwrap(euler_from_quat(signals.quaternion)[:, 2])
+
+
+VARIABLES: dict[str, Callable[[Signals], Array]] = {
+    "position_x_m": lambda s: s.position_m[:, 0],
+    "position_y_m": lambda s: s.position_m[:, 1],
+    "position_z_m": lambda s: s.position_m[:, 2],
+    "velocity_x_m_s": lambda s: s.velocity_body_m_s()[:, 0],
+    "velocity_y_m_s": lambda s: s.velocity_body_m_s()[:, 1],
+    "velocity_z_m_s": lambda s: s.velocity_body_m_s()[:, 2],
+    "yaw_rad": _yaw,
+    "roll_rad": lambda s: euler_from_quat(s.quaternion)[:, 0],
+    "pitch_rad": lambda s: euler_from_quat(s.quaternion)[:, 1],
+    "rate_x_rad_s": lambda s: s.rate_rad_s[:, 0],
+    "rate_y_rad_s": lambda s: s.rate_rad_s[:, 1],
+    "rate_z_rad_s": lambda s: s.rate_rad_s[:, 2],
+    "thrust_n": lambda s: s.thrust_n.sum(axis=1),
+    "thrust_rate": lambda s: np.gradient(s.thrust_n.sum(axis=1), s.t_s),
+    "voltage_v": lambda s: s.voltage_v,
+    "time_s": lambda s: s.t_s,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Dependence:
+    """A dependence of one channel on one variable that chance does not make."""
+
+    channel: str
+    variable: str
+    margin: float
+    share: float
+
+
+def _probe(name: str, channel: int, knots: Array) -> Effect:
+    variable = VARIABLES[name]
+    count = len(knots) - 1
+
+    def wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
+        values = variable(signals)
+        out = np.zeros((len(values), 6, count))
+        for j in range(count):
+            peak = np.zeros(len(knots))
+            peak[j + 1] = 1.0
+            out[:, _WRENCH_ROW[channel], j] = np.interp(values, knots, peak)
+        return out
+
+    def scale(vehicle: Vehicle) -> float:
+        weight = vehicle.mass_kg * vehicle.gravity_m_s2
+        return 0.2 * weight * (vehicle.arm_m() if channel < 3 else 1.0)
+
+    return Effect(
+        identifier=f"{name}>{CHANNELS[channel]}",
+        equation="hat functions",
+        source="screen",
+        parameters=tuple(ParameterInfo(f"h{j}", scale) for j in range(count)),
+        wrench=wrench,
+        sentence="",
+        confused_with=(),
+        manoeuvre="",
+    )
+
+
+def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]]) -> list[Dependence]:
+    """Every pair of channel and variable that still shows beyond chance, strongest first."""
+    from scipy.stats import chi2
+
+    first = evidence.flights[0]
+    vehicle = first.prepared.record.vehicle
+    weight = vehicle.mass_kg * vehicle.gravity_m_s2
+    offset = sum(len(c.effect.parameters) for c, _ in chosen)
+    kept = first.prepared.record.keep[:: max(1, len(first.prepared.record.keep) // len(first.signals.t_s))][
+        : len(first.signals.t_s)
+    ]
+    found = []
+    pairs = len(VARIABLES) * len(first.channels)
+    for name, variable in VARIABLES.items():
+        values = variable(first.signals)
+        if not np.isfinite(values).all() or np.ptp(values[kept]) < 1e-9:
+            continue
+        knots = np.unique(np.quantile(values[kept], np.linspace(0.0, 1.0, KNOTS)))
+        if len(knots) < 4:
+            continue
+        for channel in first.channels:
+            candidate = Candidate(_probe(name, channel, knots), {})
+            columns = evidence.columns(candidate)
+            if columns is None:
+                continue
+            solution = evidence.solve([*chosen, (candidate, columns)])
+            count = len(candidate.effect.parameters)
+            margin = solution.wald(offset, count) - float(chi2.isf(CHANCE / pairs, count))
+            if margin <= 0.0:
+                continue
+            theta = solution.part(offset, count)[0]
+            part = candidate.effect.wrench(first.signals, vehicle, {})[kept][:, _WRENCH_ROW[channel], :] @ theta
+            size = float(np.std(part))
+            scale = weight * (vehicle.arm_m() if channel < 3 else 1.0)
+            if size < MATERIAL * scale:
+                continue
+            disturbance = disturbance_std(evidence, channel)
+            found.append(Dependence(CHANNELS[channel], name, margin, size**2 / (size**2 + disturbance**2)))
+    return sorted(found, key=lambda d: -d.margin)
+
+
+def disturbance_std(evidence: Evidence, channel: int) -> float:
+    """Standard deviation of the fitted disturbance of a channel, N or N m."""
+    flight = evidence.flights[0]
+    colour = flight.colours[flight.channels.index(channel)]
+    scale = float(flight.parameters.tensor[channel, channel]) if channel < 3 else flight.parameters.mass_kg
+    return colour.disturbance * scale
+
+
+def unexplained(found: Sequence[Dependence]) -> tuple[Unexplained, ...]:
+    """Dependences gathered by channel: share of the largest, variables in order of evidence within half of the strongest."""
+    out = []
+    for channel in dict.fromkeys(d.channel for d in found):
+        mine = [d for d in found if d.channel == channel]
+        strong = tuple(d.variable for d in mine if d.margin > 0.5 * mine[0].margin)
+        out.append(Unexplained(channel, round(max(d.share for d in mine), 4), strong[:4]))
+    return tuple(out)
