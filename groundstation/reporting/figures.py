@@ -136,22 +136,19 @@ def focus(figure: Figure, start_s: float, end_s: float) -> Figure:
 
 
 def path_figure(flown: Array, wanted: Array | None) -> Figure:
-    """The path in three dimensions, flown and wanted, shape (k, 3)."""
-    data = [_path_3d(flown, "flown", 0)]
-    if wanted is not None:
-        data.append(_path_3d(wanted, "wanted", 1))
-    axis = {axis: {"title": {"text": f"{axis[0]} (m)"}} for axis in ("xaxis", "yaxis", "zaxis")}
-    return {
-        "data": data,
-        "layout": {
-            "height": 440,
-            "scene": {
-                "aspectmode": "data",
-                "camera": {"eye": {"x": 1.6, "y": -1.6, "z": 0.9}, "center": {"x": 0, "y": 0, "z": -0.1}},
-                **axis,
-            },
-        },
+    """The path in three dimensions at equal scales, flown and wanted, shape (k, 3)."""
+    drawn = {"flown": flown} if wanted is None else {"flown": flown, "wanted": wanted}
+    points = np.concatenate(list(drawn.values()))
+    points = points[np.isfinite(points).all(axis=1)]
+    low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(3), np.ones(3))
+    half = 0.55 * max(float(np.max(high - low)), 0.01)
+    axes = {
+        f"{name}axis": {"title": {"text": f"{name} (m)"}, "range": [round(middle - half, 4), round(middle + half, 4)]}
+        for name, middle in zip("xyz", (0.5 * (low + high)).tolist(), strict=True)
     }
+    camera = {"eye": {"x": 1.5, "y": -1.5, "z": 0.9}, "center": {"x": 0, "y": 0, "z": -0.1}}
+    data = [_path_3d(part, name, i) for i, (name, part) in enumerate(drawn.items())]
+    return {"data": data, "layout": {"height": 440, "scene": {"aspectmode": "cube", "camera": camera, **axes}}}
 
 
 def _path_3d(points: Array, name: str, style: int) -> dict[str, Any]:

@@ -73,7 +73,10 @@ def add_verdict(page: Page, identification: Identification | Refused, diagnosis:
 def _banner(kind: str, title: str, *sentences: str) -> Markup:
     symbol = element("span", _SYMBOLS[kind] + " ", aria_hidden="true")
     return element(
-        "div", element("strong", symbol, title), [element("p", s) for s in sentences if s], class_=f"verdict {kind}"
+        "div",
+        element("strong", symbol, title),
+        [element("p", s[:1].upper() + s[1:]) for s in sentences if s],
+        class_=f"verdict {kind}",
     )
 
 
