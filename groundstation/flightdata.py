@@ -102,8 +102,7 @@ class FlightData:
     def between(self, start_s: float, end_s: float) -> FlightData:
         """The part of every stream with start <= t < end on its own clock."""
         cut = {
-            key: stream.select((stream.t_s >= start_s) & (stream.t_s < end_s))
-            for key, stream in self.streams().items()
+            key: stream.select((stream.t_s >= start_s) & (stream.t_s < end_s)) for key, stream in self.streams().items()
         }
         extras = {k: s.select((s.t_s >= start_s) & (s.t_s < end_s)) for k, s in self.extras.items()}
         return replace(self, **cut, extras=extras)

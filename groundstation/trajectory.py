@@ -164,7 +164,7 @@ def rigid_motion(flat: FlatState, gravity_m_s2: float = 9.80665) -> RigidMotion:
     cos, sin = np.cos(psi), np.sin(psi)
 
     def rotate(u: Array, v: Array) -> tuple[Array, Array, Array]:
-        """f = u cos(psi) + v sin(psi) with two derivatives; h = -u sin(psi) + v cos(psi) is its psi-derivative."""
+        """With two derivatives, f = u cos(psi) + v sin(psi); h = -u sin(psi) + v cos(psi) is its psi-derivative."""
         f, h = u[0] * cos + v[0] * sin, -u[0] * sin + v[0] * cos
         f1, h1 = u[1] * cos + v[1] * sin, -u[1] * sin + v[1] * cos
         first = f1 + psi1 * h
@@ -268,7 +268,9 @@ class Plan(_Model):
 
 def coefficients_from_arrays(a: ArrayLike, b: ArrayLike, c: ArrayLike) -> Coefficients:
     """Coefficients from arrays of shape (4, N), (4, N), (4,)."""
-    rows = zip(CHANNELS, np.asarray(a, dtype=float), np.asarray(b, dtype=float), np.asarray(c, dtype=float), strict=True)
+    rows = zip(
+        CHANNELS, np.asarray(a, dtype=float), np.asarray(b, dtype=float), np.asarray(c, dtype=float), strict=True
+    )
     return Coefficients(
         **{k: ChannelCoefficients(a=tuple(map(float, p)), b=tuple(map(float, q)), c=float(r)) for k, p, q, r in rows}
     )

@@ -203,9 +203,7 @@ class Vehicle(_Section):
         """
         position = np.asarray(self.rotors.position_m, dtype=float)
         spin = np.asarray(self.rotors.spin, dtype=float)
-        return np.stack(
-            [np.ones(len(spin)), position[:, 1], -position[:, 0], -spin * self.rotors.torque_to_thrust_m]
-        )
+        return np.stack([np.ones(len(spin)), position[:, 1], -position[:, 0], -spin * self.rotors.torque_to_thrust_m])
 
     def thrust(self, motor: ArrayLike, voltage_ratio: ArrayLike = 1.0) -> Array:
         """Declared thrust of each rotor in newton from the motor values of ``rotors.input``.
