@@ -135,7 +135,7 @@ def test_microsecond_stamps_need_no_companion(tmp_path):
         for k in range(2000):
             recorder.add(Imu((39_240_817 + 1003 * k) / 1e6, (0.0,) * 3, (0.0,) * 3), (k * 997) / 1e9)
     contents = read_container(path.read_bytes())
-    assert {channel.topic for channel in contents.channels} == {"/imu"}
+    assert {channel.topic for channel in contents.channels.values()} == {"/imu"}
     t_s = read_recording(path).streams["imu"].t_s
     assert np.array_equal(t_s, (39_240_817 + 1003 * np.arange(2000)) / 1e6)
 
@@ -168,7 +168,7 @@ def test_a_file_cut_anywhere_opens_up_to_the_cut(tmp_path_factory, long_recordin
         assert at < 400
         return
     kept = len(recording.streams["imu"]) if "imu" in recording.streams else 0
-    total = len(next(c for c in whole.channels if c.topic == "/imu").payload)
+    total = len(next(c for c in whole.channels.values() if c.topic == "/imu").payload)
     # 64 KiB chunks and a flush each second: at most one chunk of the data before the cut is missing.
     assert kept >= (share * total) - 400
     if at < len(long_recording) - 3000:

@@ -101,3 +101,8 @@ def wanted_input(vehicle: Vehicle, available: Mapping[str, bool], source: str) -
         f"{source}: has no {'rotor speeds' if kind == 'rotor_speed' else f'motor values of the kind {kind}'}; "
         f'give a vehicle file with input = "{has[0]}".'
     )
+
+
+def one_line(error: BaseException) -> str:
+    """A library's error as a part of a sentence."""
+    return " ".join(str(error).split())[:120] or type(error).__name__

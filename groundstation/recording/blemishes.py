@@ -21,7 +21,8 @@ _NOISE_FACTOR = 12.0  # times the local noise: a normal sample in 10^32 lies bey
 _LOCAL = 20  # samples on each side, of which the noisier one sets the local noise: a vibration may begin anywhere
 _ACCELERATION = 50.0  # m/s^2, 5 g: the most a vehicle's velocity changes
 _ANGULAR_ACCELERATION = 300.0  # rad/s^2: above what the smallest racing quadrotors reach for more than an instant
-_REST_M_S, _REST_RAD_S = 0.02, 0.05  # slower than this on both sides, a repeated pose may be a vehicle at rest
+_REST_M_S, _REST_RAD_S = 0.02, 0.05  # a repeated pose that is left as slowly as this may be a vehicle at rest
+_GROUND_M = 0.02  # a repeated pose this close to the lowest one may be a vehicle that has landed
 
 
 def runs_backwards(t_s: Array) -> bool:
@@ -140,8 +141,9 @@ def _hemisphere(quaternion: Array) -> Array:
 def frozen(t_s: Array, position_m: Array, quaternion: Array) -> Mask:
     """Poses that repeat their predecessor bit for bit while the vehicle moves.
 
-    Measured poses carry noise, so that a repeated one is an old one. Only where the pose creeps away from the repeated
-    value as slowly as it came (a noise-free vehicle at rest) are repeats kept.
+    Measured poses carry noise, so that a repeated one is an old one, and when the tracker finds the vehicle again the pose
+    leaps. Repeats are kept where the pose creeps away from them, or rests on the ground to the end: there a pose without
+    noise is of a vehicle at rest.
     """
     pose = np.hstack([position_m, quaternion])
     repeats = np.concatenate([[False], np.all(pose[1:] == pose[:-1], axis=1)])
@@ -154,7 +156,8 @@ def frozen(t_s: Array, position_m: Array, quaternion: Array) -> Mask:
     turns = np.linalg.norm(quat_log(quat_multiply(quat_conjugate(q[starts[:-1]]), q[starts[1:]])), axis=1)
     pause = t_s[starts[1:]] - t_s[ends[:-1]]
     slow = (steps < _REST_M_S * pause) & (turns < _REST_RAD_S * pause)
-    resting = np.concatenate([[True], slow]) & np.append(slow, True)
+    landed = position_m[-1, 2] <= float(np.min(position_m[:, 2])) + _GROUND_M
+    resting = np.append(slow, landed)
     run = np.cumsum(~repeats) - 1
     return repeats & ~resting[run]
 

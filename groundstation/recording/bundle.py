@@ -73,7 +73,7 @@ def read_bundle(folder: Path, vehicle: Vehicle | None = None) -> Recording:
         wanted = tuple(key for key in columns.numbers if key not in ("t_s", "received_s"))
         extras[name] = _split(columns, wanted, name)[0]
     for name, columns_of_log in LOG_COLUMNS.items():
-        log = _log(verbatim.get(f"{name}.csv"), columns_of_log)
+        log = _log(verbatim.get(f"{name}.csv"), columns_of_log, f"{folder}/{name}.csv")
         if log is not None:
             texts[name] = log
             verbatim.pop(f"{name}.csv")
@@ -155,12 +155,12 @@ def _split(columns: Columns, wanted: tuple[str, ...], source: str) -> tuple[Stre
     return Stream(t_s, values, wanted, received), extra, texts
 
 
-def _log(data: bytes | None, wanted: tuple[str, ...]) -> Texts | None:
+def _log(data: bytes | None, wanted: tuple[str, ...], source: str) -> Texts | None:
     """events.csv, raw.csv or status.csv where it is one of ours; any other file of that name is carried verbatim."""
     if data is None or data.split(b"\n", 1)[0].decode("utf-8", "replace") != ",".join(("t_s", "received_s", *wanted)):
         return None
-    columns = parse_csv(data, "log", frozenset(("t_s", "received_s")))
-    words = [columns.texts.get(name) or tuple(map(repr, columns.numbers[name].tolist())) for name in wanted]
+    columns = parse_csv(data, source, frozenset(("t_s", "received_s")), frozenset(wanted))
+    words = [columns.texts[name] for name in wanted]
     return Texts(columns.numbers["t_s"], tuple(zip(*words, strict=True)), wanted, columns.numbers["received_s"])
 
 

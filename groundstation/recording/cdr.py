@@ -133,7 +133,7 @@ class Encoder:
 
     def text(self, value: str) -> Encoder:
         """String, with its NUL."""
-        return self.blob(value.encode("utf-8", "surrogateescape") + b"\0")
+        return self.blob(value.encode("utf-8", "replace") + b"\0")
 
     def doubles(self, values: Sequence[float]) -> Encoder:
         """float64[]."""
@@ -177,7 +177,7 @@ class Decoder:
 
     def text(self) -> str:
         """String."""
-        return self.blob()[:-1].decode("utf-8", "surrogateescape")
+        return self.blob()[:-1].decode("utf-8", "replace")
 
     def doubles(self) -> tuple[float, ...]:
         """float64[]."""

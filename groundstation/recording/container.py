@@ -18,6 +18,7 @@ import lz4.frame
 import zstandard
 from mcap import records
 from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -235,10 +236,11 @@ class Contents:
 
     Attributes:
         complete: the file has its footer.
-        damaged: chunks whose checksum failed; their messages are left out.
+        channels: by their id.
+        damaged: chunks whose checksum failed and records that cannot be; their messages are left out.
     """
 
-    channels: list[ReadChannel] = field(default_factory=list)
+    channels: dict[int, ReadChannel] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     complete: bool = False
@@ -250,14 +252,24 @@ def read_container(data: bytes) -> Contents:
 
     A record that the file ends in the middle of is left out, and ``complete`` is then false.
 
+    Where a record cannot be what it says it is, reading ends there, and ``damaged`` counts it.
+
     Raises:
         ValueError: the data do not begin like an MCAP file.
     """
     if not data.startswith(MAGIC):
         raise ValueError("it does not begin with the MCAP magic")
     contents = Contents()
+    try:
+        _read_records(data, contents)
+    except (McapError, struct.error, UnicodeDecodeError, ValueError, LookupError):
+        contents.damaged += 1
+    return contents
+
+
+def _read_records(data: bytes, contents: Contents) -> None:
     schemas: dict[int, str] = {}
-    channels: dict[int, ReadChannel] = {}
+    channels = contents.channels
     position, size = len(MAGIC), len(data)
     while position + 9 <= size and not contents.complete:
         opcode, length = _RECORD.unpack_from(data, position)
@@ -281,8 +293,6 @@ def read_container(data: bytes) -> Contents:
         elif opcode == Opcode.FOOTER:
             contents.complete = True
         position += length
-    contents.channels = list(channels.values())
-    return contents
 
 
 def _stream(body: bytes) -> ReadDataStream:

@@ -26,10 +26,17 @@ class Columns:
     notes: tuple[str, ...] = ()
 
 
-def parse_csv(data: bytes, source: str, required: frozenset[str] = frozenset()) -> Columns:
+def parse_csv(
+    data: bytes, source: str, required: frozenset[str] = frozenset(), texts: frozenset[str] = frozenset()
+) -> Columns:
     """Parse a CSV file with a header line. An empty cell is a missing value, NaN.
 
-    A column that is not ``required`` may hold texts; so may whole numbers beyond what a double holds exactly.
+    Args:
+        data: the file.
+        source: its path, for messages.
+        required: columns that must hold numbers. Any other may hold texts, and is taken for texts also where it holds
+            whole numbers beyond what a double holds exactly.
+        texts: columns that are texts whatever they look like.
 
     Raises:
         BadInput: names file, line and column of what is wrong.
@@ -41,12 +48,12 @@ def parse_csv(data: bytes, source: str, required: frozenset[str] = frozenset()) 
     head, _, body = text.partition("\n")
     names = tuple(name.strip().strip('"') for name in head.strip().split(","))
     _check_header(names, source)
-    matrix = _fast(body, len(names))
+    matrix = None if texts else _fast(body, len(names))
     if matrix is not None:
         extras = [i for i, name in enumerate(names) if name not in required]
         if not len(matrix) or not np.any(np.abs(matrix[:, extras]) >= _EXACT_INTEGER):
             return Columns(names, {name: matrix[:, i] for i, name in enumerate(names)}, {})
-    return _careful(body, names, source, required)
+    return _careful(body, names, source, required, texts)
 
 
 def _check_header(names: tuple[str, ...], source: str) -> None:
@@ -76,7 +83,9 @@ def _fast(body: str, width: int) -> Array | None:
     return matrix if matrix.shape[1] == width else None
 
 
-def _careful(body: str, names: tuple[str, ...], source: str, required: frozenset[str]) -> Columns:
+def _careful(
+    body: str, names: tuple[str, ...], source: str, required: frozenset[str], as_texts: frozenset[str]
+) -> Columns:
     """Cell by cell: tells line and column of what is no number, keeps texts, leaves out a last line that was cut off."""
     rows: list[list[str]] = []
     lines: list[int] = []
@@ -85,7 +94,7 @@ def _careful(body: str, names: tuple[str, ...], source: str, required: frozenset
     try:
         for row in reader:
             if row:
-                rows.append([cell.strip() for cell in row])
+                rows.append(row)
                 lines.append(reader.line_num + 1)
     except csv.Error as error:
         raise BadInput(f"{source}: line {reader.line_num + 1} is not CSV ({error}); correct it.") from None
@@ -100,8 +109,8 @@ def _careful(body: str, names: tuple[str, ...], source: str, required: frozenset
     numbers: dict[str, Array] = {}
     texts: dict[str, tuple[str, ...]] = {}
     for index, name in enumerate(names):
-        cells = [row[index] for row in rows]
-        column = _numbers(cells, exact=name not in required)
+        cells = [row[index] if name in as_texts else row[index].strip() for row in rows]
+        column = None if name in as_texts else _numbers(cells, exact=name not in required)
         if column is not None:
             numbers[name] = column
         elif name in required:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
+import re
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -24,6 +27,7 @@ from groundstation.recording.autopilot import (
     MOTORS_SLOW_HZ,
     QUAD_X,
     motor_order,
+    one_line,
     slow_note,
     wanted_input,
     z_up,
@@ -71,8 +75,7 @@ def read_dataflash(path: Path, vehicle: Vehicle) -> Recording:
     Raises:
         BadInput: it is damaged at the start, or holds no motor outputs.
     """
-    tables, parameters = _tables(path)
-    notes: list[str] = []
+    tables, parameters, notes = _tables(path)
     streams: dict[str, Stream] = {}
     streams["motors"], said = _motors(tables, parameters, vehicle, str(path))
     notes += said
@@ -101,30 +104,34 @@ def read_dataflash(path: Path, vehicle: Vehicle) -> Recording:
     )
 
 
-def _tables(path: Path) -> tuple[Tables, dict[str, float]]:
-    """Columns of each message type with ``t_s``, and the parameters."""
+def _tables(path: Path) -> tuple[Tables, dict[str, float], list[str]]:
+    """Columns of each message type with ``t_s``, the parameters, and a note on damage."""
     os.environ.setdefault("MAVLINK20", "1")
     from pymavlink.DFReader import DFReader_binary
 
     rows: dict[str, list[tuple[float, ...]]] = {name: [] for name in _FIELDS}
     parameters: dict[str, float] = {}
+    complaints = io.StringIO()
     try:
-        reader = DFReader_binary(str(path), zero_time_base=True)
-        while (message := reader.recv_match(type=list(_FIELDS))) is not None:
-            name = message.get_type()
-            if name == "PARM":
-                parameters[message.Name] = float(message.Value)
-            else:
-                rows[name].append((message.TimeUS, *(getattr(message, key, np.nan) for key in _FIELDS[name])))
-    except (ValueError, TypeError, LookupError, AttributeError, OSError) as error:
-        raise BadInput(f"{path}: is damaged ({error}); download the log again.") from None
+        with contextlib.redirect_stderr(complaints), contextlib.redirect_stdout(complaints):
+            reader = DFReader_binary(str(path), zero_time_base=True)
+            while (message := reader.recv_match(type=list(_FIELDS))) is not None:
+                name = message.get_type()
+                if name == "PARM":
+                    parameters[message.Name] = float(message.Value)
+                else:
+                    rows[name].append((message.TimeUS, *(getattr(message, key, np.nan) for key in _FIELDS[name])))
+    except Exception as error:  # the library has no error of its own for most kinds of damage
+        raise BadInput(f"{path}: is damaged ({one_line(error)}); download the log again.") from None
+    skipped = sum(map(int, re.findall(r"Skipped (\d+) bad bytes", complaints.getvalue())))
+    notes = [f"{path.name}: {skipped} damaged bytes were skipped."] if skipped else []
     tables: Tables = {}
     for name, found in rows.items():
         if len(found) > 1:
             matrix = np.array(found, dtype=float)
             tables[name] = {"t_s": matrix[:, 0] / 1e6}
             tables[name] |= {key: matrix[:, i + 1] for i, key in enumerate(_FIELDS[name])}
-    return tables, parameters
+    return tables, parameters, notes
 
 
 def _stack(table: dict[str, Array], *names: str) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from groundstation.errors import BadInput
 from groundstation.flightdata import FlightData, Stream
+from groundstation.recording.autopilot import one_line
 from groundstation.recording.bundle import read_bundle
 from groundstation.recording.container import MAGIC as MCAP_MAGIC
 from groundstation.recording.crazyflie import is_usd_log, read_usd
@@ -53,22 +55,23 @@ def read_recording(path: str | Path, vehicle: Vehicle | None = None) -> Recordin
 def _foreign(path: Path, head: bytes, vehicle: Vehicle | None) -> Recording:
     """A log of an autopilot."""
     if is_usd_log(head):
-        return read_usd(path.read_bytes(), str(path), path.name, kind=_declared(vehicle, path).rotors.input)
-    if head.startswith(_ULOG_MAGIC):
-        from groundstation.recording.ulog import read_ulog
-
-        return read_ulog(path, _declared(vehicle, path))
-    if head.startswith(_DATAFLASH_MAGIC):
-        from groundstation.recording.dataflash import read_dataflash
-
-        return read_dataflash(path, _declared(vehicle, path))
-    raise BadInput(f"{path}: is of no known format; give {_KNOWN}.")
-
-
-def _declared(vehicle: Vehicle | None, path: Path) -> Vehicle:
+        read = _read_usd
+    elif head.startswith(_ULOG_MAGIC):
+        from groundstation.recording.ulog import read_ulog as read
+    elif head.startswith(_DATAFLASH_MAGIC):
+        from groundstation.recording.dataflash import read_dataflash as read
+    else:
+        raise BadInput(f"{path}: is of no known format; give {_KNOWN}.")
     if vehicle is None:
         raise BadInput(f"{path}: carries no vehicle; give its file with --vehicle FILE.")
-    return vehicle
+    try:
+        return read(path, vehicle)
+    except (LookupError, ValueError, TypeError, struct.error) as error:  # fields that are missing, empty or torn
+        raise BadInput(f"{path}: is damaged ({one_line(error)}); copy the log from the vehicle again.") from None
+
+
+def _read_usd(path: Path, vehicle: Vehicle) -> Recording:
+    return read_usd(path.read_bytes(), str(path), path.name, kind=vehicle.rotors.input)
 
 
 def load_flight(

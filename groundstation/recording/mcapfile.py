@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import json
+import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -134,11 +135,18 @@ def read_mcap(path: Path) -> Recording:
         raise BadInput(f"{path}: is an MCAP file of another program; convert its topics to a flight bundle first.")
     if about.get("schema") != SCHEMA:
         raise BadInput(f"{path}: has schema {about.get('schema')}; this version reads {SCHEMA}. Update groundstation.")
-    exact = {c.topic.removesuffix("/exact"): _exact(c) for c in contents.channels if c.type == EXACT_TYPE}
+    try:
+        return _recording(contents, about, path)
+    except (ValueError, LookupError, TypeError, struct.error) as error:
+        raise BadInput(f"{path}: is damaged ({error}); nothing can be read from it.") from None
+
+
+def _recording(contents: Contents, about: dict[str, str], path: Path) -> Recording:
+    exact = {c.topic.removesuffix("/exact"): _exact(c) for c in contents.channels.values() if c.type == EXACT_TYPE}
     streams: dict[str, Stream] = {}
     extras: dict[str, Stream] = {}
     texts: dict[str, Texts] = {}
-    for channel in contents.channels:
+    for channel in contents.channels.values():
         if not channel.payload:
             continue
         stream = STREAM_OF_TYPE.get(channel.type)
@@ -174,10 +182,10 @@ def read_mcap(path: Path) -> Recording:
 def _losses(contents: Contents, path: Path) -> tuple[str, ...]:
     notes = []
     if not contents.complete:
-        last = max((channel.log_ns[-1] for channel in contents.channels if channel.log_ns), default=0)
+        last = max((channel.log_ns[-1] for channel in contents.channels.values() if channel.log_ns), default=0)
         notes.append(f"{path.name}: the recording was cut off; read up to {last / 1e9:.3f} s of host time.")
     if contents.damaged:
-        notes.append(f"{path.name}: {contents.damaged} chunks are damaged (checksum); their samples are left out.")
+        notes.append(f"{path.name}: {contents.damaged} pieces are damaged; their samples are left out.")
     return tuple(notes)
 
 

@@ -33,6 +33,10 @@ def repair(flight: FlightData) -> FlightData:
     streams: dict[str, Stream] = {}
     notes: list[str] = []
     for name, stream in flight.streams().items():
+        if not len(stream):
+            raise BadInput(
+                f"{name}: holds no samples; record them, or leave {name} out if the flight has other motion data."
+            )
         if blemishes.runs_backwards(stream.t_s):
             raise BadInput(f"{name}: time t_s runs backwards over the whole file; sort it or correct the clock.")
         streams[name], said = _with_rising_stamps(stream, name)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import struct
 from pathlib import Path
@@ -24,6 +26,7 @@ from groundstation.recording.autopilot import (
     MOTORS_SLOW_HZ,
     QUAD_X,
     motor_order,
+    one_line,
     slow_note,
     spin_notes,
     wanted_input,
@@ -58,13 +61,17 @@ def read_ulog(path: Path, vehicle: Vehicle) -> Recording:
     """
     from pyulog import ULog
 
+    complaints = io.StringIO()  # the library prints, and standard output is the caller's
     try:
-        log = ULog(str(path), list(_TOPICS))
-    except (TypeError, ValueError, LookupError, EOFError, struct.error, UnicodeError) as error:
-        raise BadInput(f"{path}: is damaged ({error}); download the log again.") from None
+        with contextlib.redirect_stdout(complaints):
+            log = ULog(str(path), list(_TOPICS))
+    except Exception as error:  # the library has no error of its own for most kinds of damage
+        raise BadInput(f"{path}: is damaged ({one_line(error)}); download the log again.") from None
     topics = {topic.name: topic.data for topic in reversed(log.data_list) if len(topic.data["timestamp"]) > 1}
     parameters = dict(log.initial_parameters)
     notes = _losses(path, log)
+    if "corrupt" in complaints.getvalue():
+        notes.append(f"{path.name}: parts of the log are damaged and were left out.")
     streams: dict[str, Stream] = {}
     streams["motors"], said = _motors(topics, parameters, vehicle, str(path))
     notes += said
