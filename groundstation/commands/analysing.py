@@ -185,11 +185,24 @@ def predict(
 ) -> Result:
     """Simulate open loop from every sample of FLIGHT with MODEL (identification.toml), and say how far off it is."""
     loaded = load_flights((flight,), vehicle, start_s, end_s)[0]
+    from groundstation.diagnosis.effect import wrench_of
+    from groundstation.identification.preparation import flight_states
+    from groundstation.model.prediction import model_from_document
     from groundstation.model.prediction import predict as run
+    from groundstation.reporting.exports import read_model
+    from groundstation.vehicle import vehicle_from_dict
 
     line = ProgressLine()
-    found = run(model, loaded, horizon_s=horizon, state=state, progress=line.fraction)
+    document = read_model(model, loaded.vehicle if vehicle is not None else None)
+    declared = vehicle_from_dict(document["vehicle"], str(model))
+    effects = document.get("effects", {})
+    wrench = wrench_of(effects, declared) if effects else None
+    states = flight_states(loaded, own=state == "own")
+    found = run(model_from_document(document, declared, wrench), states, horizon_s=horizon, progress=line.fraction)
     line.end()
     if save is not None:
-        found.save(save)
+        from groundstation.recording.csvfile import write_csv
+
+        columns, rows = found.rows()
+        write_csv(save, columns, list(rows.T))
     return Result(found.to_dict(), found.to_text())

@@ -99,6 +99,7 @@ def diagnose(
             {"effect": n.candidate.identifier, "settings": dict(n.candidate.settings), "evidence": n.evidence}
             for n in named
         ),
+        residual=_residuals(evidence, baseline, chosen, fitted, bool(lag)),
     )
 
 
@@ -334,6 +335,28 @@ def _errors(
             for stage, parts in stages.items()
         }
     }
+
+
+def _residuals(
+    evidence: Evidence,
+    baseline: list[tuple[Candidate, Columns]],
+    chosen: list[tuple[Candidate, Columns]],
+    fitted: DynamicFit,
+    lagged: bool,
+) -> dict[str, Array]:
+    """Residual wrench of the first flight over time for the report: by channel before, and as "channel/after"."""
+    flight = evidence.flights[0]
+    before = (
+        flight.model.residual(_without_lag(fitted, flight.prepared.record.vehicle).parameters)
+        if lagged
+        else _remaining(flight, baseline, evidence.solve(baseline))
+    )
+    after = _remaining(flight, chosen, evidence.solve(chosen))
+    series = {"t_s": flight.model.t_s}
+    for suffix, residual in (("", before), ("/after", after)):
+        wrench = residual_wrench(flight, residual, flight.parameters)
+        series |= {CHANNELS[index] + suffix: wrench[:, index] for index in flight.channels}
+    return series
 
 
 def _collect(

@@ -114,3 +114,18 @@ def is_commanded(vehicle: Vehicle) -> bool:
 def weight(vehicle: Vehicle) -> float:
     """Declared weight, N."""
     return vehicle.mass_kg * vehicle.gravity_m_s2
+
+
+def wrench_of(effects: Mapping[str, Mapping[str, Mapping[str, float]]], vehicle: Vehicle) -> Callable[[Signals], Array]:
+    """Total body wrench (k, 6) of a model document's effects, name -> parameter -> {value, std}; settings among them."""
+    known = [(library()[name], values) for name, values in effects.items() if name in library()]
+
+    def wrench(signals: Signals) -> Array:
+        total = np.zeros((len(signals.t_s), 6))
+        for effect, values in known:
+            numbers = {key: float(entry["value"]) for key, entry in values.items()}
+            theta = np.array([numbers[name] for name in effect.names()])
+            total += effect.wrench(signals, vehicle, numbers) @ theta
+        return total
+
+    return wrench

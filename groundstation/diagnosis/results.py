@@ -63,7 +63,7 @@ class Diagnosis:
     Attributes:
         error: {"held_out": {"before": {channel: rms}, "after": {...}, "nominal": {...},
             "simulation_before": {...}, "simulation_after": {...}}}.
-        residual: per channel the time series and spectra that the report draws.
+        residual: time series that the report draws: "t_s", each channel before, and "channel/after" with the findings.
         candidates: for each effect tried, its held-out gain and why it was kept or dropped.
     """
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.errors import NotIdentifiable, Refused
+from groundstation.errors import BadInput, NotIdentifiable, Refused
 from groundstation.flightdata import FlightData, Stream
 from groundstation.frames import (
     quat_conjugate,
@@ -29,6 +29,7 @@ from groundstation.identification.processing import clean, excitation_window
 from groundstation.identification.reconstruction import Compatibility, body_motion, reconstruct
 from groundstation.identification.record_model import BodyWrench, DynamicRecord, PlannedMotion
 from groundstation.identification.results import Clock
+from groundstation.model.prediction import FlightStates
 from groundstation.model.rotors import (
     MotorInput,
     cumulative,
@@ -170,6 +171,35 @@ def prepare(flight: FlightData, *, exclude: Sequence[tuple[float, float]] = ()) 
         window_s=(float(t[keep][0]), float(t[keep][-1])),
         notes=tuple(notes),
     )
+
+
+def flight_states(flight: FlightData, *, own: bool = False) -> FlightStates:
+    """Starts and references of a flight for prediction.
+
+    Args:
+        flight: recorded.
+        own: take both from the vehicle's own estimate (``state.csv``) instead of the smoothed motion.
+
+    Raises:
+        BadInput: ``own`` was asked of a flight without a state stream.
+    """
+    prepared = prepare(flight)
+    record = prepared.record
+    if own:
+        if flight.state is None or len(flight.state) < 50:
+            raise BadInput(f"{flight.name}: there is no state.csv to start from; leave out --state own.")
+        state = clean(flight.state)
+        x = state.values
+        parts = (x[:, :3], x[:, 3:6], quat_continuous(x[:, 6:10]), x[:, 10:13])
+        voltage = np.interp(state.t_s, record.t_s, prepared.voltage_v)
+        return FlightStates(state.t_s, *parts, *parts, record.motors, voltage, prepared.window_s, record.vehicle)
+    q, causal = quat_continuous(prepared.quaternion), quat_continuous(prepared.causal_quaternion)
+    return FlightStates(
+        record.t_s,
+        prepared.causal_position_m, prepared.causal_velocity_m_s, causal, record.rate_rad_s,
+        prepared.position_m, prepared.velocity_m_s, q, record.rate_rad_s,
+        record.motors, prepared.voltage_v, prepared.window_s, record.vehicle,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,6 +39,8 @@ def model_document(
         parameters |= diagnosis.parameters_after
         for finding in diagnosis.findings:
             effects.setdefault(finding.effect, {}).update(_values(finding.parameters))
+            if finding.rotor is not None:
+                effects[finding.effect]["rotor"] = {"value": float(finding.rotor), "std": 0.0}
     return {
         "schema": SCHEMA,
         "flight": identification.flight,

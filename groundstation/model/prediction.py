@@ -1,0 +1,332 @@
+"""Open-loop prediction: from every moment of a flight, simulate ahead with the recorded inputs and see how far off it is.
+
+All windows are integrated side by side (RK4 on a 5 ms grid, thrusts averaged over each step), for the identified model, the
+declared vehicle, and a guess of constant velocity and rate. States start from the past alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.errors import BadInput, Refused
+from groundstation.frames import (
+    quat_conjugate,
+    quat_exp,
+    quat_log,
+    quat_multiply,
+    quat_normalise,
+    quat_rotate,
+    quat_rotate_inverse,
+)
+from groundstation.model.rotors import (
+    MotorInput,
+    cumulative,
+    declared_thrust,
+    interpolate_columns,
+    wrench_matrix,
+)
+from groundstation.model.signals import Signals
+from groundstation.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+Wrench = Callable[[Signals], Array]
+
+STEP_S = 0.005
+WINDOWS_PER_S = 100.0
+QUANTITIES = ("position_m", "velocity_m_s", "attitude_rad", "body_rate_rad_s")
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleModel:
+    """What a prediction needs to know of a vehicle.
+
+    Attributes:
+        vehicle: declared geometry and constants; thrusts are its own times ``thrust_scale``.
+        tensor: about the centre of mass, (3, 3).
+        com_m: centre of mass in the body.
+        damping_nms, climb_damping_kg_s: linear damping of rates and climb.
+        wrench: further body force and torque about the origin, (k, 6), from signals; None for none.
+    """
+
+    vehicle: Vehicle
+    mass_kg: float
+    tensor: Array
+    lag_up_s: float = 0.0
+    lag_down_s: float = 0.0
+    delay_s: float = 0.0
+    thrust_scale: float = 1.0
+    com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    yaw_trim_nm: float = 0.0
+    damping_nms: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    climb_damping_kg_s: float = 0.0
+    wrench: Wrench | None = None
+
+
+def declared_model(vehicle: Vehicle) -> VehicleModel:
+    """The vehicle as declared."""
+    lag = vehicle.rotors.lag
+    return VehicleModel(vehicle, vehicle.mass_kg, vehicle.inertia_tensor(), lag.up_s, lag.down_s)
+
+
+def model_from_document(document: Mapping[str, Any], vehicle: Vehicle, wrench: Wrench | None = None) -> VehicleModel:
+    """The model in an ``identification.toml``; what it does not hold is as declared.
+
+    Args:
+        document: with ``parameters`` and ``model``, name -> {value, std}, and ``effects``.
+        vehicle: as declared when the model was made.
+        wrench: of the document's effects; then dampings and offsets come from there and not from the base fit.
+    """
+    values = {
+        name: float(entry["value"])
+        for part in ("parameters", "model")
+        for name, entry in document.get(part, {}).items()
+    }
+    declared = vehicle.inertia_kg_m2
+
+    def entry(name: str) -> float:
+        return values.get(f"i{name}_kg_m2", getattr(declared, name))
+
+    tensor = np.array(
+        [
+            [entry("xx"), entry("xy"), entry("xz")],
+            [entry("xy"), entry("yy"), entry("yz")],
+            [entry("xz"), entry("yz"), entry("zz")],
+        ]
+    )
+    if np.linalg.eigvalsh(tensor)[0] <= 0.0:
+        raise BadInput("the model's inertia tensor is not positive definite; identify on a flight that reveals it.")
+    lagged = {k: v["value"] for k, v in document.get("effects", {}).get("motor_lag", {}).items()} | {
+        k: v["value"] for k, v in document.get("effects", {}).get("input_delay", {}).items()
+    }
+    scale = 1.0
+    if "thrust_coefficient_n_s2" in values and vehicle.rotors.thrust_coefficient_n_s2:
+        scale = values["thrust_coefficient_n_s2"] / vehicle.rotors.thrust_coefficient_n_s2
+    elif "thrust_curve_c1_n" in values and vehicle.rotors.thrust_curve is not None:
+        curve = tuple(values.get(f"thrust_curve_c{i}_n", c) for i, c in enumerate(vehicle.rotors.thrust_curve))
+        vehicle = vehicle.model_copy(update={"rotors": vehicle.rotors.model_copy(update={"thrust_curve": curve})})
+    free = wrench is None
+    return VehicleModel(
+        vehicle=vehicle,
+        mass_kg=values.get("mass_kg", vehicle.mass_kg),
+        tensor=tensor,
+        lag_up_s=lagged.get("rotor_lag_up_s", values.get("rotor_lag_up_s", vehicle.rotors.lag.up_s)),
+        lag_down_s=lagged.get("rotor_lag_down_s", values.get("rotor_lag_down_s", vehicle.rotors.lag.down_s)),
+        delay_s=lagged.get("input_delay_s", values.get("input_delay_s", 0.0)),
+        thrust_scale=scale,
+        com_m=(values.get("com_offset_x_m", 0.0), values.get("com_offset_y_m", 0.0), 0.0) if free else (0.0, 0.0, 0.0),
+        yaw_trim_nm=values.get("yaw_trim_nm", 0.0) if free else 0.0,
+        damping_nms=(
+            (values.get("damping_x_nms", 0.0), values.get("damping_y_nms", 0.0), values.get("damping_z_nms", 0.0))
+            if free
+            else (0.0, 0.0, 0.0)
+        ),
+        climb_damping_kg_s=values.get("damping_climb_kg_s", 0.0) if free else 0.0,
+        wrench=wrench,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FlightStates:
+    """Where a flight was, at stamps t: starts (from the past alone) and references to judge by; NaN where unknown."""
+
+    t_s: Array
+    start_position_m: Array
+    start_velocity_m_s: Array
+    start_quaternion: Array
+    start_rate_rad_s: Array
+    position_m: Array
+    velocity_m_s: Array
+    quaternion: Array
+    rate_rad_s: Array
+    motors: MotorInput
+    voltage_v: Array
+    window_s: tuple[float, float]
+    vehicle: Vehicle
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """Errors of each predictor at each horizon, and the model's predicted states at the last one."""
+
+    horizon_s: float
+    windows: int
+    error: Mapping[str, Mapping[str, Mapping[str, Mapping[str, float]]]]
+    start_s: Array
+    final: Mapping[str, Array]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The document ``predict --json`` prints (flight-bundle.md)."""
+        return {
+            "schema": "groundstation.prediction/1",
+            "horizon_s": self.horizon_s,
+            "windows": self.windows,
+            "error": {
+                k: {h: {q: dict(v) for q, v in e.items()} for h, e in by.items()} for k, by in self.error.items()
+            },
+        }
+
+    def to_text(self) -> str:
+        """A table of RMS errors at each horizon."""
+        lines = [f"{self.windows} windows, RMS error of the open-loop prediction"]
+        for horizon in self.error["model"]:
+            lines.append(f"  after {horizon} s")
+            for quantity in self.error["model"][horizon]:
+                parts = [f"{name} {by[horizon][quantity]['rms']:.4g}" for name, by in self.error.items()]
+                lines.append(f"    {quantity:<16} " + "   ".join(parts))
+        return "\n".join(lines)
+
+    def rows(self) -> tuple[tuple[str, ...], Array]:
+        """Columns of state.csv and one row per window: its start and the predicted state at the horizon."""
+        names = ("t_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s", "qw", "qx", "qy", "qz")
+        columns = [self.start_s[:, None], *(self.final[k] for k in ("position", "velocity", "quaternion", "rate"))]
+        return (*names, "wx_rad_s", "wy_rad_s", "wz_rad_s"), np.concatenate(columns, axis=1)
+
+
+def predict(
+    model: VehicleModel,
+    states: FlightStates,
+    *,
+    horizon_s: float = 0.5,
+    progress: Callable[[float, str], None] = lambda fraction, text: None,
+) -> Prediction:
+    """Simulate ahead from every window's start with the identified, the declared and the constant-velocity model.
+
+    Raises:
+        BadInput: the horizon is not between 0.01 s and 10 s.
+        Refused: the flight is shorter than the horizon.
+    """
+    if not 0.01 <= horizon_s <= 10.0:
+        raise BadInput(f"a horizon of {horizon_s} s cannot be predicted; give one between 0.01 and 10 s.")
+    t = states.t_s
+    inside = (t >= states.window_s[0]) & (t <= states.window_s[1] - horizon_s - 0.02)
+    index = np.flatnonzero(inside & np.isfinite(states.start_rate_rad_s).all(axis=1))
+    if len(index) == 0:
+        raise Refused(
+            f"no window of {horizon_s} s fits into this flight.", "Give a shorter horizon or a longer flight."
+        )
+    rate = 1.0 / float(np.median(np.diff(t)))
+    index = index[:: max(1, round(rate / WINDOWS_PER_S))]
+    horizons = sorted({h for h in (0.01, 0.1, 0.5) if h <= horizon_s + 1e-9} | {round(horizon_s, 6)})
+    error: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
+    final: dict[str, Array] = {}
+    predictors = {"model": model, "nominal": declared_model(states.vehicle), "constant_velocity": None}
+    for number, (name, predictor) in enumerate(predictors.items()):
+        progress(number / 3.0, f"predicting with {name}")
+        path = (
+            _constant(states, index, horizons) if predictor is None else _simulate(predictor, states, index, horizons)
+        )
+        error[name] = {f"{h:g}": _errors(states, t[index] + h, path[h]) for h in horizons}
+        if name == "model":
+            final = path[horizons[-1]]
+    return Prediction(horizon_s, len(index), error, t[index], final)
+
+
+def _errors(states: FlightStates, at_s: Array, found: Mapping[str, Array]) -> dict[str, dict[str, float]]:
+    def reference(values: Array) -> Array:
+        return np.stack([np.interp(at_s, states.t_s, c) for c in values.T], axis=-1)
+
+    differences = {
+        "position_m": found["position"] - reference(states.position_m),
+        "velocity_m_s": found["velocity"] - reference(states.velocity_m_s),
+        "body_rate_rad_s": found["rate"] - reference(states.rate_rad_s),
+    }
+    nearest = np.clip(np.searchsorted(states.t_s, at_s), 0, len(states.t_s) - 1)
+    truth = states.quaternion[nearest]
+    differences["attitude_rad"] = quat_log(quat_normalise(quat_multiply(quat_conjugate(truth), found["quaternion"])))
+    out = {}
+    for name in QUANTITIES:
+        norm = np.linalg.norm(differences[name], axis=1)
+        known = np.isfinite(norm)
+        if known.any():
+            out[name] = {"mean_norm": float(norm[known].mean()), "rms": float(np.sqrt(np.mean(norm[known] ** 2)))}
+    return out
+
+
+def _constant(states: FlightStates, index: NDArray[np.int64], horizons: list[float]) -> dict[float, dict[str, Array]]:
+    p, v = states.start_position_m[index], states.start_velocity_m_s[index]
+    q, w = states.start_quaternion[index], states.start_rate_rad_s[index]
+    return {
+        h: {"position": p + h * v, "velocity": v, "quaternion": quat_multiply(q, quat_exp(h * w)), "rate": w}
+        for h in horizons
+    }
+
+
+def _simulate(
+    model: VehicleModel, states: FlightStates, index: NDArray[np.int64], horizons: list[float]
+) -> dict[float, dict[str, Array]]:
+    """RK4 over all windows at once; returns the states at each horizon."""
+    vehicle, motors = model.vehicle, states.motors
+    lagged = motors.lagged(model.lag_up_s, model.lag_down_s)
+    thrust = declared_thrust(vehicle, lagged) * model.thrust_scale
+    held = not motors.measured and model.lag_up_s <= 1e-6 and model.lag_down_s <= 1e-6
+    impulse = cumulative(thrust, motors.step_s, held=held)
+    slope = np.gradient(lagged, motors.step_s, axis=0)
+    matrix = wrench_matrix(vehicle)
+    inverse = np.linalg.inv(model.tensor)
+    com = np.asarray(model.com_m)
+    gravity = np.array([0.0, 0.0, -vehicle.gravity_m_s2])
+    start = states.t_s[index]
+    known = np.isfinite(states.start_quaternion[index]).all(axis=1)
+    p, v = states.start_position_m[index], states.start_velocity_m_s[index]
+    q = np.where(known[:, None], states.start_quaternion[index], [1.0, 0.0, 0.0, 0.0])
+    w = states.start_rate_rad_s[index]
+    voltage = states.voltage_v[index]
+    damping = np.asarray(model.damping_nms)
+
+    def at(values: Array, when: Array) -> Array:
+        return interpolate_columns(when - model.delay_s, motors.start_s, motors.step_s, values)
+
+    def derivative(p: Array, v: Array, q: Array, w: Array, rotors: Array, extra: Array) -> tuple[Array, Array, Array]:
+        wrench = rotors @ matrix.T
+        torque = wrench[:, 1:] + extra[:, 3:] - damping * w
+        torque[:, 2] += model.yaw_trim_nm
+        force = extra[:, :3].copy()
+        force[:, 2] += wrench[:, 0] - model.climb_damping_kg_s * quat_rotate_inverse(q, v)[:, 2]
+        torque = torque - np.cross(com, force)
+        rate = (torque - np.cross(w, w @ model.tensor)) @ inverse.T
+        return quat_rotate(q, force) / model.mass_kg + gravity, rate, w
+
+    steps = round(horizons[-1] / STEP_S)
+    marks = {round(h / STEP_S): h for h in horizons}
+    out: dict[float, dict[str, Array]] = {}
+    for step in range(steps):
+        now = start + step * STEP_S
+        rotors = (at(impulse, now + STEP_S) - at(impulse, now)) / STEP_S
+        extra = np.zeros((len(index), 6))
+        if model.wrench is not None:
+            middle = now + 0.5 * STEP_S
+            signals = Signals(
+                t_s=middle - states.t_s[0],
+                position_m=p,
+                velocity_world_m_s=v,
+                quaternion=q,
+                rate_rad_s=w,
+                motor=at(motors.value, middle),
+                lagged=at(lagged, middle),
+                lagged_rate=at(slope, middle),
+                thrust_n=rotors,
+                voltage_v=voltage,
+                charge_as=np.full(len(index), np.nan),
+            )
+            extra = np.nan_to_num(model.wrench(signals))
+        h = STEP_S
+        a1, b1, w1 = derivative(p, v, q, w, rotors, extra)
+        q2 = quat_multiply(q, quat_exp(0.5 * h * w1))
+        a2, b2, w2 = derivative(p, v + 0.5 * h * a1, q2, w + 0.5 * h * b1, rotors, extra)
+        a3, b3, w3 = derivative(
+            p, v + 0.5 * h * a2, quat_multiply(q, quat_exp(0.5 * h * w2)), w + 0.5 * h * b2, rotors, extra
+        )
+        a4, b4, w4 = derivative(p, v + h * a3, quat_multiply(q, quat_exp(h * w3)), w + h * b3, rotors, extra)
+        p = p + h * v + h * h / 6.0 * (a1 + a2 + a3)
+        v = v + h / 6.0 * (a1 + 2 * a2 + 2 * a3 + a4)
+        q = quat_multiply(q, quat_exp(h / 6.0 * (w1 + 2 * w2 + 2 * w3 + w4)))
+        w = w + h / 6.0 * (b1 + 2 * b2 + 2 * b3 + b4)
+        if step + 1 in marks:
+            blank = np.where(known[:, None], 1.0, np.nan)
+            out[marks[step + 1]] = {"position": p * blank, "velocity": v * blank, "quaternion": q * blank, "rate": w}
+    return out
