@@ -11,9 +11,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sim_states import vehicle_of
 
+from groundstation import frames
 from groundstation.paths import find_config
 from groundstation.vehicle import RotorLag, load_vehicle, vehicle_from_dict, vehicle_to_dict
-from sim.autopilot import LEAD_RATIO, lead, mix, motor_value
+from sim.autopilot import (
+    CONTROL_SIZE,
+    ESTIMATE_SIZE,
+    FORCE,
+    LEAD_RATIO,
+    SETPOINT_SIZE,
+    attitude_loop,
+    lead,
+    mix,
+    motor_value,
+)
 from sim.build import build_law
 from sim.feasibility import why_not
 from sim.flight import simulate
@@ -80,6 +91,23 @@ def test_the_mixer_keeps_every_rotor_within_its_limits_and_gives_small_wrenches_
     small = 0.001 * weight * vehicle.arm_m() * np.array(torque) * [1.0, 1.0, 0.1]
     mix(law, weight, tuple(small), values)
     np.testing.assert_allclose(vehicle.allocation() @ vehicle.thrust(values), [weight, *small], atol=1e-9 * weight)
+
+
+def test_the_torque_does_the_work_that_the_law_asks_for_along_the_euler_angles():
+    """tau . omega = u . d(eta)/dt for every omega, which is eq. (31) with W^T in place of the printed W^-T."""
+    law = build_law(QBALL, Scenario())._replace(attitude_i=(0.0, 0.0, 0.0), attitude_d=(0.0, 0.0, 0.0))
+    angles = np.array([0.4, -0.3, 0.1])
+    estimate, control, setpoint = np.zeros(ESTIMATE_SIZE), np.zeros(CONTROL_SIZE), np.zeros(SETPOINT_SIZE)
+    estimate[6:10] = frames.quat_from_euler(*angles)
+    control[FORCE + 2] = law.mass * law.gravity
+    setpoint[9] = 0.3
+    _, torque = attitude_loop(law, control, estimate, setpoint, 0.002, False)
+    u = np.array(law.attitude_p) * ([0.0, 0.0, 0.3] - angles)
+    h = 1e-6
+    for rate in np.eye(3):
+        q = frames.quat_multiply(estimate[6:10], frames.quat_exp(h * rate))
+        euler_rate = (frames.euler_from_quat(q) - angles) / h
+        assert np.dot(torque, rate) == pytest.approx(u @ euler_rate, abs=1e-5)
 
 
 def test_saturated_the_mixer_gives_up_yaw_first_and_tilt_last():

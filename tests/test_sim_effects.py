@@ -241,9 +241,12 @@ def test_a_motor_lags_by_its_time_constant_near_hover_and_brakes_more_slowly():
         assert rise[-1] == pytest.approx(1.0, abs=1e-3)
         if share:
             assert t63 == pytest.approx(0.06, abs=0.002)
-    up = advance(plant, state_of(plant), 0.1, target=np.full(4, 1.4 * hover))[-1, ROTOR] / hover - 1.0
-    down = 1.0 - advance(plant, state_of(plant), 0.1, target=np.full(4, 0.6 * hover))[-1, ROTOR] / hover
-    assert down < 0.95 * up
+    fully = plant_of(VEHICLE, motor_lag=MotorLag(hover_s=0.06, propeller_share=0.3, braking_share=1.0))
+    goal = np.full(4, 0.6 * hover)
+    braked, half_braked = (advance(p, state_of(p), 0.05, target=goal)[-1, ROTOR] for p in (fully, plant))
+    coasting = hover / (1.0 + 0.05 * 0.5 * 0.3 / 0.06)  # dOmega/dt = -beta Omega^2, the propeller alone
+    assert braked < half_braked - 0.03 * hover
+    assert half_braked < coasting
 
 
 def _idle_then_step(**effects):
