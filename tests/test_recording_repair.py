@@ -335,3 +335,18 @@ def test_extras_and_metadata_pass_through(made):
     flown = repair(replace(made, extras={"imu": extra}))
     assert flown.extras["imu"] is extra
     assert flown.metadata == made.metadata
+
+
+def test_tracking_that_is_lost_for_good_in_the_air_is_frozen_and_a_landed_vehicle_is_not(made):
+    stream = made.mocap
+
+    def lost(values, times):
+        values[420:] = values[420]
+
+    assert counted(repair(planted(made, "mocap", lost)), "mocap", "frozen poses") == len(stream) - 421
+
+    t = stream.t_s - stream.t_s[0]
+    values = np.zeros_like(stream.values)
+    values[:, 2], values[:, 3] = np.maximum(1.0 - 0.4 * t, 0.0), 1.0  # comes down at 0.4 m/s and stands
+    flown = repair(replace(made, mocap=replace(stream, values=values), imu=None))
+    assert said(flown, "mocap") == []
