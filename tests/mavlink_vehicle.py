@@ -15,17 +15,17 @@ from groundstation.flight.station import station_from_dict
 from groundstation.trajectory import Plan, plan_from_dict
 from groundstation.vehicle import load_vehicle
 
-STEP_S = 0.004
+STEP_S = 0.01
 PX4_MODES = {"OFFBOARD": 6 << 16, "AUTO.LAND": 4 << 16 | 6 << 24, "AUTO.RTL": 4 << 16 | 5 << 24, "POSCTL": 3 << 16,
              "AUTO.LOITER": 4 << 16 | 3 << 24}  # fmt: skip
 ARDU_MODES = {"GUIDED": 4, "LAND": 9, "RTL": 6, "LOITER": 5, "BRAKE": 17, "STABILIZE": 0}
 
 
 def small_plan(**changes) -> Plan:
-    """A gentle half-metre excitation of six seconds at one metre height."""
+    """A gentle excitation of three seconds at one metre height."""
     channel = {"a": [0.3], "b": [0.0], "c": 0.0}
     document = {
-        "schema": "groundstation.plan/1", "vehicle": "x500", "base_frequency_rad_s": 1.0472, "periods": 1.0,
+        "schema": "groundstation.plan/1", "vehicle": "x500", "base_frequency_rad_s": 2.0944, "periods": 1.0,
         "coefficients": {"x": channel, "y": {"a": [0.0], "b": [0.0]}, "z": {"a": [0.0], "b": [0.0], "c": 1.0},
                          "yaw": {"a": [0.0], "b": [0.0]}},
     }  # fmt: skip
@@ -46,6 +46,7 @@ class Vehicle:
     mode: int = 0
     armed: bool = False
     deny_arming: str = ""
+    ignores_mode: int | None = None
     battery: int = 90
     target: list[float] | None = None
     setpoint_s: float = -1e9
@@ -57,7 +58,7 @@ class Vehicle:
     due: dict[int, float] = field(default_factory=dict)
     landed_s: float | None = None
     offset: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
-    resets: int = 0
+    bias: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     out: list[bytes] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -68,7 +69,7 @@ class Vehicle:
                  "arducopter": {"FS_GCS_ENABLE": (5.0, 2), "FS_EKF_ACTION": (1.0, 2)}}  # fmt: skip
         self.parameters = {**names[self.kind], **self.parameters}
         if self.kind == "px4":
-            self.intervals = {31: 0.02, 32: 0.02, 105: 0.008, 36: 0.02, 147: 0.5, 245: 0.2}
+            self.intervals = {31: 0.02, 32: 0.02, 105: 0.01, 36: 0.02, 147: 0.5, 245: 0.2}
 
     @property
     def device_s(self) -> float:
@@ -161,8 +162,10 @@ class Vehicle:
                 self.armed = False
                 self.heartbeat()
         elif m.command == 176:
-            self.mode = int(m.param2) << 16 | int(m.param3) << 24 if self.kind == "px4" else int(m.param2)
-            self.heartbeat()
+            asked = int(m.param2) << 16 | int(m.param3) << 24 if self.kind == "px4" else int(m.param2)
+            if asked != self.ignores_mode:
+                self.mode = asked
+                self.heartbeat()
         elif m.command == 22:
             self.climbing_to = m.param7
         self.send(mavlink.MAVLink_command_ack_message(m.command, result))
@@ -178,7 +181,7 @@ class Vehicle:
                 if abs(self.height_m - self.climbing_to) < 0.05 and self.target is not None:
                     self.climbing_to = None
             elif self.target is not None:
-                target = self.target
+                target = [t - o + b for t, o, b in zip(self.target, self.offset, self.bias, strict=True)]
         if self.armed and self.mode in (self.land, self.modes.get("AUTO.RTL"), self.modes.get("RTL")):
             target[2] = self.position[2] + 0.1
         for axis in range(3):
@@ -186,8 +189,8 @@ class Vehicle:
             self.velocity[axis] = speed
             self.position[axis] += speed * dt
         self.position[2] = min(self.position[2], 0.0)
-        if not self.armed and self.height_m > 0.0:
-            self.position[2] = 0.0  # it fell
+        if not self.armed:
+            self.position[2], self.velocity = 0.0, [0.0, 0.0, 0.0]  # it fell, if it was not down
         down = self.height_m < 0.02 and self.mode == self.land and self.armed
         self.landed_s = (self.now_s if self.landed_s is None else self.landed_s) if down else None
         if self.landed_s is not None and self.now_s - self.landed_s > 1.0:
@@ -237,8 +240,11 @@ class Rig:
         from groundstation.paths import find_config
 
         self.vehicle = Vehicle(kind)
+        quick = {"climb_m_s": 1.2, "settle_s": 0.5, "settled_error_m": 0.4, **(station or {}).get("policy", {})}
         self.core = LinkCore(
-            load_vehicle(find_config("vehicles", "x500")), station_from_dict(station or {}), Options(**options)
+            load_vehicle(find_config("vehicles", "x500")),
+            station_from_dict({**(station or {}), "policy": quick}),
+            Options(**{"keep_raw": False, **options}),
         )
         self.now_s = 100.0
         self.vehicle.now_s, self.vehicle.boot_s = self.now_s, self.now_s - 20.0

@@ -60,6 +60,7 @@ class Timesync:
     def __init__(self, window_s: float = 30.0, quantum_s: float = 1e-4):
         self._window_s, self._quantum_s = window_s, quantum_s
         self._exchanges: deque[tuple[float, float, float]] = deque()
+        self._fit: ClockFit | None = None
         self.resets = 0
 
     def add(self, sent_s: float, device_s: float, received_s: float) -> bool:
@@ -74,12 +75,14 @@ class Timesync:
         self._exchanges.append((middle, device_s, half))
         while middle - self._exchanges[0][0] > self._window_s:
             self._exchanges.popleft()
+        self._fit = self._line()
         return True
 
     def fit(self) -> ClockFit | None:
-        """The line, or None before the first exchange. One exchange alone assumes equal rates, and 5 % doubt about it."""
-        if not self._exchanges:
-            return None
+        """The line, or None before the first exchange. Fewer than three assume equal rates, and 5 % doubt about it."""
+        return self._fit
+
+    def _line(self) -> ClockFit:
         h0, d0, _ = self._exchanges[-1]  # offsets from the newest keep the sums well conditioned
         weights = [1.0 / (half + self._quantum_s) ** 2 for _, _, half in self._exchanges]
         total = sum(weights)
