@@ -34,6 +34,9 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
         "--clock-drift", type=float, metavar="SHARE", help="how much faster its clock runs than the host's"
     )
     parser.add_argument("--just-booted", action="store_true", help="begin with the start-up, not a minute after it")
+    parser.add_argument(
+        "--fault", action="append", default=[], metavar="NAME@SECONDS", help="something goes wrong then; repeatable"
+    )
     return parser.parse_args(argv)
 
 
@@ -53,10 +56,12 @@ def main(argv: list[str] | None = None) -> int:
 
 def _service(options: argparse.Namespace, vehicle) -> Service:  # type: ignore[no-untyped-def]
     from sim.mavlink.arducopter import ArduCopter
+    from sim.mavlink.faults import FaultSchedule, parse_fault
     from sim.mavlink.plant import SimulatedAirframe
     from sim.mavlink.px4 import Px4
     from sim.scenario import Scenario, load_scenario
 
+    schedule = FaultSchedule([parse_fault(text) for text in options.fault])
     scenario = load_scenario(find_config("scenarios", options.scenario)) if options.scenario else Scenario()
     kind = Px4 if options.profile == "px4" else ArduCopter
     airframe = SimulatedAirframe(vehicle, scenario, seed=options.seed)
@@ -65,7 +70,7 @@ def _service(options: argparse.Namespace, vehicle) -> Service:  # type: ignore[n
     boot_s = 2.25 if options.just_booted else 60.0
     autopilot = kind(vehicle, airframe, boot_s=boot_s, clock_drift=drift, seed=options.seed)
     transports = attach(autopilot, tuple(options.link) or DEFAULT_LINKS[options.profile])
-    return Service(autopilot, transports, speed=options.real_time)
+    return Service(autopilot, transports, speed=options.real_time, faults=schedule)
 
 
 if __name__ == "__main__":

@@ -123,8 +123,8 @@ class ArduCopterLog:
                 case "RCOU":
                     add(name, t, *a.pulse_widths_us[:14])
                 case "BAT":
-                    volt, left = a.truth.voltage_v, a.battery_percent
-                    add(name, t, 0, volt, volt, a.truth.current_a, a.used_mah, 0.0, 0.0, 0.0, left, 1, 0)
+                    volt, left = a.truth.voltage_v, a.battery.percent
+                    add(name, t, 0, volt, volt, a.truth.current_a, a.battery.used_mah, 0.0, 0.0, 0.0, left, 1, 0)
                 case "XKF1":
                     heading = attitude[2] % 360.0
                     north = (*flip(e.velocity_m_s), 0.0, *flip(e.position_m))

@@ -127,7 +127,7 @@ class ArduCopter(Autopilot):
         health = _HEALTH | (0x10000000 if self._arming_obstacle() is None else 0)
         return mavlink.MAVLink_sys_status_message(
             _PRESENT, _ENABLED, health, 0, round(1000 * self.truth.voltage_v), round(100 * self.truth.current_a),
-            self.battery_percent, 0, 0, 0, 0, 0, 0,
+            self.battery.percent, 0, 0, 0, 0, 0, 0,
         )  # fmt: skip
 
     def autopilot_version(self) -> Message:
@@ -187,7 +187,8 @@ class ArduCopter(Autopilot):
         self.parameter_changed(self.parameters.all[index])
         self._send_origin()
 
-    def _vision_accepted(self, name: str, message: Message) -> bool:
+    def vision_accepted(self, name: str, message: Message) -> bool:
+        """With a VISO_TYPE."""
         if not self.parameters["VISO_TYPE"]:
             return False
         if self._log is not None and name == "VISION_POSITION_ESTIMATE":
@@ -236,7 +237,7 @@ class ArduCopter(Autopilot):
         return None
 
     def _change(self, name: str) -> int:
-        if self._by_name[name].needs_position and self.armed and not self.estimate.position_valid:
+        if self.modes[name].needs_position and self.armed and not self.estimate.position_valid:
             self.text(CRITICAL, f"Mode change to {name} failed: requires position")
             return FAILED
         self.failsafe = False
@@ -413,6 +414,18 @@ class ArduCopter(Autopilot):
     def _record(self) -> None:
         if self._log is not None:
             self._log.tick(self)
+
+    def _restarted(self) -> None:
+        self._startup = list(STARTUP)
+        self._origin_set = self._using_announced = False
+        self._prearm_s = self.PREARM_FIRST_S
+        self._last_setpoint_s = -math.inf
+        self._ekf_failsafe = self._station_failsafe = False
+        self._log = None
+
+    def pilot_takes_over(self) -> None:
+        """LOITER, by the mode switch."""
+        self._change("LOITER")
 
     def text_eligible(self, link: Link) -> bool:
         """Always."""

@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from drivers.mavlink.codec import MavlinkCodec
-from drivers.mavlink.geometry import flip
 from groundstation.vehicle import Vehicle
 from sim.mavlink import inbound, messages
 from sim.mavlink.airframe import Airframe, ImuSample, Vector
+from sim.mavlink.battery import BatteryGauge
 from sim.mavlink.control import Cascade, Gains, Setpoint
 from sim.mavlink.estimator import Estimator, EstimatorSettings
 from sim.mavlink.ftp import FtpServer
@@ -105,7 +105,7 @@ class Autopilot(ABC):
         latitude, longitude, _ = messages.geodetic((0.0, 0.0, 0.0), 0.0)
         self.mission = MissionServer(self.RULE, (latitude, longitude, self.ALTITUDE_M))
         self.outbox = Outbox()
-        self._by_name = {mode.name: mode for mode in self.MODES}
+        self.modes = {mode.name: mode for mode in self.MODES}
         self._clock_rate = 1.0 + clock_drift
         self._unix_offset_s = unix_s - boot_s
         self._start_host_s: float | None = None
@@ -120,7 +120,8 @@ class Autopilot(ABC):
         self.commands: tuple[float, ...] = (0.0,) * vehicle.rotors.count
         self.vibration_m_s2: Vector = (0.0, 0.0, 0.0)
         self.home_m: Vector = self.truth.position_m
-        self.used_mah = 0.0
+        self.battery = BatteryGauge(vehicle.battery)
+        self.silent = False
         self.armed = False
         self.armed_s = -math.inf
         self._spooled_s = math.inf
@@ -130,10 +131,8 @@ class Autopilot(ABC):
         self._landed_s = -math.inf
         self._contact_s = 0.0
         self._ramp: float | None = None
-        self._clock_offset_s: float | None = None
-        self.mode = self._by_name[self.FIRST_MODE]
-
-    # -- what the firmwares decide ----------------------------------------------------------------------------------
+        self.clock_offset_s: float | None = None  # the station's clock minus ours
+        self.mode = self.modes[self.FIRST_MODE]
 
     @abstractmethod
     def _default_streams(self, kind: str) -> dict[int, int]: ...
@@ -168,7 +167,8 @@ class Autopilot(ABC):
         """Failsafes and mode logic, once per cycle, after the estimate."""
 
     @abstractmethod
-    def _vision_accepted(self, name: str, message: Message) -> bool: ...
+    def vision_accepted(self, name: str, message: Message) -> bool:
+        """Whether the estimator takes a pose of this message."""
 
     @abstractmethod
     def unknown_parameter(self, link: Link, sender: Sender, name: str) -> None:
@@ -197,6 +197,14 @@ class Autopilot(ABC):
         """PARAM_REQUEST_LIST: all of them, paced."""
         link.parameters = deque(range(len(self.parameters)))
 
+    @abstractmethod
+    def _restarted(self) -> None:
+        """The firmware's own part of a restart."""
+
+    @abstractmethod
+    def pilot_takes_over(self) -> None:
+        """Somebody at the sticks changes the mode and holds."""
+
     def set_origin(self) -> None:  # noqa: B027 - an event most may ignore
         """SET_GPS_GLOBAL_ORIGIN."""
 
@@ -206,8 +214,6 @@ class Autopilot(ABC):
     @abstractmethod
     def parameter_changed(self, parameter: Parameter) -> None:
         """A parameter was set from outside."""
-
-    # -- clock ------------------------------------------------------------------------------------------------------
 
     @property
     def tick_s(self) -> float:
@@ -229,16 +235,18 @@ class Autopilot(ABC):
         """The autopilot's idea of UTC."""
         return self._unix_offset_s + self.time_s
 
-    # -- links ------------------------------------------------------------------------------------------------------
-
     def add_link(
         self, name: str, kind: str = "companion", *, bytes_per_s: float = math.inf, codec: MavlinkCodec | None = None
     ) -> None:
         """Open a link. ``kind`` chooses what is streamed unasked; ``bytes_per_s`` what the wire carries."""
+        codec = codec or MavlinkCodec(self.SYSTEM, 1)
+        self.outbox.links[name] = Link(name, kind, codec, self._new_streams(kind), bytes_per_s)
+
+    def _new_streams(self, kind: str) -> Streams:
         streams = Streams(self.RULE, dict(self.TOPIC_HZ))
         for message_id, interval_us in self._default_streams(kind).items():
             streams.set(message_id, interval_us)
-        self.outbox.links[name] = Link(name, codec or MavlinkCodec(self.SYSTEM, 1), streams, bytes_per_s)
+        return streams
 
     def text(self, severity: int, text: str) -> None:
         """STATUSTEXT to whoever listens."""
@@ -247,8 +255,6 @@ class Autopilot(ABC):
     def _text_number(self, text: str) -> int:
         """The number that holds the pieces of a long text together; 0 for a short one."""
         return int(len(text) > TEXT_LENGTH)
-
-    # -- the outside ------------------------------------------------------------------------------------------------
 
     def step(self, now_s: float, incoming: Iterable[tuple[str, bytes]] = ()) -> list[tuple[str, bytes]]:
         """Advance to a host time and answer what has arrived by then.
@@ -270,13 +276,14 @@ class Autopilot(ABC):
             for received in link.codec.decode(data):
                 if received.message is not None:
                     inbound.handle(self, link, received.message)
-        return self.outbox.drain()
+        out = self.outbox.drain()
+        return [] if self.silent else out
 
     def set_mode(self, name: str) -> None:
         """Change the flight mode and begin what is flown in it."""
         if name == self.mode.name:
             return
-        self.mode = self._by_name[name]
+        self.mode = self.modes[name]
         self.begin(self.mode.kind)
 
     def begin(self, kind: Kind, *, height_m: float | None = None) -> None:
@@ -309,6 +316,19 @@ class Autopilot(ABC):
         self.armed = False
         self._after_disarm(by_landing=by_landing)
 
+    def reboot(self) -> None:
+        """The firmware starts again in flight: rotors stop, what was asked for is forgotten, time begins at zero."""
+        self._unix_offset_s += self.time_s
+        self._boot_us = -self._elapsed_us
+        self.boot_us = 0
+        self.armed, self.failsafe = False, False
+        self.armed_s, self._spooled_s, self._landed_s = -math.inf, math.inf, -math.inf
+        self.clock_offset_s = None
+        self.estimator.restart()
+        self.outbox.restart(self._new_streams)
+        self.mode = self.modes[self.FIRST_MODE]
+        self._restarted()
+
     # -- the cycle --------------------------------------------------------------------------------------------------
 
     def _tick(self) -> None:
@@ -317,7 +337,7 @@ class Autopilot(ABC):
         dt = self.tick_s
         before = self.imu
         self.truth, self.imu = self.airframe.state, self.airframe.imu()
-        self.used_mah += self.truth.current_a * dt / 3.6
+        self.battery.measure(self.truth.voltage_v, self.truth.current_a, dt)
         self._follow_vibration(before)
         self.estimate = self.estimator.update(dt, self.time_s, self.truth, self.imu.gyro_rad_s)
         self._detect(dt)
@@ -407,28 +427,10 @@ class Autopilot(ABC):
         return rotors.input == "rotor_speed" and rotors.speed_source == "telemetry"
 
     @property
-    def battery_percent(self) -> int:
-        """Charge left: counted where the capacity is declared, else from the voltage between full and empty."""
-        battery = self.vehicle.battery
-        if battery.capacity_as is not None:
-            return max(0, min(100, round(100 * (1.0 - 3.6 * self.used_mah / battery.capacity_as))))
-        full = battery.full_v or 16.2
-        empty = battery.empty_v or 0.85 * full
-        return max(0, min(100, round(100 * (self.truth.voltage_v - empty) / (full - empty))))
-
-    @property
-    def charge_state(self) -> int:
-        """MAV_BATTERY_CHARGE_STATE."""
-        percent = self.battery_percent
-        return 1 if percent > 15 else 2 if percent > 7 else 3 if percent > 5 else 4
-
-    @property
     def distance_from_home(self) -> tuple[float, float]:
         """Horizontal distance and height over home, by the estimate, m."""
         dx, dy, dz = (p - h for p, h in zip(self.estimate.position_m, self.home_m, strict=True))
         return math.hypot(dx, dy), dz
-
-    # -- sending ----------------------------------------------------------------------------------------------------
 
     def build(self, message_id: int) -> list[Message]:
         """The messages of a stream now; empty while there is nothing to say."""
@@ -439,15 +441,6 @@ class Autopilot(ABC):
         built = self.BUILDERS[message_id](self)
         return [] if built is None else built if isinstance(built, list) else [built]
 
-    # -- external vision --------------------------------------------------------------------------------------------
-
-    def vision(self, name: str, message: Message, stamp_us: int, position_ned: Vector, yaw_ned: float | None) -> None:
-        """A pose from outside, stamped on the station's clock."""
-        if not self._vision_accepted(name, message):
-            return
-        stamp = self.time_s if self._clock_offset_s is None else stamp_us * 1e-6 - self._clock_offset_s
-        self.estimator.vision(flip(position_ned), None if yaw_ned is None else -yaw_ned, stamp)
-
-    def station_clock(self, station_minus_own_s: float) -> None:
-        """A TIMESYNC exchange has given the station's clock."""
-        self._clock_offset_s = station_minus_own_s
+    def own_time_s(self, station_us: int) -> float:
+        """A stamp of the station's clock on ours; now, until TIMESYNC has told the difference."""
+        return self.time_s if self.clock_offset_s is None else station_us * 1e-6 - self.clock_offset_s

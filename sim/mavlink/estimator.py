@@ -130,7 +130,7 @@ class Estimator:
             self._error[axis] += step
             self._error_rate[axis] = 0.0
 
-    def vision(self, position_m: Vector, yaw_rad: float | None, stamp_s: float) -> None:
+    def vision(self, position_m: Vector, yaw_rad: float, stamp_s: float) -> None:
         """Take a pose of the external vision, stamped on the autopilot's clock."""
         first = self._last_vision_s == -math.inf or self.vision_age_s > self.settings.vision_timeout_s
         self._last_vision_s = self._now_s
@@ -144,9 +144,13 @@ class Estimator:
         for axis in range(3):
             self._error[axis] += gain * (position_m[axis] - truth[axis] - self._error[axis])
             self._error_rate[axis] = 0.0
-        if yaw_rad is not None:
-            deviation = math.remainder(yaw_rad - yaw - self._yaw_error, 2.0 * math.pi)
-            self._yaw_error += gain * deviation
+        self._yaw_error += gain * math.remainder(yaw_rad - yaw - self._yaw_error, 2.0 * math.pi)
+
+    def restart(self) -> None:
+        """Begin again after a reboot: nothing has been received yet."""
+        self._history.clear()
+        self._last_vision_s, self._now_s = -math.inf, 0.0
+        self._error, self._error_rate, self._yaw_error = [0.0] * 3, [0.0] * 3, 0.0
 
     def jump(self, offset_m: Vector) -> None:
         """A reset of the estimator: the position steps, and the reset counter with it."""

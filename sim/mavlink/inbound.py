@@ -139,12 +139,14 @@ def _setpoint(a: Autopilot, message: Message) -> None:
 
 
 def _vision(a: Autopilot, name: str, m: Message) -> None:
-    if name == "VISION_POSITION_ESTIMATE":
-        a.vision(name, m, m.usec, (m.x, m.y, m.z), m.yaw)
+    if not a.vision_accepted(name, m):
         return
-    w, x, y, z = m.q
-    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    a.vision(name, m, m.time_usec, (m.x, m.y, m.z), yaw)
+    if name == "VISION_POSITION_ESTIMATE":
+        stamp, yaw = m.usec, m.yaw
+    else:
+        w, x, y, z = m.q
+        stamp, yaw = m.time_usec, math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    a.estimator.vision(flip((m.x, m.y, m.z)), -yaw, a.own_time_s(stamp))
 
 
 def _timesync(a: Autopilot, link: Link, m: Message) -> None:
@@ -152,7 +154,7 @@ def _timesync(a: Autopilot, link: Link, m: Message) -> None:
         reply = (a.boot_us * 1000, m.ts1)
         link.send(mavlink.MAVLink_timesync_message(*reply))
     elif m.ts1 <= a.boot_us * 1000 < m.ts1 + 10**10:
-        a.station_clock((m.tc1 - (m.ts1 + a.boot_us * 1000) / 2) * 1e-9)
+        a.clock_offset_s = (m.tc1 - (m.ts1 + a.boot_us * 1000) / 2) * 1e-9
 
 
 def _parameter(a: Autopilot, link: Link, name: str, m: Message, sender: tuple[int, int]) -> None:

@@ -124,11 +124,11 @@ def battery_status(a: Autopilot) -> Message:
         32767,
         cells,
         round(100 * a.truth.current_a),
-        round(a.used_mah),
+        round(a.battery.used_mah),
         -1,
-        a.battery_percent,
+        a.battery.percent,
         0,
-        a.charge_state,
+        a.battery.charge_state,
     )
 
 

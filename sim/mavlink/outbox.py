@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,7 @@ class Link:
     """One connection to a station.
 
     Attributes:
+        kind: what is streamed unasked.
         bytes_per_s: what the wire carries; streams wait for room, answers do not.
         heard_s: when a ground station's heartbeat last came, on the autopilot's clock.
         budget: room on the wire, bytes.
@@ -33,6 +35,7 @@ class Link:
     """
 
     name: str
+    kind: str
     codec: MavlinkCodec
     streams: Streams
     bytes_per_s: float = math.inf
@@ -91,6 +94,13 @@ class Outbox:
             return
         link.send(*(m for t, n, m in self._texts if n > link.texts_sent and a.time_s - t < TEXT_AGE_S))
         link.texts_sent = self._text_count
+
+    def restart(self, new_streams: Callable[[str], Streams]) -> None:
+        """Forget what was asked for and said."""
+        self._texts.clear()
+        for link in self.links.values():
+            link.streams, link.heard_s, link.texts_sent = new_streams(link.kind), -math.inf, self._text_count
+            link.parameters.clear()
 
     def drain(self) -> list[tuple[str, bytes]]:
         """(link, frame) in order of departure, once."""

@@ -12,6 +12,7 @@ from types import FrameType
 from drivers.mavlink.transports import Peer, SerialTransport, Transport, open_transport
 from groundstation.errors import BadInput
 from sim.mavlink.autopilot import Autopilot
+from sim.mavlink.faults import FaultSchedule
 
 DATAGRAM = 1200
 MAX_BEHIND_S = 0.25
@@ -128,6 +129,7 @@ class Service:
         autopilot: with its links known.
         transports: by link name.
         speed: simulated seconds per second.
+        faults: what goes wrong and when, in seconds of the simulation.
         monotonic: the clock.
     """
 
@@ -137,10 +139,12 @@ class Service:
         transports: dict[str, Transport],
         *,
         speed: float = 1.0,
+        faults: FaultSchedule | None = None,
         monotonic: Callable[[], float] = time.monotonic,
     ):
         self._autopilot, self._transports = autopilot, transports
         self._speed, self._monotonic = speed, monotonic
+        self._faults = faults or FaultSchedule([])
         self._base_s, self._behind_s = monotonic(), 0.0
         self._stop = False
 
@@ -169,6 +173,7 @@ class Service:
         """
         incoming = [(name, data) for name, link in self._transports.items() for _, data in link.read()]
         host_s = (now_s - self._base_s) * self._speed - self._behind_s
+        self._faults.apply(self._autopilot, host_s)
         out: dict[str, bytearray] = {}
         for name, frame in self._autopilot.step(host_s, incoming):
             pending = out.setdefault(name, bytearray())

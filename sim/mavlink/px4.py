@@ -33,7 +33,7 @@ from sim.mavlink.guidance import GuidanceSettings
 from sim.mavlink.logserver import LogFile
 from sim.mavlink.outbox import Link
 from sim.mavlink.parameters import Parameter
-from sim.mavlink.px4failsafe import link_action, silent_for_s, standing_failsafe
+from sim.mavlink.px4failsafe import arming_obstacle, link_action, silent_for_s, standing_failsafe
 from sim.mavlink.px4log import Px4Log
 from sim.mavlink.wire import Message, RawMessage, mavlink
 
@@ -123,7 +123,7 @@ class Px4(Autopilot):
 
     def custom_of(self, name: str) -> int:
         """The custom mode number of a mode."""
-        return self._by_name[name].custom
+        return self.modes[name].custom
 
     def _default_streams(self, kind: str) -> dict[int, int]:
         hz = {
@@ -141,16 +141,16 @@ class Px4(Autopilot):
         if self.armed:
             status = 5 if self.failsafe else 4
         else:
-            status = 3 if self._arming_obstacle() is None else 0
+            status = 3 if arming_obstacle(self) is None else 0
         base = self.mode.base | (128 if self.armed else 0)
         return mavlink.MAVLink_heartbeat_message(2, 12, base, self.mode.custom, status, 3)
 
     def system_status(self) -> Message:
         """SYS_STATUS with the sensors of the recorded simulation."""
-        health = _HEALTHY | (_PREARM if self._arming_obstacle() is None else 0)
+        health = _HEALTHY | (_PREARM if arming_obstacle(self) is None else 0)
         return mavlink.MAVLink_sys_status_message(
             50348079, 50413615, health, 110, round(1000 * self.truth.voltage_v), round(100 * self.truth.current_a),
-            self.battery_percent, 0, 0, 0, 0, 0, 0,
+            self.battery.percent, 0, 0, 0, 0, 0, 0,
         )  # fmt: skip
 
     def autopilot_version(self) -> Message:
@@ -215,10 +215,11 @@ class Px4(Autopilot):
         if self._log is not None:
             self._log.parameter(parameter.name, parameter.is_float, parameter.value)
 
-    def _vision_accepted(self, name: str, message: Message) -> bool:
+    def vision_accepted(self, name: str, message: Message) -> bool:
+        """With EKF2_EV_CTRL, and no ODOMETRY that says it is motion capture."""
         if not int(self.parameters["EKF2_EV_CTRL"]):
             return False
-        accepted = name != "ODOMETRY" or message.estimator_type in (0, 2, 3)  # MOCAP is not fused
+        accepted = name != "ODOMETRY" or message.estimator_type in (0, 2, 3)
         if accepted and name == "ODOMETRY":
             self.last_vision = (self.boot_us, (message.x, message.y, message.z), tuple(message.q))
         return accepted
@@ -258,7 +259,7 @@ class Px4(Autopilot):
         return result
 
     def _intend(self, name: str) -> int:
-        if self._by_name[name].needs_position and not self.estimate.position_valid and self.armed:
+        if self.modes[name].needs_position and not self.estimate.position_valid and self.armed:
             self.say(CRITICAL, f"Switching to mode '{name.title()}' is currently not possible")
             return REJECTED
         self.intention, self._latched = name, None
@@ -274,22 +275,10 @@ class Px4(Autopilot):
             self.begin("takeoff", height_m=target)
         return result
 
-    def _arming_obstacle(self) -> str | None:
-        """Why it does not arm, None when it would."""
-        if self.deny_arming is not None:
-            return self.deny_arming
-        if self.intention == "OFFBOARD" and not self._setpoints_fresh:
-            return "no offboard signal"
-        if self._by_name[self.intention].needs_position and not self.estimate.position_valid:
-            return "no valid local position estimate"
-        if self.battery_percent <= 100 * self.parameters["BAT_CRIT_THR"]:
-            return "low battery"
-        return None
-
     def _command_arm(self, *, forced: bool) -> int:
         if self.armed:
             return ACCEPTED
-        obstacle = None if forced else self._arming_obstacle()
+        obstacle = None if forced else arming_obstacle(self)
         if obstacle is not None:
             self.say(CRITICAL, "Arming denied: Resolve system health failures first")
             self.say(CRITICAL, f"Preflight Fail: {obstacle}")
@@ -318,7 +307,8 @@ class Px4(Autopilot):
     # -- flight -----------------------------------------------------------------------------------------------------
 
     @property
-    def _setpoints_fresh(self) -> bool:
+    def setpoints_fresh(self) -> bool:
+        """Whether one came within COM_OF_LOSS_T."""
         return self.time_s - self._last_setpoint_s < self.parameters["COM_OF_LOSS_T"]
 
     def follow(self, setpoint: Setpoint) -> None:
@@ -330,7 +320,7 @@ class Px4(Autopilot):
     def enter(self, name: str, *, again: bool = False) -> None:
         """Fly a mode; the intention stays."""
         if again:
-            self.begin(self._by_name[name].kind)
+            self.begin(self.modes[name].kind)
         self.set_mode(name)
 
     def begin(self, kind, *, height_m=None) -> None:  # type: ignore[no-untyped-def]
@@ -346,7 +336,7 @@ class Px4(Autopilot):
         if (
             self.boot_us % self.COMMANDER_US == self.COMMANDER_PHASE_US
         ):  # a loss is seen at the commander's rate, a return at once
-            self._setpoints_lost = not self._setpoints_fresh
+            self._setpoints_lost = not self.setpoints_fresh
         wanted = self._failsafe_mode() if self.armed else None
         if wanted is not None and not self.failsafe:
             self.say(CRITICAL, "Failsafe activated")
@@ -397,7 +387,7 @@ class Px4(Autopilot):
             return self._latched
         if not self.landed and link_action(self, silent_for_s(self)) is not None:
             return "LOITER"  # for COM_FAIL_ACT_T, before what NAV_DLL_ACT says
-        needs = self._by_name[self.intention].needs_position or self.intention == "OFFBOARD"
+        needs = self.modes[self.intention].needs_position or self.intention == "OFFBOARD"
         if needs and not self.estimate.position_valid and not self.landed:
             return "DESCEND"
         if self.intention == "OFFBOARD" and self._setpoints_lost:
@@ -426,6 +416,17 @@ class Px4(Autopilot):
     def _record(self) -> None:
         if self._log is not None:
             self._log.tick(self)
+
+    def _restarted(self) -> None:
+        self.intention = self._intention_at_arming = self.FIRST_MODE
+        self._last_setpoint_s, self._setpoints_lost, self._latched = -math.inf, False, None
+        self._rtl_announced, self._next_text_id = "", 0
+        self._later.clear()
+        self._log = None
+
+    def pilot_takes_over(self) -> None:
+        """POSCTL, as when a pilot moves the sticks."""
+        self._intend("POSCTL")
 
     # -- texts ------------------------------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""PX4's failsafes that stay once they have acted: battery, geofence, silent station.
+"""What keeps PX4 from arming, and its failsafes that stay once they have acted: battery, geofence, silent station.
 
 Thresholds and actions are the firmware's own parameters. The 2.4 s beyond COM_DL_LOSS_T are measured.
 """
@@ -14,6 +14,19 @@ if TYPE_CHECKING:
 LINK_MARGIN_S = 2.4
 
 
+def arming_obstacle(a: Px4) -> str | None:
+    """Why it does not arm, None when it would."""
+    if a.deny_arming is not None:
+        return a.deny_arming
+    if a.intention == "OFFBOARD" and not a.setpoints_fresh:
+        return "no offboard signal"
+    if a.modes[a.intention].needs_position and not a.estimate.position_valid:
+        return "no valid local position estimate"
+    if a.battery.percent <= 100 * a.parameters["BAT_CRIT_THR"]:
+        return "low battery"
+    return None
+
+
 def standing_failsafe(a: Px4) -> str | None:
     """The mode one of them demands from now on, None for none; on the ground there is none."""
     if a.landed:
@@ -22,7 +35,7 @@ def standing_failsafe(a: Px4) -> str | None:
 
 
 def _battery(a: Px4) -> str | None:
-    share, action = a.battery_percent / 100, int(a.parameters["COM_LOW_BAT_ACT"])
+    share, action = a.battery.percent / 100, int(a.parameters["COM_LOW_BAT_ACT"])
     if action == 0:
         return None
     critical = share <= a.parameters["BAT_CRIT_THR"]

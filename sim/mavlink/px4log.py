@@ -117,9 +117,18 @@ class Px4Log:
                 case "actuator_outputs":
                     add(topic, t, 16, *a.pulse_widths_us)
                 case "battery_status":
-                    left = a.battery_percent / 100
+                    left = a.battery.percent / 100
                     add(
-                        topic, t, a.truth.voltage_v, a.truth.current_a, a.used_mah, left, True, 4, 1, a.charge_state - 1
+                        topic,
+                        t,
+                        a.truth.voltage_v,
+                        a.truth.current_a,
+                        a.battery.used_mah,
+                        left,
+                        True,
+                        4,
+                        1,
+                        a.battery.charge_state - 1,
                     )
                 case "vehicle_attitude":
                     add(topic, t, t, *flip_quaternion(a.estimate.quaternion), 1.0, 0.0, 0.0, 0.0, 0)
