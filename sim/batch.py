@@ -33,16 +33,28 @@ def columns(vehicle: Vehicle) -> dict[str, str]:
     return {"imu": IMU, "mocap": POSE, "motors": motors, "battery": BATTERY, "setpoint": SETPOINT, "state": STATE}
 
 
-def write(flight: SimulatedFlight, folder: Path) -> None:
-    """Write a simulated flight as a bundle, with plan and true vehicle beside it.
+def empty_folder(folder: Path) -> None:
+    """Make a folder, or take one that is empty.
 
     Raises:
-        BadInput: the folder holds something already, or cannot be written.
+        BadInput: it holds something already, or cannot be made.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()):
-            raise BadInput(f"{folder} is not empty; give another --out.")
+        taken = any(folder.iterdir())
+    except OSError as error:
+        raise BadInput(f"{folder}: cannot be made ({error.strerror}); give another --out.") from None
+    if taken:
+        raise BadInput(f"{folder} is not empty; give another --out.")
+
+
+def write(flight: SimulatedFlight, folder: Path) -> None:
+    """Write a simulated flight as a bundle into an empty folder, with plan and true vehicle beside it.
+
+    Raises:
+        BadInput: it cannot be written.
+    """
+    try:
         headers = columns(flight.vehicle)
         for name, (stamps, arrivals, values) in flight.streams.items():
             table = np.column_stack([stamps, arrivals, values])
@@ -79,6 +91,7 @@ def main(argv: list[str] | None = None) -> int:
         vehicle = load_vehicle(find_config("vehicles", options.vehicle))
         plan = load_plan(find_config("plans", options.plan))
         scenario = load_scenario(find_config("scenarios", options.scenario))
+        empty_folder(options.out)
         write(simulate(vehicle, plan, scenario, options.seed), options.out)
     except GroundStationError as error:
         print(f"error: {error}", file=sys.stderr)
