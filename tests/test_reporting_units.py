@@ -13,7 +13,17 @@ from hypothesis import strategies as st
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
 from groundstation.reporting import figures
 from groundstation.reporting.markup import Markup, element, fragment, table
-from groundstation.reporting.units import decimals, fixed, label, percent, quantity, scale_for, significant, split_unit
+from groundstation.reporting.units import (
+    decimals,
+    fixed,
+    label,
+    percent,
+    quantity,
+    readable,
+    scale_for,
+    significant,
+    split_unit,
+)
 
 
 @pytest.mark.parametrize(
@@ -140,3 +150,10 @@ def test_text_is_escaped_and_markup_is_not():
     )
     assert isinstance(fragment("a"), Markup)
     assert "<td" in table("c", ["<h>"], [["<r>", "<d>"]]) and "<d>" not in table("c", ["<h>"], [["<r>", "<d>"]])
+
+
+def test_sentences_lose_their_snakes_but_names_and_paths_stay():
+    text = "Izz varies with rate_z_rad_s, thrust_n. See com_offset and lab_x in configs/my_drone_m.toml (izz_kg_m2)."
+    assert readable(text, {"com_offset"}) == (
+        "Izz varies with rate z, thrust. See com offset and lab_x in configs/my_drone_m.toml (Izz)."
+    )

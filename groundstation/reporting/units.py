@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 from groundstation.identification.results import Estimate
@@ -79,6 +80,19 @@ def label(name: str) -> str:
     if len(stem) == 3 and stem[0] == "i" and set(stem[1:]) <= set("xyz"):
         return "I" + stem[1:]
     return stem.replace("_", " ")
+
+
+_NAME = re.compile(r"(?<![\w/.`-])[a-z][a-z0-9]*(?:_[a-z0-9]+)+(?!\w|[/`-]|\.\w)")
+
+
+def readable(text: str, identifiers: Collection[str] = ()) -> str:
+    """A sentence with its snake-case parameters and signals (known by their unit) and ``identifiers`` in words."""
+
+    def words(match: re.Match[str]) -> str:
+        name = match[0]
+        return label(name) if split_unit(name)[1] else name.replace("_", " ") if name in identifiers else name
+
+    return _NAME.sub(words, text)
 
 
 def scale_for(unit: str, magnitudes: Iterable[float]) -> Scale:

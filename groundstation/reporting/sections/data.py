@@ -14,7 +14,7 @@ from groundstation.identification.results import Clock, Identification
 from groundstation.reporting import figures
 from groundstation.reporting.markup import Markup, definition_list, element, fragment, sentence_list, table
 from groundstation.reporting.page import Page
-from groundstation.reporting.units import fixed, percent, significant
+from groundstation.reporting.units import fixed, percent, readable, significant
 
 LINE = 80
 
@@ -50,7 +50,7 @@ def add_data(page: Page, flight: FlightData, identification: Identification | No
         _clock(identification.clock if identification else None),
         _excluded(identification),
         element("h3", "Quality and repairs"),
-        sentence_list(dict.fromkeys(sentences))
+        sentence_list(readable(text) for text in dict.fromkeys(sentences))
         if sentences
         else element("p", "Nothing had to be repaired.", class_="note"),
     )
@@ -112,7 +112,7 @@ def _excluded(identification: Identification | None) -> Markup | None:
 
 def add_warnings(page: Page, warnings: Sequence[str]) -> None:
     """Every warning, once."""
-    unique = list(dict.fromkeys(warnings))
+    unique = [readable(text) for text in dict.fromkeys(warnings)]
     content = sentence_list(unique) if unique else element("p", "None.", class_="note")
     page.section("warnings", f"Warnings ({len(unique)})" if unique else "Warnings", content)
 

@@ -10,7 +10,16 @@ from groundstation.reporting import figures
 from groundstation.reporting.markup import Markup, element, fragment, table
 from groundstation.reporting.page import Page
 from groundstation.reporting.sections.tables import estimate_cell, row_name
-from groundstation.reporting.units import Scale, half_width, label, percent, scale_for, significant, split_unit
+from groundstation.reporting.units import (
+    Scale,
+    half_width,
+    label,
+    percent,
+    readable,
+    scale_for,
+    significant,
+    split_unit,
+)
 
 
 def add_parameters(page: Page, flight: FlightData, identification: Identification) -> None:
@@ -39,7 +48,7 @@ def add_parameters(page: Page, flight: FlightData, identification: Identificatio
 def reason(identification: Identification) -> str:
     """Why the best method is the best, as a sentence of its own."""
     text = identification.best_reason.removeprefix(f"{identification.best}:").strip()
-    return text[:1].upper() + text[1:]
+    return readable(text[:1].upper() + text[1:])
 
 
 def _ordered(identification: Identification) -> list[str]:
@@ -172,7 +181,9 @@ def _notes(identification: Identification) -> Markup | None:
     for name, method in identification.methods.items():
         if method.note:
             methods.setdefault(method.note, []).append(name)
-    items = [element("li", element("strong", f"{', '.join(names)}: "), note) for note, names in methods.items()]
+    items = [
+        element("li", element("strong", f"{', '.join(names)}: "), readable(note)) for note, names in methods.items()
+    ]
     return element("ul", items) if items else None
 
 
@@ -198,7 +209,7 @@ def _model_table(
 def _not_identifiable(identification: Identification) -> Markup | None:
     if not identification.not_identifiable:
         return None
-    rows = [(label(name), remedy or "–") for name, remedy in identification.not_identifiable.items()]
+    rows = [(label(name), readable(remedy) or "–") for name, remedy in identification.not_identifiable.items()]
     caption = "These get no number, because any number would be a guess."
     return fragment(
         element("h3", "What this flight does not reveal"),

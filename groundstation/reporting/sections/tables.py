@@ -18,6 +18,9 @@ from groundstation.reporting.units import (
     split_unit,
 )
 
+UNCHANGED = 0.0005
+"""Relative changes below this would be written as 0.0 %."""
+
 
 def estimate_cell(name: str, estimate: Estimate | None, scale: Scale | None = None, note: Child = None) -> Markup:
     """Value with its 95 % interval below; digits follow from the interval. The unit is in the row's heading."""
@@ -67,6 +70,7 @@ def _error_cell(value: float | None, base: float | None, scale: Scale) -> Markup
     if base is None or base <= 0.0:
         return fragment(shown)
     gain = 1.0 - value / base
-    kind = "better" if gain > 0.0 else "worse"
-    arrow = "▾" if gain > 0.0 else "▴"
+    if abs(gain) < UNCHANGED:
+        return fragment(shown, element("small", "unchanged"))
+    kind, arrow = ("better", "▾") if gain > 0.0 else ("worse", "▴")
     return fragment(shown, element("small", f"{arrow} {percent(gain)}", class_=kind))

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from groundstation.diagnosis.results import Diagnosis, Finding
+from groundstation.diagnosis.results import Diagnosis
 from groundstation.errors import Refused
 from groundstation.identification.results import Estimate, Identification
 from groundstation.reporting import figures
 from groundstation.reporting.markup import Markup, element, fragment, sentence_list, table
 from groundstation.reporting.page import Page
 from groundstation.reporting.sections.parameters import reason
-from groundstation.reporting.sections.tables import error_table, estimate_cell, row_name
+from groundstation.reporting.sections.tables import UNCHANGED, error_table, estimate_cell, row_name
 from groundstation.reporting.units import (
     interval_text,
     label,
     percent,
     quantity,
+    readable,
     scale_for,
     significant,
     split_unit,
@@ -46,7 +47,9 @@ def add_verdict(page: Page, identification: Identification | Refused, diagnosis:
     """The section a reader sees first."""
     warnings = _warnings(identification, diagnosis)
     if isinstance(identification, Refused):
-        content = _banner("refused", VERDICTS["refused"], identification.reason, identification.remedy)
+        content = _banner(
+            "refused", VERDICTS["refused"], readable(identification.reason), readable(identification.remedy)
+        )
         page.section("verdict", "Verdict", content, _missing(identification.not_identifiable))
         return
     if diagnosis is None:
@@ -58,10 +61,10 @@ def add_verdict(page: Page, identification: Identification | Refused, diagnosis:
     page.section(
         "verdict",
         "Verdict",
-        _banner(diagnosis.verdict, VERDICTS[diagnosis.verdict], diagnosis.reason),
+        _banner(diagnosis.verdict, VERDICTS[diagnosis.verdict], readable(diagnosis.reason, _identifiers(diagnosis))),
         warnings,
         _cards(identification),
-        _findings(diagnosis.findings),
+        _findings(diagnosis),
         _unexplained(diagnosis),
         _before_after(page, diagnosis),
         _bias(diagnosis),
@@ -109,11 +112,16 @@ def _card(name: str, estimate: Estimate) -> Markup:
     return element("div", element("span", label(name)), number, element("span", scale.unit), class_="card")
 
 
-def _findings(findings: tuple[Finding, ...]) -> Markup | None:
-    if not findings:
+def _identifiers(diagnosis: Diagnosis) -> set[str]:
+    """Effects that its sentences may name."""
+    return {name for finding in diagnosis.findings for name in (finding.effect, *finding.alternatives)}
+
+
+def _findings(diagnosis: Diagnosis) -> Markup | None:
+    if not diagnosis.findings:
         return None
     items = []
-    for finding in findings:
+    for finding in diagnosis.findings:
         where = f", rotor {finding.rotor}" if finding.rotor is not None else ""
         tags = [element("span", f"{label(n)} {quantity(n, e)}", class_="tag") for n, e in finding.parameters.items()]
         tags.append(element("span", f"confidence {significant(100 * finding.confidence)} %", class_="tag"))
@@ -121,7 +129,11 @@ def _findings(findings: tuple[Finding, ...]) -> Markup | None:
         doubt = element("p", f"This flight cannot tell it from: {rivals}.", class_="note") if rivals else None
         items.append(
             element(
-                "li", element("h3", effect_name(finding.effect), where), element("p", finding.evidence), tags, doubt
+                "li",
+                element("h3", effect_name(finding.effect), where),
+                element("p", readable(finding.evidence, _identifiers(diagnosis))),
+                tags,
+                doubt,
             )
         )
     return fragment(
@@ -161,9 +173,18 @@ def _before_after(page: Page, diagnosis: Diagnosis) -> Markup | None:
                 "blocks without the effects. After: with them (▾ the error fell). Nominal: the vehicle as declared."
             )
             rms = error_table(caption, known, reference="before", improved="after")
-            figure = _relative(page, known, title) if known.get("after") else None
+            figure = _relative(page, known, title) if _differ(known) else element("p", _SAME, class_="note")
             parts.append(element("div", rms, figure, class_="pair"))
     return fragment(element("h3", "Error before and after"), parts) if parts else None
+
+
+_SAME = "The findings concern clocks and frames, or there are none: no force is added, and the error stays as it was."
+
+
+def _differ(stages: Mapping[str, Mapping[str, float]]) -> bool:
+    """The findings changed the error of some channel by more than would be written as 0.0 %."""
+    after = stages.get("after", {})
+    return any(abs(after[c] - v) > UNCHANGED * v for c, v in stages["before"].items() if c in after)
 
 
 def _relative(page: Page, stages: Mapping[str, Mapping[str, float]], title: str) -> Markup:
@@ -180,7 +201,7 @@ def _relative(page: Page, stages: Mapping[str, Mapping[str, float]], title: str)
 def _bias(diagnosis: Diagnosis) -> Markup | None:
     before, after = diagnosis.parameters_before, diagnosis.parameters_after
     shared = [name for name in after if name in before]
-    if not shared:
+    if not any(after[name].value != before[name].value for name in shared):
         return None
     trace = sum(abs(after[n].value) for n in ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2") if n in after)
     tensor = scale_for("kg m²", [e.value for n, e in (*before.items(), *after.items()) if n.endswith("kg_m2")])
@@ -207,7 +228,9 @@ def _bias_share(name: str, before: Estimate, after: Estimate, trace: float) -> s
 def _next_flight(diagnosis: Diagnosis) -> Markup | None:
     if not diagnosis.next_flight:
         return None
-    return fragment(element("h3", "Next flight"), element("p", diagnosis.next_flight))
+    return fragment(
+        element("h3", "Next flight"), element("p", readable(diagnosis.next_flight, _identifiers(diagnosis)))
+    )
 
 
 def _candidates(diagnosis: Diagnosis) -> Markup | None:
@@ -224,6 +247,8 @@ def _text(value: object) -> str | Markup:
         return "–"
     if isinstance(value, float):
         return significant(value)
+    if isinstance(value, Mapping):
+        return ", ".join(f"{label(str(name))} {_text(item)}" for name, item in value.items()) or "–"
     if isinstance(value, (list, tuple)):
         return sentence_list(str(v) for v in value)
     return str(value)
