@@ -414,3 +414,12 @@ def test_a_part_of_the_flight_is_cut_on_every_streams_own_clock(pristine):
     assert part.mocap.t_s[-1] == pytest.approx(1.5, abs=0.02)
     with pytest.raises(BadInput, match="no motor samples between"):
         load_flight(pristine, start_s=100.0)
+
+
+def test_conversion_tells_what_was_lost_before_it_and_nothing_else(bundle, tmp_path):
+    recording = tmp_path / "a.mcap"
+    assert convert(bundle, recording) == ()
+    data = recording.read_bytes()
+    recording.write_bytes(data[: len(data) // 2])
+    assert [("cut off" in text) for text in convert(recording, tmp_path / "back")] == [True]
+    assert any("cut off" in note for note in load_flight(tmp_path / "back").notes)

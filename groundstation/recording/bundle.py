@@ -87,6 +87,7 @@ def read_bundle(folder: Path, vehicle: Vehicle | None = None) -> Recording:
         metadata={str(key): str(value) for key, value in about.get("metadata", {}).items()},
         window_s=None if window is None else (float(window[0]), float(window[1])),
         notes=(*map(str, about.get("notes", ())), *notes),
+        left_out=tuple(notes),
     )
 
 

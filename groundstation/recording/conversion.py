@@ -22,7 +22,7 @@ def convert(source: str | Path, target: str | Path, *, vehicle: str | Path | Non
         vehicle: vehicle file or shipped name, for a source that carries none.
 
     Returns:
-        What the target does not hold, and what the source had lost already, one sentence each.
+        What the target does not hold of the source, or the source had lost already, one sentence each.
 
     Raises:
         BadInput: the source is malformed, the target exists, or the vehicle is missing.
@@ -32,10 +32,10 @@ def convert(source: str | Path, target: str | Path, *, vehicle: str | Path | Non
     recording = read_recording(source, declared)
     if target.suffix == ".mcap":
         write_recording_as_mcap(recording, target)
-        return (*recording.notes, *recording.left_out)
+        return recording.left_out
     if target.suffix in (".ulg", ".bin", ".csv", ".bag", ".db3"):
         raise BadInput(f"{target}: is neither an MCAP file (.mcap) nor a folder for a flight bundle; name one of them.")
     if VEHICLE_FILE not in recording.files:
         raise BadInput(f"{source}: carries no vehicle, and a flight bundle needs one; give it with --vehicle FILE.")
     write_recording_as_bundle(recording, target)
-    return (*recording.notes, *recording.left_out, *unholdable(recording))
+    return (*recording.left_out, *unholdable(recording))

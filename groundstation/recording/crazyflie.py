@@ -157,7 +157,12 @@ def read_usd(data: bytes, source: str, name: str, *, kind: str) -> Recording:
         if len(log.t_s[event]) and found
     }
     return Recording(
-        name=name, streams=streams, extras=extras, metadata={"format": "crazyflie usd log"}, notes=tuple(notes)
+        name=name,
+        streams=streams,
+        extras=extras,
+        metadata={"format": "crazyflie usd log"},
+        notes=tuple(notes),
+        left_out=log.notes,
     )
 
 

@@ -75,7 +75,8 @@ def read_dataflash(path: Path, vehicle: Vehicle) -> Recording:
     Raises:
         BadInput: it is damaged at the start, or holds no motor outputs.
     """
-    tables, parameters, notes = _tables(path)
+    tables, parameters, lost = _tables(path)
+    notes = [*lost]
     streams: dict[str, Stream] = {}
     streams["motors"], said = _motors(tables, parameters, vehicle, str(path))
     notes += said
@@ -100,7 +101,10 @@ def read_dataflash(path: Path, vehicle: Vehicle) -> Recording:
         streams=streams,
         metadata={"format": "ArduPilot DataFlash"},
         notes=tuple(notes),
-        left_out=(f"messages of the log other than {', '.join(_FIELDS)}.",),
+        left_out=(
+            *lost,
+            f"messages of the log other than {', '.join(_FIELDS)}.",
+        ),
     )
 
 

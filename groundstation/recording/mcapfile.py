@@ -166,6 +166,7 @@ def _recording(contents: Contents, about: dict[str, str], path: Path) -> Recordi
                 streams[stream] = samples
             else:
                 extras[channel.topic.strip("/")] = samples
+    losses = _losses(contents, path)
     window = (about.get("window_start_s"), about.get("window_end_s"))
     return Recording(
         name=about.get("flight", path.parent.name if path.stem == "flight" else path.stem),
@@ -175,7 +176,8 @@ def _recording(contents: Contents, about: dict[str, str], path: Path) -> Recordi
         files=contents.attachments,
         metadata={key: value for key, value in about.items() if key not in _OWN_KEYS},
         window_s=None if None in window else (float(window[0] or 0), float(window[1] or 0)),
-        notes=(*json.loads(about.get("notes", "[]")), *_losses(contents, path)),
+        notes=(*json.loads(about.get("notes", "[]")), *losses),
+        left_out=losses,
     )
 
 

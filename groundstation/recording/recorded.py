@@ -71,7 +71,7 @@ class Recording:
         metadata: scenario name, versions and the like.
         window_s: start and end of the excitation on the motors' clock.
         notes: what was lost or derived on the way in, one sentence each.
-        left_out: what the source holds and this does not.
+        left_out: what the source holds, or held before it was damaged, and this does not.
     """
 
     name: str

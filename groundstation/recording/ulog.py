@@ -69,9 +69,8 @@ def read_ulog(path: Path, vehicle: Vehicle) -> Recording:
         raise BadInput(f"{path}: is damaged ({one_line(error)}); download the log again.") from None
     topics = {topic.name: topic.data for topic in reversed(log.data_list) if len(topic.data["timestamp"]) > 1}
     parameters = dict(log.initial_parameters)
-    notes = _losses(path, log)
-    if "corrupt" in complaints.getvalue():
-        notes.append(f"{path.name}: parts of the log are damaged and were left out.")
+    lost = _losses(path, log, complaints.getvalue())
+    notes = [*lost]
     streams: dict[str, Stream] = {}
     streams["motors"], said = _motors(topics, parameters, vehicle, str(path))
     notes += said
@@ -96,7 +95,10 @@ def read_ulog(path: Path, vehicle: Vehicle) -> Recording:
         streams=streams,
         metadata=_metadata(log, parameters),
         notes=tuple(notes),
-        left_out=(f"topics of the log other than {', '.join(_TOPICS)}.",),
+        left_out=(
+            *lost,
+            f"topics of the log other than {', '.join(_TOPICS)}.",
+        ),
     )
 
 
@@ -107,7 +109,7 @@ def _metadata(log: Any, parameters: dict[str, float]) -> dict[str, str]:
     return {"format": "PX4 ULog", **info, **({"simulator_parameters": json.dumps(truth)} if truth else {})}
 
 
-def _losses(path: Path, log: Any) -> list[str]:
+def _losses(path: Path, log: Any, complaints: str) -> list[str]:
     """What the logger or a copy lost. The library reads a truncated file without a word."""
     notes = []
     missing = _missing_bytes(path.read_bytes())
@@ -116,6 +118,8 @@ def _losses(path: Path, log: Any) -> list[str]:
             f"{path.name}: the log is cut off in the middle of a message ({missing} bytes of it are missing); "
             "it was read up to there."
         )
+    if "corrupt" in complaints:
+        notes.append(f"{path.name}: parts of the log are damaged and were left out.")
     if log.dropouts:
         lost = sum(dropout.duration for dropout in log.dropouts) / 1000.0
         notes.append(f"{path.name}: the logger dropped data {len(log.dropouts)} times, {lost:.2f} s in all.")
