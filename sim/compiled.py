@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -30,7 +29,8 @@ def _cache_folder() -> str:
     name = f"kernel-{digest.hexdigest()[:16]}"
     if os.access(package, os.W_OK):
         return str(package / "__pycache__" / name)
-    return str(Path(tempfile.gettempdir()) / f"groundstation-{os.getuid()}" / name)
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return str(Path(home) / "groundstation" / name)
 
 
 def compiled(function: F) -> F:

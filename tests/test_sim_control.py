@@ -62,6 +62,14 @@ def test_vehicles_from_30_g_to_3_kg_fly_gentle_and_fast_plans_with_slow_rotors(m
     assert _tracking_error(flight) < 0.7
 
 
+@pytest.mark.parametrize("vehicle", ["qball2", "crazyflie21", "x500"])
+@pytest.mark.parametrize("scenario", ["clean", "seed", "lab"])
+def test_shipped_vehicles_fly_by_their_own_gains_in_every_laboratory(vehicle, scenario):
+    declared = load_vehicle(find_config("vehicles", vehicle))
+    world = load_scenario(find_config("scenarios", scenario))
+    assert _tracking_error(simulate(declared, rest_to_rest_plan(vehicle, periods=1.0), world, 3)) < 0.15
+
+
 def test_gains_are_the_files_where_it_has_some_and_tuned_where_it_has_none():
     assert build_law(QBALL, Scenario()).position_p == QBALL.control.position_p
     assert build_law(QBALL, Scenario()).lead_s == 0.0
