@@ -15,6 +15,7 @@ from groundstation.identification.validation import (
     closed_loop_validation,
     improvement_percent,
     parameter_sets,
+    validate,
 )
 from groundstation.model.closed_loop import Conditions, simulate_closed_loop
 from groundstation.paths import find_config
@@ -151,3 +152,15 @@ def test_comparison_leaves_out_what_no_body_has_and_says_so(declared, plan, trut
         closed_loop_validation(replace(flight, mocap=None), plan, sets)
     with pytest.raises(NotIdentifiable, match="excitation"):
         closed_loop_validation(replace(flight, window_s=None), plan, sets)
+
+
+def test_all_checks_that_a_flight_allows(declared, plan, truth):
+    flight = replace(recorded(declared, plan, truth), plan=plan)
+    theta = dict(zip(MASS_AND_TENSOR, (truth.mass_kg, *truth.inertia_tensor()[np.triu_indices(3)]), strict=True))
+    method = MethodResult({name: Estimate.normal(value, 0.0) for name, value in theta.items()})
+    checks = validate(flight, {"LS": method}, mocap_minus_imu_s=0.05)
+    assert [check.kind for check in checks] == ["output", "output", "closed_loop"]
+    for check in checks:
+        assert check.rms["LS"]["force_z_n"] < check.rms["nominal"]["force_z_n"]
+    assert [check.kind for check in validate(replace(flight, plan=None), {"LS": method})] == ["output", "output"]
+    assert validate(replace(flight, mocap=None), {"LS": method}) == ()

@@ -20,6 +20,7 @@ from groundstation.identification.prediction_error import (
 from groundstation.identification.preparation import Prepared, damping_terms, prepare
 from groundstation.identification.record_model import Options, RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification, MethodResult
+from groundstation.identification.validation import validate
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -143,8 +144,15 @@ def identify(
             "a measured reaction torque: yaw torque and yaw inertia scale together, weighing does not fix them"
         )
     bounds, _ = anchored(vehicle, fitted.filter_error.names, best.values, _bound(fitted))
-    progress(1.0, "done")
     first = prepared[0]
+    progress(0.95, "validation")
+    validation = validate(
+        first.flight,
+        methods,
+        mocap_minus_imu_s=0.0 if first.clock is None else first.clock.mocap_minus_imu_s,
+        exclude=exclude,
+    )
+    progress(1.0, "done")
     return Identification(
         flight=" + ".join(flight.name for flight in flights),
         vehicle=vehicle.name,
@@ -160,6 +168,7 @@ def identify(
         window_s=first.window_s,
         excluded_s=tuple((float(a), float(b)) for a, b in exclude),
         quality=tuple(note for item in prepared for note in (*item.flight.notes, *item.notes)),
+        validation=validation,
     )
 
 

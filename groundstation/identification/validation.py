@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import FlightData
 from groundstation.frames import euler_from_quat, quat_conjugate, quat_exp, quat_multiply, quat_rotate
-from groundstation.identification.processing import clean, excitation_window, interpolate, slerp
+from groundstation.identification.processing import clean, excitation_window, interpolate, process_flight, slerp
 from groundstation.identification.results import MASS_AND_TENSOR, OUTPUTS, MethodResult, Validation
-from groundstation.identification.seed import Regression
+from groundstation.identification.seed import Regression, filtered_regression, standard_regression
 from groundstation.identification.wrench import declared_wrench, held_mean
 from groundstation.model.closed_loop import STEP_S, Conditions, simulate_closed_loop
 from groundstation.trajectory import Plan
@@ -47,6 +47,39 @@ def improvement_percent(validation: Validation, reference: str = "nominal") -> d
         for name, errors in validation.rms.items()
         if name != reference
     }
+
+
+def validate(
+    flight: FlightData,
+    methods: Mapping[str, MethodResult],
+    *,
+    mocap_minus_imu_s: float = 0.0,
+    exclude: Sequence[tuple[float, float]] = (),
+) -> tuple[Validation, ...]:
+    """All checks of section IV that a flight allows: output error on both models, and the closed loop.
+
+    The closed loop needs poses, the plan with its start, and a vehicle file that declares its controller; what is missing
+    leaves that check out.
+
+    Args:
+        flight: recorded.
+        methods: results by name; the nominal set is added.
+        mocap_minus_imu_s: motion-capture stamp minus IMU stamp of one instant.
+        exclude: segments that are not compared.
+    """
+    sets = parameter_sets(flight.vehicle, methods)
+    checks: list[Validation] = []
+    try:
+        signals = process_flight(flight, mocap_minus_imu_s=mocap_minus_imu_s, exclude=exclude)
+        checks.append(output_validation(standard_regression(signals), sets, "Standard regression model (34)."))
+        checks.append(output_validation(filtered_regression(signals), sets, "Filtered regression model (38)."))
+        if flight.plan is not None and "control" in flight.vehicle.model_fields_set:
+            checks.append(
+                closed_loop_validation(flight, flight.plan, sets, mocap_minus_imu_s=mocap_minus_imu_s, exclude=exclude)
+            )
+    except NotIdentifiable:
+        return tuple(checks)
+    return tuple(checks)
 
 
 def output_validation(regression: Regression, sets: ParameterSets, note: str = "") -> Validation:
@@ -125,11 +158,13 @@ def closed_loop_validation(
         error = np.column_stack([flown, wrench])[:k] - error
         error[:, 5] = np.angle(np.exp(1j * error[:, 5]))
         error = error[used[:k]]
+        if not np.isfinite(error).all():
+            continue
         rms[name] = dict(zip(CLOSED_LOOP_SIGNALS, map(float, np.sqrt(np.mean(error**2, axis=0))), strict=True))
     left_out = [name for name in sets if name not in rms]
     note = "The declared controller on the plan, section IV-A's sampling and limits."
     if left_out:
-        note += f" Not simulated, because no body has such a tensor: {', '.join(left_out)}."
+        note += f" Left out, because no body has such a tensor or the loop diverges with it: {', '.join(left_out)}."
     return Validation("closed_loop", rms, int(np.count_nonzero(used)), note)
 
 

@@ -114,10 +114,11 @@ def table_3(runs: Sequence[Ours]) -> str:
     parts.append(
         _wrapped(
             "What suffices for the disagreement: the filter pair (35)-(36) run at the motion capture's 30 Hz. Its gain, "
-            "lambda T/(1 - exp(-lambda T)), is 1.58 at T = 1/30 s, on the tensor alone, not on the mass. With it, from this very "
+            "lambda T/(1 - exp(-lambda T)), is 1.58 at T = 1/30 s, on the tensor, hardly on the mass. With it, from this very "
             f"flight, LS is {gaps[1]} % above FMLS on Ixx, Iyy, Izz and {_disagreement(slow, 'mass_kg'):.1f} % on mass; the "
-            f"paper's is {gaps[0]} % and {_disagreement(TABLE_3, 'mass_kg'):.1f} %. Whether it was run so, the paper cannot tell. "
-            "Every other mechanism is in docs/disagreement.md."
+            f"paper's is {gaps[0]} % and {_disagreement(TABLE_3, 'mass_kg'):.1f} %. That its two masses agree speaks against the "
+            "same pair in its mass row; whether it was run so at all, the paper cannot tell. Every other mechanism is in "
+            "docs/disagreement.md."
         )
     )
     return "\n\n".join(parts)
