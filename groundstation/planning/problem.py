@@ -20,7 +20,7 @@ FLAT_INPUTS = 18
 
 
 @lru_cache(maxsize=32)
-def _rest_basis(harmonics: int, without_jerk: bool) -> Array:
+def rest_basis(harmonics: int, without_jerk: bool) -> Array:
     """Coefficients [a, b] of one channel from its free unknowns, orthonormal columns, shape (2 N, free)."""
     harmonic, none = np.arange(1, harmonics + 1), np.zeros(harmonics)
     conditions = [np.concatenate([harmonic**0, none]), np.concatenate([none, harmonic])]
@@ -80,7 +80,7 @@ class Problem:
         """
         edges = zip(self.start or (), self.room, strict=False)
         touching = [not low < at < high for at, (low, high) in edges] or [False] * 4
-        return tuple(_rest_basis(self.harmonics, on_edge) for on_edge in touching)
+        return tuple(rest_basis(self.harmonics, on_edge) for on_edge in touching)
 
     @property
     def unknowns(self) -> int:

@@ -173,7 +173,13 @@ class Program:
             "mu_strategy": "adaptive",
         }
         if self._warm:
-            options |= {"max_iter": 60, "mu_strategy": "monotone", "mu_init": 1e-4, "bound_push": 1e-4, "bound_frac": 1e-4}
+            options |= {
+                "max_iter": 60,
+                "mu_strategy": "monotone",
+                "mu_init": 1e-4,
+                "bound_push": 1e-4,
+                "bound_frac": 1e-4,
+            }
         settings = {"grad_f": gradient, "jac_g": jacobian, "hess_lag": hessian, "ipopt": options}
         quiet = {"print_time": False, "error_on_fail": False, "no_nlp_grad": True}
         return ca.nlpsol("plan", "ipopt", nlp, settings | quiet)
