@@ -53,7 +53,7 @@ def limits_in_si(values: dict[str, float | None]) -> dict[str, float]:
 @click.option("--duration-s", type=float, default=None, help="Seconds of excitation.")
 @click.option("--frequency-max-hz", type=float, default=None, help="No harmonic above it where the base is free.")
 @click.option("--limit", "more_limits", multiple=True, metavar="NAME=VALUE", help="Any limit by its name, SI.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the random starts.")
+@click.option("--seed", type=int, default=3, show_default=True, help="Of the random starts.")
 @click.option("--time-budget-s", type=float, default=8.0, show_default=True, help="Seconds to search.")
 @click.option("--compare", is_flag=True, help="Compare families of signals under the same limits, as a table.")
 @click.option("--output", type=click.Path(path_type=Path, dir_okay=False), default=None, help="Plan file to write.")
