@@ -250,9 +250,8 @@ class Contents:
 def read_container(data: bytes) -> Contents:
     """Read every whole record of an MCAP file.
 
-    A record that the file ends in the middle of is left out, and ``complete`` is then false.
-
-    Where a record cannot be what it says it is, reading ends there, and ``damaged`` counts it.
+    A record that the file ends in the middle of is left out, and ``complete`` is then false. A record that is not what it
+    says it is costs itself alone, and ``damaged`` counts it.
 
     Raises:
         ValueError: the data do not begin like an MCAP file.
@@ -260,47 +259,49 @@ def read_container(data: bytes) -> Contents:
     if not data.startswith(MAGIC):
         raise ValueError("it does not begin with the MCAP magic")
     contents = Contents()
-    try:
-        _read_records(data, contents)
-    except (McapError, struct.error, UnicodeDecodeError, ValueError, LookupError):
-        contents.damaged += 1
-    return contents
-
-
-def _read_records(data: bytes, contents: Contents) -> None:
     schemas: dict[int, str] = {}
-    channels = contents.channels
     position, size = len(MAGIC), len(data)
     while position + 9 <= size and not contents.complete:
         opcode, length = _RECORD.unpack_from(data, position)
-        position += 9
-        if position + length > size:
+        end = position + 9 + length
+        if end > size:
             break
-        if opcode == Opcode.CHUNK:
-            raw = _chunk_data(data[position : position + length])
-            if raw is None:
-                contents.damaged += 1
-            else:
-                _read_messages(raw, schemas, channels)
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
-            _read_messages(data[position - 9 : position + length], schemas, channels)
-        elif opcode == Opcode.ATTACHMENT:
-            attachment = records.Attachment.read(_stream(data[position : position + length]))
-            contents.attachments[attachment.name] = attachment.data
-        elif opcode == Opcode.METADATA:
-            metadata = records.Metadata.read(_stream(data[position : position + length]))
-            contents.metadata[metadata.name] = metadata.metadata
-        elif opcode == Opcode.FOOTER:
-            contents.complete = True
-        position += length
+        try:
+            _read_record(opcode, data[position:end], contents, schemas)
+        except (McapError, struct.error, ValueError, LookupError, OverflowError, MemoryError):
+            contents.damaged += 1
+        position = end
+    return contents
+
+
+def _read_record(opcode: int, record: bytes, contents: Contents, schemas: dict[int, str]) -> None:
+    body = record[9:]
+    if opcode == Opcode.CHUNK:
+        _read_messages(_chunk_data(body), schemas, contents.channels)
+    elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+        _read_messages(record, schemas, contents.channels)
+    elif opcode == Opcode.ATTACHMENT:
+        if struct.unpack("<I", body[-4:])[0] not in (0, zlib.crc32(body[:-4])):
+            raise ValueError("an attachment's checksum does not match")
+        attachment = records.Attachment.read(_stream(body))
+        contents.attachments[attachment.name] = attachment.data
+    elif opcode == Opcode.METADATA:
+        metadata = records.Metadata.read(_stream(body))
+        contents.metadata[metadata.name] = metadata.metadata
+    elif opcode == Opcode.FOOTER:
+        contents.complete = True
 
 
 def _stream(body: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(body))
 
 
-def _chunk_data(body: bytes) -> bytes | None:
-    """Uncompressed records of a chunk, or None where its checksum says they are damaged."""
+def _chunk_data(body: bytes) -> bytes:
+    """Uncompressed records of a chunk.
+
+    Raises:
+        ValueError: it does not decompress, or its checksum does not match.
+    """
     chunk = records.Chunk.read(_stream(body))
     try:
         if chunk.compression == "zstd":
@@ -309,9 +310,11 @@ def _chunk_data(body: bytes) -> bytes | None:
             raw = lz4.frame.decompress(chunk.data)
         else:
             raw = chunk.data
-    except (zstandard.ZstdError, RuntimeError):
-        return None
-    return raw if chunk.uncompressed_crc in (0, zlib.crc32(raw)) else None
+    except (zstandard.ZstdError, RuntimeError) as error:
+        raise ValueError(f"a chunk does not decompress ({error})") from None
+    if chunk.uncompressed_crc not in (0, zlib.crc32(raw)):
+        raise ValueError("a chunk's checksum does not match")
+    return raw
 
 
 def _read_messages(raw: bytes, schemas: dict[int, str], channels: dict[int, ReadChannel]) -> None:
