@@ -17,6 +17,7 @@ from sim.autopilot import (
     EST_ATTITUDE,
     EST_POSITION,
     ESTIMATE_SIZE,
+    FORCE,
     SETPOINT_SIZE,
     euler_of,
 )
@@ -169,6 +170,9 @@ class Simulation:
         """Begin the clock of flight, which effects that happen in flight count by; the controller starts afresh."""
         self.flight_start_s = self.time_s
         self.memory.control[:] = 0.0
+        self.memory.control[FORCE + 2] = (
+            0.2 * self.world.law.mass * self.world.law.gravity
+        )  # until the position loop's turn
 
     def set_upright(self) -> None:
         """After a crash: stand it on its feet where it lies."""
@@ -247,6 +251,8 @@ class Simulation:
         )
         imu, poses, values, volts, commands, estimates, self.path = run(self.world, self.memory, stretch)
         self.step += steps
+        if not np.isfinite(self.memory.x).all():
+            raise FloatingPointError(f"the simulated state is no longer finite {self.time_s:.3f} s after the start")
         return {
             "imu": (*times["imu"][1:], imu),
             "mocap": (pose_stamp[~lost], pose_arrival[~lost], poses[~lost]),

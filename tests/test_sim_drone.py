@@ -184,6 +184,16 @@ def test_a_vehicle_that_tumbles_says_crashed_and_flies_again_after_a_new_upload(
     _until(drone, "landed")
 
 
+@pytest.mark.parametrize("idle_steps", [1, 7, 50, 250, 333])
+def test_it_may_start_at_any_time_between_two_turns_of_the_position_loop(idle_steps):
+    drone = _drone(load_scenario(find_config("scenarios", "seed")))
+    drone.advance(idle_steps)
+    drone.upload(_upload(rest_to_rest_plan(periods=1.0)))
+    drone.command(bus.Command("arm"))
+    drone.command(bus.Command("start"))
+    _until(drone, "exciting", at_most_s=15.0)
+
+
 def test_it_flies_again_after_landing():
     drone = _started()
     _until(drone, "landed")
