@@ -93,14 +93,17 @@ class ProgressLine:
         self._clock = clock
         self._last_s = -1e9
         self._width = 0
+        self._word = ""
 
     def fraction(self, fraction: float, text: str) -> None:
         """Progress of a computation."""
         self._show(f"{100 * fraction:3.0f} %  {text}", force=fraction >= 1.0)
 
     def say(self, text: str) -> None:
-        """A line of a flight's progress; a new phase always shows."""
-        self._show(text, force=True)
+        """A line of a flight's progress; one that begins with another word than the last always shows."""
+        word = text.split(maxsplit=1)[0] if text else ""
+        self._show(text, force=word != self._word)
+        self._word = word
 
     def _show(self, text: str, *, force: bool) -> None:
         now = self._clock()

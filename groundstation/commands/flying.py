@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 PLAN_S = 6.0
 """Seconds a rehearsal gives the planner."""
+MAVLINK_VEHICLE = "x500"
+"""What the simulated autopilot flies unless told otherwise."""
 
 
 @click.command(
@@ -26,15 +28,19 @@ PLAN_S = 6.0
 )
 @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
 @click.pass_context
-def sim(ctx: click.Context, arguments: tuple[str, ...]) -> int:
+def sim(ctx: click.Context, arguments: tuple[str, ...]) -> None:
     """Start the simulated drone, on zenoh or (--mavlink) as an autopilot; it takes the arguments below."""
     from groundstation.flight.children import module_command
 
-    if "--help" in arguments:
-        click.echo(ctx.get_help(), nl=True)
-        click.echo()
-        sys.stdout.flush()
-    return subprocess.call(module_command("sim", *arguments))
+    rest = [argument for argument in arguments if argument != "--mavlink"]
+    mavlink = len(rest) < len(arguments)
+    if "--help" in rest:
+        click.echo(f"{ctx.get_help()}\n")
+    elif mavlink and "--vehicle" not in rest:
+        rest += ["--vehicle", MAVLINK_VEHICLE]
+    sys.stdout.flush()
+    # Takes this process's place, so that signals reach the simulator.
+    os.execv(sys.executable, module_command("sim.mavlink" if mavlink else "sim", *rest))  # noqa: S606
 
 
 @click.command(epilog=example("groundstation rehearse --vehicle qball2 --scenario seed"))

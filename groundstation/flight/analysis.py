@@ -33,7 +33,7 @@ class Analysis:
     """Results and the files they were written to, by name ("report", "identification", ...)."""
 
     identification: Identification
-    diagnosis: Diagnosis | None
+    diagnosis: Diagnosis
     files: Mapping[str, Path]
 
 
@@ -90,8 +90,7 @@ def analyse(
     write_identification(folder, identification, flights[0].vehicle)
     diagnosis = _diagnose(flights, references, held_out, lambda f, text: progress(0.55 + 0.35 * f, text))
     files = write_identification(folder, identification, flights[0].vehicle, diagnosis)
-    if diagnosis is not None:
-        files["diagnosis"] = write_json(folder / "diagnosis.json", diagnosis.to_dict())
+    files["diagnosis"] = write_json(folder / "diagnosis.json", diagnosis.to_dict())
     progress(0.92, "writing the report")
     files["report"] = write_report(folder / "report.html", flights[0], identification, diagnosis, source=source)
     progress(1.0, "done")
@@ -100,11 +99,8 @@ def analyse(
 
 def _diagnose(
     flights: Sequence[FlightData], references: Sequence[FlightData], held_out: Sequence[FlightData], progress: Progress
-) -> Diagnosis | None:
-    try:
-        from groundstation.diagnosis import diagnose
-    except ImportError:
-        return None  # INTERIM
+) -> Diagnosis:
+    from groundstation.diagnosis import diagnose
 
     first = flights[0]
     try:

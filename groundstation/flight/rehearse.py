@@ -113,7 +113,7 @@ def fly(
     core.wait()
     status, reason = outcome(folder)
     if status == FlightAborted.exit_status:
-        raise FlightAborted(f"the flight was aborted: {reason}. The recording is {folder / 'flight.mcap'}")
+        raise FlightAborted(f"aborted: {reason}. The recording is {folder / 'flight.mcap'}")
     if status == Refused.exit_status and not (folder / "report.html").is_file():
         raise Refused(reason)
     return FlightResult(folder, status, reason)

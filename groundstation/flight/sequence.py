@@ -250,14 +250,9 @@ def _refused(state: Sequence, reason: str, now_s: float) -> Result:
 def _abort(state: Sequence, reason: str, now_s: float) -> Result:
     if state.phase in (Phase.LANDED, Phase.IDENTIFYING):
         # On the ground with the recording closed: only the analysis is given up.
-        return _enter(
-            state,
-            Phase.ABORTED,
-            now_s,
-            Action(Do.FINISH, reason),
-            exit_status=FlightAborted.exit_status,
-            reason=reason,
-        )
+        why = f"the analysis was given up: {reason}"
+        status = FlightAborted.exit_status
+        return _enter(state, Phase.ABORTED, now_s, Action(Do.FINISH, why), exit_status=status, reason=why)
     if not state.started:
         return _aborted(state, reason, now_s, Action(Do.DISARM, reason))
     if state.phase is Phase.LANDING:
