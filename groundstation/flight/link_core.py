@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from math import inf
+from typing import TypeVar
 
 from drivers.mavlink.codec import MavlinkCodec, Received
 from drivers.mavlink.dialect import Message, mavlink, message_id
@@ -30,6 +31,8 @@ from groundstation.flight.station import Station
 from groundstation.flight.view import Meter, VehicleView
 from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle
+
+T = TypeVar("T")
 
 HEARTBEAT_EVERY_S = 1.0
 TIMESYNC_EVERY_S = 0.1
@@ -104,8 +107,8 @@ class LinkCore:
         self._peer: Peer | None = None
         self._telemetry: Telemetry | None = None
         self._guard: Guard | None = None
-        self._setup: Conversation[None] | None = None
         self._restoring: Conversation[None] | None = None
+        self._talks: list[Conversation] = []
         self._changes: list[tuple[str, float, float]] = []
         self._events: list[Event] = []
         self._heartbeat_s = self._timesync_s = self._setpoint_due_s = -inf
@@ -269,7 +272,7 @@ class LinkCore:
         self._telemetry = Telemetry(
             self.vehicle.rotors.count, system=profile.system, imu=profile.imu, pwm_us=profile.pwm_us
         )
-        self._setup = Conversation(self._prepare(profile))
+        self.converse(self._prepare(profile))
         self.trouble = "asking the vehicle for its messages and parameters"
         self._tell(out, now_s, "link", f"{profile.name} heard as system {profile.system} from {peer}")
 
@@ -364,6 +367,12 @@ class LinkCore:
             self._tell(out, now_s, "link", f"{self._phase} -> {self.pilot.phase} {self.pilot.reason}".strip())
             self._phase = self.pilot.phase
 
+    def converse(self, steps: Steps[T]) -> Conversation[T]:
+        """Hold a conversation beside the flight: parameters, files, logs. Watch its ``done``."""
+        talk = Conversation(steps)
+        self._talks.append(talk)
+        return talk
+
     # Preparing and restoring ------------------------------------------------------------------------------------------
 
     def _prepare(self, profile: Profile) -> Steps[None]:
@@ -404,15 +413,14 @@ class LinkCore:
         if self.view is not None and self._restoring is None and self.changed and not self.view.armed:
             profile = self.view.profile
             dialogue = Parameters(profile.system, profile.component, bytewise=profile.bytewise_parameters)
-            self._restoring = Conversation(self._restore(dialogue))
+            self._restoring = self.converse(self._restore(dialogue))
 
     def _converse(self, now_s: float, messages: Sequence[Message], out: Output) -> None:
-        for talk in (self._setup, self._restoring):
-            if talk is not None and not talk.done:
-                for message in talk.step(now_s, messages):
-                    self._send(message, now_s, out)
-                if talk.error is not None:
-                    raise talk.error
+        for talk in list(self._talks):
+            for message in talk.step(now_s, messages):
+                self._send(message, now_s, out)
+            if talk.done:
+                self._talks.remove(talk)
         out.changed, self._changes = self._changes, []
 
     # Sending ----------------------------------------------------------------------------------------------------------
