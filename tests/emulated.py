@@ -105,6 +105,10 @@ class RigidAirframe:
         gyro = tuple(float(r) + noise(0.0, 0.002) for r in self._rate)
         return ImuSample(gyro, tuple(float(f) + noise(0.0, 0.03) for f in self._force))
 
+    def raw_imu(self) -> list[tuple[float, ImuSample]]:
+        """One sample a step."""
+        return [(0.0, self.imu())]
+
 
 class Station:
     """Drives an emulated autopilot on virtual time over one link and keeps what it says.

@@ -58,7 +58,11 @@ class Airframe(Protocol):
         ...
 
     def imu(self) -> ImuSample:
-        """The inertial sample at this instant."""
+        """The inertial sample the firmware integrated over the last step."""
+        ...
+
+    def raw_imu(self) -> list[tuple[float, ImuSample]]:
+        """The sensor's own samples of the last step, with their age in seconds, oldest first."""
         ...
 
 

@@ -1,7 +1,8 @@
 """ArduCopter's onboard log of an emulated flight: the records, their fields and their rates by LOG_BITMASK.
 
 By default IMU 25 Hz, ATT and RATE 10 Hz; with fast-attitude logging (bit 0) ATT and RATE at the loop rate and with fast or
-raw IMU logging (bits 18, 19) IMU too; RCOU 10 Hz whatever is set, ESC 100 Hz per motor (measured).
+raw IMU logging (bits 18, 19) IMU too; with INS_RAW_LOG_OPT the sensors' own samples (GYR, ACC) at 1 kHz; RCOU 10 Hz whatever
+is set, ESC 100 Hz per motor (measured).
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ FORMATS = {
     "MODE": (122, "QMBB", "TimeUS,Mode,ModeNum,Rsn"),
     "EV": (182, "QB", "TimeUS,Id"),
     "IMU": (164, "QBffffffIIfBBHH", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T,GH,AH,GHz,AHz"),
+    "GYR": (165, "QBQfff", "TimeUS,I,SampleUS,GyrX,GyrY,GyrZ"),
+    "ACC": (166, "QBQfff", "TimeUS,I,SampleUS,AccX,AccY,AccZ"),
     "ATT": (72, "QffffffB", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,AEKF"),
     "RATE": (75, "Qfffffffffffff", "TimeUS,RDes,R,ROut,PDes,P,POut,YDes,Y,YOut,ADes,A,AOut,AOutSlew"),
     "RCOU": (62, "QHHHHHHHHHHHHHH", "TimeUS,C1,C2,C3,C4,C5,C6,C7,C8,C9,C10,C11,C12,C13,C14"),
@@ -53,6 +56,7 @@ class ArduCopterLog:
         self._rates |= {"XKF1": loop if mask & FAST_ATTITUDE else 10.0, "XKQ": attitude, "SIM": 10.0}
         if a.has_esc_telemetry or a.parameters["SIM_ESC_TELEM"]:
             self._rates["ESC"] = 100.0
+        self._raw = bool(int(a.parameters["INS_RAW_LOG_OPT"]))
         self._next = dict.fromkeys(self._rates, -1.0)
         for parameter in a.parameters.all:
             self._log.add("PARM", a.boot_us, parameter.name.encode(), parameter.value, math.nan)
@@ -106,6 +110,10 @@ class ArduCopterLog:
         e = a.estimate
         attitude = [math.degrees(v) for v in euler(flip_quaternion(e.quaternion))]
         wanted = [math.degrees(v) for v in euler(flip_quaternion(a.cascade.attitude_setpoint))]
+        for age_s, sample in a.airframe.raw_imu() if self._raw else ():
+            taken = t - round(1e6 * age_s)
+            add("GYR", t, 0, taken, *flip(sample.gyro_rad_s))
+            add("ACC", t, 0, taken, *flip(sample.accel_m_s2))
         for name in [n for n in self._next if self._due(n, a.time_s)]:
             match name:
                 case "IMU":

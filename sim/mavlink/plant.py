@@ -43,6 +43,7 @@ class SimulatedAirframe:
         self._thrust_max = declared.rotor_thrust_max_n()
         self._elapsed_s = 0.0
         self._imu = ImuSample((0.0, 0.0, 0.0), (0.0, 0.0, declared.gravity_m_s2))
+        self._rows = np.zeros((0, 6))
         self._keep(self.simulation.idle(1))
         self._elapsed_s = STEP_S
 
@@ -68,6 +69,7 @@ class SimulatedAirframe:
     def _keep(self, samples: dict[str, Samples]) -> None:
         rows = samples["imu"][2]
         if len(rows):
+            self._rows = rows
             gx, gy, gz, ax, ay, az = rows.mean(axis=0).tolist()
             self._imu = ImuSample((gx, gy, gz), (ax, ay, az))
         if len(samples["mocap"][0]):
@@ -76,6 +78,12 @@ class SimulatedAirframe:
     def imu(self) -> ImuSample:
         """The mean inertial sample of the last step."""
         return self._imu
+
+    def raw_imu(self) -> list[tuple[float, ImuSample]]:
+        """The 1 kHz samples of the last step, with their age, oldest first."""
+        count = len(self._rows)
+        samples = (ImuSample((gx, gy, gz), (ax, ay, az)) for gx, gy, gz, ax, ay, az in self._rows.tolist())
+        return [((count - i - 0.5) * STEP_S, sample) for i, sample in enumerate(samples)]
 
     @property
     def state(self) -> AirframeState:
