@@ -8,6 +8,7 @@ import json
 import tomllib
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -176,6 +177,97 @@ def test_gazebo_links_together_weigh_and_turn_as_identified():
     assert 4 * hover * float(plugins[0].findtext("rotorDragCoefficient")) == pytest.approx(0.3, rel=1e-6)
 
 
+def weak_rotors() -> Diagnosis:
+    def loss(value: float) -> dict[str, Estimate]:
+        return {"loss": Estimate.normal(value, 0.01)}
+
+    findings = (
+        Finding("weak_rotor", loss(0.1), "", 0.9, rotor=3),
+        Finding("weak_rotor", loss(0.2), "", 0.9, rotor=1),
+        Finding(
+            "payload_change",
+            {"mass_change_kg": Estimate.normal(0.2, 0.01), "at_s": Estimate(12.0, 0.0, (12.0, 12.0))},
+            "",
+            0.9,
+        ),
+        Finding("clock_offset", {"mocap_minus_imu_s": Estimate.normal(0.01, 0.001)}, "", 0.9),
+    )
+    return Diagnosis("f", "v", "explained", findings=findings)
+
+
+def test_two_weak_rotors_stay_two_and_keep_their_places():
+    model = model_document(planted(), x_frame(), weak_rotors())
+    assert {name: v["rotor"]["value"] for name, v in model["effects"].items() if "rotor" in v} == {
+        "weak_rotor": 3.0,
+        "weak_rotor/2": 1.0,
+    }
+    assert tomllib.loads(export(model, "toml")) == model
+    root = ET.fromstring(export(model, "sdf"))  # noqa: S314
+    constants = [float(p.findtext("motorConstant")) for p in root.iter("plugin")]
+    np.testing.assert_allclose(constants, 1.11e-5 * np.array([0.8, 1.0, 0.9, 1.0]), rtol=1e-6)
+    gears = [g.get("gear").split() for g in ET.fromstring(export(model, "mjcf")).iter("general")]  # noqa: S314
+    np.testing.assert_allclose([float(g[2]) for g in gears], [0.8, 1.0, 0.9, 1.0])
+    np.testing.assert_allclose([float(g[5]) for g in gears], 0.016 * np.array([-0.8, -1.0, 0.9, 1.0]))
+
+
+def test_the_model_that_predicts_has_every_weak_rotor(monkeypatch):
+    from groundstation.diagnosis import effect
+
+    asked = []
+
+    def wrench(signals: object, vehicle: object, settings: dict[str, float]) -> np.ndarray:
+        asked.append((int(settings["rotor"]), settings["loss"]))
+        return np.zeros((3, 6, 1))
+
+    monkeypatch.setattr(
+        effect, "library", lambda: {"weak_rotor": SimpleNamespace(names=lambda: ("loss",), wrench=wrench)}
+    )
+    total = effect.wrench_of(model_document(planted(), x_frame(), weak_rotors())["effects"], x_frame())
+    total(SimpleNamespace(t_s=np.zeros(3)))
+    assert asked == [(3, 0.1), (1, 0.2)]
+
+
+def test_what_a_format_cannot_hold_stands_in_its_head():
+    model = model_document(planted(), x_frame(), weak_rotors())
+    assert "not held by this file: payload_change." in export(model, "mjcf")
+    assert "not held by this file: payload_change, weak_rotor." in export(model, "px4-sih")
+    assert "clock_offset" not in export(model, "px4-sih")
+    assert "delay of 0.0020 s" in export(model, "sdf")
+
+
+def test_rotorpy_gets_the_aerodynamics_that_were_found():
+    """At hover speeds, RotorPy's own aerodynamics must give the forces and moments of our effects' equations."""
+    multirotor = pytest.importorskip("rotorpy.vehicles.multirotor")
+
+    def found(effect: str, **parameters: float) -> Finding:
+        return Finding(effect, {n: Estimate.normal(v, 0.01) for n, v in parameters.items()}, "", 0.9)
+
+    findings = (
+        found("rotor_drag", d_x_kg_s=0.3, d_y_kg_s=0.3),
+        found("climb_inflow", k_kg_s=0.5),
+        found("body_drag", c_kg_m=0.04),
+        found("translational_lift", lift_s2_m2=0.006),
+        found("flapping_moment", k_nm_s_m=0.02),
+    )
+    centred = replace(planted(), model={})
+    text = export(model_document(centred, x_frame(), Diagnosis("f", "v", "explained", findings=findings)), "rotorpy")
+    scope: dict = {}
+    exec(text, scope)  # noqa: S102
+    assert "not held" not in text
+    quad = multirotor.Multirotor(scope["quad_params"])
+    weight = MASS * 9.80665
+    hover = np.full(4, np.sqrt(weight / (4 * 1.11e-5)))
+    v = np.array([1.2, -0.7, 0.4])
+    still, _ = quad.compute_body_wrench(np.zeros(3), hover, np.zeros(3))
+    force, moment = quad.compute_body_wrench(np.zeros(3), hover, v)
+    expected = -0.04 * np.linalg.norm(v) * v - np.array([0.3, 0.3, 0.5]) * v
+    expected[2] += 0.006 * (v[0] ** 2 + v[1] ** 2) * weight
+    np.testing.assert_allclose(force - still, expected, rtol=1e-6)
+    # Rotors sit 1 cm above the centre of mass: their drag also turns the vehicle.
+    lever = np.cross([0.0, 0.0, 0.01], np.array([-0.3, -0.3, 0.0]) * v)
+    np.testing.assert_allclose(moment - lever, 0.02 * np.array([v[1], -v[0], 0.0]), rtol=1e-6, atol=1e-12)
+
+
 def test_urdf_carries_the_tensor_with_its_signs():
     root = ET.fromstring(export(document(), "urdf"))  # noqa: S314
     inertia = root.find("link/inertial/inertia")
@@ -229,8 +321,8 @@ def test_csv_says_what_was_identified_and_what_declared():
         "identified",
     )
     assert (rows["torque_to_thrust_m"]["std"], rows["torque_to_thrust_m"]["source"]) == ("", "declared")
-    assert float(rows["rotor_drag_x_kg_s"]["value"]) == 0.3
-    assert rows["rotor_drag_x_kg_s"]["source"] == "identified"
+    assert float(rows["d_x_kg_s"]["value"]) == 0.3
+    assert rows["d_x_kg_s"]["source"] == "identified"
 
 
 def test_the_vehicle_file_declares_what_was_identified():

@@ -117,8 +117,12 @@ def weight(vehicle: Vehicle) -> float:
 
 
 def wrench_of(effects: Mapping[str, Mapping[str, Mapping[str, float]]], vehicle: Vehicle) -> Callable[[Signals], Array]:
-    """Total body wrench (k, 6) of a model document's effects, name -> parameter -> {value, std}; settings among them."""
-    known = [(library()[name], values) for name, values in effects.items() if name in library()]
+    """Total body wrench (k, 6) of a model document's effects, name -> parameter -> {value, std}; settings among them.
+
+    A second finding of an effect stands under "name/2".
+    """
+    named = [(name.partition("/")[0], values) for name, values in effects.items()]
+    known = [(library()[name], values) for name, values in named if name in library()]
 
     def wrench(signals: Signals) -> Array:
         total = np.zeros((len(signals.t_s), 6))

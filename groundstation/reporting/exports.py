@@ -8,6 +8,9 @@ A *model document* is a plain dictionary that carries everything a prediction ne
      "model": {"rotor_lag_up_s": {"value": 0.045, "std": 0.001}},
      "effects": {"rotor_drag": {"d_x_kg_s": {"value": 0.3, "std": 0.01}}},
      "not_identifiable": ["com_offset_z_m"]}
+
+An effect that is found more than once (two weak rotors) has the later ones under "weak_rotor/2" and so on. Settings of an effect
+(which rotor, since when) stand among its parameters, without a spread.
 """
 
 from __future__ import annotations
@@ -38,9 +41,10 @@ def model_document(
     if diagnosis is not None and diagnosis.findings:
         parameters |= diagnosis.parameters_after
         for finding in diagnosis.findings:
-            effects.setdefault(finding.effect, {}).update(_values(finding.parameters))
+            again = sum(name.partition("/")[0] == finding.effect for name in effects)
+            entry = effects[f"{finding.effect}/{again + 1}" if again else finding.effect] = _values(finding.parameters)
             if finding.rotor is not None:
-                effects[finding.effect]["rotor"] = {"value": float(finding.rotor), "std": 0.0}
+                entry["rotor"] = {"value": float(finding.rotor), "std": 0.0}
     return {
         "schema": SCHEMA,
         "flight": identification.flight,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +15,12 @@ from groundstation.vehicle import Vehicle, vehicle_from_dict, vehicle_to_dict
 
 Array = NDArray[np.float64]
 
+IN_THE_VEHICLE = frozenset({"motor_lag", "thrust_scale", "torque_scale"})
+"""Effects whose parameters are numbers of a vehicle file."""
+OF_THE_SENSORS = frozenset({"clock_offset", "imu_misalignment", "mocap_misalignment", "mocap_tilt"})
+"""Findings about clocks and frames, which no vehicle model holds."""
+_ROTOR_CONSTANTS = ("thrust_coefficient_n_s2", "torque_to_thrust_m")
+
 
 @dataclass(frozen=True, slots=True)
 class Identified:
@@ -23,32 +29,43 @@ class Identified:
     Attributes:
         vehicle: validated, with the identified values in place.
         com_offset_m: centre of mass in the body, from the declared origin, shape (3,).
+        rotor_effectiveness: thrust of each rotor as a share of what it should give, shape (n,).
         rotor_drag_kg_s: force against horizontal air speed at hover, body x and y; zero where none was found.
-        damping_nm_s: angular damping about x, y, z; zero where none was found.
+        damping_nms: angular damping about x, y, z; zero where none was found.
+        climb_damping_kg_s: thrust lost per climb speed, at hover.
         delay_s: pure delay from command to thrust.
+        effects: every effect that was found, with its parameters.
         std: standard deviation of each identified parameter; what is not in here was declared.
-        lost: what was identified and is in none of these fields, by name.
     """
 
     vehicle: Vehicle
     flight: str
     method: str
     com_offset_m: Array
+    rotor_effectiveness: Array
     rotor_drag_kg_s: Array
-    damping_nm_s: Array
+    damping_nms: Array
+    climb_damping_kg_s: float
     delay_s: float
+    effects: Mapping[str, Mapping[str, float]]
     std: Mapping[str, float]
-    lost: tuple[str, ...]
 
-    def provenance(self) -> list[str]:
-        """Sentences for a file's head: where mass and tensor come from."""
+    def provenance(self, held: Collection[str] = ()) -> list[str]:
+        """Sentences for a file's head: where the numbers come from, and which effects the format does not hold."""
         declared = [name for name in MASS_AND_TENSOR if name not in self.std]
+        lost = sorted({name.partition("/")[0] for name in self.effects} - IN_THE_VEHICLE - OF_THE_SENSORS - set(held))
         sentences = [f"Identified from flight {self.flight or 'unnamed'} by {self.method or 'no method'}."]
         if declared:
             sentences.append(f"Not identified, declared values kept: {', '.join(declared)}.")
-        if self.lost:
-            sentences.append(f"Found but not held by this format: {', '.join(self.lost)}.")
+        if lost:
+            sentences.append(f"Found, and not held by this file: {', '.join(lost)}.")
+        if self.delay_s > 0.0 and "input_delay" not in held:
+            sentences.append(f"The delay of {self.delay_s:.4f} s from command to thrust is not held by this file.")
         return sentences
+
+    def mean_lag_s(self) -> float:
+        """One lag for simulators that know one."""
+        return 0.5 * (self.vehicle.rotors.lag.up_s + self.vehicle.rotors.lag.down_s)
 
     def hover_speed_sum_rad_s(self) -> float | None:
         """Sum of the rotor speeds that carry the weight; None without a thrust coefficient."""
@@ -75,10 +92,6 @@ class Identified:
             )
 
 
-_ROTOR_KEYS = ("thrust_coefficient_n_s2", "torque_to_thrust_m")
-_EFFECTS_HELD = {"rotor_drag", "com_offset", "angular_damping", "motor_lag", "input_delay"}
-
-
 def identified_from_document(document: Mapping[str, Any]) -> Identified:
     """Put a model document's estimates into its declared vehicle.
 
@@ -88,36 +101,26 @@ def identified_from_document(document: Mapping[str, Any]) -> Identified:
     try:
         declared = vehicle_from_dict(dict(document["vehicle"]), "the model's vehicle")
         flat = {**_flat(document["parameters"]), **_flat(document.get("model", {}))}
-        effects = {name: _flat(values) for name, values in document.get("effects", {}).items()}
+        found = {name: _flat(values) for name, values in document.get("effects", {}).items()}
     except (KeyError, TypeError, AttributeError) as error:
         raise BadInput(f"the model document lacks {error}; write it again with `groundstation identify`.") from None
-    for values in effects.values():
+    for values in found.values():
         flat |= values
     value = {name: pair[0] for name, pair in flat.items()}
-
-    updated = vehicle_to_dict(declared)
-    body, rotors = updated["vehicle"], updated["rotors"]
-    body["mass_kg"] = value.get("mass_kg", body["mass_kg"])
-    for name in MASS_AND_TENSOR[1:]:
-        body["inertia_kg_m2"][name[1:3]] = value.get(name, body["inertia_kg_m2"][name[1:3]])
-    for name in _ROTOR_KEYS:
-        if name in value and name in rotors:
-            rotors[name] = value[name]
-    if "thrust_curve" in rotors:
-        rotors["thrust_curve"] = [value.get(f"thrust_curve_c{i}_n", c) for i, c in enumerate(rotors["thrust_curve"])]
-    for side in ("up", "down"):
-        if f"rotor_lag_{side}_s" in value:
-            rotors["lag"][f"{side}_s"] = max(0.0, value[f"rotor_lag_{side}_s"])
+    effects = {name: {key: pair[0] for key, pair in values.items()} for name, values in found.items()}
+    drag = effects.get("rotor_drag", {})
     return Identified(
-        vehicle=vehicle_from_dict(updated, "the identified vehicle"),
+        vehicle=_updated(declared, value),
         flight=str(document.get("flight", "")),
         method=str(document.get("method", "")),
-        com_offset_m=_vector(value, "com_offset_{}_m"),
-        rotor_drag_kg_s=_vector(value, "d_{}_kg_s")[:2],
-        damping_nm_s=_vector(effects.get("angular_damping", {}), "d_{}_nm_s"),
+        com_offset_m=np.array([value.get(f"com_offset_{axis}_m", 0.0) for axis in "xyz"]),
+        rotor_effectiveness=_effectiveness(declared.rotors.count, effects),
+        rotor_drag_kg_s=np.array([drag.get(f"d_{axis}_kg_s", 0.0) for axis in "xy"]),
+        damping_nms=np.array([value.get(f"damping_{axis}_nms", 0.0) for axis in "xyz"]),
+        climb_damping_kg_s=effects.get("climb_inflow", {}).get("k_kg_s", value.get("damping_climb_kg_s", 0.0)),
         delay_s=max(0.0, value.get("input_delay_s", 0.0)),
+        effects=effects,
         std={name: pair[1] for name, pair in flat.items()},
-        lost=tuple(sorted(set(effects) - _EFFECTS_HELD)),
     )
 
 
@@ -125,6 +128,28 @@ def _flat(estimates: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
     return {name: (float(e["value"]), float(e["std"])) for name, e in estimates.items()}
 
 
-def _vector(values: Mapping[str, Any], pattern: str) -> Array:
-    found = [values.get(pattern.format(axis), 0.0) for axis in "xyz"]
-    return np.array([v[0] if isinstance(v, tuple) else v for v in found], dtype=float)
+def _updated(declared: Vehicle, value: Mapping[str, float]) -> Vehicle:
+    """The declared vehicle with identified mass, tensor, rotor constants and lag."""
+    document = vehicle_to_dict(declared)
+    body, rotors = document["vehicle"], document["rotors"]
+    body["mass_kg"] = value.get("mass_kg", body["mass_kg"])
+    for name in MASS_AND_TENSOR[1:]:
+        body["inertia_kg_m2"][name[1:3]] = value.get(name, body["inertia_kg_m2"][name[1:3]])
+    for name in _ROTOR_CONSTANTS:
+        if name in value and name in rotors:
+            rotors[name] = value[name]
+    if "thrust_curve" in rotors:
+        rotors["thrust_curve"] = [value.get(f"thrust_curve_c{i}_n", c) for i, c in enumerate(rotors["thrust_curve"])]
+    for side in ("up", "down"):
+        if f"rotor_lag_{side}_s" in value:
+            rotors["lag"][f"{side}_s"] = max(0.0, value[f"rotor_lag_{side}_s"])
+    return vehicle_from_dict(document, "the identified vehicle")
+
+
+def _effectiveness(count: int, effects: Mapping[str, Mapping[str, float]]) -> Array:
+    """What weak rotors leave of their thrust."""
+    share = np.ones(count)
+    for name, values in effects.items():
+        if name.partition("/")[0] == "weak_rotor" and "rotor" in values:
+            share[int(values["rotor"]) - 1] -= values.get("loss", 0.0)
+    return share

@@ -56,11 +56,6 @@ def _child(parent: ET.Element, tag: str, text: str | None = None, **attributes: 
     return node
 
 
-def _mean_lag_s(model: Identified) -> float:
-    lag = model.vehicle.rotors.lag
-    return 0.5 * (lag.up_s + lag.down_s)
-
-
 def to_csv(model: Identified) -> str:
     """One line per number: name, value, standard deviation, unit, identified or declared."""
     out = io.StringIO()
@@ -68,10 +63,11 @@ def to_csv(model: Identified) -> str:
     writer.writerow(["name", "value", "std", "unit", "source"])
     values = model.vehicle.parameters()
     values |= {f"com_offset_{a}_m": v for a, v in zip("xyz", model.com_offset_m, strict=True)}
-    values |= {f"rotor_drag_{a}_kg_s": v for a, v in zip("xy", model.rotor_drag_kg_s, strict=True)}
+    values |= {f"d_{a}_kg_s": v for a, v in zip("xy", model.rotor_drag_kg_s, strict=True)}
+    values |= {f"damping_{a}_nms": v for a, v in zip("xyz", model.damping_nms, strict=True)}
     values["input_delay_s"] = model.delay_s
     for name, value in values.items():
-        std = model.std.get(name.replace("rotor_drag", "d"))
+        std = model.std.get(name)
         source = "identified" if std is not None else "declared"
         writer.writerow([name, repr(float(value)), "" if std is None else repr(std), split_unit(name)[1], source])
     return out.getvalue()
@@ -130,23 +126,17 @@ def to_px4_sih(model: Identified) -> str:
         "SIH_Q_MAX": top * vehicle.rotors.torque_to_thrust_m,
         "SIH_L_ROLL": float(np.mean(np.abs(position[:, 1]))),
         "SIH_L_PITCH": float(np.mean(np.abs(position[:, 0]))),
-        "SIH_KDV": float(np.mean(model.rotor_drag_kg_s)),
-        "SIH_KDW": float(np.mean(model.damping_nm_s)),
-        "SIH_T_TAU": _mean_lag_s(model),
+        "SIH_KDV": max(0.0, float(np.mean(model.rotor_drag_kg_s))),
+        "SIH_KDW": max(0.0, float(np.mean(model.damping_nms))),
+        "SIH_T_TAU": model.mean_lag_s(),
     }
-    lost = []
-    if np.any(model.com_offset_m):
-        lost.append("centre-of-mass offset")
-    if model.delay_s > 0.0:
-        lost.append(f"input delay of {model.delay_s:.4f} s")
-    if vehicle.rotors.lag.up_s != vehicle.rotors.lag.down_s:
-        lost.append("different lags up and down (their mean is written)")
+    offset = " ".join(_number(v) for v in model.com_offset_m)
     notes = [
-        *model.provenance(),
+        *model.provenance({"rotor_drag", "angular_damping"}),
         "Axes are FRD: I_xy and I_xz have the sign opposite to FLU. SI units.",
         "SIH thrust is linear in the command; SIH_T_MAX is the thrust of one rotor at full command.",
         f"PX4 motors 1 to 4 are rotors {', '.join(str(i + 1) for i in order)} of the vehicle file.",
-        f"SIH has no place for: {', '.join(lost) or 'nothing that was found'}.",
+        f"SIH has its centre of mass at the origin (here it is at {offset} m, FLU) and one lag, the mean of up and down.",
     ]
     lines = [f"1\t1\t{name}\t{_number(value)}\t9" for name, value in values.items()]
     return _hash_comment(notes) + "#\n# Vehicle-Id Component-Id Name Value Type\n" + "\n".join(lines) + "\n"
@@ -174,7 +164,9 @@ def to_urdf(model: Identified) -> str:
     vehicle = model.vehicle
     root = ET.Element("robot", name=_identifier(vehicle.name))
     root.append(
-        _comment([*model.provenance(), "SI units; x forward, y left, z up; products are the tensor's entries."])
+        _comment(
+            [*model.provenance({"com_offset"}), "SI units; x forward, y left, z up; products are the tensor's entries."]
+        )
     )
     link = _child(root, "link", name="base_link")
     _inertial(link, vehicle.mass_kg, model.com_offset_m, vehicle.inertia_tensor(), urdf=True)
@@ -215,7 +207,7 @@ def to_sdf(model: Identified) -> str:
     root = ET.Element("sdf", version="1.9")
     body = _child(root, "model", name=_identifier(vehicle.name))
     notes = [
-        *model.provenance(),
+        *model.provenance({"com_offset", "rotor_drag", "weak_rotor"}),
         "SI units; x forward, y left, z up; products are the tensor's entries about the centre of mass.",
     ]
     notes.append("motorConstant: N s^2 (T = k Omega^2); momentConstant: m (Q = c T); time constants: s.")
@@ -260,7 +252,7 @@ def _motor_plugin(body: ET.Element, model: Identified, index: int) -> None:
         "timeConstantUp": _number(rotors.lag.up_s),
         "timeConstantDown": _number(rotors.lag.down_s),
         "maxRotVelocity": _number(rotors.speed_max_rad_s or 0.0),
-        "motorConstant": _number(rotors.thrust_coefficient_n_s2 or 0.0),
+        "motorConstant": _number(model.rotor_effectiveness[index] * (rotors.thrust_coefficient_n_s2 or 0.0)),
         "momentConstant": _number(rotors.torque_to_thrust_m),
         "commandSubTopic": "command/motor_speed",
         "motorNumber": str(index),
@@ -288,7 +280,7 @@ def to_mjcf(model: Identified) -> str:
     root.append(
         _comment(
             [
-                *model.provenance(),
+                *model.provenance({"com_offset", "weak_rotor"}),
                 "SI units; x forward, y left, z up; fullinertia is xx yy zz xy xz yz, entries of the tensor about the centre of mass.",
                 f"Controls are rotor thrusts in newton ({curve}); the mean of the lags up and down acts on the thrust.",
             ]
@@ -306,12 +298,12 @@ def to_mjcf(model: Identified) -> str:
         _child(body, "site", name=f"rotor{i}", pos=_numbers(position))
     _child(body, "site", name="imu", pos=_numbers(vehicle.imu.position_m))
     actuators = _child(root, "actuator")
-    lag, top = _mean_lag_s(model), vehicle.rotor_thrust_max_n()
-    for i, spin in enumerate(rotors.spin, start=1):
+    lag, top = model.mean_lag_s(), vehicle.rotor_thrust_max_n()
+    for i, (spin, share) in enumerate(zip(rotors.spin, model.rotor_effectiveness, strict=True), start=1):
         attributes = {
             "name": f"rotor{i}",
             "site": f"rotor{i}",
-            "gear": f"0 0 1 0 0 {_number(-spin * rotors.torque_to_thrust_m)}",
+            "gear": f"0 0 {_number(share)} 0 0 {_number(-spin * rotors.torque_to_thrust_m * share)}",
         }
         if np.isfinite(top):
             attributes["ctrlrange"] = f"0 {_number(top)}"
@@ -324,8 +316,15 @@ def to_mjcf(model: Identified) -> str:
     return _xml(root)
 
 
+_ROTORPY_HOLDS = ("com_offset", "rotor_drag", "climb_inflow", "body_drag", "translational_lift", "flapping_moment")
+
+
 def to_rotorpy(model: Identified) -> str:
-    """A Python module with RotorPy's ``quad_params``. Its positions are from the centre of mass; +direction is +torque about z."""
+    """A Python module with RotorPy's ``quad_params``. Positions are from the centre of mass; +direction is +torque about z.
+
+    Rotor coefficients are per rotor and rotor speed: those found at hover, shared out over the hover speeds; lift at hover
+    thrust. RotorPy's flapping moment has the sign opposite to ours (ours lifts the nose when flying forward).
+    """
     rotors = model.vehicle.rotors
     if rotors.thrust_coefficient_n_s2 is None or rotors.speed_max_rad_s is None:
         raise BadInput(
@@ -333,9 +332,11 @@ def to_rotorpy(model: Identified) -> str:
         )
     k = rotors.thrust_coefficient_n_s2
     tensor = model.vehicle.inertia_kg_m2
-    drag = float(np.mean(model.rotor_drag_kg_s)) / (model.hover_speed_sum_rad_s() or 1.0)
+    speed_sum = model.hover_speed_sum_rad_s() or 1.0
+    lift = model.effects.get("translational_lift", {}).get("lift_s2_m2", 0.0)
+    weight = model.vehicle.mass_kg * model.vehicle.gravity_m_s2
     lines = [
-        '"""' + " ".join(_safe(s) for s in model.provenance()),
+        '"""' + " ".join(_safe(s) for s in model.provenance(_ROTORPY_HOLDS)),
         "",
         "SI units; x forward, y left, z up.",
         '"""',
@@ -349,14 +350,14 @@ def to_rotorpy(model: Identified) -> str:
     lines += ["    },", f"    'rotor_directions': np.array({[-s for s in rotors.spin]!r}),"]
     lines.append(f"    'rI': np.array({(np.asarray(model.vehicle.imu.position_m) - model.com_offset_m).tolist()!r}),")
     rest = {
-        **{f"c_D{axis}": 0.0 for axis in "xyz"},
+        **{f"c_D{axis}": model.effects.get("body_drag", {}).get("c_kg_m", 0.0) for axis in "xyz"},
         "k_eta": k,
         "k_m": k * rotors.torque_to_thrust_m,
-        "k_d": drag,
-        "k_z": 0.0,
-        "k_h": 0.0,
-        "k_flap": 0.0,
-        "tau_m": _mean_lag_s(model),
+        "k_d": float(np.mean(model.rotor_drag_kg_s)) / speed_sum,
+        "k_z": model.climb_damping_kg_s / speed_sum,
+        "k_h": lift * weight / rotors.count,
+        "k_flap": -model.effects.get("flapping_moment", {}).get("k_nm_s_m", 0.0) / speed_sum,
+        "tau_m": model.mean_lag_s(),
         "rotor_speed_min": 0.0,
         "rotor_speed_max": rotors.speed_max_rad_s,
         "motor_noise_std": 0.0,
