@@ -13,9 +13,10 @@ from drivers.mavlink.dialect import Message, mavlink
 from drivers.mavlink.exchange import Ask, Steps, listen
 
 PIECE = 90
-STRETCH = 64 * PIECE
+STRETCH = 512 * PIECE
 _SILENCE_S = 0.6
 _PATIENCE = 12
+_ROUNDS = 40
 
 
 class LogError(Exception):
@@ -79,17 +80,20 @@ class Logs:
         """Pieces of [begin, begin + count) by offset; asks again for what is missing."""
         pieces: dict[int, bytes] = {}
         wanted = set(range(begin, begin + count, PIECE))
-        for _ in range(4):
-            missing = sorted(wanted - pieces.keys())
+        for _ in range(_ROUNDS):
+            missing = wanted - pieces.keys()
             if not missing:
                 break
-            first, last = missing[0], min(missing[-1] + PIECE, begin + count)
+            first = last = min(missing)
+            while last in missing:
+                last += PIECE
+            last = min(last, begin + count)
             ask = mavlink.MAVLink_log_request_data_message(*self._address, entry.number, first, last - first)
             m = yield Ask((ask,), _piece_of(entry.number), _SILENCE_S, 1)
             while m is not None:
                 if begin <= m.ofs < begin + count and m.count:
                     pieces[m.ofs] = bytes(m.data[: m.count])
-                if not wanted - pieces.keys():
+                if m.ofs + PIECE >= last:
                     break
                 m = yield listen(_piece_of(entry.number), _SILENCE_S)
         return pieces

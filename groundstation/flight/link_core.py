@@ -50,6 +50,7 @@ class Options:
         set_parameters: set the settable ones for the flight, and restore them afterwards.
         bytes_per_s: what the line carries; None where that is no limit.
         keep_raw: raw frames become samples too.
+        quiet: ask for no messages and read no parameters: for fetching files alone.
     """
 
     system: int | None = None
@@ -57,6 +58,7 @@ class Options:
     set_parameters: bool = False
     bytes_per_s: float | None = None
     keep_raw: bool = True
+    quiet: bool = False
 
 
 @dataclass(slots=True)
@@ -272,7 +274,8 @@ class LinkCore:
         self._telemetry = Telemetry(
             self.vehicle.rotors.count, system=profile.system, imu=profile.imu, pwm_us=profile.pwm_us
         )
-        self.converse(self._prepare(profile))
+        if not self.options.quiet:
+            self.converse(self._prepare(profile))
         self.trouble = "asking the vehicle for its messages and parameters"
         self._tell(out, now_s, "link", f"{profile.name} heard as system {profile.system} from {peer}")
 

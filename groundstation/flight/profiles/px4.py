@@ -43,12 +43,12 @@ class Px4(Profile):
     setpoint_timeout_s = 1.0
     log_suffix = ".ulg"
     streams = (
-        StreamWish("HIGHRES_IMU", 250.0, 50.0, "rates and specific force: the motion the inertia shows in"),
+        StreamWish("HIGHRES_IMU", 250.0, 20.0, "rates and specific force: the motion the inertia shows in"),
         StreamWish("ACTUATOR_OUTPUT_STATUS", 250.0, 0.0, "motor commands with full digits"),
-        StreamWish("SERVO_OUTPUT_RAW", 250.0, 50.0, "motor commands: what caused the motion"),
+        StreamWish("SERVO_OUTPUT_RAW", 250.0, 20.0, "motor commands: what caused the motion"),
         StreamWish("ESC_STATUS", 100.0, 0.0, "rotor speeds, where the ESCs report them"),
-        StreamWish("ATTITUDE_QUATERNION", 100.0, 20.0, "tilt for the guard, attitude for the record"),
-        StreamWish("LOCAL_POSITION_NED", 100.0, 20.0, "position for guard and record"),
+        StreamWish("ATTITUDE_QUATERNION", 100.0, 10.0, "tilt for the guard, attitude for the record"),
+        StreamWish("LOCAL_POSITION_NED", 100.0, 10.0, "position for guard and record"),
         StreamWish("ODOMETRY", 100.0, 0.0, "the whole state with one stamp, and estimator resets"),
         StreamWish("BATTERY_STATUS", 20.0, 0.2, "battery voltage for guard and thrust model"),
         StreamWish("EXTENDED_SYS_STATE", 10.0, 0.5, "landed or not"),

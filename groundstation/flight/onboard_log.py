@@ -1,0 +1,103 @@
+"""The onboard log after landing: which one it is, fetch it with progress, resume a fetch that broke off.
+
+What came is kept in ``NAME.part`` until the log is whole, so that a second try goes on where the first stopped. Logs are
+told apart by what was there before: ids are in no order of time, so the newest by time stamp counts, else the highest id.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import Any
+
+from drivers.mavlink.exchange import Conversation
+from drivers.mavlink.logs import LogEntry, LogError, Logs
+from drivers.mavlink.transports import open_transport
+from groundstation.errors import Refused
+from groundstation.flight.link import bandwidth_of
+from groundstation.flight.link_core import LinkCore, Options
+from groundstation.flight.station import load_station
+from groundstation.vehicle import Vehicle
+
+FIND_S = 15.0
+STEP_S = 0.005
+
+
+def newest(entries: list[LogEntry]) -> LogEntry | None:
+    """The log of the flight just flown."""
+    return max(entries, key=lambda e: (e.time_utc_s, e.number), default=None)
+
+
+def fetch_onboard_log(
+    url: str,
+    vehicle: Vehicle,
+    folder: Path,
+    progress: Callable[[float, str], None] = lambda _f, _t: None,
+    *,
+    number: int | None = None,
+    timeout_s: float = 600.0,
+    clock: Callable[[], float] = time.monotonic,
+) -> Path:
+    """Fetch the newest onboard log (or one by number) into ``folder/onboard.ulg`` or ``.bin``.
+
+    Raises:
+        Refused: no vehicle, no log, or it stopped; what came so far is kept, and the next call goes on from there.
+        ConnectionError: the link cannot be opened.
+    """
+    transport = open_transport(url)
+    options = Options(bytes_per_s=bandwidth_of(url), keep_raw=False, quiet=True)
+    core = LinkCore(vehicle, load_station(), options)
+    deadline = clock() + timeout_s
+
+    def turn() -> None:
+        transport.wait(STEP_S)
+        for data in core.step(clock(), transport.read(), datagrams=transport.datagrams).send:
+            transport.write(data)
+
+    def run(steps: Generator[Any, Any, Any]) -> Any:
+        talk: Conversation[Any] = core.converse(steps)
+        while not talk.done:
+            if clock() > deadline:
+                talk.cancel()
+                raise Refused(f"the log did not come within {timeout_s:g} s.", "Fetch it again; it resumes.")
+            turn()
+        if talk.error is not None:
+            raise talk.error
+        return talk.result
+
+    try:
+        found_by = clock() + FIND_S
+        while core.view is None:
+            if clock() > found_by:
+                raise Refused("no vehicle is heard on the link.", transport.trouble or "Check it, and fetch again.")
+            turn()
+        profile = core.view.profile
+        logs = Logs(profile.system, profile.component)
+        entries: list[LogEntry] = run(logs.list())
+        entry = newest(entries) if number is None else next((e for e in entries if e.number == number), None)
+        if entry is None:
+            known = ", ".join(str(e.number) for e in entries) or "none"
+            raise Refused("the vehicle offers no such log.", f"Logs on board: {known}. Is logging switched on?")
+        part = folder / f"onboard-{entry.number}.part"
+        had = part.read_bytes() if part.is_file() else b""
+        begun = clock()
+
+        def tell(count: int, size: int) -> None:
+            speed = (count - len(had)) / max(clock() - begun, 1e-3)
+            progress(
+                count / size,
+                f"onboard log {entry.number}: {count / 1e6:.1f} of {size / 1e6:.1f} MB, {speed / 1e3:.0f} kB/s",
+            )
+
+        try:
+            data = run(logs.fetch(entry, had, tell))
+        except LogError as error:
+            part.write_bytes(error.args[1])
+            raise Refused(f"{error.args[0]}.", f"What came is in {part}; fetch again to go on.") from None
+        path = folder / f"onboard{profile.log_suffix}"
+        path.write_bytes(data)
+        part.unlink(missing_ok=True)
+        return path
+    finally:
+        transport.close()
