@@ -287,10 +287,11 @@ def test_quaternions_far_from_unit_throughout(bundle):
     refused(bundle, "mocap", "qw", "unit length")
 
 
+@pytest.mark.parametrize("scale", [1.2, 2.0])
 @pytest.mark.parametrize("kept", [("mocap.csv", "state.csv"), ("state.csv",), ()])
-def test_a_gyro_in_degrees(tmp_path, kept):
+def test_a_gyro_in_degrees(tmp_path, kept, scale):
     """Told from the poses, or from the vehicle's own estimate, or from what the rotors can do."""
-    folder = write_bundle(flight(scale=2.0), tmp_path / "b")
+    folder = write_bundle(flight(scale=scale), tmp_path / "b")
     for name in {"mocap.csv", "state.csv"} - set(kept):
         (folder / name).unlink()
     for axis in "xyz":
