@@ -118,6 +118,12 @@ def repair(series: FourierSeries, problem: Problem, inner: FourierSeries, step: 
     return candidate
 
 
+def repair_about_start(series: FourierSeries, problem: Problem, step: float = 1e-8) -> FourierSeries:
+    """:func:`repair` toward the inner motion at the series' own start."""
+    start = series.derivatives(0.0, 0)[0, 0] if problem.start is None else np.array(problem.start)
+    return repair(series, problem, inner_motion(problem, start), step)
+
+
 def random_start(problem: Problem, rng: np.random.Generator) -> Array:
     """Unknowns of a random motion that keeps every limit and uses most of one of them."""
     start = np.array(problem.start if problem.start is not None else _middle(problem))
@@ -207,9 +213,7 @@ def _polish(problem: Problem, exchange: _Exchange, unknowns: Array) -> FourierSe
         if largest_violation(series, problem.envelopes) < VIOLATION_TOLERANCE:
             break
         phases = _merge(phases, exchange.touched(series))
-    series = problem.series(unknowns)
-    start = series.derivatives(0.0, 0)[0, 0] if problem.start is None else np.array(problem.start)
-    return repair(series, problem, inner_motion(problem, start))
+    return repair_about_start(problem.series(unknowns), problem)
 
 
 def best_of(

@@ -65,12 +65,12 @@ def family_series(family: Family, problem: Problem) -> FourierSeries:
             f"{problem.duration_s:g} s are too short for a {family.name} from {family.band_hz[0]:g} to "
             f"{family.band_hz[1]:g} Hz; fly it for about {needed:.0f} s or leave it out."
         )
-    task = replace(problem, base_frequency_rad_s=base, harmonics=highest, start=_inside(problem))
+    task = replace(problem, base_frequency_rad_s=base, harmonics=highest, start=roomy_start(problem))
     waves = _sweeps(task, lowest) if sweep else _multisines(lowest, highest)
-    return _fill(waves, task)
+    return fill(waves, task)
 
 
-def _inside(problem: Problem) -> tuple[float, float, float, float]:
+def roomy_start(problem: Problem) -> tuple[float, float, float, float]:
     """The problem's start where it has room to all sides, else the middle of the room."""
     middle = [0.0, 0.0, 1.0, 0.0]
     low, high = problem.room[2]
@@ -97,7 +97,7 @@ def _multisines(lowest: int, highest: int) -> Array:
         size = 1.0 if channel == 3 else 1.0 / used
         waves[channel, 0, used - 1] = size * np.real(flat)
         waves[channel, 1, used - 1] = -size * np.imag(flat)
-        waves[channel] = _resting(waves[channel], used)
+        waves[channel] = resting(waves[channel], used)
     return waves
 
 
@@ -112,7 +112,7 @@ def _low_peak_phases(harmonics: NDArray[np.intp], phase: Array, rounds: int = 20
     return phase
 
 
-def _resting(wave: Array, used: NDArray[np.intp]) -> Array:
+def resting(wave: Array, used: NDArray[np.intp]) -> Array:
     """The nearest [a, b] on the same harmonics that starts and ends at rest, shape (2, n)."""
     conditions = np.zeros((2, 2 * len(used)))
     conditions[0, : len(used)], conditions[1, len(used) :] = 1.0, used
@@ -139,11 +139,11 @@ def _sweeps(problem: Problem, lowest: int) -> Array:
         # Rate is Re(sum (a - i b) e^{ilt}); acceleration is its derivative.
         rate = np.asarray(spectrum if channel == 3 else spectrum / (1j * used), dtype=np.complex128)
         waves[channel, 0, used - 1], waves[channel, 1, used - 1] = rate.real, -rate.imag
-        waves[channel] = _resting(waves[channel], used)
+        waves[channel] = resting(waves[channel], used)
     return waves
 
 
-def _fill(waves: Array, problem: Problem) -> FourierSeries:
+def fill(waves: Array, problem: Problem) -> FourierSeries:
     """Each channel as large as its limits allow by itself, then all together drawn in until every limit is kept."""
     start = np.array(problem.start)
     inner = inner_motion(problem, start)
