@@ -62,3 +62,12 @@ def test_no_file_names_a_place_on_somebodys_machine():
         if path.is_file() and path != Path(__file__).resolve():
             match = homes.search(path.read_text(encoding="utf-8", errors="ignore"))
             assert match is None, f"{path.relative_to(ROOT)}: {match and match.group()}"
+
+
+def test_every_test_that_the_documents_name_exists():
+    text = (ROOT / "docs" / "requirements.md").read_text(encoding="utf-8")
+    tests = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").glob("test_*.py"))
+    for name in set(re.findall(r"`(test_\w+)`", text)):
+        assert f"def {name}(" in tests, name
+    for path in set(re.findall(r"`((?:tests|docs|\.ci|configs)/[\w./-]+)`", text)):
+        assert (ROOT / path).exists(), path
