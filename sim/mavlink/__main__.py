@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
+from pathlib import Path
 
-from groundstation.errors import GroundStationError
+from groundstation.errors import BadInput, GroundStationError
 from groundstation.paths import find_config
 from groundstation.vehicle import load_vehicle
 from sim.mavlink.process import DEFAULT_LINKS, Service, attach
@@ -22,7 +24,9 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
         epilog="example: python -P -m sim.mavlink --profile px4 --vehicle x500 --scenario clean --seed 1",
     )
     parser.add_argument("--profile", choices=sorted(DEFAULT_LINKS), required=True, help="whose manners it has")
-    parser.add_argument("--vehicle", required=True, metavar="FILE", help="vehicle file, or the name of a shipped one")
+    parser.add_argument(
+        "--vehicle", default="x500", metavar="FILE", help="vehicle file, or the name of a shipped one (x500)"
+    )
     parser.add_argument("--scenario", metavar="FILE", help="scenario file or name; without one an ideal laboratory")
     parser.add_argument("--seed", type=int, default=0, help="of all noise")
     parser.add_argument(
@@ -34,6 +38,7 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
         "--clock-drift", type=float, metavar="SHARE", help="how much faster its clock runs than the host's"
     )
     parser.add_argument("--just-booted", action="store_true", help="begin with the start-up, not a minute after it")
+    parser.add_argument("--key-file", type=Path, metavar="FILE", help="32 bytes: sign and verify every frame")
     parser.add_argument(
         "--fault", action="append", default=[], metavar="NAME@SECONDS", help="something goes wrong then; repeatable"
     )
@@ -68,9 +73,21 @@ def _service(options: argparse.Namespace, vehicle) -> Service:  # type: ignore[n
     airframe.step(kind.TICK_US * 1e-6, (0.0,) * vehicle.rotors.count)  # compiles before the clock starts
     drift = DRIFT[options.profile] if options.clock_drift is None else options.clock_drift
     boot_s = 2.25 if options.just_booted else 60.0
-    autopilot = kind(vehicle, airframe, boot_s=boot_s, clock_drift=drift, seed=options.seed)
-    transports = attach(autopilot, tuple(options.link) or DEFAULT_LINKS[options.profile])
+    autopilot = kind(vehicle, airframe, boot_s=boot_s, clock_drift=drift, unix_s=time.time(), seed=options.seed)
+    transports = attach(autopilot, tuple(options.link) or DEFAULT_LINKS[options.profile], key=_key(options.key_file))
     return Service(autopilot, transports, speed=options.real_time, faults=schedule)
+
+
+def _key(path: Path | None) -> bytes | None:
+    if path is None:
+        return None
+    try:
+        key = path.read_bytes()
+    except OSError as error:
+        raise BadInput(f"--key-file {path}: cannot be read ({error.strerror}).") from None
+    if len(key) != 32:
+        raise BadInput(f"--key-file {path}: a signing key has 32 bytes, not {len(key)}.")
+    return key
 
 
 if __name__ == "__main__":

@@ -9,6 +9,8 @@ import time
 from collections.abc import Callable
 from types import FrameType
 
+from drivers.mavlink.codec import MavlinkCodec
+from drivers.mavlink.signing import Signing, signing_stamp
 from drivers.mavlink.transports import Peer, SerialTransport, Transport, open_transport
 from groundstation.errors import BadInput
 from sim.mavlink.autopilot import Autopilot
@@ -107,18 +109,23 @@ def open_link(url: str) -> Transport:
         raise BadInput(f"--link {url}: {error}.") from None
 
 
-def attach(autopilot: Autopilot, urls: tuple[str, ...]) -> dict[str, Transport]:
-    """Open the links and tell the autopilot of them; a serial line carries a tenth of its baud rate in bytes."""
+def attach(autopilot: Autopilot, urls: tuple[str, ...], *, key: bytes | None = None) -> dict[str, Transport]:
+    """Open the links and tell the autopilot of them.
+
+    A serial line carries a tenth of its baud rate in bytes. With a key every frame is signed, and unsigned ones are refused.
+    """
     transports: dict[str, Transport] = {}
     for url in urls:
         transport = open_link(url)
         transports[url] = transport
+        signing = None if key is None else Signing(key, signing_stamp(time.time()), link_id=len(transports))
+        codec = MavlinkCodec(autopilot.SYSTEM, 1, signing)
         kind = "station" if url.endswith(f":{STATION_PORT}") else "companion"
         if isinstance(transport, SerialTransport):
             baud = float(url.rpartition(":")[2]) if url.rpartition(":")[2].isdigit() else 57600.0
-            autopilot.add_link(url, "station", bytes_per_s=baud / 10)
+            autopilot.add_link(url, "station", bytes_per_s=baud / 10, codec=codec)
         else:
-            autopilot.add_link(url, kind)
+            autopilot.add_link(url, kind, codec=codec)
     return transports
 
 
