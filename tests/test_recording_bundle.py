@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from groundstation.errors import BadInput
 from groundstation.flightdata import Stream, motor_columns
 from groundstation.recording import convert, load_flight, read_recording, write_bundle
-from groundstation.vehicle import vehicle_to_dict
+from groundstation.vehicle import vehicle_from_dict, vehicle_to_dict
 from tests.recording_flight import flight, qball
 
 
@@ -424,3 +424,25 @@ def test_conversion_tells_what_was_lost_before_it_and_nothing_else(bundle, tmp_p
     recording.write_bytes(data[: len(data) // 2])
     assert [("cut off" in text) for text in convert(recording, tmp_path / "back")] == [True]
     assert any("cut off" in note for note in load_flight(tmp_path / "back").notes)
+
+
+def test_a_recording_of_another_kind_of_motors_than_the_given_vehicles_is_refused(bundle, tmp_path):
+    convert(bundle, tmp_path / "a.mcap")
+    document = vehicle_to_dict(qball())
+    document["rotors"]["input"] = "command"
+    refused(tmp_path / "a.mcap", "m1_rad_s", "m1_command", vehicle=vehicle_from_dict(document))
+
+
+def test_a_flight_by_the_wrench_alone(tmp_path):
+    made = flight(1.0)
+    document = vehicle_to_dict(made.vehicle)
+    document["rotors"]["input"] = "wrench"
+    vehicle = vehicle_from_dict(document)
+    wrench = made.vehicle.thrust(made.motors.values) @ made.vehicle.allocation().T
+    motors = Stream(made.motors.t_s, wrench, motor_columns("wrench", 4), made.motors.received_s)
+    folder = write_bundle(replace(made, vehicle=vehicle, motors=motors), tmp_path / "b")
+    convert(folder, tmp_path / "a.mcap")
+    for path in (folder, tmp_path / "a.mcap"):
+        loaded = load_flight(path)
+        assert np.array_equal(loaded.motors.values, wrench)
+        assert loaded.motors.columns == ("force_z_n", "torque_x_nm", "torque_y_nm", "torque_z_nm")

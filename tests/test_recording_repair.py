@@ -350,3 +350,15 @@ def test_tracking_that_is_lost_for_good_in_the_air_is_frozen_and_a_landed_vehicl
     values[:, 2], values[:, 3] = np.maximum(1.0 - 0.4 * t, 0.0), 1.0  # comes down at 0.4 m/s and stands
     flown = repair(replace(made, mocap=replace(stream, values=values), imu=None))
     assert said(flown, "mocap") == []
+
+
+def test_coarse_poses_of_a_vehicle_that_mostly_stands_are_no_reason_to_refuse(made):
+    """Rounded to 0.1 mm and 1 mrad, a vehicle at rest for 80 % of the time repeats its pose most of the time."""
+    stream = made.mocap
+    values = stream.values.copy()
+    values[: int(0.8 * len(values))] = values[0]
+    rng = np.random.default_rng(6)
+    values[:, :3] = np.round(values[:, :3] + rng.normal(size=(len(values), 3)) * 1e-5, 4)
+    values[:, 3:] = np.round(values[:, 3:], 3)
+    flown = repair(replace(made, mocap=replace(stream, values=values), imu=None))
+    assert len(flown.mocap) > 0.2 * len(stream)

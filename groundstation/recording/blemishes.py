@@ -138,12 +138,19 @@ def _hemisphere(quaternion: Array) -> Array:
     return quat_continuous(quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True))
 
 
-def frozen(t_s: Array, position_m: Array, quaternion: Array) -> Mask:
+def frozen(t_s: Array, position_m: Array, quaternion: Array, *, leap_m: float = 0.0, leap_rad: float = 0.0) -> Mask:
     """Poses that repeat their predecessor bit for bit while the vehicle moves.
 
     Measured poses carry noise, so that a repeated one is an old one, and when the tracker finds the vehicle again the pose
     leaps. Repeats are kept where the pose creeps away from them, or rests on the ground to the end: there a pose without
     noise is of a vehicle at rest.
+
+    Args:
+        t_s: increasing stamps, shape (k,).
+        position_m: shape (k, 3).
+        quaternion: shape (k, 4).
+        leap_m: mark only repeats that end with a leap of this length,
+        leap_rad: or of this angle.
     """
     pose = np.hstack([position_m, quaternion])
     repeats = np.concatenate([[False], np.all(pose[1:] == pose[:-1], axis=1)])
@@ -155,7 +162,7 @@ def frozen(t_s: Array, position_m: Array, quaternion: Array) -> Mask:
     steps = np.linalg.norm(np.diff(position_m[starts], axis=0), axis=1)
     turns = np.linalg.norm(quat_log(quat_multiply(quat_conjugate(q[starts[:-1]]), q[starts[1:]])), axis=1)
     pause = t_s[starts[1:]] - t_s[ends[:-1]]
-    slow = (steps < _REST_M_S * pause) & (turns < _REST_RAD_S * pause)
+    slow = (steps < np.maximum(_REST_M_S * pause, leap_m)) & (turns < np.maximum(_REST_RAD_S * pause, leap_rad))
     landed = position_m[-1, 2] <= float(np.min(position_m[:, 2])) + _GROUND_M
     resting = np.append(slow, landed)
     run = np.cumsum(~repeats) - 1

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from groundstation.errors import BadInput
-from groundstation.flightdata import FlightData, Stream
+from groundstation.flightdata import FlightData, Stream, motor_columns
 from groundstation.recording.autopilot import one_line
 from groundstation.recording.bundle import read_bundle
 from groundstation.recording.container import MAGIC as MCAP_MAGIC
@@ -95,6 +95,13 @@ def load_flight(
         raise BadInput(f"{path}: carries no vehicle; give its file with --vehicle FILE.")
     if "motors" not in recording.streams:
         raise BadInput(f"{path}: holds no motor samples; without them nothing can be identified.")
+    wanted = motor_columns(declared.rotors.input, declared.rotors.count)
+    if recording.streams["motors"].columns != wanted:
+        has = recording.streams["motors"].columns
+        raise BadInput(
+            f"{path}: the motors are recorded as {has[0]} to {has[-1]}, but the vehicle file asks for {wanted[0]} to "
+            f"{wanted[-1]}; give the file of this vehicle, with its own [rotors] input."
+        )
     flight = FlightData(
         name=recording.name,
         vehicle=declared,

@@ -183,14 +183,23 @@ def _repair_mocap(stream: Stream, name: str, vehicle: Vehicle) -> tuple[Stream, 
 
     drop("not numbers", lambda s: ~np.all(np.isfinite(s.values), axis=1))
     drop("quaternions far from unit length", lambda s: np.abs(np.linalg.norm(s.values[:, 3:], axis=1) - 1.0) > 0.1)
+    stuck = np.zeros(len(stream), bool)
+    stuck[keep] = _stuck(stream.select(keep))
     drop("frozen poses", lambda s: blemishes.frozen(s.t_s, s.values[:, :3], s.values[:, 3:]))
+    # Coarsely rounded poses of a vehicle at rest repeat too. They tell nothing new, but nothing is wrong with them.
+    harmless = causes["frozen poses"] & ~stuck
     drop("spikes", lambda s: blemishes.pose_spikes(s.t_s, s.values[:, :3], s.values[:, 3:]))
     drop("poses beyond a jump", lambda s: blemishes.jumps(s.t_s, s.values[:, :3], s.values[:, 3:]))
-    _refuse_past_half(name, causes, len(stream))
+    _refuse_past_half(name, {cause: mask & ~harmless for cause, mask in causes.items()}, len(stream))
     repaired = _unit_quaternions(stream.select(keep), 3)
     if not causes["frozen poses"].any():
         _refuse_mostly_gaps(name, repaired)
     return repaired, _said(name, causes, repaired, "left out")
+
+
+def _stuck(stream: Stream) -> Mask:
+    """Frozen poses that the next one leaps away from by 1 mm or 2 mrad: those the vehicle moved on from unseen."""
+    return blemishes.frozen(stream.t_s, stream.values[:, :3], stream.values[:, 3:], leap_m=1e-3, leap_rad=2e-3)
 
 
 def _unit_quaternions(stream: Stream, first: int) -> Stream:
