@@ -39,7 +39,7 @@ def coloured_covariance(influence: Array, residual: Array, period_s: float) -> A
     listened = np.zeros((length // 2 + 1, parameters, outputs), dtype=complex)
     listened[:, active] = np.fft.rfft(influence[:, active], length, axis=0)
     carried = weight[:, None, None] * np.matmul(listened, spectrum)
-    covariance = np.tensordot(carried, listened.conj(), axes=((0, 2), (0, 2))).real / length
+    covariance = np.real(np.tensordot(carried, listened.conj(), axes=((0, 2), (0, 2)))) / length
     return 0.5 * (covariance + covariance.T)
 
 
