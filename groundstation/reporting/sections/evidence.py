@@ -157,4 +157,5 @@ def add_residuals(page: Page, diagnosis: Diagnosis | None) -> None:
                 class_="pair",
             )
         )
-    page.section("residuals", "Residuals", *parts)
+    note = "The wrench that is left, smoothed over 0.2 s: above 2 Hz its density falls off by that alone."
+    page.section("residuals", "Residuals", element("p", note, class_="note"), *parts)

@@ -92,7 +92,7 @@ def _against_truth(name: str, estimate: Estimate, truth: Mapping[str, float]) ->
 
 
 def _method_table(identification: Identification, nominal: Mapping[str, float], truth: Mapping[str, float]) -> Markup:
-    """One row per parameter; the best method stands next to its name, then nominal and truth, then the others."""
+    """One row per parameter; next to its name the best method, then its bound, nominal and truth, then the others."""
 
     def method_column(method: str) -> Callable[[str, Scale], Markup]:
         def cell(name: str, scale: Scale) -> Markup:
@@ -106,12 +106,12 @@ def _method_table(identification: Identification, nominal: Mapping[str, float], 
     names = {f"{m}, best" if m == identification.best else m: m for m in _ordered(identification)}
     methods = {header: method_column(method) for header, method in names.items()}
     columns |= dict(list(methods.items())[:1])
+    if identification.bound:
+        columns["Cramér–Rao bound"] = lambda name, scale: _bound_cell(identification, name, scale)
     columns["nominal"] = lambda name, scale: _plain(nominal.get(name), scale)
     if truth:
         columns["true"] = lambda name, scale: _plain(truth.get(name), scale)
     columns |= methods
-    if identification.bound:
-        columns["Cramér–Rao bound"] = lambda name, scale: _bound_cell(identification, name, scale)
 
     extra = {n for m in identification.methods.values() for n in m.parameters} - set(MASS_AND_TENSOR)
     rows: list[list[Markup | str]] = []
@@ -126,7 +126,7 @@ def _method_table(identification: Identification, nominal: Mapping[str, float], 
     if truth:
         caption += " Third line: error against the simulated truth; ✓ the interval holds it, ✕ it does not."
     if identification.bound:
-        caption += " Last column: the least standard deviation any unbiased estimator can reach on this flight."
+        caption += " The bound is the least standard deviation any unbiased estimator can reach on this flight."
     return table(caption, ["parameter", *columns], rows, highlight=1 if identification.best in names.values() else None)
 
 
@@ -137,7 +137,7 @@ def _bound_cell(identification: Identification, name: str, scale: Scale) -> Mark
         return fragment("–")
     best = identification.methods.get(identification.best)
     estimate = best.parameters.get(name) if best else None
-    ratio = f"{identification.best} is {significant(estimate.std / bound, 2)} times it" if estimate else None
+    ratio = f"{identification.best}: {significant(estimate.std / bound, 2)} ×" if estimate else None
     return fragment(significant(bound * scale.factor, 2), element("small", ratio) if ratio else None)
 
 
