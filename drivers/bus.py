@@ -26,7 +26,7 @@ time is reached. The core grants more as it has digested what came: keep credit 
 Losing the station. A drone that was sent at least one Credit and then hears none for :data:`CREDIT_TIMEOUT_S` of wall
 time, or sees ``gs/core/alive`` vanish, no longer waits: it flies itself down, lands and disarms, publishing all the while.
 A lock-stepped drone then stands still until a core grants credit beyond its ``host_s`` again, and ends its process after ten
-seconds alone; a real-time drone goes on. Send Credit at least every 0.5 s, also when it grants nothing new.
+seconds alone; a real-time drone after two minutes. Send Credit at least every 0.5 s, also when it grants nothing new.
 
 Everything is MessagePack with field names, so that fields can be added; a payload that does not decode never reaches a
 handler: requests are answered ``ok = False`` with the reason, publications are counted in ``Subscription.rejected``.

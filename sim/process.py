@@ -18,6 +18,7 @@ from sim.simulation import Simulation
 
 _STATUS_S = 0.1  # of the drone's time
 _LINGER_S = 10.0  # how long a lock-stepped drone outlives its core once it has landed
+_LINGER_REAL_TIME_S = 120.0  # and one in real time, to which somebody may connect a new core
 
 
 class Station:
@@ -100,13 +101,14 @@ class DroneProcess:
         return given
 
     def run(self) -> None:
-        """Fly until shut down, or until the core has left a lock-stepped drone behind on the ground."""
+        """Fly until shut down, or until the core has left the drone behind on the ground for long."""
+        linger_s = _LINGER_REAL_TIME_S if self._real_time else _LINGER_S
         alone_since: float | None = None
         while not self._ending.is_set():
             lost = self.station.lost
-            if lost and not self.drone.airborne and not self._real_time:
+            if lost and not self.drone.airborne:
                 alone_since = self._clock() if alone_since is None else alone_since
-                if self._clock() - alone_since > _LINGER_S:
+                if self._clock() - alone_since > linger_s:
                     return
             elif not lost:
                 alone_since = None
