@@ -9,7 +9,8 @@ Z^T (y - A theta) = 0, and an effect's evidence is its Wald statistic in the joi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,11 +45,15 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Whitened sensitivities to a candidate's parameters and their instruments, (rows, p) each; RMS of its wrench per unit."""
+    """Whitened sensitivities to a candidate's parameters and their instruments, (rows, p) each; RMS of its wrench per unit.
+
+    ``number`` tells one from another where products of pairs are remembered.
+    """
 
     sensitivity: Array
     instrument: Array
     wrench_rms: Array
+    number: int = field(default_factory=count().__next__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,9 +206,8 @@ class FlightEvidence:
 
     def predicted(self, wrench: Array) -> Array:
         """Rates and specific forces (blocks, 6, p) that a body wrench (k, 6, p) adds."""
-        count = wrench.shape[2]
-        out = np.zeros((len(self.model.t_s), 6, count))
-        for j in range(count):
+        out = np.zeros((len(self.model.t_s), 6, wrench.shape[2]))
+        for j in range(wrench.shape[2]):
             torque = np.concatenate(
                 [np.zeros((1, 3)), np.cumsum(_middle(wrench[:, 3:, j]) * self._step[1:, None], axis=0)]
             )
@@ -269,6 +273,7 @@ class Evidence:
                 prior[index] = 1.0 / float(np.trace(flights[0].parameters.tensor)) ** 2
         self.prior = prior
         self._base = Columns(self.x, self.z, np.zeros(6))
+        self._output = Columns(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
         self._products: dict[tuple[int, int], tuple[Array, Array]] = {}
         self.weight = np.minimum(1.0, 4.0 / np.maximum(np.abs(self.y - self.x @ self._plain()), 1e-9))
 
@@ -308,15 +313,14 @@ class Evidence:
         products = [[self._product(a, b, rows) for b in members] for a in members]
         zx = np.block([[cell[0] for cell in line] for line in products]) + np.diag(prior)
         zz = np.block([[cell[1] for cell in line] for line in products]) + np.diag(prior)
-        w = self.weight if rows is None else self.weight * rows
-        zy = np.concatenate([a.instrument.T @ (w * self.y) for a in members])
+        zy = np.concatenate([self._product(a, self._output, rows)[0][:, 0] for a in members])
         scale = np.sqrt(np.diag(zz))
         inverse = np.linalg.pinv(zx / np.outer(scale, scale), rcond=1e-12) / np.outer(scale, scale)
         return Solution(inverse @ zy, inverse @ zz @ inverse.T, self.x.shape[1])
 
     def _product(self, a: Columns, b: Columns, rows: NDArray[np.bool_] | None) -> tuple[Array, Array]:
         """(Z_a^T W C_b, Z_a^T W Z_b), remembered for all rows."""
-        key = (id(a), id(b))
+        key = (a.number, b.number)
         if rows is None and key in self._products:
             return self._products[key]
         w = self.weight if rows is None else self.weight * rows
