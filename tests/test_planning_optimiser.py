@@ -194,6 +194,14 @@ def test_the_same_seed_gives_the_same_plan_and_the_document_reads_back():
     assert set(document["coefficients"]) == {"x", "y", "z", "yaw"}
 
 
+def test_a_plan_says_which_limits_stand_in_the_way_of_what_it_hardly_reveals():
+    gentle = plan_excitation(
+        qball(), criterion="A", harmonics=2, base_frequency_rad_s=0.7, duration_s=9.0, tilt_max_rad=0.03, starts=1
+    )
+    assert "tilt_max_rad" in gentle.note
+    assert "hardly reveals ixx_kg_m2" in gentle.note
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [

@@ -10,8 +10,8 @@ from typing import Any
 from groundstation.errors import BadInput
 from groundstation.paths import find_config
 from groundstation.planning.criteria import CRITERIA, condition_number
-from groundstation.planning.information import DEFAULT_NOISE, Noise, predicted_std
-from groundstation.planning.limits import Envelope, check_start, envelope, largest_violation
+from groundstation.planning.information import DEFAULT_NOISE, Noise, percentages, predicted_std
+from groundstation.planning.limits import Envelope, check_start, envelope, largest_violation, series_excesses
 from groundstation.trajectory import FourierSeries, Plan, coefficients_from_arrays, load_plan, plan_to_dict
 from groundstation.vehicle import Vehicle, load_vehicle
 
@@ -24,6 +24,10 @@ PAPER_DURATION_S = 40.0  # section III-D identifies on 10 s < t < 50 s
 
 FREQUENCY_MAX_HZ = 1.0
 """Highest harmonic where the base frequency is free: a position loop on a 30 Hz motion capture follows little above it."""
+
+_HARMONICS = (3, 5, 8)
+_NEARLY = 0.005  # a limit is reached when this share of it is left
+_POOR_PERCENT = 50.0  # a parameter less sure than this is hardly revealed
 
 
 def paper_problem() -> dict[str, Any]:
@@ -47,7 +51,7 @@ def plan_excitation(
     vehicle: Vehicle | Sequence[Vehicle],
     *,
     criterion: str = "condition",
-    harmonics: int = 5,
+    harmonics: int | None = 5,
     base_frequency_rad_s: float | None = None,
     duration_s: float | None = None,
     frequency_max_hz: float = FREQUENCY_MAX_HZ,
@@ -65,7 +69,7 @@ def plan_excitation(
     Args:
         vehicle: the vehicle, or several candidates for what it may be: then the worst case counts (robust design).
         criterion: "condition" (the seed paper's cond(W)), "D", "A" or "E".
-        harmonics: N of eq. (18), 2 or more.
+        harmonics: N of eq. (18), 2 or more; None lets the optimiser choose among 3, 5 and 8.
         base_frequency_rad_s: w_f; None lets the optimiser choose, a whole number of periods filling the duration.
         duration_s: of the excitation; default 40 s. With a given base frequency it is rounded to whole periods.
         frequency_max_hz: no harmonic lies above it where the base frequency is free.
@@ -93,11 +97,18 @@ def plan_excitation(
         if start is not None:
             check_start(each, start)
     _check(criterion, harmonics, time_budget_s)
-    duration, periods = _timing(base_frequency_rad_s, duration_s, harmonics, frequency_max_hz)
-    base = Problem(vehicles, envelopes, criterion, harmonics, 1.0, duration, start, noise, tuple(effects))
-    problems = [replace(base, base_frequency_rad_s=2.0 * math.pi * count / duration) for count in periods]
+    problems = []
+    for count in _HARMONICS if harmonics is None else (harmonics,):
+        try:
+            duration, periods = _timing(base_frequency_rad_s, duration_s, count, frequency_max_hz)
+        except BadInput:
+            if harmonics is None and problems:
+                continue
+            raise
+        base = Problem(vehicles, envelopes, criterion, count, 1.0, duration, start, noise, tuple(effects))
+        problems += [replace(base, base_frequency_rad_s=2.0 * math.pi * k / duration) for k in periods]
     found = best_of(problems, seed=seed, time_budget_s=time_budget_s, starts=starts, progress=progress)
-    series = replace(found.series, periods=float(round(duration / found.series.period_s)))
+    series = replace(found.series, periods=float(round(problems[0].duration_s / found.series.period_s)))
     return describe(series, vehicles[0], envelopes, criterion=criterion, noise=noise, effects=effects)
 
 
@@ -123,8 +134,23 @@ def describe(
         largest_violation=largest_violation(series, tuple(envelopes)),
         limits=envelopes[0].stated(),
         predicted_std={name: value for name, value in std.items() if math.isfinite(value)},
-        note=note,
+        note=note or _note(series, vehicle, envelopes, std),
     )
+
+
+def _note(series: FourierSeries, vehicle: Vehicle, envelopes: Sequence[Envelope], std: dict[str, float]) -> str:
+    """Which limits the motion reaches, and what it hardly reveals because of them."""
+    reached: dict[str, None] = {}
+    for each in envelopes:
+        bounds = each.stated()
+        over = series_excesses(series, each)
+        reached |= {name: None for name, excess in over.items() if excess > -_NEARLY * abs(bounds[name])}
+    text = f"limits reached: {', '.join(reached) or 'none'}"
+    poor = {name: share for name, share in percentages(std, vehicle).items() if not share <= _POOR_PERCENT}
+    if poor:
+        worst = max(poor, key=lambda name: poor[name])
+        text += f"; hardly reveals {', '.join(poor)} ({worst} to {poor[worst]:.3g} %): widen the limits reached or fly longer"
+    return text
 
 
 def plan_document(plan: Plan) -> dict:
@@ -157,10 +183,10 @@ def _timing(
     return wanted, sorted({max(round(most / share), 1) for share in (1.0, 1.3, 1.7, 2.2, 3.0, 4.0)}, reverse=True)
 
 
-def _check(criterion: str, harmonics: int, time_budget_s: float) -> None:
+def _check(criterion: str, harmonics: int | None, time_budget_s: float) -> None:
     if criterion not in CRITERIA:
         raise BadInput(f"{criterion} is not a criterion; there are {', '.join(CRITERIA)}.")
-    if harmonics < 2:
+    if harmonics is not None and harmonics < 2:
         raise BadInput(f"{harmonics} harmonics cannot start and end at rest; use 2 or more.")
     if not time_budget_s > 0.0:
         raise BadInput(f"the time budget must be positive, not {time_budget_s:g} s; correct it.")
