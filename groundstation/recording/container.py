@@ -101,10 +101,6 @@ class ContainerWriter:
         """Messages written to a channel: the sequence number that its next one will have."""
         return self._counts[channel]
 
-    def pending(self) -> int:
-        """Messages of the chunk that is not yet on its way to the disk."""
-        return sum(map(len, self._index.values()))
-
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Write an attachment at once."""
         self.flush()

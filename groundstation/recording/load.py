@@ -15,6 +15,7 @@ from groundstation.recording.bundle import read_bundle
 from groundstation.recording.container import MAGIC as MCAP_MAGIC
 from groundstation.recording.crazyflie import is_usd_log, read_usd
 from groundstation.recording.mcapfile import read_mcap
+from groundstation.recording.merge import merge_onboard, onboard_log_of
 from groundstation.recording.recorded import VEHICLE_FILE, Recording, vehicle_file
 from groundstation.recording.repair import repair
 from groundstation.vehicle import Vehicle
@@ -79,6 +80,8 @@ def load_flight(
 ) -> FlightData:
     """Read a flight of any format, check it, and repair its blemishes; ``notes`` tells what was repaired or lost.
 
+    A log of the vehicle that was fetched beside a recording (``onboard.ulg`` or ``onboard.bin``) is joined with it.
+
     Args:
         path: file or folder.
         vehicle: overrides the one the recording carries; a log that carries none needs it.
@@ -93,6 +96,7 @@ def load_flight(
     declared = vehicle or recording.vehicle(str(path))
     if declared is None:
         raise BadInput(f"{path}: carries no vehicle; give its file with --vehicle FILE.")
+    recording = _with_onboard_log(path, recording, declared)
     if "motors" not in recording.streams:
         raise BadInput(f"{path}: holds no motor samples; without them nothing can be identified.")
     wanted = motor_columns(declared.rotors.input, declared.rotors.count)
@@ -116,6 +120,17 @@ def load_flight(
     if start_s is not None or end_s is not None:
         flight = _cut(flight, start_s, end_s)
     return repair(flight)
+
+
+def _with_onboard_log(path: Path, recording: Recording, vehicle: Vehicle) -> Recording:
+    """With the streams of the log that was fetched beside a recording, ``onboard.ulg`` or ``onboard.bin``, if there is one."""
+    log = onboard_log_of(path) if path.suffix == ".mcap" else None
+    if log is None:
+        return recording
+    try:
+        return merge_onboard(recording, read_recording(log, vehicle), log.name)
+    except BadInput as error:
+        return replace(recording, notes=(*recording.notes, f"{error} The flight goes by what came over the link."))
 
 
 def _cut(flight: FlightData, start_s: float | None, end_s: float | None) -> FlightData:

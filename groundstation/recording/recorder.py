@@ -65,18 +65,16 @@ class McapRecorder:
             self.attach(name, data)
 
     def _do(self, samples: int, write: Callable[[], None]) -> None:
-        """Write unless the disk has failed; count what was written and what was lost."""
+        """Write unless the disk has failed; count the samples that were taken and those that were not."""
         with self._lock:
             if self.failure is not None:
                 self.lost += samples
                 return
-            self.written += samples
-            pending = self._writer.pending() if samples == 0 else None
             try:
                 write()
+                self.written += samples
             except OSError as error:
-                self.lost += samples if pending is None else 0
-                self.written -= samples
+                self.lost += samples
                 self.failure = (
                     f"{self.path}: recording ended after {self.written} samples ({error.strerror}); "
                     "make room on the disk before the next flight."
