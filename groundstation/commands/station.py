@@ -7,14 +7,17 @@ import os
 import platform
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import click
 
 from groundstation.commands.common import ProgressLine, Result, example, json_option, logs_option
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
 
 Verdict = Literal["ok", "note", "wrong"]
 FREE_BYTES = 500_000_000
@@ -107,11 +110,50 @@ def _disk(logs: Path) -> Check:
     )
 
 
-@click.command(epilog=example("groundstation doctor"))
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A value that holds, and where it came from."""
+
+    name: str
+    value: str
+    source: str
+
+
+def _settings(model: BaseModel, source: str, prefix: str = "") -> Iterator[Setting]:
+    """Every value of a validated file: from the file where it is written there, else the default."""
+    from pydantic import BaseModel
+
+    for name in type(model).model_fields:
+        value = getattr(model, name)
+        if isinstance(value, BaseModel):
+            yield from _settings(value, source, f"{prefix}{name}.")
+        else:
+            origin = source if name in model.model_fields_set else "default"
+            yield Setting(f"{prefix}{name}", "no limit" if value is None else str(value), origin)
+
+
+def _what_holds(vehicle: str, station: str) -> list[Setting]:
+    from groundstation.flight.station import load_station
+    from groundstation.paths import find_config
+    from groundstation.vehicle import load_vehicle
+
+    vehicle_file = find_config("vehicles", vehicle)
+    declared = load_vehicle(vehicle_file)
+    return [
+        *_settings(load_station(station), f"station {station}", "station."),
+        *_settings(declared.limits, vehicle_file.name, "limits."),
+        *_settings(declared.identification, vehicle_file.name, "identification."),
+    ]
+
+
+@click.command(epilog=example("groundstation doctor --vehicle x500"))
+@click.option("--vehicle", default=None, help="Also print the settings that hold for this vehicle, and where from.")
+@click.option("--station", default="default", show_default=True, help="Station file for that.")
 @logs_option
 @json_option
-def doctor(logs: Path) -> Result:
+def doctor(vehicle: str | None, station: str, logs: Path) -> Result:
     """Say what is installed, reachable and wrong here, and what to do about it."""
+    settings = _what_holds(vehicle, station) if vehicle is not None else []
     looks: list[Callable[[], Check]] = [
         _python,
         _packages,
@@ -129,12 +171,15 @@ def doctor(logs: Path) -> Result:
             {"name": c.name, "verdict": c.verdict, "seen": c.seen, "remedy": c.remedy if c.verdict != "ok" else ""}
             for c in checks
         ],
+        "settings": [{"name": s.name, "value": s.value, "source": s.source} for s in settings],
     }
     lines = []
     for check in checks:
         lines.append(f"{check.verdict:<6} {check.name:<15} {check.seen}")
         if check.verdict != "ok" and check.remedy:
             lines.append(f"{'':<22} -> {check.remedy}")
+    width = max((len(s.name) for s in settings), default=0)
+    lines += [f"{s.name:<{width}}  {s.value}  ({s.source})" for s in settings]
     return Result(document, "\n".join(lines))
 
 

@@ -16,6 +16,12 @@ def module_command(module: str, *arguments: str) -> list[str]:
     return [sys.executable, "-P", "-m", module, *arguments]
 
 
+def last_line(log: Path) -> str:
+    """The last line of a log file; empty when there is none."""
+    text = log.read_text(encoding="utf-8", errors="replace").strip() if log.is_file() else ""
+    return text.splitlines()[-1] if text else ""
+
+
 class Child:
     """A running child whose output goes to a log file."""
 
@@ -55,8 +61,7 @@ class Child:
 
     def last_words(self) -> str:
         """The last line it logged; empty when there is none."""
-        text = self._log.read_text(encoding="utf-8", errors="replace").strip() if self._log.is_file() else ""
-        return text.splitlines()[-1] if text else ""
+        return last_line(self._log)
 
     def interrupt(self) -> None:
         """Ask it to end (SIGTERM), as a service manager would."""

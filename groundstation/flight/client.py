@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from drivers import bus
 from groundstation.errors import BadInput
-from groundstation.flight.children import Child, module_command, start_child
+from groundstation.flight.children import Child, last_line, module_command, start_child
 from groundstation.flight.journal import ENDPOINT_FILE, read_journal
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.messages import CLIENT_ALIVE, CommandName, CoreCommand, CoreStatus, Lease, LeaseAnswer
@@ -143,9 +143,9 @@ def outcome(folder: Path) -> tuple[int, str]:
     log = folder / JOURNAL
     entries = read_journal(log) if log.is_file() else []
     if not entries or entries[-1]["kind"] != "outcome":
-        raise BadInput(
-            f"{folder}: the core ended without an outcome; see core.log there. The recording opens as far as it goes."
-        )
+        said = last_line(folder / "core.log")
+        why = f": {said}" if said else "; it was killed, and the recording opens as far as it goes"
+        raise BadInput(f"{folder}: the core ended without an outcome{why}.")
     return int(entries[-1]["exit_status"]), str(entries[-1].get("reason", ""))
 
 

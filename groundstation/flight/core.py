@@ -183,6 +183,8 @@ class FlightCore:
         self.inbox.put(lambda: self._described(description))
 
     def _described(self, description: bus.Description) -> None:
+        if self.recorder is not None or self.state.final:
+            return  # the vehicle's process came back; its flight goes on, or is over
         self.heard_s = self.clock()
         self.description = description
         sink = open_recording(self.settings.folder, self.settings.plan, self.settings.vehicle, description)
@@ -436,7 +438,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         signal.signal(number, lambda *_: core.abort("the core was asked to stop"))
     try:
         return core.run()
-    except ConnectionError as error:
+    except (GroundStationError, ConnectionError) as error:
         print(error, file=sys.stderr)
         return BadInput.exit_status
 

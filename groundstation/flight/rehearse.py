@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from groundstation.errors import FlightAborted, Refused
+from groundstation.errors import BadInput, FlightAborted, Refused
+from groundstation.flight.children import Child
 from groundstation.flight.client import CoreClient, connect, outcome, start_core
 from groundstation.flight.messages import CoreStatus
 from groundstation.flight.sequence import FINAL, IN_FLIGHT, Phase
@@ -65,21 +66,40 @@ def linked_vehicle(
 def check(folder: Path, *, plan: Path, vehicle: Path, drone: tuple[str, ...], say: Say) -> str:
     """Upload and check, but do not fly: why it would not fly; empty when it would."""
     core, endpoint = start_core(folder, plan=plan, vehicle=vehicle, drone=drone, analyse=False)
-    with connect(endpoint) as client:
-        client.take_lease()
+    ready = []
+
+    def body(client: CoreClient) -> None:
         while core.poll() is None:
             status = client.status(0.2)
             if status is None:
                 continue
             say(progress_line(status))
             if status.phase == Phase.CHECKED:
-                client.command("abort")
-                core.wait()
-                return ""
-            if status.phase in FINAL:
-                break
+                ready.append(client.command("abort").ok)
+            if ready or status.phase in FINAL:
+                return
+
+    _as_client(core, endpoint, body)
+    return "" if ready else outcome(folder)[1]
+
+
+def _as_client(core: Child, endpoint: str, body: Callable[[CoreClient], None]) -> None:
+    """Hold the lease while ``body`` runs, then wait for the core's end; a core that ends in between is no fault here.
+
+    Raises:
+        BadInput: the core runs, but does not answer.
+    """
+    connected = False
+    try:
+        with connect(endpoint) as client:
+            connected = True
+            client.take_lease()
+            body(client)
+    except ConnectionError as error:
+        if not connected and core.poll() is None:
+            core.interrupt()
+            raise BadInput(f"the core does not answer ({error}); see core.log in the flight's folder.") from None
     core.wait()
-    return outcome(folder)[1]
 
 
 def fly(
@@ -106,11 +126,12 @@ def fly(
         Refused: the vehicle or the checks refused to fly.
     """
     core, endpoint = start_core(folder, plan=plan, vehicle=vehicle, drone=drone)
-    with connect(endpoint) as client:
-        client.take_lease()
+
+    def body(client: CoreClient) -> None:
         with _interrupts(client, say):
             follow(client, lambda: core.poll() is not None, say, confirm)
-    core.wait()
+
+    _as_client(core, endpoint, body)
     status, reason = outcome(folder)
     if status == FlightAborted.exit_status:
         raise FlightAborted(f"aborted: {reason}. The recording is {folder / 'flight.mcap'}")
