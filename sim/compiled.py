@@ -25,7 +25,7 @@ def _cache_folder() -> str:
     digest = hashlib.sha256()
     for source in sorted([*package.glob("*.py"), *(package / "effects").glob("*.py")]):
         text = source.read_bytes()
-        digest.update(text if b"compiled" in text else b"")
+        digest.update(text if b"import compiled" in text else b"")
     name = f"kernel-{digest.hexdigest()[:16]}"
     if os.access(package, os.W_OK):
         return str(package / "__pycache__" / name)

@@ -20,6 +20,7 @@ from groundstation.vehicle import load_vehicle
 from sim.drone import Drone
 from sim.process import DroneProcess
 from sim.scenario import load_scenario
+from sim.simulation import Simulation
 
 PLAN = bus.make_upload(tomli_w.dumps(plan_to_dict(rest_to_rest_plan(periods=1.0))).encode())
 
@@ -80,7 +81,9 @@ def flown(request):
     endpoint = bus.loopback(bus.free_port())
     core = Core(endpoint, "threaded")
     scenario = load_scenario(find_config("scenarios", "seed"))
-    drone = Drone("threaded", load_vehicle(find_config("vehicles", "qball2")), scenario, 1, real_time=real_time)
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    Simulation(vehicle, scenario, 1).idle(1)  # compiled before anybody waits
+    drone = Drone("threaded", vehicle, scenario, 1, real_time=real_time)
     session = bus.open_session(connect=[endpoint])
     wall = Wall()
     process = DroneProcess(drone, session, clock=time.monotonic if real_time else wall)
