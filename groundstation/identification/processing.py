@@ -12,7 +12,7 @@ differentiated by central differences (33) and expressed in the body. How stream
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -165,9 +165,11 @@ def process_flight(
     notes = [f"Zero-phase Butterworth low-pass at {grid.cutoff_hz:.2f} Hz on a {1e3 * grid.period_s:.2f} ms grid."]
 
     wrench = grid.smooth(declared_wrench(flight.vehicle, motors, flight.battery, t))
-    rotation = None if pose is None else quat_normalise(grid.smooth(slerp(t, pose.t_s, pose.quaternion)))
-    rates, rate_note = _body_rates(grid, imu, state, pose, rotation)
-    seen = None if pose is None or rotation is None else _translation(grid, pose, rotation, rates, flight.vehicle)
+    # Poses hold nothing above half their rate but the images that interpolation makes.
+    slow = grid if pose is None else replace(grid, cutoff_hz=min(grid.cutoff_hz, 0.4 * pose.rate_hz()))
+    rotation = None if pose is None else quat_normalise(slow.smooth(slerp(t, pose.t_s, pose.quaternion)))
+    rates, rate_note = _body_rates(slow if imu is None and state is None else grid, imu, state, pose, rotation)
+    seen = None if pose is None or rotation is None else _translation(slow, pose, rotation, rates, flight.vehicle)
     if seen is None:
         rate_note.append("No poses: velocity and attitude are unknown; drag, wind and position effects cannot be seen.")
 
