@@ -1,26 +1,28 @@
-"""Rotor drag: the rotors resist sideways air speed in proportion to speed and rotor speed."""
+"""Rotor drag: the rotors resist air speed in proportion to speed and rotor speed, sideways or (isotropic) in all directions."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, hover_share
+from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, hover_share
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
 
-def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
+def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
     velocity = signals.velocity_body_m_s()
     share = hover_share(signals, vehicle)
     out = blank(signals, 2)
     out[:, 0, 0] = -velocity[:, 0] * share
     out[:, 1, 1] = -velocity[:, 1] * share
+    if settings.get("isotropic"):
+        out[:, 2, :] = -0.5 * (velocity[:, 2] * share)[:, None]
     return out
 
 
 EFFECT = Effect(
     identifier="rotor_drag",
-    equation="F_xy = -d v_xy sum|Omega| / (sum|Omega| at hover)",
+    equation="F_xy = -d v_xy sum|Omega| / (sum|Omega| at hover); isotropic: F_z = -d_mean v_z likewise",
     source="Mahony, Kumar, Corke 2012, IEEE RAM 19(3), eq. 10; Faessler et al. 2018",
     parameters=(
         ParameterInfo("d_x_kg_s", lambda v: v.mass_kg, (0.0, np.inf)),
@@ -28,6 +30,7 @@ EFFECT = Effect(
     ),
     wrench=_wrench,
     sentence="Moving sideways is resisted by {d_x_kg_s} N per m/s forward and {d_y_kg_s} N per m/s sideways: the rotors drag.",
+    variants=lambda signals, vehicle: ({}, {"isotropic": 1.0}),
     confused_with=("wind", "body_drag", "tether"),
     manoeuvre="fly back and forth at several speeds, both axes, and hover in between",
 )
