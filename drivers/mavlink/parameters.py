@@ -59,9 +59,16 @@ class Parameters:
         kind = before[1]
         wire = encode_value(value, kind, bytewise=self._bytewise)
         send = mavlink.MAVLink_param_set_message(*self._address, name.encode(), wire, kind)
-        yield Ask((send,), _about(name), 0.7, 5)
-        after = yield from self.read(name)
-        return after is not None and abs(after[0] - value) <= 1e-6 * max(1.0, abs(value))
+
+        def holds(m: Message) -> bool:
+            """Late answers to the question before still carry the old value: only the new one ends the wait."""
+            found = self._open(m) if _about(name)(m) else None
+            return found is not None and abs(found[0] - value) <= 1e-6 * max(1.0, abs(value))
+
+        ask = mavlink.MAVLink_param_request_read_message(*self._address, name.encode(), -1)
+        told = yield Ask((send,), holds, 0.7, 5)
+        there = yield Ask((ask,), holds, 0.7, 5)
+        return told is not None and there is not None
 
     def _open(self, answer: Message | None) -> tuple[float, int] | None:
         if answer is None or answer.get_type() != "PARAM_VALUE":

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import acos, exp, hypot, isnan, pi, sqrt
+from math import acos, exp, hypot, inf, isnan, pi, sqrt
 
 from drivers.mavlink.geometry import tilt_cosine
 from drivers.samples import Quaternion, Vector3
@@ -128,7 +128,7 @@ class Guard:
     def _above(self, name: str, value: float, sentence: str) -> Iterator[tuple[str, str]]:
         limit = getattr(self._limits, name).limit
         if not value <= limit:
-            yield name, sentence.format(value, limit)
+            yield name, "the core is gone" if name == "core_silent" and value == inf else sentence.format(value, limit)
 
     def _battery(self, seen: Observations) -> Iterator[tuple[str, str]]:
         limit = self._limits.battery.limit

@@ -17,6 +17,7 @@ import gc
 import os
 import queue
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -30,15 +31,18 @@ from drivers import bus
 from drivers.mavlink import tlog
 from drivers.mavlink.signing import Signing, signing_stamp
 from drivers.mavlink.transports import Transport, open_transport
-from drivers.samples import Batch, Motors, Raw, Sample, encode_batch
+from drivers.mocap.source import FrameReader
+from drivers.samples import Batch, Motors, Pose, Raw, Sample, encode_batch
 from groundstation.errors import BadInput, GroundStationError, Refused
+from groundstation.flight.children import module_command
 from groundstation.flight.link_core import LinkCore, Options, Output
 from groundstation.flight.parameter_journal import ParameterJournal
 from groundstation.flight.pilot import IN_AIR, Answered, Phase
-from groundstation.flight.station import load_station
+from groundstation.flight.station import MocapSource, load_station
 from groundstation.trajectory import plan_from_dict
 from groundstation.vehicle import Vehicle, load_vehicle
 
+HEARD_S = 45.0
 READY_S = 45.0
 IDLE_WAIT_S = 0.02
 PUBLISH_EVERY_S = 0.02
@@ -86,6 +90,41 @@ class Writer:
                 self.failure = self.failure or str(error)
 
 
+class PoseSource:
+    """The motion-capture client's process, read without waiting; started again by itself when it ends."""
+
+    def __init__(self, mocap: MocapSource):
+        self._command = module_command(
+            "drivers.mocap.source", "--system", mocap.system, "--host", mocap.host, "--body", mocap.body
+        )
+        self._reader = FrameReader()
+        self._process = self._start()
+
+    def read(self) -> list[tuple[Pose, float]]:
+        """Poses that arrived, with the host time they did."""
+        assert self._process.stdout is not None  # noqa: S101 - piped below
+        try:
+            data = os.read(self._process.stdout.fileno(), 1 << 16)
+        except BlockingIOError:
+            return []
+        if not data and self._process.poll() is not None:
+            self._reader, self._process = FrameReader(), self._start()
+        return self._reader.feed(data)
+
+    def close(self) -> None:
+        """End it; it has nothing to save."""
+        self._process.kill()
+        self._process.wait()
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        process = subprocess.Popen(
+            self._command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, start_new_session=True
+        )
+        assert process.stdout is not None  # noqa: S101
+        os.set_blocking(process.stdout.fileno(), False)
+        return process
+
+
 class LinkProcess:
     """Runs one link until the vehicle is down and nobody needs it.
 
@@ -125,6 +164,8 @@ class LinkProcess:
         self._motor_kind: str | None = None
         self._log = raw_log.open("ab") if raw_log is not None else None
         self._logger = Writer("raw log", self._write_log) if self._log is not None else None
+        mocap = core.station.mocap
+        self._poses = PoseSource(mocap) if mocap.system != "none" else None
 
     def run(self, endpoint: str) -> int:
         """Serve the core at an endpoint; returns the exit status."""
@@ -144,7 +185,10 @@ class LinkProcess:
             )
             handles = [credit, core_alive]
             try:
+                self._until(lambda: self.core.view is not None or bool(self._stop_reason), self.clock() + HEARD_S)
                 self._until(lambda: self.core.ready or bool(self._stop_reason), self.clock() + READY_S)
+                if self._stop_reason and not self.core.ready:
+                    return 0
                 if not self.core.ready:
                     raise Refused(
                         f"the vehicle is not ready: {self.core.trouble}.",
@@ -164,6 +208,8 @@ class LinkProcess:
                 if self._logger is not None:
                     self._logger.close()
                 self.transport.close()
+                if self._poses is not None:
+                    self._poses.close()
                 del handles
         return 0
 
@@ -209,6 +255,8 @@ class LinkProcess:
         now = self.clock()
         if self._stop_reason and self.core.pilot is not None and self.core.pilot.phase in IN_AIR:
             self.core.order("abort", now, self._stop_reason)
+        for pose, received_s in self._poses.read() if self._poses is not None else ():
+            self._emit(self.core.pose(pose, received_s))
         self._emit(self.core.step(now, self.transport.read(), datagrams=self.transport.datagrams))
         self._answer()
         self._publish()
