@@ -13,8 +13,9 @@ import pytest
 from groundstation.errors import BadInput
 from groundstation.frames import matrix_from_quat, quat_rotate
 from groundstation.paths import configs_dir
-from groundstation.recording import load_flight, read_recording
+from groundstation.recording import convert, load_flight, read_recording
 from groundstation.recording.derive import body_rates, slerp
+from groundstation.recording.recorded import vehicle_file
 from groundstation.vehicle import load_vehicle, vehicle_from_dict, vehicle_to_dict
 from sim.mavlink.dataflash import DataFlashWriter
 from sim.mavlink.ulog import ULogWriter
@@ -156,9 +157,24 @@ def test_a_px4_log_cut_in_a_message_is_read_and_said(tmp_path, made):
     assert not any("cut off" in note for note in load_flight(path, vehicle=quad()).notes)
 
 
-def test_a_vehicle_file_of_the_wrong_kind_is_refused(tmp_path, made):
+def test_commands_stand_in_for_speeds_that_nobody_measured(tmp_path, made):
+    """What the contract says of a command without a curve: a fraction of top speed at the full battery's voltage."""
+    path = write_ulog(tmp_path / "a.ulg", made)
+    loaded = load_flight(path, vehicle=quad("rotor_speed", speed_max_rad_s=900.0))
+    assert loaded.vehicle.rotors.input == "command"
+    assert np.allclose(loaded.motors.values, motor_commands(made)[:, MOTOR_OF_ROTOR], atol=1e-6)
+    assert any("rotor speeds are not recorded" in note for note in loaded.notes)
+    speed_max_unknown = vehicle_to_dict(quad("rotor_speed"))
+    del speed_max_unknown["rotors"]["speed_max_rad_s"]
     with pytest.raises(BadInput, match='input = "command"'):
-        load_flight(write_ulog(tmp_path / "a.ulg", made), vehicle=quad("rotor_speed"))
+        load_flight(path, vehicle=vehicle_from_dict(speed_max_unknown))
+
+
+def test_such_a_log_converts_to_a_bundle_that_is_consistent(tmp_path, made):
+    path = write_ulog(tmp_path / "a.ulg", made)
+    (tmp_path / "quad.toml").write_bytes(vehicle_file(quad("rotor_speed")))
+    convert(path, tmp_path / "b", vehicle=tmp_path / "quad.toml")
+    assert load_flight(tmp_path / "b").vehicle.rotors.input == "command"
 
 
 def test_another_number_of_motors_is_refused(tmp_path, made):

@@ -84,7 +84,7 @@ def slow_note(name: str, stream: Stream, least_hz: float, remedy: str) -> list[s
 
 
 def wanted_input(vehicle: Vehicle, available: Mapping[str, bool], source: str) -> str:
-    """The motor values to take: what the vehicle file declares, if the log has it.
+    """The motor values to take: what the vehicle file declares, or commands where speeds were asked for and top speed is.
 
     Raises:
         BadInput: the log has the other kind alone.
@@ -92,6 +92,8 @@ def wanted_input(vehicle: Vehicle, available: Mapping[str, bool], source: str) -
     kind = vehicle.rotors.input
     if available.get(kind):
         return kind
+    if kind == "rotor_speed" and available.get("command") and vehicle.rotors.speed_max_rad_s is not None:
+        return "command"
     has = [name for name, there in available.items() if there]
     if not has:
         raise BadInput(

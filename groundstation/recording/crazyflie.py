@@ -25,8 +25,10 @@ from groundstation.flightdata import (
     motor_columns,
 )
 from groundstation.frames import quat_from_euler
+from groundstation.recording.autopilot import wanted_input
 from groundstation.recording.derive import body_rates
 from groundstation.recording.recorded import Recording
+from groundstation.vehicle import Vehicle
 
 MAGIC = 0xBC
 _G = 9.80665
@@ -119,14 +121,14 @@ def _text(data: bytes, position: int) -> tuple[str, int]:
     return data[position:end].decode("ascii"), end + 1
 
 
-def read_usd(data: bytes, source: str, name: str, *, kind: str) -> Recording:
+def read_usd(data: bytes, source: str, name: str, vehicle: Vehicle) -> Recording:
     """A log as streams in SI units.
 
     Args:
         data: the file.
         source: its path, for messages.
         name: of the flight.
-        kind: which motor values the vehicle file asks for: "command" or "rotor_speed".
+        vehicle: declared; says which motor values are meant.
 
     Raises:
         BadInput: no usd log, or it lacks the motors.
@@ -137,7 +139,7 @@ def read_usd(data: bytes, source: str, name: str, *, kind: str) -> Recording:
         found = ", ".join(sorted({v for c in log.columns.values() for v in c})) or "nothing"
         raise BadInput(f"{source}: holds no motor values (motor.m1 to motor.m4); it has {found}. Log them too.")
     t_s, columns = log.t_s[motor_event], log.columns[motor_event]
-    streams = {"motors": _motors(t_s, columns, kind, source)}
+    streams = {"motors": _motors(t_s, columns, vehicle, source)}
     notes = list(log.notes)
     for event, found in log.columns.items():
         times = log.t_s[event]
@@ -166,18 +168,17 @@ def read_usd(data: bytes, source: str, name: str, *, kind: str) -> Recording:
     )
 
 
-def _motors(t_s: Array, columns: dict[str, Array], kind: str, source: str) -> Stream:
+def _motors(t_s: Array, columns: dict[str, Array], vehicle: Vehicle, source: str) -> Stream:
     """Commands as a fraction of full scale (65535), or the speeds of an rpm deck."""
-    prefix = {"command": "motor", "rotor_speed": "rpm"}.get(kind)
-    wanted = [f"{prefix}.m{i}" for i in range(1, _ROTORS + 1)]
-    if prefix is None or not set(wanted) <= set(columns):
-        has = "commands" if "motor.m1" in columns else "rotor speeds"
-        fitting = "command" if has == "commands" else "rotor_speed"
+    prefixes = {"command": "motor", "rotor_speed": "rpm"}
+    names = {kind: [f"{prefix}.m{i}" for i in range(1, _ROTORS + 1)] for kind, prefix in prefixes.items()}
+    kind = wanted_input(vehicle, {kind: set(wanted) <= set(columns) for kind, wanted in names.items()}, source)
+    if vehicle.rotors.count != _ROTORS:
         raise BadInput(
-            f'{source}: holds {has}, but the vehicle file says input = "{kind}"; give one with input = "{fitting}".'
+            f"{source}: has {_ROTORS} motors, the vehicle file {vehicle.rotors.count}; give the Crazyflie's."
         )
     scale = 1.0 / _FULL_COMMAND if kind == "command" else 2.0 * np.pi / 60.0
-    return Stream(t_s, np.column_stack([columns[w] for w in wanted]) * scale, motor_columns(kind, _ROTORS))
+    return Stream(t_s, np.column_stack([columns[w] for w in names[kind]]) * scale, motor_columns(kind, _ROTORS))
 
 
 def _state(t_s: Array, columns: dict[str, Array]) -> tuple[Stream, list[str]]:

@@ -50,7 +50,23 @@ def read_recording(path: str | Path, vehicle: Vehicle | None = None) -> Recordin
             recording = _foreign(path, head, vehicle)
     if vehicle is not None:
         recording = replace(recording, files={**recording.files, VEHICLE_FILE: vehicle_file(vehicle)})
-    return recording
+    return _with_its_own_input(recording, str(path))
+
+
+def _with_its_own_input(recording: Recording, source: str) -> Recording:
+    """With ``input = "command"`` where the vehicle file says rotor speeds, nobody measured them, and top speed is declared."""
+    motors, vehicle = recording.streams.get("motors"), recording.vehicle(source)
+    if motors is None or vehicle is None or vehicle.rotors.input != "rotor_speed":
+        return recording
+    if vehicle.rotors.speed_max_rad_s is None or motors.columns != motor_columns("command", vehicle.rotors.count):
+        return recording
+    rotors = vehicle.rotors.model_copy(update={"input": "command", "speed_source": "command"})
+    taken = vehicle_file(vehicle.model_copy(update={"rotors": rotors}))
+    note = (
+        "motors: rotor speeds are not recorded, commands are; a command is taken as a fraction of speed_max_rad_s at the "
+        'full battery\'s voltage (declare input = "command", and a thrust_curve if thrust goes otherwise).'
+    )
+    return replace(recording, files={**recording.files, VEHICLE_FILE: taken}, notes=(*recording.notes, note))
 
 
 def _foreign(path: Path, head: bytes, vehicle: Vehicle | None) -> Recording:
@@ -72,7 +88,7 @@ def _foreign(path: Path, head: bytes, vehicle: Vehicle | None) -> Recording:
 
 
 def _read_usd(path: Path, vehicle: Vehicle) -> Recording:
-    return read_usd(path.read_bytes(), str(path), path.name, kind=vehicle.rotors.input)
+    return read_usd(path.read_bytes(), str(path), path.name, vehicle)
 
 
 def load_flight(
@@ -93,7 +109,7 @@ def load_flight(
     """
     path = Path(path)
     recording = read_recording(path, vehicle)
-    declared = vehicle or recording.vehicle(str(path))
+    declared = recording.vehicle(str(path))
     if declared is None:
         raise BadInput(f"{path}: carries no vehicle; give its file with --vehicle FILE.")
     recording = _with_onboard_log(path, recording, declared)
