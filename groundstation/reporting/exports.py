@@ -19,14 +19,16 @@ import json
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from groundstation.diagnosis.results import Diagnosis
 from groundstation.errors import BadInput
 from groundstation.identification.results import Estimate, Identification
 from groundstation.reporting import simulators
 from groundstation.reporting.identified import Identified, identified_from_document
 from groundstation.vehicle import Vehicle, vehicle_to_dict
+
+if TYPE_CHECKING:  # the diagnosis is heavy to import, and only its type is needed
+    from groundstation.diagnosis.results import Diagnosis
 
 SCHEMA = "groundstation.model/1"
 

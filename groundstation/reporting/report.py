@@ -5,8 +5,8 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from groundstation.diagnosis.results import Diagnosis
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.results import Identification
@@ -18,6 +18,9 @@ from groundstation.reporting.sections.flight import add_flight
 from groundstation.reporting.sections.parameters import add_parameters
 from groundstation.reporting.sections.verdict import add_verdict
 from groundstation.reporting.units import fixed
+
+if TYPE_CHECKING:  # the diagnosis is heavy to import, and only its type is needed
+    from groundstation.diagnosis.results import Diagnosis
 
 
 def report_html(

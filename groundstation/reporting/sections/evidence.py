@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from groundstation.diagnosis.results import Diagnosis
 from groundstation.flightdata import FlightData
 from groundstation.identification.results import MASS_AND_TENSOR, Identification, Validation
 from groundstation.reporting import figures
@@ -15,6 +15,9 @@ from groundstation.reporting.page import Page
 from groundstation.reporting.sections.parameters import parameter_scale
 from groundstation.reporting.sections.tables import error_table
 from groundstation.reporting.units import label, scale_for, split_unit
+
+if TYPE_CHECKING:  # the diagnosis is heavy to import, and only its type is needed
+    from groundstation.diagnosis.results import Diagnosis
 
 _CHECKS = {
     "output": "Output prediction error (regressor times parameters, minus output)",

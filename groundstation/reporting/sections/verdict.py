@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-from groundstation.diagnosis.results import Diagnosis
 from groundstation.errors import Refused
 from groundstation.identification.results import Estimate, Identification
 from groundstation.reporting import figures
@@ -22,6 +22,9 @@ from groundstation.reporting.units import (
     significant,
     split_unit,
 )
+
+if TYPE_CHECKING:  # the diagnosis is heavy to import, and only its type is needed
+    from groundstation.diagnosis.results import Diagnosis
 
 VERDICTS: Mapping[str, str] = {
     "clean": "Clean: mass, inertia and the declared constants explain this flight down to its noise.",
