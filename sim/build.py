@@ -11,7 +11,9 @@ from groundstation.errors import BadInput
 from groundstation.vehicle import Vehicle
 from sim.algebra import Symmetric, Vector
 from sim.autopilot import LEAD_RATIO, Law, Observer
-from sim.loop import Disturbance, Instruments, Supply, World
+from sim.background import Disturbance, Supply
+from sim.loop import World
+from sim.measure import Instruments
 from sim.plant import Body, Plant, Rotors
 from sim.scenario import Scenario, true_vehicle
 from sim.tuning import tuned_control

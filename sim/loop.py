@@ -12,22 +12,19 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.algebra import (
-    Quaternion,
-    Vector,
     add,
-    conjugate,
     copy,
     exponential,
     multiply,
-    normalise,
     scale,
-    to_body,
     to_world,
 )
 from sim.autopilot import Law, Observer, attitude_loop, correct, euler_of, lead, mix, position_loop, predict
+from sim.background import Disturbance, Supply, drain, drift_step
 from sim.compiled import compiled
 from sim.effects.airframe import gust_step
 from sim.effects.rotor_faults import play, power_law
+from sim.measure import Instruments, body_pose, measure_imu, measure_pose
 from sim.plant import (
     ATTITUDE,
     RATE,
@@ -45,55 +42,6 @@ STANDING, CRASHED, PENDING_HEAD, PENDING_TAIL, FLAG_COUNT = 0, 1, 2, 3, 4
 HISTORY, PENDING = 1024, 256
 IDLE, FLYING, EXTERNAL = 0, 1, 2
 """Rotors off; the vehicle's own control law; motor values from outside."""
-
-
-class Instruments(NamedTuple):
-    """Constants of the IMU and of the motion-capture body.
-
-    Attributes:
-        lever: IMU in the body, m.
-        imu_turn: v_body = turn v_imu.
-        gyro_scale, accel_scale, gyro_bias, accel_bias: per IMU axis.
-        low_pass: b0, b1, b2, a1, a2 of the driver's filter at the IMU's rate.
-        point: tracked point in the body, m.
-        marker_turn: v_body = turn v_marker.
-        world_turn: turns true world vectors into those of motion capture.
-        latency: pose age the flight software assumes, s.
-        known_point, known_marker_turn: what the flight software takes ``point`` and ``marker_turn`` for.
-    """
-
-    lever: Vector
-    imu_turn: Quaternion
-    gyro_scale: Vector
-    accel_scale: Vector
-    gyro_bias: Vector
-    accel_bias: Vector
-    low_pass: tuple[float, float, float, float, float]
-    point: Vector
-    marker_turn: Quaternion
-    world_turn: Quaternion
-    latency: float
-    known_point: Vector
-    known_marker_turn: Quaternion
-
-
-class Supply(NamedTuple):
-    """Battery constants: full voltage, capacity (A s), resistance (ohm), power of the avionics (W), and efficiency of the drives."""
-
-    full_v: float
-    capacity: float
-    resistance: float
-    avionics_w: float
-    efficiency: float
-
-
-class Disturbance(NamedTuple):
-    """Coloured force and torque: RMS sizes, correlation time (s), order 1 (Ornstein-Uhlenbeck) or 2."""
-
-    force_n: float
-    torque_nm: float
-    correlation: float
-    order: int
 
 
 class World(NamedTuple):
@@ -189,96 +137,6 @@ class Stretch(NamedTuple):
     battery_s: np.ndarray
     drift_noise: np.ndarray
     gust_noise: np.ndarray
-
-
-@compiled
-def open_circuit_ratio(charge_left: float) -> float:
-    """Open-circuit voltage of a lithium-polymer cell over that of the full one, by the share of charge left.
-
-    Piecewise linear through typical discharge curves (4.20, 4.03, 3.94, 3.83, 3.75, 3.67, 3.58, 3.2 V).
-    """
-    left = min(max(charge_left, 0.0), 1.0)
-    if left > 0.9:
-        return 0.96 + (left - 0.9) * 0.4
-    if left > 0.8:
-        return 0.938 + (left - 0.8) * 0.22
-    if left > 0.6:
-        return 0.912 + (left - 0.6) * 0.13
-    if left > 0.4:
-        return 0.893 + (left - 0.4) * 0.095
-    if left > 0.2:
-        return 0.874 + (left - 0.2) * 0.095
-    if left > 0.1:
-        return 0.852 + (left - 0.1) * 0.22
-    return 0.762 + left * 0.9
-
-
-@compiled
-def drain(supply: Supply, battery, power: float, dt: float) -> float:
-    """Terminal voltage now, from the last current; charge and current are carried over one step. Returns V over full V."""
-    voltage = supply.full_v * open_circuit_ratio(1.0 - battery[0] / supply.capacity) - supply.resistance * battery[2]
-    battery[1] = max(voltage, 0.3 * supply.full_v)
-    battery[2] = power / battery[1]
-    battery[0] += dt * battery[2]
-    return battery[1] / supply.full_v
-
-
-@compiled
-def drift_step(p: Disturbance, state, noise, dt: float) -> tuple[Vector, Vector]:
-    """Advance the coloured disturbance; returns force (world) and torque (body) held over the step.
-
-    Order 1 is an Ornstein-Uhlenbeck process of the given correlation time; order 2 passes it once more through the same
-    lag, which halves its variance.
-    """
-    keep = 1.0 - dt / p.correlation
-    kick = sqrt(1.0 - keep * keep)
-    for i in range(6):
-        state[1, i] += dt / p.correlation * (state[0, i] - state[1, i])
-        state[0, i] = keep * state[0, i] + kick * noise[i]
-    row = state[0] if p.order == 1 else state[1]
-    s = 1.0 if p.order == 1 else sqrt(2.0)
-    f, t = s * p.force_n, s * p.torque_nm
-    return (f * row[0], f * row[1], f * row[2]), (t * row[3], t * row[4], t * row[5])
-
-
-@compiled
-def measure_imu(p: Instruments, state, w: Vector, felt: Vector, noise, out) -> None:
-    """One IMU sample in its own axes with scale, bias, noise and the driver's filter, written into ``out``."""
-    rate, force = to_body(p.imu_turn, w), to_body(p.imu_turn, felt)
-    b0, b1, b2, a1, a2 = p.low_pass
-    for i in range(3):
-        out[i] = p.gyro_scale[i] * rate[i] + p.gyro_bias[i] + noise[i]
-        out[3 + i] = p.accel_scale[i] * force[i] + p.accel_bias[i] + noise[3 + i]
-    for i in range(6):  # transposed direct form II
-        raw = out[i]
-        out[i] = b0 * raw + state[0, i]
-        state[0, i] = b1 * raw - a1 * out[i] + state[1, i]
-        state[1, i] = b2 * raw - a2 * out[i]
-
-
-@compiled
-def measure_pose(p: Instruments, last, position: Vector, q: Quaternion, frozen: bool, noise, out) -> None:
-    """One pose of the marker body, written into ``out``."""
-    if not frozen:
-        seen = to_world(p.world_turn, add(position, to_world(q, p.point)))
-        turn = multiply(multiply(p.world_turn, q), p.marker_turn)
-        turn = normalise(multiply(turn, exponential((noise[3], noise[4], noise[5]))))
-        for i in range(3):
-            last[i] = seen[i] + noise[i]
-        for i in range(4):
-            last[3 + i] = turn[i]
-    copy(last, out)
-
-
-@compiled
-def body_pose(p: Instruments, pose, out) -> None:
-    """Pose of the body as the flight software takes it, from the pose of the marker body."""
-    q = multiply((pose[3], pose[4], pose[5], pose[6]), conjugate(p.known_marker_turn))
-    shift = to_world(q, p.known_point)
-    for i in range(3):
-        out[i] = pose[i] - shift[i]
-    for i in range(4):
-        out[3 + i] = q[i]
 
 
 @compiled

@@ -42,7 +42,7 @@ from sim.effects.airframe import gust_step
 from sim.effects.attachments import cable
 from sim.effects.rotor_aerodynamics import axial_inflow, edgewise_inflow, ground_factor
 from sim.effects.rotor_faults import play
-from sim.loop import measure_imu, measure_pose
+from sim.measure import measure_imu, measure_pose
 from sim.plant import ROTOR
 from sim.scenario import Scenario
 from sim.simulation import Simulation

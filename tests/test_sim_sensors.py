@@ -9,9 +9,9 @@ from sim_states import vehicle_of
 from groundstation import frames
 from groundstation.errors import BadInput
 from groundstation.vehicle import Imu, Mocap
+from sim.background import Disturbance, drift_step, open_circuit_ratio
 from sim.build import build_world, low_pass
 from sim.effects import Effects
-from sim.loop import Disturbance, drift_step, open_circuit_ratio
 from sim.noise import Outages, Ticker
 from sim.scenario import (
     BatteryModel,
