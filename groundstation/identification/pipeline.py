@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +13,16 @@ from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored, physically_consistent
 from groundstation.identification.prediction_error import (
     Fitted,
+    fit,
     fit_from_declared,
     instrumental,
     output_error,
 )
 from groundstation.identification.preparation import Prepared, damping_terms, prepare
-from groundstation.identification.record_model import Options, RecordModel
+from groundstation.identification.record_model import BodyWrench, Options, Parameters, RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification, MethodResult
 from groundstation.identification.validation import validate
+from groundstation.model.rotors import wrench_matrix
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -79,11 +81,72 @@ def fit_dynamics(prepared: Sequence[Prepared], progress: Progress = lambda fract
         )
     progress(0.4, "prediction error with the flight's own disturbance")
     filter_error = fit_from_declared(models, prepared[0].record.vehicle, options)
+    if _curve_is_free(prepared, filter_error):
+        progress(0.6, "thrust curve")
+        return _with_free_curve(prepared, models, options, filter_error)
     refined = None
     if all(item.planned is not None for item in prepared):
         progress(0.7, "instrumental variables from the plan")
         refined = instrumental(models, filter_error, options)
     return DynamicFit(tuple(prepared), models, options, filter_error, refined)
+
+
+CURVE = ("thrust_curve_c0_n", "thrust_curve_c1_n", "thrust_curve_c2_n")
+
+
+def _curve_is_free(prepared: Sequence[Prepared], fitted: Fitted) -> bool:
+    """The mass is weighed, the declared curve is another vehicle's, and the thrust varied enough to show its shape."""
+    vehicle = prepared[0].record.vehicle
+    if vehicle.identification.anchor != "mass" or vehicle.rotors.thrust_curve is None:
+        return False
+    if any(item.planned is not None for item in prepared):
+        return False
+    p = fitted.parameters
+    return any(_thrust_spread(item, p.lag_up_s, p.lag_down_s) > 0.08 for item in prepared)
+
+
+def _thrust_spread(prepared: Prepared, up_s: float, down_s: float) -> float:
+    total = prepared.signals(up_s, down_s, 0.0).thrust_n[prepared.record.keep].sum(axis=1)
+    return float(np.std(total) / np.mean(total))
+
+
+def _with_free_curve(
+    prepared: Sequence[Prepared], models: Sequence[RecordModel], options: Options, fitted: Fitted
+) -> DynamicFit:
+    """Fit again with the mass held and the curve's coefficients free, at the lag found, twice."""
+    vehicle = prepared[0].record.vehicle
+    curve = np.asarray(vehicle.rotors.thrust_curve)
+    options = replace(options, mass=False)
+    scale = vehicle.mass_kg / fitted.parameters.mass_kg
+    start = replace(
+        fitted.parameters,
+        mass_kg=vehicle.mass_kg,
+        tensor=fitted.parameters.tensor * scale,
+        extra=np.concatenate([fitted.parameters.extra * scale, curve * (scale - 1.0)]),
+    )
+    found = fitted
+    for _ in range(2):
+        models = tuple(
+            RecordModel(item.record, (*model.extra[: len(fitted.parameters.extra)], *curve_terms(item, start)))
+            for item, model in zip(prepared, models, strict=True)
+        )
+        found = fit(models, start, options)
+        start = found.parameters
+    return DynamicFit(tuple(prepared), tuple(models), options, found, None)
+
+
+def curve_terms(prepared: Prepared, p: Parameters) -> list[BodyWrench]:
+    """Body wrench per unit change of each coefficient of the thrust curve, at a given lag and delay."""
+    vehicle = prepared.record.vehicle
+    lagged = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s).lagged
+    matrix = wrench_matrix(vehicle)
+    terms = []
+    for power, (name, declared) in enumerate(zip(CURVE, vehicle.rotors.thrust_curve or (), strict=True)):
+        value = np.zeros((len(lagged), 6))
+        value[:, 2:] = lagged**power @ matrix.T
+        span = max(abs(declared), 0.2 * vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.rotors.count)
+        terms.append(BodyWrench(name, value, prior_std=span))
+    return terms
 
 
 def identify(
@@ -113,24 +176,24 @@ def identify(
     progress(0.85, "output error")
     oe = output_error(fitted.models, best, fitted.options)
     model: dict[str, Estimate] = {}
-    for name, fit in (("OE", oe), ("FE", fitted.filter_error), ("IV", fitted.instrumental)):
-        if fit is None:
+    for name, found in (("OE", oe), ("FE", fitted.filter_error), ("IV", fitted.instrumental)):
+        if found is None:
             continue
-        parameters, constants = anchored(vehicle, fit.names, fit.values, fit.covariance)
+        parameters, constants = anchored(vehicle, found.names, found.values, found.covariance)
         rms = dict(
             zip(
                 ("torque_x_nm", "torque_y_nm", "torque_z_nm"),
-                _torque_rms(fitted.models, fit, fitted.options),
+                _torque_rms(fitted.models, found, fitted.options),
                 strict=True,
             )
         )
         methods[name] = MethodResult(
             parameters={key: value for key, value in parameters.items() if key not in hidden},
-            rms_output_error={"force_z_n": float(fit.residual_rms[5] * fit.parameters.mass_kg), **rms},
+            rms_output_error={"force_z_n": float(found.residual_rms[5] * found.parameters.mass_kg), **rms},
             note=_METHOD_NOTES[name],
         )
-        if fit is best:
-            model = {**_model(fit, prepared[0]), **constants}
+        if found is best:
+            model = {**constants, **_model(found, prepared[0])}
     name = "IV" if fitted.instrumental is not None else "FE"
     reason = _reason(fitted)
     warnings = []
@@ -208,6 +271,10 @@ def _model(fit: Fitted, prepared: Prepared) -> dict[str, Estimate]:
     out: dict[str, Estimate] = {}
     for name in fit.names:
         if name in MASS_AND_TENSOR or name.startswith("accel_bias"):
+            continue
+        if name in CURVE:
+            declared = (prepared.record.vehicle.rotors.thrust_curve or (0.0, 0.0, 0.0))[CURVE.index(name)]
+            out[name] = Estimate.normal(declared + fit.value(name), fit.std(name))
             continue
         if name == "input_delay_s":
             value, std = fit.value(name), fit.std(name)

@@ -107,13 +107,13 @@ def _moved(p: Parameters, names: Sequence[str], values: Array, extra_names: Sequ
 
 
 def _priors(
-    record: DynamicRecord, p0: Parameters, names: Sequence[str], extra: Sequence[BodyWrench]
+    record: DynamicRecord, p0: Parameters, names: Sequence[str], extra: Sequence[BodyWrench], options: Options
 ) -> tuple[Array, Array]:
     """Weak prior means and standard deviations that keep an unexcited direction finite; far wider than any claim."""
     trace = float(np.trace(p0.tensor))
     arm = record.vehicle.arm_m()
     table = {
-        "mass_kg": (p0.mass_kg, p0.mass_kg),
+        "mass_kg": (p0.mass_kg, p0.mass_kg if options.mass else 1e-6 * p0.mass_kg),
         **{
             name: (p0.tensor[i, j], p0.tensor[i, j] * 2.0 if i == j else 0.3 * trace)
             for name, (i, j) in zip(TENSOR, PAIRS, strict=True)
@@ -210,7 +210,7 @@ def fit(
                 polynomials[index] = [whitening_polynomial(y, model.restart, options.autoregression) for y in ys]
         for _ in range(8):
             names = evaluated[0][2]
-            mean, std = _priors(records[0], start, names, models[0].extra)
+            mean, std = _priors(records[0], start, names, models[0].extra, options)
             theta = _current(p, names, extra_names)
             normal = np.diag(1.0 / std**2)
             gradient = (mean - theta) / std**2
@@ -371,7 +371,7 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
         ]
         for _ in range(10):
             theta = _current(p, names, extra_names)
-            mean, std = _priors(models[0].record, start.parameters, names, models[0].extra)
+            mean, std = _priors(models[0].record, start.parameters, names, models[0].extra, options)
             precision = np.diag(1.0 / std**2) + split
             zx, zz = precision.copy(), precision.copy()
             ze = (mean - theta) / std**2 + split @ (start.values - theta)

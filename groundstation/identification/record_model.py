@@ -130,7 +130,7 @@ class Parameters:
 class Options:
     """What the fit is free to change.
 
-    ``torque_axes`` and ``use_force`` select output channels; ``lag`` and ``delay`` free those parameters.
+    ``channels`` are the outputs used; ``lag``, ``delay``, ``com``, ``yaw_trim`` and ``mass`` free those parameters.
     """
 
     lag: bool = True
@@ -138,6 +138,7 @@ class Options:
     delay: bool = True
     com: bool = True
     yaw_trim: bool = True
+    mass: bool = True
     channels: tuple[int, ...] = (0, 1, 2, 5)
     colour_rounds: int = 3
     autoregression: int = 24

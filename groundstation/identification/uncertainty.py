@@ -9,6 +9,8 @@ need not be truncated. White residuals give the textbook sigma^2 A^{-1} back.
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,9 +31,11 @@ def coloured_covariance(influence: Array, residual: Array, period_s: float) -> A
     Returns:
         Shape (n_parameters, n_parameters), in the parameters' units.
     """
+    from scipy.fft import next_fast_len
+
     k, parameters, outputs = influence.shape
-    # Twice the length, so that the products below are linear, not circular, correlations.
-    length = 1 << (2 * k - 1).bit_length()
+    # Padded by the memory that the smoothing leaves to R, so that the correlations below are linear, not circular.
+    length = 2 * cast(int, next_fast_len((k + int(1.0 / (SMOOTHING_HZ * period_s))) // 2 + 1))
     spectrum = _cross_spectrum(residual, period_s, length)
     weight = np.full(length // 2 + 1, 2.0)
     weight[[0, -1]] = 1.0
