@@ -48,6 +48,9 @@ bench: $(READY)  ## speed of planner, simulator, estimators, recorder, start-up
 faults: $(READY)  ## every fault of a link or process, and how soon it is safe
 	@$(PY) -m benchmarks.faults $(ARGS)
 
+firmware-test: $(READY)  ## real ArduCopter and PX4 on our physics: ARDUCOPTER=path PX4=path
+	@ARDUCOPTER=$(ARDUCOPTER) PX4=$(PX4) $(PY) -m pytest -rs tests/test_firmware_real.py $(ARGS)
+
 reproduce: $(READY)  ## the paper's tables beside ours
 	@$(VENV)/bin/groundstation reproduce $(ARGS)
 

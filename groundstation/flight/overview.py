@@ -72,7 +72,7 @@ class FlightView:
         drone = self.drone
         if drone is None:
             return {}
-        moving = drone.phase in ("takeoff", "exciting", "landing")
+        moving = drone.phase in ("takeoff", "exciting")
         return {
             "vehicle_phase": drone.phase,
             "flight_s": drone.flight_s,
