@@ -107,7 +107,8 @@ def _ratio_to_poses(t_s: Array, gyro: Array, attitude: Stream) -> float | None:
     step = max(1, round(_WINDOW_S / max(float(np.median(np.diff(when))), 1e-6)))
     turn = np.linalg.norm(quat_log(quat_multiply(quat_conjugate(q[:-step]), q[step:])), axis=1)
     span = when[step:] - when[:-step]
-    posed = turn[span > 0.0] / span[span > 0.0]
+    moving = (span > 0.0) & (turn > 0.0)  # a frozen pose says nothing
+    posed = turn[moving] / span[moving]
     measured = np.linalg.norm(_window_means(t_s, gyro), axis=1)
     if not len(posed) or _rms(measured) < 1.0:
         return None
