@@ -23,6 +23,7 @@ from sim.firmware.__main__ import serve_json, serve_serial, serve_tcp
 from sim.firmware.arducopter import JsonExchange
 from sim.firmware.px4 import FIELDS, HilExchange, pressure_hpa
 from sim.mavlink.control import Cascade, Setpoint
+from sim.mavlink.messages import EARTH_RADIUS_M, LATITUDE_DEG, LONGITUDE_DEG
 from tests.emulated import RigidAirframe, quadrotor
 
 VEHICLE = quadrotor()
@@ -169,6 +170,17 @@ def test_px4_gets_every_sensor_it_needs_in_its_own_frame():
     assert m.abs_pressure == pytest.approx(955.8, abs=0.5), "as recorded at 489 m"
     assert [s.time_usec for s in firmware.sensors] == list(range(4000, 204_000, 4000))
     assert len(firmware.gps) == 2, "10 Hz"
+
+
+def test_px4_is_told_the_truth_for_its_log():
+    exchange, codec = HilExchange(RigidAirframe(VEHICLE, position_m=(1.0, 2.0, 0.0)), 4), MavlinkCodec(1, 1)
+    told = [r.message for _ in range(10) for r in codec.decode(exchange.step()) if r.name == "HIL_STATE_QUATERNION"]
+    assert len(told) == 5
+    assert list(told[0].attitude_quaternion) == pytest.approx([1.0, 0.0, 0.0, 0.0])
+    assert told[0].zacc == -1000
+    north = math.radians(told[0].lat * 1e-7 - LATITUDE_DEG) * EARTH_RADIUS_M
+    east = math.radians(told[0].lon * 1e-7 - LONGITUDE_DEG) * EARTH_RADIUS_M * math.cos(math.radians(LATITUDE_DEG))
+    assert (north, -east) == pytest.approx((1.0, 2.0), abs=0.02)
 
 
 def test_px4_flies_in_lock_step():

@@ -1,4 +1,5 @@
-"""PX4's simulator link (docs.px4.io, "Simulation", MAVLink API): HIL_SENSOR and HIL_GPS out, HIL_ACTUATOR_CONTROLS in.
+"""PX4's simulator link (docs.px4.io, "Simulation", MAVLink API): HIL_SENSOR, HIL_GPS and the truth (HIL_STATE_QUATERNION)
+out, HIL_ACTUATOR_CONTROLS in.
 
 ``time_usec`` of HIL_SENSOR *is* PX4's clock. Until its first answer the sensors flow freely; from then on each step waits
 for the answer to the last one (lock-step over TCP). A flight controller on the bench has a clock of its own: there the
@@ -11,12 +12,13 @@ import math
 
 from drivers.mavlink.codec import MavlinkCodec
 from drivers.mavlink.dialect import Message, mavlink
-from drivers.mavlink.geometry import flip
+from drivers.mavlink.geometry import flip, flip_quaternion
 from sim.mavlink.airframe import Airframe, Vector, rotate_inverse
 from sim.mavlink.messages import geodetic
 
 STEP_US = 4000
 GPS_EVERY = 25
+TRUTH_EVERY = 2
 ALTITUDE_M = 489.4
 FIELD_NED_GAUSS: Vector = (0.2152, 0.0077, 0.4274)
 """Earth's field at the place the positions are reported for."""
@@ -56,6 +58,8 @@ class HilExchange:
         outgoing = [self._sensor()]
         if self._steps % GPS_EVERY == 0:
             outgoing.append(self._gps())
+        if self._steps % TRUTH_EVERY == 0:
+            outgoing.append(self._truth())
         self._steps += 1
         self.waiting = True
         return b"".join(self._codec.encode(message) for message in outgoing)
@@ -92,6 +96,17 @@ class HilExchange:
         return mavlink.MAVLink_hil_gps_message(
             self.time_us, 3, latitude, longitude, round(1000 * altitude), 30, 40, round(math.hypot(north, east)), north,
             east, down, course, 16,
+        )  # fmt: skip
+
+    def _truth(self) -> Message:
+        """What PX4 writes into its log as groundtruth."""
+        state = self._airframe.state
+        latitude, longitude, altitude = geodetic(state.position_m, ALTITUDE_M)
+        velocity = [round(100 * v) for v in flip(state.velocity_m_s)]
+        force = [round(1000 * f / 9.80665) for f in flip(state.specific_force_m_s2)]
+        return mavlink.MAVLink_hil_state_quaternion_message(
+            self.time_us, list(flip_quaternion(state.quaternion)), *flip(state.rate_rad_s), latitude, longitude,
+            round(1000 * altitude), velocity[0], velocity[1], velocity[2], 0, 0, force[0], force[1], force[2],
         )  # fmt: skip
 
 

@@ -62,7 +62,7 @@ class Estimator:
     """
 
     HISTORY_S = 0.5
-    GPS_CORRELATION_S = 5.0
+    GPS_CORRELATION_S, GPS_VELOCITY_S = 5.0, 1.0
 
     def __init__(self, settings: EstimatorSettings, *, seed: int = 0):
         self.settings = settings
@@ -70,6 +70,7 @@ class Estimator:
         self._random = random.Random(seed)
         self._error = [0.0, 0.0, 0.0]
         self._error_rate = [0.0, 0.0, 0.0]
+        self._drive = [0.0, 0.0, 0.0]
         self._yaw_error = 0.0
         self._history: deque[tuple[float, Vector, float]] = deque()
         self._last_vision_s = -math.inf
@@ -122,13 +123,18 @@ class Estimator:
         return Estimate((px + ex, py + ey, pz + ez), (vx + fx, vy + fy, vz + fz), turned, gyro, self.position_valid)
 
     def _wander(self, dt: float) -> None:
-        """Gauss-Markov error of first order with the set standard deviation, smooth in velocity."""
-        decay = dt / self.GPS_CORRELATION_S
-        kick = self.settings.gps_error_m * math.sqrt(2.0 * decay)
+        """Position error e on GPS: e' = v - e/T with v a Gauss-Markov process of correlation time T_v.
+
+        Its standard deviation is sd(v) T sqrt(T_v / (T + T_v)); the velocity error reported is e', so that position and velocity
+        belong together as in a filter's output.
+        """
+        long, short = self.GPS_CORRELATION_S, self.GPS_VELOCITY_S
+        decay = dt / short
+        kick = self.settings.gps_error_m / (long * math.sqrt(short / (long + short))) * math.sqrt(2.0 * decay)
         for axis in range(3):
-            step = -decay * self._error[axis] + kick * self._random.gauss(0.0, 1.0)
-            self._error[axis] += step
-            self._error_rate[axis] = 0.0
+            self._drive[axis] += -decay * self._drive[axis] + kick * self._random.gauss(0.0, 1.0)
+            self._error_rate[axis] = self._drive[axis] - self._error[axis] / long
+            self._error[axis] += self._error_rate[axis] * dt
 
     def vision(self, position_m: Vector, yaw_rad: float, stamp_s: float) -> None:
         """Take a pose of the external vision, stamped on the autopilot's clock."""
@@ -150,7 +156,7 @@ class Estimator:
         """Begin again after a reboot: nothing has been received yet."""
         self._history.clear()
         self._last_vision_s, self._now_s = -math.inf, 0.0
-        self._error, self._error_rate, self._yaw_error = [0.0] * 3, [0.0] * 3, 0.0
+        self._error, self._error_rate, self._drive, self._yaw_error = [0.0] * 3, [0.0] * 3, [0.0] * 3, 0.0
 
     def jump(self, offset_m: Vector) -> None:
         """A reset of the estimator: the position steps, and the reset counter with it."""

@@ -1,0 +1,137 @@
+"""Real ArduCopter and PX4 on the simulated physics. Their binaries are given in ARDUCOPTER and PX4; nothing of them is kept here."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from drivers.mavlink.codec import MavlinkCodec
+from drivers.mavlink.dialect import mavlink
+from drivers.mavlink.transports import Transport, open_transport
+
+ARDUCOPTER, PX4 = os.environ.get("ARDUCOPTER", ""), os.environ.get("PX4", "")
+SET_MODE, ARM = mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+
+
+@contextmanager
+def process(command: list[str], folder: Path, **environment: str) -> Iterator[None]:
+    """A child with its output in a file, ended at the end."""
+    with (folder / f"{Path(command[0]).name}-{command[1].strip('-')}.log").open("wb") as log:
+        child = subprocess.Popen(
+            command, cwd=folder, stdout=log, stderr=log, stdin=subprocess.DEVNULL, env={**os.environ, **environment}
+        )
+        try:
+            yield
+        finally:
+            child.terminate()
+            child.wait(10)
+
+
+class Ground:
+    """A few words of a station on real time."""
+
+    def __init__(self, transport: Transport):
+        self.transport, self.codec = transport, MavlinkCodec()
+        self.seen: dict[str, object] = {}
+        self._beat_s = 0.0
+
+    def until(self, condition: Callable[[], bool], within_s: float, each: Callable[[], None] = lambda: None) -> bool:
+        end = time.monotonic() + within_s
+        while time.monotonic() < end:
+            if time.monotonic() - self._beat_s > 1.0:
+                self._beat_s = time.monotonic()
+                self.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
+            for _, data in self.transport.read():
+                for received in self.codec.decode(data):
+                    if received.frame.system == 1 and received.message is not None:
+                        self.seen[received.name] = received.message
+            each()
+            if condition():
+                return True
+            self.transport.wait(0.02)
+        return False
+
+    def send(self, message) -> None:
+        self.transport.write(self.codec.encode(message))
+
+    def command(self, number: int, *p: float) -> None:
+        self.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *(list(p) + [0.0] * 7)[:7]))
+
+    def repeatedly(self, *commands: tuple[float, ...]) -> Callable[[], None]:
+        """Send the commands once a second."""
+        last = [0.0]
+
+        def each() -> None:
+            if time.monotonic() - last[0] > 1.0:
+                last[0] = time.monotonic()
+                for number, *p in commands:
+                    self.command(int(number), *p)
+
+        return each
+
+    @property
+    def armed(self) -> bool:
+        beat = self.seen.get("HEARTBEAT")
+        return beat is not None and bool(beat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)  # type: ignore[attr-defined]
+
+    @property
+    def height_m(self) -> float:
+        position = self.seen.get("LOCAL_POSITION_NED")
+        return 0.0 if position is None else -position.z  # type: ignore[attr-defined]
+
+
+def physics(*arguments: str) -> list[str]:
+    return [sys.executable, "-P", "-m", "sim.firmware", *arguments, "--vehicle", "x500", "--scenario", "clean"]
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.skipif(not ARDUCOPTER, reason="ARDUCOPTER names no arducopter binary (make firmware-test ARDUCOPTER=path)")
+def test_real_arducopter_arms_takes_off_and_lands_on_our_physics(tmp_path: Path):
+    (tmp_path / "copter.parm").write_text(
+        "FRAME_CLASS 1\nFRAME_TYPE 1\nSIM_RATE_HZ 1000\nARMING_SKIPCHK 0\nFS_THR_ENABLE 0\n"
+    )
+    firmware = [ARDUCOPTER, "--model", "JSON:127.0.0.1", "--defaults", str(tmp_path / "copter.parm"), "--wipe"]
+    with process(physics("--arducopter", "127.0.0.1:9002"), tmp_path), process(firmware, tmp_path):
+        ground = Ground(connected("tcp://127.0.0.1:5760"))
+        ready = ground.repeatedly((mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 32, 50000), (SET_MODE, 1, 4), (ARM, 1))
+        assert ground.until(lambda: ground.armed, 120.0, ready)
+        ground.command(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 2.0)
+        assert ground.until(lambda: ground.height_m > 1.7, 30.0)
+        ground.command(mavlink.MAV_CMD_NAV_LAND)
+        assert ground.until(lambda: not ground.armed, 60.0)
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.skipif(not PX4, reason="PX4 names no px4 binary (make firmware-test PX4=path)")
+def test_real_px4_arms_takes_off_and_lands_on_our_physics(tmp_path: Path):
+    build = Path(PX4).resolve().parents[1]
+    firmware = [PX4, "-d", str(build / "etc"), "-w", str(tmp_path)]
+    with (
+        process(physics("--px4", "tcp://127.0.0.1:4560"), tmp_path),
+        process(firmware, tmp_path, PX4_SIM_MODEL="none_iris"),
+    ):
+        ground = Ground(open_transport("udpin://127.0.0.1:14540"))
+        assert ground.until(lambda: ground.armed, 120.0, ground.repeatedly((ARM, 1)))
+        nan = float("nan")
+        ground.command(mavlink.MAV_CMD_NAV_TAKEOFF, nan, nan, nan, nan, nan, nan, nan)
+        assert ground.until(lambda: ground.height_m > 1.7, 40.0)
+        ground.command(mavlink.MAV_CMD_NAV_LAND)
+        assert ground.until(lambda: not ground.armed, 60.0)
+
+
+def connected(url: str, within_s: float = 60.0) -> Transport:
+    """The firmware's port, once it is there."""
+    end = time.monotonic() + within_s
+    while time.monotonic() < end:
+        try:
+            return open_transport(url)
+        except (TimeoutError, ConnectionError):
+            time.sleep(0.5)
+    raise AssertionError(f"{url} did not open")
