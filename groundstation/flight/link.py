@@ -186,7 +186,8 @@ class LinkProcess:
             handles = [credit, core_alive]
             try:
                 self._until(lambda: self.core.view is not None or bool(self._stop_reason), self.clock() + HEARD_S)
-                self._until(lambda: self.core.ready or bool(self._stop_reason), self.clock() + READY_S)
+                if self.core.view is not None:
+                    self._until(lambda: self.core.ready or bool(self._stop_reason), self.clock() + READY_S)
                 if self._stop_reason and not self.core.ready:
                     return 0
                 if not self.core.ready:
@@ -258,6 +259,8 @@ class LinkProcess:
         for pose, received_s in self._poses.read() if self._poses is not None else ():
             self._emit(self.core.pose(pose, received_s))
         self._emit(self.core.step(now, self.transport.read(), datagrams=self.transport.datagrams))
+        if self.core.pilot is not None and self.core.pilot.phase is Phase.LANDED:
+            self.core.restore_parameters()
         self._answer()
         self._publish()
 

@@ -413,7 +413,8 @@ class LinkCore:
 
     def restore_parameters(self) -> None:
         """Begin to write back what was changed for the flight; only disarmed. ``changed`` empties as it succeeds."""
-        if self.view is not None and self._restoring is None and self.changed and not self.view.armed:
+        busy = self._restoring is not None and not self._restoring.done
+        if self.view is not None and not busy and self.changed and not self.view.armed:
             profile = self.view.profile
             dialogue = Parameters(profile.system, profile.component, bytewise=profile.bytewise_parameters)
             self._restoring = self.converse(self._restore(dialogue))

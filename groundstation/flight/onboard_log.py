@@ -1,24 +1,29 @@
 """The onboard log after landing: which one it is, fetch it with progress, resume a fetch that broke off.
 
-What came is kept in ``NAME.part`` until the log is whole, so that a second try goes on where the first stopped. Logs are
-told apart by what was there before: ids are in no order of time, so the newest by time stamp counts, else the highest id.
+What came is kept in ``NAME.part`` until the log is whole, so that a second try goes on where the first stopped. Logs are told
+apart by time stamp, because ids are in no order of time; without stamps the highest id counts.
+
+    python -P -m groundstation.flight.onboard_log --link udpin://127.0.0.1:14540 --vehicle x500 --folder logs/FLIGHT
 """
 
 from __future__ import annotations
 
+import argparse
+import sys
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any
 
 from drivers.mavlink.exchange import Conversation
 from drivers.mavlink.logs import LogEntry, LogError, Logs
 from drivers.mavlink.transports import open_transport
-from groundstation.errors import Refused
+from groundstation.errors import BadInput, GroundStationError, Refused
 from groundstation.flight.link import bandwidth_of
 from groundstation.flight.link_core import LinkCore, Options
 from groundstation.flight.station import load_station
-from groundstation.vehicle import Vehicle
+from groundstation.paths import find_config
+from groundstation.vehicle import Vehicle, load_vehicle
 
 FIND_S = 15.0
 STEP_S = 0.005
@@ -101,3 +106,30 @@ def fetch_onboard_log(
         return path
     finally:
         transport.close()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point: fetch a log, or go on with one."""
+    parser = argparse.ArgumentParser(prog="groundstation.flight.onboard_log", description=__doc__)
+    parser.add_argument("--link", required=True)
+    parser.add_argument("--vehicle", required=True)
+    parser.add_argument("--folder", type=Path, required=True, help="where it goes, e.g. beside the flight's recording")
+    parser.add_argument("--number", type=int, help="of the log; default the newest")
+    options = parser.parse_args(arguments)
+    try:
+        vehicle = load_vehicle(find_config("vehicles", options.vehicle))
+        path = fetch_onboard_log(
+            options.link, vehicle, options.folder, lambda _f, text: print(text, file=sys.stderr), number=options.number
+        )
+    except GroundStationError as error:
+        print(error, file=sys.stderr)
+        return error.exit_status
+    except (ValueError, ConnectionError) as error:
+        print(error, file=sys.stderr)
+        return BadInput.exit_status
+    print(path)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
