@@ -88,8 +88,12 @@ class McapRecorder:
 
     def set_metadata(self, values: Mapping[str, str]) -> None:
         """Add metadata that is known only now, such as ``window_start_s`` and ``window_end_s``."""
-        self._metadata |= values
-        self._do(0, partial(self._writer.metadata, METADATA, self._metadata))
+
+        def write() -> None:
+            self._metadata |= values
+            self._writer.metadata(METADATA, self._metadata)
+
+        self._do(0, write)
 
     def add(self, sample: Sample, host_s: float, topic: str | None = None) -> None:
         """Record a sample.
