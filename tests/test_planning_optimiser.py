@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from groundstation.errors import BadInput
 from groundstation.paths import find_config
-from groundstation.planning import optimiser
+from groundstation.planning import optimiser, terms
 from groundstation.planning.criteria import condition_number
 from groundstation.planning.information import percentages, signals
 from groundstation.planning.limits import envelope
@@ -182,6 +182,24 @@ def test_an_interrupt_keeps_the_best_so_far():
     assert len(seen) == 2
     assert violation(plan.series(), qball()) <= 1e-6
     assert plan.condition_number is not None and plan.condition_number < 17.0
+
+
+def test_an_interrupt_inside_the_solver_ends_it_and_keeps_a_plan_that_can_be_flown(monkeypatch):
+    """A callback's KeyboardInterrupt would be swallowed by the solver, which would go on for minutes."""
+    calls = 0
+    value = terms.HeldLimit.value
+
+    def interrupted(self, unknowns):
+        nonlocal calls
+        calls += 1
+        if calls == 60:
+            raise KeyboardInterrupt
+        return value(self, unknowns)
+
+    monkeypatch.setattr(terms.HeldLimit, "value", interrupted)
+    plan = plan_excitation(**paper_problem(), time_budget_s=600.0)
+    assert calls < 120
+    assert violation(plan.series(), qball()) <= 1e-6
 
 
 def test_the_same_seed_gives_the_same_plan_and_the_document_reads_back():

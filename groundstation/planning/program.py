@@ -181,7 +181,7 @@ class Program:
                 "bound_frac": 1e-4,
             }
         settings = {"grad_f": gradient, "jac_g": jacobian, "hess_lag": hessian, "ipopt": options}
-        quiet = {"print_time": False, "error_on_fail": False, "no_nlp_grad": True}
+        quiet = {"print_time": False, "error_on_fail": False, "no_nlp_grad": True, "show_eval_warnings": False}
         return ca.nlpsol("plan", "ipopt", nlp, settings | quiet)
 
     def solve(self, unknowns: Array, reach: float = np.inf) -> Array:
@@ -190,6 +190,9 @@ class Program:
         Args:
             unknowns: where to start; the motion must reveal every parameter a little.
             reach: how far each unknown may move (m/s, rad/s; m, rad for the start).
+
+        Raises:
+            KeyboardInterrupt: Ctrl-C came while the solver ran.
         """
         lifting, count = self._lifting, self.problem.unknowns
         matrices = [information.value(unknowns) for information in self._information]
@@ -204,6 +207,8 @@ class Program:
         for offset in self._split[:-1]:
             least[offset + lifting.positive] = 1e-9
         answer = self._solver(x0=start, lbx=least, ubx=greatest, lbg=self._lower, ubg=self._upper)
+        if any(each.interrupted for each in self._callbacks):
+            raise KeyboardInterrupt
         return np.array(answer["x"]).ravel()[:count]
 
 
@@ -222,6 +227,7 @@ class _Callback(ca.Callback):
         ca.Callback.__init__(self)
         self._function, self._inputs, self._outputs = function, inputs, outputs
         self._sparsity_in, self._sparsity_out = sparsity_in, sparsity_out
+        self.interrupted = False
         self.construct(name, {})
 
     def get_n_in(self) -> int:
@@ -243,4 +249,9 @@ class _Callback(ca.Callback):
         return self._sparsity_out[i]
 
     def eval(self, arg: Sequence[ca.DM]) -> list:
-        return self._function(*[np.array(each).ravel() for each in arg])
+        if not self.interrupted:
+            try:
+                return self._function(*[np.array(each).ravel() for each in arg])
+            except KeyboardInterrupt:  # the solver would swallow it and go on; without numbers it ends at once
+                self.interrupted = True
+        return [ca.DM(pattern, np.full(pattern.nnz(), np.nan)) for pattern in self._sparsity_out]
