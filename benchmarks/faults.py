@@ -129,15 +129,11 @@ def measure(kind: str, fault: Break) -> tuple[str, str, str]:
         return f"{noticed:.2f} s", "the pilot flies", "station lets go"
     down = rig.run(lambda: rig.vehicle.height_m < 0.05, 40.0)
     safe = f"{rig.now_s - begun:.1f} s" if down else "by its own GCS failsafe"
-    if rig.phase is Phase.LANDED and not by:
-        return "not needed", safe, "the plan's end"
-    if not by or "disarmed" in by:
-        return f"{noticed:.2f} s" if by else "not seen", safe, "vehicle"
-    return (
-        f"{noticed:.2f} s",
-        safe,
-        "vehicle's failsafe; station lets go" if "let go" in by else f"link: {by.split(',')[0]}",
-    )
+    if not by:
+        completed = down and rig.phase is not Phase.FOLLOWING
+        return ("not needed", safe, "the plan's end") if completed else ("not seen", safe, "vehicle's failsafe")
+    who = "vehicle's failsafe; station lets go" if "let go" in by else f"link: {by.split(',')[0]}"
+    return f"{noticed:.2f} s", safe, "vehicle" if "disarmed" in by else who
 
 
 def main() -> None:

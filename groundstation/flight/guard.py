@@ -15,6 +15,7 @@ from drivers.samples import Quaternion, Vector3
 from groundstation.flight.station import ActionName, Box, GuardLimits
 
 _STRENGTH = {"hold": 0, "land": 1, "kill": 2}
+_KNOWN_FOR_SURE = {"core_silent": "the core is gone", "estimator_reset": "the vehicle reset its estimate"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +129,10 @@ class Guard:
     def _above(self, name: str, value: float, sentence: str) -> Iterator[tuple[str, str]]:
         limit = getattr(self._limits, name).limit
         if not value <= limit:
-            yield name, "the core is gone" if name == "core_silent" and value == inf else sentence.format(value, limit)
+            yield (
+                name,
+                _KNOWN_FOR_SURE[name] if value == inf and name in _KNOWN_FOR_SURE else sentence.format(value, limit),
+            )
 
     def _battery(self, seen: Observations) -> Iterator[tuple[str, str]]:
         limit = self._limits.battery.limit

@@ -46,7 +46,7 @@ class Px4(Profile):
         StreamWish("HIGHRES_IMU", 250.0, 20.0, "rates and specific force: the motion the inertia shows in"),
         StreamWish("ACTUATOR_OUTPUT_STATUS", 250.0, 0.0, "motor commands with full digits"),
         StreamWish("SERVO_OUTPUT_RAW", 250.0, 20.0, "motor commands: what caused the motion"),
-        StreamWish("ESC_STATUS", 100.0, 0.0, "rotor speeds, where the ESCs report them"),
+        StreamWish("ESC_STATUS", 250.0, 0.0, "rotor speeds, where the ESCs report them"),
         StreamWish("ATTITUDE_QUATERNION", 100.0, 10.0, "tilt for the guard, attitude for the record"),
         StreamWish("LOCAL_POSITION_NED", 100.0, 10.0, "position for guard and record"),
         StreamWish("ODOMETRY", 100.0, 0.0, "the whole state with one stamp, and estimator resets"),
