@@ -12,7 +12,7 @@ from drivers.mavlink.codec import MavlinkCodec, Received
 from drivers.mavlink.dialect import Message, mavlink
 from drivers.mavlink.geometry import rotate, turned
 from groundstation.vehicle import Vehicle, vehicle_from_dict
-from sim.mavlink.airframe import AirframeState, ImuSample, Quaternion, Vector, euler
+from sim.mavlink.airframe import AirframeState, ImuSample, Quaternion, Vector, cross, euler
 from sim.mavlink.autopilot import Autopilot
 
 
@@ -26,7 +26,7 @@ class RigidAirframe:
     """A rigid body with four thrusts and first-order rotors over a floor: enough to exercise the protocol.
 
     The full plant with its effects and sensors is :mod:`sim`'s; this one needs no compiler and keeps the tests fast.
-    Semi-implicit Euler at 1 kHz.
+    Semi-implicit Euler at 500 Hz.
     """
 
     def __init__(self, vehicle: Vehicle, *, seed: int = 0, position_m: Vector = (0.0, 0.0, 0.0)):
@@ -50,7 +50,7 @@ class RigidAirframe:
 
     def step(self, dt_s: float, commands: tuple[float, ...]) -> None:
         """Advance by dt with the commands held."""
-        count = max(1, round(dt_s / 0.001))
+        count = max(1, round(dt_s / 0.002))
         for _ in range(count):
             self._substep(dt_s / count, np.asarray(commands))
 
@@ -72,7 +72,7 @@ class RigidAirframe:
         else:
             self._velocity += dt * acceleration
             self._position += dt * self._velocity
-            gyroscopic = np.cross(self._rate, self._inertia @ self._rate)
+            gyroscopic = cross(self._rate.tolist(), (self._inertia @ self._rate).tolist())
             self._rate += dt * (self._inverse @ (np.asarray(torque) - gyroscopic))
             self._q = turned(self._q, (self._rate[0], self._rate[1], self._rate[2]), dt)
             self._force = body

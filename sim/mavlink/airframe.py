@@ -7,6 +7,7 @@ numbers per call, arrays cost more than they give.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -69,6 +70,11 @@ class Airframe(Protocol):
 def rotate_inverse(q: Quaternion, v: Vector) -> Vector:
     """Rotate a world vector into the body."""
     return rotate((q[0], -q[1], -q[2], -q[3]), v)
+
+
+def cross(a: Sequence[float], b: Sequence[float]) -> Vector:
+    """Vector product; for three floats far faster than numpy's."""
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 def euler(q: Quaternion) -> Vector:

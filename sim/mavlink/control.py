@@ -14,7 +14,7 @@ import numpy as np
 
 from drivers.mavlink.geometry import rotate
 from groundstation.vehicle import Vehicle
-from sim.mavlink.airframe import Quaternion, Vector, euler, rotate_inverse
+from sim.mavlink.airframe import Quaternion, Vector, cross, euler, rotate_inverse
 
 NAN3: Vector = (math.nan, math.nan, math.nan)
 
@@ -133,7 +133,7 @@ class Cascade:
         self._rate_integral = np.clip(self._rate_integral + np.asarray(gains.rate_i) * deviation * dt, -6.0, 6.0)
         angular = np.asarray(gains.rate_p) * deviation + self._rate_integral - np.asarray(gains.rate_d) * slope
         self.rate_setpoint = (float(target[0]), float(target[1]), float(target[2]))
-        return self._inertia @ angular + np.cross(measured, self._inertia @ measured)
+        return self._inertia @ angular + cross(rate, (self._inertia @ measured).tolist())
 
 
 def _limit_tilt(specific: Vector, tilt_max: float) -> Vector:
