@@ -202,6 +202,16 @@ def test_an_interrupt_inside_the_solver_ends_it_and_keeps_a_plan_that_can_be_flo
     assert violation(plan.series(), qball()) <= 1e-6
 
 
+def test_an_interrupted_polish_still_gives_the_coarse_solution(monkeypatch):
+    def interrupted(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(optimiser, "_polish", interrupted)
+    plan = plan_excitation(**paper_problem(), time_budget_s=600.0)
+    assert violation(plan.series(), qball()) <= 1e-6
+    assert plan.condition_number is not None and plan.condition_number < 17.0
+
+
 def test_the_same_seed_gives_the_same_plan_and_the_document_reads_back():
     common = {"harmonics": 3, "base_frequency_rad_s": 0.8, "starts": 1, "seed": 5}
     first, second = (plan_excitation(qball(), **common) for _ in range(2))

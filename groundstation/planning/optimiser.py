@@ -255,6 +255,7 @@ def best_of(
                 if tried >= starts if starts else used + longest > time_budget_s:
                     break
         except KeyboardInterrupt:
+            best = min([best, *(each.salvaged() for each in searches if each.rough < best.cost)], key=lambda o: o.cost)
             progress(1.0, f"interrupted; best so far {best.cost:.5g}")
     return replace(best, starts=tried, seconds=clock() - began)
 
@@ -266,7 +267,12 @@ class _Search:
         self._problem = problem
         self._exchange: _Exchange | None = None
         self._program: Program | None = None
+        self._found = np.zeros(0)
         self.rough = float("inf")
+
+    def salvaged(self) -> Outcome:
+        """The best coarse solution drawn in to keep its limits, where polishing was interrupted."""
+        return _judge(self._problem, repair_about_start(self._problem.series(self._found), self._problem, step=1e-4))
 
     def fallback(self, rng: np.random.Generator) -> Outcome:
         """A feasible plan without any optimisation."""
@@ -287,7 +293,7 @@ class _Search:
         rough = cost(problem.series(found), problem)
         if not rough < self.rough:
             return None
-        self.rough = rough
+        self.rough, self._found = rough, found
         return _judge(problem, _polish(problem, self._exchange, found))
 
 
