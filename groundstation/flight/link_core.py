@@ -28,6 +28,7 @@ from groundstation.flight.preflight import Check, Situation, failures, run_check
 from groundstation.flight.profiles import Profile, profile_for
 from groundstation.flight.rates import fit_rates
 from groundstation.flight.station import Station
+from groundstation.flight.upload import choose_way
 from groundstation.flight.view import Meter, VehicleView
 from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle
@@ -141,8 +142,11 @@ class LinkCore:
             self.check(plan, now_s)
         except BadInput as error:
             return Answered(False, str(error))
-        reason = failures(self.checks)
-        return Answered(False, reason) if reason else self.pilot.upload(plan)
+        if reason := failures(self.checks):
+            return Answered(False, reason)
+        way = choose_way(self.pilot.profile, self.parameters, onboard=False)
+        self._events.append(Event(self.device_s(now_s), "upload", f"{way.kind}: {way.why}"))
+        return self.pilot.upload(plan)
 
     def check(self, plan: Plan | None, now_s: float) -> list[Check]:
         """Run every check as of now; the answers also go into the recording.
