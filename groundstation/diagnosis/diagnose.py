@@ -59,14 +59,11 @@ def diagnose(
         unseen = [_for_evidence(prepare(flight)) for flight in held_out]
         progress(0.25, "base fit")
         fitted = fit_dynamics([*suspects, *healthy])
-        progress(0.5, "noise of each channel")
-        evidence = _evidence(fitted, suspects, healthy)
-        first = evidence.flights[0]
-        pool = _pool(vehicle, first, references=bool(references))
-        baseline = _baseline(evidence, vehicle) if references else []
-        selection = Selection(evidence, pool, baseline, lambda f: progress(0.55 + 0.25 * f, "effects one by one"))
-        progress(0.8, "selecting")
-        named, solution = selection.run()
+        evidence, baseline, named, solution = _select(fitted, suspects, healthy, (), progress)
+        if named:
+            # An effect swells the noise it is judged against: what was found is kept out of the noise, and all is judged anew.
+            known = tuple(n.candidate for n in named)
+            evidence, baseline, named, solution = _select(fitted, suspects, healthy, known, progress)
         chosen = [*baseline, *((n.candidate, n.columns) for n in named)]
         progress(0.9, "what is left")
         left = dependences(evidence, chosen)
@@ -110,10 +107,30 @@ def _for_evidence(prepared: Prepared) -> Prepared:
     return replace(prepared, record=replace(prepared.record, block=block))
 
 
-def _evidence(fitted: DynamicFit, suspects: Sequence[Prepared], healthy: Sequence[Prepared]) -> Evidence:
+def _select(
+    fitted: DynamicFit,
+    suspects: Sequence[Prepared],
+    healthy: Sequence[Prepared],
+    known: Sequence[Candidate],
+    progress: Progress,
+) -> tuple[Evidence, list[tuple[Candidate, Columns]], list[Named], Solution]:
+    """Evidence with a noise model that leaves the known effects out, and what it asks for."""
+    progress(0.5, "noise of each channel")
+    evidence = _evidence(fitted, suspects, healthy, known)
+    vehicle = suspects[0].record.vehicle
+    pool = _pool(vehicle, evidence.flights[0], references=bool(healthy))
+    baseline = _baseline(evidence, vehicle) if healthy else []
+    selection = Selection(evidence, pool, baseline, lambda f: progress(0.55 + 0.25 * f, "effects one by one"))
+    progress(0.8, "selecting")
+    return evidence, baseline, *selection.run()
+
+
+def _evidence(
+    fitted: DynamicFit, suspects: Sequence[Prepared], healthy: Sequence[Prepared], known: Sequence[Candidate]
+) -> Evidence:
     best = fitted.best
     return Evidence(
-        [FlightEvidence(item, best, fitted.options) for item in suspects],
+        [FlightEvidence(item, best, fitted.options, known) for item in suspects],
         [FlightEvidence(item, best, fitted.options) for item in healthy],
     )
 
@@ -122,7 +139,7 @@ def _pool(vehicle: Vehicle, first: FlightEvidence, *, references: bool) -> list[
     pool = candidates(vehicle, first.signals)
     if references:
         payload = library()["payload_change"]
-        pool.append(Candidate(payload, {"at_s": -1.0}))
+        pool.append(Candidate(payload, {"at_s": -1.0, "within_s": 1.0}))
     return pool
 
 

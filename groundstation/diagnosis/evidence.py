@@ -27,6 +27,7 @@ from groundstation.model.signals import Signals
 Array = NDArray[np.float64]
 
 SIGNAL_RATE_HZ = 100.0
+DRIFT_S = 6.0
 EFFECT_SHIFTS_S = (-0.1, 0.0, 0.15)
 
 
@@ -76,10 +77,11 @@ class Solution:
 
 
 class FlightEvidence:
-    """One flight, whitened about a base fit."""
+    """One flight, whitened about a base fit; effects that are ``known`` already are kept out of its noise model."""
 
-    def __init__(self, prepared: Prepared, fitted: Fitted, options: Options, colours: Sequence[Colour] | None = None):
+    def __init__(self, prepared: Prepared, fitted: Fitted, options: Options, known: Sequence[Candidate] = ()):
         self.prepared = prepared
+        self._known = tuple(known)
         record = prepared.record
         p = fitted.parameters
         self.parameters = replace(p, com_m=np.zeros(3), yaw_trim_nm=0.0, force_bias_m_s2=np.zeros(3), extra=np.zeros(0))
@@ -99,7 +101,7 @@ class FlightEvidence:
         self._inverse = np.linalg.inv(self.parameters.tensor)
         self.residual, self.sensitivity, self.names = self.model.evaluate(self.parameters, self.options)
         self.planned = [planned_signals(prepared, self.parameters, shift, self._stride) for shift in EFFECT_SHIFTS_S]
-        self.colours = self._colours(colours)
+        self.colours = self._colours()
         self.polynomials = [np.array([1.0])] * len(self.channels)
         self.polynomials = self._polynomials()
         self.y = self._whitened(self.residual[:, :, None])[:, 0]
@@ -112,60 +114,56 @@ class FlightEvidence:
             self.z = self._project(self.x, self._basis)
 
     def _nuisance(self) -> Array:
-        """Generic low-order columns (blocks, 6, m) that keep an effect's own residual out of the noise model."""
-        t = self.model.t_s - self.model.t_s[0]
-        blank = np.zeros((len(t), 6))
-        columns = [self.sensitivity]
-        extra: list[Array] = []
-        rate = self._at_blocks(
-            np.concatenate(
-                [np.zeros((1, 3)), np.cumsum(_middle(self.signals.rate_rad_s) * self._step[1:, None], axis=0)]
-            )
-        )
-        thrust = self._at_blocks(
-            np.concatenate(
-                [
-                    [[0.0]],
-                    np.cumsum(_middle(self.signals.thrust_n.sum(axis=1, keepdims=True)) * self._step[1:, None], axis=0),
-                ]
-            )
-        )
-        velocity = self._at_blocks(self.signals.velocity_body_m_s())
-        for axis in range(3):
-            for values in (t, rate[:, axis], thrust[:, 0]):
-                column = blank.copy()
-                column[:, axis] = values
-                extra.append(column)
-            for values in (np.ones(len(t)), t / max(t[-1], 1.0), velocity[:, axis]):
-                if np.isfinite(values).all():
-                    column = blank.copy()
-                    column[:, 3 + axis] = values
-                    extra.append(column)
-        return np.concatenate([*columns, np.stack(extra, axis=-1)], axis=2)
+        """Columns (blocks, 6, m) that keep an effect's own residual out of the noise model: slow drift, drag, damping, thrust.
 
-    def _colours(self, start: Sequence[Colour] | None) -> list[Colour]:
-        """Noise of each channel from what generic columns leave of the residual; two rounds of whitened least squares."""
+        Without them a step or a trend would pass for a disturbance of long memory, and hide itself.
+        """
+        signals = self.signals
+        elapsed = signals.t_s - signals.t_s[0]
+        knots = np.linspace(0.0, elapsed[-1], int(np.clip(elapsed[-1] / DRIFT_S, 3, 16)) + 1)
+        drift = [np.interp(elapsed, knots, np.eye(len(knots))[i]) for i in range(len(knots))]
+        thrust = signals.thrust_n.sum(axis=1)
+        velocity = signals.velocity_body_m_s()
+        columns = []
+        for axis in range(3):
+            for row, own in ((3 + axis, signals.rate_rad_s[:, axis]), (axis, velocity[:, axis])):
+                for values in (*drift, own, thrust):
+                    if np.isfinite(values).all():
+                        wrench = np.zeros((len(values), 6))
+                        wrench[:, row] = values
+                        columns.append(wrench)
+        vehicle = self.prepared.record.vehicle
+        known = [self.predicted(c.effect.wrench(signals, vehicle, c.settings)) for c in self._known]
+        return np.concatenate([self.sensitivity, self.predicted(np.stack(columns, axis=-1)), *known], axis=2)
+
+    def _colours(self) -> list[Colour]:
+        """Noise of each channel from what generic columns leave of the residual.
+
+        The first round whitens by a disturbance of 0.3 s, so that slow effects go into the columns and not into the noise.
+        """
         nuisance = self._nuisance()
         found: list[Colour] = []
-        for index, channel in enumerate(self.channels):
+        for channel in self.channels:
+            integrated = channel < 3
             z = self.residual[:, channel]
             columns = nuisance[:, channel, :]
-            columns = columns[:, np.ptp(columns, axis=0) > 0.0]
-            colour = start[index] if start is not None else None
-            remainder = z
+            columns = columns[:, np.any(columns != 0.0, axis=0)]
+            stacked = np.concatenate([z[:, None], columns], axis=1)
+            step = float(np.median(self.model.dt))
+            rough = float(np.std(np.diff(z))) / (step if integrated else 1.0) + 1e-9
+            colour = Colour(rough, 0.3, 1e-3 * rough, 0.1 * rough * (step if integrated else 1.0))
             for _ in range(2):
-                colour = fit_colour(remainder, self.model.dt, self.model.restart, integrated=channel < 3, start=colour)
-                stacked = np.concatenate([z[:, None], columns], axis=1)
-                e, s = innovations(stacked, self.model.dt, self.model.restart, colour, integrated=channel < 3)
+                e, s = innovations(stacked, self.model.dt, self.model.restart, colour, integrated=integrated)
                 good = np.isfinite(s)
                 white = e[good] / np.sqrt(s[good])[:, None]
-                scale = np.linalg.norm(white[:, 1:], axis=0) + 1e-30
-                theta = np.linalg.lstsq(white[:, 1:] / scale, white[:, 0], rcond=1e-8)[0] / scale
-                remainder = z - columns @ theta
-            if colour is not None:
-                found.append(
-                    fit_colour(remainder, self.model.dt, self.model.restart, integrated=channel < 3, start=colour)
+                scale = np.linalg.norm(white[:, 1:], axis=0)
+                shown = scale > 1e-9 * scale.max()  # a column that is constant here has no innovations
+                theta = np.zeros(len(scale))
+                theta[shown] = (
+                    np.linalg.lstsq(white[:, 1:][:, shown] / scale[shown], white[:, 0], rcond=1e-8)[0] / scale[shown]
                 )
+                colour = fit_colour(z - columns @ theta, self.model.dt, self.model.restart, integrated=integrated)
+            found.append(colour)
         self._remainder = nuisance
         return found
 

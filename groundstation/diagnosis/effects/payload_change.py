@@ -10,11 +10,16 @@ from groundstation.vehicle import Vehicle
 
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
-    after = (signals.t_s > settings["at_s"]).astype(float)
+    after = np.clip((signals.t_s - settings["at_s"]) / settings["within_s"] + 0.5, 0.0, 1.0)
     lift = from_thrust(vehicle, signals.thrust_n)[:, 2]
     out = blank(signals)
     out[:, 2, 0] = -after * lift / vehicle.mass_kg
     return out
+
+
+def _variants(signals: Signals, vehicle: Vehicle) -> tuple[Settings, ...]:
+    instants = np.linspace(signals.t_s[0], signals.t_s[-1], 45)[2:-2]
+    return tuple({"at_s": float(s), "within_s": float(instants[1] - instants[0])} for s in instants)
 
 
 EFFECT = Effect(
@@ -26,7 +31,5 @@ EFFECT = Effect(
     sentence="At {at_s} s the vehicle's mass changed by {mass_change_kg} kg.",
     confused_with=("battery_sag", "rotor_degradation"),
     manoeuvre="hover before and after, at the same voltage",
-    variants=lambda signals, vehicle: tuple(
-        {"at_s": float(s)} for s in np.quantile(signals.t_s, np.linspace(0.08, 0.92, 43))
-    ),
+    variants=_variants,
 )

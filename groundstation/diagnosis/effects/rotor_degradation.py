@@ -12,15 +12,22 @@ from groundstation.vehicle import Vehicle
 def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
     lost = np.zeros_like(signals.thrust_n)
     rotor = int(settings["rotor"]) - 1
-    lost[:, rotor] = -signals.thrust_n[:, rotor] * (signals.t_s > settings["from_s"])
+    lost[:, rotor] = -signals.thrust_n[:, rotor] * np.clip(
+        (signals.t_s - settings["from_s"]) / settings["within_s"] + 0.5, 0.0, 1.0
+    )
     out = blank(signals)
     out[:, :, 0] = from_thrust(vehicle, lost)
     return out
 
 
 def _variants(signals: Signals, vehicle: Vehicle) -> tuple[Settings, ...]:
-    instants = np.quantile(signals.t_s, np.linspace(0.15, 0.85, 15))
-    return tuple({"rotor": float(i), "from_s": float(s)} for i in range(1, vehicle.rotors.count + 1) for s in instants)
+    instants = np.linspace(signals.t_s[0], signals.t_s[-1], 27)[3:-3]
+    width = float(instants[1] - instants[0])
+    return tuple(
+        {"rotor": float(i), "from_s": float(s), "within_s": width}
+        for i in range(1, vehicle.rotors.count + 1)
+        for s in instants
+    )
 
 
 EFFECT = Effect(
