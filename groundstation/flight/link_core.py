@@ -405,6 +405,9 @@ class LinkCore:
                 self._changes.append((rule.name, found[0], rule.accepted[0]))
                 if (yield from dialogue.write(rule.name, rule.accepted[0])):
                     self.parameters[rule.name] = rule.accepted[0]
+        if profile.climbs_by_command and self.view is not None and not self.view.armed:
+            # After a landing it stands in a mode that it does not arm in, and its own checks fail for that alone.
+            yield Ask((profile.set_mode(profile.follow_mode),), _named("COMMAND_ACK"), 0.7, 3)
         yield Ask((), lambda _m: False, MEASURE_S, 1)
         self.ready, self.trouble = True, ""
 

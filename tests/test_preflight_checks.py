@@ -1,0 +1,120 @@
+"""Preflight: each check fails on what it is for, says figures and remedy, and none disappears."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from mavlink_vehicle import Rig, small_plan
+
+from groundstation.errors import BadInput
+from groundstation.flight.preflight import Situation, failures, run_checks
+from groundstation.flight.station import station_from_dict
+
+
+@pytest.fixture(scope="module")
+def ready() -> Rig:
+    rig = Rig("px4")
+    rig.prepare()
+    return rig
+
+
+def situation(rig: Rig, **changes) -> Situation:
+    from dataclasses import replace
+
+    given = Situation(
+        rig.now_s, rig.core.view, rig.core.station, rig.core.vehicle, small_plan(), rig.core.parameters, 0.001
+    )
+    return replace(given, **changes)
+
+
+def answer(rig: Rig, name: str, **changes):
+    (found,) = [c for c in run_checks(situation(rig, **changes)) if c.name == name]
+    return found
+
+
+def changed(rig: Rig, **fields):
+    """A copy of the view with some of it changed."""
+    from copy import copy
+
+    view = copy(rig.core.view)
+    for name, value in fields.items():
+        setattr(view, name, value)
+    return view
+
+
+def test_a_vehicle_that_is_ready_passes_everything(ready):
+    checks = run_checks(situation(ready))
+    assert failures(checks) == ""
+    names = [c.name for c in checks]
+    assert len(names) == len(set(names))
+    assert {"link", "streams", "arming", "disarmed", "estimate", "clock", "battery", "poses", "plan", "room",
+            "vibration", "oscillation", "COM_OBL_RC_ACT"} <= set(names)  # fmt: skip
+    assert all(c.reason for c in checks)
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "says"),
+    [
+        ("link", {"heartbeat_s": -math.inf}, "no heartbeat"),
+        ("arming", {"checks_pass": False}, "would not arm"),
+        ("disarmed", {"armed": True}, "armed: True"),
+        ("disarmed", {"on_ground": False}, "on the ground: False"),
+        ("estimate", {"state": None}, "no position"),
+        ("battery", {"battery_remaining": 0.1}, "10 %"),
+        ("battery", {"battery_remaining": None, "battery": None}, "no battery"),
+        ("vibration", {"vibration_m_s2": (5.0, 70.0, 5.0)}, "70.0"),
+        ("streams", {"meters": {}}, "needed 20 Hz"),
+    ],
+)
+def test_each_check_fails_with_reason_and_remedy(ready, name, fields, says):
+    found = answer(ready, name, view=changed(ready, **fields))
+    assert not found.ok
+    assert says in found.reason
+    assert found.remedy
+
+
+def test_a_parameter_that_cannot_be_read_is_a_failure_not_a_silence(ready):
+    assert not answer(ready, "COM_OBL_RC_ACT", parameters={}).ok
+    assert answer(ready, "GF_ACTION", parameters={}).ok, "advice only"
+
+
+def test_a_plan_that_leaves_the_room_or_exceeds_the_vehicle_is_refused(ready):
+    low = station_from_dict({"box": {"z_m": [-0.5, 0.8]}})
+    found = answer(ready, "room", station=low)
+    assert not found.ok
+    assert "z" in found.reason
+    wild = small_plan(base_frequency_rad_s=8.0)
+    wild = wild.model_copy(
+        update={"coefficients": wild.coefficients.model_copy(
+            update={"x": wild.coefficients.x.model_copy(update={"a": (4.0,), "b": (0.0,)})}
+        )}
+    )  # fmt: skip
+    found = answer(ready, "plan", plan=wild)
+    assert not found.ok
+    assert "tilt" in found.reason
+
+
+def test_the_clock_matters_where_poses_are_stamped_on_it(ready):
+    assert answer(ready, "clock", clock_error_s=0.2).ok
+    watched = station_from_dict({"mocap": {"system": "natnet"}})
+    assert not answer(ready, "clock", clock_error_s=0.2, station=watched).ok
+    assert not answer(ready, "clock", clock_error_s=math.inf, station=watched).ok
+
+
+def test_motion_capture_without_poses_is_refused(ready):
+    watched = station_from_dict({"mocap": {"system": "natnet", "host": "10.0.0.7"}})
+    found = answer(ready, "poses", station=watched)
+    assert not found.ok
+    assert "10.0.0.7" in found.reason
+    assert not answer(ready, "frames", station=watched).ok
+
+
+def test_force_answers_for_the_named_check_alone(ready):
+    view = changed(ready, battery_remaining=0.1, checks_pass=False)
+    checks = {c.name: c for c in run_checks(situation(ready, view=view), force=("battery",))}
+    assert checks["battery"].ok
+    assert checks["battery"].forced
+    assert not checks["arming"].ok
+    with pytest.raises(BadInput, match="no such check"):
+        run_checks(situation(ready), force=("battrey",))
