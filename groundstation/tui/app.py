@@ -1,0 +1,344 @@
+"""The terminal UI: six screens over the core process. It computes nothing, and no flight depends on it.
+
+Keys that work everywhere, from inside every field and in front of every question (priority bindings): ``ctrl+g`` or F8
+aborts and lands, ``ctrl+o`` or F9 asks whether to stop the rotors. Neither a terminal, tmux nor an input field takes
+them.
+"""
+
+from __future__ import annotations
+
+import sys
+import webbrowser
+from pathlib import Path
+from typing import ClassVar
+
+from textual.app import App
+from textual.binding import Binding
+
+from groundstation.commands.common import LOGS
+from groundstation.errors import GroundStationError
+from groundstation.flight.children import Child, last_line
+from groundstation.flight.client import running_cores
+from groundstation.flight.journal import NAME as JOURNAL
+from groundstation.flight.journal import read_journal
+from groundstation.flight.messages import CommandName, CoreStatus
+from groundstation.flight.sequence import FINAL, IN_FLIGHT, Phase
+from groundstation.trajectory import Plan
+from groundstation.tui.results import FlightResults, read_results
+from groundstation.tui.screens.base import StationScreen
+from groundstation.tui.screens.diagnose import Diagnose
+from groundstation.tui.screens.flights import Flights
+from groundstation.tui.screens.fly import Fly
+from groundstation.tui.screens.identify import Identify
+from groundstation.tui.screens.plan import Planner
+from groundstation.tui.screens.station import Station
+from groundstation.tui.setup import Setup, begin_flight, shipped_plan
+from groundstation.tui.watch import CoreWatch
+from groundstation.tui.widgets.bars import SCREENS
+from groundstation.tui.widgets.dialogs import Question, TextPage, TypedQuestion
+
+REFRESH_HZ = 6.0
+PORT = 8000
+KEYS = """\
+1 … 6   the screens            Escape  leave a field
+^g, F8  abort and land         ^o, F9  stop the rotors, after a question
+l       the run's log          t       light or dark
+?, F1   this help              q       close this program; a flight goes on
+"""
+CONFIRM = """\
+Everything is checked. A real vehicle is about to arm and take off.
+Is the area clear, and is the pilot ready to take over?"""
+KILL = """\
+Stop the rotors now? The vehicle falls from where it is.
+Abort and land (^g) brings it down under control."""
+
+
+class GroundStation(App[int]):
+    """The application.
+
+    Args:
+        logs: where flights are kept.
+        analyse: identify, diagnose and report after landing.
+
+    Attributes:
+        core: the flight that is followed; None before the first.
+        plan: what the next flight flies; None takes the one that ships for the vehicle.
+        results: of the flight that Identify and Diagnose show.
+        trouble: what went wrong last with the flight, as a sentence.
+    """
+
+    TITLE = "groundstation"
+    CSS_PATH = "groundstation.tcss"
+    ENABLE_COMMAND_PALETTE = False
+    MODES: ClassVar = {
+        "station": Station,
+        "plan": Planner,
+        "fly": Fly,
+        "identify": Identify,
+        "diagnose": Diagnose,
+        "flights": Flights,
+    }
+    DEFAULT_MODE = "station"
+    BINDINGS = [
+        Binding("ctrl+g,f8", "abort", "Abort + land", priority=True, show=False),
+        Binding("ctrl+o,f9", "kill", "Kill", priority=True, show=False),
+        *(Binding(str(n), f"switch_mode('{mode}')", SCREENS[mode], show=False) for n, mode in enumerate(SCREENS, 1)),
+        Binding("l", "log", "Log"),
+        Binding("t", "light", "Light / dark", show=False),
+        Binding("question_mark,f1", "help", "Help", key_display="?"),
+        Binding("q", "leave", "Quit"),
+    ]
+
+    def __init__(self, logs: Path = LOGS, *, analyse: bool = True):
+        super().__init__()
+        self.logs, self._analyse = logs, analyse
+        self.setup = Setup()
+        self.core: CoreWatch | None = None
+        self.plan: Plan | None = None
+        self.results: FlightResults | None = None
+        self.trouble = ""
+        self.plan_worker_running = False
+        self._child: Child | None = None
+        self._shown: CoreStatus | None = None
+        self._start_wanted = False
+        self._preparing = False
+
+    def on_mount(self) -> None:
+        """Find a flight that goes on, and refresh from now on."""
+        self.set_interval(1.0 / REFRESH_HZ, self._refresh_view)
+        self.run_worker(self._find_flight, thread=True)
+
+    def on_unmount(self) -> None:
+        """Stop following; the flight goes on."""
+        if self.core is not None:
+            self.core.stop()
+
+    # The flight -------------------------------------------------------------------------------------------------------
+
+    def follow(self, core: CoreWatch) -> None:
+        """Show this flight from now on."""
+        if self.core is not None:
+            self.core.stop()
+        self.core, self._shown, self.trouble = core, None, ""
+        self.switch_mode("fly")
+
+    def _find_flight(self) -> None:
+        """On a thread: a flight begun by another client is followed."""
+        for folder, endpoint in running_cores(self.logs)[:1]:
+            self.call_from_thread(self.follow, CoreWatch(endpoint, folder))
+
+    @property
+    def flying(self) -> bool:
+        """A flight that was prepared has not landed yet."""
+        status = self.core.newest if self.core else None
+        return self.core is not None and self.core.following and (status is None or status.phase not in FINAL)
+
+    def prepare_flight(self) -> None:
+        """Start a core with what is chosen; it waits for the start."""
+        if self.flying or self._preparing:
+            self.notify("a flight is prepared already; s on Fly starts it, ^g gives it up.")
+            return
+        self._preparing, self._start_wanted, self.trouble = True, False, ""
+        self.switch_mode("fly")
+        self.run_worker(self._prepare, thread=True)
+
+    def _prepare(self) -> None:
+        setup = self.setup
+        try:
+            plan = self.plan or shipped_plan(setup.vehicle) or self._new_plan(setup)
+            child, endpoint, folder = begin_flight(setup, plan, self.logs, analyse=self._analyse)
+        except (GroundStationError, OSError) as error:
+            self.call_from_thread(self._fail, str(error))
+        else:
+            self._child, self.plan = child, plan
+            self.call_from_thread(self.follow, CoreWatch(endpoint, folder))
+        finally:
+            self._preparing = False
+
+    def _new_plan(self, setup: Setup) -> Plan:
+        from groundstation.paths import find_config
+        from groundstation.planning import plan_excitation
+        from groundstation.vehicle import load_vehicle
+
+        return plan_excitation(load_vehicle(find_config("vehicles", setup.vehicle)))
+
+    def _fail(self, sentence: str) -> None:
+        self.trouble = sentence
+        self.notify(sentence, severity="error", markup=False, timeout=10)
+
+    def start_flight(self) -> None:
+        """Start once everything is checked; a real vehicle after a typed confirmation."""
+        if not self.flying and not self._preparing:
+            self.notify("no flight is prepared; r prepares one.")
+        elif self.setup.simulated:
+            self._start_wanted = True
+        elif self._phase() != Phase.CHECKED:
+            self.notify("not everything is checked yet; start when the state says CHECKED.")
+        else:
+            self.push_screen(TypedQuestion(CONFIRM, "FLY"), self._on_typed)
+
+    def _on_typed(self, yes: bool | None) -> None:
+        self._start_wanted = bool(yes)
+
+    def order(self, name: CommandName, done: str) -> None:
+        """Give an order on a thread, and say what came of it."""
+        core = self.core
+        if core is None or not core.following:
+            self.notify(f"nothing flies, so there is nothing to {name}.")
+            return
+
+        def give() -> None:
+            refusal = core.order(name)
+            severity = "error" if refusal else "information"
+            self.call_from_thread(self.notify, refusal or done, severity=severity, markup=False)
+
+        self.run_worker(give, thread=True, group="orders")
+
+    def take_lease(self) -> None:
+        """Become the operator."""
+        core = self.core
+        if core is not None and core.following:
+            self.run_worker(
+                lambda: self.call_from_thread(self.notify, core.take_lease() or "you are the operator", markup=False),
+                thread=True,
+            )
+
+    def action_abort(self) -> None:
+        """Abort and land; open to everyone, from everywhere."""
+        self._start_wanted = False
+        self.order("abort", "abort: asked the vehicle to land")
+
+    def action_kill(self) -> None:
+        """Stop the rotors, after a question."""
+        if self._phase() not in IN_FLIGHT:
+            self.notify("nothing flies, so there is nothing to kill.")
+        elif not isinstance(self.screen, Question):
+            self.push_screen(Question(KILL), self._on_kill)
+
+    def _on_kill(self, yes: bool | None) -> None:
+        if yes:
+            self.order("kill", "kill: the rotors were told to stop")
+
+    def _phase(self) -> str:
+        return self.core.newest.phase if self.core and self.core.newest else ""
+
+    # The view ---------------------------------------------------------------------------------------------------------
+
+    def _refresh_view(self) -> None:
+        """The newest status, if it is new, to the screen that is open."""
+        core = self.core
+        self._watch_child()
+        screens = [screen for screen in self.screen_stack if isinstance(screen, StationScreen)]
+        if not screens or not screens[-1].is_mounted:
+            return
+        screens[-1].refresh_bar()
+        status = core.newest if core else None
+        if core is None or status is None or status is self._shown:
+            return
+        before, self._shown = self._shown, status
+        screens[-1].show_status(status)
+        if status.phase == Phase.CHECKED and self._start_wanted:
+            self._start_wanted = False
+            self.order("start", "started")
+        self._on_phase(before.phase if before else "", status, core)
+
+    def _on_phase(self, before: str, status: CoreStatus, core: CoreWatch) -> None:
+        if before == status.phase:
+            return
+        if status.phase == Phase.LANDED and self._analyse:
+            self.switch_mode("identify")
+        if status.phase in FINAL:
+            self.show_flight(core.folder)
+
+    def _watch_child(self) -> None:
+        """A core that ended before it could say why is told of."""
+        child = self._child
+        if child is not None and child.poll() is not None:
+            self._child = None
+            if self._phase() not in FINAL and self.core is not None:
+                said = last_line(self.core.folder / "core.log")
+                self._fail(f"the core ended early{': ' + said if said else ''}; the recording opens as far as it goes.")
+
+    def show_flight(self, folder: Path) -> None:
+        """Read a flight's results on a thread and show them."""
+        self.run_worker(lambda: self.call_from_thread(self._show_results, read_results(folder)), thread=True)
+
+    def _show_results(self, results: FlightResults) -> None:
+        self.results = results
+        self._pass_results()
+
+    def _pass_results(self) -> None:
+        screen = self.screen
+        if self.results is not None and isinstance(screen, Identify | Diagnose) and screen.is_mounted:
+            screen.show_results(self.results)
+
+    def mode_shown(self) -> None:
+        """A screen came up: it shows what is newest."""
+        self._shown = None if self.flying else self._shown
+        self._pass_results()
+
+    def open_report(self, folder: Path | None = None) -> None:
+        """Open a flight's report in the browser."""
+        results = read_results(folder) if folder else self.results
+        if results is None or results.report is None:
+            self.notify("this flight has no report.")
+        elif not webbrowser.open(results.report.resolve().as_uri()):
+            self.notify(f"no browser here; the report is {results.report}", markup=False)
+
+    def plan_next(self) -> None:
+        """Plan a flight of the diagnosed vehicle."""
+        vehicle = str(self.results.identification.get("vehicle", "")) if self.results else ""
+        self.switch_mode("plan")
+        self.call_after_refresh(lambda: isinstance(self.screen, Planner) and self.screen.plan_for(vehicle))
+
+    # Keys -------------------------------------------------------------------------------------------------------------
+
+    def action_help(self) -> None:
+        """Keys and what the screen does."""
+        screen = self.screen
+        if isinstance(screen, StationScreen):
+            keys = "\n".join(f"{b.key:<8}{b.description}" for b in screen.BINDINGS if isinstance(b, Binding) and b.show)
+            title = SCREENS[screen.MODE]
+            self.push_screen(TextPage(title, f"{screen.HELP_TEXT}\n\n{title}\n{keys}\n\nEverywhere\n{KEYS}"))
+
+    def action_log(self) -> None:
+        """The run's log."""
+        folder = self.core.folder if self.core else self.results.folder if self.results else None
+        path = folder / JOURNAL if folder else None
+        if path is None or not path.is_file():
+            self.notify("there is no run yet whose log could be shown.")
+            return
+        entries = read_journal(path)
+        start_s = float(entries[0]["monotonic_s"]) if entries else 0.0
+        lines = [f"{float(e['monotonic_s']) - start_s:8.2f} s  {e['kind']:<10} {e['text']}" for e in entries]
+        self.push_screen(TextPage(str(path), "\n".join(lines)))
+
+    def action_light(self) -> None:
+        """Light or dark."""
+        self.theme = "textual-light" if self.theme == "textual-dark" else "textual-dark"
+
+    def action_leave(self) -> None:
+        """Close, after a question while something flies."""
+        if self._phase() in IN_FLIGHT:
+            text = "The flight goes on without this program: the plan is completed and the vehicle lands.\nClose it?"
+            self.push_screen(Question(text), self._on_leave)
+        else:
+            self.exit(0)
+
+    def _on_leave(self, yes: bool | None) -> None:
+        if yes:
+            self.exit(0)
+
+
+def run() -> int:
+    """Open it in this terminal."""
+    return GroundStation().run() or 0
+
+
+def serve() -> int:
+    """Offer it to a browser on this machine alone."""
+    from textual_serve.server import Server
+
+    server = Server(f"{sys.executable} -P -m groundstation.cli", host="127.0.0.1", port=PORT, title="groundstation")
+    server.serve()
+    return 0

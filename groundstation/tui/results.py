@@ -1,0 +1,63 @@
+"""The documents that the analysis left in a flight's folder."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class FlightResults:
+    """What is known of a flight.
+
+    Attributes:
+        folder: of the flight.
+        identification, diagnosis: the documents; empty where there is none.
+        refusal: why there is no identification.
+        declared: parameters as the vehicle file declares them; empty where its vehicle does not ship.
+    """
+
+    folder: Path
+    identification: Mapping[str, Any] = field(default_factory=dict)
+    diagnosis: Mapping[str, Any] = field(default_factory=dict)
+    refusal: str = ""
+    declared: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def report(self) -> Path | None:
+        """The report, if there is one."""
+        path = self.folder / "report.html"
+        return path if path.is_file() else None
+
+
+def read_results(folder: Path) -> FlightResults:
+    """Read what there is; a file that is damaged counts as absent."""
+    identification, diagnosis, refused = (
+        _document(folder / name) for name in ("identification.json", "diagnosis.json", "refused.json")
+    )
+    refusal = " ".join(str(refused[key]) for key in ("reason", "remedy") if refused.get(key))
+    name = str(identification.get("vehicle") or "")
+    return FlightResults(folder, identification, diagnosis, refusal, _declared(folder, name))
+
+
+def _document(path: Path) -> dict[str, Any]:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return document if isinstance(document, dict) else {}
+
+
+def _declared(folder: Path, name: str) -> Mapping[str, float]:
+    """Nominal parameters, from the vehicle that was flown."""
+    from groundstation.errors import BadInput
+    from groundstation.paths import find_config
+    from groundstation.vehicle import load_vehicle
+
+    try:
+        return load_vehicle(find_config("vehicles", name)).parameters()
+    except BadInput:
+        return {}

@@ -1,0 +1,81 @@
+"""What the six screens share: the bars, the footer, and how a status reaches them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, ClassVar, cast
+
+from rich.text import Text
+from textual.app import ComposeResult
+from textual.binding import Binding
+from textual.containers import VerticalScroll
+from textual.screen import Screen
+from textual.widgets import DataTable, Footer, Static
+
+from groundstation.flight.messages import CoreStatus
+from groundstation.tui.widgets.bars import FlightBar, Tabs
+
+if TYPE_CHECKING:
+    from groundstation.tui.app import GroundStation
+
+
+class StationScreen(Screen[None]):
+    """A screen of the ground station."""
+
+    MODE: ClassVar[str]
+    HELP_TEXT: ClassVar[str]
+    HORIZONTAL_BREAKPOINTS: ClassVar = [(0, "-narrow"), (120, "-wide")]
+    BINDINGS = [Binding("escape", "leave_field", "Leave the field", show=False)]
+
+    @property
+    def station(self) -> GroundStation:
+        """The application."""
+        return cast("GroundStation", self.app)
+
+    def compose(self) -> ComposeResult:
+        """Bars, body, footer."""
+        yield Tabs(self.MODE)
+        yield FlightBar()
+        with VerticalScroll(id="body", can_focus=False):
+            yield from self.body()
+        yield Footer(show_command_palette=False)
+
+    def body(self) -> Iterable:
+        """The widgets between the bars and the footer."""
+        raise NotImplementedError
+
+    def on_screen_resume(self) -> None:
+        """Show what is newest."""
+        self.station.mode_shown()
+
+    def show_status(self, status: CoreStatus) -> None:
+        """Show a flight as of its newest status."""
+
+    def refresh_bar(self) -> None:
+        """Show the flight's line."""
+        watch = self.station.core
+        status = watch.newest if watch else None
+        bar = self.query_one(FlightBar)
+        bar.show(
+            status,
+            operator=watch.operator if watch else True,
+            silent_s=watch.silent_s if watch else 0.0,
+            fault=self.station.trouble or (watch.fault if watch else ""),
+        )
+
+    def action_leave_field(self) -> None:
+        """Give the keys back to the screen."""
+        self.set_focus(None)
+
+    def say(self, selector: str, text: str) -> None:
+        """Replace a text."""
+        self.query_one(selector, Static).update(text)
+
+
+def fill(table: DataTable, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Replace a table's content; cells are text, never markup, and numbers align right."""
+    table.clear(columns=True)
+    rows = [tuple(row) for row in rows]
+    table.add_columns(*header)
+    for row in rows:
+        table.add_row(*(Text(cell, justify="left" if index == 0 else "right") for index, cell in enumerate(row)))

@@ -1,0 +1,76 @@
+"""Identify: how far the analysis is, then the parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from textual.binding import Binding
+from textual.widgets import DataTable, ProgressBar, Static
+
+from groundstation.flight.messages import CoreStatus
+from groundstation.flight.sequence import Phase
+from groundstation.tui.results import FlightResults
+from groundstation.tui.screens.base import StationScreen, fill
+from groundstation.tui.text import identification_notes, live_rows, method_table, validation_rows
+
+
+class Identify(StationScreen):
+    """Parameters by method."""
+
+    MODE = "identify"
+    HELP_TEXT = """\
+Comes up after landing. First the analysis and its preliminary estimates, then the table: each parameter by method with
+its 95 % half width, the best method first, beside what the vehicle file declares. Below, why that method is the best,
+the clocks' offset, what the flight does not reveal, and the errors with the nominal and with the identified vehicle.
+e opens the report in the browser. Choose another flight on the Flights screen (6)."""
+    BINDINGS = [Binding("e", "report", "Report in the browser")]
+
+    def body(self) -> Iterable:
+        """Progress, tables, notes."""
+        yield Static("no flight is identified yet; fly one (3), or choose one on Flights (6)", id="of", markup=False)
+        yield ProgressBar(total=1.0, show_eta=False, id="analysis-progress")
+        yield DataTable(id="parameters", show_cursor=False)
+        yield Static("", id="notes", classes="panel", markup=False)
+        yield DataTable(id="validation", show_cursor=False)
+
+    def on_mount(self) -> None:
+        """Nothing runs yet."""
+        self._shown: Path | None = None
+        self.query_one(ProgressBar).display = False
+
+    def show_status(self, status: CoreStatus) -> None:
+        """While the analysis runs: how far it is, and its newest estimates."""
+        running = status.phase in (Phase.LANDED, Phase.IDENTIFYING)
+        bar = self.query_one(ProgressBar)
+        bar.display = running
+        if not running:
+            return
+        self._shown = None
+        bar.update(progress=status.progress)
+        self.say("#of", f"{status.flight}: {status.text or 'the analysis starts'}")
+        self.say("#notes", "\n".join(status.notes[-3:]))
+        self.query_one("#validation", DataTable).clear(columns=True)
+        if status.table:
+            header = ("parameter", "nominal", "preliminary", "unit")
+            fill(self.query_one("#parameters", DataTable), header, live_rows(status.table))
+
+    def show_results(self, results: FlightResults) -> None:
+        """The results of a flight that was analysed, or why there are none."""
+        document = results.identification
+        self._shown = results.folder
+        self.query_one(ProgressBar).display = False
+        self.say("#of", results.folder.name)
+        parameters, validation = self.query_one("#parameters", DataTable), self.query_one("#validation", DataTable)
+        if not document:
+            parameters.clear(columns=True)
+            validation.clear(columns=True)
+            self.say("#notes", results.refusal or "this flight has no identification")
+            return
+        fill(parameters, *method_table(document, results.declared))
+        self.say("#notes", identification_notes(document))
+        fill(validation, ("check", "signal", "nominal", "identified", "change"), validation_rows(document))
+
+    def action_report(self) -> None:
+        """Open the report."""
+        self.station.open_report()

@@ -1,0 +1,202 @@
+"""Plan: an excitation for a vehicle and a room, and what it will tell."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from textual.binding import Binding
+from textual.containers import Grid, Horizontal
+from textual.widgets import DataTable, Input, Label, ProgressBar, Select, Static
+from textual.worker import get_current_worker
+
+from groundstation.errors import BadInput, GroundStationError
+from groundstation.reporting.units import label, scale_for, significant, split_unit
+from groundstation.trajectory import Plan, rigid_motion
+from groundstation.tui.screens.base import StationScreen, fill
+from groundstation.tui.setup import shipped
+from groundstation.tui.widgets.plots import Line, Plot
+from groundstation.vehicle import Vehicle
+
+FIELDS = {
+    "x_max_m": ("room, |x| below", "m", 1.0),
+    "y_max_m": ("room, |y| below", "m", 1.0),
+    "z_max_m": ("room, z below", "m", 1.0),
+    "speed_max_m_s": ("speed below", "m/s", 1.0),
+    "tilt_max_rad": ("tilt below", "°", math.pi / 180.0),
+}
+"""Limit -> its text, the unit it is typed in, and that unit in SI. An empty field leaves the vehicle's own limit."""
+
+
+class Planner(StationScreen):
+    """The optimiser, its progress and its answer."""
+
+    MODE = "plan"
+    HELP_TEXT = """\
+p starts the optimiser; it keeps the best plan found so far, and c stops it there. Empty fields keep the vehicle's own
+limits. The criterion "condition" is the seed paper's; A makes the sum of the variances small. The table shows the
+standard deviation to expect of each parameter, beside that of the plan before. w writes the plan to a file in the
+folder of the flights; the Fly screen flies the plan that is shown here."""
+    BINDINGS = [
+        Binding("p", "plan", "Plan"),
+        Binding("c", "stop", "Stop with the best"),
+        Binding("w", "write", "Write to a file"),
+    ]
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._enough = threading.Event()
+        self._before: Plan | None = None
+
+    def body(self) -> Iterable:
+        """Form, progress, answer, drawings."""
+        with Grid(classes="panel form"):
+            yield Label("vehicle")
+            yield Select(
+                [(name, name) for name in shipped("vehicles")],
+                value=self.station.setup.vehicle,
+                allow_blank=False,
+                id="plan-vehicle",
+                compact=True,
+            )
+            yield Label("criterion")
+            names = [(name, name) for name in ("condition", "A", "D", "E")]
+            yield Select(names, value="condition", allow_blank=False, id="criterion", compact=True)
+            yield Label("search for, s")
+            yield Input("6", id="budget", type="number", compact=True)
+            for name, (text, unit, _) in FIELDS.items():
+                yield Label(f"{text}, {unit}")
+                yield Input(placeholder="the vehicle's", id=name, type="number", compact=True)
+        yield ProgressBar(total=1.0, show_eta=False, id="plan-progress")
+        yield Static("p plans an excitation", id="plan-text", markup=False)
+        with Horizontal(classes="columns"):
+            yield Plot("x, m", "y, m", id="path")
+            yield Plot("t, s", "tilt, °", id="tilt")
+        yield DataTable(id="accuracy", show_cursor=False)
+
+    def on_screen_resume(self) -> None:
+        """Show the plan that would be flown."""
+        super().on_screen_resume()
+        if self.station.plan is not None:
+            self._show(self.station.plan)
+
+    def action_plan(self) -> None:
+        """Search on a thread."""
+        if self.station.plan_worker_running:
+            self.notify("the optimiser is running; c stops it with the best so far.")
+            return
+        try:
+            problem = self._problem()
+        except ValueError:
+            self.say("#plan-text", "a field holds something that is no number; correct it, then p.")
+            return
+        except BadInput as error:
+            self.say("#plan-text", str(error))
+            return
+        self._enough.clear()
+        self.station.plan_worker_running = True
+        self.run_worker(lambda: self._search(problem), thread=True, group="plan")
+
+    def plan_for(self, vehicle: str) -> None:
+        """Plan a flight of this vehicle, if it ships."""
+        if vehicle in shipped("vehicles"):
+            self.query_one("#plan-vehicle", Select).value = vehicle
+        self.action_plan()
+
+    def action_stop(self) -> None:
+        """Take the best found so far."""
+        self._enough.set()
+
+    def action_write(self) -> None:
+        """Write the plan shown into the folder of the flights."""
+        from groundstation.commands.planning import write_plan
+
+        plan = self.station.plan
+        if plan is None:
+            self.notify("there is no plan yet; p makes one.")
+            return
+        folder: Path = self.station.logs / "plans"
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            path = write_plan(plan, folder / f"{plan.vehicle}-{len(list(folder.glob('*.toml'))) + 1}.toml")
+        except BadInput as error:
+            self.say("#plan-text", str(error))
+        else:
+            self.notify(f"written: {path}", markup=False)
+
+    def _problem(self) -> dict:
+        from groundstation.paths import find_config
+        from groundstation.vehicle import load_vehicle
+
+        problem: dict = {
+            "vehicle": load_vehicle(find_config("vehicles", str(self.query_one("#plan-vehicle", Select).value))),
+            "criterion": self.query_one("#criterion", Select).value,
+            "time_budget_s": float(self.query_one("#budget", Input).value),
+        }
+        for name, (_, _, unit_si) in FIELDS.items():
+            typed = self.query_one(f"#{name}", Input).value.strip()
+            if typed:
+                problem[name] = unit_si * float(typed)
+        return problem
+
+    def _search(self, problem: dict) -> None:
+        """On a thread: the optimiser gives its best so far when it is interrupted."""
+        worker = get_current_worker()
+        station = self.station
+
+        def progress(fraction: float, text: str) -> None:
+            if fraction < 1.0 and (self._enough.is_set() or worker.is_cancelled):
+                self._enough.clear()
+                raise KeyboardInterrupt
+            station.call_from_thread(self._progress, fraction, text)
+
+        try:
+            from groundstation.planning import plan_excitation
+
+            self._progress_from_thread(0.0, f"searching a plan for {problem['vehicle'].name}")
+            plan = plan_excitation(**problem, progress=progress)
+        except GroundStationError as error:
+            self._progress_from_thread(0.0, str(error))
+        else:
+            station.call_from_thread(self._found, plan, problem["vehicle"])
+        finally:
+            station.plan_worker_running = False
+
+    def _progress_from_thread(self, fraction: float, text: str) -> None:
+        self.station.call_from_thread(self._progress, fraction, text)
+
+    def _progress(self, fraction: float, text: str) -> None:
+        self.query_one(ProgressBar).update(progress=fraction)
+        self.say("#plan-text", text)
+
+    def _found(self, plan: Plan, vehicle: Vehicle) -> None:
+        self._before = self.station.plan
+        self.station.plan = plan
+        self._progress(1.0, "")
+        self._show(plan)
+
+    def _show(self, plan: Plan) -> None:
+        """Draw path and tilt over one period, and write what it will tell."""
+        series = plan.series()
+        t_s = np.linspace(0.0, min(series.period_s, series.duration_s), 300)
+        motion = rigid_motion(series.sample(t_s))
+        tilt = np.degrees(np.arccos(np.cos(motion.euler_rad[:, 0]) * np.cos(motion.euler_rad[:, 1])))
+        self.query_one("#path", Plot).draw([Line(motion.position_m[:, 0], motion.position_m[:, 1], "path")])
+        self.query_one("#tilt", Plot).draw([Line(t_s, tilt, "tilt")])
+        condition = f", cond(W) {plan.condition_number:.2f}" if plan.condition_number else ""
+        self.say(
+            "#plan-text",
+            f"{plan.vehicle}: {series.duration_s:.0f} s, {series.a.shape[1]} harmonics, criterion {plan.criterion}{condition}."
+            f"\n{plan.note}",
+        )
+        fill(self.query_one(DataTable), ("parameter", "expected std", "plan before", "unit"), self._accuracy(plan))
+
+    def _accuracy(self, plan: Plan) -> Iterable[tuple[str, ...]]:
+        before = self._before.predicted_std if self._before and self._before.vehicle == plan.vehicle else {}
+        for name, std in plan.predicted_std.items():
+            scale = scale_for(split_unit(name)[1], [std])
+            old = significant(before[name] * scale.factor) if name in before else "–"
+            yield label(name), significant(std * scale.factor), old, scale.unit

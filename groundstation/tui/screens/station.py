@@ -1,0 +1,99 @@
+"""Station: what is connected, how its streams do, and what flies next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from textual.binding import Binding
+from textual.containers import Grid
+from textual.widgets import Checkbox, DataTable, Input, Label, Select, Static
+
+from groundstation.flight.messages import CoreStatus
+from groundstation.tui.screens.base import StationScreen, fill
+from groundstation.tui.setup import SIMULATOR, Setup, links, shipped
+from groundstation.tui.text import state_lines, stream_rows
+
+STREAMS = ("stream", "rate", "age", "longest gap", "samples", "state")
+WELCOME = """\
+Nothing is connected. Two keys fly a simulated drone:
+    r   rehearse: plan, upload and checks on the simulator
+    s   start, as soon as everything is checked
+After landing come the parameters, the diagnosis and the report. To fly a real vehicle, choose its link below, then r."""
+
+
+class Station(StationScreen):
+    """Links, streams, vehicle; the choice of what flies."""
+
+    MODE = "station"
+    HELP_TEXT = """\
+Choose vehicle and link, then r to prepare a flight of it. The simulator needs nothing else. A serial port or UDP
+address speaks MAVLink to a PX4 or ArduPilot vehicle; write another address into the field, e.g. tcp://host:5760.
+The table shows each stream as the core records it: rate over the last second, age of the newest sample, and the
+longest gap so far. Batches lost on the way and payloads that did not decode are counted below it."""
+    BINDINGS = [Binding("r", "rehearse", "Prepare a flight")]
+
+    def body(self) -> Iterable:
+        """Streams on top, choices below."""
+        yield Static(WELCOME, id="station-state", classes="panel", markup=False)
+        yield DataTable(id="streams", show_cursor=False)
+        with Grid(id="setup", classes="panel form"):
+            setup = self.station.setup
+            yield Label("vehicle")
+            yield Select(
+                _options(shipped("vehicles")), value=setup.vehicle, allow_blank=False, id="vehicle", compact=True
+            )
+            yield Label("link")
+            yield Select(_options(links()), value=SIMULATOR, allow_blank=False, id="link", compact=True)
+            yield Label("other link")
+            yield Input(placeholder="e.g. tcp://host:5760", id="address", compact=True)
+            yield Label("scenario")
+            yield Select(
+                _options(shipped("scenarios")), value=setup.scenario, allow_blank=False, id="scenario", compact=True
+            )
+            yield Label("pace")
+            yield Checkbox("simulated flight at the wall clock's pace", setup.real_time, id="real-time", compact=True)
+
+    def on_mount(self) -> None:
+        """Nothing arrives yet."""
+        self.query_one(DataTable).display = False
+
+    def show_status(self, status: CoreStatus) -> None:
+        """Streams and vehicle."""
+        table = self.query_one(DataTable)
+        table.display = True
+        fill(table, STREAMS, stream_rows(status))
+        clock = "wall clock" if status.real_time else "simulated time"
+        losses = (
+            f"{status.recorded} samples recorded, {status.lost} batches lost, {status.rejected} not decoded; {clock}"
+        )
+        notes = "\n".join(status.notes[-3:])
+        self.say("#station-state", f"{state_lines(status)}\n{losses}\n{notes}".rstrip())
+
+    def on_select_changed(self) -> None:
+        """Keep the choice."""
+        self._keep()
+
+    def on_checkbox_changed(self) -> None:
+        """Keep the choice."""
+        self._keep()
+
+    def on_input_changed(self) -> None:
+        """Keep the choice."""
+        self._keep()
+
+    def _keep(self) -> None:
+        address = self.query_one("#address", Input).value.strip()
+        self.station.setup = Setup(
+            vehicle=str(self.query_one("#vehicle", Select).value),
+            link=address or str(self.query_one("#link", Select).value),
+            scenario=str(self.query_one("#scenario", Select).value),
+            real_time=self.query_one("#real-time", Checkbox).value,
+        )
+
+    def action_rehearse(self) -> None:
+        """Prepare a flight of what is chosen."""
+        self.station.prepare_flight()
+
+
+def _options(names: list[str]) -> list[tuple[str, str]]:
+    return [(name, name) for name in names]

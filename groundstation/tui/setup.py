@@ -1,0 +1,81 @@
+"""What is to fly and over which link, as chosen on the Station screen; and how a flight of it is begun."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from groundstation.flight.children import Child
+from groundstation.flight.client import new_flight_folder, start_core
+from groundstation.flight.rehearse import linked_vehicle, simulated_drone
+from groundstation.paths import configs_dir, find_config
+from groundstation.trajectory import Plan, load_plan
+
+SIMULATOR = "simulator"
+UDP = "udpin://127.0.0.1:14540"
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What flies.
+
+    Attributes:
+        vehicle: vehicle file, or the name of a shipped one.
+        link: ``simulator``, or the address of a MAVLink vehicle.
+        scenario: of the simulated drone.
+        seed: of the simulated drone.
+        real_time: let the simulated drone fly at the wall clock's pace.
+        station: station file of a linked vehicle.
+    """
+
+    vehicle: str = "qball2"
+    link: str = SIMULATOR
+    scenario: str = "seed"
+    seed: int = 1
+    real_time: bool = True
+    station: str = "default"
+
+    @property
+    def simulated(self) -> bool:
+        """Nothing real moves, so that no typed confirmation is asked."""
+        return self.link == SIMULATOR
+
+
+def shipped(kind: str) -> list[str]:
+    """Names of the shipped files of a kind."""
+    return sorted(path.stem for path in (configs_dir() / kind).glob("*.toml"))
+
+
+def links() -> list[str]:
+    """Links there are to choose from: the simulator, the usual UDP port, and the serial ports found."""
+    from serial.tools import list_ports
+
+    ports = [f"serial://{port.device}:921600" for port in list_ports.comports() if port.hwid != "n/a"]
+    return [SIMULATOR, UDP, *sorted(ports)]
+
+
+def shipped_plan(vehicle: str) -> Plan | None:
+    """The plan that ships for a vehicle, if one does."""
+    path = configs_dir() / "plans" / f"{vehicle}.toml"
+    return load_plan(path) if path.is_file() else None
+
+
+def begin_flight(setup: Setup, plan: Plan, logs: Path, *, analyse: bool = True) -> tuple[Child, str, Path]:
+    """Start the core of a flight: its process, endpoint and folder. It waits for the operator's start.
+
+    Raises:
+        BadInput: vehicle, scenario or station do not exist.
+    """
+    from groundstation.commands.planning import write_plan
+
+    vehicle = find_config("vehicles", setup.vehicle).resolve()
+    folder = new_flight_folder(logs.resolve(), vehicle.stem)
+    if setup.simulated:
+        scenario = find_config("scenarios", setup.scenario).resolve()
+        drone = simulated_drone(vehicle, scenario, setup.seed, real_time=setup.real_time)
+    else:
+        drone = linked_vehicle(folder, vehicle, link=setup.link, station=setup.station)
+    folder.mkdir(parents=True)
+    plan_file = write_plan(plan, folder / "plan.toml")
+    core, endpoint = start_core(folder, plan=plan_file, vehicle=vehicle, drone=drone, analyse=analyse)
+    return core, endpoint, folder

@@ -1,0 +1,262 @@
+"""Documents and statuses as rows of text. Pure; the numbers are the core's, here they are only written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from groundstation.flight.messages import CoreStatus
+from groundstation.flight.sequence import IN_FLIGHT, Phase
+from groundstation.identification.results import MASS_AND_TENSOR, Estimate
+from groundstation.reporting.units import (
+    decimals,
+    fixed,
+    half_width,
+    interval_text,
+    label,
+    percent,
+    readable,
+    scale_for,
+    significant,
+    split_unit,
+)
+
+Row = tuple[str, ...]
+STALE_S = 1.0
+
+PHASES: Mapping[str, str] = {
+    Phase.IDLE: "the vehicle's process is coming up",
+    Phase.PLANNED: "sending the plan to the vehicle",
+    Phase.UPLOADED: "the vehicle holds the plan; checking",
+    Phase.CHECKED: "everything is checked: ready to start",
+    Phase.AIRBORNE: "taking off",
+    Phase.EXCITING: "flying the excitation",
+    Phase.LANDING: "coming down",
+    Phase.LANDED: "landed; the recording is closed",
+    Phase.IDENTIFYING: "identifying",
+    Phase.DONE: "done",
+    Phase.ABORTED: "ended early",
+}
+_STEPS = (Phase.IDLE, Phase.PLANNED, Phase.UPLOADED, Phase.CHECKED)
+_STEP_TEXT = ("vehicle process up", "plan uploaded", "streams, battery and vehicle checked", "started")
+
+
+def stream_rows(status: CoreStatus) -> list[Row]:
+    """One row per stream: name, rate, age, longest gap, samples, and in words how it does."""
+    rows = []
+    for name, stream in sorted(status.streams.items()):
+        late = stream.age_s > STALE_S and status.phase in IN_FLIGHT
+        word = f"silent for {stream.age_s:.1f} s" if late else "arrives" if stream.rate_hz > 0.5 else "waiting"
+        gap = f"{1e3 * stream.longest_gap_s:.0f} ms"
+        rows.append((name, f"{stream.rate_hz:.0f} Hz", f"{1e3 * stream.age_s:.0f} ms", gap, f"{stream.count}", word))
+    return rows
+
+
+def checklist(status: CoreStatus) -> str:
+    """The steps before a flight, each with a word for how far it is, and the reason where the flight was refused."""
+    phases = list(Phase)
+    ended_early = status.phase == Phase.ABORTED
+    reached = len(_STEPS) if status.phase not in _STEPS else phases.index(Phase(status.phase))
+    lines = []
+    for index, text in enumerate(_STEP_TEXT):
+        word = "?" if ended_early else "ok" if index < reached else "…" if index == reached else " "
+        lines.append(f"[{word:^4}] {text}")
+    if status.reason:
+        lines += ["", status.reason]
+    return "\n".join(lines)
+
+
+def state_lines(status: CoreStatus) -> str:
+    """Where the vehicle is and how far from where it should be."""
+    roll, pitch, yaw = (math.degrees(angle) for angle in status.euler_rad)
+    x, y, z = status.position_m
+    return "\n".join(
+        [
+            f"position     {x:+7.3f} {y:+7.3f} {z:+7.3f} m",
+            f"attitude     {roll:+7.1f} {pitch:+7.1f} {yaw:+7.1f} °",
+            f"off the plan {100 * status.tracking_error_m:7.1f} cm",
+            f"time left    {status.time_left_s:7.1f} s",
+            f"battery      {status.battery_v:7.2f} V",
+        ]
+    )
+
+
+def margin_lines(status: CoreStatus, limits: Mapping[str, float]) -> str:
+    """How much room is left to the limits that a position and an attitude show."""
+    x, y, z = status.position_m
+    tilt = math.acos(max(-1.0, min(1.0, math.cos(status.euler_rad[0]) * math.cos(status.euler_rad[1]))))
+    room = {
+        "x_max_m": ("to the wall, x", lambda top: top - abs(x), "m"),
+        "y_max_m": ("to the wall, y", lambda top: top - abs(y), "m"),
+        "z_max_m": ("to the ceiling", lambda top: top - z, "m"),
+        "z_min_m": ("to the floor", lambda low: z - low, "m"),
+        "tilt_max_rad": ("to the tilt limit", lambda top: math.degrees(top - tilt), "°"),
+    }
+    lines = []
+    for name, (text, left, unit) in room.items():
+        if name in limits:
+            value = left(limits[name])
+            lines.append(f"{text:<18}{value:+7.2f} {unit}{'  OUTSIDE' if value < 0 and z > 0.3 else ''}")
+    return "\n".join(lines) or "the plan states no limits"
+
+
+def motor_lines(motors: Sequence[float], top: float, width: int = 16) -> str:
+    """Rotor commands as bars against the largest seen."""
+    if not motors:
+        return "no rotor commands yet"
+    scale = max(top, max(abs(m) for m in motors), 1e-9)
+    return "\n".join(
+        f"{number} {'█' * round(width * max(m, 0.0) / scale):<{width}} {significant(m)}"
+        for number, m in enumerate(motors, 1)
+    )
+
+
+def live_rows(table: Mapping[str, tuple[float, float, float, float]]) -> list[Row]:
+    """Parameter, nominal, estimate ± half width, unit; of a status."""
+    return [
+        (label(name), *_against_nominal(name, nominal, _estimate(value, low, high)))
+        for name, (nominal, value, low, high) in table.items()
+    ]
+
+
+def _estimate(value: float, low: float, high: float) -> Estimate | None:
+    return Estimate(value, 0.0, (low, high)) if math.isfinite(value) else None
+
+
+def _against_nominal(name: str, nominal: float, estimate: Estimate | None) -> Row:
+    known = [v for v in (nominal, estimate.value if estimate else math.nan) if math.isfinite(v)]
+    scale = scale_for(split_unit(name)[1], known)
+    if estimate is None:
+        return fixed(nominal * scale.factor, 3), "not revealed", scale.unit
+    places = decimals(half_width(estimate) * scale.factor)
+    return fixed(nominal * scale.factor, places), interval_text(estimate, scale), scale.unit
+
+
+def method_table(document: Mapping[str, Any], declared: Mapping[str, float]) -> tuple[Row, list[Row]]:
+    """Header and rows of mass and tensor by method, the best method first, with 95 % half widths."""
+    best = document["best"]
+    names = [best, *(name for name in document["methods"] if name != best)]
+    header = ("parameter", "unit", "nominal", *(f"{name} (best)" if name == best else name for name in names))
+    rows = []
+    for parameter in MASS_AND_TENSOR:
+        found = [_document_estimate(document["methods"].get(name, {}), parameter) for name in names]
+        nominal = declared.get(parameter, math.nan)
+        known = [abs(e.value) for e in found if e] + [abs(nominal)]
+        scale = scale_for(split_unit(parameter)[1], [v for v in known if math.isfinite(v)])
+        cells = [interval_text(e, scale) if e else "not revealed" for e in found]
+        shown = fixed(nominal * scale.factor, decimals(half_width(found[0]) * scale.factor) if found[0] else 3)
+        rows.append((label(parameter), scale.unit, shown, *cells))
+    return header, rows
+
+
+def _document_estimate(method: Mapping[str, Any], parameter: str) -> Estimate | None:
+    entry = method.get("parameters", {}).get(parameter)
+    return Estimate(entry["value"], entry["std"], tuple(entry["ci95"])) if entry else None
+
+
+def identification_notes(document: Mapping[str, Any]) -> str:
+    """Best method and why, clock, condition, what is not revealed, warnings, and the errors before and after."""
+    lines = [f"best: {readable(document.get('best_reason') or document['best'])}"]
+    if clock := document.get("clock"):
+        offset, std = 1e3 * clock["mocap_minus_imu_s"], 1e3 * clock["std_s"]
+        lines.append(f"clock: motion capture minus IMU {offset:+.2f} ± {1.96 * std:.2f} ms")
+    conditions = {k: m.get("condition_number") for k, m in document["methods"].items()}
+    known = ", ".join(f"{name} {value:.1f}" for name, value in conditions.items() if value)
+    lines.append(f"condition number: {known or 'none given'}")
+    lines += [f"not revealed: {label(name)}: {why}" for name, why in document.get("remedies", {}).items()]
+    lines += [f"warning: {readable(text)}" for text in document.get("warnings", ())]
+    lines += [f"recording: {readable(text)}" for text in document.get("quality", ())]
+    return "\n".join(lines)
+
+
+def validation_rows(document: Mapping[str, Any]) -> list[Row]:
+    """Check, signal, error with the nominal vehicle, with the best method, and their ratio."""
+    rows = []
+    for check in document.get("validation", ()):
+        before, after = check["rms"].get("nominal", {}), check["rms"].get(document["best"], {})
+        for signal, value in after.items():
+            start = before.get(signal)
+            rows.append((check["kind"].replace("_", " "), label(signal), *_change(signal, start, value)))
+    return rows
+
+
+def _change(signal: str, before: float | None, after: float | None) -> Row:
+    known = [v for v in (before, after) if v is not None]
+    scale = scale_for(split_unit(signal)[1], known)
+    texts = ["–" if v is None else f"{significant(v * scale.factor)} {scale.unit}" for v in (before, after)]
+    ratio = percent(after / before - 1.0, 0) if before and after is not None else ""
+    return (*texts, ratio)
+
+
+def error_rows(diagnosis: Mapping[str, Any]) -> list[Row]:
+    """Channel, held-out error with nominal values, identified, and with the findings, and what the findings change."""
+    rows = []
+    for where, stages in diagnosis.get("error", {}).items():
+        before, after, nominal = (stages.get(k, {}) for k in ("before", "after", "nominal"))
+        for channel, value in before.items():
+            shown = _change(channel, value, after.get(channel))
+            start = _change(channel, nominal.get(channel), value)[0]
+            rows.append((f"{label(channel)}, {where.replace('_', ' ')}", start, *shown))
+    return rows
+
+
+def finding_text(diagnosis: Mapping[str, Any]) -> str:
+    """Verdict, findings with their sentences, what stays unexplained, and the flight that would tell more."""
+    lines = [f"verdict: {diagnosis['verdict']}"]
+    if diagnosis.get("reason"):
+        lines.append(diagnosis["reason"])
+    for finding in diagnosis.get("findings", ()):
+        rotor = f", rotor {finding['rotor']}" if finding.get("rotor") is not None else ""
+        lines += ["", f"found: {finding['effect'].replace('_', ' ')}{rotor}, confidence {finding['confidence']:.3f}"]
+        lines.append(f"  {finding['evidence']}")
+        if finding.get("alternatives"):
+            lines.append(f"  or: {', '.join(finding['alternatives']).replace('_', ' ')}")
+    for item in diagnosis.get("unexplained", ()):
+        lines += ["", f"unexplained: {100 * item['share']:.0f} % of {label(item['channel'])}"]
+        if item.get("depends_on"):
+            lines.append(f"  varies with {', '.join(label(name) for name in item['depends_on'])}")
+        if item.get("proposal"):
+            lines.append(f"  {item['proposal']}")
+    lines += [f"warning: {readable(text)}" for text in diagnosis.get("warnings", ())]
+    lines += ["", f"next flight: {diagnosis.get('next_flight') or 'none proposed'}"]
+    return "\n".join(lines)
+
+
+def suspect_rows(diagnosis: Mapping[str, Any]) -> list[Row]:
+    """Effects that were tried: name, settings, and the evidence for them."""
+    rows = []
+    for candidate in diagnosis.get("candidates", ()):
+        settings = ", ".join(f"{name} {value}" for name, value in (candidate.get("settings") or {}).items())
+        evidence = candidate.get("evidence")
+        shown = significant(evidence) if isinstance(evidence, float | int) else str(evidence or "")
+        rows.append((str(candidate.get("effect", "?")).replace("_", " "), settings, shown))
+    return rows
+
+
+def flight_row(row: Mapping[str, Any]) -> Row:
+    """One flight of the catalogue: when, flight, vehicle, state, verdict, mass."""
+    mass = row["parameters"].get("mass_kg")
+    shown = f"{significant(mass['value'], 4)} kg" if mass else "–"
+    return (
+        row["date"][:19].replace("T", " "),
+        row["flight"],
+        row["vehicle"] or "–",
+        row["state"],
+        row["verdict"] or "–",
+        shown,
+    )
+
+
+def comparison(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[Row]:
+    """Two flights of the catalogue: parameter, unit, the values with half widths, and the change in per cent."""
+    rows = []
+    for name, a in first["parameters"].items():
+        b = second["parameters"].get(name)
+        if b is None:
+            continue
+        scale = scale_for(split_unit(name)[1], [a["value"], b["value"]])
+        cells = [interval_text(Estimate.normal(e["value"], e["std"]), scale) for e in (a, b)]
+        change = percent(b["value"] / a["value"] - 1.0) if a["value"] else ""
+        rows.append((label(name), scale.unit, *cells, change))
+    return rows

@@ -1,0 +1,1 @@
+"""Widgets that several screens of the terminal UI share."""

@@ -1,0 +1,74 @@
+"""Questions in front of a screen. Abort works from inside each of them."""
+
+from __future__ import annotations
+
+from textual.app import ComposeResult
+from textual.binding import Binding
+from textual.containers import Vertical, VerticalScroll
+from textual.screen import ModalScreen
+from textual.widgets import Input, Static
+
+
+class Question(ModalScreen[bool]):
+    """Yes or no; anything but ``y`` is no."""
+
+    BINDINGS = [Binding("y", "answer(True)", "Yes"), Binding("n,escape", "answer(False)", "No")]
+
+    def __init__(self, text: str):
+        super().__init__()
+        self._text = text
+
+    def compose(self) -> ComposeResult:
+        """The question and its two answers."""
+        with Vertical(classes="dialog"):
+            yield Static(self._text, markup=False)
+            yield Static("y  yes        n  no", classes="keys", markup=False)
+
+    def action_answer(self, yes: bool) -> None:
+        """Close with the answer."""
+        self.dismiss(yes)
+
+
+class TypedQuestion(ModalScreen[bool]):
+    """Yes only when a word is typed."""
+
+    BINDINGS = [Binding("escape", "give_up", "No")]
+
+    def __init__(self, text: str, word: str):
+        super().__init__()
+        self._text, self._word = text, word
+
+    def compose(self) -> ComposeResult:
+        """The question and a field."""
+        with Vertical(classes="dialog"):
+            yield Static(self._text, markup=False)
+            yield Input(placeholder=f"type {self._word} and Enter; Escape stops", id="word")
+
+    def on_input_submitted(self, event: Input.Submitted) -> None:
+        """Compare."""
+        self.dismiss(event.value.strip() == self._word)
+
+    def action_give_up(self) -> None:
+        """No."""
+        self.dismiss(False)
+
+
+class TextPage(ModalScreen[None]):
+    """A text to read and close: the help, or a log."""
+
+    BINDINGS = [Binding("escape,q,question_mark,l", "close", "Close")]
+
+    def __init__(self, title: str, text: str):
+        super().__init__()
+        self._title, self._text = title, text
+
+    def compose(self) -> ComposeResult:
+        """A frame with a text that scrolls."""
+        with VerticalScroll(classes="page") as page:
+            page.border_title = self._title
+            page.border_subtitle = "Escape closes"
+            yield Static(self._text, markup=False)
+
+    def action_close(self) -> None:
+        """Close it."""
+        self.dismiss()

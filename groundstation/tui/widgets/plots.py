@@ -1,0 +1,42 @@
+"""Line plots in braille, for live data and for plans."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from numpy.typing import ArrayLike
+from textual_plot import HiResMode, PlotWidget
+
+STYLES = ("cyan", "yellow", "magenta", "green")
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line of a plot, with the name the legend shows."""
+
+    x: ArrayLike
+    y: ArrayLike
+    name: str
+
+
+class Plot(PlotWidget):
+    """Lines that are replaced as a whole. It takes no focus, so that the screens' keys stay theirs."""
+
+    can_focus = False
+
+    def __init__(self, x_label: str, y_label: str, id: str):
+        super().__init__(id=id, allow_pan_and_zoom=False)
+        self._names = (x_label, y_label)
+
+    def on_mount(self) -> None:
+        """Name the axes."""
+        self.set_xlabel(self._names[0])
+        self.set_ylabel(self._names[1])
+        self.margin_left = 8
+
+    def draw(self, lines: Sequence[Line]) -> None:
+        """Show these lines instead of what was shown."""
+        self.clear()
+        for line, style in zip(lines, STYLES, strict=False):
+            self.plot(line.x, line.y, line_style=style, hires_mode=HiResMode.BRAILLE, label=line.name)
