@@ -125,7 +125,7 @@ def test_an_onboard_log_is_listed_fetched_and_resumed_whole(loses):
     entries = pair.ask(logs.list())
     entry = entries[-1]
     assert entry.size > 1000
-    whole = pair.ask(logs.fetch(entry), 300.0)
+    whole = pair.ask(logs.fetch(entry, bytearray()), 300.0)
     assert len(whole) == entry.size
     assert whole[:4] == b"ULog"
-    assert pair.ask(logs.fetch(entry, start=whole[:5000]), 300.0) == whole
+    assert pair.ask(logs.fetch(entry, bytearray(whole[:5000])), 300.0) == whole

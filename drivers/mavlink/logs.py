@@ -20,7 +20,7 @@ _ROUNDS = 40
 
 
 class LogError(Exception):
-    """The vehicle stopped answering; ``args[1]`` holds what had come by then."""
+    """The vehicle stopped answering."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,14 +55,15 @@ class Logs:
         return sorted(found.values(), key=lambda entry: entry.number)
 
     def fetch(
-        self, entry: LogEntry, start: bytes = b"", progress: Callable[[int, int], None] = lambda _n, _of: None
+        self, entry: LogEntry, into: bytearray, progress: Callable[[int, int], None] = lambda _n, _of: None
     ) -> Steps[bytes]:
-        """The log's bytes. ``start`` is what an interrupted fetch had.
+        """The log's bytes. ``into`` holds what an interrupted fetch had and grows as more comes, however this ends.
 
         Raises:
             LogError: nothing came any more.
         """
-        data = bytearray(start[: entry.size])
+        data = into
+        del data[entry.size :]
         barren = 0
         while len(data) < entry.size:
             begin = len(data)
@@ -71,7 +72,7 @@ class Logs:
                 data += pieces[len(data)]
             barren = 0 if len(data) > begin else barren + 1
             if barren > _PATIENCE:
-                raise LogError(f"log {entry.number} stopped at byte {len(data)} of {entry.size}", bytes(data))
+                raise LogError(f"log {entry.number} stopped at byte {len(data)} of {entry.size}")
             progress(len(data), entry.size)
         yield Ask((mavlink.MAVLink_log_request_end_message(*self._address),), lambda _m: False, 0.01, 1)
         return bytes(data[: entry.size])

@@ -16,6 +16,9 @@ from groundstation.errors import BadInput, Refused
 if TYPE_CHECKING:
     from groundstation.flight.rehearse import FlightResult
 
+LOG_S = 120.0
+"""How long a flight waits for its onboard log; a fetch that breaks off can be continued."""
+
 PLAN_S = 6.0
 """Seconds a rehearsal gives the planner."""
 MAVLINK_VEHICLE = "x500"
@@ -214,8 +217,22 @@ def fly(vehicle: str, plan_file: Path | None, logs: Path, yes_simulated: bool, *
     link["set_parameters"] |= yes_simulated  # asked for on a real vehicle, a matter of course on a simulated one
     flight = _link_flight(vehicle, plan_file, logs, line, **link)
     flown = fly_plan(**flight, say=line.say, confirm=lambda: yes_simulated or _typed_confirmation(line))
+    _fetch_log(link["link"], flight["vehicle"], flown, line)
     line.end()
     return _flight_result(flown)
+
+
+def _fetch_log(url: str, vehicle: Path, flown: FlightResult, line: ProgressLine) -> None:
+    """The onboard log beside the recording; without it, what came over the link is all there is, and that is said."""
+    from groundstation.errors import GroundStationError
+    from groundstation.flight.onboard_log import fetch_onboard_log
+    from groundstation.vehicle import load_vehicle
+
+    try:
+        path = fetch_onboard_log(url, load_vehicle(vehicle), flown.folder, line.fraction, timeout_s=LOG_S)
+        line.say(f"onboard log: {path}; `groundstation identify {path} --vehicle {vehicle}` uses its rates")
+    except (GroundStationError, ConnectionError, ValueError) as error:
+        line.say(f"no onboard log ({error}); identified from what came over the link")
 
 
 def _typed_confirmation(line: ProgressLine) -> bool:

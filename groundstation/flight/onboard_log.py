@@ -65,7 +65,7 @@ def fetch_onboard_log(
         while not talk.done:
             if clock() > deadline:
                 talk.cancel()
-                raise Refused(f"the log did not come within {timeout_s:g} s.", "Fetch it again; it resumes.")
+                raise Refused(f"the log did not come within {timeout_s:g} s.")
             turn()
         if talk.error is not None:
             raise talk.error
@@ -85,21 +85,23 @@ def fetch_onboard_log(
             known = ", ".join(str(e.number) for e in entries) or "none"
             raise Refused("the vehicle offers no such log.", f"Logs on board: {known}. Is logging switched on?")
         part = folder / f"onboard-{entry.number}.part"
-        had = part.read_bytes() if part.is_file() else b""
-        begun = clock()
+        data = bytearray(part.read_bytes() if part.is_file() else b"")
+        begun, had = clock(), len(data)
 
         def tell(count: int, size: int) -> None:
-            speed = (count - len(had)) / max(clock() - begun, 1e-3)
+            speed = (count - had) / max(clock() - begun, 1e-3)
             progress(
                 count / size,
                 f"onboard log {entry.number}: {count / 1e6:.1f} of {size / 1e6:.1f} MB, {speed / 1e3:.0f} kB/s",
             )
 
         try:
-            data = run(logs.fetch(entry, had, tell))
-        except LogError as error:
-            part.write_bytes(error.args[1])
-            raise Refused(f"{error.args[0]}.", f"What came is in {part}; fetch again to go on.") from None
+            run(logs.fetch(entry, data, tell))
+        except (LogError, Refused) as error:
+            part.write_bytes(data)
+            raise Refused(
+                f"{error}", f"{len(data)} of {entry.size} bytes are in {part}; fetch again to go on."
+            ) from None
         path = folder / f"onboard{profile.log_suffix}"
         path.write_bytes(data)
         part.unlink(missing_ok=True)
