@@ -79,7 +79,7 @@ class GroundStation(App[int]):
         "flights": Flights,
     }
     DEFAULT_MODE = "station"
-    BINDINGS = [
+    BINDINGS: ClassVar = [
         Binding("ctrl+g,f8", "abort", "Abort + land", priority=True, show=False),
         Binding("ctrl+o,f9", "kill", "Kill", priority=True, show=False),
         *(Binding(str(n), f"switch_mode('{mode}')", SCREENS[mode], show=False) for n, mode in enumerate(SCREENS, 1)),

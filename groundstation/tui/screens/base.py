@@ -25,7 +25,7 @@ class StationScreen(Screen[None]):
     MODE: ClassVar[str]
     HELP_TEXT: ClassVar[str]
     HORIZONTAL_BREAKPOINTS: ClassVar = [(0, "-narrow"), (120, "-wide")]
-    BINDINGS = [Binding("escape", "leave_field", "Leave the field", show=False)]
+    BINDINGS: ClassVar = [Binding("escape", "leave_field", "Leave the field", show=False)]
 
     @property
     def station(self) -> GroundStation:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import ClassVar
 
 from textual.binding import Binding
 from textual.widgets import DataTable, Static
@@ -20,7 +21,10 @@ class Diagnose(StationScreen):
 The findings in sentences with their confidence; what is left unexplained, and what it varies with; the error of the
 prediction by channel on the part of the flight that was held out: with nominal values, with identified ones, and with
 the findings. The suspects are the effects that were tried, with the evidence for them. n plans the next flight."""
-    BINDINGS = [Binding("n", "next_flight", "Plan the next flight"), Binding("e", "report", "Report in the browser")]
+    BINDINGS: ClassVar = [
+        Binding("n", "next_flight", "Plan the next flight"),
+        Binding("e", "report", "Report in the browser"),
+    ]
 
     def body(self) -> Iterable:
         """Findings, errors, suspects."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from textual.binding import Binding
 from textual.widgets import DataTable, Input, Static
@@ -22,7 +22,7 @@ class Flights(StationScreen):
     HELP_TEXT = """\
 Enter shows a flight on Identify and Diagnose; e opens its report in the browser. m marks a flight, and m on a second one
 compares the two. t sorts by the next column, / filters: only flights whose line holds what is typed are shown."""
-    BINDINGS = [
+    BINDINGS: ClassVar = [
         Binding("m", "mark", "Mark / compare"),
         Binding("t", "sort", "Sort"),
         Binding("slash", "filter", "Filter"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from typing import ClassVar
 
 from textual.binding import Binding
 from textual.containers import Horizontal, Vertical
@@ -28,7 +29,7 @@ r prepares a flight: the vehicle's process starts, takes the plan, and everythin
 vehicle only after FLY is typed. b lands early and uses what was recorded. ^g aborts and lands; everyone may, from
 everywhere. Closing or killing this program does not end a flight: the plan is completed and the vehicle lands, and the
 program started again finds it. o takes the operator's lease from another."""
-    BINDINGS = [
+    BINDINGS: ClassVar = [
         Binding("s", "start", "Start"),
         Binding("b", "land", "Land early"),
         Binding("r", "rehearse", "Prepare"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import ClassVar
 
 from textual.binding import Binding
 from textual.widgets import DataTable, ProgressBar, Static
@@ -24,7 +25,7 @@ Comes up after landing. First the analysis and its preliminary estimates, then t
 its 95 % half width, the best method first, beside what the vehicle file declares. Below, why that method is the best,
 the clocks' offset, what the flight does not reveal, and the errors with the nominal and with the identified vehicle.
 e opens the report in the browser. Choose another flight on the Flights screen (6)."""
-    BINDINGS = [Binding("e", "report", "Report in the browser")]
+    BINDINGS: ClassVar = [Binding("e", "report", "Report in the browser")]
 
     def body(self) -> Iterable:
         """Progress, tables, notes."""

@@ -6,6 +6,7 @@ import math
 import threading
 from collections.abc import Iterable
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from textual.binding import Binding
@@ -40,7 +41,7 @@ p starts the optimiser; it keeps the best plan found so far, and c stops it ther
 limits. The criterion "condition" is the seed paper's; A makes the sum of the variances small. The table shows the
 standard deviation to expect of each parameter, beside that of the plan before. w writes the plan to a file in the
 folder of the flights; the Fly screen flies the plan that is shown here."""
-    BINDINGS = [
+    BINDINGS: ClassVar = [
         Binding("p", "plan", "Plan"),
         Binding("c", "stop", "Stop with the best"),
         Binding("w", "write", "Write to a file"),
@@ -76,6 +77,10 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
             yield Plot("x, m", "y, m", id="path")
             yield Plot("t, s", "tilt, °", id="tilt")
         yield DataTable(id="accuracy", show_cursor=False)
+
+    def on_mount(self) -> None:
+        """Drawings appear with a plan."""
+        self.query_one(".columns").display = False
 
     def on_screen_resume(self) -> None:
         """Show the plan that would be flown."""
@@ -180,6 +185,7 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
 
     def _show(self, plan: Plan) -> None:
         """Draw path and tilt over one period, and write what it will tell."""
+        self.query_one(".columns").display = True
         series = plan.series()
         t_s = np.linspace(0.0, min(series.period_s, series.duration_s), 300)
         motion = rigid_motion(series.sample(t_s))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import ClassVar
 
 from textual.binding import Binding
 from textual.containers import Grid
@@ -30,7 +31,7 @@ Choose vehicle and link, then r to prepare a flight of it. The simulator needs n
 address speaks MAVLink to a PX4 or ArduPilot vehicle; write another address into the field, e.g. tcp://host:5760.
 The table shows each stream as the core records it: rate over the last second, age of the newest sample, and the
 longest gap so far. Batches lost on the way and payloads that did not decode are counted below it."""
-    BINDINGS = [Binding("r", "rehearse", "Prepare a flight")]
+    BINDINGS: ClassVar = [Binding("r", "rehearse", "Prepare a flight")]
 
     def body(self) -> Iterable:
         """Streams on top, choices below."""

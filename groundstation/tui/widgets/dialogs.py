@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.containers import Vertical, VerticalScroll
@@ -12,7 +14,7 @@ from textual.widgets import Input, Static
 class Question(ModalScreen[bool]):
     """Yes or no; anything but ``y`` is no."""
 
-    BINDINGS = [Binding("y", "answer(True)", "Yes"), Binding("n,escape", "answer(False)", "No")]
+    BINDINGS: ClassVar = [Binding("y", "answer(True)", "Yes"), Binding("n,escape", "answer(False)", "No")]
 
     def __init__(self, text: str):
         super().__init__()
@@ -32,7 +34,7 @@ class Question(ModalScreen[bool]):
 class TypedQuestion(ModalScreen[bool]):
     """Yes only when a word is typed."""
 
-    BINDINGS = [Binding("escape", "give_up", "No")]
+    BINDINGS: ClassVar = [Binding("escape", "give_up", "No")]
 
     def __init__(self, text: str, word: str):
         super().__init__()
@@ -56,7 +58,7 @@ class TypedQuestion(ModalScreen[bool]):
 class TextPage(ModalScreen[None]):
     """A text to read and close: the help, or a log."""
 
-    BINDINGS = [Binding("escape,q,question_mark,l", "close", "Close")]
+    BINDINGS: ClassVar = [Binding("escape,q,question_mark,l", "close", "Close")]
 
     def __init__(self, title: str, text: str):
         super().__init__()
