@@ -14,6 +14,8 @@ from groundstation.flight.sequence import FINAL
 
 HISTORY = 1200
 """Statuses kept for the live plots: two minutes at ten a second."""
+CONNECT_S = 15.0
+"""How long a core may take to come up."""
 SILENT_S = 3.0
 """Wall time without a status after which the core is said to be silent."""
 
@@ -86,7 +88,7 @@ class CoreWatch:
 
     def _run(self) -> None:
         try:
-            with connect(self.endpoint) as client:
+            with connect(self.endpoint, timeout_s=CONNECT_S) as client:
                 self._client, self.name = client, client.name
                 client.take_lease()
                 self._follow(client)

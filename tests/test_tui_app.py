@@ -1,0 +1,337 @@
+"""The terminal UI against a core on the loopback bus: orders, views, faults. What the core says is scripted, the bus is real."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from textual.pilot import Pilot
+from textual.widgets import DataTable, Input, Static
+
+from drivers import bus
+from groundstation.flight.lease import OperatorLease
+from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, CoreStatus, Lease, StreamStatus
+from groundstation.flight.sequence import Phase
+from groundstation.tui.app import GroundStation
+from groundstation.tui.screens.base import StationScreen
+from groundstation.tui.watch import CoreWatch
+from groundstation.tui.widgets.bars import SCREENS
+from groundstation.tui.widgets.dialogs import Question, TextPage, TypedQuestion
+
+PATIENCE_S = 15.0
+HOSTILE = "[bold red]battery[/] [@click=app.exit]low[/] [/nonsense"
+
+
+class ScriptedCore:
+    """Says what it is told to say, and keeps the orders it gets."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        self.orders: list[CoreCommand] = []
+        self.lease = OperatorLease()
+        self.endpoint = bus.loopback(bus.free_port())
+
+    @contextmanager
+    def running(self) -> Iterator[ScriptedCore]:
+        """On the bus."""
+        with bus.open_session(listen=[self.endpoint]) as session, bus.alive(session, bus.CORE_ALIVE):
+            self._status = bus.Publisher(session, bus.CORE_STATUS)
+            self._handles = [
+                bus.serve(session, bus.CORE_COMMAND, CoreCommand, self._take),
+                bus.serve(session, bus.CORE_LEASE, Lease, self.lease.request),
+                bus.watch_alive(session, CLIENT_ALIVE.format(client="*"), self.lease.client_alive),
+            ]
+            yield self
+
+    def _take(self, command: CoreCommand) -> bus.Answer:
+        self.orders.append(command)
+        if command.name != "abort" and (refusal := self.lease.refusal(command.client, command.name)):
+            return bus.Answer(False, refusal)
+        return bus.Answer(True)
+
+    def say(self, phase: str, **changes: object) -> None:
+        """Publish a status."""
+        values: dict = {
+            "phase": phase,
+            "flight_s": 10.0,
+            "time_left_s": 42.0,
+            "position_m": (0.1, -0.2, 0.7),
+            "motors": (200.0, 210.0, 190.0, 205.0),
+            "battery_v": 11.1,
+            "streams": {"imu": StreamStatus(5000, 500.0, 0.002, 0.004)},
+            "lease": self.lease.holder,
+        }
+        self._status.put(CoreStatus("flight", str(self.folder), "qball2", **(values | changes)))
+
+
+@pytest.fixture
+def core(tmp_path: Path) -> Iterator[ScriptedCore]:
+    with ScriptedCore(tmp_path / "flight").running() as running:
+        yield running
+
+
+async def until(pilot: Pilot, condition: Callable[[], object], again: Callable[[], None] = lambda: None) -> None:
+    """Let the application run until something holds; ``again`` is done while it does not."""
+    loop = asyncio.get_running_loop()
+    end_s = loop.time() + PATIENCE_S
+    while not condition():
+        assert loop.time() < end_s, f"waited in vain; {pilot.app.screen} is on"
+        again()
+        await pilot.pause(0.05)
+
+
+async def follow(pilot: Pilot, core: ScriptedCore, phase: str = Phase.EXCITING, **changes: object) -> CoreWatch:
+    """Let the application follow the scripted core until it shows this phase."""
+    app = pilot.app
+    assert isinstance(app, GroundStation)
+    if app.core is None:
+        app.follow(CoreWatch(core.endpoint, core.folder))
+        await until(pilot, lambda: core.lease.holder, lambda: core.say(phase, **changes))
+    watch = app.core
+    assert watch is not None
+    await until(
+        pilot,
+        lambda: watch.newest is not None and watch.newest.phase == phase and app._shown is watch.newest,
+        lambda: core.say(phase, **changes),
+    )
+    return watch
+
+
+def text_of(app: GroundStation, selector: str) -> str:
+    return str(app.screen.query_one(selector, Static).content)
+
+
+def station(tmp_path: Path) -> GroundStation:
+    return GroundStation(tmp_path / "logs")
+
+
+async def test_abort_works_from_inside_a_field_on_every_screen_and_in_front_of_every_question(
+    core: ScriptedCore, tmp_path: Path
+) -> None:
+    app = station(tmp_path)
+    async with app.run_test(size=(80, 24)) as pilot:
+        await follow(pilot, core)
+        given = 0
+
+        async def abort(key: str) -> None:
+            nonlocal given
+            await pilot.press(key)
+            given += 1
+            await until(pilot, lambda: len(core.orders) >= given)
+            assert core.orders[-1].name == "abort"
+
+        for mode in SCREENS:
+            await app.switch_mode(mode)
+            await pilot.pause()
+            fields = list(app.screen.query(Input))
+            if not fields:  # a screen without one gets one, so that the promise holds for those to come
+                field = Input()
+                await app.screen.mount(field)
+                fields = [field]
+            for field in fields:
+                field.focus()
+                await pilot.press("1")
+                assert field.has_focus
+                assert field.value.endswith("1"), "a digit typed into a field is text, not a change of screen"
+                await abort("ctrl+g")
+                await abort("f8")
+        for question in (Question("?"), TypedQuestion("?", "FLY"), TextPage("log", "text")):
+            await app.push_screen(question)
+            await pilot.pause()
+            await abort("ctrl+g")
+            app.pop_screen()
+        assert len(core.orders) == given
+
+
+async def test_abort_from_a_watcher_that_does_not_hold_the_lease(core: ScriptedCore, tmp_path: Path) -> None:
+    core.lease.request(Lease("somebody else"))
+    app = station(tmp_path)
+    async with app.run_test(size=(80, 24)) as pilot:
+        watch = await follow(pilot, core)
+        await until(pilot, lambda: "another is the operator" in text_of(app, "#flight-line"), lambda: core.say("exciting"))
+        assert not watch.operator
+        await pilot.press("b")
+        await until(pilot, lambda: core.orders)
+        assert "needs the operator's lease" in watch.order("land")
+        await pilot.press("ctrl+g")
+        await until(pilot, lambda: core.orders[-1].name == "abort")
+        assert watch.order("abort") == ""
+
+
+async def test_two_at_once_see_the_same_and_one_holds_the_lease(core: ScriptedCore, tmp_path: Path) -> None:
+    first, second = station(tmp_path), station(tmp_path)
+    async with first.run_test(size=(80, 24)) as one:
+        a = await follow(one, core)
+        async with second.run_test(size=(200, 60)) as two:
+            b = await follow(two, core)
+            await until(two, lambda: a.newest == b.newest, lambda: core.say("exciting"))
+            assert (a.operator, b.operator) == (True, False)
+            await two.press("o")
+            await until(two, lambda: b.operator and not a.operator, lambda: core.say("exciting"))
+        await until(one, lambda: core.lease.holder == "")  # with its holder gone the lease is free
+
+
+async def test_a_simulated_flight_is_started_once_it_is_checked_and_not_before(
+    core: ScriptedCore, tmp_path: Path
+) -> None:
+    app = station(tmp_path)
+    async with app.run_test(size=(80, 24)) as pilot:
+        await follow(pilot, core, Phase.UPLOADED, flight_s=0.0)
+        await pilot.press("s")
+        await pilot.pause(0.4)
+        assert core.orders == []
+        await follow(pilot, core, Phase.CHECKED, flight_s=0.0)
+        await until(pilot, lambda: [order.name for order in core.orders] == ["start"])
+
+
+async def test_a_real_vehicle_starts_only_after_the_word(core: ScriptedCore, tmp_path: Path) -> None:
+    app = station(tmp_path)
+    app.setup = type(app.setup)(link="udpin://127.0.0.1:14540")
+    async with app.run_test(size=(80, 24)) as pilot:
+        await follow(pilot, core, Phase.CHECKED, flight_s=0.0)
+        for typed, starts in (("fly", 0), ("", 0), ("FLY", 1)):
+            await pilot.press("s")
+            await until(pilot, lambda: isinstance(app.screen, TypedQuestion))
+            await pilot.press(*typed, "enter")
+            await until(pilot, lambda: isinstance(app.screen, StationScreen))
+            for _ in range(4):
+                core.say(Phase.CHECKED, flight_s=0.0)
+                await pilot.pause(0.2)
+            assert len(core.orders) == starts, typed
+
+
+async def test_text_of_vehicles_and_logs_is_text(core: ScriptedCore, tmp_path: Path) -> None:
+    app = station(tmp_path)
+    async with app.run_test(size=(200, 60)) as pilot:
+        hostile = {"reason": HOSTILE, "notes": (HOSTILE,), "text": HOSTILE, "streams": {HOSTILE: StreamStatus(1, 9.0)}}
+        for phase, keys in ((Phase.EXCITING, "13"), (Phase.IDENTIFYING, "4")):
+            for key in keys:
+                await pilot.press(key)
+                await follow(pilot, core, phase, **hostile)
+                assert HOSTILE in screen_text(app), (phase, key)
+        app._fail(HOSTILE)
+        await pilot.pause(0.3)
+        assert HOSTILE in screen_text(app)
+
+
+def screen_text(app: GroundStation) -> str:
+    """What the terminal shows, without colours."""
+    lines = app.screen._compositor.render_strips()
+    return "\n".join("".join(segment.text for segment in strip) for strip in lines)
+
+
+async def test_after_landing_identify_comes_up_by_itself_and_shows_what_the_analysis_wrote(
+    core: ScriptedCore, tmp_path: Path
+) -> None:
+    core.folder.mkdir()
+    app = station(tmp_path)
+    async with app.run_test(size=(200, 60)) as pilot:
+        await follow(pilot, core, Phase.EXCITING)
+        assert app.current_mode == "fly"
+        table = {"mass_kg": (1.79, 1.8253, 1.8247, 1.8259), "ixx_kg_m2": (0.03, float("nan"), float("nan"), float("nan"))}
+        await follow(pilot, core, Phase.LANDED)
+        await until(pilot, lambda: app.current_mode == "identify")
+        await follow(pilot, core, Phase.IDENTIFYING, progress=0.4, text="instruments", table=table)
+        shown = screen_text(app)
+        assert "1.82530 ± 0.00060" in shown
+        assert "not revealed" in shown
+        write_results(core.folder)
+        await follow(pilot, core, Phase.DONE)
+        await until(pilot, lambda: "IV (best)" in screen_text(app))
+        assert "1.8254 ± 0.0006" in screen_text(app).replace("1.82540 ± 0.00066", "1.8254 ± 0.0006")
+        await pilot.press("5")
+        await until(pilot, lambda: "the rotors drag" in screen_text(app))
+
+
+def write_results(folder: Path) -> None:
+    """Documents as the analysis writes them, of a flight that revealed the mass alone."""
+    mass = {"value": 1.8254, "std": 0.000338, "ci95": [1.82474, 1.82606]}
+    identification = {
+        "flight": folder.name,
+        "vehicle": "qball2",
+        "best": "IV",
+        "best_reason": "IV: immune to feedback",
+        "methods": {"LS": {"parameters": {"mass_kg": mass}, "condition_number": 15.5}, "IV": {"parameters": {"mass_kg": mass}}},
+        "model": {},
+        "clock": {"mocap_minus_imu_s": 0.0123, "std_s": 1e-4},
+        "remedies": {"ixx_kg_m2": "roll more"},
+        "validation": [{"kind": "output", "rms": {"nominal": {"force_z_n": 0.35}, "IV": {"force_z_n": 0.0175}}}],
+    }
+    finding = {"effect": "rotor_drag", "evidence": "the rotors drag", "confidence": 1.0, "parameters": {}}
+    diagnosis = {
+        "verdict": "explained",
+        "findings": [finding],
+        "error": {"held_out": {"nominal": {"force_x_n": 0.2}, "before": {"force_x_n": 0.1}, "after": {"force_x_n": 0.05}}},
+        "candidates": [{"effect": "rotor_drag", "evidence": 500.5, "settings": {}}],
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "identification.json").write_text(json.dumps(identification), encoding="utf-8")
+    (folder / "diagnosis.json").write_text(json.dumps(diagnosis), encoding="utf-8")
+
+
+async def test_flights_lists_filters_and_opens(tmp_path: Path) -> None:
+    logs = tmp_path / "logs"
+    for name in ("alpha", "beta[red]"):
+        write_results(logs / name)
+    app = GroundStation(logs)
+    async with app.run_test(size=(80, 24)) as pilot:
+        await pilot.press("6")
+        table = app.screen.query_one("#catalogue", DataTable)
+        await until(pilot, lambda: table.row_count == 2)
+        await pilot.press("m", "down", "m")
+        assert app.screen.query_one("#comparison", DataTable).row_count == 1
+        await pilot.press("slash", *"beta", "enter")
+        await until(pilot, lambda: table.row_count == 1)
+        await pilot.press("enter")
+        await until(pilot, lambda: app.current_mode == "identify" and "IV (best)" in screen_text(app))
+        assert "beta[red]" in screen_text(app)
+
+
+async def test_nothing_in_the_logs_is_a_sentence(tmp_path: Path) -> None:
+    app = station(tmp_path)
+    async with app.run_test(size=(80, 24)) as pilot:
+        await pilot.press("6")
+        await until(pilot, lambda: "no flights in" in text_of(app, "#flights-text"))
+        await pilot.press("4", "5", "ctrl+g", "ctrl+o", "l", "question_mark", "escape")
+        assert isinstance(app.screen, StationScreen)
+
+
+async def test_a_core_that_does_not_exist_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("groundstation.tui.watch.CONNECT_S", 0.5)
+    app = station(tmp_path)
+    async with app.run_test(size=(80, 24)) as pilot:
+        app.follow(CoreWatch(bus.loopback(bus.free_port()), tmp_path / "gone"))
+        await until(pilot, lambda: "no core answers" in text_of(app, "#flight-line"))
+
+
+async def test_a_flight_under_way_is_found(core: ScriptedCore, tmp_path: Path) -> None:
+    folder = tmp_path / "logs" / "2025-01-01T00-00-00-qball2"
+    folder.mkdir(parents=True)
+    (folder / "core.endpoint").write_text(core.endpoint, encoding="utf-8")
+    app = station(tmp_path)
+    async with app.run_test(size=(80, 24)) as pilot:
+        await until(pilot, lambda: app.core is not None)
+        await follow(pilot, core)
+        assert "EXCITING" in text_of(app, "#big-state")
+
+
+@pytest.mark.parametrize("size", [(80, 24), (200, 60)])
+@pytest.mark.parametrize("theme", ["textual-dark", "textual-light"])
+async def test_abort_and_kill_are_visible_on_every_screen(tmp_path: Path, size: tuple[int, int], theme: str) -> None:
+    app = station(tmp_path)
+    async with app.run_test(size=size) as pilot:
+        app.theme = theme
+        for number, (mode, title) in enumerate(SCREENS.items(), 1):
+            app.screen.set_focus(None)
+            await pilot.press(str(number))
+            await until(pilot, lambda mode=mode: app.current_mode == mode)
+            await pilot.pause()
+            shown = screen_text(app)
+            assert "ABORT + LAND ^g" in shown
+            assert "KILL ^o" in shown
+            assert f"[{number} {title}]" in shown
+            assert "? Help" in shown
