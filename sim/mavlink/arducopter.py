@@ -29,7 +29,7 @@ from sim.mavlink.guidance import GuidanceSettings
 from sim.mavlink.logserver import LogFile
 from sim.mavlink.outbox import Link, parameter_value
 from sim.mavlink.parameters import Parameter
-from sim.mavlink.wire import Message, mavlink
+from sim.mavlink.wire import Message, mavlink, whole
 
 FORCE_DISARM, FORCE_ARM = 21196.0, 2989.0
 VISION = 6
@@ -38,6 +38,7 @@ _PRESENT, _ENABLED, _HEALTH = 1399979023, 1380031503, 1196530703 & ~0x10000000
 _FASTEST_US = 3000
 _BASE = 1 | 16 | 64
 ORIGIN_S = 20.0
+MAX_HEIGHT_M = 1000.0
 STARTUP = (
     (4.45, "EKF3 IMU0 initialised"), (4.45, "EKF3 IMU1 initialised"), (4.46, "AHRS: EKF3 active"),
     (5.79, "EKF3 IMU0 tilt alignment complete"), (5.79, "EKF3 IMU1 tilt alignment complete"),
@@ -206,7 +207,7 @@ class ArduCopter(Autopilot):
     def command(self, number: int, p: list[float], link: Link, sender: Sender) -> int | None:
         """Commands of the vehicle itself."""
         if number == mavlink.MAV_CMD_DO_SET_MODE:
-            return self._command_mode(int(p[1]), link, sender)
+            return self._command_mode(whole(p[1]), link, sender)
         if number == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
             return self._command_arm(p[1] == FORCE_ARM) if p[0] == 1.0 else self._command_disarm(p[1] == FORCE_DISARM)
         if number == mavlink.MAV_CMD_NAV_TAKEOFF:
@@ -248,7 +249,8 @@ class ArduCopter(Autopilot):
 
     def _command_takeoff(self, height_m: float) -> int:
         """Only armed, in GUIDED, and upwards; the height counts from home."""
-        if self.mode.name != "GUIDED" or not self.armed or not self.landed or height_m <= 0.0:
+        upwards = 0.0 < height_m < MAX_HEIGHT_M
+        if self.mode.name != "GUIDED" or not self.armed or not self.landed or not upwards:
             return FAILED
         self.begin("takeoff", height_m=self.home_m[2] + height_m)
         self._spooled_s = max(self._spooled_s, self.time_s) + self.THROTTLE_RAMP_S

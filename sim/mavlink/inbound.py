@@ -10,7 +10,7 @@ from sim.mavlink.airframe import Vector, euler
 from sim.mavlink.control import NAN3, Setpoint
 from sim.mavlink.outbox import Link, parameter_value
 from sim.mavlink.parameters import Parameter
-from sim.mavlink.wire import Message, mavlink
+from sim.mavlink.wire import Message, mavlink, whole
 
 if TYPE_CHECKING:
     from sim.mavlink.autopilot import Autopilot
@@ -68,13 +68,15 @@ def _command(a: Autopilot, link: Link, message: Message, sender: tuple[int, int]
     p.append(message.param7 if message.get_type() == "COMMAND_LONG" else message.z)
     number = message.command
     if number == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL:
-        result = _set_interval(a, link, int(p[0]), p[1])
+        result = _set_interval(a, link, whole(p[0]), whole(p[1]))
     elif number == mavlink.MAV_CMD_GET_MESSAGE_INTERVAL:
-        interval = link.streams.interval_us(int(p[0])) or 0
-        link.send(mavlink.MAVLink_message_interval_message(int(p[0]), interval))
-        result = mavlink.MAV_RESULT_ACCEPTED
+        asked = whole(p[0])
+        interval = link.streams.interval_us(asked) or 0
+        result = mavlink.MAV_RESULT_ACCEPTED if 0 <= asked < 1 << 16 else mavlink.MAV_RESULT_DENIED
+        if result == mavlink.MAV_RESULT_ACCEPTED:
+            link.send(mavlink.MAVLink_message_interval_message(asked, interval))
     elif number in (mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES):
-        wanted = int(p[0]) if number == mavlink.MAV_CMD_REQUEST_MESSAGE else mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
+        wanted = whole(p[0]) if number == mavlink.MAV_CMD_REQUEST_MESSAGE else mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
         return _request_message(a, link, number, wanted, sender)
     else:
         result = a.command(number, p, link, sender)
@@ -82,12 +84,11 @@ def _command(a: Autopilot, link: Link, message: Message, sender: tuple[int, int]
         link.send(mavlink.MAVLink_command_ack_message(number, result, 0, 0, *sender))
 
 
-def _set_interval(a: Autopilot, link: Link, message_id: int, interval_us: float) -> int:
-    refused = a.refuse_interval(message_id, int(interval_us))
+def _set_interval(a: Autopilot, link: Link, message_id: int, interval_us: int) -> int:
+    refused = a.refuse_interval(message_id, interval_us)
     if refused is not None:
         return refused
-    default = 0 if interval_us < 0 else int(interval_us)
-    link.streams.set(message_id, default)
+    link.streams.set(message_id, interval_us)
     return mavlink.MAV_RESULT_ACCEPTED
 
 
@@ -101,7 +102,7 @@ def _request_message(a: Autopilot, link: Link, command: int, wanted: int, sender
 
 
 def _masked(values: Vector, bits: tuple[int, int, int], mask: int) -> Vector:
-    x, y, z = (math.nan if mask & bit else v for v, bit in zip(values, bits, strict=True))
+    x, y, z = (math.nan if mask & bit or not math.isfinite(v) else v for v, bit in zip(values, bits, strict=True))
     return flip((x, y, z))
 
 
@@ -116,8 +117,8 @@ def setpoint_of(
     position = _masked((m.x, m.y, m.z), _POSITION, mask)
     velocity = _masked((m.vx, m.vy, m.vz), _VELOCITY, mask)
     acceleration = _masked((m.afx, m.afy, m.afz), _ACCELERATION, mask)
-    yaw = math.nan if mask & _YAW else -m.yaw
-    yaw_rate = math.nan if mask & _YAW_RATE else -m.yaw_rate
+    yaw = math.nan if mask & _YAW or not math.isfinite(m.yaw) else -m.yaw
+    yaw_rate = math.nan if mask & _YAW_RATE or not math.isfinite(m.yaw_rate) else -m.yaw_rate
     frame = m.coordinate_frame
     if frame == mavlink.MAV_FRAME_LOCAL_NED:
         return Setpoint(position, velocity, acceleration, yaw, yaw_rate)
@@ -146,7 +147,8 @@ def _vision(a: Autopilot, name: str, m: Message) -> None:
     else:
         w, x, y, z = m.q
         stamp, yaw = m.time_usec, math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    a.estimator.vision(flip((m.x, m.y, m.z)), -yaw, a.own_time_s(stamp))
+    if all(map(math.isfinite, (m.x, m.y, m.z, yaw))):
+        a.estimator.vision(flip((m.x, m.y, m.z)), -yaw, a.own_time_s(stamp))
 
 
 def _timesync(a: Autopilot, link: Link, m: Message) -> None:
@@ -173,7 +175,7 @@ def _parameter(a: Autopilot, link: Link, name: str, m: Message, sender: tuple[in
             a.unknown_parameter(link, sender, m.param_id)
             return
         parameter: Parameter = a.parameters.all[index]
-        if a.accepts_parameter(link, sender, parameter, m.param_type):
+        if a.accepts_parameter(link, sender, parameter, m.param_type) and a.parameters.holds(parameter, m):
             a.parameters[parameter.name] = a.parameters.from_wire(m.param_value, m.param_type)
             a.parameter_changed(parameter)
             link.send(parameter_value(a, index, shown=a.READ_BY_NAME_INDEX))

@@ -35,9 +35,10 @@ from sim.mavlink.outbox import Link
 from sim.mavlink.parameters import Parameter
 from sim.mavlink.px4failsafe import arming_obstacle, link_action, silent_for_s, standing_failsafe
 from sim.mavlink.px4log import Px4Log
-from sim.mavlink.wire import Message, RawMessage, mavlink
+from sim.mavlink.wire import Message, RawMessage, mavlink, whole
 
 FORCE = 21196.0
+MAX_HEIGHT_M = 1000.0
 _HEALTHY, _PREARM = 320915519 & ~0x10000000, 0x10000000
 _CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
@@ -227,12 +228,12 @@ class Px4(Autopilot):
     def command(self, number: int, p: list[float], link: Link, sender: Sender) -> int | None:
         """Commands of the vehicle itself."""
         if number == mavlink.MAV_CMD_DO_SET_MODE:
-            return self._command_mode(int(p[1]), int(p[2]), link, sender)
+            return self._command_mode(whole(p[1]), whole(p[2]), link, sender)
         if number == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
             return self._command_arm(forced=p[1] == FORCE) if p[0] == 1.0 else self._command_disarm(p[1] == FORCE)
         if number == mavlink.MAV_CMD_NAV_TAKEOFF:
             height = p[6] - self.ALTITUDE_M if math.isfinite(p[6]) else math.nan
-            return self._command_takeoff(height)
+            return self._command_takeoff(height if abs(height) < MAX_HEIGHT_M else math.nan)
         simple = {
             mavlink.MAV_CMD_NAV_LAND: "LAND",
             mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: "RTL",

@@ -7,7 +7,12 @@ from __future__ import annotations
 
 from drivers.mavlink.dialect import Message, mavlink
 
-__all__ = ["Message", "RawMessage", "mavlink"]
+__all__ = ["Message", "RawMessage", "mavlink", "whole"]
+
+
+def whole(value: float) -> int:
+    """A command's float parameter as the integer it stands for; -1 for what is none (a station may send NaN)."""
+    return int(value) if abs(value) < 2.0**31 else -1
 
 
 class RawMessage(mavlink.MAVLink_message):

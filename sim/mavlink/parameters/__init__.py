@@ -8,11 +8,12 @@ ArduPilot converts.
 from __future__ import annotations
 
 import csv
+import math
 import struct
 from dataclasses import dataclass
 from importlib import resources
 
-from sim.mavlink.wire import mavlink
+from sim.mavlink.wire import Message, mavlink
 
 _TYPES = {
     "int": mavlink.MAV_PARAM_TYPE_INT32,
@@ -21,6 +22,9 @@ _TYPES = {
     "int32": mavlink.MAV_PARAM_TYPE_INT32,
     "float": mavlink.MAV_PARAM_TYPE_REAL32,
 }
+
+
+_BITS = {mavlink.MAV_PARAM_TYPE_INT8: 8, mavlink.MAV_PARAM_TYPE_INT16: 16, mavlink.MAV_PARAM_TYPE_INT32: 32}
 
 
 @dataclass(slots=True)
@@ -82,6 +86,14 @@ class ParameterStore:
         if parameter.is_float or not self._bytewise:
             return parameter.value
         return struct.unpack("<f", struct.pack("<i", int(parameter.value)))[0]
+
+    def holds(self, parameter: Parameter, message: Message) -> bool:
+        """Whether the parameter can take the value of a PARAM_SET: a number, within its integer type."""
+        bytewise_integer = self._bytewise and message.param_type != mavlink.MAV_PARAM_TYPE_REAL32
+        if not bytewise_integer and not math.isfinite(message.param_value):
+            return False
+        bits = _BITS.get(parameter.kind)
+        return bits is None or abs(self.from_wire(message.param_value, message.param_type)) < 2.0 ** (bits - 1)
 
     def from_wire(self, field: float, kind: int) -> float:
         """The value in the float field of PARAM_SET, for the type it claims to have."""
