@@ -1,0 +1,261 @@
+"""Every effect's model by itself: shape, direction, growth; a new effect is one new file; the results' JSON form."""
+
+from __future__ import annotations
+
+import importlib
+import json
+
+import numpy as np
+import pytest
+
+from groundstation.diagnosis import effect as effects_module
+from groundstation.diagnosis.attribution import candidates
+from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, library, wrench_of
+from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
+from groundstation.identification.results import Estimate
+from groundstation.model.signals import Signals
+from groundstation.paths import find_config
+from groundstation.vehicle import load_vehicle
+
+VEHICLE = load_vehicle(find_config("vehicles", "x500"))
+HOVER_N = VEHICLE.mass_kg * VEHICLE.gravity_m_s2 / VEHICLE.rotors.count
+
+TOY = '''"""A toy."""
+
+from groundstation.diagnosis.effect import Effect, ParameterInfo, blank
+
+
+def _wrench(signals, vehicle, settings):
+    out = blank(signals)
+    out[:, 5, 0] = signals.position_m[:, 0]
+    return out
+
+
+EFFECT = Effect(
+    identifier="toy_compass",
+    equation="tau_z = k x",
+    source="none",
+    parameters=(ParameterInfo("k_n", lambda v: 1.0),),
+    wrench=_wrench,
+    sentence="It turns with x by {k_n} N m per metre.",
+    confused_with=(),
+    manoeuvre="fly along x",
+)
+'''
+
+
+def _signals(count: int = 200, **given: np.ndarray) -> Signals:
+    """Hover at 1 m, level, full battery, but for what is given."""
+    t = np.linspace(0.0, 20.0, count)
+    speed = np.full((count, 4), np.sqrt(HOVER_N / VEHICLE.rotors.thrust_coefficient_n_s2))
+    values = {
+        "t_s": t,
+        "position_m": np.tile([0.0, 0.0, 1.0], (count, 1)),
+        "velocity_world_m_s": np.zeros((count, 3)),
+        "quaternion": np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+        "rate_rad_s": np.zeros((count, 3)),
+        "motor": speed,
+        "lagged": speed,
+        "lagged_rate": np.zeros((count, 4)),
+        "thrust_n": np.full((count, 4), HOVER_N),
+        "voltage_v": np.full(count, VEHICLE.battery.full_v),
+        "charge_as": np.zeros(count),
+    }
+    return Signals(**{**values, **given})
+
+
+def _random_signals(seed: int = 0) -> Signals:
+    random = np.random.default_rng(seed)
+    q = random.standard_normal((200, 4))
+    return _signals(
+        velocity_world_m_s=random.standard_normal((200, 3)),
+        rate_rad_s=random.standard_normal((200, 3)),
+        position_m=random.uniform(0.5, 2.0, (200, 3)),
+        quaternion=q / np.linalg.norm(q, axis=1, keepdims=True),
+        lagged_rate=random.standard_normal((200, 4)),
+        thrust_n=random.uniform(0.5, 1.5, (200, 4)) * HOVER_N,
+        voltage_v=np.linspace(16.8, 15.0, 200),
+    )
+
+
+def _wrench(name: str, signals: Signals, **settings: float) -> np.ndarray:
+    effect = library()[name]
+    return effect.wrench(signals, VEHICLE, settings or dict(effect.variants(signals, VEHICLE)[0]))
+
+
+@pytest.mark.parametrize("name", sorted(library()))
+def test_every_effect_gives_a_finite_wrench_for_each_parameter_and_says_where_it_is_from(name):
+    effect, signals = library()[name], _random_signals()
+    for settings in effect.variants(signals, VEHICLE):
+        wrench = effect.wrench(signals, VEHICLE, settings)
+        assert wrench.shape == (200, 6, len(effect.parameters))
+        assert np.isfinite(wrench).all()
+        assert np.any(wrench != 0.0)
+    assert effect.source and effect.manoeuvre and effect.equation
+    values = {n: "1" for n in effect.names()} | {n: "1" for n in effect.variants(signals, VEHICLE)[0]}
+    assert "{" not in effect.sentence.format(**values)
+    assert all(p.prior_std(VEHICLE) > 0.0 and p.plausible[0] < p.plausible[1] for p in effect.parameters)
+
+
+def test_air_resists_motion_in_every_attitude_and_gives_it_no_energy():
+    signals = _random_signals()
+    velocity = signals.velocity_body_m_s()
+    for name in ("body_drag", "climb_inflow"):
+        power = np.einsum("ki,kip->kp", velocity, _wrench(name, signals)[:, :3])
+        assert np.all(power <= 0.0) and power.min() < -0.1
+    drag = _wrench("rotor_drag", signals)
+    assert np.all(np.einsum("ki,kip->kp", velocity, drag[:, :3]) <= 0.0)
+    assert np.all(drag[:, 2] == 0.0), "rotors drag in their plane"
+
+
+def test_rotor_drag_is_linear_in_speed_and_body_drag_quadratic():
+    slow, fast = (_signals(velocity_world_m_s=np.tile([v, 0.0, 0.0], (200, 1))) for v in (1.0, 2.0))
+    assert _wrench("rotor_drag", slow)[0, 0, 0] == pytest.approx(-1.0)
+    assert _wrench("rotor_drag", fast)[0, 0, 0] == pytest.approx(-2.0)
+    assert _wrench("body_drag", fast)[0, 0, 0] == pytest.approx(4.0 * _wrench("body_drag", slow)[0, 0, 0])
+
+
+def test_angular_damping_takes_energy_from_rotation_and_gyroscopic_coupling_takes_none():
+    signals = _random_signals()
+    damping = _wrench("angular_damping", signals)[:, 3:].sum(axis=2)
+    assert np.all(np.einsum("ki,ki->k", damping, signals.rate_rad_s) < 0.0)
+    steady = _signals(rate_rad_s=signals.rate_rad_s, lagged=np.tile([900.0, 900.0, 700.0, 700.0], (200, 1)))
+    gyroscopic = _wrench("rotor_gyroscopic", steady)[:, 3:, 0]
+    assert np.abs(gyroscopic).max() > 1.0
+    np.testing.assert_allclose(np.einsum("ki,ki->k", gyroscopic, steady.rate_rad_s), 0.0, atol=1e-9)
+
+
+def test_spinning_rotors_up_turns_the_body_the_other_way():
+    spin_up = np.zeros((200, 4))
+    spin_up[:, :2] = 100.0  # the rotors that turn counter-clockwise, spin +1
+    assert _wrench("rotor_gyroscopic", _signals(lagged_rate=spin_up))[0, 5, 0] < 0.0
+
+
+def test_flying_forward_flaps_the_nose_up():
+    forward = _signals(velocity_world_m_s=np.tile([1.0, 0.0, 0.0], (200, 1)))
+    wrench = _wrench("flapping_moment", forward)[0, :, 0]
+    assert wrench[4] < 0.0 and wrench[3] == wrench[5] == 0.0  # FLU: nose up is a negative pitch torque
+
+
+def test_the_centre_of_mass_beside_the_origin_falls_to_its_own_side():
+    wrench = _wrench("com_offset", _signals())[0]
+    lift = 4 * HOVER_N
+    np.testing.assert_allclose(wrench[3:, 0], [0.0, lift, 0.0])  # in front: nose down, positive pitch
+    np.testing.assert_allclose(wrench[3:, 1], [-lift, 0.0, 0.0])  # left: left side down, negative roll
+
+
+@pytest.mark.parametrize("rotor", [1, 2, 3, 4])
+def test_a_weak_rotor_lacks_lift_where_it_is_and_its_own_reaction_torque(rotor):
+    x, y, _ = VEHICLE.rotors.position_m[rotor - 1]
+    spin = VEHICLE.rotors.spin[rotor - 1]
+    wrench = _wrench("weak_rotor", _signals(), rotor=rotor)[0, :, 0]
+    expected = [0.0, 0.0, -HOVER_N, -HOVER_N * y, HOVER_N * x, HOVER_N * spin * VEHICLE.rotors.torque_to_thrust_m]
+    np.testing.assert_allclose(wrench, expected, atol=1e-12)
+    degraded = _wrench("rotor_degradation", _signals(), rotor=rotor, from_s=10.0, within_s=1.0)[:, :, 0]
+    np.testing.assert_allclose(degraded[0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(degraded[-1], expected, atol=1e-12)
+
+
+def test_ground_effect_lifts_more_the_nearer_the_floor():
+    heights = np.linspace(0.2, 2.0, 200)
+    position = np.stack([0.0 * heights, 0.0 * heights, heights], axis=1)
+    lift = _wrench("ground_effect", _signals(position_m=position))[:, 2, 0]
+    assert np.all(np.diff(lift) < 0.0) and lift[-1] > 0.0
+    assert lift[0] / lift[-1] == pytest.approx(100.0)
+
+
+def test_wind_keeps_its_direction_in_the_world_when_the_vehicle_turns():
+    half_turn = np.tile([0.0, 0.0, 0.0, 1.0], (200, 1))
+    np.testing.assert_allclose(_wrench("wind", _signals())[0, 0, 0], 1.0)
+    np.testing.assert_allclose(_wrench("wind", _signals(quaternion=half_turn))[0, 0, 0], -1.0)
+
+
+def test_a_tether_pulls_back_to_the_middle_and_sums_to_nothing():
+    position = np.random.default_rng(1).standard_normal((200, 3))
+    spring = _wrench("tether", _signals(position_m=position))[:, :3, 0]
+    np.testing.assert_allclose(spring.sum(axis=0), 0.0, atol=1e-9)
+    assert np.all(np.einsum("ki,ki->k", spring, position - position.mean(axis=0)) <= 0.0)
+
+
+def test_a_lost_load_lifts_from_its_instant_on():
+    wrench = _wrench("payload_change", _signals(), at_s=10.0, within_s=1.0)[:, 2, 0]
+    assert wrench[0] == 0.0
+    assert wrench[-1] == pytest.approx(-VEHICLE.gravity_m_s2)  # one kilogram more, in hover
+
+
+def test_a_slung_load_is_pulled_after_the_vehicle_and_rings_at_its_own_frequency():
+    t = np.linspace(0.0, 20.0, 4000)
+    velocity = np.zeros((4000, 3))
+    velocity[:, 0] = (t > 1.0) * 1.0
+    signals = Signals(
+        **{
+            name: np.repeat(getattr(_signals(), name)[:1], 4000, axis=0)
+            for name in Signals.__slots__
+            if name not in ("t_s", "velocity_world_m_s")
+        },
+        t_s=t,
+        velocity_world_m_s=velocity,
+    )
+    force = _wrench("slung_load", signals, length_m=0.5)[:, 0, 0]
+    assert force[int(1.2 * 200)] < 0.0, "the load lags behind and holds the vehicle back"
+    crossings = t[1:][np.diff(np.sign(force)) > 0]
+    assert 1.0 / np.mean(np.diff(crossings)) == pytest.approx(np.sqrt(9.80665 / 0.5) / (2 * np.pi), rel=0.02)
+
+
+def test_steeper_thrust_gives_more_above_hover_and_less_below():
+    level = np.linspace(0.5, 1.5, 200)[:, None]
+    force = _wrench("thrust_curve", _signals(thrust_n=HOVER_N * level * np.ones((200, 4))))[:, 2, 0]
+    assert np.all(np.sign(force) == np.sign(level[:, 0] - 1.0))
+
+
+def test_effects_that_need_what_the_vehicle_does_not_record_are_not_tried():
+    signals = _signals()
+    tried = {c.identifier for c in candidates(VEHICLE, signals)}
+    assert "battery_sag" not in tried, "speeds are measured: voltage cannot change what they mean"
+    assert {c.settings["rotor"] for c in candidates(VEHICLE, signals) if c.identifier == "weak_rotor"} == {1, 2, 3, 4}
+
+
+def test_adding_an_effect_is_adding_one_file(tmp_path, monkeypatch):
+    package = importlib.import_module("groundstation.diagnosis.effects")
+    (tmp_path / "toy_compass.py").write_text(TOY, encoding="utf-8")
+    monkeypatch.setattr(package, "__path__", [*package.__path__, str(tmp_path)])
+    effects_module.library.cache_clear()
+    try:
+        assert "toy_compass" in library()
+        assert [c.identifier for c in candidates(VEHICLE, _signals())].count("toy_compass") == 1
+    finally:
+        monkeypatch.undo()
+        effects_module.library.cache_clear()
+    assert "toy_compass" not in library()
+
+
+def test_a_model_document_adds_up_its_effects():
+    signals = _signals(velocity_world_m_s=np.tile([1.0, 0.0, 0.0], (200, 1)))
+    document = {
+        "rotor_drag": {"d_x_kg_s": {"value": 0.3, "std": 0.0}, "d_y_kg_s": {"value": 0.2, "std": 0.0}},
+        "weak_rotor": {"loss": {"value": 0.1, "std": 0.0}, "rotor": {"value": 1, "std": 0.0}},
+        "weak_rotor/2": {"loss": {"value": 0.1, "std": 0.0}, "rotor": {"value": 2, "std": 0.0}},
+    }
+    total = wrench_of(document, VEHICLE)(signals)[0]
+    assert total[0] == pytest.approx(-0.3)
+    assert total[2] == pytest.approx(-0.2 * HOVER_N)
+    np.testing.assert_allclose(total[3:5], 0.0, atol=1e-12)  # opposite rotors, equally weak: no tilt
+
+
+def test_the_json_form_has_the_contracts_keys_and_only_plain_values():
+    finding = Finding("weak_rotor", {"loss": Estimate.normal(0.1, 0.01)}, "Rotor 3 is weak.", 0.99, ("com_offset",), 3)
+    left = Unexplained("force_z_n", 0.12, ("position_x_m",))
+    document = json.loads(json.dumps(Diagnosis("f", "x500", "unexplained", (finding,), (left,)).to_dict()))
+    assert document["schema"] == "groundstation.diagnosis/1"
+    assert {"findings", "unexplained", "error", "parameters_before", "parameters_after", "next_flight"} <= set(document)
+    assert set(document["findings"][0]) == {"effect", "parameters", "evidence", "confidence", "alternatives", "rotor"}
+    assert set(document["findings"][0]["parameters"]["loss"]) == {"value", "std", "ci95"}
+    assert {"channel", "share", "depends_on"} <= set(document["unexplained"][0])
+    assert document["findings"][0]["rotor"] == 3
+
+
+def test_a_toy_effect_can_stand_for_the_library():
+    toy = Effect(
+        "toy", "F = k", "none", (ParameterInfo("k_n", lambda v: 1.0),), lambda s, v, o: blank(s), "{k_n}", (), "none"
+    )
+    assert [c.identifier for c in candidates(VEHICLE, _signals(), effects=[toy])] == ["toy"]
