@@ -39,6 +39,11 @@ HEARTBEAT_EVERY_S = 1.0
 TIMESYNC_EVERY_S = 0.1
 MEASURE_S = 2.5
 CARRIED = 200
+_KEPT = frozenset(
+    {"HEARTBEAT", "SYS_STATUS", "STATUSTEXT", "COMMAND_ACK", "COMMAND_LONG", "TIMESYNC", "AUTOPILOT_VERSION",
+     "PARAM_VALUE", "POSE"}
+)  # fmt: skip
+"""Never switched off on a slow line, where what nobody asked for is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -386,6 +391,11 @@ class LinkCore:
         """Ask for messages, read parameters, restore what an earlier flight left, set what this one needs."""
         yield Ask((profile.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 148.0),), _named("AUTOPILOT_VERSION"), 0.7, 3)
         self.rates = fit_rates(profile.streams, self.options.bytes_per_s)
+        if self.options.bytes_per_s is not None and self.view is not None:
+            unasked = [name for name in self.view.meters if name not in self.rates and name not in _KEPT]
+            for name in unasked:
+                if not name.startswith("UNKNOWN"):
+                    yield Ask((profile.interval(message_id(name), 0.0),), _acknowledges_interval, 0.5, 2)
         for name, rate in self.rates.items():
             yield Ask((profile.interval(message_id(name), rate),), _acknowledges_interval, 0.5, 4)
         dialogue = Parameters(profile.system, profile.component, bytewise=profile.bytewise_parameters)

@@ -51,9 +51,9 @@ class ArduCopter(Profile):
         StreamWish("ESC_TELEMETRY_1_TO_4", 100.0, 0.0, "rotor speeds, where the ESCs report them"),
         StreamWish("ATTITUDE_QUATERNION", 100.0, 10.0, "tilt for the guard, attitude for the record"),
         StreamWish("LOCAL_POSITION_NED", 100.0, 10.0, "position for guard and record"),
-        StreamWish("BATTERY_STATUS", 10.0, 0.2, "battery voltage for guard and thrust model"),
-        StreamWish("EXTENDED_SYS_STATE", 10.0, 0.5, "landed or not"),
-        StreamWish("SYS_STATUS", 2.0, 0.5, "whether the arming checks pass"),
+        StreamWish("BATTERY_STATUS", 10.0, 2.0, "battery voltage for guard and thrust model"),
+        StreamWish("EXTENDED_SYS_STATE", 10.0, 2.0, "landed or not"),
+        StreamWish("SYS_STATUS", 2.0, 2.0, "whether the arming checks pass"),
         StreamWish("EKF_STATUS_REPORT", 5.0, 0.0, "estimator health"),
         StreamWish("VIBRATION", 2.0, 0.0, "vibration"),
     )
