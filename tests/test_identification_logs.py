@@ -1,0 +1,70 @@
+"""Estimates from logs of real firmware: another physics than ours, its truth known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from groundstation.identification.pipeline import identify
+from groundstation.identification.results import Identification
+from groundstation.recording import load_flight
+from groundstation.vehicle import Vehicle, vehicle_from_dict
+
+PX4_LOG = Path(__file__).resolve().parents[2] / "shared" / "data" / "px4-sih" / "excitation.ulg"
+
+TRUTH = {"mass_kg": 1.0, "ixx_kg_m2": 0.025, "iyy_kg_m2": 0.025, "izz_kg_m2": 0.030}
+TOLERANCE = {"mass_kg": 0.01, "ixx_kg_m2": 0.03, "iyy_kg_m2": 0.03, "izz_kg_m2": 0.03}
+
+
+def sih_vehicle() -> Vehicle:
+    """PX4's built-in quadrotor with mass, inertias and reaction torque declared wrongly, and no lag."""
+    return vehicle_from_dict(
+        {
+            "vehicle": {"name": "sih", "mass_kg": 1.1, "inertia_kg_m2": {"xx": 0.02, "yy": 0.02, "zz": 0.035}},
+            "rotors": {
+                "position_m": [[0.2, -0.2, 0.0], [-0.2, 0.2, 0.0], [0.2, 0.2, 0.0], [-0.2, -0.2, 0.0]],
+                "spin": [1, 1, -1, -1],
+                "torque_to_thrust_m": 0.02,
+                "input": "command",
+                "speed_source": "command",
+                "thrust_curve": [0.0, 5.0, 0.0],
+            },
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def found() -> Identification:
+    """What the PX4 log says."""
+    if not PX4_LOG.exists():
+        pytest.skip(f"the PX4 log is not there: {PX4_LOG}")
+    return identify([load_flight(PX4_LOG, vehicle=sih_vehicle())])
+
+
+@pytest.mark.parametrize("name", TRUTH)
+def test_px4_truth_is_found(found: Identification, name: str) -> None:
+    assert found.methods[found.best].parameters[name].value == pytest.approx(TRUTH[name], rel=TOLERANCE[name])
+
+
+def test_px4_truth_is_within_what_the_intervals_allow_together(found: Identification) -> None:
+    parameters = found.methods[found.best].parameters
+    z = np.array([(parameters[name].value - truth) / parameters[name].std for name, truth in TRUTH.items()])
+    assert np.sum(z**2) < 13.28, (
+        z
+    )  # chi-square with 4 degrees of freedom, 99 %: one flight may miss one interval of four
+
+
+def test_px4_rotor_lag_is_found(found: Identification) -> None:
+    up, down = found.model["rotor_lag_up_s"], found.model["rotor_lag_down_s"]
+    assert np.mean([up.value, down.value]) == pytest.approx(0.05, abs=0.005)
+    for estimate in (up, down):
+        assert estimate.ci95[0] <= 0.05 <= estimate.ci95[1]
+
+
+def test_px4_products_are_nothing(found: Identification) -> None:
+    parameters = found.methods[found.best].parameters
+    for name in ("ixy_kg_m2", "ixz_kg_m2", "iyz_kg_m2"):
+        if name in parameters:
+            assert abs(parameters[name].value) < max(0.003 * 0.08, 3.0 * parameters[name].std)
