@@ -1,0 +1,112 @@
+"""Whole flights with something hidden in them: what is named first, how big, and when the answer is another one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+from flights import flight_data
+
+from groundstation.diagnosis import diagnose
+from groundstation.diagnosis.results import Diagnosis
+from groundstation.flightdata import FlightData
+from groundstation.paths import find_config
+from groundstation.trajectory import load_plan
+from groundstation.vehicle import load_vehicle
+from sim.flight import simulate
+from sim.scenario import Scenario, load_scenario, scenario_from_dict
+
+PERIODS = 6.0
+SEED = 7
+
+
+def _scenario(**effects: dict[str, Any]) -> Scenario:
+    """The laboratory with clocks that agree and rotors as declared; mass and inertia stay wrong."""
+    lab = load_scenario(find_config("scenarios", "lab"))
+    agreeing = {"offset_s": 0.0, "drift_ppm": 0.0}
+    sections = {
+        name: (section := getattr(lab, name)).model_copy(update={"clock": section.clock.model_copy(update=agreeing)})
+        for name in ("mocap", "motors")
+    }
+    planted = scenario_from_dict({"effects": effects}).effects
+    return lab.model_copy(update={**sections, "truth": lab.truth.model_copy(update={"lag": None}), "effects": planted})
+
+
+def _flight(**effects: dict[str, Any]) -> FlightData:
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    plan = load_plan(find_config("plans", "qball2")).model_copy(update={"periods": PERIODS})
+    return flight_data(simulate(vehicle, plan, _scenario(**effects), SEED))
+
+
+@cache
+def _diagnosis_of(name: str) -> Diagnosis:
+    planted: dict[str, dict[str, dict[str, Any]]] = {
+        "nothing": {},
+        "weak_rotor": {"weak_rotor": {"rotor": 3, "loss": 0.05}},
+        "rotor_drag": {"rotor_drag": {"drag_kg_s": (0.25, 0.25)}},
+        "payload_change": {"payload_change": {"mass_kg": 0.1, "time_s": 20.0}},
+        "com_offset": {"com_offset": {"offset_m": (0.006, -0.004, 0.0)}},
+        "attracting_wall": {"attracting_wall": {"strength_n_m3": 3.0}},
+    }
+    return diagnose([_flight(**planted[name])])
+
+
+def _assert_near(diagnosis: Diagnosis, name: str, truth: float) -> None:
+    estimate = diagnosis.findings[0].parameters[name]
+    assert abs(estimate.value - truth) < max(4.0 * estimate.std, 0.2 * abs(truth)), (name, estimate, truth)
+
+
+def test_a_flight_with_nothing_hidden_is_clean():
+    diagnosis = _diagnosis_of("nothing")
+    assert diagnosis.verdict == "clean", diagnosis.findings
+    assert diagnosis.findings == () and diagnosis.unexplained == ()
+
+
+def test_a_weak_rotor_is_named_first_with_its_number_and_loss():
+    diagnosis = _diagnosis_of("weak_rotor")
+    assert (diagnosis.findings[0].effect, diagnosis.findings[0].rotor) == ("weak_rotor", 3)
+    _assert_near(diagnosis, "loss", 0.05)
+
+
+def test_rotor_drag_is_named_first_with_its_size_on_both_axes():
+    diagnosis = _diagnosis_of("rotor_drag")
+    assert diagnosis.findings[0].effect == "rotor_drag"
+    _assert_near(diagnosis, "d_x_kg_s", 0.25)
+    _assert_near(diagnosis, "d_y_kg_s", 0.25)
+
+
+def test_drag_put_in_makes_the_sideways_error_smaller_on_blocks_no_fit_has_seen():
+    error = _diagnosis_of("rotor_drag").error["held_out"]
+    for channel in ("force_x_n", "force_y_n"):
+        assert error["after"][channel] < error["before"][channel], channel
+    assert error["after"]["force_z_n"] < 1.1 * error["before"]["force_z_n"]
+
+
+def test_a_lost_load_is_named_first_with_its_mass():
+    diagnosis = _diagnosis_of("payload_change")
+    assert diagnosis.findings[0].effect == "payload_change"
+    _assert_near(diagnosis, "mass_change_kg", -0.1)
+
+
+def test_a_centre_of_mass_beside_the_origin_is_named_first_with_its_place():
+    diagnosis = _diagnosis_of("com_offset")
+    assert diagnosis.findings[0].effect == "com_offset"
+    _assert_near(diagnosis, "com_offset_x_m", 0.006)
+    _assert_near(diagnosis, "com_offset_y_m", -0.004)
+
+
+def test_a_wall_that_attracts_which_no_file_models_does_not_pass_for_clean():
+    diagnosis = _diagnosis_of("attracting_wall")
+
+    assert diagnosis.verdict == "unexplained" and any(u.channel == "force_x_n" for u in diagnosis.unexplained)
+
+
+def test_a_flight_of_a_second_is_refused_and_says_what_would_help():
+    flight = _flight()
+    begin = flight.window_s[0]
+    short = replace(flight, window_s=(begin, begin + 0.5))
+    diagnosis = diagnose([short])
+    assert diagnosis.verdict == "refused"
+    assert diagnosis.reason and not diagnosis.findings
+    assert diagnosis.to_dict()["verdict"] == "refused"
