@@ -14,6 +14,7 @@ from typing import ClassVar
 
 from textual.app import App
 from textual.binding import Binding
+from textual.css.query import NoMatches
 
 from groundstation.commands.common import LOGS
 from groundstation.errors import GroundStationError
@@ -40,10 +41,14 @@ from groundstation.tui.widgets.dialogs import Question, TextPage, TypedQuestion
 REFRESH_HZ = 6.0
 PORT = 8000
 KEYS = """\
-1 … 6   the screens            Escape  leave a field
-^g, F8  abort and land         ^o, F9  stop the rotors, after a question
-l       the run's log          t       light or dark
-?, F1   this help              q       close this program; a flight goes on
+^g, F8  abort and land
+^o, F9  stop the rotors, after a question
+1 … 6   the screens
+Escape  leave a field
+l       the run's log
+t       light or dark
+?, F1   this help
+q       close this program; a flight goes on
 """
 CONFIRM = """\
 Everything is checked. A real vehicle is about to arm and take off.
@@ -102,6 +107,7 @@ class GroundStation(App[int]):
         self._shown: CoreStatus | None = None
         self._start_wanted = False
         self._preparing = False
+        self._simulated = False
 
     def on_mount(self) -> None:
         """Find a flight that goes on, and refresh from now on."""
@@ -115,11 +121,12 @@ class GroundStation(App[int]):
 
     # The flight -------------------------------------------------------------------------------------------------------
 
-    def follow(self, core: CoreWatch) -> None:
-        """Show this flight from now on."""
+    def follow(self, core: CoreWatch, *, simulated: bool = False) -> None:
+        """Show this flight from now on; one that is not known to be simulated starts only after a typed word."""
         if self.core is not None:
             self.core.stop()
-        self.core, self._shown, self.trouble = core, None, ""
+        self.core, self._shown, self.trouble, self.results = core, None, "", None
+        self._simulated = simulated
         self.switch_mode("fly")
 
     def _find_flight(self) -> None:
@@ -139,6 +146,7 @@ class GroundStation(App[int]):
             self.notify("a flight is prepared already; s on Fly starts it, ^g gives it up.")
             return
         self._preparing, self._start_wanted, self.trouble = True, False, ""
+        self._simulated = self.setup.simulated
         self.switch_mode("fly")
         self.run_worker(self._prepare, thread=True)
 
@@ -151,7 +159,7 @@ class GroundStation(App[int]):
             self.call_from_thread(self._fail, str(error))
         else:
             self._child, self.plan = child, plan
-            self.call_from_thread(self.follow, CoreWatch(endpoint, folder))
+            self.call_from_thread(self.follow, CoreWatch(endpoint, folder), simulated=setup.simulated)
         finally:
             self._preparing = False
 
@@ -170,7 +178,7 @@ class GroundStation(App[int]):
         """Start once everything is checked; a real vehicle after a typed confirmation."""
         if not self.flying and not self._preparing:
             self.notify("no flight is prepared; r prepares one.")
-        elif self.setup.simulated:
+        elif self._simulated:
             self._start_wanted = True
         elif self._phase() != Phase.CHECKED:
             self.notify("not everything is checked yet; start when the state says CHECKED.")
@@ -229,14 +237,18 @@ class GroundStation(App[int]):
         core = self.core
         self._watch_child()
         screens = [screen for screen in self.screen_stack if isinstance(screen, StationScreen)]
-        if not screens or not screens[-1].is_mounted:
-            return
-        screens[-1].refresh_bar()
         status = core.newest if core else None
-        if core is None or status is None or status is self._shown:
+        new = status is not None and status is not self._shown
+        try:
+            screens[-1].refresh_bar()
+            if status is not None and new:
+                screens[-1].show_status(status)
+            self._show_results(screens[-1])
+        except (IndexError, NoMatches):
+            return  # the screen is coming up or being taken down; there is another time
+        if core is None or status is None or not new:
             return
         before, self._shown = self._shown, status
-        screens[-1].show_status(status)
         if status.phase == Phase.CHECKED and self._start_wanted:
             self._start_wanted = False
             self.order("start", "started")
@@ -260,22 +272,17 @@ class GroundStation(App[int]):
                 self._fail(f"the core ended early{': ' + said if said else ''}; the recording opens as far as it goes.")
 
     def show_flight(self, folder: Path) -> None:
-        """Read a flight's results on a thread and show them."""
-        self.run_worker(lambda: self.call_from_thread(self._show_results, read_results(folder)), thread=True)
+        """Read a flight's results on a thread; the screens show them when they are open."""
 
-    def _show_results(self, results: FlightResults) -> None:
-        self.results = results
-        self._pass_results()
+        def read() -> None:
+            self.results = read_results(folder)
 
-    def _pass_results(self) -> None:
-        screen = self.screen
-        if self.results is not None and isinstance(screen, Identify | Diagnose) and screen.is_mounted:
+        self.run_worker(read, thread=True)
+
+    def _show_results(self, screen: StationScreen) -> None:
+        if self.results is not None and isinstance(screen, Identify | Diagnose) and screen.results is not self.results:
             screen.show_results(self.results)
-
-    def mode_shown(self) -> None:
-        """A screen came up: it shows what is newest."""
-        self._shown = None if self.flying else self._shown
-        self._pass_results()
+            screen.results = self.results
 
     def open_report(self, folder: Path | None = None) -> None:
         """Open a flight's report in the browser."""
@@ -299,7 +306,9 @@ class GroundStation(App[int]):
         if isinstance(screen, StationScreen):
             keys = "\n".join(f"{b.key:<8}{b.description}" for b in screen.BINDINGS if isinstance(b, Binding) and b.show)
             title = SCREENS[screen.MODE]
-            self.push_screen(TextPage(title, f"{screen.HELP_TEXT}\n\n{title}\n{keys}\n\nEverywhere\n{KEYS}"))
+            self.push_screen(
+                TextPage(title, f"{' '.join(screen.HELP_TEXT.split())}\n\n{title}\n{keys}\n\nEverywhere\n{KEYS}")
+            )
 
     def action_log(self) -> None:
         """The run's log."""

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 class StationScreen(Screen[None]):
     """A screen of the ground station."""
 
+    AUTO_FOCUS = ""  # no field takes the screens' keys before it is chosen
     MODE: ClassVar[str]
     HELP_TEXT: ClassVar[str]
     HORIZONTAL_BREAKPOINTS: ClassVar = [(0, "-narrow"), (120, "-wide")]
@@ -43,10 +44,6 @@ class StationScreen(Screen[None]):
     def body(self) -> Iterable:
         """The widgets between the bars and the footer."""
         raise NotImplementedError
-
-    def on_screen_resume(self) -> None:
-        """Show what is newest."""
-        self.station.mode_shown()
 
     def show_status(self, status: CoreStatus) -> None:
         """Show a flight as of its newest status."""
@@ -73,9 +70,13 @@ class StationScreen(Screen[None]):
 
 
 def fill(table: DataTable, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Replace a table's content; cells are text, never markup, and numbers align right."""
+    """Replace a table's content; cells are text, never markup, and numbers align right. An empty table takes no room."""
+
+    def cells(row: Sequence[str]) -> list[Text]:
+        return [Text(cell, justify="left" if index == 0 else "right") for index, cell in enumerate(row)]
+
     table.clear(columns=True)
-    rows = [tuple(row) for row in rows]
-    table.add_columns(*header)
+    table.add_columns(*cells(header))
     for row in rows:
-        table.add_row(*(Text(cell, justify="left" if index == 0 else "right") for index, cell in enumerate(row)))
+        table.add_row(*cells(row))
+    table.display = table.row_count > 0

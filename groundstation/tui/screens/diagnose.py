@@ -26,6 +26,10 @@ the findings. The suspects are the effects that were tried, with the evidence fo
         Binding("e", "report", "Report in the browser"),
     ]
 
+    def __init__(self) -> None:
+        super().__init__()
+        self.results: FlightResults | None = None
+
     def body(self) -> Iterable:
         """Findings, errors, suspects."""
         yield Static(
@@ -41,15 +45,12 @@ the findings. The suspects are the effects that were tried, with the evidence fo
         """The diagnosis of a flight, or why there is none."""
         document = results.diagnosis
         errors, suspects = self.query_one("#errors", DataTable), self.query_one("#suspects", DataTable)
-        errors.clear(columns=True)
-        suspects.clear(columns=True)
+        fill(errors, ("error of", "nominal", "identified", "with findings", "change"), error_rows(document))
+        fill(suspects, ("suspect", "settings", "evidence"), suspect_rows(document))
         if not document:
             self.say("#findings", results.refusal or f"{results.folder.name} has no diagnosis")
             return
         self.say("#findings", f"{results.folder.name}\n{finding_text(document)}")
-        fill(errors, ("error of", "nominal", "identified", "with findings", "change"), error_rows(document))
-        if rows := suspect_rows(document):
-            fill(suspects, ("suspect", "settings", "evidence"), rows)
 
     def action_next_flight(self) -> None:
         """Plan a flight of the same vehicle."""

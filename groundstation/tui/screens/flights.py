@@ -45,7 +45,6 @@ compares the two. t sorts by the next column, / filters: only flights whose line
 
     def on_screen_resume(self) -> None:
         """Read the logs again, on a thread."""
-        super().on_screen_resume()
         self.run_worker(self._read, thread=True, exclusive=True, group="catalogue")
 
     def _read(self) -> None:

@@ -43,7 +43,7 @@ program started again finds it. o takes the operator's lease from another."""
     def body(self) -> Iterable:
         """State and checks beside the plots."""
         yield Static("no flight", id="big-state", markup=False)
-        with Horizontal(classes="columns"):
+        with Horizontal(id="fly-columns"):
             with Vertical(id="fly-left"):
                 yield Static(WAITING, id="checks", classes="panel", markup=False)
                 yield Static("", id="fly-state", classes="panel", markup=False)
@@ -54,11 +54,6 @@ program started again finds it. o takes the operator's lease from another."""
                 yield Plot("x, m", "y, m", id="xy-plot")
                 yield Plot("t, s", "roll, pitch, °", id="attitude-plot")
                 yield DataTable(id="live", show_cursor=False)
-
-    def on_mount(self) -> None:
-        """Panels appear when there is something in them."""
-        for selector in ("#fly-state", "#margins", "#motors", "#live", "#fly-right"):
-            self.query_one(selector).display = False
 
     def show_status(self, status: CoreStatus) -> None:
         """Everything of the newest status, and the plots of those before."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
 from typing import ClassVar
 
 from textual.binding import Binding
@@ -27,6 +26,10 @@ the clocks' offset, what the flight does not reveal, and the errors with the nom
 e opens the report in the browser. Choose another flight on the Flights screen (6)."""
     BINDINGS: ClassVar = [Binding("e", "report", "Report in the browser")]
 
+    def __init__(self) -> None:
+        super().__init__()
+        self.results: FlightResults | None = None
+
     def body(self) -> Iterable:
         """Progress, tables, notes."""
         yield Static("no flight is identified yet; fly one (3), or choose one on Flights (6)", id="of", markup=False)
@@ -35,11 +38,6 @@ e opens the report in the browser. Choose another flight on the Flights screen (
         yield Static("", id="notes", classes="panel", markup=False)
         yield DataTable(id="validation", show_cursor=False)
 
-    def on_mount(self) -> None:
-        """Nothing runs yet."""
-        self._shown: Path | None = None
-        self.query_one(ProgressBar).display = False
-
     def show_status(self, status: CoreStatus) -> None:
         """While the analysis runs: how far it is, and its newest estimates."""
         running = status.phase in (Phase.LANDED, Phase.IDENTIFYING)
@@ -47,11 +45,10 @@ e opens the report in the browser. Choose another flight on the Flights screen (
         bar.display = running
         if not running:
             return
-        self._shown = None
         bar.update(progress=status.progress)
         self.say("#of", f"{status.flight}: {status.text or 'the analysis starts'}")
         self.say("#notes", "\n".join(status.notes[-3:]))
-        self.query_one("#validation", DataTable).clear(columns=True)
+        fill(self.query_one("#validation", DataTable), (), ())
         if status.table:
             header = ("parameter", "nominal", "preliminary", "unit")
             fill(self.query_one("#parameters", DataTable), header, live_rows(status.table))
@@ -59,13 +56,12 @@ e opens the report in the browser. Choose another flight on the Flights screen (
     def show_results(self, results: FlightResults) -> None:
         """The results of a flight that was analysed, or why there are none."""
         document = results.identification
-        self._shown = results.folder
         self.query_one(ProgressBar).display = False
         self.say("#of", results.folder.name)
         parameters, validation = self.query_one("#parameters", DataTable), self.query_one("#validation", DataTable)
         if not document:
-            parameters.clear(columns=True)
-            validation.clear(columns=True)
+            fill(parameters, (), ())
+            fill(validation, (), ())
             self.say("#notes", results.refusal or "this flight has no identification")
             return
         fill(parameters, *method_table(document, results.declared))

@@ -15,7 +15,7 @@ from textual.widgets import DataTable, Input, Label, ProgressBar, Select, Static
 from textual.worker import get_current_worker
 
 from groundstation.errors import BadInput, GroundStationError
-from groundstation.reporting.units import label, scale_for, significant, split_unit
+from groundstation.reporting.units import label, readable, scale_for, significant, split_unit
 from groundstation.trajectory import Plan, rigid_motion
 from groundstation.tui.screens.base import StationScreen, fill
 from groundstation.tui.setup import shipped
@@ -78,13 +78,8 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
             yield Plot("t, s", "tilt, °", id="tilt")
         yield DataTable(id="accuracy", show_cursor=False)
 
-    def on_mount(self) -> None:
-        """Drawings appear with a plan."""
-        self.query_one(".columns").display = False
-
     def on_screen_resume(self) -> None:
         """Show the plan that would be flown."""
-        super().on_screen_resume()
         if self.station.plan is not None:
             self._show(self.station.plan)
 
@@ -196,7 +191,7 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
         self.say(
             "#plan-text",
             f"{plan.vehicle}: {series.duration_s:.0f} s, {series.a.shape[1]} harmonics, criterion {plan.criterion}{condition}."
-            f"\n{plan.note}",
+            f"\n{readable(plan.note)}",
         )
         fill(self.query_one(DataTable), ("parameter", "expected std", "plan before", "unit"), self._accuracy(plan))
 

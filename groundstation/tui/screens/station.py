@@ -54,15 +54,9 @@ longest gap so far. Batches lost on the way and payloads that did not decode are
             yield Label("pace")
             yield Checkbox("simulated flight at the wall clock's pace", setup.real_time, id="real-time", compact=True)
 
-    def on_mount(self) -> None:
-        """Nothing arrives yet."""
-        self.query_one(DataTable).display = False
-
     def show_status(self, status: CoreStatus) -> None:
         """Streams and vehicle."""
-        table = self.query_one(DataTable)
-        table.display = True
-        fill(table, STREAMS, stream_rows(status))
+        fill(self.query_one(DataTable), STREAMS, stream_rows(status))
         clock = "wall clock" if status.real_time else "simulated time"
         losses = (
             f"{status.recorded} samples recorded, {status.lost} batches lost, {status.rejected} not decoded; {clock}"

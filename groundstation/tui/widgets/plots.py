@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 from textual_plot import HiResMode, PlotWidget
 
-STYLES = ("cyan", "yellow", "magenta", "green")
+STYLES = ("cyan", "yellow")
+"""The first line is drawn through, the second with crosses: colour alone tells nothing apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,11 @@ class Plot(PlotWidget):
         self.margin_left = 8
 
     def draw(self, lines: Sequence[Line]) -> None:
-        """Show these lines instead of what was shown."""
+        """Show one line, or two, instead of what was shown."""
         self.clear()
-        for line, style in zip(lines, STYLES, strict=False):
-            self.plot(line.x, line.y, line_style=style, hires_mode=HiResMode.BRAILLE, label=line.name)
+        first, *others = lines
+        self.plot(first.x, first.y, line_style=STYLES[0], hires_mode=HiResMode.BRAILLE, label=first.name)
+        for line, style in zip(others, STYLES[1:], strict=False):
+            self.scatter(line.x, line.y, marker="+", marker_style=style, label=line.name)
+        if others:
+            self.show_legend()
