@@ -185,7 +185,7 @@ def predict(
 ) -> Result:
     """Simulate open loop from every sample of FLIGHT with MODEL (identification.toml), and say how far off it is."""
     loaded = load_flights((flight,), vehicle, start_s, end_s)[0]
-    from groundstation.diagnosis.effect import wrench_of
+    from groundstation.diagnosis.effect import library, wrench_of
     from groundstation.identification.preparation import flight_states
     from groundstation.model.prediction import model_from_document
     from groundstation.model.prediction import predict as run
@@ -196,7 +196,7 @@ def predict(
     document = read_model(model, loaded.vehicle if vehicle is not None else None)
     declared = vehicle_from_dict(document["vehicle"], str(model))
     effects = document.get("effects", {})
-    wrench = wrench_of(effects, declared) if effects else None
+    wrench = wrench_of(effects, declared) if any(name in library() for name in effects) else None
     states = flight_states(loaded, own=state == "own")
     found = run(model_from_document(document, declared, wrench), states, horizon_s=horizon, progress=line.fraction)
     line.end()

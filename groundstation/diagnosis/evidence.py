@@ -276,7 +276,7 @@ class Evidence:
         self.weight = np.minimum(1.0, 4.0 / np.maximum(np.abs(self.y - self.x @ self._plain()), 1e-9))
 
     def _plain(self) -> Array:
-        return np.linalg.solve(self.x.T @ self.x + np.diag(self.prior), self.x.T @ self.y)
+        return np.asarray(np.linalg.solve(self.x.T @ self.x + np.diag(self.prior), self.x.T @ self.y), dtype=float)
 
     def columns(self, candidate: Candidate, *, everywhere: bool = False) -> Columns | None:
         """A candidate's columns over all flights, zero on the references unless ``everywhere``."""

@@ -186,7 +186,7 @@ def fit_colour(
             residual, dt, restart, Colour.from_logarithms(np.clip(vector, floor, ceiling)), integrated
         )
 
-    best = None
+    best, lowest = starts[0].logarithms(), np.inf
     for colour in starts:
         first = np.clip(colour.logarithms(), floor + 0.1, ceiling - 0.1)
         found = minimize(
@@ -196,10 +196,9 @@ def fit_colour(
             bounds=list(zip(floor, ceiling, strict=True)),
             options={"maxiter": 40 if start is None else 15, "ftol": 1e-7, "eps": 1e-3},
         )
-        if best is None or found.fun < best.fun:
-            best = found
-    assert best is not None
-    return Colour.from_logarithms(np.clip(best.x, floor, ceiling))
+        if found.fun < lowest:
+            best, lowest = found.x, found.fun
+    return Colour.from_logarithms(np.clip(best, floor, ceiling))
 
 
 def whitening_polynomial(innovation: Array, restart: NDArray[np.bool_], highest: int = 24) -> Array:
@@ -234,4 +233,4 @@ def apply_polynomial(polynomial: Array, columns: Array) -> Array:
     """Filter columns by a moving-average polynomial along the first axis, shape kept."""
     from scipy.signal import lfilter
 
-    return columns if len(polynomial) == 1 else lfilter(polynomial, [1.0], columns, axis=0)
+    return columns if len(polynomial) == 1 else np.asarray(lfilter(polynomial, [1.0], columns, axis=0))

@@ -179,7 +179,7 @@ def fit(
     channels = [
         tuple(c for c in options.channels if c < 3 or np.isfinite(model.force[:, c - 3]).all()) for model in models
     ]
-    state = [list(c) for c in colours] if colours is not None else [None] * len(models)
+    state: list[list[Colour]] = [list(c) for c in colours] if colours is not None else [[] for _ in models]
     polynomials = [[np.array([1.0])] * len(c) for c in channels]
     iterations = 0
     cost = np.inf
@@ -198,7 +198,7 @@ def fit(
                     model.dt,
                     model.restart,
                     integrated=c < 3,
-                    start=None if previous is None else previous[i],
+                    start=previous[i] if previous else None,
                 )
                 for i, c in enumerate(channels[index])
             ]
@@ -225,7 +225,7 @@ def fit(
                     normal = normal + x.T @ (x * w[:, None])
                     gradient = gradient + x.T @ (w * y)
                     cost += float(np.sum(np.where(w < 1.0, 3.0 * np.abs(y) - 4.5, 0.5 * y**2)))
-            step = np.linalg.solve(normal, gradient)
+            step = np.asarray(np.linalg.solve(normal, gradient), dtype=float)
             p, taken = _line_search(
                 models, p, names, theta, step, extra_names, channels, state, polynomials, cost, mean, std
             )
@@ -235,7 +235,7 @@ def fit(
             if taken == 0.0 or np.all(np.abs(taken * step) < 0.02 * np.sqrt(np.diag(np.linalg.inv(normal)))):
                 break
     theta = _current(p, names, extra_names)
-    covariance = np.linalg.inv(normal)
+    covariance = np.asarray(np.linalg.inv(normal), dtype=float)
     rms = np.sqrt(np.mean(np.concatenate([e[0] for e in evaluated]) ** 2, axis=0))
     samples = sum(len(m.t_s) for m in models)
     return Fitted(
@@ -243,7 +243,7 @@ def fit(
         names,
         theta,
         covariance,
-        tuple(c for s in state for c in (s or [])),
+        tuple(c for s in state for c in s),
         tuple(q for s in polynomials for q in s),
         cost,
         rms,
@@ -383,7 +383,7 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
                     zx += z.T @ (x * w)
                     zz += z.T @ (z * w)
                     ze += z.T @ (w[:, 0] * y)
-            step = np.linalg.solve(zx, ze)
+            step = np.asarray(np.linalg.solve(zx, ze), dtype=float)
             inverse = np.linalg.inv(zx)
             covariance = inverse @ zz @ inverse.T
             p = _bounded_move(p, names, theta, step, extra_names)

@@ -337,11 +337,11 @@ def _motor_offset(flight: FlightData, motion: _Motion, inputs: MotorInput) -> fl
     torque = interpolate_columns(grid + centre, inputs.start_s, inputs.step_s, wrench)[:, 1:]
     predicted = sosfiltfilt(low_pass, torque @ np.linalg.inv(flight.vehicle.inertia_tensor()), axis=0)
     scale = np.std(measured, axis=0) * np.std(predicted, axis=0) * len(grid) + 1e-12
-    score = sum(correlate(predicted[:, i], measured[:, i], method="fft") / scale[i] for i in range(2))
+    score = np.sum([correlate(predicted[:, i], measured[:, i], method="fft") / scale[i] for i in range(2)], axis=0)
     lags = (np.arange(2 * len(grid) - 1) - (len(grid) - 1)) * step
     reach = np.abs(lags) < 10.0
-    best = int(np.argmax(np.where(reach, np.asarray(score), -np.inf)))
-    here = float(np.interp(0.0, lags, np.asarray(score)))
+    best = int(np.argmax(np.where(reach, score, -np.inf)))
+    here = float(np.interp(0.0, lags, score))
     shift = float(lags[best])
     # Rotor lag and dead time make the torque lead by up to 0.15 s: that is the fit's to find, not a clock's fault.
     unexpected = shift > 0.06 or shift < -0.2

@@ -206,7 +206,7 @@ def _whitened_fit(e: Array, columns: Array, variance: Array, prior_std: Array) -
         weight = np.minimum(1.0, 2.5 / np.maximum(size, 1e-12))
     residual = (y - x @ theta)[keep]
     spread = max(1.0, float(np.sqrt(np.mean(np.clip(residual, -4, 4) ** 2))))
-    return _Fit(theta, np.linalg.inv(normal) * spread**2, keep & (np.abs(y - x @ theta) > 6.0))
+    return _Fit(np.asarray(theta, dtype=float), np.asarray(np.linalg.inv(normal) * spread**2, dtype=float), keep & (np.abs(y - x @ theta) > 6.0))
 
 
 _ATTITUDE = (
@@ -258,7 +258,8 @@ def reconstruct(
     rotation = np.zeros(3)
     offset, drift = offset_s, 0.0
     kept = inside.copy()
-    colour: Colour | None = None
+    colour = Colour(1.0, 1.0, 1.0, 1.0)
+    first = True
     covariance_attitude = np.eye(len(_ATTITUDE))
     filtered_q = smoothed_q = np.zeros((0, 4))
     for _ in range(5):
@@ -292,8 +293,8 @@ def reconstruct(
         restart = np.zeros(3 * count, dtype=bool)
         restart[::count] = True
         dts = np.tile(dt, 3)
-        if colour is None:
-            colour = _local_noise(stacked[:, 0], dts, restart)
+        if first:
+            colour, first = _local_noise(stacked[:, 0], dts, restart), False
         e, s = innovations(stacked, dts, restart, colour, integrated=True)
         fit = _whitened_fit(e[:, 0], e[:, 1:], s, prior_attitude)
         offset += fit.values[0]
@@ -316,7 +317,6 @@ def reconstruct(
         done = bool(np.all(np.abs(fit.values) < 0.05 * np.sqrt(np.diag(fit.covariance))))
         if done:
             break
-    assert colour is not None
 
     # position: specific force integrated twice with the smoothed attitude
     tp, pm = t_pose[kept], position[kept]

@@ -248,7 +248,7 @@ class RecordModel:
 
     def evaluate(self, p: Parameters, options: Options) -> tuple[Array, Array, tuple[str, ...]]:
         """Residuals (blocks, 6) and sensitivities d(prediction)/d(parameter) (blocks, 6, P) at ``p``, with names."""
-        inverse = np.linalg.inv(p.tensor)
+        inverse = np.asarray(np.linalg.inv(p.tensor), dtype=float)
         prediction = self._predict(p)
         wrench, impulse = prediction.wrench, prediction.impulse
         table: dict[str, tuple[Array, Array]] = {}
@@ -333,7 +333,7 @@ class RecordModel:
         )
 
     def _planned_sensitivities(self, base: _PlannedBase, p: Parameters, options: Options) -> Array:
-        inverse = np.linalg.inv(p.tensor)
+        inverse = np.asarray(np.linalg.inv(p.tensor), dtype=float)
         table: dict[str, tuple[Array, Array]] = {}
         blank = np.zeros((len(base.thrust), 3))
 

@@ -89,7 +89,7 @@ def model_from_document(document: Mapping[str, Any], vehicle: Vehicle, wrench: W
     declared = vehicle.inertia_kg_m2
 
     def entry(name: str) -> float:
-        return values.get(f"i{name}_kg_m2", getattr(declared, name))
+        return float(values.get(f"i{name}_kg_m2", getattr(declared, name)))
 
     tensor = np.array(
         [
@@ -271,9 +271,9 @@ def _simulate(
     com = np.asarray(model.com_m)
     gravity = np.array([0.0, 0.0, -vehicle.gravity_m_s2])
     start = states.t_s[index]
-    known = np.isfinite(states.start_quaternion[index]).all(axis=1)
+    known = np.isfinite(states.start_quaternion[index]).all(axis=1, keepdims=True)
     p, v = states.start_position_m[index], states.start_velocity_m_s[index]
-    q = np.where(known[:, None], states.start_quaternion[index], [1.0, 0.0, 0.0, 0.0])
+    q = np.where(known, states.start_quaternion[index], [1.0, 0.0, 0.0, 0.0])
     w = states.start_rate_rad_s[index]
     voltage = states.voltage_v[index]
     damping = np.asarray(model.damping_nms)
@@ -327,6 +327,6 @@ def _simulate(
         q = quat_multiply(q, quat_exp(h / 6.0 * (w1 + 2 * w2 + 2 * w3 + w4)))
         w = w + h / 6.0 * (b1 + 2 * b2 + 2 * b3 + b4)
         if step + 1 in marks:
-            blank = np.where(known[:, None], 1.0, np.nan)
+            blank = np.where(known, 1.0, np.nan)
             out[marks[step + 1]] = {"position": p * blank, "velocity": v * blank, "quaternion": q * blank, "rate": w}
     return out

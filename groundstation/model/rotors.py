@@ -82,7 +82,7 @@ def motor_input(t_s: Array, values: Array, *, measured: bool, step_s: float = FI
 def cumulative(values: Array, step_s: float, *, held: bool) -> Array:
     """Running integral from the first grid point, shape as ``values``; left sums for held values, else trapezoids."""
     inner = values[:-1] if held else 0.5 * (values[1:] + values[:-1])
-    return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(inner, axis=0)]) * step_s
+    return np.asarray(np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(inner, axis=0)]) * step_s, dtype=float)
 
 
 def interpolate_columns(query_s: Array, start_s: float, step_s: float, values: Array) -> Array:

@@ -14,13 +14,19 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
     out = blank(signals, 2)
     out[:, 4, 0] = lift  # -c x F with F along z: (-c_y F, c_x F, 0)
     out[:, 3, 1] = -lift
+    rate = signals.rate_rad_s
+    turning = np.gradient(rate, signals.t_s, axis=0)
+    for axis in range(2):
+        unit = np.eye(3)[axis]
+        swung = np.cross(turning, unit) + np.cross(rate, np.cross(rate, unit))
+        out[:, :3, axis] = -vehicle.mass_kg * swung  # the origin is carried round the centre of mass
     return out
 
 
 EFFECT = Effect(
     identifier="com_offset",
-    equation="tau = -c x F e_z",
-    source="rigid-body statics about the centre of mass",
+    equation="tau = -c x F e_z; F_origin = -m (omega' x c + omega x (omega x c))",
+    source="Newton and Euler about a point other than the centre of mass: Etkin & Reid 1996, sec. 4.3",
     parameters=(
         ParameterInfo("com_offset_x_m", lambda v: v.arm_m()),
         ParameterInfo("com_offset_y_m", lambda v: v.arm_m()),
