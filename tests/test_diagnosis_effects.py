@@ -259,3 +259,13 @@ def test_a_toy_effect_can_stand_for_the_library():
         "toy", "F = k", "none", (ParameterInfo("k_n", lambda v: 1.0),), lambda s, v, o: blank(s), "{k_n}", (), "none"
     )
     assert [c.identifier for c in candidates(VEHICLE, _signals(), effects=[toy])] == ["toy"]
+
+
+def test_the_origin_is_drawn_round_the_centre_of_mass_when_the_vehicle_spins():
+    """Spinning at w about z draws the origin towards the centre of mass with w^2 c; spinning up moves it sideways."""
+    steady = _wrench("com_offset", _signals(rate_rad_s=np.tile([0.0, 0.0, 2.0], (200, 1))))[0]
+    np.testing.assert_allclose(steady[:3, 0], [4.0 * VEHICLE.mass_kg, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(steady[:3, 1], [0.0, 4.0 * VEHICLE.mass_kg, 0.0], atol=1e-9)
+    t = _signals().t_s
+    nose_up = np.stack([0.0 * t, -1e-6 * t, 0.0 * t], axis=1)  # about a centre of mass in front: the origin sinks
+    assert _wrench("com_offset", _signals(rate_rad_s=nose_up))[0, 2, 0] < 0.0

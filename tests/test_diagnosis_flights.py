@@ -17,7 +17,7 @@ from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
 from sim.scenario import Scenario, load_scenario, scenario_from_dict
 
-PERIODS = 6.0
+PERIODS = 4.0
 SEED = 7
 
 
@@ -45,7 +45,7 @@ def _diagnosis_of(name: str) -> Diagnosis:
         "nothing": {},
         "weak_rotor": {"weak_rotor": {"rotor": 3, "loss": 0.05}},
         "rotor_drag": {"rotor_drag": {"drag_kg_s": (0.25, 0.25)}},
-        "payload_change": {"payload_change": {"mass_kg": 0.1, "time_s": 20.0}},
+        "payload_change": {"payload_change": {"mass_kg": 0.1, "time_s": 15.0}},
         "com_offset": {"com_offset": {"offset_m": (0.006, -0.004, 0.0)}},
         "attracting_wall": {"attracting_wall": {"strength_n_m3": 3.0}},
     }
