@@ -1,0 +1,190 @@
+"""Mass, tensor, lag and clock of simulated flights: planted truth within its interval, an anchor that fixes the scale."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from flights import flight_data
+
+from groundstation.errors import NotIdentifiable
+from groundstation.flightdata import FlightData
+from groundstation.identification.anchoring import anchored, physically_consistent
+from groundstation.identification.pipeline import DynamicFit, fit_dynamics, identify
+from groundstation.identification.preparation import flight_states, prepare
+from groundstation.identification.results import MASS_AND_TENSOR, Estimate
+from groundstation.model.prediction import declared_model, predict
+from groundstation.paths import find_config
+from groundstation.trajectory import load_plan
+from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
+from sim.flight import simulate
+from sim.scenario import load_scenario
+
+SEEDS = (1, 2)
+TRUE_OFFSET_S = -0.018
+IMU_TO_MOTORS_S = 0.0005
+
+
+@cache
+def qball() -> Vehicle:
+    """The seed's vehicle."""
+    return load_vehicle(find_config("vehicles", "qball2"))
+
+
+@cache
+def lab_flight(seed: int, periods: float = 3.0, commanded: bool = False) -> FlightData:
+    """Table 2's plan in the laboratory: lag, moving air, clocks that disagree, mass and tensor not as declared."""
+    plan = load_plan(find_config("plans", "paper_table2")).model_copy(update={"periods": periods})
+    vehicle = qball()
+    if commanded:
+        document = vehicle_to_dict(vehicle)
+        document["rotors"]["speed_source"] = "command"
+        vehicle = vehicle_from_dict(document)
+    return flight_data(simulate(vehicle, plan, load_scenario(find_config("scenarios", "lab")), seed), f"lab {seed}")
+
+
+@cache
+def lab_fit(seed: int) -> DynamicFit:
+    """Prediction error and instrumental estimates of a laboratory flight."""
+    return fit_dynamics([prepare(lab_flight(seed))])
+
+
+def truth(flight: FlightData) -> dict[str, float]:
+    """Planted values."""
+    assert flight.truth is not None
+    return flight.truth.parameters()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_planted_mass_and_tensor_are_within_their_intervals(seed: int) -> None:
+    found, planted = lab_fit(seed).best, truth(lab_flight(seed))
+    z = {name: (found.value(name) - planted[name]) / found.std(name) for name in MASS_AND_TENSOR}
+    assert max(abs(v) for v in z.values()) < 3.5, z
+    assert found.value("mass_kg") == pytest.approx(planted["mass_kg"], rel=0.01)
+    for name in ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2"):
+        assert abs(found.value(name) / planted[name] - 1.0) < max(0.02, 3.0 * found.std(name) / planted[name]), name
+        assert found.std(name) < 0.05 * planted[name], "an interval so wide says nothing"
+
+
+def test_noisy_rotor_speeds_bias_the_prediction_error_estimate_but_not_the_instrumental_one() -> None:
+    iv, fe = [], []
+    for seed in SEEDS:
+        planted, fit = truth(lab_flight(seed)), lab_fit(seed)
+        assert fit.instrumental is not None
+        for name in ("ixx_kg_m2", "iyy_kg_m2"):
+            iv.append(fit.instrumental.value(name) / planted[name] - 1.0)
+            fe.append(fit.filter_error.value(name) / planted[name] - 1.0)
+    assert abs(np.mean(iv)) < 0.04
+    assert np.mean(fe) > 0.08, "noise in the regressor must show in an estimate that takes it for exact"
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_clock_of_motion_capture_is_found(seed: int) -> None:
+    clock = prepare(lab_flight(seed)).clock
+    assert clock is not None
+    assert abs(clock.mocap_minus_imu_s - TRUE_OFFSET_S) < max(3e-4, 3.3 * clock.std_s)
+    assert clock.std_s < 1e-3
+    assert abs(clock.drift - 20e-6) < 3.3 * clock.drift_std + 5e-6
+
+
+def test_the_rotor_lag_of_a_commanded_vehicle_is_found() -> None:
+    flight = lab_flight(3, commanded=True)
+    found = fit_dynamics([prepare(flight)]).best
+    total = found.value("rotor_lag_up_s") + found.value("rotor_lag_down_s")
+    assert 0.5 * total + found.value("input_delay_s") == pytest.approx(0.045, abs=0.006)
+    planted = truth(flight)
+    z = {name: (found.value(name) - planted[name]) / found.std(name) for name in MASS_AND_TENSOR}
+    assert max(abs(v) for v in z.values()) < 3.5, z
+
+
+def test_pooled_flights_know_more_than_each() -> None:
+    pooled = fit_dynamics([prepare(lab_flight(seed)) for seed in SEEDS]).best
+    planted = truth(lab_flight(SEEDS[0]))
+    for name in MASS_AND_TENSOR:
+        assert abs(pooled.value(name) - planted[name]) < 3.5 * pooled.std(name), name
+    for name in ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2"):
+        assert pooled.std(name) < 0.9 * max(lab_fit(seed).best.std(name) for seed in SEEDS)
+
+
+# What fixes the scale
+
+
+def weighed(mass_kg: float, std_kg: float = 0.0) -> Vehicle:
+    """The vehicle with its true mass on the scales, anchored by it."""
+    document = vehicle_to_dict(qball())
+    document["vehicle"]["mass_kg"] = mass_kg
+    document["identification"] |= {"anchor": "mass", "mass_std_kg": std_kg}
+    return vehicle_from_dict(document)
+
+
+def test_a_weighed_mass_gives_the_thrust_constant() -> None:
+    planted = truth(lab_flight(1))
+    fit = lab_fit(1).best
+    parameters, constants = anchored(weighed(planted["mass_kg"]), fit.names, fit.values, fit.covariance)
+    k = constants["thrust_coefficient_n_s2"]
+    assert abs(k.value - planted["thrust_coefficient_n_s2"]) < 3.5 * k.std
+    assert k.std < 0.01 * k.value
+    assert parameters["mass_kg"].value == planted["mass_kg"]
+    assert parameters["mass_kg"].std == pytest.approx(0.0, abs=1e-12)
+    heavier, _ = anchored(weighed(2.0 * planted["mass_kg"]), fit.names, fit.values, fit.covariance)
+    for name in MASS_AND_TENSOR:
+        assert heavier[name].value == pytest.approx(2.0 * parameters[name].value), "mass and tensor scale as one"
+
+
+def test_the_scales_own_uncertainty_widens_every_interval() -> None:
+    planted = truth(lab_flight(1))
+    fit = lab_fit(1).best
+    sure, _ = anchored(weighed(planted["mass_kg"]), fit.names, fit.values, fit.covariance)
+    unsure, _ = anchored(weighed(planted["mass_kg"], 0.1 * planted["mass_kg"]), fit.names, fit.values, fit.covariance)
+    assert unsure["mass_kg"].std == pytest.approx(0.1 * planted["mass_kg"])
+    for name in ("ixx_kg_m2", "izz_kg_m2"):
+        assert unsure[name].std == pytest.approx(np.hypot(sure[name].std, 0.1 * sure[name].value), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("tensor", "said"),
+    [
+        ((1.0, 0.0, 0.0, 1.0, 0.0, 1.9), ""),
+        ((1.0, 0.0, 0.0, 1.0, 0.0, 2.1), "sum of the other two"),
+        ((1.0, 1.1, 0.0, 1.0, 0.0, 1.0), "positive definite"),
+    ],
+)
+def test_a_tensor_of_no_rigid_body_is_named(tensor: tuple[float, ...], said: str) -> None:
+    values = dict(zip(MASS_AND_TENSOR, (1.0, *tensor), strict=True))
+    verdict = physically_consistent({name: Estimate.normal(value, 0.01) for name, value in values.items()})
+    assert said in verdict if said else verdict == ""
+
+
+# Refusals for want of data
+
+
+def test_a_flight_of_three_seconds_is_refused_as_too_short() -> None:
+    flight = lab_flight(1)
+    assert flight.window_s is not None
+    start = flight.window_s[0]
+    with pytest.raises(NotIdentifiable, match=r"too short: 3\.0 s") as refusal:
+        identify([replace(flight, window_s=(start, start + 3.0))])
+    assert refusal.value.exit_status == 3
+
+
+def test_leaving_out_nearly_everything_is_refused() -> None:
+    flight = lab_flight(1)
+    assert flight.window_s is not None
+    with pytest.raises(NotIdentifiable, match="leave out less"):
+        prepare(flight, exclude=[(flight.window_s[0] + 2.0, flight.window_s[1])])
+
+
+# Prediction
+
+
+def test_the_true_model_predicts_better_than_the_declared_one_and_than_constant_velocity() -> None:
+    flight = lab_flight(1)
+    assert flight.truth is not None
+    error = predict(declared_model(flight.truth), flight_states(flight), horizon_s=0.5).error
+    horizon = max(error["model"], key=float)
+    for quantity in ("position", "velocity"):
+        name = next(key for key in error["model"][horizon] if quantity in key)
+        model = error["model"][horizon][name]["rms"]
+        assert model < 0.5 * error["constant_velocity"][horizon][name]["rms"], quantity
