@@ -143,7 +143,13 @@ class Drone:
 
     def command(self, request: Command) -> Answer:
         """Do as told, or say why not."""
-        order = {"arm": self._arm, "start": self._start, "disarm": self._disarm, "shutdown": self._may_end}
+        order = {
+            "arm": self._arm,
+            "start": self._start,
+            "kill": self._kill,
+            "disarm": self._disarm,
+            "shutdown": self._may_end,
+        }
         return order.get(request.name, lambda: self.land(f"{request.name} on command"))()
 
     def _arm(self) -> Answer:
@@ -165,6 +171,14 @@ class Drone:
         clock = self.simulation.motor_clock_s
         self._window = (clock(begin), clock(end))
         self._enter("takeoff", "taking off")
+        return Answer(True)
+
+    def _kill(self) -> Answer:
+        """Rotors off: it falls, and what becomes of it nature decides."""
+        if not self.airborne:
+            return self._disarm()
+        self._source, self._ends_s = None, self.simulation.time_s
+        self._enter("landing", "rotors stopped on command")
         return Answer(True)
 
     def _disarm(self) -> Answer:

@@ -250,14 +250,17 @@ class FlightCore:
     # From clients -----------------------------------------------------------------------------------------------------
 
     def _on_command(self, command: CoreCommand) -> bus.Answer:
-        if command.name in ("start", "land") and (refusal := self.lease.refusal(command.client, command.name)):
+        if command.name != "abort" and (refusal := self.lease.refusal(command.client, command.name)):
             return bus.Answer(False, refusal)
         if command.name == "start" and self.state.phase is not seq.Phase.CHECKED:
             return bus.Answer(False, f"the flight is {self.state.phase}; it can be started once it is checked.")
+        if command.name == "kill":
+            self.inbox.put(lambda: self._order(partial(self._command, "kill")))
         event = {
             "start": seq.StartRequested(),
             "land": seq.LandRequested(),
             "abort": seq.AbortRequested(f"aborted by {command.client}"),
+            "kill": seq.AbortRequested(f"rotors stopped by {command.client}"),
         }[command.name]
         self.inbox.put(lambda: self._event(event))
         return bus.Answer(True)

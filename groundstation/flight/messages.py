@@ -9,8 +9,8 @@ import msgspec
 CLIENT_ALIVE = "gs/client/{client}/alive"
 """Liveliness token of a client; when it vanishes, its lease is free again."""
 
-CommandName = Literal["start", "land", "abort"]
-"""``start`` and ``land`` belong to the holder of the lease; ``abort`` to everyone."""
+CommandName = Literal["start", "land", "abort", "kill"]
+"""``start``, ``land`` and ``kill`` (rotors off, it falls) belong to the holder of the lease; ``abort`` to everyone."""
 
 
 class CoreCommand(msgspec.Struct, frozen=True):

@@ -157,7 +157,10 @@ class Pilot:
                 return self._start(now_s)
             case "abort" | "land":
                 return self._order_landing(name, now_s, reason)
-            case "disarm":
+            case "kill" if self.phase in GUARDED:
+                self.obey(Verdict("kill", "operator", "the operator stopped the rotors"), now_s)
+                return Answered(True)
+            case "kill" | "disarm":
                 return self._order_disarm(now_s)
         return Answered(False, f"'{name}' is no order a vehicle knows.")
 
