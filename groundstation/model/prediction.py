@@ -89,7 +89,8 @@ def model_from_document(document: Mapping[str, Any], vehicle: Vehicle, wrench: W
     declared = vehicle.inertia_kg_m2
 
     def entry(name: str) -> float:
-        return float(values.get(f"i{name}_kg_m2", getattr(declared, name)))
+        own = values.get(f"i{name}_kg_m2")
+        return float(getattr(declared, name)) if own is None else own
 
     tensor = np.array(
         [

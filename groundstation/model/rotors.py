@@ -52,7 +52,7 @@ class MotorInput:
     @property
     def t_s(self) -> Array:
         """Grid times, shape (k,)."""
-        return self.start_s + self.step_s * np.arange(len(self.value))
+        return np.asarray(self.start_s + self.step_s * np.arange(len(self.value)), dtype=float)
 
     def lagged(self, up_s: float, down_s: float) -> Array:
         """Values after the first-order lag, shape (k, n). A zero lag passes the values through."""
