@@ -206,7 +206,11 @@ def _whitened_fit(e: Array, columns: Array, variance: Array, prior_std: Array) -
         weight = np.minimum(1.0, 2.5 / np.maximum(size, 1e-12))
     residual = (y - x @ theta)[keep]
     spread = max(1.0, float(np.sqrt(np.mean(np.clip(residual, -4, 4) ** 2))))
-    return _Fit(np.asarray(theta, dtype=float), np.asarray(np.linalg.inv(normal) * spread**2, dtype=float), keep & (np.abs(y - x @ theta) > 6.0))
+    return _Fit(
+        np.asarray(theta, dtype=float),
+        np.asarray(np.linalg.inv(normal) * spread**2, dtype=float),
+        keep & (np.abs(y - x @ theta) > 6.0),
+    )
 
 
 _ATTITUDE = (

@@ -7,6 +7,7 @@ them.
 
 from __future__ import annotations
 
+import socket
 import sys
 import webbrowser
 from pathlib import Path
@@ -17,7 +18,7 @@ from textual.binding import Binding
 from textual.css.query import NoMatches
 
 from groundstation.commands.common import LOGS
-from groundstation.errors import GroundStationError
+from groundstation.errors import BadInput, GroundStationError
 from groundstation.flight.children import Child, last_line
 from groundstation.flight.client import running_cores
 from groundstation.flight.journal import NAME as JOURNAL
@@ -344,10 +345,22 @@ def run() -> int:
     return GroundStation().run() or 0
 
 
-def serve() -> int:
-    """Offer it to a browser on this machine alone."""
+def serve(port: int = PORT) -> int:
+    """Offer it to a browser on this machine alone; each page that is opened is a client of its own.
+
+    Raises:
+        BadInput: the port is taken.
+    """
     from textual_serve.server import Server
 
-    server = Server(f"{sys.executable} -P -m groundstation.cli", host="127.0.0.1", port=PORT, title="groundstation")
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError as error:
+            raise BadInput(
+                f"port {port} of this machine cannot be used ({error.strerror}); end what uses it."
+            ) from None
+    server = Server(f"{sys.executable} -P -m groundstation.cli", host="127.0.0.1", port=port, title="groundstation")
     server.serve()
     return 0

@@ -239,7 +239,7 @@ def flight_row(row: Mapping[str, Any]) -> Row:
     mass = row["parameters"].get("mass_kg")
     shown = f"{significant(mass['value'], 4)} kg" if mass else "–"
     return (
-        row["date"][:19].replace("T", " "),
+        row["date"][5:16].replace("T", " "),
         row["flight"],
         row["vehicle"] or "–",
         row["state"],

@@ -23,7 +23,7 @@ prediction by channel on the part of the flight that was held out: with nominal 
 the findings. The suspects are the effects that were tried, with the evidence for them. n plans the next flight."""
     BINDINGS: ClassVar = [
         Binding("n", "next_flight", "Plan the next flight"),
-        Binding("e", "report", "Report in the browser"),
+        Binding("e", "report", "Report"),
     ]
 
     def __init__(self) -> None:

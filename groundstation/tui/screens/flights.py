@@ -12,7 +12,7 @@ from textual.widgets import DataTable, Input, Static
 from groundstation.tui.screens.base import StationScreen, fill
 from groundstation.tui.text import comparison, flight_row
 
-COLUMNS = ("recorded, UTC", "flight", "vehicle", "state", "verdict", "mass")
+COLUMNS = ("UTC", "flight", "vehicle", "state", "verdict", "mass")
 
 
 class Flights(StationScreen):
@@ -26,7 +26,7 @@ compares the two. t sorts by the next column, / filters: only flights whose line
         Binding("m", "mark", "Mark / compare"),
         Binding("t", "sort", "Sort"),
         Binding("slash", "filter", "Filter"),
-        Binding("e", "report", "Report in the browser"),
+        Binding("e", "report", "Report"),
     ]
 
     def __init__(self) -> None:
@@ -63,7 +63,10 @@ compares the two. t sorts by the next column, / filters: only flights whose line
         wanted = self.query_one("#filter", Input).value.strip().lower()
         told = [(flight_row(row), row) for row in self._rows]
         told = [(cells, row) for cells, row in told if wanted in " ".join(cells).lower()]
-        told.sort(key=lambda pair: pair[0][self._sort], reverse=self._sort == 0)
+        if self._sort == 0:
+            told.sort(key=lambda pair: pair[1]["date"], reverse=True)
+        else:
+            told.sort(key=lambda pair: pair[0][self._sort])
         self._shown = [row for _, row in told]
         fill(self.query_one("#catalogue", DataTable), COLUMNS, [cells for cells, _ in told])
         nothing = (

@@ -51,8 +51,8 @@ program started again finds it. o takes the operator's lease from another."""
                 yield Static("", id="motors", classes="panel", markup=False)
             with Vertical(id="fly-right"):
                 yield Plot("t, s", "off plan, cm", id="error-plot")
-                yield Plot("x, m", "y, m", id="xy-plot")
-                yield Plot("t, s", "roll, pitch, °", id="attitude-plot")
+                yield Plot("x, m", "y, m   … plan  + flown", id="xy-plot")
+                yield Plot("t, s", "°   … roll  + pitch", id="attitude-plot")
                 yield DataTable(id="live", show_cursor=False)
 
     def show_status(self, status: CoreStatus) -> None:
@@ -85,15 +85,15 @@ program started again finds it. o takes the operator's lease from another."""
         if len(seen) < 2:
             return
         t_s = [s.flight_s for s in seen]
-        self.query_one("#error-plot", Plot).draw([Line(t_s, [100.0 * s.tracking_error_m for s in seen], "off plan")])
+        self.query_one("#error-plot", Plot).draw([Line(t_s, [100.0 * s.tracking_error_m for s in seen])])
         self.query_one("#xy-plot", Plot).draw(
             [
-                Line([s.setpoint_m[0] for s in seen], [s.setpoint_m[1] for s in seen], "plan"),
-                Line([s.position_m[0] for s in seen], [s.position_m[1] for s in seen], "flown"),
+                Line([s.setpoint_m[0] for s in seen], [s.setpoint_m[1] for s in seen]),
+                Line([s.position_m[0] for s in seen], [s.position_m[1] for s in seen]),
             ]
         )
         angles = [[math.degrees(s.euler_rad[axis]) for s in seen] for axis in (0, 1)]
-        self.query_one("#attitude-plot", Plot).draw([Line(t_s, angles[0], "roll"), Line(t_s, angles[1], "pitch")])
+        self.query_one("#attitude-plot", Plot).draw([Line(t_s, angles[0]), Line(t_s, angles[1])])
 
     def action_start(self) -> None:
         """Start as soon as everything is checked."""

@@ -24,7 +24,7 @@ Comes up after landing. First the analysis and its preliminary estimates, then t
 its 95 % half width, the best method first, beside what the vehicle file declares. Below, why that method is the best,
 the clocks' offset, what the flight does not reveal, and the errors with the nominal and with the identified vehicle.
 e opens the report in the browser. Choose another flight on the Flights screen (6)."""
-    BINDINGS: ClassVar = [Binding("e", "report", "Report in the browser")]
+    BINDINGS: ClassVar = [Binding("e", "report", "Report")]
 
     def __init__(self) -> None:
         super().__init__()

@@ -185,8 +185,8 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
         t_s = np.linspace(0.0, min(series.period_s, series.duration_s), 300)
         motion = rigid_motion(series.sample(t_s))
         tilt = np.degrees(np.arccos(np.cos(motion.euler_rad[:, 0]) * np.cos(motion.euler_rad[:, 1])))
-        self.query_one("#path", Plot).draw([Line(motion.position_m[:, 0], motion.position_m[:, 1], "path")])
-        self.query_one("#tilt", Plot).draw([Line(t_s, tilt, "tilt")])
+        self.query_one("#path", Plot).draw([Line(motion.position_m[:, 0], motion.position_m[:, 1])])
+        self.query_one("#tilt", Plot).draw([Line(t_s, tilt)])
         condition = f", cond(W) {plan.condition_number:.2f}" if plan.condition_number else ""
         self.say(
             "#plan-text",

@@ -14,11 +14,10 @@ STYLES = ("cyan", "yellow")
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line of a plot, with the name the legend shows."""
+    """One line of a plot."""
 
     x: ArrayLike
     y: ArrayLike
-    name: str
 
 
 class Plot(PlotWidget):
@@ -34,14 +33,12 @@ class Plot(PlotWidget):
         """Name the axes."""
         self.set_xlabel(self._names[0])
         self.set_ylabel(self._names[1])
-        self.margin_left = 8
+        self.margin_left, self.margin_top, self.margin_bottom = 8, 1, 2
 
     def draw(self, lines: Sequence[Line]) -> None:
         """Show one line, or two, instead of what was shown."""
         self.clear()
         first, *others = lines
-        self.plot(first.x, first.y, line_style=STYLES[0], hires_mode=HiResMode.BRAILLE, label=first.name)
+        self.plot(first.x, first.y, line_style=STYLES[0], hires_mode=HiResMode.BRAILLE)
         for line, style in zip(others, STYLES[1:], strict=False):
-            self.scatter(line.x, line.y, marker="+", marker_style=style, label=line.name)
-        if others:
-            self.show_legend()
+            self.scatter(line.x, line.y, marker="+", marker_style=style)
