@@ -51,8 +51,8 @@ program started again finds it. o takes the operator's lease from another."""
                 yield Static("", id="motors", classes="panel", markup=False)
             with Vertical(id="fly-right"):
                 yield Plot("t, s", "off plan, cm", id="error-plot")
-                yield Plot("x, m", "y, m   … plan  + flown", id="xy-plot")
-                yield Plot("t, s", "°   … roll  + pitch", id="attitude-plot")
+                yield Plot("x, m", "…plan +flown, m", id="xy-plot")
+                yield Plot("t, s", "…roll +pitch, °", id="attitude-plot")
                 yield DataTable(id="live", show_cursor=False)
 
     def show_status(self, status: CoreStatus) -> None:
