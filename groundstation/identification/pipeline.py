@@ -32,6 +32,11 @@ UNREVEALED = 0.25
 UNREVEALED_PRODUCT = 0.05
 """The same for a product of inertia, as a fraction of the trace."""
 
+STILL_RAD_S = 0.03
+"""An axis that turns by less (RMS) only answers the disturbance: noise in the rotor speeds then passes for inertia."""
+DISAGREES = 3.0
+"""Standard deviations between two estimates from which one of them is taken to be biased."""
+
 REMEDY = {
     "mass_kg": "an accelerometer or poses while the rotors carry the vehicle",
     "ixx_kg_m2": "roll: accelerate sideways (y) and back, repeatedly",
@@ -54,9 +59,21 @@ class DynamicFit:
     instrumental: Fitted | None
 
     @property
+    def best_name(self) -> str:
+        """IV where a plan is known and the inputs are noisy or FE disagrees with it, else FE.
+
+        Durbin, Wu and Hausman: where two consistent estimates agree, the efficient one is better, which FE is for recorded
+        commands, as those are exact. Measured speeds are not, and agreement is too weak a test of what their noise does.
+        """
+        if self.instrumental is None:
+            return "FE"
+        noisy = self.prepared[0].record.motors.measured
+        return "IV" if noisy or _disagreement(self.instrumental, self.filter_error)[1] >= DISAGREES else "FE"
+
+    @property
     def best(self) -> Fitted:
-        """The instrumental estimate where a plan is known, else the prediction error estimate."""
-        return self.filter_error if self.instrumental is None else self.instrumental
+        """The estimate to believe."""
+        return self.instrumental if self.best_name == "IV" and self.instrumental is not None else self.filter_error
 
 
 def options_for(prepared: Prepared) -> Options:
@@ -194,7 +211,7 @@ def identify(
         )
         if found is best:
             model = {**constants, **_model(found, prepared[0])}
-    name = "IV" if fitted.instrumental is not None else "FE"
+    name = fitted.best_name
     reason = _reason(fitted)
     warnings = []
     trouble = physically_consistent(methods[name].parameters)
@@ -244,26 +261,31 @@ _METHOD_NOTES = {
 
 def _bound(fitted: DynamicFit) -> Array:
     """Cramer-Rao covariance: what an efficient estimator could reach on this record with its disturbance."""
-    best = fitted.best.covariance
-    return best if fitted.instrumental is not None else fitted.filter_error.covariance
+    return fitted.best.covariance
 
 
 def _reason(fitted: DynamicFit) -> str:
     if fitted.instrumental is None:
         return "FE: no plan or setpoints are recorded, so the prediction error estimate with a noise model is the best there is."
-    iv, fe = fitted.instrumental, fitted.filter_error
-    worst, size = "", 0.0
-    for name in ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2"):
-        spread = float(np.hypot(iv.std(name), fe.std(name)))
-        distance = abs(iv.value(name) - fe.value(name)) / spread
-        if distance > size:
-            worst, size = name, distance
+    worst, size = _disagreement(fitted.instrumental, fitted.filter_error)
+    if fitted.best_name == "FE":
+        return f"FE: the commands are exact and IV, immune to feedback, agrees within {size:.1f} standard deviations; FE is the more precise."
     verdict = (
         f"FE agrees within {size:.1f} standard deviations"
-        if size < 3.0
+        if size < DISAGREES
         else f"FE differs by {size:.1f} standard deviations in {worst}: feedback or noisy rotor speeds bias it"
     )
     return f"IV: the plan is known, so it is immune to feedback from disturbances; {verdict}."
+
+
+def _disagreement(first: Fitted, second: Fitted) -> tuple[str, float]:
+    """The parameter in which two estimates differ most, and by how many standard deviations."""
+    worst, size = "mass_kg", 0.0
+    for name in ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2"):
+        distance = abs(first.value(name) - second.value(name)) / float(np.hypot(first.std(name), second.std(name)))
+        if distance > size:
+            worst, size = name, distance
+    return worst, size
 
 
 def _model(fit: Fitted, prepared: Prepared) -> dict[str, Estimate]:
@@ -308,10 +330,15 @@ def _torque_rms(models: Sequence[RecordModel], fit: Fitted, options: Options) ->
 
 
 def unrevealed(fit: Fitted, prepared: Sequence[Prepared]) -> dict[str, str]:
-    """Parameters whose standard deviation says the motion did not show them, with the motion that would."""
+    """Parameters that the motion did not show, by their standard deviation or for want of motion, with what would."""
     trace = float(np.trace(fit.parameters.tensor))
+    rates = [np.std(item.record.rate_rad_s[item.record.keep], axis=0) for item in prepared]
+    still = {axis for axis, rate in zip("xyz", np.max(rates, axis=0), strict=True) if rate < STILL_RAD_S}
     hidden = {}
     for name in MASS_AND_TENSOR:
+        if name != "mass_kg" and set(name[1:3]) <= still:
+            hidden[name] = REMEDY[name]
+            continue
         relative = fit.std(name) / (trace if name[1] != name[2] and name != "mass_kg" else abs(fit.value(name)))
         limit = UNREVEALED_PRODUCT if name[1] != name[2] and name != "mass_kg" else UNREVEALED
         if relative > limit:
