@@ -12,12 +12,14 @@ from groundstation.diagnosis import effect as effects_module
 from groundstation.diagnosis.attribution import candidates
 from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, library, wrench_of
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
+from groundstation.identification.record_model import initial_parameters
 from groundstation.identification.results import Estimate
 from groundstation.model.signals import Signals
 from groundstation.paths import find_config
 from groundstation.vehicle import load_vehicle
 
 VEHICLE = load_vehicle(find_config("vehicles", "x500"))
+assert VEHICLE.rotors.thrust_coefficient_n_s2 is not None
 HOVER_N = VEHICLE.mass_kg * VEHICLE.gravity_m_s2 / VEHICLE.rotors.count
 
 TOY = '''"""A toy."""
@@ -252,6 +254,13 @@ def test_the_json_form_has_the_contracts_keys_and_only_plain_values():
     assert set(document["findings"][0]["parameters"]["loss"]) == {"value", "std", "ci95"}
     assert {"channel", "share", "depends_on"} <= set(document["unexplained"][0])
     assert document["findings"][0]["rotor"] == 3
+
+
+def test_measured_speeds_have_their_lag_behind_them_and_commanded_ones_ahead():
+    assert VEHICLE.rotors.lag.up_s > 0.0
+    assert initial_parameters(VEHICLE, lag_s=0.0).lag_up_s == 0.0
+    commanded = VEHICLE.model_copy(update={"rotors": VEHICLE.rotors.model_copy(update={"speed_source": "command"})})
+    assert initial_parameters(commanded, lag_s=0.0).lag_down_s == VEHICLE.rotors.lag.down_s
 
 
 def test_a_toy_effect_can_stand_for_the_library():

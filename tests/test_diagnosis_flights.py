@@ -104,6 +104,7 @@ def test_a_wall_that_attracts_which_no_file_models_does_not_pass_for_clean():
 
 def test_a_flight_of_a_second_is_refused_and_says_what_would_help():
     flight = _flight()
+    assert flight.window_s is not None
     begin = flight.window_s[0]
     short = replace(flight, window_s=(begin, begin + 0.5))
     diagnosis = diagnose([short])
