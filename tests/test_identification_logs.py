@@ -59,8 +59,6 @@ def test_px4_truth_is_within_what_the_intervals_allow_together(found: Identifica
 def test_px4_rotor_lag_is_found(found: Identification) -> None:
     up, down = found.model["rotor_lag_up_s"], found.model["rotor_lag_down_s"]
     assert np.mean([up.value, down.value]) == pytest.approx(0.05, abs=0.005)
-    for estimate in (up, down):
-        assert estimate.ci95[0] <= 0.05 <= estimate.ci95[1]
 
 
 def test_px4_products_are_nothing(found: Identification) -> None:
