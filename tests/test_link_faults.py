@@ -312,6 +312,15 @@ def test_kill_stops_the_motors_in_the_air():
     assert rig.run(lambda: not rig.vehicle.armed, 1.0)
 
 
+@pytest.mark.parametrize("profile", ["px4", "arducopter"])
+def test_the_operators_kill_stops_the_motors_in_the_air(profile):
+    rig = Rig(profile)
+    rig.excite()
+    assert rig.order("kill").ok
+    assert rig.run(lambda: not rig.vehicle.armed, 1.0)
+    assert "operator stopped the rotors" in rig.reason
+
+
 def test_hold_becomes_a_landing():
     rig = Rig("px4", {"guard": {"battery": {"limit": 0.15, "action": "hold", "for_s": 0.1}}, "policy": {"hold_s": 2.0}})
     rig.excite()

@@ -15,7 +15,7 @@ from groundstation.flight.journal import read_journal
 from groundstation.flight.sequence import FINAL, Phase
 from groundstation.recording import load_flight
 from groundstation.tui.app import GroundStation
-from groundstation.tui.setup import Setup
+from groundstation.tui.setup import Setup, plan_at_hand
 from groundstation.tui.widgets.dialogs import Question
 
 PATIENCE_S = 90.0
@@ -60,6 +60,15 @@ async def test_two_keys_fly_and_the_flight_outlives_the_program(tmp_path: Path) 
     flight = load_flight(folder / "flight.mcap")
     assert flight.window_s is not None
     assert flight.window_s[1] - flight.window_s[0] > 30.0
+
+
+def test_a_plan_is_flown_only_by_the_vehicle_it_was_made_for() -> None:
+    shipped = plan_at_hand(Setup(vehicle="qball2"), None)
+    assert shipped is not None
+    mine = shipped.model_copy(update={"note": "mine"})
+    assert plan_at_hand(Setup(vehicle="qball2"), mine) is mine
+    assert plan_at_hand(Setup(vehicle="x500"), mine) is None
+    assert plan_at_hand(Setup(vehicle="qball2"), mine.model_copy(update={"vehicle": "x500"})) == shipped
 
 
 async def wait_for_outcome(folder: Path) -> None:

@@ -34,7 +34,7 @@ from groundstation.tui.screens.fly import Fly
 from groundstation.tui.screens.identify import Identify
 from groundstation.tui.screens.plan import Planner
 from groundstation.tui.screens.station import Station
-from groundstation.tui.setup import Setup, begin_flight, shipped_plan
+from groundstation.tui.setup import Setup, begin_flight, plan_at_hand
 from groundstation.tui.watch import CoreWatch
 from groundstation.tui.widgets.bars import SCREENS
 from groundstation.tui.widgets.dialogs import Question, TextPage, TypedQuestion
@@ -154,7 +154,7 @@ class GroundStation(App[int]):
     def _prepare(self) -> None:
         setup = self.setup
         try:
-            plan = self.plan or shipped_plan(setup.vehicle) or self._new_plan(setup)
+            plan = plan_at_hand(setup, self.plan) or self._new_plan(setup)
             child, endpoint, folder = begin_flight(setup, plan, self.logs, analyse=self._analyse)
         except (GroundStationError, OSError) as error:
             self.call_from_thread(self._fail, str(error))

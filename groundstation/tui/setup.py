@@ -54,9 +54,11 @@ def links() -> list[str]:
     return [SIMULATOR, UDP, *sorted(ports)]
 
 
-def shipped_plan(vehicle: str) -> Plan | None:
-    """The plan that ships for a vehicle, if one does."""
-    path = configs_dir() / "plans" / f"{vehicle}.toml"
+def plan_at_hand(setup: Setup, newest: Plan | None) -> Plan | None:
+    """The newest plan where it was made for what flies, else the one that ships for it, if one does."""
+    if newest is not None and newest.vehicle == setup.vehicle:
+        return newest
+    path = configs_dir() / "plans" / f"{setup.vehicle}.toml"
     return load_plan(path) if path.is_file() else None
 
 
