@@ -19,8 +19,8 @@ from groundstation.paths import find_config
 from groundstation.vehicle import load_vehicle
 
 VEHICLE = load_vehicle(find_config("vehicles", "x500"))
-assert VEHICLE.rotors.thrust_coefficient_n_s2 is not None
 HOVER_N = VEHICLE.mass_kg * VEHICLE.gravity_m_s2 / VEHICLE.rotors.count
+
 
 TOY = '''"""A toy."""
 
@@ -49,7 +49,7 @@ EFFECT = Effect(
 def _signals(count: int = 200, **given: np.ndarray) -> Signals:
     """Hover at 1 m, level, full battery, but for what is given."""
     t = np.linspace(0.0, 20.0, count)
-    speed = np.full((count, 4), np.sqrt(HOVER_N / VEHICLE.rotors.thrust_coefficient_n_s2))
+    speed = np.full((count, 4), np.sqrt(HOVER_N / (VEHICLE.rotors.thrust_coefficient_n_s2 or np.nan)))
     values = {
         "t_s": t,
         "position_m": np.tile([0.0, 0.0, 1.0], (count, 1)),
