@@ -219,12 +219,15 @@ def fly(kind: str, names: Sequence[str], vehicle_name: str, plan: Plan, random: 
 def schedule(random: Random, counts: dict[str, int]) -> list[tuple[str, tuple[str, ...]]]:
     """Kinds and hidden names; singles run through a fresh permutation of all effects, so that none is left out by chance."""
     known = [name for name in sizes(load_vehicle(find_config("vehicles", "x500"))) if name not in INVENTED]
+    alone = [name for name in known if name != "wind"]
     singles: list[str] = []
     while len(singles) < counts["single"]:
-        singles += [str(name) for name in random.permutation(known)]
+        singles += [str(name) for name in random.permutation(alone)]
     work = [("single", (name,)) for name in singles[: counts["single"]]]
     work += [("clean", ())] * counts["clean"]
-    work += [("pair", tuple(map(str, random.choice(known, 2, replace=False)))) for _ in range(counts["pair"])]
+    for _ in range(counts["pair"]):
+        pair = tuple(map(str, random.choice(known, 2, replace=False)))
+        work.append(("pair", ("rotor_drag", "wind") if "wind" in pair else pair))  # air is felt through drag alone
     work += [("invented", (INVENTED[i % len(INVENTED)],)) for i in range(counts["invented"])]
     return [work[i] for i in random.permutation(len(work))]
 
