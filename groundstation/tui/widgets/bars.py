@@ -84,8 +84,8 @@ def flight_line(status: CoreStatus | None, operator: bool, silent_s: float, faul
         return f"! the core is silent for {silent_s:.0f} s; the vehicle completes its plan · {line}"
     if status.phase in IN_FLIGHT:
         line = f"{status.phase.upper()} {status.time_left_s:.0f} s left · {status.vehicle}"
-        if status.reason:
-            line = f"{line} · {status.reason}"
+    if status.reason:
+        line = f"{line} · {status.reason}"
     if status.lease and not operator:
         line += " · watching, another is the operator (o takes over)"
     return line
