@@ -30,7 +30,7 @@ def planted(colour: Colour, count: int, seed: int, *, integrated: bool) -> np.nd
     h = STEP_S / fine
     phi = np.exp(-h / colour.correlation_s)
     drive = colour.disturbance * np.sqrt(1.0 - phi**2) * random.standard_normal(count * fine)
-    disturbance = lfilter([1.0], [1.0, -phi], drive)
+    disturbance = np.asarray(lfilter([1.0], [1.0, -phi], drive))
     sensor = colour.sensor * random.standard_normal(count)
     if not integrated:
         return disturbance[::fine] + sensor
@@ -106,7 +106,7 @@ def test_the_colour_of_a_channel_is_found_from_its_residual(integrated: bool) ->
 
 def test_the_whitening_polynomial_undoes_an_autoregression() -> None:
     a = np.array([1.0, -1.2, 0.5])
-    x = lfilter([1.0], a, np.random.default_rng(2).standard_normal(8000))
+    x = np.asarray(lfilter([1.0], a, np.random.default_rng(2).standard_normal(8000)))
     x = x / np.std(x)  # as normalised innovations are: outliers are clipped at five sigma
     restart = np.zeros(8000, bool)
     polynomial = whitening_polynomial(x, restart)
@@ -151,7 +151,7 @@ def test_no_lag_passes_the_command_through_and_holds_it_between_samples() -> Non
 
 
 def test_running_integrals_are_exact_for_held_and_for_linear_values() -> None:
-    grid = np.arange(0, 101) * 0.01
+    grid = np.linspace(0.0, 1.0, 101)
     assert cumulative(np.ones((101, 1)), 0.01, held=True)[-1, 0] == pytest.approx(1.0)
     assert cumulative(grid[:, None], 0.01, held=False)[-1, 0] == pytest.approx(0.5)
     query = np.array([-1.0, 0.255, 9.0])
