@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from groundstation.errors import BadInput, NotIdentifiable, Refused
 from groundstation.flightdata import FlightData, Stream
 from groundstation.frames import (
+    euler_from_quat,
     quat_conjugate,
     quat_continuous,
     quat_exp,
@@ -46,6 +47,7 @@ Array = NDArray[np.float64]
 FIT_RATE_HZ = 150.0
 MEASURED_RATE_HZ = 30.0
 SHORTEST_S = 4.0
+PATH_KNOTS_S = 0.5
 UNKNOWN_ACCEL_BIAS_M_S2 = 0.1
 """Standard deviation of an accelerometer bias nobody measured: 10 mg, a consumer MEMS sensor's turn-on bias."""
 
@@ -156,7 +158,7 @@ def prepare(flight: FlightData, *, exclude: Sequence[tuple[float, float]] = ()) 
     return Prepared(
         flight=flight,
         record=record,
-        planned=planned_motion(flight, t, motion.rate, keep, start_s),
+        planned=planned_motion(flight, t, motion, keep, start_s, measured),
         compatibility=motion.compatibility,
         quaternion=motion.smooth[0],
         position_m=motion.smooth[1],
@@ -368,12 +370,16 @@ def _battery(flight: FlightData, t: Array) -> tuple[Array, Array]:
 
 
 def planned_motion(
-    flight: FlightData, t: Array, rate: Array, keep: NDArray[np.bool_], start_s: float
+    flight: FlightData, t: Array, motion: _Motion, keep: NDArray[np.bool_], start_s: float, measured: bool
 ) -> PlannedMotion | None:
     """The motion the plan (or the setpoints) asked for, at stamps t, shifted to where the vehicle followed it.
 
     The shift is the vehicle's own tracking delay and whatever separates the clocks; it maximises the correlation of body rates.
+    Where neither is recorded and rotor speeds are measured (so that their noise would bias a prediction error estimate), the
+    smoothed path of the vehicle stands in: torque disturbances reach position only through four integrations, and the
+    noise of rotor speeds not at all.
     """
+    rate = motion.rate
     if flight.plan is not None:
         series = flight.plan.series()
 
@@ -381,6 +387,11 @@ def planned_motion(
             return series.sample(query - start_s)
     elif flight.setpoint is not None and len(flight.setpoint) > 50:
         spline = _setpoint_spline(flight.setpoint)
+        if spline is None:
+            return None
+        reference = spline
+    elif measured and motion.source == "imu" and np.isfinite(motion.smooth[1]).all():
+        spline = _path_spline(t, motion, keep)
         if spline is None:
             return None
         reference = spline
@@ -450,8 +461,17 @@ def damping_terms(prepared: Prepared) -> tuple[list[BodyWrench], PlannedMotion |
     return terms, None if plan is None else replace(plan, extra=tuple(planned))
 
 
-def _setpoint_spline(setpoint: Stream):
-    """Quintic least-squares spline through position and yaw setpoints, knots every 0.2 s; None if they do not move."""
+def _path_spline(t: Array, motion: _Motion, keep: NDArray[np.bool_]):
+    """The flown path as a spline with knots every PATH_KNOTS_S, which follows the manoeuvre and not the disturbance."""
+    used = np.flatnonzero(keep)
+    index = np.arange(used[0], used[-1], max(1, round(motion.rate_hz / 50.0)))
+    yaw = np.unwrap(euler_from_quat(motion.smooth[0][index])[:, 2])
+    path = Stream(t[index], np.column_stack([motion.smooth[1][index], yaw]), ("x_m", "y_m", "z_m", "yaw_rad"))
+    return _setpoint_spline(path, PATH_KNOTS_S)
+
+
+def _setpoint_spline(setpoint: Stream, knots_s: float = 0.2):
+    """Quintic least-squares spline through position and yaw setpoints, knots every ``knots_s``; None if they do not move."""
     from scipy.interpolate import make_lsq_spline
 
     stream = clean(setpoint)
@@ -460,7 +480,7 @@ def _setpoint_spline(setpoint: Stream):
     values[:, 3] = np.unwrap(values[:, 3])
     if len(t) < 50 or np.ptp(values[:, :3], axis=0).max() < 0.02:
         return None
-    spacing = max(0.2, 3.0 * float(np.max(np.diff(t))))
+    spacing = max(knots_s, 3.0 * float(np.max(np.diff(t))))
     inner = np.arange(t[0] + spacing, t[-1] - spacing, spacing)
     knots = np.concatenate([np.full(6, t[0]), inner, np.full(6, t[-1])])
     spline = make_lsq_spline(t, values, knots, k=5)

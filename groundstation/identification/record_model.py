@@ -26,7 +26,7 @@ TENSOR = ("ixx_kg_m2", "ixy_kg_m2", "ixz_kg_m2", "iyy_kg_m2", "iyz_kg_m2", "izz_
 BASIS = np.zeros((6, 3, 3))
 for _index, (_i, _j) in enumerate([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]):
     BASIS[_index, _i, _j] = BASIS[_index, _j, _i] = 1.0
-INSTRUMENT_SHIFTS_S = (-0.25, -0.1, 0.0, 0.1, 0.25)
+INSTRUMENT_SHIFTS_S = (-0.12, 0.0, 0.12)
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """Where the entries of TENSOR stand in the matrix."""
 CHANNELS = ("torque_x_nm", "torque_y_nm", "torque_z_nm", "force_x_n", "force_y_n", "force_z_n")
@@ -305,14 +305,19 @@ class RecordModel:
         """Sensitivities the planned motion would have at ``p``, shifted by INSTRUMENT_SHIFTS_S, (blocks, 6, P * shifts).
 
         Any function of the plan is a valid instrument (Soderstrom and Stoica 1983); what the vehicle really did is a filtered
-        plan, which a few shifted copies span. The lag is approximated by its first order: d(impulse)/d(tau) = -wrench.
+        plan, which a few shifted copies of mass and tensor columns span; few, because each instrument keeps a share of the
+        noise that instruments are to remove. The lag is approximated by its first order: d(impulse)/d(tau) = -wrench.
         """
         if self.planned is None:
             raise ValueError("no planned motion was given for this record")
         if not self._bases:
             planned = [self.planned.shifted(seconds, self.record.t_s) for seconds in INSTRUMENT_SHIFTS_S]
             self._bases = tuple(self._planned_base(motion, p) for motion in planned)
-        return np.concatenate([self._planned_sensitivities(base, p, options) for base in self._bases], axis=2)
+        columns = [self._planned_sensitivities(base, p, options) for base in self._bases]
+        own = len(TENSOR) + 1
+        return np.concatenate(
+            [c if s == 0.0 else c[:, :, :own] for s, c in zip(INSTRUMENT_SHIFTS_S, columns, strict=True)], axis=2
+        )
 
     def _planned_base(self, plan: PlannedMotion, p: Parameters) -> _PlannedBase:
         rate = plan.rate_rad_s
