@@ -425,8 +425,8 @@ def _position_noise(error: Array, dt: Array, start: Array | None = None) -> Arra
         noise = np.array([*np.exp(logs), 0.3])
         e, s, *_ = _position_filter(error, dt, noise)
         keep = np.isfinite(s)
-        square = np.minimum(e[keep] ** 2 / s[keep, None], 25.0)
-        return 0.5 * float(3.0 * np.sum(np.log(s[keep])) + np.sum(square))
+        square = np.minimum(e[keep] ** 2 / np.maximum(s[keep, None], 1e-30), 25.0)
+        return 0.5 * float(3.0 * np.sum(np.log(np.maximum(s[keep], 1e-30))) + np.sum(square))
 
     found = minimize(
         cost, np.log(start[:3]), method="Nelder-Mead", options={"maxiter": 80, "xatol": 0.05, "fatol": 0.1}

@@ -15,7 +15,7 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
     out[:, 4, 0] = lift  # -c x F with F along z: (-c_y F, c_x F, 0)
     out[:, 3, 1] = -lift
     rate = signals.rate_rad_s
-    turning = np.gradient(rate, signals.t_s, axis=0)
+    turning = np.gradient(rate, signals.t_s, axis=0) if len(rate) > 1 else np.zeros_like(rate)
     for axis in range(2):
         unit = np.eye(3)[axis]
         swung = np.cross(turning, unit) + np.cross(rate, np.cross(rate, unit))
