@@ -11,6 +11,7 @@ from flights import rest_to_rest_plan
 
 from groundstation.errors import Refused
 from groundstation.frames import quat_exp, quat_from_euler, quat_multiply, quat_rotate, quat_rotate_inverse
+from groundstation.identification import reconstruction
 from groundstation.identification.clock import coarse_offset
 from groundstation.identification.reconstruction import Compatibility, body_motion, reconstruct
 from groundstation.recording.blemishes import frozen, jumps
@@ -42,8 +43,8 @@ class Recorded:
     true_velocity: np.ndarray
 
 
-def record(seed: int, error: Mapping[str, float] = PLANTED) -> Recorded:
-    """40 s of a fast random excitation at 250 Hz, poses at 100 Hz, noise of a consumer IMU and a good capture."""
+def record(seed: int, error: Mapping[str, float] = PLANTED, *, noise: float = 1.0) -> Recorded:
+    """40 s of a fast random excitation at 250 Hz, poses at 100 Hz, ``noise`` times that of a consumer IMU and capture."""
     random = np.random.default_rng(seed)
     series = rest_to_rest_plan(amplitude_m=1.0, periods=4.0, seed=7).series()
 
@@ -53,16 +54,16 @@ def record(seed: int, error: Mapping[str, float] = PLANTED) -> Recorded:
     t = np.arange(0.0, 40.0, 1 / 250.0)
     motion = rigid_motion(series.sample(t))
     q = quat_from_euler(*motion.euler_rad.T)
-    gyro = motion.angular_velocity_body_rad_s + three("gyro_bias", "rad_s") + 1e-3 * random.standard_normal((len(t), 3))
+    gyro = motion.angular_velocity_body_rad_s + three("gyro_bias", "rad_s") + 1e-3 * noise * random.standard_normal((len(t), 3))
     force = motion.specific_thrust_m_s2[:, None] * [0.0, 0.0, 1.0]
-    accel = force + three("accel_bias", "m_s2") + 0.02 * random.standard_normal((len(t), 3))
+    accel = force + three("accel_bias", "m_s2") + 0.02 * noise * random.standard_normal((len(t), 3))
     at = np.arange(0.3, 39.7, 1 / 100.0)
     seen = rigid_motion(series.sample(at))
     q_seen = quat_from_euler(*seen.euler_rad.T)
     marker = quat_multiply(q_seen, quat_exp(three("mocap_rotation", "rad") + np.zeros(3)))
-    marker = quat_multiply(marker, quat_exp(1e-3 * random.standard_normal((len(at), 3))))
+    marker = quat_multiply(marker, quat_exp(1e-3 * noise * random.standard_normal((len(at), 3))))
     place = seen.position_m + quat_rotate(q_seen, three("mocap_position", "m"))
-    place = place + 2e-4 * random.standard_normal((len(at), 3))
+    place = place + 2e-4 * noise * random.standard_normal((len(at), 3))
     stamp = at + error.get("mocap_minus_imu_s", 0.0) + error.get("clock_drift", 0.0) * (at - 20.0)
     return Recorded(t, gyro, accel, stamp, place, marker, q, motion.position_m, motion.velocity_world_m_s)
 
@@ -93,6 +94,16 @@ def test_the_intervals_say_something(several: list[Compatibility]) -> None:
     assert max(std[f"gyro_bias_{a}_rad_s"] for a in "xyz") < 1e-3
     assert max(std[f"mocap_rotation_{a}_rad"] for a in "xyz") < 2e-3
     assert max(std[f"mocap_position_{a}_m"] for a in "xy") < 0.02
+
+
+def test_poses_without_any_noise_do_not_make_the_filter_singular() -> None:
+    random = np.random.default_rng(0)
+    dt = np.concatenate([[0.0], np.full(999, 0.01)])
+    error = 1e-15 * random.standard_normal((1000, 3)) + np.linspace(0.0, 1e-12, 1000)[:, None]
+    noise = reconstruction._position_noise(error, dt)
+    _, variance, _, _, predicted = reconstruction._position_filter(error, dt, noise)
+    assert np.all(variance[3:] > 0.0)
+    assert np.min(np.linalg.eigvalsh(predicted[3:])) > 0.0
 
 
 def test_the_smoothed_motion_is_the_true_one() -> None:

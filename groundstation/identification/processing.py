@@ -217,6 +217,8 @@ def _grid(
     """The grid that all streams cover, around the window, and the low-pass."""
     if period_s is None:
         period_s = 1.0 / float(np.clip(inertial.rate_hz() if inertial is not None else 500.0, 50.0, 1000.0))
+    if any(len(series) == 0 for series in stamps):
+        raise NotIdentifiable("A stream is empty on the clock of the others.", "Check the streams' stamps.")
     start = max([window[0] - MARGIN_S, *(series[0] for series in stamps)])
     end = min([window[1] + MARGIN_S, *(series[-1] for series in stamps)])
     if end - start < SHORTEST_S:

@@ -148,10 +148,10 @@ def _position_filter(z: Array, dt: Array, noise: Array) -> tuple[Array, Array, A
             out[i] = e
             for j in range(3):
                 x[j] += gain[j] * e
-            row = p[0, :].copy()
-            for j in range(3):
-                for n in range(3):
-                    p[j, n] -= gain[j] * row[n]
+            # Joseph's form: stays positive definite where the poses are far better than what is known before them
+            keep = np.eye(3)
+            keep[:, 0] -= gain
+            p = keep @ p @ keep.T + r * r * np.outer(gain, gain)
             variance[i] = np.inf if i < 3 else s
         states[i] = x
         pf[i] = p
@@ -406,6 +406,10 @@ def reconstruct(
     )
 
 
+# No capture system resolves less than a micrometre; a simulated one without noise must not make the filter singular.
+_FINEST = np.array([1e-6, 1e-5, 1e-5])
+
+
 def _local_noise(residual: Array, dt: Array, restart: Mask, start: Colour | None = None) -> Colour:
     """Random walk and capture noise of the attitude error (no slower disturbance)."""
     fitted = fit_colour(residual, dt, restart, integrated=True, start=start)
@@ -421,8 +425,11 @@ def _position_noise(error: Array, dt: Array, start: Array | None = None) -> Arra
         rough = float(np.median(np.abs(third)) / 0.6745 / np.sqrt(20.0)) + 1e-7
         start = np.array([rough, 0.01, 0.01, 0.3])
 
+    def noise_of(logs: Array) -> Array:
+        return np.array([*np.maximum(np.exp(logs), _FINEST), 0.3])
+
     def cost(logs: Array) -> float:
-        noise = np.array([*np.exp(logs), 0.3])
+        noise = noise_of(logs)
         e, s, *_ = _position_filter(error, dt, noise)
         keep = np.isfinite(s)
         square = np.minimum(e[keep] ** 2 / np.maximum(s[keep, None], 1e-30), 25.0)
@@ -431,7 +438,7 @@ def _position_noise(error: Array, dt: Array, start: Array | None = None) -> Arra
     found = minimize(
         cost, np.log(start[:3]), method="Nelder-Mead", options={"maxiter": 80, "xatol": 0.05, "fatol": 0.1}
     )
-    return np.array([*np.exp(found.x), 0.3])
+    return noise_of(found.x)
 
 
 def _combine(
