@@ -31,11 +31,11 @@ def force_along_velocity(name: str, size: float, power: float) -> Candidate:
         forces[:, :2] = -velocity * np.linalg.norm(velocity, axis=1, keepdims=True) ** (power - 1.0)
         return forces
 
-    return Candidate(
-        name,
-        lambda motion: size * shape(motion),
-        lambda motion: np.concatenate([base_columns(motion), shape(motion)[:, :, None]], axis=2),
-    )
+    def explanations(t: np.ndarray, motion: RigidMotion) -> list[tuple[np.ndarray, np.ndarray]]:
+        columns = np.concatenate([base_columns(motion), shape(motion)[:, :, None]], axis=2)
+        return [(np.zeros((len(t), 6)), columns)]
+
+    return Candidate(name, lambda t, motion: size * shape(motion), explanations)
 
 
 LINEAR, QUADRATIC = force_along_velocity("rotor_drag", 0.3, 1.0), force_along_velocity("body_drag", 0.5, 2.0)

@@ -100,13 +100,14 @@ def diagnose(
     loaded = load_flights(flights, vehicle, start_s, end_s)
     references, judges = load_flights(reference, vehicle), load_flights(held_out, vehicle)
     from groundstation.diagnosis import diagnose as run
-    from groundstation.flight.analysis import write_json
+    from groundstation.flight.analysis import with_next_flight, write_json
 
     line = ProgressLine()
     found = run(loaded, references=references, held_out=judges, progress=line.fraction)
     line.end()
     folder = result_folder(flights[0], logs)
     folder.mkdir(parents=True, exist_ok=True)
+    found, plan = with_next_flight(folder, found, loaded[0].vehicle)
     written = write_json(folder / "diagnosis.json", found.to_dict())
     lines = [
         f"verdict: {found.verdict}" + (f" ({found.reason})" if found.reason else ""),
@@ -118,6 +119,7 @@ def diagnose(
         *(f"warning: {text}" for text in found.warnings),
         *([f"next flight: {found.next_flight}"] if found.next_flight else []),
         f"written: {written}",
+        *([f"written: {plan}"] if plan is not None else []),
     ]
     return Result(found.to_dict(), "\n".join(lines), Refused.exit_status if found.verdict == "refused" else 0)
 

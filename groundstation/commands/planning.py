@@ -14,6 +14,7 @@ from groundstation.errors import BadInput
 
 if TYPE_CHECKING:
     from groundstation.trajectory import Plan
+    from groundstation.vehicle import Vehicle
 
 LIMIT_OPTIONS = {
     "x-max-m": "x_max_m",
@@ -56,6 +57,8 @@ def limits_in_si(values: dict[str, float | None]) -> dict[str, float]:
 @click.option("--seed", type=int, default=3, show_default=True, help="Of the random starts.")
 @click.option("--time-budget-s", type=float, default=8.0, show_default=True, help="Seconds to search.")
 @click.option("--compare", is_flag=True, help="Compare families of signals under the same limits, as a table.")
+@click.option("--discriminate", type=click.Path(path_type=Path, dir_okay=False), default=None,
+              help="diagnosis.json of a flight: plan the one that tells apart what it left open.")  # fmt: skip
 @click.option("--output", type=click.Path(path_type=Path, dir_okay=False), default=None, help="Plan file to write.")
 @limit_options
 @json_option
@@ -71,10 +74,16 @@ def plan(
     seed: int,
     time_budget_s: float,
     compare: bool,
+    discriminate: Path | None,
     output: Path | None,
     **limits: float | None,
 ) -> Result:
     """Optimise an excitation trajectory for a vehicle and a room. Ctrl-C gives the best so far."""
+    if discriminate is not None:
+        if paper or compare or criterion or harmonics or base_frequency_deg_s or frequency_max_hz:
+            raise BadInput("--discriminate chooses criterion and frequencies itself; leave those options out.")
+        bounds = limits_in_si(limits) | known_limits(assignments(more_limits))
+        return _discriminating(discriminate, vehicle, duration_s, seed, time_budget_s, output, bounds)
     from groundstation.paths import find_config
     from groundstation.planning import paper_problem, plan_document, plan_excitation
     from groundstation.vehicle import load_vehicle
@@ -106,6 +115,69 @@ def plan(
     if output is not None:
         write_plan(found, output)
     return Result(plan_document(found), plan_text(found, output))
+
+
+def _discriminating(
+    path: Path,
+    vehicle: str | None,
+    duration_s: float | None,
+    seed: int,
+    time_budget_s: float,
+    output: Path | None,
+    limits: dict[str, float],
+) -> Result:
+    """The flight that settles a diagnosis."""
+    from groundstation.diagnosis.next_flight import DURATION_S, TRIAL_S, odds_sentence, plan_next
+    from groundstation.planning import plan_document
+
+    document = read_diagnosis(path)
+    line = ProgressLine()
+    found = plan_next(
+        document,
+        _vehicle_of(path, document, vehicle),
+        duration_s=duration_s or DURATION_S,
+        trials=max(int(time_budget_s / TRIAL_S), 4),
+        seed=seed,
+        progress=line.fraction,
+        **limits,
+    )
+    line.end()
+    if output is not None:
+        write_plan(found.plan, output)
+    odds = [{"pair": list(pair), "log_odds": value} for pair, value in found.log_odds.items()]
+    answer = {**plan_document(found.plan), "expected_log_odds": odds, "channels": found.channels}
+    return Result(answer, f"{odds_sentence(found)}\n{plan_text(found.plan, output)}")
+
+
+def read_diagnosis(path: Path) -> dict[str, Any]:
+    """The document in a ``diagnosis.json``.
+
+    Raises:
+        BadInput: missing, malformed, or of another schema.
+    """
+    import json
+
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); give the diagnosis.json of a flight.") from None
+    except ValueError as error:
+        raise BadInput(f"{path}: is not valid JSON ({error}); write it again with `diagnose`.") from None
+    if not isinstance(document, dict) or document.get("schema") != "groundstation.diagnosis/1":
+        raise BadInput(f"{path}: is no groundstation.diagnosis/1 document; write one with `diagnose`.")
+    return document
+
+
+def _vehicle_of(path: Path, document: dict[str, Any], given: str | None) -> Vehicle:
+    """The vehicle as given, else as declared in the identification beside the diagnosis, else the shipped one of its name."""
+    from groundstation.paths import find_config
+    from groundstation.reporting.exports import read_model
+    from groundstation.vehicle import load_vehicle, vehicle_from_dict
+
+    model = path.with_name("identification.toml")
+    if given is None and model.is_file():
+        return vehicle_from_dict(read_model(model)["vehicle"], str(model))
+    return load_vehicle(find_config("vehicles", given or str(document.get("vehicle"))))
 
 
 def known_limits(values: dict[str, float]) -> dict[str, float]:

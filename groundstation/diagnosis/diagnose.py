@@ -12,6 +12,7 @@ from groundstation.diagnosis.attribution import Named, Selection, candidates, fo
 from groundstation.diagnosis.effect import is_commanded, library
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, Solution
 from groundstation.diagnosis.kinematic import kinematic_findings
+from groundstation.diagnosis.next_flight import rival_entries
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
 from groundstation.diagnosis.screen import dependences, unexplained
 from groundstation.errors import Refused
@@ -92,9 +93,17 @@ def diagnose(
         next_flight=_next_flight(findings, remaining),
         reason=_reason(verdict, findings, remaining),
         warnings=tuple(_warnings(suspects, references)),
-        candidates=tuple(
-            {"effect": n.candidate.identifier, "settings": dict(n.candidate.settings), "evidence": n.evidence}
-            for n in named
+        candidates=(
+            *(
+                {"effect": n.candidate.identifier, "settings": dict(n.candidate.settings), "evidence": n.evidence}
+                for n in named
+            ),
+            *rival_entries(
+                evidence,
+                chosen,
+                [(n.candidate, n.alternatives) for n in named],
+                _pool(vehicle, evidence.flights[0], references=bool(healthy)),
+            ),
         ),
         residual=_residuals(evidence, baseline, chosen, fitted, bool(lag)),
     )

@@ -14,7 +14,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +89,10 @@ def analyse(
         raise
     write_identification(folder, identification, flights[0].vehicle)
     diagnosis = _diagnose(flights, references, held_out, lambda f, text: progress(0.55 + 0.35 * f, text))
+    diagnosis, plan = with_next_flight(folder, diagnosis, flights[0].vehicle)
     files = write_identification(folder, identification, flights[0].vehicle, diagnosis)
+    if plan is not None:
+        files["next_flight"] = plan
     files["diagnosis"] = write_json(folder / "diagnosis.json", diagnosis.to_dict())
     progress(0.92, "writing the report")
     files["report"] = write_report(folder / "report.html", flights[0], identification, diagnosis, source=source)
@@ -111,6 +114,25 @@ def _diagnose(
         traceback.print_exc()
         reason = f"the diagnosis failed ({type(error).__name__}: {error}); this is a defect"
         return Diagnosis(first.name, first.vehicle.name, "refused", reason=reason)
+
+
+def with_next_flight(folder: Path, diagnosis: Diagnosis, vehicle: Vehicle) -> tuple[Diagnosis, Path | None]:
+    """Where explanations remain, the plan that tells them apart as ``next_flight.toml``, named in the diagnosis.
+
+    Where no motion tells them apart, the diagnosis stays as it is: it names the manoeuvre or the measurement.
+    """
+    from groundstation.commands.planning import write_plan
+    from groundstation.diagnosis.next_flight import odds_sentence, plan_next
+
+    if not any(finding.alternatives for finding in diagnosis.findings):
+        return diagnosis, None
+    try:
+        found = plan_next(diagnosis.to_dict(), vehicle)
+    except GroundStationError:
+        return diagnosis, None
+    path = write_plan(found.plan, folder / "next_flight.toml")
+    text = f"{diagnosis.next_flight} Planned as {path.name}: {odds_sentence(found)}".strip()
+    return replace(diagnosis, next_flight=text), path
 
 
 def write_identification(

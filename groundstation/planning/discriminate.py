@@ -32,18 +32,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A model in contention, as numbers along a motion of a period.
+    """A model in contention, as functions of the instants t (k,) of a flight and the motion at them.
 
     Attributes:
         name: of the effect.
-        wrench: body forces and torques it predicts beyond what all candidates share, shape (k, 6), at its fitted size.
-        regressors: how the wrench depends on what is fitted anew on the next flight, shape (k, 6, p); the base parameters
-            that all candidates fit belong here too.
+        wrench: body forces and torques it predicts beyond what all candidates share, shape (k, 6), at its fitted size; None
+            where its size is unknown, which leaves it a rival only.
+        explanations: what it can predict at any size, as pairs of an offset (k, 6) and columns (k, 6, p) for what is fitted
+            anew on the next flight, the base parameters that all candidates fit among them; one pair for each of its settings.
     """
 
     name: str
-    wrench: Callable[[RigidMotion], Array]
-    regressors: Callable[[RigidMotion], Array]
+    wrench: Callable[[Array, RigidMotion], Array] | None
+    explanations: Callable[[Array, RigidMotion], Sequence[tuple[Array, Array]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,13 +67,52 @@ class Separation:
         return 1.0 / (1.0 + math.exp(-min(min(self.log_odds.values()), 700.0)))
 
 
-def _whitened(values: Array, vehicle: Vehicle, noise: Noise, base_frequency_rad_s: float, duration_s: float) -> Array:
-    """Weighted Fourier coefficients of samples over a period, real and imaginary, shape (2 h, 6, ...)."""
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """A candidate along one flight, weighed by the noise: rows are real and imaginary Fourier coefficients, (2 h, 6, ...)."""
+
+    wrench: Array | None
+    explanations: tuple[tuple[Array, Array], ...]
+
+
+def _whitened(values: Array, vehicle: Vehicle, noise: Noise, duration_s: float) -> Array:
+    """Weighted Fourier coefficients of samples over a flight, real and imaginary, shape (2 h, 6, ...)."""
     coefficients = np.fft.rfft(values, axis=0) / len(values)
     harmonic = np.arange(len(coefficients))
-    power = duration_s * np.where(harmonic == 0, 1.0, 2.0) / noise.spectra(vehicle, harmonic * base_frequency_rad_s)
+    power = duration_s * np.where(harmonic == 0, 1.0, 2.0)
+    power = power / noise.spectra(vehicle, harmonic * (2.0 * math.pi / duration_s))
     weighted = coefficients * np.sqrt(power.T).reshape(len(harmonic), 6, *[1] * (values.ndim - 2))
     return np.concatenate([weighted.real, weighted.imag])
+
+
+def _seen(candidate: Candidate, series: FourierSeries, vehicle: Vehicle, noise: Noise) -> _Seen:
+    """Everything a candidate predicts of a flight; the whole of it is sampled, for an effect may depend on time."""
+    count = round(series.periods) * max(64, 16 * series.a.shape[1])
+    t = np.arange(count) * (series.duration_s / count)
+    motion = rigid_motion(series.sample(t), vehicle.gravity_m_s2)
+
+    def white(values: Array) -> Array:
+        return _whitened(values, vehicle, noise, series.duration_s)
+
+    wrench = None if candidate.wrench is None else white(candidate.wrench(t, motion))
+    pairs = tuple((white(offset), white(columns)) for offset, columns in candidate.explanations(t, motion))
+    return _Seen(wrench, pairs)
+
+
+def _odds(truth: _Seen, rival: _Seen) -> tuple[float, Array]:
+    """Expected log odds for ``truth`` against the rival's best explanation, and the share of each channel."""
+    if truth.wrench is None:
+        return math.inf, np.zeros(6)
+    found = []
+    for offset, columns in rival.explanations:
+        difference = truth.wrench - offset
+        flat = columns.reshape(-1, columns.shape[-1])
+        flat = flat / np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
+        fitted = np.linalg.pinv(flat.T @ flat, rcond=1e-10, hermitian=True) @ (flat.T @ difference.ravel())
+        rest = difference - (flat @ fitted).reshape(difference.shape)
+        found.append(0.5 * np.sum(rest**2, axis=0))
+    least = min(found, key=np.sum)
+    return float(least.sum()), least
 
 
 def separation(
@@ -85,24 +125,13 @@ def separation(
     """Expected log odds for the true candidate after the flight, and how much of them each channel gives, shape (6,).
 
     Args:
-        truth: the candidate that holds.
-        rival: the one fitted to its data.
-        series: the excitation, all its periods.
+        truth: the candidate that holds; infinite odds where its size is unknown.
+        rival: the one fitted to its data, at the best of its settings.
+        series: the excitation, all its (whole) periods.
         vehicle: nominal vehicle.
         noise: what disturbs the flight.
     """
-    count = max(128, 32 * series.a.shape[1])
-    t = np.arange(count) * (series.period_s / count)
-    motion = rigid_motion(series.sample(t), vehicle.gravity_m_s2)
-    timing = series.base_frequency_rad_s, series.duration_s
-    difference = _whitened(truth.wrench(motion) - rival.wrench(motion), vehicle, noise, *timing)
-    columns = _whitened(rival.regressors(motion), vehicle, noise, *timing)
-    flat = columns.reshape(-1, columns.shape[-1])
-    flat = flat / np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
-    fitted = np.linalg.lstsq(flat, difference.ravel(), rcond=1e-10)[0]
-    rest = (difference.ravel() - flat @ fitted).reshape(difference.shape)
-    by_channel = 0.5 * np.sum(rest**2, axis=0)
-    return float(by_channel.sum()), by_channel
+    return _odds(_seen(truth, series, vehicle, noise), _seen(rival, series, vehicle, noise))
 
 
 def plan_discrimination(
@@ -162,7 +191,7 @@ def plan_discrimination(
         waves = np.stack([resting(wave, used) for wave in waves])
         series = fill(waves, task)
         series = replace(series, periods=float(round(duration_s / series.period_s)))
-        odds = min(_pairs(candidates, series, vehicle, noise).values())
+        odds = min(each for each, _ in _pairs(candidates, series, vehicle, noise).values())
         if odds > best_odds:
             size = np.hypot(series.a, series.b).max(axis=1) / np.maximum(
                 np.hypot(*waves.swapaxes(0, 1)).max(axis=1), 1e-12
@@ -178,22 +207,21 @@ def plan_discrimination(
             f"no motion within these limits tells {names} apart.",
             "Widen the limits, above all tilt and speed, or measure what distinguishes them directly.",
         )
-    odds = _pairs(candidates, best, vehicle, noise)
-    hardest = min(odds, key=lambda pair: odds[pair])
-    by_name = {candidate.name: candidate for candidate in candidates}
-    total, shares = separation(by_name[hardest[0]], by_name[hardest[1]], best, vehicle, noise)
+    found = _pairs(candidates, best, vehicle, noise)
+    hardest = min(found, key=lambda pair: found[pair][0])
+    total, channels = found[hardest]
     plan = describe(best, vehicle, (bounds,), criterion="T", noise=noise, note=f"tells {' from '.join(hardest)}")
-    return Separation(plan, odds, dict(zip(CHANNELS, (shares / max(total, 1e-300)).tolist(), strict=True)))
+    shares = dict(zip(CHANNELS, (channels / max(total, 1e-300)).tolist(), strict=True))
+    return Separation(plan, {pair: odds for pair, (odds, _) in found.items()}, shares)
 
 
 def _pairs(
     candidates: Sequence[Candidate], series: FourierSeries, vehicle: Vehicle, noise: Noise
-) -> dict[tuple[str, str], float]:
-    """For each pair the log odds by the worse of both ways round."""
+) -> dict[tuple[str, str], tuple[float, Array]]:
+    """For each pair the log odds by the worse of both ways round, and what each channel gives of them."""
+    seen = [_seen(candidate, series, vehicle, noise) for candidate in candidates]
     return {
-        (one.name, other.name): min(
-            separation(one, other, series, vehicle, noise)[0], separation(other, one, series, vehicle, noise)[0]
-        )
+        (one.name, candidates[j].name): min(_odds(seen[i], seen[j]), _odds(seen[j], seen[i]), key=lambda way: way[0])
         for i, one in enumerate(candidates)
-        for other in candidates[i + 1 :]
+        for j in range(i + 1, len(candidates))
     }
