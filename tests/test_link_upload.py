@@ -7,7 +7,7 @@ import pytest
 from test_link_emulated import Pair
 
 from drivers.mavlink.ftp import Ftp
-from groundstation.flight.pilot import Placement, target_at
+from groundstation.flight.placement import Placement, target_at
 from groundstation.flight.profiles import PROFILES
 from groundstation.flight.upload import SCRIPT, choose_way, coefficients_text, send_onboard
 from groundstation.trajectory import FourierSeries, Sequence

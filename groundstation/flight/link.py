@@ -17,9 +17,7 @@ import gc
 import os
 import queue
 import signal
-import subprocess
 import sys
-import threading
 import time
 import tomllib
 from collections.abc import Callable, Sequence
@@ -31,14 +29,14 @@ from drivers import bus
 from drivers.mavlink import tlog
 from drivers.mavlink.signing import Signing, signing_stamp
 from drivers.mavlink.transports import Transport, open_transport
-from drivers.mocap.source import FrameReader
-from drivers.samples import Batch, Motors, Pose, Raw, Sample, encode_batch
+from drivers.samples import Batch, Motors, Raw, Sample, encode_batch
 from groundstation.errors import BadInput, GroundStationError, Refused
-from groundstation.flight.children import module_command
+from groundstation.flight.background import Writer
 from groundstation.flight.link_core import LinkCore, Options, Output
 from groundstation.flight.parameter_journal import ParameterJournal
 from groundstation.flight.pilot import IN_AIR, Answered, Phase
-from groundstation.flight.station import MocapSource, load_station
+from groundstation.flight.pose_source import PoseSource
+from groundstation.flight.station import load_station
 from groundstation.trajectory import plan_from_dict
 from groundstation.vehicle import Vehicle, load_vehicle
 
@@ -61,68 +59,6 @@ _PHASES: dict[Phase, bus.DronePhase] = {
     Phase.RELEASED: "landing",
     Phase.LANDED: "landed",
 }
-
-
-class Writer:
-    """A thread that does slow things in order: publishing, and writing the raw log."""
-
-    def __init__(self, name: str, work: Callable[[object], None]):
-        self._queue: queue.SimpleQueue[object] = queue.SimpleQueue()
-        self._work = work
-        self.failure = ""
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-        self._thread.start()
-
-    def put(self, item: object) -> None:
-        """Hand over; returns at once."""
-        self._queue.put(item)
-
-    def close(self) -> None:
-        """Do what is queued, but not for longer than a second."""
-        self._queue.put(None)
-        self._thread.join(1.0)
-
-    def _run(self) -> None:
-        while (item := self._queue.get()) is not None:
-            try:
-                self._work(item)
-            except Exception as error:  # a broken disk or bus must not reach the thread that flies
-                self.failure = self.failure or str(error)
-
-
-class PoseSource:
-    """The motion-capture client's process, read without waiting; started again by itself when it ends."""
-
-    def __init__(self, mocap: MocapSource):
-        self._command = module_command(
-            "drivers.mocap.source", "--system", mocap.system, "--host", mocap.host, "--body", mocap.body
-        )
-        self._reader = FrameReader()
-        self._process = self._start()
-
-    def read(self) -> list[tuple[Pose, float]]:
-        """Poses that arrived, with the host time they did."""
-        assert self._process.stdout is not None  # noqa: S101 - piped below
-        try:
-            data = os.read(self._process.stdout.fileno(), 1 << 16)
-        except BlockingIOError:
-            return []
-        if not data and self._process.poll() is not None:
-            self._reader, self._process = FrameReader(), self._start()
-        return self._reader.feed(data)
-
-    def close(self) -> None:
-        """End it; it has nothing to save."""
-        self._process.kill()
-        self._process.wait()
-
-    def _start(self) -> subprocess.Popen[bytes]:
-        process = subprocess.Popen(
-            self._command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, start_new_session=True
-        )
-        assert process.stdout is not None  # noqa: S101
-        os.set_blocking(process.stdout.fileno(), False)
-        return process
 
 
 class LinkProcess:
@@ -266,7 +202,7 @@ class LinkProcess:
 
     def _emit(self, out: Output) -> None:
         for name, before, after in out.changed:  # on disk before the vehicle hears of it
-            self._journal.note(self.core.vehicle_key, name, before, after)
+            self._journal.note(self.core.view.key if self.core.view else "", name, before, after)
         for data in out.send:
             self.transport.write(data)
         for sample, host_s in out.samples:

@@ -7,29 +7,29 @@ as setpoints are due; guard and setpoints come first in it and wait for nothing.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf
 from typing import TypeVar
 
 from drivers.mavlink.codec import MavlinkCodec, Received
-from drivers.mavlink.dialect import Message, mavlink, message_id
-from drivers.mavlink.exchange import Ask, Conversation, Steps
-from drivers.mavlink.parameters import Parameters
+from drivers.mavlink.dialect import Message, mavlink
+from drivers.mavlink.exchange import Conversation, Steps
 from drivers.mavlink.signing import Signing
 from drivers.mavlink.telemetry import Telemetry
 from drivers.mavlink.timesync import Timesync
 from drivers.mavlink.transports import Peer
-from drivers.samples import Event, Pose, Raw, Sample, Setpoint, State, Vector3
+from drivers.samples import Event, Pose, Raw, Sample, Setpoint, State
 from groundstation.errors import BadInput
-from groundstation.flight.guard import Guard, Observations, Verdict
+from groundstation.flight.guard import Guard, Verdict
 from groundstation.flight.pilot import GUARDED, Answered, Phase, Pilot
 from groundstation.flight.preflight import Check, Situation, failures, run_checks
-from groundstation.flight.profiles import Profile, profile_for
-from groundstation.flight.rates import fit_rates
+from groundstation.flight.prepare import Preparation
+from groundstation.flight.profiles import profile_for
 from groundstation.flight.station import Station
 from groundstation.flight.upload import choose_way
 from groundstation.flight.view import Meter, VehicleView
+from groundstation.flight.watch import Disagreement, observe
 from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle
 
@@ -37,13 +37,7 @@ T = TypeVar("T")
 
 HEARTBEAT_EVERY_S = 1.0
 TIMESYNC_EVERY_S = 0.1
-MEASURE_S = 2.5
 CARRIED = 200
-_KEPT = frozenset(
-    {"HEARTBEAT", "SYS_STATUS", "STATUSTEXT", "COMMAND_ACK", "COMMAND_LONG", "TIMESYNC", "AUTOPILOT_VERSION",
-     "PARAM_VALUE", "POSE"}
-)  # fmt: skip
-"""Never switched off on a slow line, where what nobody asked for is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +98,7 @@ class LinkCore:
         self.ready = False
         self.trouble = "no autopilot heard yet"
         self.checks: list[Check] = []
-        self.parameters: dict[str, float | None] = {}
-        self.rates: dict[str, float] = {}
-        self.changed: dict[str, float] = {}
+        self.preparation: Preparation | None = None
         self._left_changed = restore or {}
         self.verdict: Verdict | None = None
         self._signing = signing
@@ -117,7 +109,6 @@ class LinkCore:
         self._guard: Guard | None = None
         self._restoring: Conversation[None] | None = None
         self._talks: list[Conversation] = []
-        self._changes: list[tuple[str, float, float]] = []
         self._events: list[Event] = []
         self._heartbeat_s = self._timesync_s = self._setpoint_due_s = -inf
         self._sync_sent: dict[int, float] = {}
@@ -125,7 +116,7 @@ class LinkCore:
         self._abort = ""
         self._phase = Phase.IDLE
         self._carried: deque[tuple[State, Pose]] = deque(maxlen=CARRIED)
-        self._origin: tuple[Vector3, Vector3] | None = None
+        self._disagreement = Disagreement()
         self._pose_to_vehicle_s = -inf
 
     # Orders from the core ---------------------------------------------------------------------------------------------
@@ -178,7 +169,7 @@ class LinkCore:
         if name == "start":
             self._abort, self.verdict = "", None
             self._guard = Guard(self.station.guard, self.station.box, self.vehicle.battery.empty_v)
-            self._origin = None
+            self._disagreement = Disagreement()
             if self.view is not None:
                 self.view.take_jump()
         return self.pilot.order(name, now_s, reason)
@@ -225,11 +216,14 @@ class LinkCore:
         return None if self.view is None else self.view.profile.system
 
     @property
-    def vehicle_key(self) -> str:
-        """What this one vehicle is remembered by: its autopilot's serial number, else autopilot and system id."""
-        if self.view is None:
-            return ""
-        return self.view.serial or f"{self.view.profile.name}-{self.view.profile.system}"
+    def parameters(self) -> Mapping[str, float | None]:
+        """As read from the vehicle; None for one it does not have."""
+        return {} if self.preparation is None else self.preparation.parameters
+
+    @property
+    def changed(self) -> Mapping[str, float]:
+        """Parameters changed and not restored yet, with their values before."""
+        return {} if self.preparation is None else self.preparation.changed
 
     def device_s(self, now_s: float) -> float:
         """The vehicle's clock now: by TIMESYNC, else its newest stamp."""
@@ -284,7 +278,10 @@ class LinkCore:
             self.vehicle.rotors.count, system=profile.system, imu=profile.imu, pwm_us=profile.pwm_us
         )
         if not self.options.quiet:
-            self.converse(self._prepare(profile))
+            self.preparation = Preparation(
+                self.view, self.station, self.options.set_parameters, self.options.bytes_per_s, self._left_changed
+            )
+            self.converse(self.preparation.steps())
         self.trouble = "asking the vehicle for its messages and parameters"
         self._tell(out, now_s, "link", f"{profile.name} heard as system {profile.system} from {peer}")
 
@@ -319,49 +316,12 @@ class LinkCore:
         assert self.pilot is not None and self.view is not None  # noqa: S101
         if self.pilot.phase not in GUARDED or self._guard is None:
             return
-        verdict = self._guard.step(now_s, self._observe(now_s))
+        seen = observe(now_s, self.pilot, self.station, self._disagreement, self._core_s, self._abort)
+        verdict = self._guard.step(now_s, seen)
         if verdict is not None and verdict != self.verdict:
             self.verdict = verdict
             self._tell(out, now_s, "guard", f"{verdict.action}: {verdict.reason}")
             self.pilot.obey(verdict, now_s)
-
-    def _observe(self, now_s: float) -> Observations:
-        """What the guard is shown now."""
-        view, pilot = self.view, self.pilot
-        assert view is not None and pilot is not None  # noqa: S101
-        led = pilot.phase in (Phase.CLIMBING, Phase.FOLLOWING)
-        state = view.state
-        silent = self.station.policy.when_core_is_silent == "land" and led
-        watched = self.station.mocap.system != "none"
-        return Observations(
-            position_m=None if state is None else pilot.placement.to_plan(state.position_m),
-            velocity_m_s=None if state is None else state.velocity_m_s,
-            quaternion=None if state is None else state.quaternion,
-            target_m=pilot.target.position_m if pilot.target is not None and pilot.phase is Phase.FOLLOWING else None,
-            state_age_s=now_s - view.state_s,
-            link_age_s=now_s - view.heard_s,
-            pose_age_s=now_s - view.pose_changed_s if watched else None,
-            pose_disagreement_m=self._disagreement() if watched else None,
-            battery_remaining=view.battery_remaining,
-            battery_v=None if view.battery is None else view.battery.voltage_v,
-            estimator_jump_m=view.take_jump(),
-            oscillation_rad_s=view.oscillation.rms_rad_s,
-            core_age_s=now_s - self._core_s if silent and self._core_s is not None else None,
-            setpoint_age_s=now_s - pilot.setpoint_sent_s if led and pilot.setpoint_sent_s is not None else None,
-            abort=self._abort,
-        )
-
-    def _disagreement(self) -> float | None:
-        """How differently poses and estimate moved since the start; the constant between their origins does not count."""
-        assert self.view is not None  # noqa: S101
-        state, pose = self.view.state, self.view.pose
-        if state is None or pose is None:
-            return None
-        if self._origin is None:
-            self._origin = (state.position_m, pose.position_m)
-        there, here = self._origin
-        moved = zip(state.position_m, there, pose.position_m, here, strict=True)
-        return sum(((s - a) - (p - b)) ** 2 for s, a, p, b in moved) ** 0.5
 
     def _lead(self, now_s: float, messages: list[Message], out: Output) -> None:
         assert self.pilot is not None  # noqa: S101
@@ -385,56 +345,11 @@ class LinkCore:
         self._talks.append(talk)
         return talk
 
-    # Preparing and restoring ------------------------------------------------------------------------------------------
-
-    def _prepare(self, profile: Profile) -> Steps[None]:
-        """Ask for messages, read parameters, restore what an earlier flight left, set what this one needs."""
-        yield Ask((profile.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 148.0),), _named("AUTOPILOT_VERSION"), 0.7, 3)
-        self.rates = fit_rates(profile.streams, self.options.bytes_per_s)
-        if self.options.bytes_per_s is not None and self.view is not None:
-            unasked = [name for name in self.view.meters if name not in self.rates and name not in _KEPT]
-            for name in unasked:
-                if not name.startswith("UNKNOWN"):
-                    yield Ask((profile.interval(message_id(name), 0.0),), _acknowledges_interval, 0.5, 2)
-        for name, rate in self.rates.items():
-            yield Ask((profile.interval(message_id(name), rate),), _acknowledges_interval, 0.5, 4)
-        dialogue = Parameters(profile.system, profile.component, bytewise=profile.bytewise_parameters)
-        self.changed = dict(self._left_changed.get(self.vehicle_key, {}))
-        yield from self._restore(dialogue)
-        indoors = self.station.mocap.system != "none"
-        for rule in profile.parameters:
-            if rule.indoors and not indoors:
-                continue
-            found = yield from dialogue.read(rule.name)
-            if found is None:
-                self.parameters[rule.name] = None
-                continue
-            self.parameters[rule.name] = found[0]
-            if found[0] not in rule.accepted and rule.settable and self.options.set_parameters:
-                self.changed.setdefault(rule.name, found[0])
-                self._changes.append((rule.name, found[0], rule.accepted[0]))
-                if (yield from dialogue.write(rule.name, rule.accepted[0])):
-                    self.parameters[rule.name] = rule.accepted[0]
-        if profile.climbs_by_command and self.view is not None and not self.view.armed:
-            # After a landing it stands in a mode that it does not arm in, and its own checks fail for that alone.
-            yield Ask((profile.set_mode(profile.follow_mode),), _named("COMMAND_ACK"), 0.7, 3)
-        yield Ask((), lambda _m: False, MEASURE_S, 1)
-        self.ready, self.trouble = True, ""
-
-    def _restore(self, dialogue: Parameters) -> Steps[None]:
-        """Write back what was there before."""
-        for name, value in list(self.changed.items()):
-            if (yield from dialogue.write(name, value)):
-                del self.changed[name]
-                self._changes.append((name, value, value))
-
     def restore_parameters(self) -> None:
         """Begin to write back what was changed for the flight; only disarmed. ``changed`` empties as it succeeds."""
         busy = self._restoring is not None and not self._restoring.done
-        if self.view is not None and not busy and self.changed and not self.view.armed:
-            profile = self.view.profile
-            dialogue = Parameters(profile.system, profile.component, bytewise=profile.bytewise_parameters)
-            self._restoring = self.converse(self._restore(dialogue))
+        if self.preparation is not None and not busy and self.changed and self.view is not None and not self.view.armed:
+            self._restoring = self.converse(self.preparation.restore())
 
     def _converse(self, now_s: float, messages: Sequence[Message], out: Output) -> None:
         for talk in list(self._talks):
@@ -442,7 +357,10 @@ class LinkCore:
                 self._send(message, now_s, out)
             if talk.done:
                 self._talks.remove(talk)
-        out.changed, self._changes = self._changes, []
+        if self.preparation is not None:
+            out.changed = self.preparation.take_changes()
+            if self.preparation.done and not self.ready:
+                self.ready, self.trouble = True, ""
 
     # Sending ----------------------------------------------------------------------------------------------------------
 
@@ -472,11 +390,3 @@ class LinkCore:
 
     def _tell(self, out: Output, now_s: float, kind: str, text: str) -> None:
         out.samples.append((Event(self.device_s(now_s), kind, text), now_s))
-
-
-def _named(name: str):
-    return lambda m: m.get_type() == name
-
-
-def _acknowledges_interval(m: Message) -> bool:
-    return m.get_type() == "COMMAND_ACK" and m.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL

@@ -14,28 +14,24 @@ Rules that hold whatever else happens:
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from math import cos, sin, sqrt
 
 import numpy as np
 
-from drivers.mavlink.dialect import Message, mavlink
-from drivers.mavlink.exchange import Ask, Conversation, Steps
+from drivers.mavlink.dialect import Message
+from drivers.mavlink.exchange import Conversation, Steps
 from drivers.mavlink.geometry import yaw_of
 from drivers.samples import Vector3
 from groundstation.flight.guard import Verdict
+from groundstation.flight.orders import Orders, distance
+from groundstation.flight.placement import Placement, target_at
 from groundstation.flight.profiles import Profile, Target
 from groundstation.flight.station import Policy
 from groundstation.flight.view import VehicleView
 from groundstation.trajectory import Plan, Sequence, flight_path
 
 AGAIN_S = 0.5
-STREAM_FIRST_S = 0.6
-CLIMB_TIMEOUT_S = 30.0
-MODE_TIMEOUT_S = 2.0
-_UNDER_WAY = mavlink.MAV_RESULT_IN_PROGRESS
 
 
 class Phase(StrEnum):
@@ -54,43 +50,6 @@ class Phase(StrEnum):
 
 IN_AIR = frozenset({Phase.CLIMBING, Phase.FOLLOWING, Phase.HOLDING, Phase.LANDING, Phase.RELEASED})
 GUARDED = frozenset({Phase.CLIMBING, Phase.FOLLOWING, Phase.HOLDING, Phase.LANDING})
-
-
-@dataclass(frozen=True, slots=True)
-class Placement:
-    """How the plan's frame lies in the vehicle's: moved by ``origin_m`` and turned by ``yaw_rad`` about the vertical."""
-
-    origin_m: Vector3 = (0.0, 0.0, 0.0)
-    yaw_rad: float = 0.0
-
-    def to_vehicle(self, target: Target) -> Target:
-        """A target of the plan in the vehicle's frame."""
-        x, y, z = self._turn(target.position_m, self.yaw_rad)
-        a, b, c = self.origin_m
-        return Target(
-            (x + a, y + b, z + c),
-            self._turn(target.velocity_m_s, self.yaw_rad),
-            self._turn(target.acceleration_m_s2, self.yaw_rad),
-            target.yaw_rad + self.yaw_rad,
-            target.yaw_rate_rad_s,
-        )
-
-    def to_plan(self, position_m: Vector3) -> Vector3:
-        """A position of the vehicle in the plan's frame."""
-        x, y, z = (p - o for p, o in zip(position_m, self.origin_m, strict=True))
-        return self._turn((x, y, z), -self.yaw_rad)
-
-    @staticmethod
-    def _turn(vector: Vector3, angle: float) -> Vector3:
-        x, y, z = vector
-        return (cos(angle) * x - sin(angle) * y, sin(angle) * x + cos(angle) * y, z)
-
-
-def target_at(path: Sequence, t_s: float) -> Target:
-    """The path at one instant."""
-    flat = path.sample([t_s])
-    p, v, a = (tuple(float(c) for c in flat.position[n, 0]) for n in range(3))
-    return Target(p, v, a, float(flat.yaw[0, 0]), float(flat.yaw[1, 0]))  # type: ignore[arg-type]
 
 
 @dataclass(slots=True)
@@ -118,6 +77,7 @@ class Pilot:
 
     def __init__(self, profile: Profile, policy: Policy, view: VehicleView):
         self.profile, self.policy, self.view = profile, policy, view
+        self._orders = Orders(profile, policy, view)
         self.phase = Phase.IDLE
         self.reason = ""
         self.plan: Plan | None = None
@@ -167,7 +127,7 @@ class Pilot:
     def _arm(self, now_s: float) -> Answered:
         if self.phase is not Phase.UPLOADED:
             return Answered(False, f"arming needs an uploaded plan; the flight is {self.phase}.")
-        return self._begin(self._arming(), now_s)
+        return self._begin(self._orders.arm(), now_s)
 
     def _start(self, now_s: float) -> Answered:
         if self.phase is not Phase.ARMED or not self.view.armed or self.plan is None or self.view.state is None:
@@ -179,9 +139,9 @@ class Pilot:
         self._restarts = self.view.restarts
         self._enter(Phase.CLIMBING, now_s)
         if self.profile.climbs_by_command:
-            return self._begin(self._climbing(self._start_height() - ground[2]), now_s)
+            return self._begin(self._orders.climb(self._start_height() - ground[2]), now_s)
         self._set_path(ground, now_s)
-        return self._begin(self._entering(), now_s)
+        return self._begin(self._orders.follow(), now_s)
 
     def _order_landing(self, name: str, now_s: float, reason: str) -> Answered:
         if self.phase in (Phase.IDLE, Phase.UPLOADED, Phase.LANDED):
@@ -199,7 +159,7 @@ class Pilot:
             return Answered(False, "disarming is refused in the air; land first.")
         if not self.view.armed:
             return Answered(True)
-        return self._begin(self._disarming(), now_s)
+        return self._begin(self._orders.disarm(), now_s)
 
     # The guard's and the station's decisions --------------------------------------------------------------------------
 
@@ -324,8 +284,8 @@ class Pilot:
         state = self.view.state
         if state is None or self.target is None or self.view.on_ground:
             return False
-        error = _distance(self.placement.to_plan(state.position_m), self.target.position_m)
-        speed = _distance(state.velocity_m_s, (0.0, 0.0, 0.0))
+        error = distance(self.placement.to_plan(state.position_m), self.target.position_m)
+        speed = distance(state.velocity_m_s, (0.0, 0.0, 0.0))
         return error <= self.policy.settled_error_m and speed <= self.policy.settled_speed_m_s
 
     def _window(self) -> tuple[float, float]:
@@ -397,81 +357,8 @@ class Pilot:
             self._talk_answer.ok, self._talk_answer.reason = False, self.reason or "interrupted"
             self._talk = self._talk_answer = None
 
-    def _arming(self) -> Steps[str]:
-        if self.profile.climbs_by_command:
-            reason = yield from self._mode(self.profile.follow_mode)
-            if reason:
-                return reason
-        reason = yield from self._confirmed(self.profile.arm(), "arming", lambda: self.view.armed is True)
-        return reason
-
-    def _disarming(self) -> Steps[str]:
-        return (yield from self._confirmed(self.profile.disarm(), "disarming", lambda: self.view.armed is False))
-
-    def _entering(self) -> Steps[str]:
-        """Setpoints flow already; wait until there are enough of them, then ask for the mode that follows them."""
-        yield Ask((), _nothing, STREAM_FIRST_S, 1)
-        return (yield from self._mode(self.profile.follow_mode))
-
-    def _climbing(self, height_m: float) -> Steps[str]:
-        """Command a climb, and wait for the height."""
-        if self.view.mode != self.profile.follow_mode:
-            reason = yield from self._mode(self.profile.follow_mode)
-            if reason:
-                return reason
-        assert self.view.state is not None  # noqa: S101 - `start` was refused without a position
-        ground_m = self.view.state.position_m[2]
-
-        def there() -> bool:
-            state = self.view.state
-            return (
-                state is not None
-                and abs(state.position_m[2] - ground_m - height_m) < 0.2
-                and (_distance(state.velocity_m_s, (0.0, 0.0, 0.0)) < self.policy.settled_speed_m_s)
-            )
-
-        command = self.profile.take_off(height_m)
-        return (yield from self._confirmed(command, "taking off", there, wait_s=CLIMB_TIMEOUT_S))
-
-    def _mode(self, mode: str) -> Steps[str]:
-        command = self.profile.set_mode(mode)
-        return (yield from self._confirmed(command, f"mode {mode}", lambda: self.view.mode == mode))
-
-    def _confirmed(
-        self, command: Message, what: str, there: Callable[[], bool], wait_s: float = MODE_TIMEOUT_S
-    ) -> Steps[str]:
-        """Send a command, take its acknowledgement, and wait until the vehicle shows the effect: an acknowledgement is none."""
-        told = len(self.view.texts)
-
-        def final(m: Message) -> bool:
-            return m.get_type() == "COMMAND_ACK" and m.command == command.command and m.result != _UNDER_WAY
-
-        ack = yield Ask((command,), final, 0.5, 4)
-        if ack is None and not there():
-            return f"{what}: the vehicle did not acknowledge"
-        if ack is not None and ack.result != mavlink.MAV_RESULT_ACCEPTED and not there():
-            yield Ask((), _nothing, 0.2, 1)  # its reason comes as a text just after
-            texts = [t for t in list(self.view.texts)[told:] if not t.startswith(("info", "debug", "notice"))]
-            name = mavlink.enums["MAV_RESULT"][ack.result].name.removeprefix("MAV_RESULT_").lower().replace("_", " ")
-            return f"{what}: {name}" + (f" ({'; '.join(dict.fromkeys(texts))})" if texts else "")
-        waited = 0.0
-        while not there():
-            if waited > wait_s:
-                return f"{what} was acknowledged, but did not happen within {wait_s:g} s"
-            yield Ask((), _nothing, 0.05, 1)
-            waited += 0.05
-        return ""
-
     def _enter(self, phase: Phase, now_s: float) -> None:
         if phase is not self.phase:
             self.phase, self._since_s, self._again_s = phase, now_s, -1e9
         if phase not in (Phase.CLIMBING, Phase.FOLLOWING):
             self.path, self.target, self.setpoint_sent_s = None, None, None
-
-
-def _nothing(_message: Message) -> bool:
-    return False
-
-
-def _distance(a: Vector3, b: Vector3) -> float:
-    return sqrt(sum((p - q) ** 2 for p, q in zip(a, b, strict=True)))

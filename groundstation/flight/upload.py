@@ -15,7 +15,7 @@ import numpy as np
 
 from drivers.mavlink.exchange import Steps
 from drivers.mavlink.ftp import Ftp
-from groundstation.flight.pilot import Placement
+from groundstation.flight.placement import Placement
 from groundstation.flight.profiles import Profile
 from groundstation.trajectory import FourierSeries
 

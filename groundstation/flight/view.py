@@ -153,6 +153,11 @@ class VehicleView:
         return 0.0 if meter is None else meter.rate_hz(now_s)
 
     @property
+    def key(self) -> str:
+        """What this one vehicle is remembered by: its autopilot's serial number, else autopilot and system id."""
+        return self.serial or f"{self.profile.name}-{self.profile.system}"
+
+    @property
     def in_pilots_hands(self) -> bool:
         """A human's sticks fly it."""
         return self.mode in self.profile.pilot_modes

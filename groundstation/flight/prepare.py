@@ -1,0 +1,113 @@
+"""What a flight asks of the vehicle beforehand, and gives back afterwards: messages, parameters. No I/O, no clock."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from drivers.mavlink.dialect import Message, mavlink, message_id
+from drivers.mavlink.exchange import Ask, Steps
+from drivers.mavlink.parameters import Parameters
+from groundstation.flight.rates import fit_rates
+from groundstation.flight.station import Station
+from groundstation.flight.view import VehicleView
+
+MEASURE_S = 2.5
+_KEPT = frozenset(
+    {"HEARTBEAT", "SYS_STATUS", "STATUSTEXT", "COMMAND_ACK", "COMMAND_LONG", "TIMESYNC", "AUTOPILOT_VERSION",
+     "PARAM_VALUE", "POSE"}
+)  # fmt: skip
+"""Never switched off on a slow line, where what nobody asked for is."""
+
+
+class Preparation:
+    """Of one vehicle.
+
+    Args:
+        view: what is known of it.
+        station: whether poses come from motion capture decides which parameters matter.
+        set_parameters: set the settable ones for the flight.
+        bytes_per_s: what the line carries; None where that is no limit.
+        left_changed: what earlier flights changed and never restored: vehicle -> name -> value before.
+
+    Attributes:
+        done: messages asked for and measured, parameters read.
+        parameters: as read; None for one the vehicle does not have.
+        changed: changed and not restored yet, with the value before.
+        rates: asked for, by message.
+    """
+
+    def __init__(
+        self,
+        view: VehicleView,
+        station: Station,
+        set_parameters: bool,
+        bytes_per_s: float | None,
+        left_changed: Mapping[str, Mapping[str, float]],
+    ):
+        self.view, self.station = view, station
+        self.parameters: dict[str, float | None] = {}
+        self.changed: dict[str, float] = {}
+        self.rates: dict[str, float] = {}
+        self.done = False
+        self._set, self._bytes_per_s, self._left = set_parameters, bytes_per_s, left_changed
+        self._changes: list[tuple[str, float, float]] = []
+        profile = view.profile
+        self._dialogue = Parameters(profile.system, profile.component, bytewise=profile.bytewise_parameters)
+
+    def steps(self) -> Steps[None]:
+        """Ask for messages, read parameters, restore what an earlier flight left, set what this one needs, measure."""
+        profile = self.view.profile
+        yield Ask((profile.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 148.0),), _named("AUTOPILOT_VERSION"), 0.7, 3)
+        yield from self._streams()
+        self.changed = dict(self._left.get(self.view.key, {}))
+        yield from self.restore()
+        yield from self._parameters()
+        if profile.climbs_by_command and not self.view.armed:
+            # After a landing it stands in a mode that it does not arm in, and its own checks fail for that alone.
+            yield Ask((profile.set_mode(profile.follow_mode),), _named("COMMAND_ACK"), 0.7, 3)
+        yield Ask((), lambda _m: False, MEASURE_S, 1)
+        self.done = True
+
+    def restore(self) -> Steps[None]:
+        """Write back what was there before."""
+        for name, value in list(self.changed.items()):
+            if (yield from self._dialogue.write(name, value)):
+                del self.changed[name]
+                self._changes.append((name, value, value))
+
+    def take_changes(self) -> list[tuple[str, float, float]]:
+        """Name, value before and value now of every parameter changed since the last call."""
+        changes, self._changes = self._changes, []
+        return changes
+
+    def _streams(self) -> Steps[None]:
+        profile = self.view.profile
+        self.rates = fit_rates(profile.streams, self._bytes_per_s)
+        if self._bytes_per_s is not None:
+            unasked = [name for name in self.view.meters if name not in self.rates and name not in _KEPT]
+            for name in unasked:
+                if not name.startswith("UNKNOWN"):
+                    yield Ask((profile.interval(message_id(name), 0.0),), _acknowledges_interval, 0.5, 2)
+        for name, rate in self.rates.items():
+            yield Ask((profile.interval(message_id(name), rate),), _acknowledges_interval, 0.5, 4)
+
+    def _parameters(self) -> Steps[None]:
+        indoors = self.station.mocap.system != "none"
+        for rule in self.view.profile.parameters:
+            if rule.indoors and not indoors:
+                continue
+            found = yield from self._dialogue.read(rule.name)
+            self.parameters[rule.name] = None if found is None else found[0]
+            if found is not None and found[0] not in rule.accepted and rule.settable and self._set:
+                self.changed.setdefault(rule.name, found[0])
+                self._changes.append((rule.name, found[0], rule.accepted[0]))
+                if (yield from self._dialogue.write(rule.name, rule.accepted[0])):
+                    self.parameters[rule.name] = rule.accepted[0]
+
+
+def _named(name: str) -> Callable[[Message], bool]:
+    return lambda m: m.get_type() == name
+
+
+def _acknowledges_interval(m: Message) -> bool:
+    return m.get_type() == "COMMAND_ACK" and m.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
