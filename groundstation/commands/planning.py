@@ -146,7 +146,7 @@ def _discriminating(
         write_plan(found.plan, output)
     odds = [{"pair": list(pair), "log_odds": value} for pair, value in found.log_odds.items()]
     answer = {**plan_document(found.plan), "expected_log_odds": odds, "channels": found.channels}
-    return Result(answer, f"{odds_sentence(found)}\n{plan_text(found.plan, output)}")
+    return Result(answer, f"next flight: {odds_sentence(found)}\n{plan_text(found.plan, output)}")
 
 
 def read_diagnosis(path: Path) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from groundstation.diagnosis.effect import is_commanded, library
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, Solution
 from groundstation.diagnosis.kinematic import kinematic_findings
 from groundstation.diagnosis.next_flight import rival_entries
+from groundstation.diagnosis.proposal import with_proposals
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
 from groundstation.diagnosis.screen import dependences, unexplained
 from groundstation.errors import Refused
@@ -76,7 +77,12 @@ def diagnose(
     kinematic = kinematic_findings(suspects[0], _thrust_tilt(suspects[0]))
     offset = sum(len(c.effect.parameters) for c, _ in baseline)
     findings = [*lag, *_findings(named, solution, vehicle, offset), *kinematic]
-    remaining = unexplained(left)
+    remaining = with_proposals(
+        evidence,
+        chosen,
+        unexplained(left),
+        lambda more: _errors(evidence, chosen, list(more), fitted, False, unseen)["held_out"],
+    )
     before, after = _parameters(evidence, vehicle, baseline, chosen, fitted, bool(lag))
     error = _errors(evidence, baseline, chosen, fitted, bool(lag), unseen)
     verdict = "unexplained" if remaining else "explained" if findings else "clean"

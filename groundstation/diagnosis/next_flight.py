@@ -276,7 +276,7 @@ def plan_next(
     vehicle: Vehicle,
     *,
     duration_s: float = DURATION_S,
-    trials: int = 16,
+    trials: int | None = None,
     seed: int = 3,
     progress: Callable[[float, str], None] = lambda fraction, text: None,
     **limits: float,
@@ -287,7 +287,7 @@ def plan_next(
         document: of schema groundstation.diagnosis/1.
         vehicle: as declared.
         duration_s: of the excitation.
-        trials: motions tried (0.1 s each).
+        trials: motions tried (0.1 s each and more with more hypotheses); None for what takes a second or two.
         seed: of the search.
         progress: called with the share of the work that is done and a line of text.
         **limits: overrides of the vehicle's.
@@ -304,7 +304,7 @@ def plan_next(
         periods=(4, 8, 16) if timing else (2, 4, 8),
         frequency_max_hz=TIMING_FREQUENCY_MAX_HZ if timing else FREQUENCY_MAX_HZ,
         duration_s=duration_s,
-        trials=trials,
+        trials=max(6, 24 // len(rivals)) if trials is None else trials,
         seed=seed,
         progress=progress,
         **limits,
@@ -313,12 +313,13 @@ def plan_next(
 
 def odds_sentence(found: discriminate.Separation) -> str:
     """What the planned flight should settle, for a pilot: which pairs, with what odds, in which channel."""
-    told = []
-    for (one, other), log_odds in sorted(found.log_odds.items(), key=lambda item: item[1]):
-        odds = f"{np.exp(log_odds):.0f} to 1" if log_odds < CERTAIN else "better than a million to 1"
-        told.append(f"{one} from {other} at odds of {odds}")
+    pair, log_odds = min(found.log_odds.items(), key=lambda item: item[1])
+    names = list(dict.fromkeys(name for each in found.log_odds for name in each))
+    odds = f"{np.exp(log_odds):.0f} to 1" if log_odds < CERTAIN else "better than a million to 1"
+    hardest = "" if len(names) == 2 else f"the hardest to part are {' and '.join(pair)}, "
     channel = max(found.channels, key=lambda name: found.channels[name])
     return (
-        f"A flight of {found.plan.series().duration_s:.0f} s should tell {', '.join(told)}, mostly by {channel} "
-        "(in the disturbance of a quiet room, and if what happened happens again)."
+        f"a flight of {found.plan.series().duration_s:.0f} s that should tell {', '.join(names[:-1])} and {names[-1]} apart, "
+        f"{hardest}at expected odds of {odds}, mostly by {channel} (in the disturbance of a quiet room, and if what happened "
+        "happens again)."
     )

@@ -1,0 +1,252 @@
+r"""A sparse formula for a residual that no effect of the library removes: a proposal, never a finding.
+
+By Buckingham's theorem a force is the weight (a torque: weight times arm) times a function of dimensionless groups. The
+groups are made of the variables that the screen found the residual to depend on: position over arm, velocity over the
+induced velocity of hover :math:`v_h = \sqrt{m g / (2 \rho A)}`, rates times arm over :math:`v_h`, thrust over weight, angles
+as they are. Their low powers and products make a dictionary; terms are added one at a time while each beats chance, shared
+among all that were tried, in the joint instrumental estimate with everything else, and lessens the error on blocks that
+no estimate saw (forward regression with held-out blocks; the dictionary after Brunton, Proctor, Kutz 2016, PNAS 113(15)).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.diagnosis.attribution import folds
+from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, weight
+from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
+from groundstation.diagnosis.results import Unexplained
+from groundstation.frames import euler_from_quat, quat_rotate_inverse
+from groundstation.identification.record_model import CHANNELS
+from groundstation.model.signals import Signals
+from groundstation.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+Chosen = Sequence[tuple[Candidate, Columns]]
+HeldOut = Callable[[Chosen], Mapping[str, Mapping[str, float]]]
+
+CHANCE = 1e-5
+"""Chance, over all terms tried, that noise alone would add one."""
+MOST = 4
+"""Terms of a formula."""
+
+Shape = Callable[[Signals, Vehicle], Array]
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """A dimensionless group: how it is written, its values, and the powers that are offered ("odd" ones keep the sign)."""
+
+    text: str
+    values: Shape
+    powers: tuple[str, ...] = ("{}", "{}^2", "{}^3")
+
+
+def induced_velocity(vehicle: Vehicle) -> float:
+    """Induced velocity of hover by momentum theory, m/s (Leishman 2006, eq. 2.16)."""
+    area = vehicle.rotors.count * np.pi * vehicle.rotors.radius_m**2
+    return float(np.sqrt(weight(vehicle) / (2.0 * vehicle.identification.air_density_kg_m3 * area)))
+
+
+def _position(axis: int) -> Group:
+    return Group(f"({'xyz'[axis]}/arm)", lambda s, v: s.position_m[:, axis] / v.arm_m())
+
+
+def _velocity(axis: int) -> Group:
+    return Group(
+        f"(v_{'xyz'[axis]}/v_h)",
+        lambda s, v: s.velocity_body_m_s()[:, axis] / induced_velocity(v),
+        ("{}", "{}^2", "|{}|{}"),
+    )
+
+
+def _rate(axis: int) -> Group:
+    return Group(
+        f"(omega_{'xyz'[axis]} arm/v_h)",
+        lambda s, v: s.rate_rad_s[:, axis] * v.arm_m() / induced_velocity(v),
+        ("{}", "{}^2", "|{}|{}"),
+    )
+
+
+def _angle(axis: int) -> Group:
+    name = ("roll", "pitch", "yaw")[axis]
+    return Group(f"sin({name})", lambda s, v: np.sin(euler_from_quat(s.quaternion)[:, axis]), ("{}", "{}^2"))
+
+
+def _thrust(signals: Signals, vehicle: Vehicle) -> Array:
+    return signals.thrust_n.sum(axis=1) / weight(vehicle) - 1.0
+
+
+def _thrust_trend(signals: Signals, vehicle: Vehicle) -> Array:
+    slope = np.gradient(signals.thrust_n.sum(axis=1), signals.t_s)
+    return np.tanh(slope / max(float(np.std(slope)), 1e-12))
+
+
+def _elapsed(signals: Signals, vehicle: Vehicle) -> Array:
+    return (signals.t_s - signals.t_s[0]) / max(float(signals.t_s[-1] - signals.t_s[0]), 1e-9)
+
+
+GROUPS: Mapping[str, tuple[Group, ...]] = {
+    **{f"position_{'xyz'[i]}_m": (_position(i),) for i in range(3)},
+    **{f"velocity_{'xyz'[i]}_m_s": (_velocity(i),) for i in range(3)},
+    **{f"rate_{'xyz'[i]}_rad_s": (_rate(i),) for i in range(3)},
+    **{name: (_angle(i),) for i, name in enumerate(("roll_rad", "pitch_rad", "yaw_rad"))},
+    "thrust_n": (Group("(T/W - 1)", _thrust),),
+    "thrust_rate": (Group("sign(dT/dt)", _thrust_trend, ("{}",)),),
+    "voltage_v": (Group("(1 - V/V_start)", lambda s, v: 1.0 - s.voltage_v / s.voltage_v[0], ("{}",)),),
+    "time_s": (Group("(t/duration)", _elapsed, ("{}", "{}^2")),),
+}
+"""By variable of the screen."""
+
+
+def _raised(group: Group, power: str) -> Shape:
+    def shape(signals: Signals, vehicle: Vehicle) -> Array:
+        u = group.values(signals, vehicle)
+        return np.abs(u) * u if power == "|{}|{}" else u ** float(power.partition("^")[2] or 1)
+
+    return shape
+
+
+def _shapes(variables: Sequence[str]) -> list[tuple[str, Shape]]:
+    """Powers of each variable's groups, and products of two variables."""
+    groups = [group for name in variables for group in GROUPS.get(name, ())]
+    out = [(p.replace("{}", g.text), _raised(g, p)) for g in groups for p in g.powers]
+    for i, one in enumerate(groups):
+        for other in groups[i + 1 :]:
+            out.append((f"{one.text} {other.text}", lambda s, v, a=one, b=other: a.values(s, v) * b.values(s, v)))
+    return out
+
+
+def _targets(channel: str) -> tuple[tuple[str, int], ...]:
+    """Directions in which a term may act to show in a channel: its body axis, and for a sideways force the world's axes."""
+    row = CHANNELS.index(channel)
+    if row < 3:
+        return (("body", 3 + row),)
+    axis = row - 3
+    return (("body", axis), *((("world", 0), ("world", 1)) if axis < 2 else (("world", 2),)))
+
+
+def _term(text: str, shape: Shape, frame: str, row: int) -> Candidate:
+    """One entry of the dictionary, as an effect with one dimensionless coefficient."""
+
+    def wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
+        out = blank(signals)
+        values = shape(signals, vehicle) * weight(vehicle) * (vehicle.arm_m() if row >= 3 else 1.0)
+        if frame == "world":
+            out[:, :3, 0] = quat_rotate_inverse(signals.quaternion, values[:, None] * np.eye(3)[row])
+        else:
+            out[:, row, 0] = values
+        return out
+
+    where = f"{'force' if row < 3 else 'torque'} along {frame} {'xyz'[row % 3]}"
+    effect = Effect(
+        identifier=f"{where}: {text}",
+        equation=text,
+        source="dictionary of the sparse proposal",
+        parameters=(ParameterInfo("coefficient", lambda vehicle: 1.0),),
+        wrench=wrench,
+        sentence="",
+        confused_with=(),
+        manoeuvre="",
+    )
+    return Candidate(effect, {})
+
+
+def dictionary(remaining: Sequence[Unexplained]) -> list[Candidate]:
+    """Every term that the unexplained channels and what they depend on give reason for."""
+    found: dict[str, Candidate] = {}
+    for item in remaining:
+        for text, shape in _shapes(item.depends_on):
+            for frame, row in _targets(item.channel):
+                term = _term(text, shape, frame, row)
+                found.setdefault(term.identifier, term)
+    return list(found.values())
+
+
+def select(evidence: Evidence, chosen: Chosen, terms: Sequence[Candidate]) -> list[tuple[Candidate, Columns]]:
+    """Forward regression over the dictionary; a term that later ones make needless is dropped again."""
+    from scipy.stats import chi2
+
+    pool = [(term, columns) for term in terms if (columns := evidence.columns(term)) is not None]
+    pool = [(term, columns) for term, columns in pool if np.any(columns.sensitivity != 0.0)]
+    least = float(chi2.isf(CHANCE / max(len(pool), 1), 1))
+    offset = sum(len(c.effect.parameters) for c, _ in chosen)
+    taken: list[tuple[Candidate, Columns]] = []
+
+    def walds(entries: Sequence[tuple[Candidate, Columns]]) -> list[float]:
+        solution = evidence.solve([*chosen, *entries])
+        return [solution.wald(offset + i, 1) for i in range(len(entries))]
+
+    while len(taken) < MOST:
+        open_ones = [entry for entry in pool if not any(entry is t for t in taken)]
+        scores = [walds([*taken, entry])[-1] for entry in open_ones]
+        if not scores or max(scores) <= least:
+            break
+        entry = open_ones[int(np.argmax(scores))]
+        if _held_out_gain(evidence, [*chosen, *taken], entry) <= 0.0:
+            break
+        taken.append(entry)
+        kept = [t for t, w in zip(taken, walds(taken), strict=True) if w > least]
+        if len(kept) < len(taken):
+            taken = kept
+            break
+    return taken
+
+
+def _held_out_gain(evidence: Evidence, before: Chosen, entry: tuple[Candidate, Columns]) -> float:
+    """Fall of the whitened squared residual on blocks no estimate saw when ``entry`` is added."""
+    gain = 0.0
+    for train, test in folds(evidence):
+        old = evidence.remainder(before, evidence.solve(before, train))[test]
+        new = evidence.remainder([*before, entry], evidence.solve([*before, entry], train))[test]
+        gain += float(np.sum(evidence.weight[test] * (old**2 - new**2)))
+    return gain
+
+
+def with_proposals(
+    evidence: Evidence, chosen: Chosen, remaining: Sequence[Unexplained], held_out: HeldOut
+) -> tuple[Unexplained, ...]:
+    """What is unexplained, with a formula where one holds on data it was not fitted on.
+
+    Args:
+        evidence: of the flights.
+        chosen: everything that is estimated already.
+        remaining: channels and what they depend on, by the screen.
+        held_out: from chosen candidates and terms to RMS by channel on blocks no estimate saw: {"before": .., "after": ..}.
+    """
+    terms = select(evidence, chosen, dictionary(remaining)) if remaining else []
+    if not terms:
+        return tuple(remaining)
+    error = held_out([*chosen, *terms])
+    solution = evidence.solve([*chosen, *terms])
+    offset = sum(len(c.effect.parameters) for c, _ in chosen)
+    values = [float(solution.part(offset + i, 1)[0][0]) for i in range(len(terms))]
+    out = []
+    for item in remaining:
+        kind = item.channel.partition("_")[0]
+        mine = [(t, v) for (t, _), v in zip(terms, values, strict=True) if t.identifier.startswith(kind)]
+        before, after = error["before"].get(item.channel, np.nan), error["after"].get(item.channel, np.nan)
+        if mine and after < before:
+            unit = "N" if kind == "force" else "N m"
+            gain = f"held out, the error falls from {before:.3g} to {after:.3g} {unit}"
+            out.append(replace(item, proposal=f"{_formula(mine, kind)}; {gain}"))
+        else:
+            out.append(item)
+    return tuple(out)
+
+
+def _formula(terms: Sequence[tuple[Candidate, float]], kind: str) -> str:
+    """Terms gathered by direction, as a sum."""
+    scale = "weight" if kind == "force" else "weight arm"
+    sums: dict[str, str] = {}
+    for term, value in terms:
+        where, _, text = term.identifier.partition(": ")
+        before = sums.get(where, "")
+        sign = " - " if value < 0.0 else " + "
+        sums[where] = f"{before}{sign}{abs(value):.3g} {text}"
+    told = [f"{where} = {scale} [{total.removeprefix(' + ').strip()}]" for where, total in sums.items()]
+    return "a proposal, not a finding: " + ", ".join(told)
