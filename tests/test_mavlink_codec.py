@@ -215,6 +215,25 @@ def test_the_sources_of_one_state_never_mix():
     assert len(take(Telemetry(4), attitude, odometry, position)) == 1
 
 
+@pytest.mark.parametrize(("odometry_s", "expected"), [(0.01, "odometry"), (1.8, "position")])
+def test_the_better_source_of_a_state_counts_only_while_it_comes_as_often(odometry_s, expected):
+    """A slow line carried ODOMETRY every 1.8 s, and each of them silenced the positions for a second."""
+    stream = []
+    for ms in range(1000, 9000, 50):
+        stream.append(mavlink.MAVLink_attitude_quaternion_message(ms, 1, 0, 0, 0, 0, 0, 0))
+        stream.append(mavlink.MAVLink_local_position_ned_message(ms, 1.0, 0, 0, 0, 0, 0))
+        stream += [
+            mavlink.MAVLink_odometry_message(us, 1, 12, 2.0, 0, 0, [1, 0, 0, 0], 0, 0, 0, 0, 0, 0, [0] * 21, [0] * 21)
+            for us in range(1000 * ms, 1000 * ms + 50000, 1000)
+            if us % round(1e6 * odometry_s) == 0
+        ]
+    states = [s for s in take(Telemetry(4), *stream) if isinstance(s, State) and s.device_s > 4.0]
+    wanted = {"position": 1.0, "odometry": 2.0}[expected]
+    assert sum(s.position_m[0] == wanted for s in states) > 0.95 * len(states)
+    gaps = np.diff([s.device_s for s in states])
+    assert gaps.max() < 0.11
+
+
 def test_duplicates_give_no_second_sample():
     imu = mavlink.MAVLink_highres_imu_message(4_000_000, 0, 0, -9.8, *(0,) * 10, 63)
     assert len(take(Telemetry(4), imu, imu)) == 1

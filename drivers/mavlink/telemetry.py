@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import isfinite, pi
+from math import inf, isfinite, pi
 
 from drivers.mavlink.codec import Received
 from drivers.mavlink.dialect import Message, mavlink
@@ -27,6 +27,30 @@ class _Attitude:
     device_s: float
     quaternion: Quaternion
     rate_rad_s: Vector3
+
+
+class _Rivals:
+    """Two messages that say the same, one of them better: the better one counts while it comes often enough.
+
+    A slow link carries the better one once in a second or two; it must not silence the other then.
+    """
+
+    _SHARE = 0.6
+    _MEMORY = 0.9
+
+    def __init__(self) -> None:
+        self._last = [-inf, -inf]
+        self._period_s = [inf, inf]
+
+    def counts(self, better: bool, t: float) -> bool:
+        """Note a message of one of the two; whether it is the one to use."""
+        n = int(better)
+        since = t - self._last[n]
+        smooth = isfinite(self._period_s[n]) and since < 5.0 * self._period_s[n]
+        self._period_s[n] = self._MEMORY * self._period_s[n] + (1.0 - self._MEMORY) * since if smooth else since
+        self._last[n] = t
+        silent = self._last[1] == -inf or t - self._last[1] > max(1.0, 2.0 * self._period_s[1])
+        return better is (not silent and self._period_s[0] >= self._SHARE * self._period_s[1])
 
 
 class Telemetry:
@@ -48,8 +72,7 @@ class Telemetry:
         self._newest_s = 0.0
         self._last: dict[str, float] = {}
         self._attitude: _Attitude | None = None
-        self._odometry_s = -1e9
-        self._outputs_s = -1e9
+        self._states, self._outputs = _Rivals(), _Rivals()
         self._esc: dict[int, float] = {}
         self._texts: dict[int, dict[int, str]] = {}
         self._handlers: dict[str, Callable[[Message], list[Sample]]] = {
@@ -80,7 +103,8 @@ class Telemetry:
 
     def restart(self) -> None:
         """The vehicle rebooted: its time starts again."""
-        self._newest_s, self._odometry_s, self._outputs_s = 0.0, -1e9, -1e9
+        self._newest_s = 0.0
+        self._states, self._outputs = _Rivals(), _Rivals()
         self._last.clear()
         self._attitude = None
 
@@ -129,7 +153,7 @@ class Telemetry:
     def _local_position(self, m: Message) -> list[Sample]:
         """Position with the newest attitude, turned by its rate to the position's stamp. ODOMETRY, where it flows, says all at once."""
         t = m.time_boot_ms * 1e-3
-        if not self._stamp("position", t) or self._attitude is None or t - self._odometry_s < 1.0:
+        if not self._stamp("position", t) or not self._states.counts(False, t) or self._attitude is None:
             return []
         dt = t - self._attitude.device_s
         if abs(dt) > 0.2:
@@ -141,7 +165,8 @@ class Telemetry:
         t = m.time_usec * 1e-6
         if m.frame_id not in (mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_LOCAL_FRD) or not self._stamp("odo", t):
             return []
-        self._odometry_s = t
+        if not self._states.counts(True, t):
+            return []
         q = flip_quaternion((m.q[0], m.q[1], m.q[2], m.q[3]))
         velocity = flip((m.vx, m.vy, m.vz))
         if m.child_frame_id in _BODY_FRAMES:
@@ -151,7 +176,7 @@ class Telemetry:
     def _servo_output(self, m: Message) -> list[Sample]:
         """Pulse widths to commands; ACTUATOR_OUTPUT_STATUS, where it flows, says the same with more digits."""
         t = self._unwrap(m.time_usec)
-        if m.port or not self._stamp("servo", t) or t - self._outputs_s < 1.0:
+        if m.port or not self._stamp("servo", t) or not self._outputs.counts(False, t):
             return []
         low, high = self._pwm_us
         pulses = [getattr(m, f"servo{i}_raw") for i in range(1, self._rotors + 1)]
@@ -163,9 +188,8 @@ class Telemetry:
         if not self._stamp("actuator", t):
             return []
         values = m.actuator[: self._rotors]
-        if not all(isfinite(v) for v in values):
+        if not all(isfinite(v) for v in values) or not self._outputs.counts(True, t):
             return []
-        self._outputs_s = t
         low, high = self._pwm_us
         if max(values) > 2.0:
             values = [(v - low) / (high - low) for v in values]

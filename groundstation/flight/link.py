@@ -167,12 +167,13 @@ class LinkProcess:
         )
 
     def motor_kind(self) -> str:
-        """Rotor speeds where the vehicle declares them and the ESCs report them; else commands."""
+        """Rotor speeds where the vehicle declares them and the ESCs report them often enough; else commands."""
         if self._motor_kind is None:
             view, now = self.core.view, self.clock()
-            reported = view is not None and any(
-                view.rate_hz(name, now) > 1.0 for name in ("ESC_STATUS", "ESC_TELEMETRY_1_TO_4")
-            )
+            reported = False
+            if view is not None:
+                speeds = max(view.rate_hz(name, now) for name in ("ESC_STATUS", "ESC_TELEMETRY_1_TO_4"))
+                reported = speeds > max(1.0, 0.25 * view.rate_hz("SERVO_OUTPUT_RAW", now))
             wanted = self.vehicle.rotors.input
             self._motor_kind = "rotor_speed" if wanted == "rotor_speed" and reported else "command"
         return self._motor_kind

@@ -36,7 +36,7 @@ from groundstation.vehicle import Vehicle
 T = TypeVar("T")
 
 HEARTBEAT_EVERY_S = 1.0
-TIMESYNC_EVERY_S = 0.1
+TIMESYNC_EVERY_S, TIMESYNC_SLOW_S = 0.1, 0.5
 CARRIED = 200
 
 
@@ -374,7 +374,8 @@ class LinkCore:
                 now_s,
                 out,
             )
-        if self.view is not None and now_s - self._timesync_s >= TIMESYNC_EVERY_S:
+        every = TIMESYNC_EVERY_S if self.options.bytes_per_s is None else TIMESYNC_SLOW_S
+        if self.view is not None and now_s - self._timesync_s >= every:
             self._timesync_s = now_s
             stamp = int(now_s * 1e9)
             self._sync_sent[stamp] = now_s

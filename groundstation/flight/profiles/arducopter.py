@@ -48,7 +48,7 @@ class ArduCopter(Profile):
     streams = (
         StreamWish("RAW_IMU", 300.0, 20.0, "rates and specific force: the motion the inertia shows in"),
         StreamWish("SERVO_OUTPUT_RAW", 300.0, 20.0, "motor commands; the onboard log has them at 10 Hz only"),
-        StreamWish("ESC_TELEMETRY_1_TO_4", 100.0, 0.0, "rotor speeds, where the ESCs report them"),
+        StreamWish("ESC_TELEMETRY_1_TO_4", 100.0, 0.0, "rotor speeds, where the ESCs report them", "SERVO_OUTPUT_RAW"),
         StreamWish("ATTITUDE_QUATERNION", 100.0, 10.0, "tilt for the guard, attitude for the record"),
         StreamWish("LOCAL_POSITION_NED", 100.0, 10.0, "position for guard and record"),
         StreamWish("BATTERY_STATUS", 10.0, 2.0, "battery voltage for guard and thrust model"),

@@ -35,12 +35,14 @@ class StreamWish:
         rate_hz: asked for; what comes is measured, because a request is accepted also when nothing follows.
         needed_hz: below this the flight is refused (0: nice to have).
         why: what it is for.
+        instead_of: tells better what this other message tells; on a line that cannot carry all it is not asked for.
     """
 
     name: str
     rate_hz: float
     needed_hz: float
     why: str
+    instead_of: str = ""
 
 
 @dataclass(frozen=True, slots=True)

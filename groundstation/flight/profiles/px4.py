@@ -44,12 +44,14 @@ class Px4(Profile):
     log_suffix = ".ulg"
     streams = (
         StreamWish("HIGHRES_IMU", 250.0, 20.0, "rates and specific force: the motion the inertia shows in"),
-        StreamWish("ACTUATOR_OUTPUT_STATUS", 250.0, 0.0, "motor commands with full digits"),
+        StreamWish("ACTUATOR_OUTPUT_STATUS", 250.0, 0.0, "motor commands with full digits", "SERVO_OUTPUT_RAW"),
         StreamWish("SERVO_OUTPUT_RAW", 250.0, 20.0, "motor commands: what caused the motion"),
-        StreamWish("ESC_STATUS", 250.0, 0.0, "rotor speeds, where the ESCs report them"),
+        StreamWish("ESC_STATUS", 250.0, 0.0, "rotor speeds, where the ESCs report them", "SERVO_OUTPUT_RAW"),
         StreamWish("ATTITUDE_QUATERNION", 100.0, 10.0, "tilt for the guard, attitude for the record"),
         StreamWish("LOCAL_POSITION_NED", 100.0, 10.0, "position for guard and record"),
-        StreamWish("ODOMETRY", 100.0, 0.0, "the whole state with one stamp, and estimator resets"),
+        StreamWish(
+            "ODOMETRY", 100.0, 0.0, "the whole state with one stamp, and estimator resets", "LOCAL_POSITION_NED"
+        ),
         StreamWish("BATTERY_STATUS", 20.0, 2.0, "battery voltage for guard and thrust model"),
         StreamWish("EXTENDED_SYS_STATE", 10.0, 2.0, "landed or not"),
         StreamWish("CURRENT_MODE", 20.0, 0.0, "a mode change seen within 50 ms instead of a heartbeat's second"),
