@@ -60,7 +60,9 @@ def _flight_line(row: Mapping[str, Any]) -> str:
 
 @click.command(epilog=example("groundstation export identification.toml --format mjcf --output vehicle.xml"))
 @click.argument("model", type=ANY)
-@click.option("--format", "form", required=True, help="toml, json, csv, vehicle, px4-sih, sdf, urdf, mjcf or rotorpy.")
+@click.option(
+    "--format", "form", required=True, help="toml, json, csv, vehicle, px4-sih, sdf, urdf, mjcf, rotorpy or scenario."
+)
 @click.option("--output", type=click.Path(path_type=Path, dir_okay=False), help="File to write; else standard output.")
 @click.option("--vehicle", default=None, help="Vehicle file or shipped name; overrides the model's.")
 @json_option

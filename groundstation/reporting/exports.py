@@ -25,6 +25,7 @@ from groundstation.errors import BadInput
 from groundstation.identification.results import Estimate, Identification
 from groundstation.reporting import simulators
 from groundstation.reporting.identified import Identified, identified_from_document
+from groundstation.reporting.scenario import to_scenario
 from groundstation.vehicle import Vehicle, vehicle_to_dict
 
 if TYPE_CHECKING:  # the diagnosis is heavy to import, and only its type is needed
@@ -150,6 +151,7 @@ FORMATS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "urdf": _simulator(simulators.to_urdf),
     "mjcf": _simulator(simulators.to_mjcf),
     "rotorpy": _simulator(simulators.to_rotorpy),
+    "scenario": _simulator(to_scenario),
 }
 """Writers by the name of the format."""
 

@@ -28,6 +28,7 @@ class Identified:
 
     Attributes:
         vehicle: validated, with the identified values in place.
+        declared: as it was before.
         com_offset_m: centre of mass in the body, from the declared origin, shape (3,).
         rotor_effectiveness: thrust of each rotor as a share of what it should give, shape (n,).
         rotor_drag_kg_s: force against horizontal air speed at hover, body x and y; zero where none was found.
@@ -39,6 +40,7 @@ class Identified:
     """
 
     vehicle: Vehicle
+    declared: Vehicle
     flight: str
     method: str
     com_offset_m: Array
@@ -111,6 +113,7 @@ def identified_from_document(document: Mapping[str, Any]) -> Identified:
     drag = effects.get("rotor_drag", {})
     return Identified(
         vehicle=_updated(declared, value),
+        declared=declared,
         flight=str(document.get("flight", "")),
         method=str(document.get("method", "")),
         com_offset_m=np.array([value.get(f"com_offset_{axis}_m", 0.0) for axis in "xyz"]),
