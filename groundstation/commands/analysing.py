@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +87,8 @@ def identify(
 @flight_options
 @click.option("--reference", multiple=True, type=FLIGHT, help="Healthy flight of the same vehicle (repeatable).")
 @click.option("--held-out", multiple=True, type=FLIGHT, help="Flight kept for judging (repeatable).")
+@click.option("--model", type=FLIGHT, default=None,
+              help="identification.toml of an earlier flight: what it holds is known, findings are what it lacks.")  # fmt: skip
 def diagnose(
     flights: tuple[Path, ...],
     vehicle: str | None,
@@ -95,15 +98,27 @@ def diagnose(
     logs: Path,
     reference: tuple[Path, ...],
     held_out: tuple[Path, ...],
+    model: Path | None,
 ) -> Result:
     """Find what the declared vehicle lacks: trace the residual to effects, with the error before and after."""
     loaded = load_flights(flights, vehicle, start_s, end_s)
     references, judges = load_flights(reference, vehicle), load_flights(held_out, vehicle)
     from groundstation.diagnosis import diagnose as run
+    from groundstation.diagnosis.augmented import known_candidates
     from groundstation.flight.analysis import with_next_flight, write_json
+    from groundstation.reporting.exports import read_model
+    from groundstation.reporting.identified import identified_from_document
 
+    known = ()
+    if model is not None:
+        document = read_model(model, loaded[0].vehicle if vehicle is not None else None)
+        known = known_candidates(document["effects"])
+        loaded, references, judges = (
+            [replace(flight, vehicle=identified_from_document(document).vehicle) for flight in group]
+            for group in (loaded, references, judges)
+        )
     line = ProgressLine()
-    found = run(loaded, references=references, held_out=judges, progress=line.fraction)
+    found = run(loaded, references=references, held_out=judges, augmented=known, progress=line.fraction)
     line.end()
     folder = result_folder(flights[0], logs)
     folder.mkdir(parents=True, exist_ok=True)

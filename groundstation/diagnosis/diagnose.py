@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.attribution import Named, Selection, candidates, folds
+from groundstation.diagnosis.augmented import is_among
 from groundstation.diagnosis.effect import is_commanded, library
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, Solution
 from groundstation.diagnosis.kinematic import kinematic_findings
@@ -42,6 +43,7 @@ def diagnose(
     *,
     references: Sequence[FlightData] = (),
     held_out: Sequence[FlightData] = (),
+    augmented: tuple[Candidate, ...] = (),
     progress: Progress = lambda fraction, text: None,
 ) -> Diagnosis:
     """Trace the residual of one or several flights of a vehicle to effects its declaration lacks.
@@ -50,6 +52,7 @@ def diagnose(
         flights: under suspicion; pooled.
         references: healthy flights of the same vehicle; findings are then what differs from them.
         held_out: flights that no estimate sees; the error before and after is then reported on them.
+        augmented: effects that an earlier flight found (:func:`.augmented.known_candidates`); findings are what is beside them.
         progress: told the fraction done and what is being done.
     """
     name = " + ".join(flight.name for flight in flights)
@@ -61,11 +64,11 @@ def diagnose(
         unseen = [_for_evidence(prepare(flight)) for flight in held_out]
         progress(0.25, "base fit")
         fitted = fit_dynamics([*suspects, *healthy])
-        evidence, baseline, named, solution = _select(fitted, suspects, healthy, (), progress)
+        evidence, baseline, named, solution = _select(fitted, suspects, healthy, augmented, (), progress)
         if named:
             # An effect swells the noise it is judged against: what was found is kept out of the noise, and all is judged anew.
             known = tuple(n.candidate for n in named)
-            evidence, baseline, named, solution = _select(fitted, suspects, healthy, known, progress)
+            evidence, baseline, named, solution = _select(fitted, suspects, healthy, augmented, known, progress)
         chosen = [*baseline, *((n.candidate, n.columns) for n in named)]
         progress(0.9, "what is left")
         left = dependences(evidence, chosen)
@@ -126,15 +129,17 @@ def _select(
     fitted: DynamicFit,
     suspects: Sequence[Prepared],
     healthy: Sequence[Prepared],
+    augmented: tuple[Candidate, ...],
     known: Sequence[Candidate],
     progress: Progress,
 ) -> tuple[Evidence, list[tuple[Candidate, Columns]], list[Named], Solution]:
     """Evidence with a noise model that leaves the known effects out, and what it asks for."""
     progress(0.5, "noise of each channel")
-    evidence = _evidence(fitted, suspects, healthy, known)
+    evidence = _evidence(fitted, suspects, healthy, (*augmented, *known))
     vehicle = suspects[0].record.vehicle
-    pool = _pool(vehicle, evidence.flights[0], references=bool(healthy))
+    pool = [c for c in _pool(vehicle, evidence.flights[0], references=bool(healthy)) if not is_among(c, augmented)]
     baseline = _baseline(evidence, vehicle) if healthy else []
+    baseline += [(c, columns) for c in augmented if (columns := evidence.columns(c, everywhere=True)) is not None]
     selection = Selection(evidence, pool, baseline, lambda f: progress(0.55 + 0.25 * f, "effects one by one"))
     progress(0.8, "selecting")
     return evidence, baseline, *selection.run()
