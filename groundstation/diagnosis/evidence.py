@@ -99,7 +99,7 @@ class FlightEvidence:
         self._step = np.concatenate([[0.0], np.diff(self._t)])
         self._keep = record.keep[:: self._stride]
         self._inverse = np.linalg.inv(self.parameters.tensor)
-        self.residual, self.sensitivity, self.names = self.model.evaluate(self.parameters, self.options)
+        self.residual, self.sensitivity, self.names = _with_own_delays(*self.model.evaluate(self.parameters, self.options))
         self.planned = [planned_signals(prepared, self.parameters, shift, self._stride) for shift in EFFECT_SHIFTS_S]
         self.colours = self._colours()
         self.polynomials = [np.array([1.0])] * len(self.channels)
@@ -263,7 +263,7 @@ class Evidence:
             if name.startswith("accel_bias"):
                 axis = "xyz".index(name.split("_")[2])
                 prior[index] = 1.0 / max(float(flights[0].prepared.record.force_bias_std[axis]), 1e-4) ** 2
-            elif name.startswith(("rotor_lag", "input_delay")):
+            elif name.startswith(("rotor_lag", "input_delay", "accel_delay")):
                 prior[index] = 1.0 / 0.15**2
             elif name == "mass_kg":
                 prior[index] = 1.0 / (0.5 * flights[0].parameters.mass_kg) ** 2
@@ -342,6 +342,23 @@ class Evidence:
                 channels.append(np.full(len(flight.model.t_s), channel))
                 flights.append(np.full(len(flight.model.t_s), number))
         return np.concatenate(times), np.concatenate(channels), np.concatenate(flights)
+
+
+def _with_own_delays(
+    residual: Array, sensitivity: Array, names: tuple[str, ...]
+) -> tuple[Array, Array, tuple[str, ...]]:
+    """Give the accelerometer a delay of its own: ``input_delay_s`` keeps the torques, ``accel_delay_s`` takes the forces.
+
+    Gyro and accelerometer pass different filters, and held commands reach a rate through their integral, a force at once.
+    Without this a millisecond between the two looks like thrust lost to climbing, as jerk runs against velocity.
+    """
+    if "input_delay_s" not in names:
+        return residual, sensitivity, names
+    index = names.index("input_delay_s")
+    sensitivity = np.concatenate([sensitivity, np.zeros_like(sensitivity[:, :, :1])], axis=2)
+    sensitivity[:, 3:, -1] = sensitivity[:, 3:, index]
+    sensitivity[:, 3:, index] = 0.0
+    return residual, sensitivity, (*names, "accel_delay_s")
 
 
 def planned_signals(prepared: Prepared, p: Parameters, shift_s: float, stride: int) -> Signals | None:
