@@ -59,6 +59,23 @@ def preliminary(flight: FlightData) -> Table:
     return _rows(identify_seed(flight)["FMLS"].parameters, flight.vehicle.parameters())
 
 
+def evolution(flight: FlightData) -> dict[str, Any]:
+    """How the live estimates moved during a flight, with their 95 % intervals; views draw it."""
+    from groundstation.identification.recursive import SHOWN, replay
+
+    found = replay(flight)
+    columns: dict[str, Any] = {}
+    for name in SHOWN:
+        told = [(e.t_s, e.parameters[name]) for e in found if name in e.parameters]
+        columns[name] = {
+            "t_s": [t_s for t_s, _ in told],
+            "value": [e.value for _, e in told],
+            "low": [e.ci95[0] for _, e in told],
+            "high": [e.ci95[1] for _, e in told],
+        }
+    return {"schema": "groundstation.evolution/1", "flight": flight.name, "parameters": columns}
+
+
 def analyse(
     flights: Sequence[FlightData],
     folder: Path,
@@ -88,6 +105,7 @@ def analyse(
         write_report(folder / "report.html", flights[0], error, source=source)
         raise
     write_identification(folder, identification, flights[0].vehicle)
+    write_json(folder / "evolution.json", evolution(flights[0]))
     diagnosis = _diagnose(flights, references, held_out, lambda f, text: progress(0.55 + 0.35 * f, text))
     diagnosis, plan = with_next_flight(folder, diagnosis, flights[0].vehicle)
     files = write_identification(folder, identification, flights[0].vehicle, diagnosis)

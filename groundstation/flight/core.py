@@ -79,7 +79,7 @@ class FlightCore:
         self.journal = Journal(settings.folder / JOURNAL, clock)
         self.inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self.state = seq.Sequence()
-        self.view = FlightView(settings.folder, self.vehicle.name)
+        self.view = FlightView(settings.folder, self.vehicle)
         self.description = bus.Description()
         self.recorder: Recorder | None = None
         self.lease = OperatorLease()
@@ -211,7 +211,7 @@ class FlightCore:
             return
         if self.recorder is not None and self.state.phase not in (seq.Phase.LANDED, seq.Phase.IDENTIFYING):
             self.recorder.put(batch)
-        self.view.see(batch.samples)
+        self.view.see(batch.samples, self.state.phase)
 
     def _on_status(self, status: bus.DroneStatus) -> None:
         self.heard_s = self.clock()

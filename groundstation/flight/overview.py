@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from drivers.bus import DroneStatus
 from drivers.samples import Battery, Motors, Sample
+from groundstation.flight.live import LiveEstimate
 from groundstation.flight.messages import CoreStatus
 from groundstation.flight.recorder import Recorder
-from groundstation.flight.sequence import Sequence
+from groundstation.flight.sequence import IN_FLIGHT, Phase
+from groundstation.flight.sequence import Sequence as FlightSequence
+from groundstation.vehicle import Vehicle
 
 NOTES = 8
 
@@ -22,11 +25,12 @@ class FlightView:
 
     Args:
         folder: of the flight.
-        vehicle: its name.
+        vehicle: as declared.
     """
 
-    def __init__(self, folder: Path, vehicle: str):
-        self._folder, self._vehicle = folder, vehicle
+    def __init__(self, folder: Path, vehicle: Vehicle):
+        self._folder, self._vehicle = folder, vehicle.name
+        self._live = LiveEstimate(vehicle)
         self.drone: DroneStatus | None = None
         self.battery_v = 0.0
         self.motors: tuple[float, ...] = ()
@@ -35,16 +39,19 @@ class FlightView:
         self.notes: deque[str] = deque(maxlen=NOTES)
         self.lease, self.real_time, self.rejected = "", False, 0
 
-    def see(self, samples: Iterable[Sample]) -> None:
+    def see(self, samples: Sequence[Sample], phase: Phase) -> None:
         """Keep the newest values that views show."""
+        self._live.see(samples, phase)
         for sample in samples:
             if isinstance(sample, Battery):
                 self.battery_v = sample.voltage_v
             elif isinstance(sample, Motors):
                 self.motors = sample.values
 
-    def status(self, sequence: Sequence, recorder: Recorder | None, host_s: float) -> CoreStatus:
+    def status(self, sequence: FlightSequence, recorder: Recorder | None, host_s: float) -> CoreStatus:
         """As of host time."""
+        if sequence.phase in IN_FLIGHT:
+            self.table, self.text = self._live.table, self._live.trouble
         return CoreStatus(
             flight=self._folder.name,
             folder=str(self._folder),
