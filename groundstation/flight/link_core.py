@@ -27,7 +27,7 @@ from groundstation.flight.preflight import Check, Situation, failures, run_check
 from groundstation.flight.prepare import Preparation
 from groundstation.flight.profiles import profile_for
 from groundstation.flight.station import Station
-from groundstation.flight.upload import choose_way
+from groundstation.flight.upload import Way, send_coefficients
 from groundstation.flight.view import Meter, VehicleView
 from groundstation.flight.watch import Disagreement, observe
 from groundstation.trajectory import Plan
@@ -68,6 +68,16 @@ class Output:
     send: list[bytes] = field(default_factory=list)
     samples: list[tuple[Sample, float]] = field(default_factory=list)
     changed: list[tuple[str, float, float]] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class _Sending:
+    """A plan on its way on board."""
+
+    plan: Plan
+    way: Way
+    talk: Conversation[None]
+    answer: Answered
 
 
 class LinkCore:
@@ -114,6 +124,7 @@ class LinkCore:
         self._sync_sent: dict[int, float] = {}
         self._core_s: float | None = None
         self._abort = ""
+        self._sending: _Sending | None = None
         self._phase = Phase.IDLE
         self._carried: deque[tuple[State, Pose]] = deque(maxlen=CARRIED)
         self._disagreement = Disagreement()
@@ -140,9 +151,29 @@ class LinkCore:
             return Answered(False, str(error))
         if reason := failures(self.checks):
             return Answered(False, reason)
-        way = choose_way(self.pilot.profile, self.parameters, onboard=False)
-        self._events.append(Event(self.device_s(now_s), "upload", f"{way.kind}: {way.why}"))
-        return self.pilot.upload(plan)
+        return self._send_plan(plan, self.preparation.way if self.preparation is not None else None, now_s)
+
+    def _send_plan(self, plan: Plan, way: Way | None, now_s: float) -> Answered:
+        """Give the plan to whoever will fly it: the script on board, or the pilot here with setpoints."""
+        assert self.pilot is not None  # noqa: S101 - `upload` asked
+        if way is None or way.kind == "setpoints":
+            self._note(now_s, "upload", f"setpoints: {way.why}" if way else "setpoints")
+            return self.pilot.upload(plan)
+        talk = self.converse(send_coefficients(self.pilot.profile, way.folder, plan.series()))
+        self._sending = _Sending(plan, way, talk, Answered())
+        return self._sending.answer
+
+    def _plan_sent(self, now_s: float) -> None:
+        """Once the coefficients are on board, or are refused."""
+        assert self._sending is not None and self.pilot is not None  # noqa: S101 - `_converse` asked
+        sending, self._sending = self._sending, None
+        if sending.talk.error is None:
+            self._note(now_s, "upload", f"onboard: {sending.way.why}; script and coefficients confirmed by checksum")
+            taken = self.pilot.upload(sending.plan, onboard=True)
+        else:
+            why = f"the coefficients were not taken: {sending.talk.error}"
+            taken = self._send_plan(sending.plan, Way("setpoints", why), now_s)
+        sending.answer.ok, sending.answer.reason = taken.ok, taken.reason
 
     def check(self, plan: Plan | None, now_s: float) -> list[Check]:
         """Run every check as of now; the answers also go into the recording.
@@ -156,7 +187,7 @@ class LinkCore:
         self.checks = run_checks(situation, self.options.force)
         for check in self.checks:
             verdict = "forced" if check.forced else "ok" if check.ok else "failed"
-            self._events.append(Event(self.device_s(now_s), "preflight", f"{check.name} {verdict}: {check.reason}"))
+            self._note(now_s, "preflight", f"{check.name} {verdict}: {check.reason}")
         return self.checks
 
     def order(self, name: str, now_s: float, reason: str = "") -> Answered:
@@ -332,9 +363,9 @@ class LinkCore:
             self._setpoint_due_s = next_s if next_s > now_s else now_s + period
         for message in self.pilot.step(now_s, messages, setpoint_due=due):
             self._send(message, now_s, out)
-            if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED" and self.pilot.target is not None:
-                placed = self.pilot.placement.to_vehicle(self.pilot.target)
-                out.samples.append((Setpoint(self.device_s(now_s), placed.position_m, placed.yaw_rad), now_s))
+        if due and self.pilot.target is not None:
+            placed = self.pilot.placement.to_vehicle(self.pilot.target)
+            out.samples.append((Setpoint(self.device_s(now_s), placed.position_m, placed.yaw_rad), now_s))
         if self.pilot.phase is not self._phase:
             self._tell(out, now_s, "link", f"{self._phase} -> {self.pilot.phase} {self.pilot.reason}".strip())
             self._phase = self.pilot.phase
@@ -357,6 +388,8 @@ class LinkCore:
                 self._send(message, now_s, out)
             if talk.done:
                 self._talks.remove(talk)
+        if self._sending is not None and self._sending.talk.done:
+            self._plan_sent(now_s)
         if self.preparation is not None:
             out.changed = self.preparation.take_changes()
             if self.preparation.done and not self.ready:
@@ -388,6 +421,10 @@ class LinkCore:
         out.send.append(raw)
         if self.options.keep_raw:
             out.samples.append((Raw(now_s, "out", raw), now_s))
+
+    def _note(self, now_s: float, kind: str, text: str) -> None:
+        """An event that leaves with the next step."""
+        self._events.append(Event(self.device_s(now_s), kind, text))
 
     def _tell(self, out: Output, now_s: float, kind: str, text: str) -> None:
         out.samples.append((Event(self.device_s(now_s), kind, text), now_s))

@@ -24,6 +24,7 @@ from drivers.mavlink.exchange import Conversation, Steps
 from drivers.mavlink.geometry import yaw_of
 from drivers.samples import Vector3
 from groundstation.flight.guard import Verdict
+from groundstation.flight.onboard import OnboardExcitation
 from groundstation.flight.orders import Orders, distance
 from groundstation.flight.placement import Placement, target_at
 from groundstation.flight.profiles import Profile, Target
@@ -96,15 +97,19 @@ class Pilot:
         self._restarts = view.restarts
         self._excitation_lasts_s = 0.0
         self._kill = False
+        self._script: OnboardExcitation | None = None
+        self._handed_over = False
         self._led = False
 
     # Orders -----------------------------------------------------------------------------------------------------------
 
-    def upload(self, plan: Plan) -> Answered:
-        """Take a plan; only on the ground."""
+    def upload(self, plan: Plan, *, onboard: bool = False) -> Answered:
+        """Take a plan; only on the ground. ``onboard``: its excitation is on the vehicle, for the script there to fly."""
         if self.phase in IN_AIR or self.view.armed:
             return Answered(False, f"a plan is taken only on the ground and disarmed; the flight is {self.phase}.")
         self.plan, self.reason, self.excitation_s = plan, "", (None, None)
+        self._script = OnboardExcitation(self.profile) if onboard else None
+        self._handed_over = False
         self.phase = Phase.UPLOADED
         return Answered(True)
 
@@ -139,7 +144,7 @@ class Pilot:
         self._restarts = self.view.restarts
         self._enter(Phase.CLIMBING, now_s)
         if self.profile.climbs_by_command:
-            return self._begin(self._orders.climb(self._start_height() - ground[2]), now_s)
+            return self._begin(self._rising(self._start_height() - ground[2]), now_s)
         self._set_path(ground, now_s)
         return self._begin(self._orders.follow(), now_s)
 
@@ -190,19 +195,25 @@ class Pilot:
     def step(self, now_s: float, messages: list[Message], *, setpoint_due: bool = True) -> list[Message]:
         """What leaves now; a setpoint among it only when one is due."""
         out: list[Message] = []
+        if self._script is not None:
+            self._script.hear(now_s, messages)
         if self._talk is not None:
             out += self._talk.step(now_s, messages)
             if self._talk is not None and self._talk.done:
                 self._finish_talk(now_s)
         self._notice(now_s)
         match self.phase:
+            case Phase.FOLLOWING if self._handed_over:
+                self._watch_script(now_s)
             case Phase.FOLLOWING:
                 self._advance_path(now_s)
             case Phase.HOLDING:
                 self._keep_holding(now_s, out)
             case Phase.LANDING:
                 self._keep_landing(now_s, out)
-        leading = self.phase is Phase.FOLLOWING or (self.phase is Phase.CLIMBING and self.path is not None)
+        leading = (self.phase is Phase.FOLLOWING and not self._handed_over) or (
+            self.phase is Phase.CLIMBING and self.path is not None
+        )
         if leading and setpoint_due:
             self._setpoint(now_s, out)
         return out
@@ -272,12 +283,50 @@ class Pilot:
             if now_s - self._waiting_since_s > self.policy.settle_timeout_s:
                 self.land(now_s, f"the vehicle did not settle within {self.policy.settle_timeout_s:g} s; not excited")
             return
+        if before < begin <= self.path_s and self._script is not None:
+            self._hand_over(begin, now_s)
+            return
         if before < begin <= self.path_s:
             self.excitation_s = (now_s, None)
         if before < end <= self.path_s:
             self.excitation_s = (self.excitation_s[0], now_s)
         if self.path_s >= self.path.duration_s:
             self.land(now_s)
+
+    def _rising(self, height_m: float) -> Steps[str]:
+        """The climb; before it the script is told where the plan lies."""
+        if self._script is not None and (reason := (yield from self._script.place(self.placement))):
+            return reason
+        return (yield from self._orders.climb(height_m))
+
+    def _hand_over(self, begin: float, now_s: float) -> None:
+        """From here the script on board leads; setpoints of ours would contradict it."""
+        assert self._script is not None  # noqa: S101 - asked before
+        self.path_s, self._handed_over, self.setpoint_sent_s = np.nextafter(begin, 0.0), True, None
+        self._begin(self._script.start(), now_s)
+
+    def _watch_script(self, now_s: float) -> None:
+        """Follow the script by its reports; lead again when it is through, land when it is not heard."""
+        assert self._script is not None and self.path is not None  # noqa: S101 - handed over
+        if self._talk is not None:
+            return
+        begin, end = self._window()
+        match self._script.state(now_s):
+            case "flying":
+                flown = self._script.progress_s(now_s)
+                self.path_s = min(begin + flown, float(np.nextafter(end, 0.0)))
+                self.excitation_s = (self.excitation_s[0] or now_s - flown, None)
+                self.target = target_at(self.path, self.path_s)
+            case "complete":
+                self.path_s, self._path_stepped_s, self._handed_over = end, now_s, False
+                self.excitation_s = (self.excitation_s[0], now_s)
+            case "silent":
+                self.land(now_s, "the script on board was not heard any more")
+            case "ended" if self.view.heartbeat_s > (self._script.ended_s or now_s):
+                # Only after a heartbeat: a pilot's switch ends the script too, and its mode is not to be taken back.
+                self.land(now_s, "the script on board ended before the excitation was flown")
+            case "ended":
+                pass  # a heartbeat that does not come is the guard's business
 
     def _settled(self) -> bool:
         """Close to the excitation's start, and slow."""
@@ -344,7 +393,7 @@ class Pilot:
         answer.ok, answer.reason = not reason, reason
         if self.phase is Phase.UPLOADED and not reason and self.view.armed:
             self._enter(Phase.ARMED, now_s)
-        elif self.phase is Phase.CLIMBING and reason:
+        elif self.phase in (Phase.CLIMBING, Phase.FOLLOWING) and reason:
             self.land(now_s, reason)
         elif self.phase is Phase.CLIMBING and self.view.state is not None:
             if self.profile.climbs_by_command:

@@ -1,4 +1,4 @@
-"""What a flight asks of the vehicle beforehand, and gives back afterwards: messages, parameters. No I/O, no clock."""
+"""What a flight asks of the vehicle beforehand, and gives back afterwards: messages, parameters, our script. No I/O, no clock."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from drivers.mavlink.exchange import Ask, Steps
 from drivers.mavlink.parameters import Parameters
 from groundstation.flight.rates import fit_rates
 from groundstation.flight.station import Station
+from groundstation.flight.upload import Way, choose_way
 from groundstation.flight.view import VehicleView
 
 MEASURE_S = 2.5
@@ -34,6 +35,7 @@ class Preparation:
         parameters: as read; None for one the vehicle does not have.
         changed: changed and not restored yet, with the value before.
         rates: asked for, by message.
+        way: how a trajectory will be flown.
     """
 
     def __init__(
@@ -48,6 +50,7 @@ class Preparation:
         self.parameters: dict[str, float | None] = {}
         self.changed: dict[str, float] = {}
         self.rates: dict[str, float] = {}
+        self.way = Way("setpoints", "the vehicle was not asked yet")
         self.done = False
         self._set, self._bytes_per_s, self._left = set_parameters, bytes_per_s, left_changed
         self._changes: list[tuple[str, float, float]] = []
@@ -62,6 +65,7 @@ class Preparation:
         self.changed = dict(self._left.get(self.view.key, {}))
         yield from self.restore()
         yield from self._parameters()
+        self.way = yield from choose_way(profile, self.station.policy, self.parameters)
         if profile.climbs_by_command and not self.view.armed:
             # After a landing it stands in a mode that it does not arm in, and its own checks fail for that alone.
             yield Ask((profile.set_mode(profile.follow_mode),), _named("COMMAND_ACK"), 0.7, 3)

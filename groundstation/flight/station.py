@@ -76,6 +76,8 @@ class Policy(_Section):
         settle_timeout_s: lands if it has not settled by then.
         hold_s: a hold becomes a landing after this.
         when_core_is_silent: land, or complete the plan first.
+        trajectory: ``auto``: flown on board by our script where the autopilot takes it, else by setpoints from the link;
+            ``setpoints``: always by setpoints.
     """
 
     placement: Literal["takeoff", "world"] = "takeoff"
@@ -87,6 +89,7 @@ class Policy(_Section):
     settle_timeout_s: Positive = 15.0
     hold_s: Positive = 5.0
     when_core_is_silent: Literal["land", "complete"] = "land"
+    trajectory: Literal["auto", "setpoints"] = "auto"
 
 
 class MocapSource(_Section):

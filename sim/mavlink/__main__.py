@@ -38,6 +38,7 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
         "--clock-drift", type=float, metavar="SHARE", help="how much faster its clock runs than the host's"
     )
     parser.add_argument("--just-booted", action="store_true", help="begin with the start-up, not a minute after it")
+    parser.add_argument("--scripting", action="store_true", help="ArduCopter runs Lua scripts (needs the package lupa)")
     parser.add_argument("--key-file", type=Path, metavar="FILE", help="32 bytes: sign and verify every frame")
     parser.add_argument(
         "--fault", action="append", default=[], metavar="NAME@SECONDS", help="something goes wrong then; repeatable"
@@ -74,6 +75,10 @@ def _service(options: argparse.Namespace, vehicle) -> Service:  # type: ignore[n
     drift = DRIFT[options.profile] if options.clock_drift is None else options.clock_drift
     boot_s = 2.25 if options.just_booted else 60.0
     autopilot = kind(vehicle, airframe, boot_s=boot_s, clock_drift=drift, unix_s=time.time(), seed=options.seed)
+    if options.scripting:
+        if not isinstance(autopilot, ArduCopter):
+            raise BadInput("--scripting: only ArduCopter runs scripts.")
+        autopilot.enable_scripting()
     transports = attach(autopilot, tuple(options.link) or DEFAULT_LINKS[options.profile], key=_key(options.key_file))
     return Service(autopilot, transports, speed=options.real_time, faults=schedule)
 

@@ -29,6 +29,7 @@ from sim.mavlink.guidance import GuidanceSettings
 from sim.mavlink.logserver import LogFile
 from sim.mavlink.outbox import Link, parameter_value
 from sim.mavlink.parameters import Parameter
+from sim.mavlink.scripting import SWITCHES, ScriptHost
 from sim.mavlink.wire import Message, mavlink, whole
 
 FORCE_DISARM, FORCE_ARM = 21196.0, 2989.0
@@ -105,12 +106,29 @@ class ArduCopter(Autopilot):
         self._prearm_s = self.PREARM_FIRST_S
         self._ekf_failsafe = False
         self._station_failsafe = False
+        self._scripts: ScriptHost | None = None
         super().__init__(*args, **options)  # type: ignore[arg-type]
         self._startup = [(t, text) for t, text in STARTUP if t > self.time_s]
         self._origin_set = self.time_s > ORIGIN_S
         self._using_announced = self.time_s > self.ESTIMATOR.gps_ready_s
         while self._prearm_s < self.time_s:
             self._prearm_s += self.PREARM_EVERY_S
+
+    def enable_scripting(self) -> None:
+        """As a build with scripting, switched on: its parameters are there, and scripts run."""
+        self.parameters.add(*SWITCHES)
+        self.parameters["SCR_ENABLE"] = 1
+        self._load_scripts()
+
+    def _load_scripts(self) -> int:
+        """Start what lies in the scripts folder anew."""
+        if "SCR_ENABLE" not in self.parameters or not self.parameters["SCR_ENABLE"]:
+            return UNSUPPORTED
+        try:
+            self._scripts = ScriptHost(self)
+        except ImportError:
+            return UNSUPPORTED
+        return ACCEPTED
 
     # -- what it is -------------------------------------------------------------------------------------------------
 
@@ -221,6 +239,8 @@ class ArduCopter(Autopilot):
             return ACCEPTED
         if number in (mavlink.MAV_CMD_DO_SET_HOME, mavlink.MAV_CMD_DO_CHANGE_SPEED):
             return ACCEPTED
+        if number == mavlink.MAV_CMD_SCRIPTING and p[0] == mavlink.SCRIPTING_CMD_STOP_AND_RESTART:
+            return self._load_scripts()
         if number == mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN:
             return FAILED if self.armed else ACCEPTED
         return UNSUPPORTED
@@ -327,6 +347,8 @@ class ArduCopter(Autopilot):
 
     def _supervise(self) -> None:
         self._announce()
+        if self._scripts is not None:
+            self._scripts.step()
         if not self.armed:
             return
         if self.guidance.kind == "follow" and self.time_s - self._last_setpoint_s > self.parameters["GUID_TIMEOUT"]:

@@ -45,6 +45,7 @@ class ArduCopter(Profile):
     bytewise_parameters = False
     setpoint_timeout_s = 3.0
     log_suffix = ".bin"
+    scripting = "SCR_ENABLE"
     streams = (
         StreamWish("RAW_IMU", 300.0, 20.0, "rates and specific force: the motion the inertia shows in"),
         StreamWish("SERVO_OUTPUT_RAW", 300.0, 20.0, "motor commands; the onboard log has them at 10 Hz only"),
@@ -65,6 +66,8 @@ class ArduCopter(Profile):
                       why="lost setpoints shall stop the vehicle soon"),
         ParameterRule("FENCE_ENABLE", (1.0,), required=False,
                       why="the vehicle's own geofence is the last resort when both link and station fail"),
+        ParameterRule("SCR_ENABLE", (1.0, 0.0), required=False,
+                      why="with scripting the trajectory is flown on board, without a radio in the loop"),
         ParameterRule("VISO_TYPE", (1.0,), indoors=True, why="external poses shall be taken from MAVLink"),
         ParameterRule("EK3_SRC1_POSXY", (6.0,), indoors=True, why="position shall come from the external poses"),
         ParameterRule("EK3_SRC1_POSZ", (6.0,), indoors=True, why="height shall come from the external poses"),

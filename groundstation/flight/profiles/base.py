@@ -84,6 +84,7 @@ class Profile:
         pwm_us: servo output at command 0 and 1.
         setpoint_timeout_s: how long after the last setpoint the autopilot reacts by itself.
         log_suffix: of its onboard log.
+        scripting: the parameter that says (1) whether it runs our script; empty where it has none.
     """
 
     name: ClassVar[str]
@@ -101,6 +102,7 @@ class Profile:
     pwm_us: ClassVar[tuple[float, float]] = (1000.0, 2000.0)
     setpoint_timeout_s: ClassVar[float]
     log_suffix: ClassVar[str]
+    scripting: ClassVar[str] = ""
 
     system: int = 1
     component: int = 1

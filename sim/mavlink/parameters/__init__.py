@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 
 from sim.mavlink.wire import Message, mavlink
@@ -63,6 +63,12 @@ class ParameterStore:
                 parameter.value = round(parameter.value)
         self._index = {parameter.name: i for i, parameter in enumerate(self.all)}
         self._bytewise = bytewise
+
+    def add(self, *more: Parameter) -> None:
+        """Append settings the recorded table does not have."""
+        for parameter in more:
+            self._index[parameter.name] = len(self.all)
+            self.all.append(replace(parameter))
 
     def __len__(self) -> int:
         return len(self.all)
