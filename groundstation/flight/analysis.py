@@ -24,6 +24,8 @@ from groundstation.flightdata import FlightData
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification
 from groundstation.vehicle import Vehicle
 
+AUGMENTED = "with findings"
+"""The parameter set of the augmented model among the validations."""
 Progress = Callable[[float, str], None]
 Table = dict[str, tuple[float, float, float, float]]
 
@@ -108,6 +110,7 @@ def analyse(
     write_json(folder / "evolution.json", evolution(flights[0]))
     diagnosis = _diagnose(flights, references, held_out, lambda f, text: progress(0.55 + 0.35 * f, text))
     diagnosis, plan = with_next_flight(folder, diagnosis, flights[0].vehicle)
+    identification = with_augmented_loop(flights[0], identification, diagnosis, exclude)
     files = write_identification(folder, identification, flights[0].vehicle, diagnosis)
     if plan is not None:
         files["next_flight"] = plan
@@ -132,6 +135,36 @@ def _diagnose(
         traceback.print_exc()
         reason = f"the diagnosis failed ({type(error).__name__}: {error}); this is a defect"
         return Diagnosis(first.name, first.vehicle.name, "refused", reason=reason)
+
+
+def with_augmented_loop(
+    flight: FlightData,
+    identification: Identification,
+    diagnosis: Diagnosis,
+    exclude: Sequence[tuple[float, float]] = (),
+) -> Identification:
+    """Where the closed loop was simulated, the same with the augmented model: parameters and forces of the findings."""
+    from groundstation.diagnosis.effect import wrench_of
+    from groundstation.identification.validation import closed_loop_validation, parameter_sets
+    from groundstation.reporting.exports import model_document
+
+    loop = next((check for check in identification.validation if check.kind == "closed_loop"), None)
+    if loop is None or not diagnosis.findings or flight.plan is None:
+        return identification
+    effects = model_document(identification, flight.vehicle, diagnosis)["effects"]
+    values = {name: estimate.value for name, estimate in diagnosis.parameters_after.items()}
+    nominal = parameter_sets(flight.vehicle, {})["nominal"]
+    sets = {AUGMENTED: {name: values.get(name, declared) for name, declared in nominal.items()}}
+    again = closed_loop_validation(
+        flight,
+        flight.plan,
+        sets,
+        mocap_minus_imu_s=identification.clock.mocap_minus_imu_s if identification.clock is not None else 0.0,
+        exclude=exclude,
+        wrenches={AUGMENTED: wrench_of(effects, flight.vehicle)},
+    )
+    both = replace(loop, rms={**loop.rms, **again.rms})
+    return replace(identification, validation=tuple(both if c is loop else c for c in identification.validation))
 
 
 def with_next_flight(folder: Path, diagnosis: Diagnosis, vehicle: Vehicle) -> tuple[Diagnosis, Path | None]:

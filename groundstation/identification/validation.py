@@ -14,7 +14,7 @@ from groundstation.identification.processing import clean, excitation_window, in
 from groundstation.identification.results import MASS_AND_TENSOR, OUTPUTS, MethodResult, Validation
 from groundstation.identification.seed import Regression, filtered_regression, standard_regression
 from groundstation.identification.wrench import declared_wrench, held_mean
-from groundstation.model.closed_loop import STEP_S, Conditions, simulate_closed_loop
+from groundstation.model.closed_loop import STEP_S, Conditions, Wrench, simulate_closed_loop
 from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle
 
@@ -100,6 +100,7 @@ def closed_loop_validation(
     mocap_minus_imu_s: float = 0.0,
     exclude: Sequence[tuple[float, float]] = (),
     conditions: Conditions | None = None,
+    wrenches: Mapping[str, Wrench] | None = None,
 ) -> Validation:
     """Simulate the closed loop with each parameter set and compare it with the flight (Table 4).
 
@@ -113,6 +114,7 @@ def closed_loop_validation(
         mocap_minus_imu_s: motion-capture stamp minus IMU stamp of one instant.
         exclude: segments that are not compared.
         conditions: sampling and limits; None: section IV-A's, at the flight's own rate of poses.
+        wrenches: of the effects that a set of this name is augmented by.
 
     Raises:
         NotIdentifiable: no poses, or the flight does not say when the excitation began.
@@ -150,6 +152,7 @@ def closed_loop_validation(
             duration_s=float(t[-1] - start),
             initial=_start_state(t, flown),
             conditions=conditions,
+            wrench=(wrenches or {}).get(name),
         )
         k = min(len(t), len(simulated.t_s))
         # Both wrenches hold until their next value, so both are averaged over the same cells.

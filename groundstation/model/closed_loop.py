@@ -10,17 +10,22 @@ need no factor m, f_p being a force.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from groundstation.frames import quat_from_euler, quat_rotate
+from groundstation.model.signals import Signals
 from groundstation.trajectory import Trajectory
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
 STEP_S = 0.001
+ROUNDS = 5
+Wrench = Callable[[Signals], Array]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +74,7 @@ def simulate_closed_loop(
     duration_s: float | None = None,
     initial: ArrayLike | None = None,
     conditions: Conditions | None = None,
+    wrench: Wrench | None = None,
 ) -> ClosedLoop:
     """Fly a trajectory with given plant parameters.
 
@@ -82,6 +88,8 @@ def simulate_closed_loop(
         initial: position (world), velocity (body), roll, pitch, yaw, body rates, shape (12,); None: on the trajectory, at
             rest and level.
         conditions: sampling and limits; None: those of section IV-A.
+        wrench: body force and torque of effects, (k, 6) from signals. The loop is flown again with what the last round's
+            motion makes of them (waveform relaxation, Lelarasmee 1982), four times; effects are weak beside the loop.
     """
     from groundstation.model.closed_loop_kernel import fly
 
@@ -104,18 +112,47 @@ def simulate_closed_loop(
     allocation = np.ascontiguousarray(vehicle.allocation())
     tensor = np.ascontiguousarray(inertia, dtype=float)
     thrust_max = limits.thrust_max_n or vehicle.rotor_thrust_max_n() * vehicle.rotors.count
-    states, wrenches = fly(
-        wanted,
-        state,
-        np.array([vehicle.mass_kg, vehicle.gravity_m_s2, control.derivative_filter_rad_s]),
-        gains,
-        float(mass_kg),
-        tensor,
-        np.ascontiguousarray(np.linalg.inv(tensor)),
-        np.array([thrust_max, limits.torque_max_nm or np.inf, rotor_max]),
-        allocation,
-        np.ascontiguousarray(np.linalg.pinv(allocation)),
-        np.array([conditions.pose_hz, conditions.imu_hz]),
-        STEP_S,
+    push = np.zeros((len(t), 6))
+    for turn in range(1 if wrench is None else ROUNDS):
+        states, wrenches = fly(
+            wanted,
+            state,
+            push,
+            np.array([vehicle.mass_kg, vehicle.gravity_m_s2, control.derivative_filter_rad_s]),
+            gains,
+            float(mass_kg),
+            tensor,
+            np.ascontiguousarray(np.linalg.inv(tensor)),
+            np.array([thrust_max, limits.torque_max_nm or np.inf, rotor_max]),
+            allocation,
+            np.ascontiguousarray(np.linalg.pinv(allocation)),
+            np.array([conditions.pose_hz, conditions.imu_hz]),
+            STEP_S,
+        )
+        flown = ClosedLoop(t, states[:, :3], states[:, 6:9], states[:, 3:6], states[:, 9:], wrenches)
+        if wrench is not None and turn < ROUNDS - 1:
+            push = np.ascontiguousarray(np.nan_to_num(wrench(_signals(vehicle, flown))))
+    return flown
+
+
+def _signals(vehicle: Vehicle, flown: ClosedLoop) -> Signals:
+    """What effects depend on, along a simulated flight; there is no battery in it."""
+    from groundstation.model.rotors import wrench_matrix
+
+    quaternion = quat_from_euler(*flown.euler_rad.T)
+    thrust = flown.wrench @ np.linalg.pinv(wrench_matrix(vehicle)).T
+    motor = thrust if vehicle.rotors.input == "wrench" else vehicle.motor_for_thrust(thrust)
+    unknown = np.full(len(flown.t_s), np.nan)
+    return Signals(
+        t_s=flown.t_s,
+        position_m=flown.position_m,
+        velocity_world_m_s=quat_rotate(quaternion, flown.velocity_body_m_s),
+        quaternion=quaternion,
+        rate_rad_s=flown.rate_rad_s,
+        motor=motor,
+        lagged=motor,
+        lagged_rate=np.gradient(motor, flown.t_s, axis=0),
+        thrust_n=thrust,
+        voltage_v=unknown,
+        charge_as=unknown,
     )
-    return ClosedLoop(t, states[:, :3], states[:, 6:9], states[:, 3:6], states[:, 9:], wrenches)

@@ -14,17 +14,17 @@ def _clip(value, low, high):
 
 
 @njit(cache=True)
-def _slope(x, wrench, mass, inertia, inverse, gravity, out):
-    """Time derivative of [p, v, eta, omega] (seed eq. 1-4), written into ``out``."""
+def _slope(x, wrench, push, mass, inertia, inverse, gravity, out):
+    """Time derivative of [p, v, eta, omega] (seed eq. 1-4) with a further force and torque, written into ``out``."""
     u, v, w, p, q, r = x[3], x[4], x[5], x[9], x[10], x[11]
     sp, cp, st, ct = sin(x[6]), cos(x[6]), sin(x[7]), cos(x[7])
     sy, cy, tt = sin(x[8]), cos(x[8]), tan(x[7])
     out[0] = ct * cy * u + (st * cy * sp - sy * cp) * v + (st * cy * cp + sy * sp) * w
     out[1] = ct * sy * u + (st * sy * sp + cy * cp) * v + (st * sy * cp - cy * sp) * w
     out[2] = -st * u + ct * sp * v + ct * cp * w
-    out[3] = r * v - q * w + gravity * st
-    out[4] = p * w - r * u - gravity * ct * sp
-    out[5] = q * u - p * v - gravity * ct * cp + wrench[0] / mass
+    out[3] = r * v - q * w + gravity * st + push[0] / mass
+    out[4] = p * w - r * u - gravity * ct * sp + push[1] / mass
+    out[5] = q * u - p * v - gravity * ct * cp + (wrench[0] + push[2]) / mass
     turning = sp * q + cp * r
     out[6] = p + tt * turning
     out[7] = cp * q - sp * r
@@ -32,9 +32,9 @@ def _slope(x, wrench, mass, inertia, inverse, gravity, out):
     hx = inertia[0, 0] * p + inertia[0, 1] * q + inertia[0, 2] * r
     hy = inertia[1, 0] * p + inertia[1, 1] * q + inertia[1, 2] * r
     hz = inertia[2, 0] * p + inertia[2, 1] * q + inertia[2, 2] * r
-    mx = wrench[1] - (q * hz - r * hy)
-    my = wrench[2] - (r * hx - p * hz)
-    mz = wrench[3] - (p * hy - q * hx)
+    mx = wrench[1] + push[3] - (q * hz - r * hy)
+    my = wrench[2] + push[4] - (r * hx - p * hz)
+    mz = wrench[3] + push[5] - (p * hy - q * hx)
     for i in range(3):
         out[9 + i] = inverse[i, 0] * mx + inverse[i, 1] * my + inverse[i, 2] * mz
 
@@ -116,12 +116,13 @@ def _limit_rotors(wrench, allocation, mixing, largest):
 
 
 @njit(cache=True)
-def fly(wanted, start, declared, gains, mass, inertia, inverse, limits, allocation, mixing, rates_hz, step):
+def fly(wanted, start, push, declared, gains, mass, inertia, inverse, limits, allocation, mixing, rates_hz, step):
     """Integrate the closed loop with fourth-order Runge-Kutta, the wrench held over each step.
 
     Args:
         wanted: desired position, velocity, acceleration, yaw, yaw rate per step, shape (k, 11).
         start: state at the start, shape (12,).
+        push: body force and torque besides the rotors' per step, shape (k, 6).
         declared: mass, gravity, bandwidth of the derivative filter.
         gains: rows position p, i, d and attitude p, i, d, shape (6, 3).
         mass: of the plant.
@@ -154,7 +155,7 @@ def fly(wanted, start, declared, gains, mass, inertia, inverse, limits, allocati
             share = 0.0 if stage == 0 else (step if stage == 3 else 0.5 * step)
             for j in range(12):
                 probe[j] = x[j] + (share * stages[stage - 1, j] if stage > 0 else 0.0)
-            _slope(probe, wrench, mass, inertia, inverse, declared[1], stages[stage])
+            _slope(probe, wrench, push[i], mass, inertia, inverse, declared[1], stages[stage])
         for j in range(12):
             x[j] += step / 6.0 * (stages[0, j] + 2.0 * stages[1, j] + 2.0 * stages[2, j] + stages[3, j])
     return states, wrenches
