@@ -48,7 +48,7 @@ def test_a_vehicle_that_is_ready_passes_everything(ready):
     assert failures(checks) == ""
     names = [c.name for c in checks]
     assert len(names) == len(set(names))
-    assert {"link", "streams", "arming", "disarmed", "estimate", "clock", "battery", "poses", "plan", "room",
+    assert {"link", "streams", "arming", "disarmed", "estimate", "clock", "battery", "log", "disk", "poses", "plan", "room",
             "vibration", "oscillation", "COM_OBL_RC_ACT"} <= set(names)  # fmt: skip
     assert all(c.reason for c in checks)
 
@@ -65,6 +65,9 @@ def test_a_vehicle_that_is_ready_passes_everything(ready):
         ("battery", {"battery_remaining": None, "battery": None}, "no battery"),
         ("vibration", {"vibration_m_s2": (5.0, 70.0, 5.0)}, "70.0"),
         ("streams", {"meters": {}}, "needed 20 Hz"),
+        ("log", {"logs": False}, "does not work"),
+        ("log", {"log_room_mib": 0.0}, "0 MiB free"),
+        ("log", {"log_room_mib": 30.0}, "43 MiB wanted"),
     ],
 )
 def test_each_check_fails_with_reason_and_remedy(ready, name, fields, says):
@@ -72,6 +75,11 @@ def test_each_check_fails_with_reason_and_remedy(ready, name, fields, says):
     assert not found.ok
     assert says in found.reason
     assert found.remedy
+
+
+def test_a_full_disk_is_seen_before_the_flight(ready):
+    assert not answer(ready, "disk", disk_free_bytes=20 << 20).ok
+    assert answer(ready, "disk", disk_free_bytes=1 << 30).ok
 
 
 def test_a_parameter_that_cannot_be_read_is_a_failure_not_a_silence(ready):

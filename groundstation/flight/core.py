@@ -311,6 +311,8 @@ class FlightCore:
     def _upload(self) -> None:
         upload = bus.make_upload(self.settings.plan.read_bytes())
         answer = bus.ask(self.session, self.keys.upload, upload)
+        if answer.ok and answer.reason:
+            self.inbox.put(lambda: self._tell("upload", answer.reason))
         self.inbox.put(lambda: self._event(seq.UploadAnswered(answer.ok, answer.reason)))
 
     def _command(self, name: bus.CommandName) -> bool:

@@ -16,6 +16,7 @@ import contextlib
 import gc
 import os
 import queue
+import shutil
 import signal
 import sys
 import time
@@ -98,7 +99,8 @@ class LinkProcess:
         self._core_seen = False
         self._core_gone_s: float | None = None
         self._motor_kind: str | None = None
-        self._log = raw_log.open("ab") if raw_log is not None else None
+        self._log = raw_log.open("ab", buffering=0) if raw_log is not None else None
+        self._log_failed = False
         self._logger = Writer("raw log", self._write_log) if self._log is not None else None
         mocap = core.station.mocap
         self._poses = PoseSource(mocap) if mocap.system != "none" else None
@@ -188,14 +190,18 @@ class LinkProcess:
         """Wait, step, write."""
         due = self.core.next_s - self.clock()
         self.transport.wait(min(IDLE_WAIT_S, due) if due > -1e6 else IDLE_WAIT_S)
-        while not self._inbox.empty():
-            self._inbox.get_nowait()()
         now = self.clock()
         if self._stop_reason and self.core.pilot is not None and self.core.pilot.phase in IN_AIR:
             self.core.order("abort", now, self._stop_reason)
         for pose, received_s in self._poses.read() if self._poses is not None else ():
             self._emit(self.core.pose(pose, received_s))
         self._emit(self.core.step(now, self.transport.read(), datagrams=self.transport.datagrams))
+        if (
+            not self._inbox.empty()
+        ):  # after what arrived, so that an order is not judged by the knowledge before a stall
+            while not self._inbox.empty():
+                self._inbox.get_nowait()()
+            self._emit(self.core.step(self.clock(), ()))
         if self.core.pilot is not None and self.core.pilot.phase is Phase.LANDED:
             self.core.restore_parameters()
         self._answer()
@@ -209,6 +215,9 @@ class LinkProcess:
         for sample, host_s in out.samples:
             if isinstance(sample, Raw) and self._logger is not None:
                 self._logger.put((time.time(), sample.data))
+                if self._logger.failure and not self._log_failed:
+                    self._log_failed = True
+                    self.core.note(self.clock(), "link", f"the raw log is not written any more: {self._logger.failure}")
             if not isinstance(sample, Motors) or (self.core.ready and sample.kind == self.motor_kind()):
                 self._batch.append((sample, host_s))
 
@@ -374,7 +383,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             options.set_parameters,
             options.bytes_per_s or bandwidth_of(options.link),
         )
-        core = LinkCore(vehicle, station, settings, signing, journal.pending())
+        core = LinkCore(vehicle, station, settings, signing, journal.pending(), _free_bytes(options.raw_log))
         process = LinkProcess(core, open_transport(options.link), options.drone, vehicle, options.raw_log, journal)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: process.stop("the link was asked to stop"))
@@ -385,6 +394,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ValueError, ConnectionError) as error:
         print(error, file=sys.stderr)
         return BadInput.exit_status
+
+
+def _free_bytes(raw_log: Path | None) -> Callable[[], int | None]:
+    return lambda: None if raw_log is None else shutil.disk_usage(raw_log.parent).free
 
 
 def _signing(path: Path | None) -> Signing | None:

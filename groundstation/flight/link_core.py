@@ -7,7 +7,7 @@ as setpoints are due; guard and setpoints come first in it and wait for nothing.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf
 from typing import TypeVar
@@ -88,6 +88,7 @@ class LinkCore:
         station: limits and policy.
         options: see :class:`Options`.
         signing: key for the whole flight; None leaves MAVLink unsigned.
+        free_bytes: room where the recording goes; None when nobody keeps one.
         restore: parameters earlier flights changed and never restored: vehicle -> name -> value before.
 
     Attributes:
@@ -99,7 +100,7 @@ class LinkCore:
 
     def __init__(
         self, vehicle: Vehicle, station: Station, options: Options = Options(), signing: Signing | None = None,
-        restore: dict[str, dict[str, float]] | None = None,
+        restore: dict[str, dict[str, float]] | None = None, free_bytes: Callable[[], int | None] = lambda: None,
     ):  # fmt: skip
         self.vehicle, self.station, self.options = vehicle, station, options
         self.clock = Timesync()
@@ -110,6 +111,7 @@ class LinkCore:
         self.checks: list[Check] = []
         self.preparation: Preparation | None = None
         self._left_changed = restore or {}
+        self.free_bytes = free_bytes
         self.verdict: Verdict | None = None
         self._signing = signing
         self._codecs: dict[Peer, MavlinkCodec] = {}
@@ -151,14 +153,19 @@ class LinkCore:
             return Answered(False, str(error))
         if reason := failures(self.checks):
             return Answered(False, reason)
-        return self._send_plan(plan, self.preparation.way if self.preparation is not None else None, now_s)
+        assert self.preparation is not None  # noqa: S101 - ready
+        return self._send_plan(plan, self.preparation.way, now_s)
 
-    def _send_plan(self, plan: Plan, way: Way | None, now_s: float) -> Answered:
+    def _told(self, answered: Answered, way: Way, now_s: float) -> Answered:
+        """The answer, with the way as its sentence when the plan was taken."""
+        self.note(now_s, "upload", str(way))
+        return Answered(True, str(way)) if answered.ok else answered
+
+    def _send_plan(self, plan: Plan, way: Way, now_s: float) -> Answered:
         """Give the plan to whoever will fly it: the script on board, or the pilot here with setpoints."""
         assert self.pilot is not None  # noqa: S101 - `upload` asked
-        if way is None or way.kind == "setpoints":
-            self._note(now_s, "upload", f"setpoints: {way.why}" if way else "setpoints")
-            return self.pilot.upload(plan)
+        if way.kind == "setpoints":
+            return self._told(self.pilot.upload(plan), way, now_s)
         talk = self.converse(send_coefficients(self.pilot.profile, way.folder, plan.series()))
         self._sending = _Sending(plan, way, talk, Answered())
         return self._sending.answer
@@ -168,8 +175,7 @@ class LinkCore:
         assert self._sending is not None and self.pilot is not None  # noqa: S101 - `_converse` asked
         sending, self._sending = self._sending, None
         if sending.talk.error is None:
-            self._note(now_s, "upload", f"onboard: {sending.way.why}; script and coefficients confirmed by checksum")
-            taken = self.pilot.upload(sending.plan, onboard=True)
+            taken = self._told(self.pilot.upload(sending.plan, onboard=True), sending.way, now_s)
         else:
             why = f"the coefficients were not taken: {sending.talk.error}"
             taken = self._send_plan(sending.plan, Way("setpoints", why), now_s)
@@ -183,11 +189,14 @@ class LinkCore:
         """
         assert self.view is not None  # noqa: S101 - ready
         error_s, carried = self.clock.error_s(now_s), tuple(self._carried)
-        situation = Situation(now_s, self.view, self.station, self.vehicle, plan, self.parameters, error_s, carried)
+        free = self.free_bytes()
+        situation = Situation(
+            now_s, self.view, self.station, self.vehicle, plan, self.parameters, error_s, carried, free
+        )
         self.checks = run_checks(situation, self.options.force)
         for check in self.checks:
             verdict = "forced" if check.forced else "ok" if check.ok else "failed"
-            self._note(now_s, "preflight", f"{check.name} {verdict}: {check.reason}")
+            self.note(now_s, "preflight", f"{check.name} {verdict}: {check.reason}")
         return self.checks
 
     def order(self, name: str, now_s: float, reason: str = "") -> Answered:
@@ -422,8 +431,8 @@ class LinkCore:
         if self.options.keep_raw:
             out.samples.append((Raw(now_s, "out", raw), now_s))
 
-    def _note(self, now_s: float, kind: str, text: str) -> None:
-        """An event that leaves with the next step."""
+    def note(self, now_s: float, kind: str, text: str) -> None:
+        """Put an event into the recording, with the next step."""
         self._events.append(Event(self.device_s(now_s), kind, text))
 
     def _tell(self, out: Output, now_s: float, kind: str, text: str) -> None:

@@ -9,6 +9,9 @@ import msgspec
 CLIENT_ALIVE = "gs/client/{client}/alive"
 """Liveliness token of a client; when it vanishes, its lease is free again."""
 
+WAY = "the trajectory is flown "
+"""Begins the sentence in which a link says how it flies the trajectory, and why so."""
+
 CommandName = Literal["start", "land", "abort", "kill"]
 """``start``, ``land`` and ``kill`` (rotors off, it falls) belong to the holder of the lease; ``abort`` to everyone."""
 

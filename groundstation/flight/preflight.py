@@ -25,6 +25,13 @@ VIBRATION_M_S2 = 30.0
 CLOCK_ERROR_S = 0.02
 RESERVE = 1.5
 MOVED_M = 0.3
+MIB = 1 << 20
+LOG_MIB_PER_S = 0.35
+"""Of a PX4 log with every topic at full rate; the excitation's own profile writes about a third of it."""
+RECORDED_MIB_PER_S = 0.3
+"""Recording and raw log of a flight at the highest rates."""
+GROUND_S = 120.0
+"""Of a flight's time before and after the plan, generously."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +63,7 @@ class Situation:
         station, vehicle, plan: the files; without a plan what concerns it is not checked, and says so.
         parameters: read from the vehicle; None for one it does not have.
         clock_error_s: of the vehicle's clock against ours.
+        disk_free_bytes: where the recording goes; None when nobody keeps one.
         carried: (state, pose) pairs over which the vehicle was moved, to compare their frames.
     """
 
@@ -67,6 +75,7 @@ class Situation:
     parameters: Mapping[str, float | None]
     clock_error_s: float
     carried: Sequence[tuple[State, Pose]] = ()
+    disk_free_bytes: int | None = None
 
     @property
     def profile(self) -> Profile:
@@ -101,6 +110,8 @@ def _all(s: Situation) -> Iterator[Check]:
     yield _estimate(s)
     yield _clock(s)
     yield _battery(s)
+    yield _log(s)
+    yield _disk(s)
     yield from _parameters(s)
     yield from _poses(s)
     yield _plan_fits_vehicle(s)
@@ -194,6 +205,38 @@ def _battery(s: Situation) -> Check:
     if remaining is None:
         return Check("battery", True, f"remaining charge unknown{volts}")
     return _answer("battery", remaining > RESERVE * limit, f"{100 * remaining:.0f} %{volts}", remedy)
+
+
+def _flight_s(s: Situation) -> float:
+    return GROUND_S + (0.0 if s.plan is None else s.plan.series().duration_s)
+
+
+def _log(s: Situation) -> Check:
+    """Room for the onboard log, which has the motion at rates no link carries."""
+    if s.view.logs is False:
+        return Check(
+            "log", False, "the autopilot says that its onboard log does not work",
+            "look at its card (in, formatted, not full), and at LOG_BACKEND_TYPE",
+        )  # fmt: skip
+    room, needed = s.view.log_room_mib, LOG_MIB_PER_S * _flight_s(s)
+    if room is None:
+        told = "the onboard log works; its room is not told" if s.view.logs else "the vehicle tells nothing of its log"
+        return Check("log", True, told)
+    return _answer(
+        "log", room >= needed, f"{room:.0f} MiB free for the onboard log, {needed:.0f} MiB wanted",
+        "put a card in, or erase old logs from it",
+    )  # fmt: skip
+
+
+def _disk(s: Situation) -> Check:
+    """Room for the recording, here."""
+    if s.disk_free_bytes is None:
+        return Check("disk", True, "no recording is kept here")
+    room, needed = s.disk_free_bytes / MIB, RECORDED_MIB_PER_S * _flight_s(s)
+    return _answer(
+        "disk", room >= needed, f"{room:.0f} MiB free for the recording, {needed:.0f} MiB wanted",
+        "free room where the flights are kept, or give another folder with --logs",
+    )  # fmt: skip
 
 
 def _parameters(s: Situation) -> Iterator[Check]:

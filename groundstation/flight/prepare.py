@@ -61,6 +61,7 @@ class Preparation:
         """Ask for messages, read parameters, restore what an earlier flight left, set what this one needs, measure."""
         profile = self.view.profile
         yield Ask((profile.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 148.0),), _named("AUTOPILOT_VERSION"), 0.7, 3)
+        yield Ask((profile.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 261.0),), _named("COMMAND_ACK"), 0.7, 3)
         yield from self._streams()
         self.changed = dict(self._left.get(self.view.key, {}))
         yield from self.restore()

@@ -13,7 +13,7 @@ from typing import Any
 from groundstation.errors import BadInput, FlightAborted, Refused
 from groundstation.flight.children import Child
 from groundstation.flight.client import CoreClient, connect, outcome, start_core
-from groundstation.flight.messages import CoreStatus
+from groundstation.flight.messages import WAY, CoreStatus
 from groundstation.flight.sequence import FINAL, IN_FLIGHT, Phase
 from groundstation.identification.results import Estimate
 from groundstation.reporting.units import decimals, fixed, half_width, label, scale_for, split_unit
@@ -143,12 +143,15 @@ def fly(
 def follow(client: CoreClient, ended: Callable[[], bool], say: Say, confirm: Callable[[], bool] = lambda: True) -> None:
     """Start the flight once it is checked, and say what happens until the core is gone."""
     asked, shown, last = False, False, ""
+    way = ""
     while not ended():
         status = client.status(0.2)
         if status is None:
             continue
         if status.phase == Phase.CHECKED and not asked:
             asked = client.command("start" if confirm() else "abort").ok
+        if not way and (way := next((note for note in status.notes if note.startswith(WAY)), "")):
+            say(way)
         if status.table and not shown:
             say(f"preliminary: {table_line(status.table)}")
             shown = True

@@ -17,6 +17,7 @@ import numpy as np
 from drivers.mavlink.dialect import Message, mavlink
 from drivers.mavlink.exchange import Ask, Steps, listen
 from drivers.mavlink.ftp import Ftp, FtpError, checksum
+from groundstation.flight.messages import WAY
 from groundstation.flight.onboard import REPORT, is_report
 from groundstation.flight.profiles import Profile
 from groundstation.flight.station import Policy
@@ -37,20 +38,28 @@ class Way:
     why: str
     folder: str = ""
 
+    def __str__(self) -> str:
+        how = "on board" if self.kind == "onboard" else "by setpoints from the link"
+        return f"{WAY}{how}: {self.why}"
+
 
 def choose_way(profile: Profile, policy: Policy, parameters: Mapping[str, float | None]) -> Steps[Way]:
     """On board where the autopilot runs scripts and takes ours; setpoints fly on every autopilot."""
     if policy.trajectory == "setpoints":
-        return Way("setpoints", "the station file asks for setpoints from the link process")
+        return Way("setpoints", "the station file asks for it")
     if not profile.scripting:
-        return Way("setpoints", f"{profile.name} flies no script of ours; setpoints from the link process")
+        return Way("setpoints", f"{profile.name} flies no script of ours")
     if parameters.get(profile.scripting) != 1.0:
         return Way("setpoints", f"scripting is off ({profile.scripting} 1 and a restart switch it on)")
     try:
         folder = yield from send_script(profile)
     except FtpError as error:
         return Way("setpoints", f"our script cannot be used: {error}")
-    return Way("onboard", "our script flies it at the autopilot's own rate; no radio in the loop", folder)
+    return Way(
+        "onboard",
+        "our script does it at the autopilot's own rate, without a radio in the loop; confirmed by checksum",
+        folder,
+    )
 
 
 def coefficients_text(series: FourierSeries) -> str:

@@ -49,6 +49,8 @@ class VehicleView:
         armed: as the heartbeat says; None before the first.
         on_ground: as EXTENDED_SYS_STATE says; None where it never came.
         serial: the autopilot's own number; empty where it tells none.
+        logs: its onboard log works, where it tells (ArduPilot in SYS_STATUS).
+        log_room_mib: room for it, where it tells (PX4 in STORAGE_INFORMATION; 0 without a card).
         checks_pass: the autopilot's own arming checks, where it tells (ArduPilot, PX4 in SYS_STATUS).
         state, pose, battery: newest samples with ``*_s``, the host time they came.
         pose_changed_s: host time of the newest pose that differs from the one before.
@@ -65,6 +67,8 @@ class VehicleView:
     checks_pass: bool | None = None
     estimator_flags: int | None = None
     vibration_m_s2: Vector3 | None = None
+    logs: bool | None = None
+    log_room_mib: float | None = None
     capabilities: int | None = None
     software: int | None = None
     serial: str = ""
@@ -108,6 +112,11 @@ class VehicleView:
                 bit = mavlink.MAV_SYS_STATUS_PREARM_CHECK
                 if m.onboard_control_sensors_present & bit:
                     self.checks_pass = bool(m.onboard_control_sensors_health & bit)
+                log = mavlink.MAV_SYS_STATUS_LOGGING
+                if m.onboard_control_sensors_present & log:
+                    self.logs = bool(m.onboard_control_sensors_health & log)  # enabled only while it writes
+            case "STORAGE_INFORMATION":
+                self.log_room_mib = m.available_capacity if m.status else 0.0
             case "BATTERY_STATUS" if m.battery_remaining >= 0 and m.id == 0:
                 self.battery_remaining = m.battery_remaining * 1e-2
             case "ESTIMATOR_STATUS" | "EKF_STATUS_REPORT":

@@ -216,6 +216,15 @@ def position_target(a: Autopilot) -> Message:
     )  # fmt: skip
 
 
+CARD_MIB = 30000.0
+
+
+def storage(a: Autopilot) -> Message:
+    """STORAGE_INFORMATION: a card, formatted, with what its files leave of it."""
+    used = sum(len(content) for content in a.files.values()) / (1 << 20)
+    return mavlink.MAVLink_storage_information_message(a.boot_ms, 1, 1, 2, CARD_MIB, used, CARD_MIB - used, 0.0, 0.0)
+
+
 def vibration(a: Autopilot) -> Message:
     """VIBRATION: RMS of the accelerometer's fast part."""
     return mavlink.MAVLink_vibration_message(a.boot_us, *a.vibration_m_s2, 0, 0, 0)

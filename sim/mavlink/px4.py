@@ -95,6 +95,7 @@ class Px4(Autopilot):
         **messages.COMMON,
         8: _link_node_status,
         105: messages.highres_imu,
+        261: messages.storage,
         141: messages.altitude,
         291: messages.esc_status,
         331: messages.odometry,

@@ -39,6 +39,10 @@ local function channel(index, t)
   return q, v, acc
 end
 
+local function wrapped(radians)  -- the binding takes no more than a turn
+  return (math.deg(radians) + 180) % 360 - 180
+end
+
 local function command(t)
   local pn, vn, an = channel(1, t)
   local pe, ve, ae = channel(2, t)
@@ -50,7 +54,7 @@ local function command(t)
   velocity:x(c * vn - s * ve) velocity:y(s * vn + c * ve) velocity:z(vd)
   acceleration:x(c * an - s * ae) acceleration:y(s * an + c * ae) acceleration:z(ad)
   vehicle:set_target_posvelaccel_NED(
-    position, velocity, acceleration, true, math.deg(yaw + plan.place5), true, math.deg(rate), false)
+    position, velocity, acceleration, true, wrapped(yaw + plan.place5), true, math.deg(rate), false)
 end
 
 local function report(now_ms, value, every_ms)

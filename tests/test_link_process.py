@@ -1,0 +1,94 @@
+"""The link process without its processes: what its one thread does with a disk that is full and with orders after a stall."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from mavlink_vehicle import Rig, small_plan
+
+from drivers.samples import Event
+from groundstation.flight.link import LinkProcess
+from groundstation.flight.parameter_journal import ParameterJournal
+
+
+class Port:
+    """The scripted vehicle of a rig as a transport: a turn waits one step of its time."""
+
+    datagrams, trouble = False, ""
+
+    def __init__(self, rig: Rig):
+        self.rig = rig
+        self._out: list[bytes] = []
+        self._in: list[tuple[str, bytes]] = []
+
+    def wait(self, _seconds: float) -> None:
+        self.pass_time(0.01)
+
+    def pass_time(self, seconds: float) -> None:
+        """The vehicle goes on; what it sends waits to be read."""
+        for _ in range(round(seconds / 0.01)):
+            self.rig.now_s += 0.01
+            self._in += [("vehicle", data) for data in self.rig.vehicle.step(self.rig.now_s, self._out)]
+            self._out.clear()
+
+    def read(self) -> list[tuple[str, bytes]]:
+        arrived, self._in = self._in, []
+        return arrived
+
+    def write(self, data: bytes) -> None:
+        self._out.append(data)
+
+
+class Bus:
+    """Takes what is published."""
+
+    def put(self, _item: object) -> None:
+        pass
+
+
+def process(rig: Rig, raw_log: Path | None = None) -> LinkProcess:
+    made = LinkProcess(
+        rig.core, Port(rig), "vehicle", rig.core.vehicle, raw_log, ParameterJournal(None), clock=lambda: rig.now_s
+    )
+    made._publisher = Bus()  # type: ignore[assignment]
+    return made
+
+
+def turns(link: LinkProcess, done, limit: int = 3000) -> bool:
+    for _ in range(limit):
+        if done():
+            return True
+        link.turn()
+        link.core.core_heard(link.clock())
+    return False
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device here that is always full")
+def test_a_raw_log_that_cannot_be_written_is_reported_once_and_the_link_goes_on():
+    rig = Rig("px4", keep_raw=True)
+    link = process(rig, Path("/dev/full"))
+    told: list[str] = []
+    emit = link._emit
+
+    def watched(out) -> None:
+        told.extend(s.text for s, _ in out.samples if isinstance(s, Event))
+        emit(out)
+
+    link._emit = watched  # type: ignore[method-assign]
+    assert turns(link, lambda: rig.core.ready)
+    link._logger.close()  # all that was put has been tried
+    turns(link, lambda: False, 20)
+    failures = [t for t in told if "raw log is not written" in t]
+    assert len(failures) == 1 and "No space left" in failures[0]
+
+
+def test_an_order_after_a_stall_is_judged_by_what_arrived_during_it():
+    rig = Rig("px4")
+    link = process(rig)
+    assert turns(link, lambda: rig.core.ready)
+    link.transport.pass_time(1.2)  # this thread did not run; the messages of 1.2 s wait in the port
+    answers = []
+    link._later(lambda: answers.append(link.core.upload(small_plan(), link.clock())))
+    link.turn()
+    assert answers and answers[0].ok, answers[0].reason
