@@ -202,6 +202,21 @@ def test_an_interrupt_inside_the_solver_ends_it_and_keeps_a_plan_that_can_be_flo
     assert violation(plan.series(), qball()) <= 1e-6
 
 
+def test_who_watches_sees_each_trajectory_that_is_tried_and_can_end_the_search():
+    seen = []
+
+    def watch(series) -> None:
+        seen.append(series)
+        if len(seen) == 8:
+            raise KeyboardInterrupt
+
+    plan = plan_excitation(**paper_problem(), time_budget_s=600.0, watch=watch)
+    assert len(seen) == 8
+    costs = [optimiser.cost(series, problem("condition", (qball(),))) for series in seen]
+    assert min(costs[1:]) < costs[0], "it gets better as it goes"
+    assert violation(plan.series(), qball()) <= 1e-6
+
+
 def test_an_interrupted_polish_still_gives_the_coarse_solution(monkeypatch):
     def interrupted(*arguments):
         raise KeyboardInterrupt

@@ -27,6 +27,7 @@ from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
+Watch = Callable[[FourierSeries], None]
 
 VIOLATION_TOLERANCE = 1e-7
 """Largest excess over a limit, in its own unit, that counts as rounding."""
@@ -204,11 +205,11 @@ def _merge(first: list[dict[str, Array]], second: list[dict[str, Array]]) -> lis
     ]
 
 
-def _polish(problem: Problem, exchange: _Exchange, unknowns: Array) -> FourierSeries:
+def _polish(problem: Problem, exchange: _Exchange, unknowns: Array, watch: Callable[[Array], None]) -> FourierSeries:
     """Exchange points within a shrinking reach until the limits hold between them; the last bit by :func:`repair`."""
     phases = exchange.touched(problem.series(unknowns))
     for reach in _REACHES:
-        unknowns = Program(problem, exchange.groups, phases, warm=True).solve(unknowns, reach)
+        unknowns = Program(problem, exchange.groups, phases, warm=True, watch=watch).solve(unknowns, reach)
         series = problem.series(unknowns)
         if largest_violation(series, problem.envelopes) < VIOLATION_TOLERANCE:
             break
@@ -223,6 +224,7 @@ def best_of(
     time_budget_s: float = 8.0,
     starts: int | None = None,
     progress: Progress = lambda fraction, text: None,
+    watch: Watch = lambda series: None,
     clock: Callable[[], float] = time.monotonic,
 ) -> Outcome:
     """The best feasible plan found in the time given; an interrupt (Ctrl-C) ends the search early and keeps the best.
@@ -233,10 +235,11 @@ def best_of(
         time_budget_s: no new start is begun that would probably end later.
         starts: number of starts; default as many as the time allows, at least one.
         progress: called with the share of the budget that is used and a line of text.
+        watch: called with each iterate of the solver, feasible or not; KeyboardInterrupt raised in it ends the search.
         clock: seconds, monotonic.
     """
     began, rng = clock(), np.random.default_rng(seed)
-    searches = [_Search(problem) for problem in problems]
+    searches = [_Search(problem, watch) for problem in problems]
     longest, tried = 0.0, 0
     with threadpool_limits(limits=1):  # the matrices are small: threads would only wait for each other
         best = searches[0].fallback(rng)
@@ -263,8 +266,9 @@ def best_of(
 class _Search:
     """Starts on one problem; the coarse program is compiled at the first."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, watch: Watch) -> None:
         self._problem = problem
+        self._watch: Callable[[Array], None] = lambda unknowns: watch(problem.series(unknowns))
         self._exchange: _Exchange | None = None
         self._program: Program | None = None
         self._found = np.zeros(0)
@@ -285,16 +289,16 @@ class _Search:
             self._exchange = _Exchange(problem)
         start = random_start(problem, rng)
         if self._exchange.add_groups(problem.series(start), slack=_SLACK) or self._program is None:
-            self._program = Program(problem, self._exchange.groups, self._exchange.coarse)
+            self._program = Program(problem, self._exchange.groups, self._exchange.coarse, watch=self._watch)
         found = self._program.solve(start)
         while self._exchange.add_groups(problem.series(found)):
-            self._program = Program(problem, self._exchange.groups, self._exchange.coarse)
+            self._program = Program(problem, self._exchange.groups, self._exchange.coarse, watch=self._watch)
             found = self._program.solve(random_start(problem, rng))
         rough = cost(problem.series(found), problem)
         if not rough < self.rough:
             return None
         self.rough, self._found = rough, found
-        return _judge(problem, _polish(problem, self._exchange, found))
+        return _judge(problem, _polish(problem, self._exchange, found, self._watch))
 
 
 def _judge(problem: Problem, series: FourierSeries) -> Outcome:

@@ -62,6 +62,7 @@ def plan_excitation(
     time_budget_s: float = 8.0,
     starts: int | None = None,
     progress: Callable[[float, str], None] = lambda fraction, text: None,
+    watch: Callable[[FourierSeries], None] = lambda series: None,
     **limits: float,
 ) -> Plan:
     """The best excitation found for a vehicle within its limits.
@@ -80,6 +81,7 @@ def plan_excitation(
         time_budget_s: for the search; an interrupt (Ctrl-C) ends it early and keeps the best so far.
         starts: number of starting points instead of a time.
         progress: called with the share of the work that is done and a line of text.
+        watch: called with each trajectory that the solver tries; KeyboardInterrupt raised in it ends the search.
         **limits: values that replace those of the vehicle's ``[limits]``, by the same names.
 
     Returns:
@@ -107,7 +109,7 @@ def plan_excitation(
             raise
         base = Problem(vehicles, envelopes, criterion, count, 1.0, duration, start, noise, tuple(effects))
         problems += [replace(base, base_frequency_rad_s=2.0 * math.pi * k / duration) for k in periods]
-    found = best_of(problems, seed=seed, time_budget_s=time_budget_s, starts=starts, progress=progress)
+    found = best_of(problems, seed=seed, time_budget_s=time_budget_s, starts=starts, progress=progress, watch=watch)
     series = replace(found.series, periods=float(round(problems[0].duration_s / found.series.period_s)))
     return describe(series, vehicles[0], envelopes, criterion=criterion, noise=noise, effects=effects)
 

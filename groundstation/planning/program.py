@@ -30,6 +30,7 @@ class Program:
         groups: limit groups of each vehicle.
         phases: for each vehicle and limit group the phases of the base frequency at which it is held.
         warm: start the interior point close to its end, for starting points that nearly solve the program.
+        watch: called with the unknowns of each iterate; KeyboardInterrupt raised in it ends the solver.
     """
 
     def __init__(
@@ -39,8 +40,9 @@ class Program:
         phases: Sequence[Mapping[str, Array]],
         *,
         warm: bool = False,
+        watch: Callable[[Array], None] = lambda unknowns: None,
     ) -> None:
-        self.problem, self._warm = problem, warm
+        self.problem, self._warm, self._watch = problem, warm, watch
         vehicles = problem.vehicles[:1] if problem.criterion == "condition" else problem.vehicles
         samples = 8 * problem.harmonics
         self._information = [Information(problem, vehicle, samples) for vehicle in vehicles]
@@ -69,6 +71,7 @@ class Program:
         return float(v[-1]) if self._robust else self._lifting.value(self._lifted(v)[0])[0]
 
     def _objective_gradient(self, v: Array) -> Array:
+        self._watch(v[: self.problem.unknowns])  # asked for once an iterate
         gradient = np.zeros(self.size)
         if self._robust:
             gradient[-1] = 1.0
