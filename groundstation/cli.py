@@ -69,11 +69,11 @@ def cli(ctx: click.Context, debug: bool, serve: bool) -> Any:
     if ctx.invoked_subcommand is not None:
         return None
     try:
-        app = importlib.import_module("groundstation.tui.app")
+        ui = importlib.import_module("groundstation.tui.serve" if serve else "groundstation.tui.app")
     except ModuleNotFoundError:
         click.echo(ctx.get_help())
         return None
-    return app.serve() if serve else app.run()
+    return ui.serve() if serve else ui.run()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -7,8 +7,6 @@ them.
 
 from __future__ import annotations
 
-import socket
-import sys
 import webbrowser
 from pathlib import Path
 from typing import ClassVar
@@ -18,7 +16,7 @@ from textual.binding import Binding
 from textual.css.query import NoMatches
 
 from groundstation.commands.common import LOGS
-from groundstation.errors import BadInput, GroundStationError
+from groundstation.errors import GroundStationError
 from groundstation.flight.children import Child, last_line
 from groundstation.flight.client import running_cores
 from groundstation.flight.journal import NAME as JOURNAL
@@ -40,7 +38,6 @@ from groundstation.tui.widgets.bars import SCREENS
 from groundstation.tui.widgets.dialogs import Question, TextPage, TypedQuestion
 
 REFRESH_HZ = 6.0
-PORT = 8000
 KEYS = """\
 ^g, F8  abort and land
 ^o, F9  stop the rotors, after a question
@@ -343,24 +340,3 @@ class GroundStation(App[int]):
 def run() -> int:
     """Open it in this terminal."""
     return GroundStation().run() or 0
-
-
-def serve(port: int = PORT) -> int:
-    """Offer it to a browser on this machine alone; each page that is opened is a client of its own.
-
-    Raises:
-        BadInput: the port is taken.
-    """
-    from textual_serve.server import Server
-
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError as error:
-            raise BadInput(
-                f"port {port} of this machine cannot be used ({error.strerror}); end what uses it."
-            ) from None
-    server = Server(f"{sys.executable} -P -m groundstation.cli", host="127.0.0.1", port=port, title="groundstation")
-    server.serve()
-    return 0

@@ -16,11 +16,10 @@ from textual.worker import get_current_worker
 
 from groundstation.errors import BadInput, GroundStationError
 from groundstation.reporting.units import label, readable, scale_for, significant, split_unit
-from groundstation.trajectory import Plan, rigid_motion
+from groundstation.trajectory import FourierSeries, Plan, rigid_motion
 from groundstation.tui.screens.base import StationScreen, fill
 from groundstation.tui.setup import shipped
 from groundstation.tui.widgets.plots import Line, Plot
-from groundstation.vehicle import Vehicle
 
 FIELDS = {
     "x_max_m": ("room, |x| below", "m", 1.0),
@@ -30,6 +29,7 @@ FIELDS = {
     "tilt_max_rad": ("tilt below", "°", math.pi / 180.0),
 }
 """Limit -> its text, the unit it is typed in, and that unit in SI. An empty field leaves the vehicle's own limit."""
+PERIOD_POINTS = 300
 
 
 class Planner(StationScreen):
@@ -37,7 +37,7 @@ class Planner(StationScreen):
 
     MODE = "plan"
     HELP_TEXT = """\
-p starts the optimiser; it keeps the best plan found so far, and c stops it there. Empty fields keep the vehicle's own
+p starts the optimiser; the drawings follow what it tries, and c stops it with the best so far. Empty fields keep the vehicle's own
 limits. The criterion "condition" is the seed paper's; A makes the sum of the variances small. The table shows the
 standard deviation to expect of each parameter, beside that of the plan before. w writes the plan to a file in the
 folder of the flights; the Fly screen flies the plan that is shown here."""
@@ -51,6 +51,8 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
         super().__init__()
         self._enough = threading.Event()
         self._before: Plan | None = None
+        self._trial: FourierSeries | None = None
+        self._tried = self._drawn = 0
 
     def body(self) -> Iterable:
         """Form, progress, answer, drawings."""
@@ -73,10 +75,15 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
                 yield Input(placeholder="the vehicle's", id=name, type="number", compact=True)
         yield ProgressBar(total=1.0, show_eta=False, id="plan-progress")
         yield Static("p plans an excitation", id="plan-text", markup=False)
+        yield Static("", id="trial", markup=False)
         with Horizontal(classes="columns"):
             yield Plot("x, m", "y, m", id="path")
             yield Plot("t, s", "tilt, °", id="tilt")
         yield DataTable(id="accuracy", show_cursor=False)
+
+    def on_mount(self) -> None:
+        """Draw what is tried, five times a second."""
+        self.set_interval(0.2, self._draw_trial)
 
     def on_screen_resume(self) -> None:
         """Show the plan that would be flown."""
@@ -147,32 +154,43 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
         worker = get_current_worker()
         station = self.station
 
-        def progress(fraction: float, text: str) -> None:
-            if fraction < 1.0 and (self._enough.is_set() or worker.is_cancelled):
-                self._enough.clear()
+        def watch(series: FourierSeries) -> None:
+            if self._enough.is_set() or worker.is_cancelled:
                 raise KeyboardInterrupt
-            station.call_from_thread(self._progress, fraction, text)
+            self._trial, self._tried = series, self._tried + 1
 
         try:
             from groundstation.planning import plan_excitation
 
-            self._progress_from_thread(0.0, f"searching a plan for {problem['vehicle'].name}")
-            plan = plan_excitation(**problem, progress=progress)
+            self._tell(0.0, f"searching a plan for {problem['vehicle'].name}; c stops with the best so far")
+            plan = plan_excitation(**problem, progress=self._tell, watch=watch)
         except GroundStationError as error:
-            self._progress_from_thread(0.0, str(error))
+            self._tell(0.0, str(error))
         else:
-            station.call_from_thread(self._found, plan, problem["vehicle"])
+            station.call_from_thread(self._found, plan)
         finally:
+            self._trial = None
             station.plan_worker_running = False
 
-    def _progress_from_thread(self, fraction: float, text: str) -> None:
+    def _tell(self, fraction: float, text: str) -> None:
+        """From the thread."""
         self.station.call_from_thread(self._progress, fraction, text)
 
     def _progress(self, fraction: float, text: str) -> None:
         self.query_one(ProgressBar).update(progress=fraction)
         self.say("#plan-text", text)
 
-    def _found(self, plan: Plan, vehicle: Vehicle) -> None:
+    def _draw_trial(self) -> None:
+        """The trajectory that the solver tries now, if it is another than the one drawn; crosses are the last plan."""
+        trial = self._trial
+        if trial is None or self._tried == self._drawn:
+            return
+        self._drawn = self._tried
+        self.query_one(".columns").display = True
+        self._draw(trial, self.station.plan)
+        self.say("#trial", f"trying trajectory {self._tried}; crosses: the last plan")
+
+    def _found(self, plan: Plan) -> None:
         self._before = self.station.plan
         self.station.plan = plan
         self._progress(1.0, "")
@@ -182,22 +200,38 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
         """Draw path and tilt over one period, and write what it will tell."""
         self.query_one(".columns").display = True
         series = plan.series()
-        t_s = np.linspace(0.0, min(series.period_s, series.duration_s), 300)
-        motion = rigid_motion(series.sample(t_s))
-        tilt = np.degrees(np.arccos(np.cos(motion.euler_rad[:, 0]) * np.cos(motion.euler_rad[:, 1])))
-        self.query_one("#path", Plot).draw([Line(motion.position_m[:, 0], motion.position_m[:, 1])])
-        self.query_one("#tilt", Plot).draw([Line(t_s, tilt)])
+        before = self._before if self._before and self._before.vehicle == plan.vehicle else None
+        self._draw(series, before)
+        self.say("#trial", "crosses: the plan before" if before else "")
         condition = f", cond(W) {plan.condition_number:.2f}" if plan.condition_number else ""
+        was = f" (before: {before.condition_number:.2f})" if before and before.condition_number and condition else ""
         self.say(
             "#plan-text",
-            f"{plan.vehicle}: {series.duration_s:.0f} s, {series.a.shape[1]} harmonics, criterion {plan.criterion}{condition}."
+            f"{plan.vehicle}: {series.duration_s:.0f} s, {series.a.shape[1]} harmonics, criterion {plan.criterion}{condition}{was}."
             f"\n{readable(plan.note)}",
         )
-        fill(self.query_one(DataTable), ("parameter", "expected std", "plan before", "unit"), self._accuracy(plan))
+        fill(
+            self.query_one(DataTable),
+            ("parameter", "expected std", "plan before", "unit"),
+            self._accuracy(plan, before),
+        )
 
-    def _accuracy(self, plan: Plan) -> Iterable[tuple[str, ...]]:
-        before = self._before.predicted_std if self._before and self._before.vehicle == plan.vehicle else {}
+    def _draw(self, series: FourierSeries, other: Plan | None) -> None:
+        """One period's path from above and tilt, beside those of another plan."""
+        drawn = [_path_and_tilt(series, PERIOD_POINTS), *([_path_and_tilt(other.series(), 60)] if other else [])]
+        self.query_one("#path", Plot).draw([path for path, _ in drawn])
+        self.query_one("#tilt", Plot).draw([tilt for _, tilt in drawn])
+
+    def _accuracy(self, plan: Plan, before: Plan | None) -> Iterable[tuple[str, ...]]:
+        was = before.predicted_std if before else {}
         for name, std in plan.predicted_std.items():
             scale = scale_for(split_unit(name)[1], [std])
-            old = significant(before[name] * scale.factor) if name in before else "–"
+            old = significant(was[name] * scale.factor) if name in was else "–"
             yield label(name), significant(std * scale.factor), old, scale.unit
+
+
+def _path_and_tilt(series: FourierSeries, points: int) -> tuple[Line, Line]:
+    t_s = np.linspace(0.0, min(series.period_s, series.duration_s), points)
+    motion = rigid_motion(series.sample(t_s))
+    tilt = np.degrees(np.arccos(np.cos(motion.euler_rad[:, 0]) * np.cos(motion.euler_rad[:, 1])))
+    return Line(motion.position_m[:, 0], motion.position_m[:, 1]), Line(t_s, tilt)
