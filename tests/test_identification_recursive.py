@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from flights import flight_data
 
-from drivers.samples import Battery, Imu, Motors
-from groundstation.flight.live import QUEUE, LiveEstimate
+from drivers.samples import Battery, Imu, Motors, Pose
+from groundstation.flight.live import QUEUE, LiveClock, LiveEstimate
 from groundstation.flight.sequence import Phase
 from groundstation.flightdata import FlightData
 from groundstation.identification.recursive import SHOWN, RecursiveEstimator, replay
@@ -185,3 +185,22 @@ def test_a_fault_ends_the_estimates_and_nothing_else():
     for _ in range(3 * QUEUE):  # full or not, handing over returns at once
         live.see(ragged, Phase.EXCITING)
     assert live.table == {}
+
+
+def test_the_clocks_offset_is_told_while_flying_with_an_error_bar_that_holds_it():
+    """The planted offset of the scenario's motion capture: +12 ms and 15 ppm, the IMU's clock being the reference."""
+    whole = flight()
+    clock, told = LiveClock(), []
+    samples = [
+        *(Imu(float(t), tuple(v[:3]), tuple(v[3:6])) for t, v in zip(whole.imu.t_s, whole.imu.values, strict=True)),
+        *(
+            Pose(float(t), tuple(v[:3]), tuple(v[3:7]))
+            for t, v in zip(whole.mocap.t_s, whole.mocap.values, strict=True)
+        ),
+    ]
+    start, end = whole.window_s
+    for t in np.arange(start, end, 1.0):
+        told.append(clock.take([s for s in samples if t <= s.device_s < t + 1.0]))
+    assert told[5] is None
+    offset, half = told[-1]
+    assert abs(offset - 0.012) < half < 0.01

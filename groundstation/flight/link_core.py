@@ -196,7 +196,8 @@ class LinkCore:
         self.checks = run_checks(situation, self.options.force)
         for check in self.checks:
             verdict = "forced" if check.forced else "ok" if check.ok else "failed"
-            self.note(now_s, "preflight", f"{check.name} {verdict}: {check.reason}")
+            remedy = f"; {check.remedy}" if check.remedy else ""
+            self.note(now_s, "preflight", f"{check.name} {verdict}: {check.reason}{remedy}")
         return self.checks
 
     def order(self, name: str, now_s: float, reason: str = "") -> Answered:

@@ -1,4 +1,4 @@
-"""The estimate that views are shown during a flight. It flies nothing: it may be late or fail, and nothing waits for it.
+"""The estimates that views are shown during a flight. They fly nothing: they may be late or fail, and nothing waits for them.
 
 Samples go into a short queue that a thread of low importance empties; when it is full, samples are left out of this
 estimate (never out of the recording), and the estimator takes the hole as a hole.
@@ -14,8 +14,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from drivers.samples import Battery, Imu, Motors, Sample
+from drivers.samples import Battery, Imu, Motors, Pose, Sample
+from groundstation.errors import Refused
 from groundstation.flight.sequence import Phase
 from groundstation.vehicle import Vehicle
 
@@ -23,25 +25,71 @@ if TYPE_CHECKING:
     from groundstation.identification.recursive import RecursiveEstimate, RecursiveEstimator
 
 Table = dict[str, tuple[float, float, float, float]]
+Array = NDArray[np.float64]
+STRETCH_S = 4.0
 QUEUE = 40
 """Batches: two seconds of a flight at the wall clock's pace."""
 _ON_GROUND = frozenset({Phase.PLANNED, Phase.UPLOADED, Phase.CHECKED})
 
 
+class LiveClock:
+    """Stamp of motion capture minus that of the IMU, from the rotation that both saw in stretches of four seconds.
+
+    Each stretch gives an offset by correlation (:func:`groundstation.identification.clock.coarse_offset`); their mean and
+    Student's interval from their scatter are what is shown. A stretch without rotation tells nothing and is left out.
+    """
+
+    def __init__(self) -> None:
+        self._gyro: list[tuple[float, ...]] = []
+        self._poses: list[tuple[float, ...]] = []
+        self._found: list[float] = []
+
+    def take(self, samples: Sequence[Sample]) -> tuple[float, float] | None:
+        """Work samples in; (offset, half its 95 % interval) once three stretches have told."""
+        for sample in samples:
+            if isinstance(sample, Imu):
+                self._gyro.append((sample.device_s, *sample.gyro_rad_s))
+            elif isinstance(sample, Pose):
+                self._poses.append((sample.device_s, *sample.quaternion))
+        if self._gyro and self._gyro[-1][0] - self._gyro[0][0] > STRETCH_S:
+            gyro, poses = np.array(self._gyro), np.array(self._poses)
+            self._gyro, self._poses = [], []
+            if len(poses) > STRETCH_S:
+                self._align(gyro, poses)
+        if len(self._found) < 3:
+            return None
+        from scipy.special import stdtrit
+
+        count = len(self._found)
+        spread = float(np.std(self._found, ddof=1)) / math.sqrt(count)
+        return float(np.mean(self._found)), float(stdtrit(count - 1, 0.975)) * spread
+
+    def _align(self, gyro: Array, poses: Array) -> None:
+        from groundstation.identification.clock import coarse_offset
+
+        try:
+            self._found.append(coarse_offset(gyro[:, 0], gyro[:, 1:], poses[:, 0], poses[:, 1:])[0])
+        except Refused:
+            return
+
+
 class LiveEstimate:
-    """Mass and diagonal tensor so far.
+    """Mass and diagonal tensor so far, and the clocks' offset.
 
     Args:
         vehicle: as declared.
 
     Attributes:
         table: parameter -> (nominal, estimate, low, high), NaN where not told yet; empty before the first estimate.
+        clock_s: see :class:`LiveClock`; None before it is known.
         trouble: why there will be no more; empty while all is well.
     """
 
     def __init__(self, vehicle: Vehicle):
         self.table: Table = {}
         self.trouble = ""
+        self.clock_s: tuple[float, float] | None = None
+        self._clock = LiveClock()
         self._vehicle = vehicle
         self._estimator: RecursiveEstimator | None = None
         self._queue: queue.Queue[tuple[Sequence[Sample], Phase]] = queue.Queue(QUEUE)
@@ -73,6 +121,7 @@ class LiveEstimate:
         if phase is not Phase.EXCITING:
             self._estimator.rest(imu.reshape(-1, 7))
             return
+        self.clock_s = self._clock.take(samples) or self.clock_s
         for sample in samples:
             if isinstance(sample, Battery):
                 self._estimator.battery(sample.voltage_v)

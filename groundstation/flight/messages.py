@@ -47,12 +47,26 @@ class StreamStatus(msgspec.Struct, frozen=True):
         rate_hz: over the last second of the device's clock.
         age_s: host time since the last sample arrived.
         longest_gap_s: the longest time between two stamps so far.
+        delay_s: from a stamp to its arrival, as the clocks show it (their offset included), mean of the last second.
+        delay_std_s: its standard deviation.
+        trouble: what is wrong with it and what to do, as a sentence; empty when nothing is.
     """
 
     count: int = 0
     rate_hz: float = 0.0
     age_s: float = 0.0
     longest_gap_s: float = 0.0
+    delay_s: float = 0.0
+    delay_std_s: float = 0.0
+    trouble: str = ""
+
+
+class CheckStatus(msgspec.Struct, frozen=True):
+    """One item of the preflight: its name, whether it passed, what was seen, and what to do where it failed."""
+
+    name: str
+    ok: bool
+    text: str
 
 
 class CoreStatus(msgspec.Struct, frozen=True):
@@ -70,6 +84,8 @@ class CoreStatus(msgspec.Struct, frozen=True):
         progress, text: of the analysis, 0..1 and in words.
         table: the newest estimates: parameter -> (nominal, estimate, low, high), absent numbers NaN.
         notes: the last sentences of the flight's log.
+        checks: the preflight so far, item by item.
+        clock_s: stamp of motion capture minus that of the IMU at one instant, (estimate, half its 95 % interval).
     """
 
     flight: str
@@ -98,3 +114,5 @@ class CoreStatus(msgspec.Struct, frozen=True):
     text: str = ""
     table: dict[str, tuple[float, float, float, float]] = {}
     notes: tuple[str, ...] = ()
+    checks: tuple[CheckStatus, ...] = ()
+    clock_s: tuple[float, float] | None = None

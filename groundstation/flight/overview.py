@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from drivers.bus import DroneStatus
-from drivers.samples import Battery, Motors, Sample
+from drivers.samples import Battery, Event, Motors, Sample
+from groundstation.flight.ground_check import checklist, with_troubles
 from groundstation.flight.live import LiveEstimate
-from groundstation.flight.messages import CoreStatus
+from groundstation.flight.messages import CheckStatus, CoreStatus
 from groundstation.flight.recorder import Recorder
 from groundstation.flight.sequence import IN_FLIGHT, Phase
 from groundstation.flight.sequence import Sequence as FlightSequence
@@ -30,7 +31,8 @@ class FlightView:
 
     def __init__(self, folder: Path, vehicle: Vehicle):
         self._folder, self._vehicle = folder, vehicle.name
-        self._live = LiveEstimate(vehicle)
+        self._declared, self._live = vehicle, LiveEstimate(vehicle)
+        self._checks: dict[str, CheckStatus] = {}
         self.drone: DroneStatus | None = None
         self.battery_v = 0.0
         self.motors: tuple[float, ...] = ()
@@ -47,10 +49,21 @@ class FlightView:
                 self.battery_v = sample.voltage_v
             elif isinstance(sample, Motors):
                 self.motors = sample.values
+            elif isinstance(sample, Event) and sample.kind == "preflight":
+                self._note_check(sample.text)
+
+    def _note_check(self, text: str) -> None:
+        """A check of the link, as it says it: ``name verdict: what was seen``."""
+        head, _, seen = text.partition(": ")
+        name, _, verdict = head.rpartition(" ")
+        shown = f"forced: {seen}" if verdict == "forced" else seen
+        self._checks[name] = CheckStatus(name, verdict in ("ok", "forced"), shown)
 
     def status(self, sequence: FlightSequence, recorder: Recorder | None, host_s: float) -> CoreStatus:
         """As of host time."""
-        if sequence.phase in IN_FLIGHT:
+        flying = sequence.phase in IN_FLIGHT
+        streams = recorder.streams(host_s) if recorder else {}
+        if flying:
             self.table, self.text = self._live.table, self._live.trouble
         return CoreStatus(
             flight=self._folder.name,
@@ -63,7 +76,7 @@ class FlightView:
             host_s=host_s,
             motors=self.motors,
             battery_v=self.battery_v,
-            streams=recorder.streams(host_s) if recorder else {},
+            streams=with_troubles(streams, in_flight=flying) if recorder else {},
             recorded=recorder.recorded if recorder else 0,
             lost=recorder.lost_batches if recorder else 0,
             rejected=self.rejected,
@@ -72,6 +85,8 @@ class FlightView:
             text=self.text,
             table=self.table,
             notes=tuple(self.notes),
+            checks=(*self._checks.values(), *checklist(streams, self.battery_v, self._declared)) if recorder else (),
+            clock_s=self._live.clock_s,
             **self._motion(),
         )
 

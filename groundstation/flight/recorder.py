@@ -15,6 +15,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from drivers.bus import Description, DroneStatus
 from drivers.samples import Batch, Event, Raw, Sample
 from groundstation.flight.messages import StreamStatus
@@ -52,6 +54,7 @@ class StreamMeter:
         self.longest_gap_s = 0.0
         self.last_host_s = 0.0
         self._stamps: deque[float] = deque()
+        self._delays: deque[float] = deque()
 
     def add(self, device_s: float, host_s: float) -> None:
         """Take note of a sample."""
@@ -60,14 +63,18 @@ class StreamMeter:
         if self._stamps:
             self.longest_gap_s = max(self.longest_gap_s, device_s - self._stamps[-1])
         self._stamps.append(device_s)
+        self._delays.append(host_s - device_s)
         while device_s - self._stamps[0] > RATE_WINDOW_S:
             self._stamps.popleft()
+            self._delays.popleft()
 
     def status(self, host_s: float) -> StreamStatus:
         """As of host time."""
         span = self._stamps[-1] - self._stamps[0] if len(self._stamps) > 1 else 0.0
         rate = (len(self._stamps) - 1) / span if span > 0.0 else 0.0
-        return StreamStatus(self.count, rate, max(0.0, host_s - self.last_host_s), self.longest_gap_s)
+        age = max(0.0, host_s - self.last_host_s)
+        delays = np.array(self._delays or (0.0,))
+        return StreamStatus(self.count, rate, age, self.longest_gap_s, float(delays.mean()), float(delays.std()))
 
 
 class Recorder:
