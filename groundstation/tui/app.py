@@ -8,6 +8,7 @@ them.
 from __future__ import annotations
 
 import webbrowser
+from collections.abc import Mapping
 from pathlib import Path
 from typing import ClassVar
 
@@ -32,7 +33,7 @@ from groundstation.tui.screens.fly import Fly
 from groundstation.tui.screens.identify import Identify
 from groundstation.tui.screens.plan import Planner
 from groundstation.tui.screens.station import Station
-from groundstation.tui.setup import Setup, begin_flight, plan_at_hand
+from groundstation.tui.setup import Setup, begin_flight, flight_limits, plan_at_hand
 from groundstation.tui.watch import CoreWatch
 from groundstation.tui.widgets.bars import SCREENS
 from groundstation.tui.widgets.dialogs import Question, TextPage, TypedQuestion
@@ -106,6 +107,7 @@ class GroundStation(App[int]):
         self._start_wanted = False
         self._preparing = False
         self._simulated = False
+        self._limits: tuple[Mapping[str, float], Mapping[str, float]] = ({}, {})
 
     def on_mount(self) -> None:
         """Find a flight that goes on, and refresh from now on."""
@@ -125,12 +127,17 @@ class GroundStation(App[int]):
             self.core.stop()
         self.core, self._shown, self.trouble, self.results = core, None, "", None
         self._simulated = simulated
+        self._limits = flight_limits(core.folder, None if simulated else self.setup.station)
         self.switch_mode("fly")
 
     def _find_flight(self) -> None:
         """On a thread: a flight begun by another client is followed."""
         for folder, endpoint in running_cores(self.logs)[:1]:
             self.call_from_thread(self.follow, CoreWatch(endpoint, folder))
+
+    def limits(self) -> tuple[Mapping[str, float], Mapping[str, float]]:
+        """Of the flight that is followed: those of its plan, and those of the guard that a view can see."""
+        return self._limits
 
     @property
     def flying(self) -> bool:
@@ -291,9 +298,21 @@ class GroundStation(App[int]):
             self.notify(f"no browser here; the report is {results.report}", markup=False)
 
     def plan_next(self) -> None:
-        """Plan a flight of the diagnosed vehicle."""
-        vehicle = str(self.results.identification.get("vehicle", "")) if self.results else ""
+        """Take the plan that the diagnosis proposes, or search one for the diagnosed vehicle where it proposes none."""
+        results = self.results
+        if results is None:
+            self.notify("no flight is shown; choose one on Flights (6).")
+            return
         self.switch_mode("plan")
+        if results.next_flight is not None:
+            self.plan = results.next_flight
+            self.notify(
+                f"this is the flight that the diagnosis of {results.folder.name} proposes; r on Fly prepares it",
+                markup=False,
+            )
+            self.call_after_refresh(lambda: isinstance(self.screen, Planner) and self.screen.on_screen_resume())
+            return
+        vehicle = str(results.identification.get("vehicle", ""))
         self.call_after_refresh(lambda: isinstance(self.screen, Planner) and self.screen.plan_for(vehicle))
 
     # Keys -------------------------------------------------------------------------------------------------------------

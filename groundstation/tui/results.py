@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from groundstation.errors import BadInput
+from groundstation.trajectory import Plan, load_plan
+
 
 @dataclass(frozen=True, slots=True)
 class FlightResults:
@@ -17,6 +20,8 @@ class FlightResults:
         folder: of the flight.
         identification, diagnosis: the documents; empty where there is none.
         refusal: why there is no identification.
+        evolution: how the estimates moved during the flight; empty where the analysis wrote none.
+        next_flight: the plan that the diagnosis proposes.
         declared: parameters as the vehicle file declares them; empty where its vehicle does not ship.
     """
 
@@ -24,6 +29,8 @@ class FlightResults:
     identification: Mapping[str, Any] = field(default_factory=dict)
     diagnosis: Mapping[str, Any] = field(default_factory=dict)
     refusal: str = ""
+    evolution: Mapping[str, Any] = field(default_factory=dict)
+    next_flight: Plan | None = None
     declared: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -35,12 +42,15 @@ class FlightResults:
 
 def read_results(folder: Path) -> FlightResults:
     """Read what there is; a file that is damaged counts as absent."""
-    identification, diagnosis, refused = (
-        _document(folder / name) for name in ("identification.json", "diagnosis.json", "refused.json")
-    )
+    names = ("identification.json", "diagnosis.json", "refused.json", "evolution.json")
+    identification, diagnosis, refused, evolution = (_document(folder / name) for name in names)
     refusal = " ".join(str(refused[key]) for key in ("reason", "remedy") if refused.get(key))
     name = str(identification.get("vehicle") or "")
-    return FlightResults(folder, identification, diagnosis, refusal, _declared(folder, name))
+    try:
+        proposed = load_plan(folder / "next_flight.toml")
+    except BadInput:
+        proposed = None
+    return FlightResults(folder, identification, diagnosis, refusal, evolution, proposed, _declared(name))
 
 
 def _document(path: Path) -> dict[str, Any]:
@@ -51,9 +61,8 @@ def _document(path: Path) -> dict[str, Any]:
     return document if isinstance(document, dict) else {}
 
 
-def _declared(folder: Path, name: str) -> Mapping[str, float]:
-    """Nominal parameters, from the vehicle that was flown."""
-    from groundstation.errors import BadInput
+def _declared(name: str) -> Mapping[str, float]:
+    """Nominal parameters of a shipped vehicle."""
     from groundstation.paths import find_config
     from groundstation.vehicle import load_vehicle
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from groundstation.errors import BadInput
 from groundstation.flight.children import Child
 from groundstation.flight.client import new_flight_folder, start_core
 from groundstation.flight.rehearse import linked_vehicle, simulated_drone
@@ -81,3 +83,21 @@ def begin_flight(setup: Setup, plan: Plan, logs: Path, *, analyse: bool = True) 
     plan_file = write_plan(plan, folder / "plan.toml")
     core, endpoint = start_core(folder, plan=plan_file, vehicle=vehicle, drone=drone, analyse=analyse)
     return core, endpoint, folder
+
+
+def flight_limits(folder: Path, station: str | None) -> tuple[Mapping[str, float], Mapping[str, float]]:
+    """Limits of the plan in a flight's folder, and of the guard: what there is of them."""
+    from groundstation.flight.station import load_station
+    from groundstation.vehicle import load_vehicle
+
+    guard: dict[str, float] = {}
+    try:
+        plan = load_plan(folder / "plan.toml")
+        empty_v = load_vehicle(find_config("vehicles", plan.vehicle)).battery.empty_v
+        if empty_v is not None:
+            guard["empty_v"] = empty_v
+        if station is not None:
+            guard["tracking_m"] = load_station(station).guard.tracking.limit
+    except BadInput:
+        return {}, guard
+    return plan.limits, guard

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from groundstation.flight.messages import CoreStatus
-from groundstation.flight.sequence import IN_FLIGHT, Phase
+from groundstation.flight.sequence import Phase
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
 from groundstation.reporting.units import (
     decimals,
@@ -23,7 +23,6 @@ from groundstation.reporting.units import (
 )
 
 Row = tuple[str, ...]
-STALE_S = 1.0
 
 PHASES: Mapping[str, str] = {
     Phase.IDLE: "the vehicle's process is coming up",
@@ -38,33 +37,41 @@ PHASES: Mapping[str, str] = {
     Phase.DONE: "done",
     Phase.ABORTED: "ended early",
 }
-_STEPS = (Phase.IDLE, Phase.PLANNED, Phase.UPLOADED, Phase.CHECKED)
-_STEP_TEXT = ("vehicle process up", "plan uploaded", "streams, battery and vehicle checked", "started")
 
 
 def stream_rows(status: CoreStatus) -> list[Row]:
-    """One row per stream: name, rate, age, longest gap, samples, and in words how it does."""
+    """One row per stream: name, rate, age, longest gap, samples, from stamp to arrival, and in a word how it does."""
     rows = []
     for name, stream in sorted(status.streams.items()):
-        late = stream.age_s > STALE_S and status.phase in IN_FLIGHT
-        word = f"silent for {stream.age_s:.1f} s" if late else "arrives" if stream.rate_hz > 0.5 else "waiting"
         gap = f"{1e3 * stream.longest_gap_s:.0f} ms"
-        rows.append((name, f"{stream.rate_hz:.0f} Hz", f"{1e3 * stream.age_s:.0f} ms", gap, f"{stream.count}", word))
+        word = "! see below" if stream.trouble else "arrives" if stream.rate_hz > 0.5 else "waiting"
+        delay = _delay(stream.delay_s, stream.delay_std_s) if stream.count else "–"
+        rows.append(
+            (name, f"{stream.rate_hz:.0f} Hz", f"{1e3 * stream.age_s:.0f} ms", gap, f"{stream.count}", delay, word)
+        )
     return rows
 
 
-def checklist(status: CoreStatus) -> str:
-    """The steps before a flight, each with a word for how far it is, and the reason where the flight was refused."""
-    phases = list(Phase)
-    ended_early = status.phase == Phase.ABORTED
-    reached = len(_STEPS) if status.phase not in _STEPS else phases.index(Phase(status.phase))
-    lines = []
-    for index, text in enumerate(_STEP_TEXT):
-        word = "?" if ended_early else "ok" if index < reached else "…" if index == reached else " "
-        lines.append(f"[{word:^4}] {text}")
-    if status.reason:
-        lines += ["", status.reason]
-    return "\n".join(lines)
+def _delay(seconds: float, std: float) -> str:
+    return f"{1e3 * seconds:+.1f} ± {1e3 * std:.1f} ms" if abs(seconds) < 10.0 else f"{seconds:+.0f} s"
+
+
+def stream_notes(status: CoreStatus) -> str:
+    """What is wrong with which stream and what to do, then the clocks, losses and the newest sentences of the log."""
+    lines = [f"! {name}: {stream.trouble}" for name, stream in sorted(status.streams.items()) if stream.trouble]
+    if status.clock_s is not None:
+        offset, half = (1e3 * value for value in status.clock_s)
+        lines.append(f"clocks: motion capture minus IMU {offset:+.1f} ± {half:.1f} ms (95 %)")
+    elif "pose" in status.streams:
+        lines.append("clocks: motion capture minus IMU not known yet; 12 s of the excitation tell")
+    pace = "at the wall clock's pace" if status.real_time else "in simulated time"
+    losses = (
+        f"{status.lost} batches lost, {status.rejected} not decoded"
+        if status.lost + status.rejected
+        else "nothing lost"
+    )
+    lines.append(f"{status.recorded} samples recorded, {losses}; {pace}")
+    return "\n".join([*lines, "", *status.notes[-4:]]).rstrip()
 
 
 def state_lines(status: CoreStatus) -> str:
@@ -82,8 +89,13 @@ def state_lines(status: CoreStatus) -> str:
     )
 
 
-def margin_lines(status: CoreStatus, limits: Mapping[str, float]) -> str:
-    """How much room is left to the limits that a position and an attitude show."""
+def margin_lines(status: CoreStatus, limits: Mapping[str, float], guard: Mapping[str, float]) -> str:
+    """How much is left to each limit of the plan (room, tilt) and of the guard that can be seen from here.
+
+    Args:
+        limits: of the plan, by name.
+        guard: ``tracking_m``, the distance from the plan at which the guard lands, and ``empty_v`` of the battery.
+    """
     x, y, z = status.position_m
     tilt = math.acos(max(-1.0, min(1.0, math.cos(status.euler_rad[0]) * math.cos(status.euler_rad[1]))))
     room = {
@@ -98,6 +110,10 @@ def margin_lines(status: CoreStatus, limits: Mapping[str, float]) -> str:
         if name in limits:
             value = left(limits[name])
             lines.append(f"{text:<18}{value:+7.2f} {unit}{'  OUTSIDE' if value < 0 and z > 0.3 else ''}")
+    if "tracking_m" in guard:
+        lines.append(f"{'to losing the plan':<18}{guard['tracking_m'] - status.tracking_error_m:+7.2f} m")
+    if "empty_v" in guard and status.battery_v > 0.0:
+        lines.append(f"{'to empty':<18}{status.battery_v - guard['empty_v']:+7.2f} V")
     return "\n".join(lines) or "the plan states no limits"
 
 

@@ -9,6 +9,7 @@ from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.containers import VerticalScroll
+from textual.coordinate import Coordinate
 from textual.screen import Screen
 from textual.widgets import DataTable, Footer, Static
 
@@ -26,7 +27,11 @@ class StationScreen(Screen[None]):
     MODE: ClassVar[str]
     HELP_TEXT: ClassVar[str]
     HORIZONTAL_BREAKPOINTS: ClassVar = [(0, "-narrow"), (120, "-wide")]
-    BINDINGS: ClassVar = [Binding("escape", "leave_field", "Leave the field", show=False)]
+    BINDINGS: ClassVar = [
+        Binding("escape", "leave_field", "Leave the field", show=False),
+        Binding("pagedown,space", "scroll_body(1)", "Further down", show=False),
+        Binding("pageup", "scroll_body(-1)", "Further up", show=False),
+    ]
 
     @property
     def station(self) -> GroundStation:
@@ -64,13 +69,32 @@ class StationScreen(Screen[None]):
         """Give the keys back to the screen."""
         self.set_focus(None)
 
+    def action_scroll_body(self, pages: int) -> None:
+        """A page up or down."""
+        body = self.query_one("#body", VerticalScroll)
+        body.scroll_relative(y=pages * max(1, body.size.height - 2), animate=False)
+
     def say(self, selector: str, text: str) -> None:
-        """Replace a text."""
-        self.query_one(selector, Static).update(text)
+        """Replace a text; one that is there already is not drawn again."""
+        widget = self.query_one(selector, Static)
+        if widget.content != text:
+            widget.update(text)
 
 
 def fill(table: DataTable, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Replace a table's content; cells are text, never markup, and numbers align right. An empty table takes no room."""
+    """Replace a table's content; cells are text, never markup, and numbers align right. An empty table takes no room.
+
+    Where only cells differ, only those are replaced: the table does not flicker.
+    """
+    rows = [tuple(row) for row in rows]
+    same = [str(column.label) for column in table.ordered_columns] == list(header) and table.row_count == len(rows)
+    if same:
+        for index, row in enumerate(rows):
+            for column, cell in enumerate(row):
+                if str(table.get_cell_at(Coordinate(index, column))) != cell:
+                    align = "left" if column == 0 else "right"
+                    table.update_cell_at(Coordinate(index, column), Text(cell, justify=align), update_width=True)
+        return
 
     def cells(row: Sequence[str]) -> list[Text]:
         return [Text(cell, justify="left" if index == 0 else "right") for index, cell in enumerate(row)]

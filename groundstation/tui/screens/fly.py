@@ -12,8 +12,9 @@ from textual.widgets import DataTable, Static
 
 from groundstation.flight.messages import CoreStatus
 from groundstation.flight.sequence import IN_FLIGHT, Phase
+from groundstation.tui.checks import checklist
 from groundstation.tui.screens.base import StationScreen, fill
-from groundstation.tui.text import PHASES, checklist, live_rows, margin_lines, motor_lines, state_lines
+from groundstation.tui.text import PHASES, live_rows, margin_lines, motor_lines, state_lines
 from groundstation.tui.widgets.plots import Line, Plot
 
 WAITING = "No flight is prepared.\n\nr prepares one of the vehicle chosen on the Station screen (1), with the plan of the Plan screen (2)."
@@ -25,7 +26,8 @@ class Fly(StationScreen):
 
     MODE = "fly"
     HELP_TEXT = """\
-r prepares a flight: the vehicle's process starts, takes the plan, and everything is checked. s starts it; on a real
+r prepares a flight: the vehicle's process starts, takes the plan, and everything is checked; each check says what was
+seen, what to do where it failed, and why it is looked at. s starts it; on a real
 vehicle only after FLY is typed. b lands early and uses what was recorded. ^g aborts and lands; everyone may, from
 everywhere. Closing or killing this program does not end a flight: the plan is completed and the vehicle lands, and the
 program started again finds it. o takes the operator's lease from another."""
@@ -50,10 +52,10 @@ program started again finds it. o takes the operator's lease from another."""
                 yield Static("", id="margins", classes="panel", markup=False)
                 yield Static("", id="motors", classes="panel", markup=False)
             with Vertical(id="fly-right"):
-                yield Plot("t, s", "off plan, cm", id="error-plot")
-                yield Plot("x, m", "…plan +flown, m", id="xy-plot")
-                yield Plot("t, s", "…roll +pitch, °", id="attitude-plot")
                 yield DataTable(id="live", show_cursor=False)
+                yield Plot("x, m", "…plan +flown, m", id="xy-plot")
+                yield Plot("t, s", "off plan, cm", id="error-plot")
+                yield Plot("t, s", "…roll +pitch, °", id="attitude-plot")
 
     def show_status(self, status: CoreStatus) -> None:
         """Everything of the newest status, and the plots of those before."""
@@ -68,13 +70,13 @@ program started again finds it. o takes the operator's lease from another."""
         if started:
             self._motors_top = max([self._motors_top, *status.motors])
             self.say("#fly-state", state_lines(status))
-            self.say("#margins", margin_lines(status, self.station.plan.limits if self.station.plan else {}))
+            self.say("#margins", margin_lines(status, *self.station.limits()))
             self.say("#motors", motor_lines(status.motors, self._motors_top))
             self._draw()
         live = self.query_one("#live", DataTable)
         live.display = bool(status.table)
         if status.table:
-            fill(live, ("parameter", "nominal", "estimate", "unit"), live_rows(status.table))
+            fill(live, ("so far", "nominal", "estimate, 95 %", "unit"), live_rows(status.table))
 
     def _draw(self) -> None:
         watch = self.station.core

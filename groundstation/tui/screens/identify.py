@@ -6,13 +6,18 @@ from collections.abc import Iterable
 from typing import ClassVar
 
 from textual.binding import Binding
+from textual.containers import Grid
 from textual.widgets import DataTable, ProgressBar, Static
 
 from groundstation.flight.messages import CoreStatus
 from groundstation.flight.sequence import Phase
+from groundstation.reporting.units import label, scale_for, split_unit
 from groundstation.tui.results import FlightResults
 from groundstation.tui.screens.base import StationScreen, fill
 from groundstation.tui.text import identification_notes, live_rows, method_table, validation_rows
+from groundstation.tui.widgets.plots import Line, Plot
+
+EVOLVING = ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
 
 
 class Identify(StationScreen):
@@ -23,7 +28,7 @@ class Identify(StationScreen):
 Comes up after landing. First the analysis and its preliminary estimates, then the table: each parameter by method with
 its 95 % half width, the best method first, beside what the vehicle file declares. Below, why that method is the best,
 the clocks' offset, what the flight does not reveal, and the errors with the nominal and with the identified vehicle.
-e opens the report in the browser. Choose another flight on the Flights screen (6)."""
+The drawings show how the live estimates moved while it flew, crosses bounding their 95 % intervals. e opens the report in the browser. Choose another flight on the Flights screen (6)."""
     BINDINGS: ClassVar = [Binding("e", "report", "Report")]
 
     def __init__(self) -> None:
@@ -37,6 +42,9 @@ e opens the report in the browser. Choose another flight on the Flights screen (
         yield DataTable(id="parameters", show_cursor=False)
         yield Static("", id="notes", classes="panel", markup=False)
         yield DataTable(id="validation", show_cursor=False)
+        with Grid(id="evolution"):
+            for name in EVOLVING:
+                yield Plot("t, s", "", id=f"evolution-{name}")
 
     def show_status(self, status: CoreStatus) -> None:
         """While the analysis runs: how far it is, and its newest estimates."""
@@ -62,11 +70,27 @@ e opens the report in the browser. Choose another flight on the Flights screen (
         if not document:
             fill(parameters, (), ())
             fill(validation, (), ())
+            self.query_one("#evolution").display = False
             self.say("#notes", results.refusal or "this flight has no identification")
             return
         fill(parameters, *method_table(document, results.declared))
         self.say("#notes", identification_notes(document))
         fill(validation, ("check", "signal", "nominal", "identified", "change"), validation_rows(document))
+        self._draw_evolution(results)
+
+    def _draw_evolution(self, results: FlightResults) -> None:
+        """Each parameter's live estimate over the flight, between crosses that bound its 95 % interval."""
+        told = results.evolution.get("parameters", {})
+        self.query_one("#evolution").display = any(column["t_s"] for column in told.values())
+        for name in EVOLVING:
+            plot, column = self.query_one(f"#evolution-{name}", Plot), told.get(name, {})
+            plot.display = bool(column.get("t_s"))
+            if plot.display:
+                unit = scale_for(split_unit(name)[1], column["value"])
+                t_s, value, low, high = (column[key] for key in ("t_s", "value", "low", "high"))
+                bounds = [Line(t_s[::3], [unit.factor * v for v in bound[::3]]) for bound in (low, high)]
+                plot.set_ylabel(f"{label(name)}, {unit.unit}")
+                plot.draw([Line(t_s, [unit.factor * v for v in value]), *bounds])
 
     def action_report(self) -> None:
         """Open the report."""

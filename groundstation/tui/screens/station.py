@@ -12,9 +12,9 @@ from textual.widgets import Checkbox, DataTable, Input, Label, Select, Static
 from groundstation.flight.messages import CoreStatus
 from groundstation.tui.screens.base import StationScreen, fill
 from groundstation.tui.setup import SIMULATOR, Setup, links, shipped
-from groundstation.tui.text import state_lines, stream_rows
+from groundstation.tui.text import state_lines, stream_notes, stream_rows
 
-STREAMS = ("stream", "rate", "age", "longest gap", "samples", "state")
+STREAMS = ("stream", "rate", "age", "gap", "samples", "stamp to arrival", "state")
 WELCOME = """\
 Nothing is connected. Two keys fly a simulated drone:
     r   rehearse: plan, upload and checks on the simulator
@@ -29,14 +29,17 @@ class Station(StationScreen):
     HELP_TEXT = """\
 Choose vehicle and link, then r to prepare a flight of it. The simulator needs nothing else. A serial port or UDP
 address speaks MAVLink to a PX4 or ArduPilot vehicle; write another address into the field, e.g. tcp://host:5760.
-The table shows each stream as the core records it: rate over the last second, age of the newest sample, and the
-longest gap so far. Batches lost on the way and payloads that did not decode are counted below it."""
+The table shows each stream as the core records it: rate over the last second, age of the newest sample, the longest gap
+so far, and the time from stamp to arrival as the clocks show it, their offset included. Below it stands what is wrong
+with a stream and what to do, and, once the excitation has turned the vehicle, how far the clocks of motion capture and
+IMU are apart. Batches lost on the way and payloads that did not decode are counted."""
     BINDINGS: ClassVar = [Binding("r", "rehearse", "Prepare a flight")]
 
     def body(self) -> Iterable:
         """Streams on top, choices below."""
         yield Static(WELCOME, id="station-state", classes="panel", markup=False)
         yield DataTable(id="streams", show_cursor=False)
+        yield Static("", id="station-notes", classes="panel", markup=False)
         with Grid(id="setup", classes="panel form"):
             setup = self.station.setup
             yield Label("vehicle")
@@ -57,12 +60,8 @@ longest gap so far. Batches lost on the way and payloads that did not decode are
     def show_status(self, status: CoreStatus) -> None:
         """Streams and vehicle."""
         fill(self.query_one(DataTable), STREAMS, stream_rows(status))
-        clock = "wall clock" if status.real_time else "simulated time"
-        losses = (
-            f"{status.recorded} samples recorded, {status.lost} batches lost, {status.rejected} not decoded; {clock}"
-        )
-        notes = "\n".join(status.notes[-3:])
-        self.say("#station-state", f"{state_lines(status)}\n{losses}\n{notes}".rstrip())
+        self.say("#station-state", state_lines(status))
+        self.say("#station-notes", stream_notes(status))
 
     def on_select_changed(self) -> None:
         """Keep the choice."""

@@ -70,7 +70,9 @@ class FlightBar(Horizontal):
     def show(self, status: CoreStatus | None, *, operator: bool, silent_s: float, fault: str) -> None:
         """As of the newest status."""
         self.set_class(status is not None and status.phase in IN_FLIGHT, "airborne")
-        self.query_one("#flight-line", Static).update(flight_line(status, operator, silent_s, fault))
+        line, text = self.query_one("#flight-line", Static), flight_line(status, operator, silent_s, fault)
+        if line.content != text:
+            line.update(text)
 
 
 def flight_line(status: CoreStatus | None, operator: bool, silent_s: float, fault: str) -> str:

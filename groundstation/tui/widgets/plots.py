@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 from textual_plot import HiResMode, PlotWidget
 
-STYLES = ("cyan", "yellow")
-"""The first line is drawn through, the second with crosses: colour alone tells nothing apart."""
+STYLES = ("cyan", "yellow", "yellow")
+"""The first line is drawn through, the others with crosses: colour alone tells nothing apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class Plot(PlotWidget):
         self.margin_left, self.margin_top, self.margin_bottom = 8, 1, 2
 
     def draw(self, lines: Sequence[Line]) -> None:
-        """Show one line, or two, instead of what was shown."""
+        """Show these instead of what was shown: one line, and up to two more as crosses."""
         self.clear()
         first, *others = lines
         self.plot(first.x, first.y, line_style=STYLES[0], hires_mode=HiResMode.BRAILLE)
