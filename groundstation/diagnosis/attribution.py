@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.discrepancy import FORM, Discrepancy, allowance
 from groundstation.diagnosis.effect import Effect, library
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, Solution
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
+Entry = tuple[Candidate, Columns]
 
 CHANCE = 1e-5
 """Chance that noise alone would name an effect, shared by its variants; fixed before any study was run."""
@@ -22,15 +24,24 @@ INSEPARABLE = 9.0
 MATERIAL = 1e-3
 """Least RMS of an effect that is a finding, as a share of weight (forces) or of weight times arm (torques)."""
 MOST = 6
+RIVALS = 6
+"""How many contest a place."""
 
 
 @dataclass(frozen=True, slots=True)
 class Named:
-    """A candidate that stands, with the evidence for it and the rivals that explain as much."""
+    """A candidate that stands.
+
+    Attributes:
+        evidence: margin of its Wald statistic over chance and over what the other effects' formulas may miss.
+        gain: fall of the whitened squared error on blocks no estimate saw, when it is put in last.
+        alternatives: effects that explain as much; confidence: its posterior share among them and nothing at all.
+    """
 
     candidate: Candidate
     columns: Columns
     evidence: float
+    gain: float
     alternatives: tuple[str, ...]
     confidence: float
 
@@ -76,12 +87,12 @@ class Selection:
         self,
         evidence: Evidence,
         pool: Sequence[Candidate],
-        baseline: Sequence[tuple[Candidate, Columns]] = (),
+        baseline: Sequence[Entry] = (),
         progress: Callable[[float], None] = lambda fraction: None,
     ):
         self.evidence = evidence
         self.baseline = list(baseline)
-        self.pool: list[tuple[Candidate, Columns]] = []
+        self.pool: list[Entry] = []
         for number, candidate in enumerate(pool):
             columns = evidence.columns(candidate)
             if (
@@ -91,98 +102,114 @@ class Selection:
             ):
                 self.pool.append((candidate, columns))
             progress((number + 1) / len(pool))
+        self.discrepancy = Discrepancy(evidence)
         self.variants = {c.identifier: sum(o.identifier == c.identifier for o, _ in self.pool) for c, _ in self.pool}
 
-    def _score(self, chosen: Sequence[tuple[Candidate, Columns]]) -> tuple[float, Solution]:
-        """Evidence of a set beyond chance: joint Wald statistic less each member's threshold."""
+    def _margins(self, chosen: Sequence[Entry], members: Sequence[int] | None = None) -> list[float]:
+        """Margin of each member (or of some) over chance and over the others' form errors; -inf if implausible or immaterial."""
         solution = self.evidence.solve([*self.baseline, *chosen])
-        first = sum(len(c.effect.parameters) for c, _ in self.baseline)
-        count = sum(len(c.effect.parameters) for c, _ in chosen)
-        cost = sum(threshold(c, self.variants[c.identifier]) for c, _ in chosen)
-        return (solution.wald(first, count) - cost if count else 0.0), solution
+        offset = sum(len(c.effect.parameters) for c, _ in self.baseline)
+        energies = self.discrepancy.energies(chosen, solution, offset)
+        out = []
+        for index, (candidate, columns) in enumerate(chosen):
+            first, offset = offset, offset + len(candidate.effect.parameters)
+            if members is not None and index not in members:
+                continue
+            values, covariance = solution.part(first, offset - first)
+            if not plausible(candidate, values, covariance) or not material(self.evidence, columns, values):
+                out.append(-np.inf)
+                continue
+            others = energies.sum(axis=0) - energies[index]
+            least = threshold(candidate, self.variants[candidate.identifier]) + allowance(energies[index], others)
+            out.append(solution.wald(first, offset - first) - least)
+        return out
 
-    def _stands(self, chosen: Sequence[tuple[Candidate, Columns]], index: int, solution: Solution) -> float:
-        """Margin of one member over chance in the joint estimate; -inf if implausible or immaterial."""
-        first = sum(len(c.effect.parameters) for c, _ in [*self.baseline, *chosen[:index]])
-        candidate, columns = chosen[index]
-        count = len(candidate.effect.parameters)
-        values, covariance = solution.part(first, count)
-        if not plausible(candidate, values, covariance) or not material(self.evidence, columns, values):
-            return -np.inf
-        return solution.wald(first, count) - threshold(candidate, self.variants[candidate.identifier])
-
-    def _best_addition(self, chosen: list[tuple[Candidate, Columns]]) -> tuple[float, tuple[Candidate, Columns] | None]:
+    def _best_addition(self, chosen: list[Entry]) -> Entry | None:
         taken = {c.identifier for c, _ in chosen}
         best, found = 0.0, None
         for entry in self.pool:
-            if entry[0].identifier in taken:
-                continue
-            trial = [*chosen, entry]
-            _, solution = self._score(trial)
-            margin = self._stands(trial, len(trial) - 1, solution)
-            if margin > best:
-                best, found = margin, entry
-        return best, found
+            if entry[0].identifier not in taken:
+                (margin,) = self._margins([*chosen, entry], [len(chosen)])
+                if margin > best:
+                    best, found = margin, entry
+        return found
 
     def run(self) -> tuple[list[Named], Solution]:
-        """Select, prune, swap, and name the rivals."""
-        chosen: list[tuple[Candidate, Columns]] = []
+        """Select, prune, let rivals contest each place, and name those that explain as much."""
+        chosen: list[Entry] = []
         for _ in range(MOST):
-            _, entry = self._best_addition(chosen)
+            entry = self._best_addition(chosen)
             if entry is None or self.held_out_gain(chosen, entry) <= 0.0:
                 break
-            chosen.append(entry)
-            chosen = self._pruned(self._swapped(chosen))
-        score, solution = self._score(chosen)
+            before = [c for c, _ in chosen]
+            chosen = self._pruned(self._contested([*chosen, entry]))
+            if [c for c, _ in chosen] == before:
+                break
+        margins = self._margins(chosen)
         named = []
-        for index, (candidate, columns) in enumerate(chosen):
-            rivals = self._rivals(chosen, index, score)
-            margin = self._stands(chosen, index, solution)
-            odds = [0.5 * (rival - score) for _, rival in rivals]
-            alternatives = tuple(dict.fromkeys(name for name, rival in rivals if rival > score - INSEPARABLE))
-            total = 1.0 + np.exp(-0.5 * min(margin, 200.0)) + float(np.sum(np.exp(np.clip(odds, -200.0, 0.0))))
-            named.append(Named(candidate, columns, margin, alternatives, float(1.0 / total)))
-        named.sort(key=lambda n: -n.evidence)
+        for index, (entry, margin) in enumerate(zip(chosen, margins, strict=True)):
+            rest = [*chosen[:index], *chosen[index + 1 :]]
+            alternatives, confidence = self._told_from(self._contest(chosen, index), margin)
+            gain = self.held_out_gain(rest, entry)
+            named.append(Named(*entry, margin, gain, alternatives, confidence))
+        named.sort(key=lambda n: -n.gain)
         order = [(n.candidate, n.columns) for n in named]
-        return named, self._score(order)[1]
+        return named, self.evidence.solve([*self.baseline, *order])
 
-    def _pruned(self, chosen: list[tuple[Candidate, Columns]]) -> list[tuple[Candidate, Columns]]:
+    def _pruned(self, chosen: list[Entry]) -> list[Entry]:
         while len(chosen) > 1:
-            _, solution = self._score(chosen)
-            margins = [self._stands(chosen, i, solution) for i in range(len(chosen))]
+            margins = self._margins(chosen)
             worst = int(np.argmin(margins))
             if margins[worst] > 0.0:
                 break
             chosen = chosen[:worst] + chosen[worst + 1 :]
         return chosen
 
-    def _swapped(self, chosen: list[tuple[Candidate, Columns]]) -> list[tuple[Candidate, Columns]]:
-        """Replace a member by whatever serves the set better, the last added excepted (it was the best already)."""
-        for index in range(len(chosen) - 1):
-            score, _ = self._score(chosen)
-            others = {c.identifier for i, (c, _) in enumerate(chosen) if i != index}
-            for entry in self.pool:
-                if entry[0].identifier in others or entry is chosen[index]:
-                    continue
-                trial = [*chosen[:index], entry, *chosen[index + 1 :]]
-                other, solution = self._score(trial)
-                if other > score and self._stands(trial, index, solution) > 0.0:
-                    score, chosen = other, trial
+    def _contested(self, chosen: list[Entry]) -> list[Entry]:
+        """Give each place to whoever serves the set best through instruments common to all who ask for it."""
+        for index in range(len(chosen)):
+            contest = self._contest(chosen, index)
+            entry = max(contest, key=lambda item: item[1])[0]
+            if entry is not chosen[index]:
+                chosen = [*chosen[:index], entry, *chosen[index + 1 :]]
         return chosen
 
-    def _rivals(self, chosen: list[tuple[Candidate, Columns]], index: int, score: float) -> list[tuple[str, float]]:
-        best: dict[str, float] = {}
+    def _contest(self, chosen: list[Entry], index: int) -> list[tuple[Entry, float]]:
+        """The member at ``index`` and its strongest rivals, with what each explains beyond chance, the member first.
+
+        A Wald statistic is through an effect's own instruments; two of them do not compare. Here all pass the same ones.
+        """
         others = {c.identifier for c, _ in chosen}
+        best: dict[str, tuple[float, Entry]] = {}
         for entry in self.pool:
             if entry[0].identifier in others:
                 continue
             trial = [*chosen[:index], entry, *chosen[index + 1 :]]
-            other, solution = self._score(trial)
-            if other > score - 30.0 and self._stands(trial, index, solution) > -np.inf:
-                best[entry[0].identifier] = max(other, best.get(entry[0].identifier, -np.inf))
-        return sorted(best.items(), key=lambda item: -item[1])
+            (margin,) = self._margins(trial, [index])
+            if margin > best.get(entry[0].identifier, (0.0, entry))[0]:
+                best[entry[0].identifier] = margin, entry
+        rivals = [entry for _, entry in sorted(best.values(), key=lambda item: -item[0])[:RIVALS]]
+        sets = [[*self.baseline, *chosen[:index], entry, *chosen[index + 1 :]] for entry in (chosen[index], *rivals)]
+        rest = [*self.baseline, *chosen[:index], *chosen[index + 1 :]]
+        falls = self.evidence.contest([rest, *sets])
+        return [
+            (entry, fall - falls[0] - threshold(entry[0], self.variants[entry[0].identifier]))
+            for entry, fall in zip((chosen[index], *rivals), falls[1:], strict=True)
+        ]
 
-    def held_out_gain(self, chosen: Sequence[tuple[Candidate, Columns]], entry: tuple[Candidate, Columns]) -> float:
+    @staticmethod
+    def _told_from(contest: list[tuple[Entry, float]], margin: float) -> tuple[tuple[str, ...], float]:
+        """Alternatives to the first of a contest, and its posterior share among all of it and nothing.
+
+        Differences that form errors can make count for no more than INSEPARABLE.
+        """
+        (_, own), *rivals = contest
+        close = max(INSEPARABLE, FORM**2 * own)
+        alternatives = tuple(entry[0].identifier for entry, score in rivals if score > own - close)
+        odds = [0.5 * (score - own) * INSEPARABLE / close for _, score in rivals] + [-0.5 * margin]
+        return alternatives, float(1.0 / (1.0 + np.sum(np.exp(np.clip(odds, -200.0, 0.0)))))
+
+    def held_out_gain(self, chosen: Sequence[Entry], entry: Entry) -> float:
         """Fall of the whitened squared residual on blocks no estimate saw, guard gaps left out, when ``entry`` is added."""
         before = [*self.baseline, *chosen]
         after = [*before, entry]

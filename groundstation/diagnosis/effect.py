@@ -63,6 +63,10 @@ class Effect:
         """Names of the parameters."""
         return tuple(p.name for p in self.parameters)
 
+    def precision(self, vehicle: Vehicle) -> Array:
+        """Prior precision of each parameter."""
+        return np.array([1.0 / p.prior_std(vehicle) ** 2 for p in self.parameters])
+
 
 @cache
 def library() -> Mapping[str, Effect]:

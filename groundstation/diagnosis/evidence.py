@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 SIGNAL_RATE_HZ = 100.0
 DRIFT_S = 6.0
+ACCEL_DELAY_S = 2e-3
+"""How far the delays of gyro and accelerometer (filters, sampling) usually differ."""
 EFFECT_SHIFTS_S = (-0.1, 0.0, 0.15)
 
 
@@ -81,7 +83,7 @@ class FlightEvidence:
 
     def __init__(self, prepared: Prepared, fitted: Fitted, options: Options, known: Sequence[Candidate] = ()):
         self.prepared = prepared
-        self._known = tuple(known)
+        self.known = tuple(known)
         record = prepared.record
         p = fitted.parameters
         self.parameters = replace(p, com_m=np.zeros(3), yaw_trim_nm=0.0, force_bias_m_s2=np.zeros(3), extra=np.zeros(0))
@@ -99,7 +101,9 @@ class FlightEvidence:
         self._step = np.concatenate([[0.0], np.diff(self._t)])
         self._keep = record.keep[:: self._stride]
         self._inverse = np.linalg.inv(self.parameters.tensor)
-        self.residual, self.sensitivity, self.names = _with_own_delays(*self.model.evaluate(self.parameters, self.options))
+        self.residual, self.sensitivity, self.names = _with_accelerometer_delay(
+            *self.model.evaluate(self.parameters, self.options)
+        )
         self.planned = [planned_signals(prepared, self.parameters, shift, self._stride) for shift in EFFECT_SHIFTS_S]
         self.colours = self._colours()
         self.polynomials = [np.array([1.0])] * len(self.channels)
@@ -133,7 +137,7 @@ class FlightEvidence:
                         wrench[:, row] = values
                         columns.append(wrench)
         vehicle = self.prepared.record.vehicle
-        known = [self.predicted(c.effect.wrench(signals, vehicle, c.settings)) for c in self._known]
+        known = [self.predicted(c.effect.wrench(signals, vehicle, c.settings)) for c in self.known]
         return np.concatenate([self.sensitivity, self.predicted(np.stack(columns, axis=-1)), *known], axis=2)
 
     def _colours(self) -> list[Colour]:
@@ -263,7 +267,9 @@ class Evidence:
             if name.startswith("accel_bias"):
                 axis = "xyz".index(name.split("_")[2])
                 prior[index] = 1.0 / max(float(flights[0].prepared.record.force_bias_std[axis]), 1e-4) ** 2
-            elif name.startswith(("rotor_lag", "input_delay", "accel_delay")):
+            elif name == "accel_delay_s":
+                prior[index] = 1.0 / ACCEL_DELAY_S**2
+            elif name.startswith(("rotor_lag", "input_delay")):
                 prior[index] = 1.0 / 0.15**2
             elif name == "mass_kg":
                 prior[index] = 1.0 / (0.5 * flights[0].parameters.mass_kg) ** 2
@@ -273,10 +279,15 @@ class Evidence:
         self._base = Columns(self.x, self.z, np.zeros(6))
         self._output = Columns(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
         self._products: dict[tuple[int, int], tuple[Array, Array]] = {}
-        self.weight = np.minimum(1.0, 4.0 / np.maximum(np.abs(self.y - self.x @ self._plain()), 1e-9))
+        self.weight = np.ones(len(self.y))
+        self.weight = np.minimum(1.0, 4.0 / np.maximum(np.abs(self._plain_remainder()), 1e-9))
 
-    def _plain(self) -> Array:
-        return np.asarray(np.linalg.solve(self.x.T @ self.x + np.diag(self.prior), self.x.T @ self.y), dtype=float)
+    def _plain_remainder(self) -> Array:
+        """What base and known effects leave in the least squares sense: an effect's own rows are not outliers."""
+        columns = [self.columns(candidate) for candidate in self.flights[0].known]
+        a = np.concatenate([self.x, *(c.sensitivity for c in columns if c is not None)], axis=1)
+        scale = np.linalg.norm(a, axis=0) + 1e-30
+        return self.y - a @ (np.linalg.lstsq(a / scale, self.y, rcond=1e-8)[0] / scale)
 
     def columns(self, candidate: Candidate, *, everywhere: bool = False) -> Columns | None:
         """A candidate's columns over all flights, zero on the references unless ``everywhere``."""
@@ -305,9 +316,7 @@ class Evidence:
         """
         vehicle = self.flights[0].prepared.record.vehicle
         members = [self._base, *(columns for _, columns in chosen)]
-        prior = np.concatenate(
-            [self.prior, *([1.0 / p.prior_std(vehicle) ** 2 for p in c.effect.parameters] for c, _ in chosen)]
-        )
+        prior = np.concatenate([self.prior, *(c.effect.precision(vehicle) for c, _ in chosen)])
         products = [[self._product(a, b, rows) for b in members] for a in members]
         zx = np.block([[cell[0] for cell in line] for line in products]) + np.diag(prior)
         zz = np.block([[cell[1] for cell in line] for line in products]) + np.diag(prior)
@@ -328,6 +337,33 @@ class Evidence:
             self._products[key] = pair
         return pair
 
+    def contest(self, sets: Sequence[Sequence[tuple[Candidate, Columns]]]) -> list[float]:
+        r"""Fall of the instrumented squared residual :math:`|P_Z W^{1/2} (y - A \theta)|^2` that each set brings to the base alone.
+
+        Z is common to all: the base's instruments and those of every member of any set, channel by channel, so that the falls
+        compare (moment selection: Andrews 1999, Econometrica 67(3)).
+        """
+        vehicle = self.flights[0].prepared.record.vehicle
+        root = np.sqrt(self.weight)[:, None]
+        _, channels, _ = self.time_of_rows()
+        members = {columns.number: columns for chosen in sets for _, columns in chosen}
+        parts = [root * self.z]
+        for columns in members.values():
+            parts += [root * columns.instrument * (channels == channel)[:, None] for channel in np.unique(channels)]
+        basis = _orthonormal(np.concatenate(parts, axis=1))
+        y = basis.T @ (root[:, 0] * self.y)
+        seen = {number: basis.T @ (root * columns.sensitivity) for number, columns in members.items()}
+        base = basis.T @ (root * self.x)
+
+        def left(chosen: Sequence[tuple[Candidate, Columns]]) -> float:
+            a = np.concatenate([base, *(seen[columns.number] for _, columns in chosen)], axis=1)
+            prior = np.concatenate([self.prior, *(c.effect.precision(vehicle) for c, _ in chosen)])
+            theta = np.linalg.solve(a.T @ a + np.diag(prior), a.T @ y)
+            return float(np.sum((y - a @ theta) ** 2) + prior @ theta**2)
+
+        alone = left(())
+        return [alone - left(chosen) for chosen in sets]
+
     def remainder(self, chosen: Sequence[tuple[Candidate, Columns]], solution: Solution) -> Array:
         """Whitened residual after a solution."""
         a = np.concatenate([self.x, *(c.sensitivity for _, c in chosen)], axis=1)
@@ -344,10 +380,10 @@ class Evidence:
         return np.concatenate(times), np.concatenate(channels), np.concatenate(flights)
 
 
-def _with_own_delays(
+def _with_accelerometer_delay(
     residual: Array, sensitivity: Array, names: tuple[str, ...]
 ) -> tuple[Array, Array, tuple[str, ...]]:
-    """Give the accelerometer a delay of its own: ``input_delay_s`` keeps the torques, ``accel_delay_s`` takes the forces.
+    """Let forces come later than torques by ``accel_delay_s``, beside the ``input_delay_s`` of both.
 
     Gyro and accelerometer pass different filters, and held commands reach a rate through their integral, a force at once.
     Without this a millisecond between the two looks like thrust lost to climbing, as jerk runs against velocity.
@@ -355,10 +391,9 @@ def _with_own_delays(
     if "input_delay_s" not in names:
         return residual, sensitivity, names
     index = names.index("input_delay_s")
-    sensitivity = np.concatenate([sensitivity, np.zeros_like(sensitivity[:, :, :1])], axis=2)
-    sensitivity[:, 3:, -1] = sensitivity[:, 3:, index]
-    sensitivity[:, 3:, index] = 0.0
-    return residual, sensitivity, (*names, "accel_delay_s")
+    later = sensitivity[:, :, index : index + 1].copy()
+    later[:, :3] = 0.0
+    return residual, np.concatenate([sensitivity, later], axis=2), (*names, "accel_delay_s")
 
 
 def planned_signals(prepared: Prepared, p: Parameters, shift_s: float, stride: int) -> Signals | None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.discrepancy import FORM, Discrepancy
 from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
 from groundstation.diagnosis.results import Unexplained
@@ -106,6 +107,8 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
     kept = first.prepared.record.keep[:: max(1, len(first.prepared.record.keep) // len(first.signals.t_s))][
         : len(first.signals.t_s)
     ]
+    discrepancy = Discrepancy(evidence)
+    energy = discrepancy.energies(chosen, evidence.solve(chosen)).sum(axis=0)
     found = []
     pairs = len(VARIABLES) * len(first.channels)
     for name, variable in VARIABLES.items():
@@ -122,7 +125,7 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
                 continue
             solution = evidence.solve([*chosen, (candidate, columns)])
             count = len(candidate.effect.parameters)
-            margin = solution.wald(offset, count) - float(chi2.isf(CHANCE / pairs, count))
+            margin = solution.wald(offset, count) - float(chi2.isf(CHANCE / pairs, count)) - FORM**2 * energy[channel]
             if margin <= 0.0:
                 continue
             theta = solution.part(offset, count)[0]

@@ -12,17 +12,17 @@ from groundstation.vehicle import Vehicle
 def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
     full = vehicle.battery.full_v or float(np.nanmax(signals.voltage_v))
     out = blank(signals)
-    out[:, :, 0] = from_thrust(vehicle, signals.thrust_n * 2.0 * (signals.voltage_v[:, None] / full - 1.0))
+    out[:, :, 0] = from_thrust(vehicle, signals.thrust_n * ((signals.voltage_v[:, None] / full) ** 2 - 1.0))
     return out
 
 
 EFFECT = Effect(
     identifier="battery_sag",
-    equation="T = T_declared (V / V_full)^(2 a), expanded: 1 + 2 a (V / V_full - 1)",
+    equation="T = T_declared (1 + a ((V / V_full)^2 - 1)): exact for a = 0 and a = 1",
     source="speed in proportion to voltage at equal duty: Quan 2017, Introduction to Multicopter Design, sec. 4.3",
     parameters=(ParameterInfo("exponent", lambda v: 1.0, (0.0, 2.0)),),
     wrench=_wrench,
-    sentence="Thrust follows the battery's voltage with an exponent of {exponent} (1: speed in proportion to voltage).",
+    sentence="Thrust follows the battery's voltage to a share of {exponent} (1: speed in proportion to voltage).",
     confused_with=("payload_change", "ground_effect"),
     manoeuvre="hover at one height early and late, with hard climbs that pull the voltage down in between",
     applies=is_commanded,

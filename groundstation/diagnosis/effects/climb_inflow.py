@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, hover_share
+from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, from_thrust, has_rotors
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
+    climb = signals.velocity_body_m_s()[:, 2]
     out = blank(signals)
-    out[:, 2, 0] = -signals.velocity_body_m_s()[:, 2] * hover_share(signals, vehicle)
+    if not has_rotors(vehicle):
+        out[:, 2, 0] = -climb
+        return out
+    hover = vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.rotors.count
+    speed = np.sqrt(np.maximum(signals.thrust_n, 0.0) / hover) / vehicle.rotors.count
+    out[:, :, 0] = from_thrust(vehicle, -climb[:, None] * speed)
     return out
 
 
 EFFECT = Effect(
     identifier="climb_inflow",
-    equation="T = T_0 - k w sum|Omega| / (sum|Omega| at hover)",
+    equation="T_i = T_0i - (k/n) w Omega_i / Omega_hover, torques with them",
     source="Leishman 2006, sec. 2.13 (thrust slope with axial inflow); Svacha et al. 2017, eq. 9",
     parameters=(ParameterInfo("k_kg_s", lambda v: v.mass_kg, (0.0, np.inf)),),
     wrench=_wrench,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank
+from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, from_thrust
 from groundstation.frames import quat_rotate_inverse
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
@@ -21,7 +21,8 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarra
     velocity = signals.velocity_world_m_s - signals.velocity_world_m_s[:1]
     swing = lfilter(np.ravel(b), a, velocity, axis=0)
     force = natural**2 * swing
-    force[:, 2] = 0.0
+    upward = from_thrust(vehicle, signals.thrust_n)[:, 2] * signals.up_body()[:, 2] / vehicle.mass_kg
+    force[:, 2] = -upward  # it rises and falls with the vehicle: what holds it up is its share of the lift
     out = blank(signals)
     out[:, :3, 0] = quat_rotate_inverse(signals.quaternion, force)
     return out
@@ -29,7 +30,7 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarra
 
 EFFECT = Effect(
     identifier="slung_load",
-    equation="s'' + 2 z w s' + w^2 s = -a_xy, w^2 = g/l; F_xy = m_l w^2 s on the vehicle",
+    equation="s'' + 2 z w s' + w^2 s = -a_xy, w^2 = g/l; F = m_l (w^2 s_x, w^2 s_y, -(g + z'')) on the vehicle",
     source="Bisgaard 2008, thesis Aalborg, ch. 3, linearised for small swing",
     parameters=(ParameterInfo("load_kg", lambda v: 0.3 * v.mass_kg, (0.0, np.inf)),),
     wrench=_wrench,

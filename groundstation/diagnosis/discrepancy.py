@@ -1,0 +1,65 @@
+"""What an effect's formula may get wrong of the effect itself, before anything else is blamed for it.
+
+A model of the library is an expansion about hover, right to a share FORM of what it describes. On a quiet flight the rest
+of a large effect beats chance by far, and would be named as a second effect of the same shape, or pass for something
+unknown. So whatever is claimed beside other effects has to explain more than FORM of their amplitude in the channels it acts on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, Solution
+from groundstation.identification.record_model import CHANNELS
+
+Array = NDArray[np.float64]
+
+FORM = 0.1
+"""Share of an effect's amplitude that its formula may miss; fixed before any study was run."""
+
+
+class Discrepancy:
+    """Whitened energy of effects by channel, less what mass and tensor absorb of them."""
+
+    def __init__(self, evidence: Evidence):
+        self._evidence = evidence
+        _, self._channels, _ = evidence.time_of_rows()
+        weighted = evidence.z * evidence.weight[:, None]
+        self._absorbing = np.linalg.solve(weighted.T @ evidence.z + np.diag(evidence.prior), weighted.T)
+        self._grams: dict[int, Array] = {}
+
+    def _gram(self, columns: Columns) -> Array:
+        """Products (6, p, p) of what the base leaves of a candidate's columns."""
+        if columns.number not in self._grams:
+            own = columns.instrument - self._evidence.z @ (self._absorbing @ columns.instrument)
+            weighted = own * self._evidence.weight[:, None]
+            rows = [self._channels == channel for channel in range(len(CHANNELS))]
+            self._grams[columns.number] = np.stack([weighted[mine].T @ own[mine] for mine in rows])
+        return self._grams[columns.number]
+
+    def energy(self, columns: Columns, values: Array) -> Array:
+        """Squared whitened size of an effect of these values by channel, shape (6,)."""
+        return np.einsum("i,cij,j->c", values, self._gram(columns), values)
+
+    def energies(self, chosen: Sequence[tuple[Candidate, Columns]], solution: Solution, first: int = 0) -> Array:
+        """Of each member of a joint estimate, shape (members, 6); ``first`` parameters of others stand before theirs."""
+        out = np.zeros((len(chosen), len(CHANNELS)))
+        for index, (candidate, columns) in enumerate(chosen):
+            count = len(candidate.effect.parameters)
+            out[index] = self.energy(columns, solution.part(first, count)[0])
+            first += count
+        return out
+
+
+def allowance(own: Array, others: Array) -> float:
+    """Evidence the formulas of other effects may leave to one whose energy lies in certain channels.
+
+    Args:
+        own: energy by channel of the effect in question, shape (6,).
+        others: of all the others together, shape (6,).
+    """
+    total = float(own.sum())
+    return FORM**2 * float(own @ others) / total if total > 0.0 else 0.0
