@@ -242,7 +242,7 @@ def _disk(s: Situation) -> Check:
 def _parameters(s: Situation) -> Iterator[Check]:
     indoors = s.station.mocap.system != "none"
     for rule in s.profile.parameters:
-        if rule.indoors and not indoors:
+        if not rule.concerns(s.view.version, indoors=indoors):
             continue
         yield _parameter(rule, s.parameters.get(rule.name))
 
@@ -255,7 +255,7 @@ def _parameter(rule: ParameterRule, value: float | None) -> Check:
             f"cannot be read; {rule.why}",
             "" if not rule.required else "check the firmware",
         )
-    ok = any(abs(value - accepted) < 1e-6 for accepted in rule.accepted)
+    ok = rule.holds(value)
     if ok or not rule.required:
         return Check(rule.name, True, f"is {value:g}" + ("" if ok else f"; better {rule.accepted[0]:g}: {rule.why}"))
     remedy = f"set it to {rule.accepted[0]:g}"
@@ -347,6 +347,15 @@ def _plan_fits_vehicle(s: Situation) -> Check:
     speed = float(np.max(np.linalg.norm(motion.velocity_world_m_s, axis=1)))
     if speed > 0.9 * s.station.guard.speed.limit:
         faults.append(f"speed {speed:.2f} m/s against the guard's {s.station.guard.speed.limit:.2f}")
+    jerk = series.derivatives(times, 3)[3]
+    for axis, value, limit in zip(
+        ("horizontal", "vertical"), (np.hypot(jerk[:, 0], jerk[:, 1]).max(), abs(jerk[:, 2]).max()),
+        s.profile.jerk_limits_m_s3(s.parameters), strict=True,
+    ):  # fmt: skip
+        if value > limit:
+            faults.append(
+                f"{axis} jerk {value:.1f} m/s^3, which the autopilot smooths to {limit:.1f} (--set-parameters)"
+            )
     return _answer(
         "plan", not faults, "; ".join(faults) or f"needs {thrust:.1f} N, {tilt:.2f} rad, {speed:.2f} m/s",
         "make a gentler plan for this vehicle with `groundstation plan`",

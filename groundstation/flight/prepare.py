@@ -70,6 +70,8 @@ class Preparation:
         if profile.climbs_by_command and not self.view.armed:
             # After a landing it stands in a mode that it does not arm in, and its own checks fail for that alone.
             yield Ask((profile.set_mode(profile.follow_mode),), _named("COMMAND_ACK"), 0.7, 3)
+        if self.view.checks_pass is False:  # it says why only now and then, unless it is asked
+            yield Ask((profile.command(mavlink.MAV_CMD_RUN_PREARM_CHECKS),), _named("COMMAND_ACK"), 0.7, 2)
         yield Ask((), lambda _m: False, MEASURE_S, 1)
         self.done = True
 
@@ -99,11 +101,11 @@ class Preparation:
     def _parameters(self) -> Steps[None]:
         indoors = self.station.mocap.system != "none"
         for rule in self.view.profile.parameters:
-            if rule.indoors and not indoors:
+            if not rule.concerns(self.view.version, indoors=indoors):
                 continue
             found = yield from self._dialogue.read(rule.name)
             self.parameters[rule.name] = None if found is None else found[0]
-            if found is not None and found[0] not in rule.accepted and rule.settable and self._set:
+            if found is not None and not rule.holds(found[0]) and rule.settable and self._set:
                 self.changed.setdefault(rule.name, found[0])
                 self._changes.append((rule.name, found[0], rule.accepted[0]))
                 if (yield from self._dialogue.write(rule.name, rule.accepted[0])):

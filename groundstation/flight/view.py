@@ -10,7 +10,7 @@ from drivers.mavlink.codec import Received
 from drivers.mavlink.dialect import Message, mavlink
 from drivers.samples import Battery, Event, Imu, Pose, Sample, State, Vector3
 from groundstation.flight.guard import Oscillation
-from groundstation.flight.profiles import Profile
+from groundstation.flight.profiles import Profile, Version
 
 _RATE_WINDOW_S = 2.0
 _ON_GROUND = mavlink.MAV_LANDED_STATE_ON_GROUND
@@ -160,6 +160,11 @@ class VehicleView:
         """Measured arrival rate of a message."""
         meter = self.meters.get(name)
         return 0.0 if meter is None else meter.rate_hz(now_s)
+
+    @property
+    def version(self) -> Version | None:
+        """Major and minor of the firmware; None before it told."""
+        return None if not self.software else (self.software >> 24 & 0xFF, self.software >> 16 & 0xFF)
 
     @property
     def key(self) -> str:

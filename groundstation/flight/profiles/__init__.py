@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from groundstation.errors import BadInput
 from groundstation.flight.profiles.arducopter import ArduCopter
-from groundstation.flight.profiles.base import ParameterRule, Profile, StreamWish, Target
+from groundstation.flight.profiles.base import ParameterRule, Profile, StreamWish, Target, Version
 from groundstation.flight.profiles.px4 import Px4
 
 PROFILES: dict[str, type[Profile]] = {kind.name: kind for kind in (Px4, ArduCopter)}
 
-__all__ = ["PROFILES", "ParameterRule", "Profile", "StreamWish", "Target", "profile_for"]
+__all__ = ["PROFILES", "ParameterRule", "Profile", "StreamWish", "Target", "Version", "profile_for"]
 
 
 def profile_for(autopilot: int, system: int = 1, component: int = 1) -> Profile:

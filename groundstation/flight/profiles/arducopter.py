@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from math import inf, radians, sqrt
 from typing import ClassVar
 
 from drivers.mavlink.dialect import Message, mavlink
@@ -66,6 +67,16 @@ class ArduCopter(Profile):
                       why="lost setpoints shall stop the vehicle soon"),
         ParameterRule("FENCE_ENABLE", (1.0,), required=False,
                       why="the vehicle's own geofence is the last resort when both link and station fail"),
+        *(
+            ParameterRule(name, (value,), settable=True, required=False, or_more=True, since=since, before=before,
+                          why="the autopilot smooths a trajectory to this limit, and then flies another one")
+            for name, value, since, before in (
+                ("PSC_JERK_NE", 50.0, (4, 7), (255, 0)), ("PSC_JERK_D", 50.0, (4, 7), (255, 0)),
+                ("WP_ACC", 10.0, (4, 7), (255, 0)), ("WP_ACC_Z", 5.0, (4, 7), (255, 0)),
+                ("PSC_JERK_XY", 20.0, (0, 0), (4, 7)), ("PSC_JERK_Z", 50.0, (0, 0), (4, 7)),
+                ("WPNAV_ACCEL", 1000.0, (0, 0), (4, 7)), ("WPNAV_ACCEL_Z", 500.0, (0, 0), (4, 7)),
+            )
+        ),
         ParameterRule("SCR_ENABLE", (1.0, 0.0), required=False,
                       why="with scripting the trajectory is flown on board, without a radio in the loop"),
         ParameterRule("VISO_TYPE", (1.0,), indoors=True, why="external poses shall be taken from MAVLink"),
@@ -76,6 +87,19 @@ class ArduCopter(Profile):
         ParameterRule("INS_RAW_LOG_OPT", (9.0, 1.0, 13.0), settable=True, required=False,
                       why="raw IMU logging gives the onboard log 1 kHz instead of 25 Hz"),
     )  # fmt: skip
+
+    def jerk_limits_m_s3(self, parameters: Mapping[str, float | None]) -> tuple[float, float]:
+        """Of its input shaping: the parameters', and horizontally what half the root of acceleration times snap allows.
+
+        The snap is that of the roll and pitch acceleration it permits itself, at its default of 1100 deg/s^2.
+        """
+        horizontal, vertical, acceleration = (
+            next((p for name in names if (p := parameters.get(name)) is not None), inf)
+            for names in (("PSC_JERK_NE", "PSC_JERK_XY"), ("PSC_JERK_D", "PSC_JERK_Z"), ("WP_ACC", "WPNAV_ACCEL"))
+        )
+        if parameters.get("WP_ACC") is None:
+            acceleration *= 0.01
+        return min(horizontal, 0.5 * sqrt(acceleration * radians(1100.0) * 9.80665)), vertical
 
     def set_mode(self, mode: str) -> Message:
         """DO_SET_MODE with the custom mode's number."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import nan
+from math import inf, nan
 from typing import ClassVar
 
 from drivers.mavlink.dialect import Message, mavlink
@@ -13,6 +13,9 @@ from drivers.samples import Pose, Vector3
 
 FORCE_DISARM = 21196.0
 """Magic second parameter of MAV_CMD_COMPONENT_ARM_DISARM: stop the motors in the air too."""
+
+
+Version = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +59,8 @@ class ParameterRule:
         settable: offered to be set for the flight and restored afterwards; otherwise the operator must.
         indoors: only without satellites, when poses come from motion capture.
         required: preflight fails on another value; else it only says so.
+        or_more: a value above the first is right too.
+        since, before: firmware versions (major, minor) that know it by this name and in this unit.
     """
 
     name: str
@@ -64,6 +69,17 @@ class ParameterRule:
     settable: bool = False
     indoors: bool = False
     required: bool = True
+    or_more: bool = False
+    since: Version = (0, 0)
+    before: Version = (255, 0)
+
+    def holds(self, value: float) -> bool:
+        """Whether a value is right."""
+        return any(abs(value - a) < 1e-6 for a in self.accepted) or (self.or_more and value >= self.accepted[0])
+
+    def concerns(self, version: Version | None, *, indoors: bool) -> bool:
+        """Whether this firmware and this station have to do with it; an untold version is taken for the newest."""
+        return (indoors or not self.indoors) and self.since <= (version or (254, 0)) < self.before
 
 
 @dataclass(frozen=True)
@@ -144,6 +160,10 @@ class Profile:
         """Ask for a message at a rate; 0 turns it off."""
         period_us = 1e6 / rate_hz if rate_hz > 0.0 else -1.0
         return self.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, float(message_id), period_us)
+
+    def jerk_limits_m_s3(self, parameters: Mapping[str, float | None]) -> tuple[float, float]:
+        """Horizontal and vertical jerk above which the autopilot reshapes a trajectory; infinite where it does not."""
+        return inf, inf
 
     def setpoint(self, target: Target, device_s: float) -> Message:
         """Position, velocity, acceleration, yaw and yaw rate in one message: nothing is ignored, so nothing is chosen for us.
