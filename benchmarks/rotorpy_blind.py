@@ -34,7 +34,8 @@ from groundstation.vehicle import Vehicle, vehicle_from_dict
 Array = NDArray[np.float64]
 Random = np.random.Generator
 
-STEP_S = 0.002
+STEP_S = 0.004
+"""Of integration, control and inertial sensor; every other one has a pose."""
 SETTLE_S = 3.0
 DURATION_S = 40.0
 COEFFICIENTS = ("c_Dx", "c_Dy", "c_Dz", "k_d", "k_z", "k_h", "k_flap")
@@ -210,7 +211,7 @@ def _recorded(
     gyro = rate + random.normal(0.0, 2e-3, 3) + 1e-4 * np.sqrt(0.5 / STEP_S) * random.standard_normal((count, 3))
     accel = force + random.normal(0.0, 0.02, 3) + 1.5e-3 * np.sqrt(0.5 / STEP_S) * random.standard_normal((count, 3))
     stamps = t + random.normal(0.0, 2e-5, count)
-    poses = slice(0, count, 5)
+    poses = slice(0, count, 2)
     shaken = turn[poses] * Rotation.from_rotvec(random.normal(0.0, 1e-3, (len(t[poses]), 3)))
     place = states[poses, :3] + turn[poses].apply(-com) + random.normal(0.0, 1.5e-4, (len(t[poses]), 3))
     commanded = vehicle.rotors.speed_source == "command"

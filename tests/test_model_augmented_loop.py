@@ -1,4 +1,7 @@
-"""The closed loop with the forces of effects: what is flown obeys Newton with the force that its own motion makes."""
+"""The closed loop with the forces of effects: what is flown obeys Newton with the force that its own motion makes.
+
+And prediction where a log has no poses: rates are predicted all the same.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,8 @@ import pytest
 
 from groundstation.frames import quat_from_euler, quat_rotate
 from groundstation.model.closed_loop import STEP_S, simulate_closed_loop
+from groundstation.model.prediction import FlightStates, declared_model, predict
+from groundstation.model.rotors import motor_input
 from groundstation.model.signals import Signals
 from groundstation.paths import find_config
 from groundstation.planning import paper_plan
@@ -54,3 +59,18 @@ def test_drag_moves_the_path_and_an_effect_of_nothing_does_not(flown):
         wrench=lambda signals: np.zeros((len(signals.t_s), 6)),
     )
     np.testing.assert_array_equal(again.position_m, without.position_m)
+
+
+def test_rates_are_predicted_without_poses():
+    """Rotors that turn the vehicle with a steady torque, and a gyro that saw it; position, velocity and attitude unknown."""
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    t = np.arange(0.0, 2.0, 0.005)
+    torque, rate = 0.05, np.zeros((len(t), 3))
+    rate[:, 2] = torque / vehicle.inertia_kg_m2.zz * t
+    thrust = np.linalg.pinv(vehicle.allocation()) @ [vehicle.mass_kg * vehicle.gravity_m_s2, 0.0, 0.0, torque]
+    motors = motor_input(t, np.tile(vehicle.motor_for_thrust(thrust), (len(t), 1)), measured=True)
+    place, attitude = np.full((len(t), 3), np.nan), np.full((len(t), 4), np.nan)
+    known = (place, place, attitude, rate)
+    states = FlightStates(t, *known, *known, motors, np.full(len(t), np.nan), (0.0, 2.0), vehicle)
+    error = predict(declared_model(vehicle), states, horizon_s=0.5).error["model"]["0.5"]
+    assert error["body_rate_rad_s"]["rms"] < 0.02 * torque / vehicle.inertia_kg_m2.zz * 0.5
