@@ -26,8 +26,8 @@ Table = dict[str, Any]
 LABORATORY = "lab"
 SPEED_M_S = 1.5
 """Speeds over which forms are fitted to each other where the vehicle declares no limit."""
-TAKE_OFF_S = 10.0
-"""From take-off to the excitation in a rehearsal, about: the simulator counts from the former, findings from the latter."""
+STANDING_S = 1.0
+"""From a rehearsal's first sample to its take-off: findings count from the former, the simulator from the latter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ def _weak_rotor(v: Values, model: Identified) -> Held:
 
 
 def _rotor_degradation(v: Values, model: Identified) -> Held:
-    table = {"rotor": int(v["rotor"]), "loss": v["loss"], "start_s": v["from_s"] + TAKE_OFF_S}
+    table = {"rotor": int(v["rotor"]), "loss": v["loss"], "start_s": v["from_s"] - STANDING_S}
     return Held("rotor_degradation", {**table, "spread_s": max(v["within_s"] / 4.0, 0.05)}, "the exact instant")
 
 
@@ -140,7 +140,7 @@ def _battery_sag(v: Values, model: Identified) -> Held:
 
 
 def _payload_change(v: Values, model: Identified) -> Held:
-    table = {"mass_kg": -v["mass_change_kg"], "time_s": v["at_s"] + TAKE_OFF_S, "position_m": [0.0, 0.0, 0.0]}
+    table = {"mass_kg": -v["mass_change_kg"], "time_s": v["at_s"] - STANDING_S, "position_m": [0.0, 0.0, 0.0]}
     return Held("payload_change", table, "the exact instant, and where the load sat (its share of the tensor)")
 
 
