@@ -31,7 +31,14 @@ class FlightResult:
 
     def files(self) -> dict[str, Path]:
         """What was written, by name; only what is there."""
-        names = ("flight.mcap", "report.html", "identification.json", "identification.toml", "diagnosis.json")
+        names = (
+            "flight.mcap",
+            "report.html",
+            "identification.json",
+            "identification.toml",
+            "diagnosis.json",
+            "next_flight.toml",
+        )
         return {name: self.folder / name for name in names if (self.folder / name).is_file()}
 
 
