@@ -80,6 +80,11 @@ def plausible(candidate: Candidate, values: Array, covariance: Array) -> bool:
     return all(low - 2.0 * s <= v <= high + 2.0 * s for v, s, (low, high) in zip(values, std, ranges, strict=True))
 
 
+def posterior(rivals: Sequence[float]) -> float:
+    """Share of an explanation among rivals (chance is one) whose evidence stands this far from its own, as chi squared."""
+    return float(1.0 / (1.0 + np.sum(np.exp(0.5 * np.clip(rivals, -200.0, 0.0)))))
+
+
 class Selection:
     """Forward selection over columns computed once."""
 
@@ -142,7 +147,7 @@ class Selection:
             if entry is None or self.held_out_gain(chosen, entry) <= 0.0:
                 break
             before = [c for c, _ in chosen]
-            chosen = self._pruned(self._contested([*chosen, entry]))
+            chosen = self._pruned(self._contested(self._refined([*chosen, entry], len(chosen))))
             if [c for c, _ in chosen] == before:
                 break
         margins = self._margins(chosen)
@@ -155,6 +160,18 @@ class Selection:
         named.sort(key=lambda n: -n.gain)
         order = [(n.candidate, n.columns) for n in named]
         return named, self.evidence.solve([*self.baseline, *order])
+
+    def _refined(self, chosen: list[Entry], index: int) -> list[Entry]:
+        """Look closer at the instant or the length of a member."""
+        candidate = chosen[index][0]
+        for settings in candidate.effect.finer(candidate.settings):
+            finer = Candidate(candidate.effect, settings)
+            columns = self.evidence.columns(finer)
+            if columns is not None:
+                trial = [*chosen[:index], (finer, columns), *chosen[index + 1 :]]
+                if self._margins(trial, [index])[0] > self._margins(chosen, [index])[0]:
+                    chosen = trial
+        return chosen
 
     def _pruned(self, chosen: list[Entry]) -> list[Entry]:
         while len(chosen) > 1:
@@ -171,7 +188,7 @@ class Selection:
             contest = self._contest(chosen, index)
             entry = max(contest, key=lambda item: item[1])[0]
             if entry is not chosen[index]:
-                chosen = [*chosen[:index], entry, *chosen[index + 1 :]]
+                chosen = self._refined([*chosen[:index], entry, *chosen[index + 1 :]], index)
         return chosen
 
     def _contest(self, chosen: list[Entry], index: int) -> list[tuple[Entry, float]]:
@@ -206,8 +223,7 @@ class Selection:
         (_, own), *rivals = contest
         close = max(INSEPARABLE, FORM**2 * own)
         alternatives = tuple(entry[0].identifier for entry, score in rivals if score > own - close)
-        odds = [0.5 * (score - own) * INSEPARABLE / close for _, score in rivals] + [-0.5 * margin]
-        return alternatives, float(1.0 / (1.0 + np.sum(np.exp(np.clip(odds, -200.0, 0.0)))))
+        return alternatives, posterior([(score - own) * INSEPARABLE / close for _, score in rivals] + [-margin])
 
     def held_out_gain(self, chosen: Sequence[Entry], entry: Entry) -> float:
         """Fall of the whitened squared residual on blocks no estimate saw, guard gaps left out, when ``entry`` is added."""

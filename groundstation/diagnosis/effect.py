@@ -42,6 +42,7 @@ class Effect:
         wrench: (signals, vehicle, settings) -> body force and torque about the declared origin per unit of each
             parameter, shape (k, 6, len(parameters)); NaN where the signals it needs are unknown.
         variants: settings to try (a rotor, an instant, a length); one empty set for most effects.
+        finer: settings around one that was found, to look closer.
         applies: whether this vehicle's inputs can show it at all.
         confused_with: identifiers that look alike; manoeuvre: what tells it from them.
         sentence: one sentence a pilot understands, with {parameter} places.
@@ -57,6 +58,7 @@ class Effect:
     confused_with: tuple[str, ...]
     manoeuvre: str
     variants: Callable[[Signals, Vehicle], Sequence[Settings]] = field(default=lambda signals, vehicle: ({},))
+    finer: Callable[[Settings], Sequence[Settings]] = field(default=lambda settings: ())
     applies: Callable[[Vehicle], bool] = field(default=lambda vehicle: True)
 
     def names(self) -> tuple[str, ...]:

@@ -84,6 +84,7 @@ class FlightEvidence:
     def __init__(self, prepared: Prepared, fitted: Fitted, options: Options, known: Sequence[Candidate] = ()):
         self.prepared = prepared
         self.known = tuple(known)
+        self._fitted, self._given = fitted, options
         record = prepared.record
         p = fitted.parameters
         self.parameters = replace(p, com_m=np.zeros(3), yaw_trim_nm=0.0, force_bias_m_s2=np.zeros(3), extra=np.zeros(0))
@@ -99,6 +100,9 @@ class FlightEvidence:
         self.signals = _thinned(prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s), self._stride)
         self._t = record.t_s[:: self._stride]
         self._step = np.concatenate([[0.0], np.diff(self._t)])
+        index = np.clip(np.searchsorted(self._t, self.model.t_s, side="right") - 1, 0, len(self._t) - 2)
+        share = np.clip((self.model.t_s - self._t[index]) / self._step[index + 1], 0.0, 1.0)
+        self._place = index, share[:, None, None]
         self._keep = record.keep[:: self._stride]
         self._inverse = np.linalg.inv(self.parameters.tensor)
         self.residual, self.sensitivity, self.names = _with_accelerometer_delay(
@@ -116,6 +120,10 @@ class FlightEvidence:
         else:
             self._basis = _orthonormal_rows(self._whitened(self.model.instruments(self.parameters, self.options)), self)
             self.z = self._project(self.x, self._basis)
+
+    def of(self, other: Prepared) -> FlightEvidence:
+        """Another flight about the same base fit."""
+        return FlightEvidence(other, self._fitted, self._given, self.known)
 
     def _nuisance(self) -> Array:
         """Columns (blocks, 6, m) that keep an effect's own residual out of the noise model: slow drift, drag, damping, thrust.
@@ -203,19 +211,18 @@ class FlightEvidence:
             out[rows] = q @ (q.T @ columns[rows])
         return out
 
-    def _at_blocks(self, values: Array) -> Array:
-        return np.stack([np.interp(self.model.t_s, self._t, column) for column in values.T], axis=-1)
-
     def predicted(self, wrench: Array) -> Array:
         """Rates and specific forces (blocks, 6, p) that a body wrench (k, 6, p) adds."""
-        out = np.zeros((len(self.model.t_s), 6, wrench.shape[2]))
-        for j in range(wrench.shape[2]):
-            torque = np.concatenate(
-                [np.zeros((1, 3)), np.cumsum(_middle(wrench[:, 3:, j]) * self._step[1:, None], axis=0)]
-            )
-            out[:, :3, j] = self._at_blocks(torque @ self._inverse.T)
-            out[:, 3:, j] = self._at_blocks(wrench[:, :3, j] / self.parameters.mass_kg)
+        impulse = np.zeros((len(wrench), 3, wrench.shape[2]))
+        np.cumsum(0.5 * (wrench[1:, 3:] + wrench[:-1, 3:]) * self._step[1:, None, None], axis=0, out=impulse[1:])
+        out = np.empty((len(self.model.t_s), 6, wrench.shape[2]))
+        out[:, :3] = np.einsum("ij,kjp->kip", self._inverse, self._at_blocks(impulse))
+        out[:, 3:] = self._at_blocks(wrench[:, :3]) / self.parameters.mass_kg
         return out
+
+    def _at_blocks(self, values: Array) -> Array:
+        index, share = self._place
+        return values[index] * (1.0 - share) + values[index + 1] * share
 
     def columns(self, candidate: Candidate) -> Columns | None:
         """Whitened sensitivities and instruments of a candidate; None where its signals are unknown or it does nothing."""
@@ -224,25 +231,23 @@ class FlightEvidence:
         if not np.isfinite(wrench).all():
             return None
         rms = np.sqrt(np.mean(wrench[self._keep] ** 2, axis=0))
-        sensitivity = self._whitened(self.predicted(wrench))
         if self._basis is None:
+            sensitivity = self._whitened(self.predicted(wrench))
             return Columns(sensitivity, sensitivity, rms)
-        count = len(self.model.t_s)
-        planned = []
-        for signals in self.planned:
-            wished = candidate.effect.wrench(signals, vehicle, candidate.settings) if signals is not None else None
-            if wished is not None and np.isfinite(wished).all():
-                planned.append(self._whitened(self.predicted(wished)))
+        planned = [candidate.effect.wrench(s, vehicle, candidate.settings) for s in self.planned if s is not None]
+        planned = [wished for wished in planned if np.isfinite(wished).all()]
         if not planned:
             return None
-        stacked = np.concatenate(planned, axis=1)
-        out = np.empty_like(sensitivity)
+        white = self._whitened(self.predicted(np.concatenate([wrench, *planned], axis=2)))
+        sensitivity, stacked = white[:, : wrench.shape[2]], white[:, wrench.shape[2] :]
+        out = np.zeros_like(sensitivity)
+        count = len(self.model.t_s)
         for index, q in enumerate(self._basis):
             rows = slice(index * count, (index + 1) * count)
-            own = stacked[rows] - q @ (q.T @ stacked[rows])
-            more = _orthonormal(own)
-            c = sensitivity[rows]
-            out[rows] = q @ (q.T @ c) + more @ (more.T @ c)
+            c, wished = sensitivity[rows], stacked[rows]
+            if c.any():
+                more = _orthonormal(wished - q @ (q.T @ wished)) if wished.any() else wished[:, :0]
+                out[rows] = q @ (q.T @ c) + more @ (more.T @ c)
         return Columns(sensitivity, out, rms)
 
 
@@ -427,10 +432,6 @@ def planned_signals(prepared: Prepared, p: Parameters, shift_s: float, stride: i
 
 def _thinned(signals: Signals, stride: int) -> Signals:
     return Signals(*(getattr(signals, name)[::stride] for name in Signals.__slots__))
-
-
-def _middle(values: Array) -> Array:
-    return 0.5 * (values[1:] + values[:-1])
 
 
 def _orthonormal(basis: Array) -> Array:

@@ -16,7 +16,11 @@ Verdict = Literal["explained", "unexplained", "clean", "refused"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """An effect that the declared vehicle lacks (identifier of effects.md), with its parameters and evidence."""
+    """An effect that the declared vehicle lacks (identifier of effects.md), with its parameters and evidence.
+
+    ``gain`` is how far the whitened squared error falls with it: on blocks no estimate saw for forces and torques, in the
+    comparison of the sensors for clocks and frames. Findings stand in its order.
+    """
 
     effect: str
     parameters: Mapping[str, Estimate]
@@ -24,6 +28,7 @@ class Finding:
     confidence: float
     alternatives: tuple[str, ...] = ()
     rotor: int | None = None
+    gain: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form of flight-bundle.md."""
@@ -34,6 +39,7 @@ class Finding:
             "confidence": self.confidence,
             "alternatives": list(self.alternatives),
             "rotor": self.rotor,
+            "gain": self.gain,
         }
 
 

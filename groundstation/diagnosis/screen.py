@@ -153,5 +153,5 @@ def unexplained(found: Sequence[Dependence]) -> tuple[Unexplained, ...]:
     for channel in dict.fromkeys(d.channel for d in found):
         mine = [d for d in found if d.channel == channel]
         strong = tuple(d.variable for d in mine if d.margin > 0.5 * mine[0].margin)
-        out.append(Unexplained(channel, round(max(d.share for d in mine), 4), strong[:4]))
+        out.append(Unexplained(channel, round(float(max(d.share for d in mine)), 4), strong[:4]))
     return tuple(out)

@@ -8,6 +8,9 @@ from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blan
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
+OFFSETS = np.linspace(-0.6, 0.6, 7)
+"""Where a closer look is taken, in spacings of the first one."""
+
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
     after = np.clip((signals.t_s - settings["at_s"]) / settings["within_s"] + 0.5, 0.0, 1.0)
@@ -18,8 +21,13 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarra
 
 
 def _variants(signals: Signals, vehicle: Vehicle) -> tuple[Settings, ...]:
-    instants = np.linspace(signals.t_s[0], signals.t_s[-1], 45)[2:-2]
+    instants = np.linspace(signals.t_s[0], signals.t_s[-1], 25)[1:-1]
     return tuple({"at_s": float(s), "within_s": float(instants[1] - instants[0])} for s in instants)
+
+
+def _finer(settings: Settings) -> tuple[Settings, ...]:
+    width = settings["within_s"]
+    return tuple({"at_s": settings["at_s"] + share * width, "within_s": 0.25 * width} for share in OFFSETS)
 
 
 EFFECT = Effect(
@@ -32,4 +40,5 @@ EFFECT = Effect(
     confused_with=("battery_sag", "rotor_degradation"),
     manoeuvre="hover before and after, at the same voltage",
     variants=_variants,
+    finer=_finer,
 )

@@ -8,6 +8,9 @@ from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blan
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
+OFFSETS = np.linspace(-0.6, 0.6, 7)
+"""Where a closer look is taken, in spacings of the first one."""
+
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
     lost = np.zeros_like(signals.thrust_n)
@@ -21,12 +24,19 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarra
 
 
 def _variants(signals: Signals, vehicle: Vehicle) -> tuple[Settings, ...]:
-    instants = np.linspace(signals.t_s[0], signals.t_s[-1], 27)[3:-3]
+    instants = np.linspace(signals.t_s[0], signals.t_s[-1], 17)[2:-2]
     width = float(instants[1] - instants[0])
     return tuple(
         {"rotor": float(i), "from_s": float(s), "within_s": width}
         for i in range(1, vehicle.rotors.count + 1)
         for s in instants
+    )
+
+
+def _finer(settings: Settings) -> tuple[Settings, ...]:
+    width = settings["within_s"]
+    return tuple(
+        {**settings, "from_s": settings["from_s"] + share * width, "within_s": 0.25 * width} for share in OFFSETS
     )
 
 
@@ -40,5 +50,6 @@ EFFECT = Effect(
     confused_with=("weak_rotor", "payload_change"),
     manoeuvre="repeat the same manoeuvre early and late",
     variants=_variants,
+    finer=_finer,
     applies=has_rotors,
 )

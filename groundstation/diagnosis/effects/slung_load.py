@@ -37,5 +37,6 @@ EFFECT = Effect(
     sentence="Something of {load_kg} kg swings below the vehicle on {length_m} m.",
     confused_with=("wind", "payload_change"),
     manoeuvre="a brisk sideways stop, then hover still for ten seconds and watch the swing ring down",
-    variants=lambda signals, vehicle: tuple({"length_m": float(length)} for length in np.geomspace(0.15, 4.0, 28)),
+    variants=lambda signals, vehicle: tuple({"length_m": float(length)} for length in np.geomspace(0.15, 4.0, 22)),
+    finer=lambda settings: tuple({"length_m": settings["length_m"] * ratio} for ratio in (0.89, 0.94, 1.0, 1.06, 1.12)),
 )

@@ -1,0 +1,164 @@
+"""The error before and after, and the parameters with the effects left out and put in.
+
+*Before* is the base re-estimated without the effects, on the same training blocks; *nominal* is the declared vehicle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.diagnosis.attribution import folds
+from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, Solution
+from groundstation.identification.anchoring import anchored
+from groundstation.identification.pipeline import DynamicFit
+from groundstation.identification.prediction_error import Fitted, fit
+from groundstation.identification.preparation import Prepared
+from groundstation.identification.record_model import CHANNELS, PAIRS, TENSOR, Parameters, initial_parameters
+from groundstation.identification.results import Estimate
+from groundstation.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+Chosen = Sequence[tuple[Candidate, Columns]]
+
+
+def _base_estimates(evidence: Evidence, vehicle: Vehicle, solution: Solution) -> dict[str, Estimate]:
+    """Mass and tensor of a linearised joint estimate, under the anchor."""
+    p = evidence.flights[0].parameters
+    names = list(evidence.names)
+    index = [names.index(n) for n in ("mass_kg", *TENSOR)]
+    about = np.array([p.mass_kg, *(p.tensor[i, j] for i, j in PAIRS)])
+    estimates, constants = anchored(
+        vehicle, ["mass_kg", *TENSOR], about + solution.theta[index], solution.covariance[np.ix_(index, index)]
+    )
+    return {**estimates, **constants}
+
+
+def base_parameters(
+    evidence: Evidence,
+    vehicle: Vehicle,
+    baseline: Chosen,
+    chosen: Chosen,
+    unlagged: Fitted | None,
+) -> tuple[dict[str, Estimate], dict[str, Estimate]]:
+    """Base parameters with the effects left out and put in. Left out means re-estimated without them, lag included."""
+    after = _base_estimates(evidence, vehicle, evidence.solve(chosen))
+    if unlagged is not None:
+        before, constants = anchored(vehicle, unlagged.names, unlagged.values, unlagged.covariance)
+        return {**before, **constants}, after
+    return _base_estimates(evidence, vehicle, evidence.solve(baseline)), after
+
+
+def without_lag(fitted: DynamicFit, vehicle: Vehicle) -> Fitted:
+    """The base fit of a vehicle whose rotors follow at once, for *before* where a lag was found."""
+    options = replace(fitted.options, lag=False, delay=False, com=False, yaw_trim=False, colour_rounds=1)
+    models = [type(model)(model.record, (), None) for model in fitted.models]
+    return fit(models, initial_parameters(vehicle, lag_s=0.0), options)
+
+
+def residual_wrench(flight: FlightEvidence, residual: Array, p: Parameters) -> Array:
+    """Wrench a residual of rates and specific forces stands for, smoothed over 0.2 s, (blocks, 6), torques first."""
+    step = float(np.median(flight.model.dt))
+    lag = max(1, round(0.2 / step))
+    out = np.full((len(residual), 6), np.nan)
+    out[lag:, :3] = (residual[lag:, :3] - residual[:-lag, :3]) / (lag * step) @ p.tensor
+    total = np.cumsum(np.concatenate([np.zeros((1, 3)), residual[:, 3:]]), axis=0)
+    out[lag:, 3:] = p.mass_kg * (total[lag + 1 :] - total[1:-lag]) / lag
+    for start in np.flatnonzero(flight.model.restart):
+        out[start : start + lag] = np.nan
+    return out
+
+
+def _remaining(flight: FlightEvidence, chosen: Chosen, solution: Solution) -> Array:
+    """Unwhitened residual of one flight after a joint estimate."""
+    out = flight.residual - flight.sensitivity @ solution.theta[: solution.base]
+    first = solution.base
+    for candidate, _ in chosen:
+        count = len(candidate.effect.parameters)
+        theta = solution.theta[first : first + count]
+        wrench = candidate.effect.wrench(flight.signals, flight.prepared.record.vehicle, candidate.settings)
+        out = out - flight.predicted(wrench) @ theta
+        first += count
+    return out
+
+
+def held_out_errors(
+    evidence: Evidence,
+    baseline: Chosen,
+    chosen: Chosen,
+    unlagged: Fitted | None,
+    unseen: Sequence[Prepared],
+) -> dict[str, dict[str, dict[str, float]]]:
+    """RMS of the residual wrench per channel on blocks (or flights) that no estimate saw: nominal, before, after."""
+    vehicle = evidence.flights[0].prepared.record.vehicle
+    nominal = initial_parameters(vehicle, lag_s=0.0)
+    stages: dict[str, list[Array]] = {"nominal": [], "before": [], "after": []}
+    if unseen:
+        others = [evidence.flights[0].of(item) for item in unseen]
+        pairs = {"before": (baseline, evidence.solve(baseline)), "after": (chosen, evidence.solve(chosen))}
+        for flight in others:
+            _collect(flight, np.ones(len(flight.model.t_s), dtype=bool), pairs, nominal, unlagged, stages)
+    else:
+        times, _, numbers = evidence.time_of_rows()
+        for train, test in folds(evidence):
+            pairs = {
+                "before": (baseline, evidence.solve(baseline, train)),
+                "after": (chosen, evidence.solve(chosen, train)),
+            }
+            for number, flight in enumerate(evidence.flights[: evidence.suspects]):
+                mine = times[(numbers == number) & test]
+                inside = np.isin(flight.model.t_s, mine)
+                _collect(flight, inside, pairs, nominal, unlagged, stages)
+    flight = evidence.flights[0]
+    return {
+        "held_out": {
+            stage: {
+                name: float(np.sqrt(np.nanmean(np.concatenate(parts)[:, index] ** 2)))
+                for index, name in enumerate(CHANNELS)
+                if index in flight.channels
+            }
+            for stage, parts in stages.items()
+        }
+    }
+
+
+def residual_series(
+    evidence: Evidence,
+    baseline: Chosen,
+    chosen: Chosen,
+    unlagged: Fitted | None,
+) -> dict[str, Array]:
+    """Residual wrench of the first flight over time for the report: by channel before, and as "channel/after"."""
+    flight = evidence.flights[0]
+    before = (
+        flight.model.residual(unlagged.parameters)
+        if unlagged is not None
+        else _remaining(flight, baseline, evidence.solve(baseline))
+    )
+    after = _remaining(flight, chosen, evidence.solve(chosen))
+    series = {"t_s": flight.model.t_s}
+    for suffix, residual in (("", before), ("/after", after)):
+        wrench = residual_wrench(flight, residual, flight.parameters)
+        series |= {CHANNELS[index] + suffix: wrench[:, index] for index in flight.channels}
+    return series
+
+
+def _collect(
+    flight: FlightEvidence,
+    inside: NDArray[np.bool_],
+    pairs: dict[str, tuple[Chosen, Solution]],
+    nominal: Parameters,
+    unlagged: Fitted | None,
+    stages: dict[str, list[Array]],
+) -> None:
+    p = flight.parameters
+    stages["nominal"].append(residual_wrench(flight, flight.model.residual(nominal), p)[inside])
+    for stage, (chosen, solution) in pairs.items():
+        if stage == "before" and unlagged is not None:
+            residual = flight.model.residual(unlagged.parameters)
+        else:
+            residual = _remaining(flight, chosen, solution)
+        stages[stage].append(residual_wrench(flight, residual, p)[inside])

@@ -1,0 +1,249 @@
+"""``diagnose``: find what the declared vehicle lacks, name it or say that nothing known does, and show the error before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.diagnosis.attribution import Named, Selection, candidates
+from groundstation.diagnosis.augmented import is_among
+from groundstation.diagnosis.comparison import base_parameters, held_out_errors, residual_series, without_lag
+from groundstation.diagnosis.effect import library
+from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, Solution
+from groundstation.diagnosis.kinematic import kinematic_findings, turned
+from groundstation.diagnosis.next_flight import rival_entries
+from groundstation.diagnosis.proposal import with_proposals
+from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
+from groundstation.diagnosis.screen import dependences, unexplained
+from groundstation.diagnosis.timing import lag_findings
+from groundstation.errors import Refused
+from groundstation.flightdata import FlightData
+from groundstation.identification.pipeline import DynamicFit, fit_dynamics
+from groundstation.identification.preparation import Prepared, prepare
+from groundstation.identification.results import Estimate
+from groundstation.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+EVIDENCE_RATE_HZ = 50.0
+BASELINE = ("com_offset", "constant_wrench", "rotor_drag", "climb_inflow", "thrust_curve", "battery_sag")
+"""What healthy flights of one vehicle share, where reference flights are given."""
+
+
+def diagnose(
+    flights: Sequence[FlightData],
+    *,
+    references: Sequence[FlightData] = (),
+    held_out: Sequence[FlightData] = (),
+    augmented: tuple[Candidate, ...] = (),
+    progress: Progress = lambda fraction, text: None,
+) -> Diagnosis:
+    """Trace the residual of one or several flights of a vehicle to effects its declaration lacks.
+
+    Args:
+        flights: under suspicion; pooled.
+        references: healthy flights of the same vehicle; findings are then what differs from them.
+        held_out: flights that no estimate sees; the error before and after is then reported on them.
+        augmented: effects that an earlier flight found (:func:`.augmented.known_candidates`); findings are what is beside them.
+        progress: told the fraction done and what is being done.
+    """
+    name = " + ".join(flight.name for flight in flights)
+    vehicle = flights[0].vehicle
+    try:
+        progress(0.05, "bringing the streams onto one clock")
+        suspects = [_for_evidence(prepare(flight)) for flight in flights]
+        healthy = [_for_evidence(prepare(flight)) for flight in references]
+        unseen = [_for_evidence(prepare(flight)) for flight in held_out]
+        kinematic = kinematic_findings(suspects[0])
+        suspects, healthy, unseen = ([turned(item, kinematic) for item in each] for each in (suspects, healthy, unseen))
+        progress(0.25, "base fit")
+        fitted = fit_dynamics([*suspects, *healthy])
+        evidence, baseline, named, solution = _select(fitted, suspects, healthy, augmented, (), progress)
+        if named:
+            # An effect swells the noise it is judged against: what was found is kept out of the noise, and all is judged anew.
+            known = tuple(n.candidate for n in named)
+            evidence, baseline, named, solution = _select(fitted, suspects, healthy, augmented, known, progress)
+        chosen = [*baseline, *((n.candidate, n.columns) for n in named)]
+        progress(0.9, "what is left")
+        left = dependences(evidence, chosen)
+    except Refused as refusal:
+        return Diagnosis(
+            flight=name, vehicle=vehicle.name, verdict="refused", reason=str(refusal), next_flight=refusal.remedy
+        )
+    lag = [] if references else lag_findings(evidence, solution)
+    unlagged = without_lag(fitted, vehicle) if lag else None
+    offset = sum(len(c.effect.parameters) for c, _ in baseline)
+    findings = sorted([*lag, *_findings(named, solution, vehicle, offset), *kinematic], key=lambda f: -f.gain)
+    remaining = with_proposals(
+        evidence,
+        chosen,
+        unexplained(left),
+        lambda more: held_out_errors(evidence, chosen, list(more), None, unseen)["held_out"],
+    )
+    before, after = base_parameters(evidence, vehicle, baseline, chosen, unlagged)
+    error = held_out_errors(evidence, baseline, chosen, unlagged, unseen)
+    verdict = "unexplained" if remaining else "explained" if findings else "clean"
+    progress(1.0, "done")
+    return Diagnosis(
+        flight=name,
+        vehicle=vehicle.name,
+        verdict=verdict,
+        findings=tuple(findings),
+        unexplained=remaining,
+        error=error,
+        parameters_before=before,
+        parameters_after=after,
+        next_flight=_next_flight(findings, remaining),
+        reason=_reason(verdict, findings, remaining),
+        warnings=tuple(_warnings(suspects, references)),
+        candidates=(
+            *(
+                {
+                    "effect": n.candidate.identifier,
+                    "settings": dict(n.candidate.settings),
+                    "evidence": float(n.evidence),
+                }
+                for n in named
+            ),
+            *rival_entries(
+                evidence,
+                chosen,
+                [(n.candidate, n.alternatives) for n in named],
+                _pool(vehicle, evidence.flights[0], references=bool(healthy)),
+            ),
+        ),
+        residual=residual_series(evidence, baseline, chosen, unlagged),
+    )
+
+
+def _for_evidence(prepared: Prepared) -> Prepared:
+    """Effects are slow: thin the fit to EVIDENCE_RATE_HZ."""
+    rate = 1.0 / float(np.median(np.diff(prepared.record.t_s)))
+    block = max(prepared.record.block, round(rate / EVIDENCE_RATE_HZ))
+    return replace(prepared, record=replace(prepared.record, block=block))
+
+
+def _select(
+    fitted: DynamicFit,
+    suspects: Sequence[Prepared],
+    healthy: Sequence[Prepared],
+    augmented: tuple[Candidate, ...],
+    known: Sequence[Candidate],
+    progress: Progress,
+) -> tuple[Evidence, list[tuple[Candidate, Columns]], list[Named], Solution]:
+    """Evidence with a noise model that leaves the known effects out, and what it asks for."""
+    progress(0.5, "noise of each channel")
+    evidence = _evidence(fitted, suspects, healthy, (*augmented, *known))
+    vehicle = suspects[0].record.vehicle
+    pool = [c for c in _pool(vehicle, evidence.flights[0], references=bool(healthy)) if not is_among(c, augmented)]
+    baseline = _baseline(evidence, vehicle) if healthy else []
+    baseline += [(c, columns) for c in augmented if (columns := evidence.columns(c, everywhere=True)) is not None]
+    selection = Selection(evidence, pool, baseline, lambda f: progress(0.55 + 0.25 * f, "effects one by one"))
+    progress(0.8, "selecting")
+    return evidence, baseline, *selection.run()
+
+
+def _evidence(
+    fitted: DynamicFit, suspects: Sequence[Prepared], healthy: Sequence[Prepared], known: Sequence[Candidate]
+) -> Evidence:
+    best = fitted.best
+    return Evidence(
+        [FlightEvidence(item, best, fitted.options, known) for item in suspects],
+        [FlightEvidence(item, best, fitted.options) for item in healthy],
+    )
+
+
+def _pool(vehicle: Vehicle, first: FlightEvidence, *, references: bool) -> list[Candidate]:
+    pool = candidates(vehicle, first.signals)
+    if references:
+        payload = library()["payload_change"]
+        pool.append(Candidate(payload, {"at_s": -1.0, "within_s": 1.0}))
+    return pool
+
+
+def _baseline(evidence: Evidence, vehicle: Vehicle) -> list[tuple[Candidate, Columns]]:
+    out = []
+    for name in BASELINE:
+        effect = library()[name]
+        if effect.applies(vehicle):
+            candidate = Candidate(effect, {})
+            columns = evidence.columns(candidate, everywhere=True)
+            if columns is not None:
+                out.append((candidate, columns))
+    return out
+
+
+def _findings(named: Sequence[Named], solution: Solution, vehicle: Vehicle, offset: int) -> list[Finding]:
+    out = []
+    for item in named:
+        effect, settings = item.candidate.effect, dict(item.candidate.settings)
+        count = len(effect.parameters)
+        values, covariance = solution.part(offset, count)
+        offset += count
+        std = np.sqrt(np.diag(covariance))
+        rotor = int(settings.pop("rotor")) if "rotor" in settings else None
+        parameters = {n: Estimate.normal(v, s) for n, v, s in zip(effect.names(), values, std, strict=True)}
+        parameters |= {n: Estimate(v, 0.0, (v, v)) for n, v in settings.items()}
+        words = {n: f"{e.value:.3g}" for n, e in parameters.items()} | {"rotor": str(rotor)}
+        out.append(
+            Finding(
+                effect=effect.identifier,
+                parameters=parameters,
+                evidence=effect.sentence.format(**words),
+                confidence=item.confidence,
+                alternatives=item.alternatives,
+                rotor=rotor,
+                gain=item.gain,
+            )
+        )
+    return out
+
+
+def _next_flight(findings: Sequence[Finding], remaining: Sequence[Unexplained]) -> str:
+    """The manoeuvre that separates what this flight could not."""
+    effects = library()
+    parts = []
+    for finding in findings:
+        if finding.alternatives:
+            rivals = ", ".join(finding.alternatives)
+            how = effects[finding.effect].manoeuvre if finding.effect in effects else _OTHER.get(finding.effect, "")
+            parts.append(f"To tell {finding.effect} from {rivals}: {how}.")
+    if remaining:
+        where = ", ".join(sorted({v for item in remaining for v in item.depends_on}))
+        parts.append(
+            f"Something unknown varies with {where}: fly slowly over its whole range, twice, in opposite directions."
+        )
+    return " ".join(parts)
+
+
+_OTHER = {
+    "motor_lag": "fly faster reversals (5 Hz and more) or attitude steps: a lag rounds them, a dead time shifts them",
+    "input_delay": "fly faster reversals (5 Hz and more) or attitude steps: a lag rounds them, a dead time shifts them",
+    "clock_offset": "turn the vehicle by hand, rotors off, in view of the cameras",
+    "mocap_misalignment": "tilt by 15 degrees and more in roll and pitch",
+    "imu_misalignment": "tilt by 15 degrees and more in roll and pitch",
+}
+
+
+def _reason(verdict: str, findings: Sequence[Finding], remaining: Sequence[Unexplained]) -> str:
+    if verdict == "clean":
+        return "No effect beats chance; what is left is this flight's own disturbance and sensor noise."
+    if verdict == "explained":
+        return f"{len(findings)} effect{'s' if len(findings) > 1 else ''} found; the rest is disturbance and noise."
+    channels = ", ".join(item.channel for item in remaining)
+    return f"A residual remains in {channels} that depends on the motion and that no known effect removes."
+
+
+def _warnings(suspects: Sequence[Prepared], references: Sequence[FlightData]) -> list[str]:
+    out = []
+    if any(item.planned is None for item in suspects):
+        out.append(
+            "No plan or setpoints are recorded: without instruments a flexible effect of the inputs can soak up a disturbance."
+        )
+    if any(item.source != "imu" for item in suspects):
+        out.append("Rates and accelerations are derived, not measured: small torques cannot be told.")
+    return out

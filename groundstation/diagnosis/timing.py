@@ -1,0 +1,101 @@
+"""A lag or a dead time between command and thrust that the vehicle file does not declare."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.diagnosis.attribution import INSEPARABLE, posterior
+from groundstation.diagnosis.effect import is_commanded
+from groundstation.diagnosis.evidence import Evidence, Solution
+from groundstation.diagnosis.results import Finding
+from groundstation.identification.results import Estimate
+
+Array = NDArray[np.float64]
+
+LEAST_LAG_S = 5e-3
+CERTAIN = 25.0
+"""Wald statistic (five standard deviations) for one of the two; for both together ten more."""
+NAMES = ("rotor_lag_up_s", "rotor_lag_down_s", "input_delay_s")
+
+
+def lag_findings(evidence: Evidence, solution: Solution) -> list[Finding]:
+    """From the joint estimate with the named effects; lag and dead time are rivals, or stand together.
+
+    With W the Wald statistic of all three parameters, that of the delay alone is what a lag cannot explain, and the other
+    way round: the two single explanations differ by it.
+    """
+    first = evidence.flights[0]
+    names = list(first.names)
+    if not is_commanded(first.prepared.record.vehicle) or NAMES[0] not in names:
+        return []
+    p, declared = first.parameters, first.prepared.record.vehicle.rotors.lag
+    index = [names.index(n) for n in NAMES]
+    values = np.array([p.lag_up_s, p.lag_down_s, p.delay_s]) + solution.theta[index]
+    values -= [declared.up_s, declared.down_s, 0.0]
+    covariance = solution.covariance[np.ix_(index, index)]
+
+    def wald(part: Sequence[int]) -> float:
+        v, c = values[list(part)], covariance[np.ix_(part, part)]
+        return float(v @ np.linalg.solve(c, v))
+
+    everything, only_delay_explains, only_lag_explains = wald([0, 1, 2]), wald([2]), wald([0, 1])
+    chance = CERTAIN + 10.0 - everything
+    if chance >= 0.0 or float(values[:2].mean() + values[2]) < LEAST_LAG_S:
+        return []
+    if min(only_delay_explains, only_lag_explains) > CERTAIN and values[2] > LEAST_LAG_S:
+        return [
+            _lag(values, covariance, declared.up_s, declared.down_s, only_lag_explains, (CERTAIN - only_lag_explains,)),
+            _delay(values[2], covariance[2, 2], only_delay_explains, (CERTAIN - only_delay_explains,)),
+        ]
+    lead = only_lag_explains - only_delay_explains
+    if lead >= 0.0 or values[2] < LEAST_LAG_S:
+        alone = _conditional(values, covariance)
+        return [_lag(*alone, declared.up_s, declared.down_s, everything, (chance, -lead), lead < INSEPARABLE)]
+    total = float(values[:2].mean() + values[2])
+    return [_delay(total, covariance[2, 2], everything, (chance, lead), -lead < INSEPARABLE)]
+
+
+def _lag(
+    values: Array,
+    covariance: Array,
+    up_s: float,
+    down_s: float,
+    gain: float,
+    rivals: Sequence[float],
+    close: bool = False,
+) -> Finding:
+    up, down = values[0] + up_s, values[1] + down_s
+    return Finding(
+        effect="motor_lag",
+        parameters={
+            NAMES[0]: Estimate.normal(float(up), float(np.sqrt(covariance[0, 0]))),
+            NAMES[1]: Estimate.normal(float(down), float(np.sqrt(covariance[1, 1]))),
+        },
+        evidence=(
+            f"The rotors follow their commands with a lag of {1e3 * up:.0f} ms up and {1e3 * down:.0f} ms down "
+            "that is not declared."
+        ),
+        confidence=posterior(rivals),
+        alternatives=("input_delay",) if close else (),
+        gain=gain,
+    )
+
+
+def _delay(value: float, variance: float, gain: float, rivals: Sequence[float], close: bool = False) -> Finding:
+    return Finding(
+        effect="input_delay",
+        parameters={NAMES[2]: Estimate.normal(float(value), float(np.sqrt(variance)))},
+        evidence=f"Commands take {1e3 * value:.0f} ms to act.",
+        confidence=posterior(rivals),
+        alternatives=("motor_lag",) if close else (),
+        gain=gain,
+    )
+
+
+def _conditional(values: Array, covariance: Array) -> tuple[Array, Array]:
+    """Mean and covariance of the lags when there is no dead time."""
+    gain = covariance[:2, 2] / covariance[2, 2]
+    return values[:2] - gain * values[2], covariance[:2, :2] - np.outer(gain, covariance[2, :2])
