@@ -60,20 +60,17 @@ class DynamicFit:
 
     @property
     def best_name(self) -> str:
-        """IV where a plan is known and the inputs are noisy or FE disagrees with it, else FE.
+        """IV where a plan is known, else FE.
 
-        Durbin, Wu and Hausman: where two consistent estimates agree, the efficient one is better, which FE is for recorded
-        commands, as those are exact. Measured speeds are not, and agreement is too weak a test of what their noise does.
+        FE would be a little sharper where the controller saw no more than the record holds and the inputs are exact, but
+        a test of that (Durbin, Wu and Hausman) is weakest on the gentle flights where the bias is largest.
         """
-        if self.instrumental is None:
-            return "FE"
-        noisy = self.prepared[0].record.motors.measured
-        return "IV" if noisy or _disagreement(self.instrumental, self.filter_error)[1] >= DISAGREES else "FE"
+        return "FE" if self.instrumental is None else "IV"
 
     @property
     def best(self) -> Fitted:
         """The estimate to believe."""
-        return self.instrumental if self.best_name == "IV" and self.instrumental is not None else self.filter_error
+        return self.filter_error if self.instrumental is None else self.instrumental
 
 
 def options_for(prepared: Prepared) -> Options:
@@ -223,7 +220,7 @@ def identify(
         hidden["torque_to_thrust_m"] = (
             "a measured reaction torque: yaw torque and yaw inertia scale together, weighing does not fix them"
         )
-    bounds, _ = anchored(vehicle, fitted.filter_error.names, best.values, _bound(fitted))
+    bounds, _ = anchored(vehicle, best.names, best.values, best.bound)
     first = prepared[0]
     progress(0.95, "validation")
     validation = validate(
@@ -259,17 +256,10 @@ _METHOD_NOTES = {
 }
 
 
-def _bound(fitted: DynamicFit) -> Array:
-    """Cramer-Rao covariance: what an efficient estimator could reach on this record with its disturbance."""
-    return fitted.best.covariance
-
-
 def _reason(fitted: DynamicFit) -> str:
     if fitted.instrumental is None:
         return "FE: no plan or setpoints are recorded, so the prediction error estimate with a noise model is the best there is."
     worst, size = _disagreement(fitted.instrumental, fitted.filter_error)
-    if fitted.best_name == "FE":
-        return f"FE: the commands are exact and IV, immune to feedback, agrees within {size:.1f} standard deviations; FE is the more precise."
     verdict = (
         f"FE agrees within {size:.1f} standard deviations"
         if size < DISAGREES

@@ -45,12 +45,16 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """A finished fit. ``covariance`` is of ``names``; ``colours`` and ``whiteners`` are per channel."""
+    """A finished fit. ``covariance`` is of ``names``; ``colours`` and ``whiteners`` are per channel.
+
+    ``bound`` is the Cramer-Rao covariance: what an efficient estimate from the same motion and disturbance could reach.
+    """
 
     parameters: Parameters
     names: tuple[str, ...]
     values: Array
     covariance: Array
+    bound: Array
     colours: tuple[Colour, ...]
     whiteners: tuple[Array, ...]
     cost: float
@@ -243,6 +247,7 @@ def fit(
         names,
         theta,
         covariance,
+        covariance,
         tuple(c for s in state for c in s),
         tuple(q for s in polynomials for q in s),
         cost,
@@ -302,6 +307,7 @@ def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: 
 
 
 SHOOTING_S = 2.0
+IV_ROUNDS = 3
 
 
 def output_error(models: Sequence[RecordModel], start: Fitted, options: Options) -> Fitted:
@@ -334,7 +340,9 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
 
         theta <- theta + (Z^T W X)^-1 Z^T W e,    cov = (Z^T W X)^-1 (Z^T W Z) (X^T W Z)^-1
 
-    with X, Z, e whitened by the same noise model, which is refitted to the residual (Young's refined IV).
+    with X, Z, e whitened by the same noise model, which is refitted to the residual (Young's refined IV). Z is as wide as X, one
+    instrument for each parameter over all channels together: every instrument more keeps a share of the bias that
+    instruments are there to remove (Bekker 1994), and with gentle flights that share was the larger part of the error.
     """
     extra_names = [term.name for term in models[0].extra]
     channels = [
@@ -342,43 +350,33 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
     ]
     colours, polynomials = per_flight(start.colours, channels), per_flight(start.whiteners, channels)
     p, names = start.parameters, start.names
-    covariance = start.covariance
+    covariance, information = start.covariance, np.linalg.inv(start.covariance)
     split = _lag_split_precision(names)
     evaluated = [model.evaluate(p, options) for model in models]
     iterations = 0
-    for round_index in range(2):
+    for round_index in range(IV_ROUNDS):
         if round_index > 0:
-            colours = [
-                [
-                    fit_colour(e[0][:, c], model.dt, model.restart, integrated=c < 3, start=colour)
-                    for c, colour in zip(chosen, previous, strict=True)
-                ]
-                for model, e, chosen, previous in zip(models, evaluated, channels, colours, strict=True)
-            ]
-        bases = [
-            [
-                _orthonormal(z)
-                for z in _whiten(
-                    model,
-                    model.residual(p),
-                    model.instruments(p, options),
-                    channels[index],
-                    colours[index],
-                    polynomials[index],
-                )[1]
-            ]
+            for index, (model, found) in enumerate(zip(models, evaluated, strict=True)):
+                colours[index], polynomials[index] = _noise(
+                    model, found[0], channels[index], colours[index], options.autoregression
+                )
+        planned = [
+            _whiten(
+                model, model.residual(p), model.planned_sensitivities(p, options),
+                channels[index], colours[index], polynomials[index],
+            )[1]
             for index, model in enumerate(models)
-        ]
+        ]  # fmt: skip
+        mean, std = _priors(models[0].record, start.parameters, names, models[0].extra, options)
+        precision = np.diag(1.0 / std**2) + split
+        information = precision + sum(z.T @ z for columns in planned for z in columns)
         for _ in range(10):
             theta = _current(p, names, extra_names)
-            mean, std = _priors(models[0].record, start.parameters, names, models[0].extra, options)
-            precision = np.diag(1.0 / std**2) + split
             zx, zz = precision.copy(), precision.copy()
             ze = (mean - theta) / std**2 + split @ (start.values - theta)
             for index, model in enumerate(models):
                 ys, xs, _ = _whiten(model, *evaluated[index][:2], channels[index], colours[index], polynomials[index])
-                for y, x, basis in zip(ys, xs, bases[index], strict=True):
-                    z = basis @ (basis.T @ x)
+                for y, x, z in zip(ys, xs, planned[index], strict=True):
                     w = _huber(y)[:, None]
                     zx += z.T @ (x * w)
                     zz += z.T @ (z * w)
@@ -399,20 +397,27 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
         parameters=p,
         values=theta,
         covariance=covariance,
+        bound=np.asarray(np.linalg.inv(information), dtype=float),
         residual_rms=rms,
         iterations=iterations,
         colours=tuple(c for s in colours for c in s),
+        whiteners=tuple(q for s in polynomials for q in s),
     )
 
 
-def _orthonormal(basis: Array) -> Array:
-    """Orthonormal columns that span a basis (first stage of two-stage least squares), weak directions dropped."""
-    size = np.linalg.norm(basis, axis=0)
-    used = basis[:, size > 1e-9 * max(float(size.max()), 1e-30)]
-    gram = (used / np.linalg.norm(used, axis=0)).T @ (used / np.linalg.norm(used, axis=0))
-    values, vectors = np.linalg.eigh(gram)
-    keep = values > 1e-6 * values[-1]
-    return (used / np.linalg.norm(used, axis=0)) @ (vectors[:, keep] / np.sqrt(values[keep]))
+def _noise(
+    model: RecordModel, residual: Array, channels: Sequence[int], previous: Sequence[Colour], autoregression: int
+) -> tuple[list[Colour], list[Array]]:
+    """Noise model of each channel of a residual: its colour, and the autoregression for what the colour leaves."""
+    colours = [
+        fit_colour(residual[:, c], model.dt, model.restart, integrated=c < 3, start=colour)
+        for c, colour in zip(channels, previous, strict=True)
+    ]
+    plain = [np.array([1.0])] * len(channels)
+    if not autoregression:
+        return colours, plain
+    ys, _, _ = _whiten(model, residual, np.zeros((*residual.shape, 0)), channels, colours, plain)
+    return colours, [whitening_polynomial(y, model.restart, autoregression) for y in ys]
 
 
 def _lag_split_precision(names: Sequence[str]) -> Array:

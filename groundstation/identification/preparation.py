@@ -15,17 +15,16 @@ from numpy.typing import NDArray
 from groundstation.errors import BadInput, NotIdentifiable, Refused
 from groundstation.flightdata import FlightData, Stream
 from groundstation.frames import (
-    euler_from_quat,
     quat_conjugate,
     quat_continuous,
     quat_exp,
-    quat_from_euler,
     quat_log,
     quat_multiply,
     quat_rotate,
     quat_rotate_inverse,
 )
 from groundstation.identification.clock import coarse_offset, rates_from_attitude
+from groundstation.identification.instruments import FlownMotion, planned_motion
 from groundstation.identification.processing import clean, excitation_window
 from groundstation.identification.reconstruction import Compatibility, body_motion, reconstruct
 from groundstation.identification.record_model import BodyWrench, DynamicRecord, PlannedMotion
@@ -40,14 +39,12 @@ from groundstation.model.rotors import (
     wrench_matrix,
 )
 from groundstation.model.signals import Signals
-from groundstation.trajectory import FlatState, RigidMotion, rigid_motion
 
 Array = NDArray[np.float64]
 
 FIT_RATE_HZ = 150.0
 MEASURED_RATE_HZ = 30.0
 SHORTEST_S = 4.0
-PATH_KNOTS_S = 0.5
 UNKNOWN_ACCEL_BIAS_M_S2 = 0.1
 """Standard deviation of an accelerometer bias nobody measured: 10 mg, a consumer MEMS sensor's turn-on bias."""
 
@@ -158,7 +155,7 @@ def prepare(flight: FlightData, *, exclude: Sequence[tuple[float, float]] = ()) 
     return Prepared(
         flight=flight,
         record=record,
-        planned=planned_motion(flight, t, motion, keep, start_s, measured),
+        planned=planned_motion(flight, motion, keep, start_s, stand_in=measured),
         compatibility=motion.compatibility,
         quaternion=motion.smooth[0],
         position_m=motion.smooth[1],
@@ -205,17 +202,11 @@ def flight_states(flight: FlightData, *, own: bool = False) -> FlightStates:
 
 
 @dataclass(frozen=True, slots=True)
-class _Motion:
-    t_s: Array
-    rate: Array
-    force: Array
-    force_bias_std: Array
-    smooth: tuple[Array, Array, Array]
+class _Motion(FlownMotion):
     causal: tuple[Array, Array, Array]
+    force_bias_std: Array
     compatibility: Compatibility | None
     clock: Clock | None
-    source: str
-    rate_hz: float
 
 
 def _motion(flight: FlightData, notes: list[str]) -> _Motion:
@@ -277,7 +268,7 @@ def _from_imu(flight: FlightData, imu: Stream, pose: Stream | None, state: Strea
             )
     if np.any(lever != 0.0):
         force = force - _lever_arm(t, rate, lever)
-    return _Motion(t, rate, force, bias_std, smooth, causal, compatibility, clock, "imu", imu.rate_hz())
+    return _Motion(t, rate, force, smooth, "imu", imu.rate_hz(), causal, bias_std, compatibility, clock)
 
 
 def _lever_arm(t: Array, rate: Array, lever: Array) -> Array:
@@ -301,9 +292,8 @@ def _from_poses(flight: FlightData, pose: Stream) -> _Motion:
     acceleration = np.gradient(velocity, middle, axis=0)
     force = quat_rotate_inverse(half, acceleration + np.array([0.0, 0.0, flight.vehicle.gravity_m_s2]))
     motion = (half, 0.5 * (p[1:] + p[:-1]), velocity)
-    return _Motion(
-        middle, rate, force, np.full(3, 1e-4), motion, motion, None, None, "poses", 1.0 / float(np.median(np.diff(t)))
-    )
+    rate_hz = 1.0 / float(np.median(np.diff(t)))
+    return _Motion(middle, rate, force, motion, "poses", rate_hz, motion, np.full(3, 1e-4), None, None)
 
 
 def _from_state(flight: FlightData, state: Stream) -> _Motion:
@@ -311,7 +301,7 @@ def _from_state(flight: FlightData, state: Stream) -> _Motion:
     q, velocity, rate = x[:, 6:10], x[:, 3:6], x[:, 10:13]
     force = quat_rotate_inverse(q, np.gradient(velocity, t, axis=0) + np.array([0.0, 0.0, flight.vehicle.gravity_m_s2]))
     motion = (q, x[:, :3], velocity)
-    return _Motion(t, rate, force, np.full(3, 1e-3), motion, motion, None, None, "state", state.rate_hz())
+    return _Motion(t, rate, force, motion, "state", state.rate_hz(), motion, np.full(3, 1e-3), None, None)
 
 
 def _arrival_difference(first: Stream, second: Stream) -> float | None:
@@ -369,68 +359,6 @@ def _battery(flight: FlightData, t: Array) -> tuple[Array, Array]:
     return voltage, charge
 
 
-def planned_motion(
-    flight: FlightData, t: Array, motion: _Motion, keep: NDArray[np.bool_], start_s: float, measured: bool
-) -> PlannedMotion | None:
-    """The motion the plan (or the setpoints) asked for, at stamps t, shifted to where the vehicle followed it.
-
-    The shift is the vehicle's own tracking delay and whatever separates the clocks; it maximises the correlation of body rates.
-    Where neither is recorded and rotor speeds are measured (so that their noise would bias a prediction error estimate), the
-    smoothed path of the vehicle stands in: torque disturbances reach position only through four integrations, and the
-    noise of rotor speeds not at all.
-    """
-    rate = motion.rate
-    if flight.plan is not None:
-        series = flight.plan.series()
-
-        def reference(query: Array) -> FlatState:
-            return series.sample(query - start_s)
-    elif flight.setpoint is not None and len(flight.setpoint) > 50:
-        spline = _setpoint_spline(flight.setpoint)
-        if spline is None:
-            return None
-        reference = spline
-    elif measured and motion.source == "imu" and np.isfinite(motion.smooth[1]).all():
-        spline = _path_spline(t, motion, keep)
-        if spline is None:
-            return None
-        reference = spline
-    else:
-        return None
-    gravity = flight.vehicle.gravity_m_s2
-    step = 0.02
-    grid = np.arange(t[keep][0], t[keep][-1], step)
-    actual = np.stack([np.interp(grid, t, c) for c in rate.T], axis=-1)
-    shifts = np.arange(-1.5, 1.5, step)
-    wide = np.arange(grid[0] - 1.6, grid[-1] + 1.6, step)
-    planned = rigid_motion(reference(wide), gravity).angular_velocity_body_rad_s
-    if float(np.std(planned)) < 1e-4:
-        return None
-    index = np.arange(len(grid))
-    scores = []
-    for shift in shifts:
-        first = round((1.6 - shift) / step)
-        scores.append(float(np.sum(planned[index + first] * actual)))
-    best = float(shifts[int(np.argmax(scores))])
-    moved = rigid_motion(reference(t - best), gravity)
-    coherence = max(scores) / (np.sqrt(np.sum(planned**2) * np.sum(actual**2)) + 1e-12)
-    if coherence < 0.2:
-        return None
-    return _planned(moved)
-
-
-def _planned(motion: RigidMotion) -> PlannedMotion:
-    attitude = quat_from_euler(*motion.euler_rad.T)
-    return PlannedMotion(
-        motion.angular_velocity_body_rad_s,
-        motion.angular_acceleration_body_rad_s2,
-        motion.specific_thrust_m_s2,
-        quat_rotate_inverse(attitude, motion.velocity_world_m_s),
-        motion.position_m,
-        quat_continuous(attitude),
-    )
-
-
 def damping_terms(prepared: Prepared) -> tuple[list[BodyWrench], PlannedMotion | None]:
     """Linear damping of the three rates and of climb, free in every fit, and the plan with their planned values.
 
@@ -459,36 +387,3 @@ def damping_terms(prepared: Prepared) -> tuple[list[BodyWrench], PlannedMotion |
             wished[:, column] = -(plan.rate_rad_s[:, index] if index < 3 else plan.velocity_body_m_s[:, 2])
             planned.append(wished)
     return terms, None if plan is None else replace(plan, extra=tuple(planned))
-
-
-def _path_spline(t: Array, motion: _Motion, keep: NDArray[np.bool_]):
-    """The flown path as a spline with knots every PATH_KNOTS_S, which follows the manoeuvre and not the disturbance."""
-    used = np.flatnonzero(keep)
-    index = np.arange(used[0], used[-1], max(1, round(motion.rate_hz / 50.0)))
-    yaw = np.unwrap(euler_from_quat(motion.smooth[0][index])[:, 2])
-    path = Stream(t[index], np.column_stack([motion.smooth[1][index], yaw]), ("x_m", "y_m", "z_m", "yaw_rad"))
-    return _setpoint_spline(path, PATH_KNOTS_S)
-
-
-def _setpoint_spline(setpoint: Stream, knots_s: float = 0.2):
-    """Quintic least-squares spline through position and yaw setpoints, knots every ``knots_s``; None if they do not move."""
-    from scipy.interpolate import make_lsq_spline
-
-    stream = clean(setpoint)
-    t = stream.t_s
-    values = stream.values[:, :4].copy()
-    values[:, 3] = np.unwrap(values[:, 3])
-    if len(t) < 50 or np.ptp(values[:, :3], axis=0).max() < 0.02:
-        return None
-    spacing = max(knots_s, 3.0 * float(np.max(np.diff(t))))
-    inner = np.arange(t[0] + spacing, t[-1] - spacing, spacing)
-    knots = np.concatenate([np.full(6, t[0]), inner, np.full(6, t[-1])])
-    spline = make_lsq_spline(t, values, knots, k=5)
-
-    def sample(query: Array) -> FlatState:
-        inside = np.clip(query, t[0], t[-1])
-        d = np.stack([spline.derivative(n)(inside) if n else spline(inside) for n in range(5)])
-        d[1:, (query < t[0]) | (query > t[-1])] = 0.0
-        return FlatState(d[:, :, :3], d[:3, :, 3])
-
-    return sample

@@ -162,8 +162,10 @@ class _PlannedBase:
     impulse: Array
     slope: Array
     rising: Array
+    falling: Array
     d_slope: Array
     d_rising: Array
+    d_falling: Array
     extra: tuple[tuple[Array, Array], ...]
 
 
@@ -301,12 +303,18 @@ class RecordModel:
             if axis + 3 in options.channels:
                 table[f"accel_bias_{letter}_m_s2"] = blank, along(axis, 1.0)
 
+    def planned_sensitivities(self, p: Parameters, options: Options) -> Array:
+        """Sensitivities that the planned motion would have at ``p``, shape (blocks, 6, P), columns as in :meth:`evaluate`."""
+        if self.planned is None:
+            raise ValueError("no planned motion was given for this record")
+        return self._planned_sensitivities(self._planned_base(self.planned, p), p, options)
+
     def instruments(self, p: Parameters, options: Options) -> Array:
         """Sensitivities the planned motion would have at ``p``, shifted by INSTRUMENT_SHIFTS_S, (blocks, 6, P * shifts).
 
         Any function of the plan is a valid instrument (Soderstrom and Stoica 1983); what the vehicle really did is a filtered
         plan, which a few shifted copies of mass and tensor columns span; few, because each instrument keeps a share of the
-        noise that instruments are to remove. The lag is approximated by its first order: d(impulse)/d(tau) = -wrench.
+        noise that instruments are to remove.
         """
         if self.planned is None:
             raise ValueError("no planned motion was given for this record")
@@ -324,7 +332,10 @@ class RecordModel:
         torque = plan.angular_acceleration_rad_s2 @ p.tensor + np.cross(rate, rate @ p.tensor)
         thrust = p.mass_kg * plan.specific_thrust_m_s2[:, None]
         slope = np.gradient(np.concatenate([thrust, torque], axis=1), self.record.t_s, axis=0)
-        rising = np.maximum(slope @ np.linalg.pinv(self._matrix).T, 0.0) @ self._matrix.T
+        each = slope @ np.linalg.pinv(self._matrix).T
+        # thrust y behind a lag: y' = (u - y) / tau, so dy/dtau = -y' through the same lag, of rising or falling rotors
+        falling = self._behind_lag(np.minimum(each, 0.0), p.lag_down_s) @ self._matrix.T
+        rising = self._behind_lag(np.maximum(each, 0.0), p.lag_up_s) @ self._matrix.T
         return _PlannedBase(
             rate=self.average(rate),
             gyroscopic=self._integrated_gyroscopic(rate),
@@ -332,10 +343,21 @@ class RecordModel:
             impulse=self.average(self._integrate(thrust))[:, 0],
             slope=self.average(self._integrate(slope)),
             rising=self.average(self._integrate(rising)),
+            falling=self.average(self._integrate(falling)),
             d_slope=self.average(slope),
             d_rising=self.average(rising),
+            d_falling=self.average(falling),
             extra=tuple((self.average(self._integrate(e)), self.average(e[:, :3])) for e in plan.extra),
         )
+
+    def _behind_lag(self, values: Array, lag_s: float) -> Array:
+        """Columns through a first-order lag, shape kept."""
+        from scipy.signal import lfilter
+
+        if lag_s < 1e-4:
+            return values
+        keep = np.exp(-float(np.median(self._step[1:])) / lag_s)
+        return np.asarray(lfilter([1.0 - keep], [1.0, -keep], values, axis=0))
 
     def _planned_sensitivities(self, base: _PlannedBase, p: Parameters, options: Options) -> Array:
         inverse = np.asarray(np.linalg.inv(p.tensor), dtype=float)
@@ -350,15 +372,17 @@ class RecordModel:
         table["mass_kg"] = blank, upward(-base.thrust / p.mass_kg**2)
         for name, basis, column in zip(TENSOR, BASIS, np.moveaxis(base.gyroscopic, -1, 0), strict=True):
             table[name] = -(base.rate @ basis.T + column) @ inverse.T, blank
-        later = (-base.slope[:, 1:] @ inverse.T, upward(-base.d_slope[:, 0] / p.mass_kg))
-        rising = (-base.rising[:, 1:] @ inverse.T, upward(-base.d_rising[:, 0] / p.mass_kg))
+
+        def later(impulse: Array, wrench: Array) -> tuple[Array, Array]:
+            return -impulse[:, 1:] @ inverse.T, upward(-wrench[:, 0] / p.mass_kg)
+
         if options.delay:
-            table["input_delay_s"] = later
+            table["input_delay_s"] = later(base.slope, base.d_slope)
         if options.lag and options.symmetric_lag:
-            table["rotor_lag_s"] = later
+            table["rotor_lag_s"] = later(base.rising + base.falling, base.d_rising + base.d_falling)
         elif options.lag:
-            table["rotor_lag_up_s"] = rising
-            table["rotor_lag_down_s"] = later[0] - rising[0], later[1] - rising[1]
+            table["rotor_lag_up_s"] = later(base.rising, base.d_rising)
+            table["rotor_lag_down_s"] = later(base.falling, base.d_falling)
         self._add_offsets(table, inverse, base.impulse, options)
         for term, (integral, push) in zip(self.extra, base.extra, strict=True):
             table[term.name] = integral[:, 3:] @ inverse.T, push / p.mass_kg

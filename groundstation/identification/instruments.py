@@ -1,0 +1,231 @@
+"""The motion that a plan made the vehicle do: the instruments of identification and diagnosis.
+
+An instrument must owe nothing to the flight's disturbances, and be as strong as it resembles the regressor (Soderstrom and
+Stoica 1983). The plan meets the first demand; but the vehicle follows it late, with other amplitudes, and not at all where the plan's
+jerk steps. So each axis's planned motion is passed through its own short linear filter, fitted to what was flown: a few
+weights over a whole flight take next to nothing of its disturbance along (Janot, Vandanjon and Gautier 2014 simulate the
+closed loop for the same purpose; here its law is unknown).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.flightdata import FlightData, Stream
+from groundstation.frames import euler_from_quat, quat_continuous, quat_from_euler, quat_rotate_inverse
+from groundstation.identification.processing import clean
+from groundstation.identification.record_model import PlannedMotion
+from groundstation.trajectory import FlatState, RigidMotion, rigid_motion
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Reference = Callable[[Array], FlatState]
+
+PATH_KNOTS_S = 0.5
+"""Knots of the path that stands in for a plan."""
+COHERENT = 0.2
+"""Correlation of planned and flown body rates below which the plan was not flown."""
+BAND_HZ = 5.0
+"""Manoeuvres are slower than this; the filters are fitted below it."""
+SHORT_S: Array = np.linspace(-0.2, 0.2, 3)
+LONG_S: Array = np.linspace(-0.4, 0.4, 9)
+"""Taps of the tracking filters, about the vehicle's mean delay."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlownMotion:
+    """What a flight's sensors say of its motion, on one clock.
+
+    Attributes:
+        t_s: (k,). rate: body rates, (k, 3). force: specific force, (k, 3).
+        smooth: attitude (k, 4), position and velocity in the world (k, 3); NaN where unknown.
+        source: "imu", "poses" or "state".
+        rate_hz: of the stamps.
+    """
+
+    t_s: Array
+    rate: Array
+    force: Array
+    smooth: tuple[Array, Array, Array]
+    source: str
+    rate_hz: float
+
+
+def planned_motion(
+    flight: FlightData, motion: FlownMotion, keep: Mask, start_s: float, *, stand_in: bool
+) -> PlannedMotion | None:
+    """The motion the plan (or the setpoints) asked for, as the vehicle follows it; None where there is none.
+
+    Args:
+        keep: samples of the excitation, shape (k,).
+        start_s: when the plan began.
+        stand_in: where neither plan nor setpoints are recorded, the smoothed path of the vehicle may stand in: torque
+            disturbances reach position only through four integrations, and the noise of rotor speeds not at all.
+    """
+    reference = _reference(flight, motion, keep, start_s, stand_in)
+    if reference is None:
+        return None
+    gravity = flight.vehicle.gravity_m_s2
+    delay_s, coherence = _delay(reference, motion, keep, gravity)
+    if coherence < COHERENT:
+        return None
+    flat = _tracked_path(reference, delay_s, motion, keep)
+    return _tracked_body(flat, reference, delay_s, motion, keep, gravity)
+
+
+def _reference(flight: FlightData, motion: FlownMotion, keep: Mask, start_s: float, stand_in: bool) -> Reference | None:
+    """What the vehicle was to follow, over time on the motion's clock."""
+    if flight.plan is not None:
+        series = flight.plan.series()
+
+        def reference(query: Array) -> FlatState:
+            # periodic beyond its ends: the jerk steps where the series starts, and no vehicle follows that
+            d = series.derivatives(query - start_s, 4)
+            return FlatState(d[:, :, :3], d[:3, :, 3])
+
+        return reference
+    if flight.setpoint is not None and len(flight.setpoint) > 50:
+        return _setpoint_spline(flight.setpoint)
+    if stand_in and motion.source == "imu" and np.isfinite(motion.smooth[1]).all():
+        return _path_spline(motion, keep)
+    return None
+
+
+def _delay(reference: Reference, motion: FlownMotion, keep: Mask, gravity: float) -> tuple[float, float]:
+    """The shift at which planned and flown body rates correlate best, and that correlation; 0 where nothing was planned.
+
+    It is the vehicle's own tracking delay and whatever separates the clocks.
+    """
+    t = motion.t_s
+    step, reach = 0.02, 1.5
+    grid = np.arange(t[keep][0], t[keep][-1], step)
+    actual = np.stack([np.interp(grid, t, c) for c in motion.rate.T], axis=-1)
+    pad = round(reach / step)
+    wide = grid[0] + step * np.arange(-pad, len(grid) + pad)
+    planned = rigid_motion(reference(wide), gravity).angular_velocity_body_rad_s
+    if float(np.std(planned)) < 1e-4:
+        return 0.0, 0.0
+    scores = [float(np.sum(planned[first : first + len(grid)] * actual)) for first in range(2 * pad + 1)]
+    best = int(np.argmax(scores))
+    size = np.sqrt(np.sum(planned[best : best + len(grid)] ** 2) * np.sum(actual**2)) + 1e-12
+    return step * (pad - best), scores[best] / size
+
+
+def _tracked_path(reference: Reference, delay_s: float, motion: FlownMotion, keep: Mask) -> FlatState:
+    """Position and yaw as flown: p(t) = sum_j w_j r(t - delay - s_j) per axis, w fitted to acceleration and yaw rate."""
+    moved = [reference(motion.t_s - delay_s - shift) for shift in SHORT_S]
+    middle = moved[len(moved) // 2]
+    if not np.isfinite(motion.smooth[2]).all():
+        return middle
+    used = np.flatnonzero(keep)[:: max(1, round(motion.rate_hz / 50.0))]
+    yaw = np.unwrap(euler_from_quat(motion.smooth[0][used])[:, 2])
+    flown = np.gradient(np.column_stack([motion.smooth[2][used], yaw]), motion.t_s[used], axis=0)
+    position, heading = middle.position.copy(), middle.yaw.copy()
+    for axis in range(4):
+        parts = [m.position[:, :, axis] if axis < 3 else m.yaw for m in moved]
+        columns = np.column_stack([part[2 if axis < 3 else 1, used] for part in parts])
+        if np.std(columns) < 1e-4:
+            continue
+        weights = np.linalg.lstsq(columns, flown[:, axis], rcond=1e-3)[0]
+        target = position[:, :, axis] if axis < 3 else heading
+        target[:] = sum(w * part for w, part in zip(weights, parts, strict=True))
+    return FlatState(position, heading)
+
+
+def _tracked_body(
+    flat: FlatState, reference: Reference, delay_s: float, motion: FlownMotion, keep: Mask, gravity: float
+) -> PlannedMotion:
+    """Rates and thrust as flown: each is a filtered plan of its own, of all three axes' rates where that pays (BIC).
+
+    A fast manoeuvre couples the axes and saturates loops, which a filter of position and yaw does not tell.
+    """
+    from scipy.signal import butter, sosfiltfilt
+
+    path = rigid_motion(flat, gravity)
+    moved = {float(s): rigid_motion(reference(motion.t_s - delay_s - s), gravity) for s in {*SHORT_S, *LONG_S}}
+    used = np.flatnonzero(keep)[:: max(1, round(motion.rate_hz / 50.0))]
+    sos = butter(2, min(BAND_HZ, 0.4 * motion.rate_hz), fs=motion.rate_hz, output="sos")
+    flown = np.gradient(np.asarray(sosfiltfilt(sos, motion.rate, axis=0))[used], motion.t_s[used], axis=0)
+    independent = 2.0 * BAND_HZ * float(motion.t_s[used[-1]] - motion.t_s[used[0]])
+    rate, acceleration = path.angular_velocity_body_rad_s.copy(), path.angular_acceleration_body_rad_s2.copy()
+
+    def parts(shifts: Array, axes: Sequence[int], name: str) -> Array:
+        return np.column_stack([getattr(moved[float(s)], name)[:, axis] for axis in axes for s in shifts])
+
+    for axis in range(3):
+        choices: list[tuple[Array, Sequence[int]]] = [(SHORT_S, (axis,)), (LONG_S, (axis,)), (LONG_S, (0, 1, 2))]
+        columns = [parts(shifts, axes, "angular_acceleration_body_rad_s2") for shifts, axes in choices]
+        index, weights = _most_probable([c[used] for c in columns], flown[:, axis], independent)
+        if index is not None:
+            acceleration[:, axis] = columns[index] @ weights
+            shifts, axes = choices[index]
+            rate[:, axis] = parts(shifts, axes, "angular_velocity_body_rad_s") @ weights
+    return _planned(path, rate, acceleration)
+
+
+def _most_probable(candidates: Sequence[Array], target: Array, independent: float) -> tuple[int | None, Array]:
+    """The regression with the lowest Bayesian information criterion, and its weights; None where none explains anything.
+
+    Args:
+        candidates: regressors, each of shape (n, p).
+        target: shape (n,).
+        independent: how many independent samples the n are worth.
+    """
+    chosen, best, lowest = None, np.zeros(0), 0.0
+    power = float(np.sum(target**2))
+    for index, columns in enumerate(candidates):
+        weights = np.asarray(np.linalg.lstsq(columns, target, rcond=1e-3)[0], dtype=float)
+        left = float(np.sum((target - columns @ weights) ** 2))
+        score = independent * np.log(max(left, 1e-12 * power) / power) + columns.shape[1] * np.log(independent)
+        if score < lowest:
+            chosen, best, lowest = index, weights, score
+    return chosen, best
+
+
+def _planned(path: RigidMotion, rate: Array, acceleration: Array) -> PlannedMotion:
+    attitude = quat_from_euler(*path.euler_rad.T)
+    return PlannedMotion(
+        rate,
+        acceleration,
+        path.specific_thrust_m_s2,
+        quat_rotate_inverse(attitude, path.velocity_world_m_s),
+        path.position_m,
+        quat_continuous(attitude),
+    )
+
+
+def _path_spline(motion: FlownMotion, keep: Mask) -> Reference | None:
+    """The flown path as a spline with knots every PATH_KNOTS_S, which follows the manoeuvre and not the disturbance."""
+    used = np.flatnonzero(keep)
+    index = np.arange(used[0], used[-1], max(1, round(motion.rate_hz / 50.0)))
+    yaw = np.unwrap(euler_from_quat(motion.smooth[0][index])[:, 2])
+    path = np.column_stack([motion.smooth[1][index], yaw])
+    return _setpoint_spline(Stream(motion.t_s[index], path, ("x_m", "y_m", "z_m", "yaw_rad")), PATH_KNOTS_S)
+
+
+def _setpoint_spline(setpoint: Stream, knots_s: float = 0.2) -> Reference | None:
+    """Quintic least-squares spline through position and yaw setpoints, knots every ``knots_s``; None if they do not move."""
+    from scipy.interpolate import make_lsq_spline
+
+    stream = clean(setpoint)
+    t = stream.t_s
+    values = stream.values[:, :4].copy()
+    values[:, 3] = np.unwrap(values[:, 3])
+    if len(t) < 50 or np.ptp(values[:, :3], axis=0).max() < 0.02:
+        return None
+    spacing = max(knots_s, 3.0 * float(np.max(np.diff(t))))
+    inner = np.arange(t[0] + spacing, t[-1] - spacing, spacing)
+    knots = np.concatenate([np.full(6, t[0]), inner, np.full(6, t[-1])])
+    spline = make_lsq_spline(t, values, knots, k=5)
+
+    def sample(query: Array) -> FlatState:
+        inside = np.clip(query, t[0], t[-1])
+        d = np.stack([spline.derivative(n)(inside) if n else spline(inside) for n in range(5)])
+        d[1:, (query < t[0]) | (query > t[-1])] = 0.0
+        return FlatState(d[:, :, :3], d[:3, :, 3])
+
+    return sample
