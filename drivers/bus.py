@@ -259,6 +259,7 @@ def open_session(
         "connect/timeout_ms": int(1000 * connect_timeout_s),
         "connect/exit_on_failure": True,
         "transport/link/tx/lease": 2000,
+        "transport/link/tx/queue/size/data": 16,  # the most there can be: about a megabyte before anything is dropped
     }
     config = zenoh.Config()
     for key, value in settings.items():
@@ -275,7 +276,8 @@ def open_session(
 class Publisher:
     """A typed publisher. ``lossless`` blocks while a subscriber is behind: for lock-step alone, never on a thread that flies.
 
-    Without it messages are dropped under congestion; sequence numbers in them count the gaps.
+    Without it messages are dropped under congestion; sequence numbers in them count the gaps. Such messages share zenoh's
+    transmission buffers: express ones take a buffer each, and on a machine short of processor time those run out.
     """
 
     def __init__(self, session: zenoh.Session, key: str, *, lossless: bool = False):
@@ -283,7 +285,7 @@ class Publisher:
 
         control = zenoh.CongestionControl.BLOCK if lossless else zenoh.CongestionControl.DROP
         self._publisher = session.declare_publisher(
-            key, congestion_control=control, reliability=zenoh.Reliability.RELIABLE, express=True
+            key, congestion_control=control, reliability=zenoh.Reliability.RELIABLE, express=lossless
         )
 
     def put(self, message: msgspec.Struct | bytes) -> None:

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers import bus
+from drivers.samples import Batch, Imu, decode_batch, encode_batch
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +78,32 @@ def test_publications_arrive_in_order_and_undecodable_ones_are_counted(pair):
     assert done.wait(5.0)
     assert [t for t in arrived if t >= 0.0] == [float(i) for i in range(1000)]
     assert subscription.rejected == 1
+
+
+def test_bursts_from_a_process_that_stood_still_arrive_whole(pair):
+    """A hundred batches at once, two seconds' worth, on the publisher that never blocks; thirty times."""
+    core, drone = pair
+    seen, arrived = [], threading.Event()
+
+    def take(batch: Batch) -> None:
+        seen.append(batch.sequence)
+        if batch.sequence % 100 == 0:
+            arrived.set()
+
+    subscription = bus.subscribe(core, "gs/burst/samples", decode_batch, take)
+    publisher = bus.Publisher(drone, "gs/burst/samples")
+    samples = tuple(Imu(0.001 * i, (0.0, 0.0, 0.0), (0.0, 0.0, 9.8)) for i in range(25))
+    batches = [encode_batch(Batch(n, (0.0,) * 25, samples)) for n in range(3001)]
+    while not arrived.wait(0.05):
+        publisher.put(batches[0])
+    seen.clear()
+    for burst in range(30):
+        arrived.clear()
+        for batch in batches[100 * burst + 1 : 100 * burst + 101]:
+            publisher.put(batch)
+        arrived.wait(5.0)
+    assert [n for n in seen if n] == list(range(1, 3001))
+    subscription.close()
 
 
 def test_a_token_is_seen_to_come_and_go(pair):
