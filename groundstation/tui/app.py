@@ -39,6 +39,8 @@ from groundstation.tui.widgets.bars import SCREENS
 from groundstation.tui.widgets.dialogs import Question, TextPage, TypedQuestion
 
 REFRESH_HZ = 6.0
+AFTER_LANDING = (Phase.LANDED, Phase.IDENTIFYING, Phase.DONE)
+"""A view may see any of them first."""
 KEYS = """\
 ^g, F8  abort and land
 ^o, F9  stop the rotors, after a question
@@ -262,7 +264,7 @@ class GroundStation(App[int]):
     def _on_phase(self, before: str, status: CoreStatus, core: CoreWatch) -> None:
         if before == status.phase:
             return
-        if status.phase == Phase.LANDED and self._analyse:
+        if status.phase in AFTER_LANDING and before not in AFTER_LANDING and self._analyse:
             self.switch_mode("identify")
         if status.phase in FINAL:
             self.show_flight(core.folder)

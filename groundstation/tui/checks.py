@@ -47,7 +47,7 @@ def checklist(status: CoreStatus) -> str:
         word = "?" if ended else "ok" if at < here else "…" if at == here else ""
         lines.append(f"[{word:^4}] {text}")
     if status.reason:
-        lines += ["", f"! {status.reason}"]
+        lines += ["", f"{'! ' if ended else ''}{status.reason}"]
     if status.checks:
         lines += ["", *map(check_line, sorted(status.checks, key=lambda check: check.ok))]
     return "\n".join(lines)
