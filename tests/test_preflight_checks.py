@@ -126,3 +126,28 @@ def test_force_answers_for_the_named_check_alone(ready):
     assert not checks["arming"].ok
     with pytest.raises(BadInput, match="no such check"):
         run_checks(situation(ready), force=("battrey",))
+
+
+def test_a_trajectory_the_autopilot_would_smooth_is_refused_and_the_limit_named():
+    """Seen on ArduCopter's firmware: at its default jerk limit of 5 m/s^3 it flew another path, 0.65 m off after 3 s."""
+    rig = Rig("arducopter")
+    rig.prepare()
+    quick = small_plan(base_frequency_rad_s=6.2832, periods=10.0)  # jerk of 0.3 m/s * (6.28 rad/s)^2 = 11.8 m/s^3
+    slow = {"PSC_JERK_NE": 5.0, "PSC_JERK_D": 5.0, "WP_ACC": 2.5}
+    found = answer(rig, "plan", plan=quick, parameters=slow)
+    assert not found.ok and "horizontal jerk 11.8 m/s^3" in found.reason and "to 5.0" in found.reason
+    assert answer(rig, "plan", plan=small_plan(), parameters=slow).ok
+    assert answer(rig, "plan", plan=quick, parameters={"PSC_JERK_NE": 50.0, "PSC_JERK_D": 50.0, "WP_ACC": 10.0}).ok
+    before = {"PSC_JERK_XY": 20.0, "PSC_JERK_Z": 20.0, "WPNAV_ACCEL": 250.0}  # until 4.6: cm/s^2
+    assert "to 10.8" in answer(rig, "plan", plan=quick, parameters=before).reason
+
+
+@pytest.mark.parametrize(
+    ("version", "name", "other"), [((4, 7), "WP_ACC", "WPNAV_ACCEL"), ((4, 6), "WPNAV_ACCEL", "WP_ACC")]
+)
+def test_parameters_that_were_renamed_are_asked_for_by_the_version_s_name(version, name, other):
+    from groundstation.flight.profiles import PROFILES
+
+    rules = {r.name: r for r in PROFILES["arducopter"].parameters}
+    assert rules[name].concerns(version, indoors=False) and not rules[other].concerns(version, indoors=False)
+    assert rules[name].holds(2 * rules[name].accepted[0]) and not rules[name].holds(0.5 * rules[name].accepted[0])

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 
 from drivers.mavlink.dialect import Message, mavlink
 from drivers.mavlink.exchange import Ask, Steps
+
+TOGETHER = 8
+"""Requests on the way at once: few enough for a radio's buffer."""
 
 _INTEGERS = {
     mavlink.MAV_PARAM_TYPE_UINT8: "<Bxxx",
@@ -50,6 +54,31 @@ class Parameters:
         ask = mavlink.MAVLink_param_request_read_message(*self._address, name.encode(), -1)
         answer = yield Ask((ask,), _about(name), 0.7, 5)
         return self._open(answer)
+
+    def read_all(self, names: Sequence[str]) -> Steps[dict[str, float]]:
+        """Values by name, asked for together; one that is missing did not answer, as one the vehicle does not have."""
+        found: dict[str, float] = {}
+        refused: set[str] = set()
+
+        def all_there(m: Message) -> bool:
+            if m.get_type() in ("PARAM_VALUE", "PARAM_ERROR") and m.param_id in names:
+                opened = self._open(m)
+                if opened is None:
+                    refused.add(m.param_id)
+                else:
+                    found[m.param_id] = opened[0]
+            return len(found.keys() | refused) == len(set(names))
+
+        for _ in range(4):
+            missing = [name for name in names if name not in found and name not in refused]
+            for at in range(0, len(missing), TOGETHER):
+                ask = [
+                    mavlink.MAVLink_param_request_read_message(*self._address, name.encode(), -1)
+                    for name in missing[at : at + TOGETHER]
+                ]
+                done = set(missing[at : at + TOGETHER])
+                yield Ask(tuple(ask), lambda m, done=done: all_there(m) or done <= found.keys() | refused, 0.7, 1)
+        return found
 
     def write(self, name: str, value: float) -> Steps[bool]:
         """Set, and read back: a write with the wrong type is swallowed without a word, so success is what stands there after."""

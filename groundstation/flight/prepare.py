@@ -100,14 +100,14 @@ class Preparation:
 
     def _parameters(self) -> Steps[None]:
         indoors = self.station.mocap.system != "none"
-        for rule in self.view.profile.parameters:
-            if not rule.concerns(self.view.version, indoors=indoors):
-                continue
-            found = yield from self._dialogue.read(rule.name)
-            self.parameters[rule.name] = None if found is None else found[0]
-            if found is not None and not rule.holds(found[0]) and rule.settable and self._set:
-                self.changed.setdefault(rule.name, found[0])
-                self._changes.append((rule.name, found[0], rule.accepted[0]))
+        rules = [r for r in self.view.profile.parameters if r.concerns(self.view.version, indoors=indoors)]
+        found = yield from self._dialogue.read_all([rule.name for rule in rules])
+        self.parameters = {rule.name: found.get(rule.name) for rule in rules}
+        for rule in rules:
+            value = found.get(rule.name)
+            if value is not None and not rule.holds(value) and rule.settable and self._set:
+                self.changed.setdefault(rule.name, value)
+                self._changes.append((rule.name, value, rule.accepted[0]))
                 if (yield from self._dialogue.write(rule.name, rule.accepted[0])):
                     self.parameters[rule.name] = rule.accepted[0]
 
