@@ -117,44 +117,48 @@ def _position_filter(z: Array, dt: Array, noise: Array) -> tuple[Array, Array, A
     states = np.empty((k, 3, m))
     pf = np.empty((k, 3, 3))
     pp = np.empty((k, 3, 3))
-    x = np.zeros((3, m))
-    p = np.zeros((3, 3))
-    f = np.eye(3)
+    x0, x1, x2 = z[0].copy(), np.zeros(m), np.zeros(m)
+    a, b = qv * qv, qa * qa
+    p00, p01, p02, p11, p12, p22 = r * r, 0.0, 0.0, 25.0, 0.0, a0 * a0
     for i in range(k):
-        if i == 0:
-            x[0] = z[0]
-            p[0, 0], p[1, 1], p[2, 2] = r * r, 25.0, a0 * a0
-            pp[0] = p
-            variance[0] = np.inf
-        else:
-            h = dt[i]
-            f[0, 1], f[0, 2], f[1, 2] = h, 0.5 * h * h, h
-            x = f @ x
-            p = f @ p @ f.T
-            a, b = qv * qv, qa * qa
-            p[0, 0] += a * h**3 / 3 + b * h**5 / 20
-            p[0, 1] += a * h**2 / 2 + b * h**4 / 8
-            p[1, 0] += a * h**2 / 2 + b * h**4 / 8
-            p[0, 2] += b * h**3 / 6
-            p[2, 0] += b * h**3 / 6
-            p[1, 1] += a * h + b * h**3 / 3
-            p[1, 2] += b * h**2 / 2
-            p[2, 1] += b * h**2 / 2
-            p[2, 2] += b * h
-            pp[i] = p
-            s = p[0, 0] + r * r
-            gain = p[:, 0] / s
-            e = z[i] - x[0]
-            out[i] = e
-            for j in range(3):
-                x[j] += gain[j] * e
-            # Joseph's form: stays positive definite where the poses are far better than what is known before them
-            keep = np.eye(3)
-            keep[:, 0] -= gain
-            p = keep @ p @ keep.T + r * r * np.outer(gain, gain)
-            variance[i] = np.inf if i < 3 else s
-        states[i] = x
-        pf[i] = p
+        h = dt[i]
+        if i > 0:
+            # F P F' + Q with F = [[1, h, h^2/2], [0, 1, h], [0, 0, 1]]
+            g = 0.5 * h * h
+            f00, f01, f02 = p00 + h * p01 + g * p02, p01 + h * p11 + g * p12, p02 + h * p12 + g * p22
+            f11, f12 = p11 + h * p12, p12 + h * p22
+            p00 = f00 + h * f01 + g * f02 + a * h**3 / 3 + b * h**5 / 20
+            p01 = f01 + h * f02 + a * h**2 / 2 + b * h**4 / 8
+            p02 = f02 + b * h**3 / 6
+            p11 = f11 + h * f12 + a * h + b * h**3 / 3
+            p12 = f12 + b * h**2 / 2
+            p22 = p22 + b * h
+        pp[i, 0, 0], pp[i, 0, 1], pp[i, 0, 2] = p00, p01, p02
+        pp[i, 1, 0], pp[i, 1, 1], pp[i, 1, 2] = p01, p11, p12
+        pp[i, 2, 0], pp[i, 2, 1], pp[i, 2, 2] = p02, p12, p22
+        variance[i] = np.inf
+        if i > 0:
+            s = p00 + r * r
+            k0, k1, k2 = p00 / s, p01 / s, p02 / s
+            for j in range(m):
+                x0[j] += h * x1[j] + 0.5 * h * h * x2[j]
+                x1[j] += h * x2[j]
+                e = z[i, j] - x0[j]
+                out[i, j] = e
+                x0[j] += k0 * e
+                x1[j] += k1 * e
+                x2[j] += k2 * e
+            p22 -= k2 * p02
+            p12 -= k1 * p02
+            p11 -= k1 * p01
+            left = r * r / s  # 1 - k0 without the cancellation
+            p00, p01, p02 = left * p00, left * p01, left * p02
+            if i >= 3:
+                variance[i] = s
+        states[i, 0], states[i, 1], states[i, 2] = x0, x1, x2
+        pf[i, 0, 0], pf[i, 0, 1], pf[i, 0, 2] = p00, p01, p02
+        pf[i, 1, 0], pf[i, 1, 1], pf[i, 1, 2] = p01, p11, p12
+        pf[i, 2, 0], pf[i, 2, 1], pf[i, 2, 2] = p02, p12, p22
     return out, variance, states, pf, pp
 
 
