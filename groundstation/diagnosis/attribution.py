@@ -108,6 +108,7 @@ class Selection:
                 self.pool.append((candidate, columns))
             progress((number + 1) / len(pool))
         self.discrepancy = Discrepancy(evidence)
+        self.lag = self.discrepancy.of_lag(evidence.solve(self.baseline))
         self.variants = {c.identifier: sum(o.identifier == c.identifier for o, _ in self.pool) for c, _ in self.pool}
 
     def _margins(self, chosen: Sequence[Entry], members: Sequence[int] | None = None) -> list[float]:
@@ -115,6 +116,7 @@ class Selection:
         solution = self.evidence.solve([*self.baseline, *chosen])
         offset = sum(len(c.effect.parameters) for c, _ in self.baseline)
         energies = self.discrepancy.energies(chosen, solution, offset)
+        total = energies.sum(axis=0) + self.lag
         out = []
         for index, (candidate, columns) in enumerate(chosen):
             first, offset = offset, offset + len(candidate.effect.parameters)
@@ -124,7 +126,7 @@ class Selection:
             if not plausible(candidate, values, covariance) or not material(self.evidence, columns, values):
                 out.append(-np.inf)
                 continue
-            others = energies.sum(axis=0) - energies[index]
+            others = total - energies[index]
             least = threshold(candidate, self.variants[candidate.identifier]) + allowance(energies[index], others)
             out.append(solution.wald(first, offset - first) - least)
         return out

@@ -44,6 +44,26 @@ class Discrepancy:
         """Squared whitened size of an effect of these values by channel, shape (6,)."""
         return np.einsum("i,cij,j->c", values, self._gram(columns), values)
 
+    def of_lag(self, solution: Solution) -> Array:
+        """Of rotor lag and dead time beyond what is declared, shape (6,): a first-order lag is a formula, too."""
+        first = self._evidence.flights[0]
+        p, declared = first.parameters, first.prepared.record.vehicle.rotors.lag
+        found = {"rotor_lag_up_s": p.lag_up_s - declared.up_s, "rotor_lag_down_s": p.lag_down_s - declared.down_s}
+        found["input_delay_s"] = p.delay_s
+        names = list(self._evidence.names)
+        if "rotor_lag_up_s" not in names:
+            return np.zeros(len(CHANNELS))
+        index = [names.index(name) for name in found]
+        kept = [i for i in range(len(names)) if i not in index]
+        values = np.array(list(found.values())) + solution.theta[index]
+        moved = self._evidence.z[:, index] @ values
+        root = np.sqrt(self._evidence.weight)
+        rest = self._evidence.z[:, kept] * root[:, None]
+        scale = np.linalg.norm(rest, axis=0) + 1e-30
+        absorbed = np.linalg.lstsq(rest / scale, moved * root, rcond=1e-8)[0]
+        own = moved * root - rest / scale @ absorbed
+        return np.array([float(np.sum(own[self._channels == channel] ** 2)) for channel in range(len(CHANNELS))])
+
     def energies(self, chosen: Sequence[tuple[Candidate, Columns]], solution: Solution, first: int = 0) -> Array:
         """Of each member of a joint estimate, shape (members, 6); ``first`` parameters of others stand before theirs."""
         out = np.zeros((len(chosen), len(CHANNELS)))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.discrepancy import FORM, Discrepancy
-from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings
+from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, from_thrust
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
 from groundstation.diagnosis.results import Unexplained
 from groundstation.frames import euler_from_quat
@@ -108,7 +108,11 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
         : len(first.signals.t_s)
     ]
     discrepancy = Discrepancy(evidence)
-    energy = discrepancy.energies(chosen, evidence.solve(chosen)).sum(axis=0)
+    solution = evidence.solve(chosen)
+    energy = discrepancy.energies(chosen, solution).sum(axis=0) + discrepancy.of_lag(solution)
+    lift = from_thrust(vehicle, first.signals.thrust_n)[:, :, None]
+    known = [c.effect.wrench(first.signals, vehicle, c.settings) for c, _ in chosen]
+    explained = np.concatenate([np.ones_like(lift), lift, *known], axis=2)
     found = []
     pairs = len(VARIABLES) * len(first.channels)
     for name, variable in VARIABLES.items():
@@ -128,15 +132,20 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
             margin = solution.wald(offset, count) - float(chi2.isf(CHANCE / pairs, count)) - FORM**2 * energy[channel]
             if margin <= 0.0:
                 continue
-            theta = solution.part(offset, count)[0]
-            part = candidate.effect.wrench(first.signals, vehicle, {})[kept][:, _WRENCH_ROW[channel], :] @ theta
-            size = float(np.std(part))
+            part = candidate.effect.wrench(first.signals, vehicle, {})[:, _WRENCH_ROW[channel], :]
+            size = _own_size(part @ solution.part(offset, count)[0], explained[:, _WRENCH_ROW[channel], :], kept)
             scale = weight * (vehicle.arm_m() if channel < 3 else 1.0)
             if size < MATERIAL * scale:
                 continue
             disturbance = disturbance_std(evidence, channel)
             found.append(Dependence(CHANNELS[channel], name, margin, size**2 / (size**2 + disturbance**2)))
     return sorted(found, key=lambda d: -d.margin)
+
+
+def _own_size(part: Array, explained: Array, kept: NDArray[np.bool_]) -> float:
+    """Standard deviation of what a dependence adds to what a constant, thrust and the named effects could give."""
+    columns = explained[kept] / (np.linalg.norm(explained[kept], axis=0) + 1e-30)
+    return float(np.std(part[kept] - columns @ np.linalg.lstsq(columns, part[kept], rcond=1e-8)[0]))
 
 
 def disturbance_std(evidence: Evidence, channel: int) -> float:

@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, weight
+from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, weight
 from groundstation.frames import quat_rotate_inverse
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
 
-def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
+def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
     out = blank(signals, 2)
     count = len(signals.t_s)
+    ratio = settings["drag_ratio"]
+    felt = np.array([np.sqrt(ratio), 1.0 / np.sqrt(ratio), 0.0]) if ratio else np.ones(3)
     for axis in range(2):
         steady = np.broadcast_to(np.eye(3)[axis], (count, 3))
-        out[:, :3, axis] = quat_rotate_inverse(signals.quaternion, steady)
+        out[:, :3, axis] = quat_rotate_inverse(signals.quaternion, steady) * felt
     return out
+
+
+def _variants(signals: Signals, vehicle: Vehicle) -> tuple[Settings, ...]:
+    """Felt alike in all directions (0), or in the rotors' plane only, by more along body x or along y."""
+    return tuple({"drag_ratio": ratio} for ratio in (0.0, 0.5, 0.7, 0.85, 1.0, 1.2, 1.4, 2.0))
 
 
 EFFECT = Effect(
@@ -30,5 +37,6 @@ EFFECT = Effect(
     wrench=_wrench,
     sentence="A steady push of {force_world_x_n} N along x and {force_world_y_n} N along y stays where it is when the vehicle turns: air moves.",
     confused_with=("tether", "mocap_tilt", "constant_wrench"),
+    variants=_variants,
     manoeuvre="yaw through a full turn while hovering, then fly with and against the push",
 )
