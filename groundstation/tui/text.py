@@ -23,6 +23,8 @@ from groundstation.reporting.units import (
 )
 
 Row = tuple[str, ...]
+NEAR = {"m": 0.05, "°": 1.0}
+"""A plan uses its limits up, and a vehicle follows it no better than this: beyond it a word is said."""
 
 PHASES: Mapping[str, str] = {
     Phase.IDLE: "the vehicle's process is coming up",
@@ -109,7 +111,8 @@ def margin_lines(status: CoreStatus, limits: Mapping[str, float], guard: Mapping
     for name, (text, left, unit) in room.items():
         if name in limits:
             value = left(limits[name])
-            lines.append(f"{text:<18}{value:+7.2f} {unit}{'  OUTSIDE' if value < 0 and z > 0.3 else ''}")
+            beyond = value < -NEAR[unit] and z > 0.3
+            lines.append(f"{text:<18}{value:+7.2f} {unit}{'  OUTSIDE' if beyond else ''}")
     if "tracking_m" in guard:
         lines.append(f"{'to losing the plan':<18}{guard['tracking_m'] - status.tracking_error_m:+7.2f} m")
     if "empty_v" in guard and status.battery_v > 0.0:
@@ -149,10 +152,10 @@ def _against_nominal(name: str, nominal: float, estimate: Estimate | None) -> Ro
     return fixed(nominal * scale.factor, places), interval_text(estimate, scale), scale.unit
 
 
-def method_table(document: Mapping[str, Any], declared: Mapping[str, float]) -> tuple[Row, list[Row]]:
-    """Header and rows of mass and tensor by method, the best method first, with 95 % half widths."""
+def method_table(document: Mapping[str, Any], declared: Mapping[str, float], most: int) -> tuple[Row, list[Row]]:
+    """Header and rows of mass and tensor by method, the best of them first and at most so many, with 95 % half widths."""
     best = document["best"]
-    names = [best, *(name for name in document["methods"] if name != best)]
+    names = [best, *(name for name in document["methods"] if name != best)][:most]
     header = ("parameter", "unit", "nominal", *(f"{name} (best)" if name == best else name for name in names))
     rows = []
     for parameter in MASS_AND_TENSOR:
@@ -254,10 +257,11 @@ def flight_row(row: Mapping[str, Any]) -> Row:
     """One flight of the catalogue: when, flight, vehicle, state, verdict, mass."""
     mass = row["parameters"].get("mass_kg")
     shown = f"{significant(mass['value'], 4)} kg" if mass else "–"
+    vehicle = row["vehicle"]
     return (
         row["date"][5:16].replace("T", " "),
-        row["flight"],
-        row["vehicle"] or "–",
+        row["flight"].removesuffix(f"-{vehicle}"),
+        vehicle or "–",
         row["state"],
         row["verdict"] or "–",
         shown,

@@ -19,6 +19,9 @@ from groundstation.tui.widgets.bars import FlightBar, Tabs
 if TYPE_CHECKING:
     from groundstation.tui.app import GroundStation
 
+WIDE = 120
+"""Columns from which things stand side by side."""
+
 
 class StationScreen(Screen[None]):
     """A screen of the ground station."""
@@ -26,7 +29,7 @@ class StationScreen(Screen[None]):
     AUTO_FOCUS = ""  # no field takes the screens' keys before it is chosen
     MODE: ClassVar[str]
     HELP_TEXT: ClassVar[str]
-    HORIZONTAL_BREAKPOINTS: ClassVar = [(0, "-narrow"), (120, "-wide")]
+    HORIZONTAL_BREAKPOINTS: ClassVar = [(0, "-narrow"), (WIDE, "-wide")]
     BINDINGS: ClassVar = [
         Binding("escape", "leave_field", "Leave the field", show=False),
         Binding("pagedown,space", "scroll_body(1)", "Further down", show=False),

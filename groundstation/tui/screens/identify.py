@@ -13,7 +13,7 @@ from groundstation.flight.messages import CoreStatus
 from groundstation.flight.sequence import Phase
 from groundstation.reporting.units import label, scale_for, split_unit
 from groundstation.tui.results import FlightResults
-from groundstation.tui.screens.base import StationScreen, fill
+from groundstation.tui.screens.base import WIDE, StationScreen, fill
 from groundstation.tui.text import identification_notes, live_rows, method_table, validation_rows
 from groundstation.tui.widgets.plots import Line, Plot
 
@@ -73,10 +73,21 @@ The drawings show how the live estimates moved while it flew, crosses bounding t
             self.query_one("#evolution").display = False
             self.say("#notes", results.refusal or "this flight has no identification")
             return
-        fill(parameters, *method_table(document, results.declared))
-        self.say("#notes", identification_notes(document))
+        narrow = self.app.size.width < WIDE
+        fill(parameters, *method_table(document, results.declared, 2 if narrow else len(document["methods"])))
+        more = (
+            f"{len(document['methods']) - 2} more methods: from {WIDE} columns on, and in the report (e)\n"
+            if narrow
+            else ""
+        )
+        self.say("#notes", more + identification_notes(document))
         fill(validation, ("check", "signal", "nominal", "identified", "change"), validation_rows(document))
         self._draw_evolution(results)
+
+    def on_resize(self) -> None:
+        """Show as many methods as there is room for."""
+        if self.results is not None:
+            self.show_results(self.results)
 
     def _draw_evolution(self, results: FlightResults) -> None:
         """Each parameter's live estimate over the flight, between crosses that bound its 95 % interval."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from numpy.typing import ArrayLike
 from textual_plot import HiResMode, PlotWidget
 
@@ -21,13 +22,19 @@ class Line:
 
 
 class Plot(PlotWidget):
-    """Lines that are replaced as a whole. It takes no focus, so that the screens' keys stay theirs."""
+    """Lines that are replaced as a whole. It takes no focus, so that the screens' keys stay theirs.
+
+    Args:
+        x_label, y_label: what the axes are, with their units.
+        id: of the widget.
+        span: the least that the axes show; less would be a drawing of noise, with ticks that run into each other.
+    """
 
     can_focus = False
 
-    def __init__(self, x_label: str, y_label: str, id: str):
+    def __init__(self, x_label: str, y_label: str, id: str, span: tuple[float, float] = (0.0, 0.0)):
         super().__init__(id=id, allow_pan_and_zoom=False)
-        self._names = (x_label, y_label)
+        self._names, self._span = (x_label, y_label), span
 
     def on_mount(self) -> None:
         """Name the axes."""
@@ -38,6 +45,13 @@ class Plot(PlotWidget):
     def draw(self, lines: Sequence[Line]) -> None:
         """Show these instead of what was shown: one line, and up to two more as crosses."""
         self.clear()
+        for axis, least, set_limits in zip("xy", self._span, (self.set_xlimits, self.set_ylimits), strict=True):
+            every = np.concatenate([np.asarray(getattr(line, axis), dtype=float) for line in lines])
+            low, high = float(every.min()), float(every.max())
+            if high - low < least:
+                set_limits(0.5 * (low + high - least), 0.5 * (low + high + least))
+            else:
+                set_limits(None, None)
         first, *others = lines
         self.plot(first.x, first.y, line_style=STYLES[0], hires_mode=HiResMode.BRAILLE)
         for line, style in zip(others, STYLES[1:], strict=False):
