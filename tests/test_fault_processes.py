@@ -67,6 +67,13 @@ class Flight:
     """One flight of the emulated PX4 by a core and a link process."""
 
     def __init__(self, folder: Path):
+        self.folder = folder / "flight"
+        plan, station = folder / "plan.toml", folder / "station.toml"
+        plan.write_text(
+            tomli_w.dumps(small_plan(periods=20.0).model_dump(mode="json", by_alias=True, exclude_none=True))
+        )
+        station.write_text("[policy]\nclimb_m_s = 1.0\nsettle_s = 1.0\n")
+        vehicle = find_config("vehicles", "x500")
         self.witness = Witness()
         port = free_port()
         links = [f"udpout://127.0.0.1:{number}" for number in (port, self.witness.place.getsockname()[1])]
@@ -74,11 +81,6 @@ class Flight:
         for link in links:
             command += ["--link", link]
         self.autopilot = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-        self.folder = folder / "flight"
-        plan, station = folder / "plan.toml", folder / "station.toml"
-        plan.write_text(tomli_w.dumps(small_plan(periods=20.0).model_dump(mode="json", by_alias=True, exclude_none=True)))
-        station.write_text("[policy]\nclimb_m_s = 1.0\nsettle_s = 1.0\n")
-        vehicle = find_config("vehicles", "x500")
         link = linked_vehicle(
             self.folder, vehicle, link=f"udpin://127.0.0.1:{port}", station=str(station), set_parameters=True
         )

@@ -92,3 +92,14 @@ def test_an_order_after_a_stall_is_judged_by_what_arrived_during_it():
     link._later(lambda: answers.append(link.core.upload(small_plan(), link.clock())))
     link.turn()
     assert answers and answers[0].ok, answers[0].reason
+
+
+def test_a_link_without_core_and_without_vehicle_ends_at_last_and_not_before():
+    rig = Rig("px4")
+    rig.excite()
+    link = process(rig)
+    link._core_gone_s = rig.now_s
+    rig.now_s += 170.0
+    assert not link._finished(), "a vehicle in the air may be heard again"
+    rig.now_s += 15.0
+    assert link._finished()

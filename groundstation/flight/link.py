@@ -48,6 +48,8 @@ PUBLISH_EVERY_S = 0.02
 STATUS_EVERY_S = 0.1
 ORDER_S = 4.6
 RESTORE_S = 5.0
+LOST_S = 180.0
+"""With the core gone, a vehicle not heard for so long is beyond this link: its battery or its own failsafe has ended it."""
 
 _PHASES: dict[Phase, bus.DronePhase] = {
     Phase.IDLE: "idle",
@@ -223,7 +225,8 @@ class LinkProcess:
 
     def _finished(self) -> bool:
         phase = self.core.pilot.phase if self.core.pilot is not None else Phase.IDLE
-        if phase in IN_AIR:
+        unheard_s = self.clock() - self.core.view.heard_s if self.core.view is not None else 0.0
+        if phase in IN_AIR and not (self._core_gone_s is not None and unheard_s > LOST_S):
             return False
         gone = self._core_gone_s is not None and self.clock() - self._core_gone_s > 1.0
         return gone or bool(self._stop_reason)

@@ -122,7 +122,7 @@ class LinkCore:
         self._restoring: Conversation[None] | None = None
         self._talks: list[Conversation] = []
         self._events: list[Event] = []
-        self._heartbeat_s = self._timesync_s = self._setpoint_due_s = -inf
+        self._heartbeat_s = self._timesync_s = self._setpoint_due_s = self._setpoint_device_s = -inf
         self._sync_sent: dict[int, float] = {}
         self._core_s: float | None = None
         self._abort = ""
@@ -334,6 +334,7 @@ class LinkCore:
         self.view.message(received, now_s)
         if self.view.restarts != restarts:
             self._telemetry.restart()
+            self._setpoint_device_s = -inf
             self._tell(out, now_s, "link", "the autopilot restarted")
         if self.view.mode != before:
             self._tell(out, now_s, "mode", f"{before or 'unknown'} -> {self.view.mode}")
@@ -373,9 +374,11 @@ class LinkCore:
             self._setpoint_due_s = next_s if next_s > now_s else now_s + period
         for message in self.pilot.step(now_s, messages, setpoint_due=due):
             self._send(message, now_s, out)
-        if due and self.pilot.target is not None:
+        device_s = self.device_s(now_s)
+        if due and self.pilot.target is not None and device_s > self._setpoint_device_s:
+            self._setpoint_device_s = device_s  # a clock map that is corrected backwards gives no stamp twice
             placed = self.pilot.placement.to_vehicle(self.pilot.target)
-            out.samples.append((Setpoint(self.device_s(now_s), placed.position_m, placed.yaw_rad), now_s))
+            out.samples.append((Setpoint(device_s, placed.position_m, placed.yaw_rad), now_s))
         if self.pilot.phase is not self._phase:
             self._tell(out, now_s, "link", f"{self._phase} -> {self.pilot.phase} {self.pilot.reason}".strip())
             self._phase = self.pilot.phase
