@@ -364,7 +364,7 @@ def test_hostile_names_break_no_format(format_name):
     text = export(model, format_name)
     if format_name in {"mjcf", "sdf", "urdf"}:
         ET.fromstring(text)  # noqa: S314
-    elif format_name in {"toml", "vehicle"}:
+    elif format_name in {"toml", "vehicle", "scenario"}:
         tomllib.loads(text)
     elif format_name == "json":
         json.loads(text)

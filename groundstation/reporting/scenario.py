@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from groundstation.paths import find_config
 from groundstation.reporting.identified import Identified
+from groundstation.reporting.simulators import hash_comment
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
@@ -294,4 +295,4 @@ def to_scenario(model: Identified) -> str:
     head = [f"Identified from flight {model.flight or 'unnamed'}: what it lacked is switched on here."]
     head.append("Rehearse it with the vehicle as it was declared; sensors and disturbance are the laboratory's.")
     head += [f"Lost: {text}." for text in lost]
-    return "".join(f"# {line}\n" for line in head) + tomli_w.dumps(document)
+    return hash_comment(head) + tomli_w.dumps(document)

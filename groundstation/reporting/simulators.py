@@ -40,7 +40,7 @@ def _comment(sentences: list[str]) -> Any:
     return ET.Comment(" " + re.sub(r"-{2,}", "-", " ".join(sentences)).rstrip("-") + " ")
 
 
-def _hash_comment(sentences: Iterable[str]) -> str:
+def hash_comment(sentences: Iterable[str]) -> str:
     """Lines that start with #, whatever breaks a sentence has."""
     return "".join(f"# {line}\n" for sentence in sentences for line in sentence.splitlines())
 
@@ -77,7 +77,7 @@ def to_vehicle_toml(model: Identified) -> str:
     """A vehicle file in which what was identified is now declared, for the next plan and flight."""
     import tomli_w
 
-    return _hash_comment(model.provenance()) + tomli_w.dumps(vehicle_to_dict(model.vehicle))
+    return hash_comment(model.provenance()) + tomli_w.dumps(vehicle_to_dict(model.vehicle))
 
 
 def sih_order(model: Identified) -> tuple[int, int, int, int]:
@@ -139,7 +139,7 @@ def to_px4_sih(model: Identified) -> str:
         f"SIH has its centre of mass at the origin (here it is at {offset} m, FLU) and one lag, the mean of up and down.",
     ]
     lines = [f"1\t1\t{name}\t{_number(value)}\t9" for name, value in values.items()]
-    return _hash_comment(notes) + "#\n# Vehicle-Id Component-Id Name Value Type\n" + "\n".join(lines) + "\n"
+    return hash_comment(notes) + "#\n# Vehicle-Id Component-Id Name Value Type\n" + "\n".join(lines) + "\n"
 
 
 def _inertial(parent: ET.Element, mass: float, centre: np.ndarray, tensor: np.ndarray, *, urdf: bool) -> None:
