@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import Effect, Settings
 from groundstation.frames import quat_normalise, quat_rotate
-from groundstation.identification.noise import Colour, apply_polynomial, fit_colour, innovations, whitening_polynomial
+from groundstation.identification.noise import (
+    Colour,
+    apply_polynomial,
+    fit_colour,
+    innovations,
+    minus_log_likelihood,
+    whitening_polynomial,
+)
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import Options, Parameters, RecordModel
@@ -151,33 +158,44 @@ class FlightEvidence:
     def _colours(self) -> list[Colour]:
         """Noise of each channel from what generic columns leave of the residual.
 
-        The first round whitens by a disturbance of 0.3 s, so that slow effects go into the columns and not into the noise.
+        Whitened at first by a disturbance of 0.3 s, so that slow effects go into the columns and not into the noise, or by none
+        to speak of, as where sensors are noisier than the air; the likelier goes on.
         """
-        nuisance = self._nuisance()
+        self._remainder = self._nuisance()
         found: list[Colour] = []
         for channel in self.channels:
-            integrated = channel < 3
-            z = self.residual[:, channel]
-            columns = nuisance[:, channel, :]
+            columns = self._remainder[:, channel, :]
             columns = columns[:, np.any(columns != 0.0, axis=0)]
-            stacked = np.concatenate([z[:, None], columns], axis=1)
-            step = float(np.median(self.model.dt))
-            rough = float(np.std(np.diff(z))) / (step if integrated else 1.0) + 1e-9
-            colour = Colour(rough, 0.3, 1e-3 * rough, 0.1 * rough * (step if integrated else 1.0))
-            for _ in range(2):
-                e, s = innovations(stacked, self.model.dt, self.model.restart, colour, integrated=integrated)
-                good = np.isfinite(s)
-                white = e[good] / np.sqrt(s[good])[:, None]
-                scale = np.linalg.norm(white[:, 1:], axis=0)
-                shown = scale > 1e-9 * scale.max()  # a column that is constant here has no innovations
-                theta = np.zeros(len(scale))
-                theta[shown] = (
-                    np.linalg.lstsq(white[:, 1:][:, shown] / scale[shown], white[:, 0], rcond=1e-8)[0] / scale[shown]
-                )
-                colour = fit_colour(z - columns @ theta, self.model.dt, self.model.restart, integrated=integrated)
-            found.append(colour)
-        self._remainder = nuisance
+            z = self.residual[:, channel]
+            step = float(np.median(self.model.dt)) if channel < 3 else 1.0
+            size = float(np.std(np.diff(z))) + 1e-9
+            rough = size / step
+            starts = (
+                Colour(rough, 0.3, 1e-3 * rough, 0.1 * size),
+                Colour(1e-2 * rough, 0.3, 1e-3 * rough, size / np.sqrt(2.0)),
+            )
+            tried = [self._recoloured(z, columns, start, channel) for start in starts]
+            likeliest = min(tried, key=lambda item: item[1])[0]
+            found.append(self._recoloured(z, columns, likeliest, channel, again=True)[0])
         return found
+
+    def _recoloured(
+        self, z: Array, columns: Array, colour: Colour, channel: int, *, again: bool = False
+    ) -> tuple[Colour, float]:
+        """Noise of what columns leave when they are fitted under a given noise, and half its minus-log-likelihood."""
+        integrated = channel < 3
+        stacked = np.concatenate([z[:, None], columns], axis=1)
+        e, s = innovations(stacked, self.model.dt, self.model.restart, colour, integrated=integrated)
+        good = np.isfinite(s)
+        white = e[good] / np.sqrt(s[good])[:, None]
+        scale = np.linalg.norm(white[:, 1:], axis=0)
+        shown = scale > 1e-9 * scale.max()  # a column that is constant here has no innovations
+        theta = np.zeros(len(scale))
+        theta[shown] = np.linalg.lstsq(white[:, 1:][:, shown] / scale[shown], white[:, 0], rcond=1e-8)[0] / scale[shown]
+        left = z - columns @ theta
+        start = colour if again else None
+        found = fit_colour(left, self.model.dt, self.model.restart, integrated=integrated, start=start)
+        return found, minus_log_likelihood(left, self.model.dt, self.model.restart, found, integrated)
 
     def _polynomials(self) -> list[Array]:
         white = self._whitened(self.residual[:, :, None])[:, 0].reshape(len(self.channels), -1)

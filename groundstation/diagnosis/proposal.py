@@ -33,6 +33,8 @@ CHANCE = 1e-5
 """Chance, over all terms tried, that noise alone would add one."""
 MOST = 4
 """Terms of a formula."""
+ALIKE = 0.95
+"""Correlation from which two terms are one."""
 
 Shape = Callable[[Signals, Vehicle], Array]
 
@@ -130,6 +132,10 @@ def _targets(channel: str) -> tuple[tuple[str, int], ...]:
     return (("body", axis), *((("world", 0), ("world", 1)) if axis < 2 else (("world", 2),)))
 
 
+def _where(frame: str, row: int) -> str:
+    return f"{'force' if row < 3 else 'torque'} along {frame} {'xyz'[row % 3]}"
+
+
 def _term(text: str, shape: Shape, frame: str, row: int) -> Candidate:
     """One entry of the dictionary, as an effect with one dimensionless coefficient."""
 
@@ -142,9 +148,8 @@ def _term(text: str, shape: Shape, frame: str, row: int) -> Candidate:
             out[:, row, 0] = values
         return out
 
-    where = f"{'force' if row < 3 else 'torque'} along {frame} {'xyz'[row % 3]}"
     effect = Effect(
-        identifier=f"{where}: {text}",
+        identifier=f"{_where(frame, row)}: {text}",
         equation=text,
         source="dictionary of the sparse proposal",
         parameters=(ParameterInfo("coefficient", lambda vehicle: 1.0),),
@@ -182,7 +187,7 @@ def select(evidence: Evidence, chosen: Chosen, terms: Sequence[Candidate]) -> li
         return [solution.wald(offset + i, 1) for i in range(len(entries))]
 
     while len(taken) < MOST:
-        open_ones = [entry for entry in pool if not any(entry is t for t in taken)]
+        open_ones = [entry for entry in pool if not any(_alike(entry, t) for t in taken)]
         scores = [walds([*taken, entry])[-1] for entry in open_ones]
         if not scores or max(scores) <= least:
             break
@@ -195,6 +200,12 @@ def select(evidence: Evidence, chosen: Chosen, terms: Sequence[Candidate]) -> li
             taken = kept
             break
     return taken
+
+
+def _alike(one: tuple[Candidate, Columns], other: tuple[Candidate, Columns]) -> bool:
+    """Whether two terms do nearly the same on these flights (the same one included): a formula takes one of them."""
+    a, b = one[1].sensitivity[:, 0], other[1].sensitivity[:, 0]
+    return abs(float(a @ b)) > ALIKE * float(np.linalg.norm(a) * np.linalg.norm(b))
 
 
 def _held_out_gain(evidence: Evidence, before: Chosen, entry: tuple[Candidate, Columns]) -> float:
@@ -228,7 +239,8 @@ def with_proposals(
     out = []
     for item in remaining:
         kind = item.channel.partition("_")[0]
-        mine = [(t, v) for (t, _), v in zip(terms, values, strict=True) if t.identifier.startswith(kind)]
+        here = tuple(_where(*target) for target in _targets(item.channel))
+        mine = [(t, v) for (t, _), v in zip(terms, values, strict=True) if t.identifier.startswith(here)]
         before, after = error["before"].get(item.channel, np.nan), error["after"].get(item.channel, np.nan)
         if mine and after < before:
             unit = "N" if kind == "force" else "N m"
