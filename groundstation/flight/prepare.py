@@ -13,6 +13,7 @@ from groundstation.flight.upload import Way, choose_way
 from groundstation.flight.view import VehicleView
 
 MEASURE_S = 2.5
+ROUNDS = 3
 _KEPT = frozenset(
     {"HEARTBEAT", "SYS_STATUS", "STATUSTEXT", "COMMAND_ACK", "COMMAND_LONG", "TIMESYNC", "AUTOPILOT_VERSION",
      "PARAM_VALUE", "POSE"}
@@ -72,7 +73,7 @@ class Preparation:
             yield Ask((profile.set_mode(profile.follow_mode),), _named("COMMAND_ACK"), 0.7, 3)
         if self.view.checks_pass is False:  # it says why only now and then, unless it is asked
             yield Ask((profile.command(mavlink.MAV_CMD_RUN_PREARM_CHECKS),), _named("COMMAND_ACK"), 0.7, 2)
-        yield Ask((), lambda _m: False, MEASURE_S, 1)
+        yield from self._measure()
         self.done = True
 
     def restore(self) -> Steps[None]:
@@ -94,9 +95,31 @@ class Preparation:
             unasked = [name for name in self.view.meters if name not in self.rates and name not in _KEPT]
             for name in unasked:
                 if not name.startswith("UNKNOWN"):
-                    yield Ask((profile.interval(message_id(name), 0.0),), _acknowledges_interval, 0.5, 2)
+                    yield Ask((self._interval(name, 0.0),), _acknowledges_interval, 0.5, 2)
         for name, rate in self.rates.items():
-            yield Ask((profile.interval(message_id(name), rate),), _acknowledges_interval, 0.5, 4)
+            yield Ask((self._interval(name, rate),), _acknowledges_interval, 0.5, 4)
+
+    def _measure(self) -> Steps[None]:
+        """Count arrivals for a while; what is needed and did not come is asked for again.
+
+        An acknowledgement does not say of which message: a doubled one stands for a request that was lost.
+        """
+        needed = [wish.name for wish in self.view.profile.streams if wish.needed_hz > 0.0]
+        for _ in range(ROUNDS):
+            before = {name: self._count(name) for name in needed}
+            yield Ask((), lambda _m: False, MEASURE_S, 1)
+            silent = [name for name in needed if self._count(name) == before[name]]
+            if not silent:
+                return
+            for name in silent:
+                yield Ask((self._interval(name, self.rates[name]),), _acknowledges_interval, 0.5, 4)
+
+    def _count(self, name: str) -> int:
+        meter = self.view.meters.get(name)
+        return 0 if meter is None else meter.count
+
+    def _interval(self, name: str, rate_hz: float) -> Message:
+        return self.view.profile.interval(message_id(name), rate_hz)
 
     def _parameters(self) -> Steps[None]:
         indoors = self.station.mocap.system != "none"

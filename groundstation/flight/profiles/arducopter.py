@@ -55,7 +55,7 @@ class ArduCopter(Profile):
         StreamWish("LOCAL_POSITION_NED", 100.0, 10.0, "position for guard and record"),
         StreamWish("BATTERY_STATUS", 10.0, 2.0, "battery voltage for guard and thrust model"),
         StreamWish("EXTENDED_SYS_STATE", 10.0, 2.0, "landed or not"),
-        StreamWish("SYS_STATUS", 2.0, 2.0, "whether the arming checks pass"),
+        StreamWish("SYS_STATUS", 4.0, 1.0, "whether the arming checks pass"),
         StreamWish("EKF_STATUS_REPORT", 5.0, 0.0, "estimator health"),
         StreamWish("VIBRATION", 2.0, 0.0, "vibration"),
     )
@@ -72,9 +72,16 @@ class ArduCopter(Profile):
                           why="the autopilot smooths a trajectory to this limit, and then flies another one")
             for name, value, since, before in (
                 ("PSC_JERK_NE", 50.0, (4, 7), (255, 0)), ("PSC_JERK_D", 50.0, (4, 7), (255, 0)),
-                ("WP_ACC", 10.0, (4, 7), (255, 0)), ("WP_ACC_Z", 5.0, (4, 7), (255, 0)),
+                ("WP_ACC", 10.0, (4, 7), (255, 0)),
                 ("PSC_JERK_XY", 20.0, (0, 0), (4, 7)), ("PSC_JERK_Z", 50.0, (0, 0), (4, 7)),
-                ("WPNAV_ACCEL", 1000.0, (0, 0), (4, 7)), ("WPNAV_ACCEL_Z", 500.0, (0, 0), (4, 7)),
+                ("WPNAV_ACCEL", 1000.0, (0, 0), (4, 7)),
+            )
+        ),
+        *(
+            ParameterRule(name, (value,), settable=True, required=False, or_less=True, since=since, before=before,
+                          why="the take-off climbs at this speed, and overshoots by half a metre at the default of 2.5 m/s")
+            for name, value, since, before in (
+                ("WP_SPD_UP", 1.0, (4, 7), (255, 0)), ("WPNAV_SPEED_UP", 100.0, (0, 0), (4, 7)),
             )
         ),
         ParameterRule("SCR_ENABLE", (1.0, 0.0), required=False,

@@ -59,7 +59,7 @@ class ParameterRule:
         settable: offered to be set for the flight and restored afterwards; otherwise the operator must.
         indoors: only without satellites, when poses come from motion capture.
         required: preflight fails on another value; else it only says so.
-        or_more: a value above the first is right too.
+        or_more, or_less: a value above, or below, the first is right too.
         since, before: firmware versions (major, minor) that know it by this name and in this unit.
     """
 
@@ -70,12 +70,15 @@ class ParameterRule:
     indoors: bool = False
     required: bool = True
     or_more: bool = False
+    or_less: bool = False
     since: Version = (0, 0)
     before: Version = (255, 0)
 
     def holds(self, value: float) -> bool:
         """Whether a value is right."""
-        return any(abs(value - a) < 1e-6 for a in self.accepted) or (self.or_more and value >= self.accepted[0])
+        first = self.accepted[0]
+        beyond = (self.or_more and value >= first) or (self.or_less and value <= first)
+        return beyond or any(abs(value - a) < 1e-6 for a in self.accepted)
 
     def concerns(self, version: Version | None, *, indoors: bool) -> bool:
         """Whether this firmware and this station have to do with it; an untold version is taken for the newest."""
