@@ -11,13 +11,8 @@ from numpy.typing import NDArray
 from groundstation.errors import GroundStationError, NotIdentifiable
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored, physically_consistent
-from groundstation.identification.prediction_error import (
-    Fitted,
-    fit,
-    fit_from_declared,
-    instrumental,
-    output_error,
-)
+from groundstation.identification.instrumental import instrumental
+from groundstation.identification.prediction_error import Fitted, fit, fit_from_declared, output_error
 from groundstation.identification.preparation import Prepared, damping_terms, prepare
 from groundstation.identification.record_model import BodyWrench, Options, Parameters, RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification, MethodResult

@@ -72,7 +72,7 @@ class Fitted:
         return float(self.values[self.names.index(name)])
 
 
-def _current(p: Parameters, names: Sequence[str], extra_names: Sequence[str]) -> Array:
+def current_values(p: Parameters, names: Sequence[str], extra_names: Sequence[str]) -> Array:
     table = {
         "mass_kg": p.mass_kg,
         **{name: p.tensor[i, j] for name, (i, j) in zip(TENSOR, PAIRS, strict=True)},
@@ -89,7 +89,7 @@ def _current(p: Parameters, names: Sequence[str], extra_names: Sequence[str]) ->
     return np.array([table[name] for name in names], dtype=float)
 
 
-def _moved(p: Parameters, names: Sequence[str], values: Array, extra_names: Sequence[str]) -> Parameters:
+def moved(p: Parameters, names: Sequence[str], values: Array, extra_names: Sequence[str]) -> Parameters:
     v = dict(zip(names, values, strict=True))
     tensor = sum(v[name] * basis for name, basis in zip(TENSOR, BASIS, strict=True))
     up = v.get("rotor_lag_s", v.get("rotor_lag_up_s", p.lag_up_s))
@@ -110,7 +110,7 @@ def _moved(p: Parameters, names: Sequence[str], values: Array, extra_names: Sequ
     )
 
 
-def _priors(
+def priors(
     record: DynamicRecord, p0: Parameters, names: Sequence[str], extra: Sequence[BodyWrench], options: Options
 ) -> tuple[Array, Array]:
     """Weak prior means and standard deviations that keep an unexcited direction finite; far wider than any claim."""
@@ -136,7 +136,7 @@ def _priors(
     return np.array(mean, dtype=float), np.array(std, dtype=float)
 
 
-def _whiten(
+def whiten(
     model: RecordModel,
     residual: Array,
     sensitivity: Array,
@@ -157,7 +157,7 @@ def _whiten(
     return ys, xs, logs
 
 
-def _huber(y: Array, limit: float = 3.0) -> Array:
+def huber(y: Array, limit: float = 3.0) -> Array:
     return np.minimum(1.0, limit / np.maximum(np.abs(y), 1e-12))
 
 
@@ -208,24 +208,24 @@ def fit(
             ]
             if options.autoregression and round_index > 0:
                 blank = evaluated[index][1][:, :, :0]
-                ys, _, _ = _whiten(
+                ys, _, _ = whiten(
                     model, residual, blank, channels[index], state[index], [np.array([1.0])] * len(channels[index])
                 )
                 polynomials[index] = [whitening_polynomial(y, model.restart, options.autoregression) for y in ys]
         for _ in range(8):
             names = evaluated[0][2]
-            mean, std = _priors(records[0], start, names, models[0].extra, options)
-            theta = _current(p, names, extra_names)
+            mean, std = priors(records[0], start, names, models[0].extra, options)
+            theta = current_values(p, names, extra_names)
             normal = np.diag(1.0 / std**2)
             gradient = (mean - theta) / std**2
             cost = 0.5 * float(np.sum(((theta - mean) / std) ** 2))
             for index, model in enumerate(models):
-                ys, xs, logs = _whiten(
+                ys, xs, logs = whiten(
                     model, evaluated[index][0], evaluated[index][1], channels[index], state[index], polynomials[index]
                 )
                 cost += logs
                 for y, x in zip(ys, xs, strict=True):
-                    w = _huber(y)
+                    w = huber(y)
                     normal = normal + x.T @ (x * w[:, None])
                     gradient = gradient + x.T @ (w * y)
                     cost += float(np.sum(np.where(w < 1.0, 3.0 * np.abs(y) - 4.5, 0.5 * y**2)))
@@ -238,7 +238,7 @@ def fit(
                 evaluated = [model.evaluate(p, options) for model in models]
             if taken == 0.0 or np.all(np.abs(taken * step) < 0.02 * np.sqrt(np.diag(np.linalg.inv(normal)))):
                 break
-    theta = _current(p, names, extra_names)
+    theta = current_values(p, names, extra_names)
     covariance = np.asarray(np.linalg.inv(normal), dtype=float)
     rms = np.sqrt(np.mean(np.concatenate([e[0] for e in evaluated]) ** 2, axis=0))
     samples = sum(len(m.t_s) for m in models)
@@ -274,17 +274,17 @@ def _line_search(
     """Halve the step until the cost falls; keep the tensor positive definite and the mass positive."""
     fraction = 1.0
     for _ in range(10):
-        trial = _moved(p, names, theta + fraction * step, extra_names)
+        trial = moved(p, names, theta + fraction * step, extra_names)
         if trial.mass_kg > 0.0 and np.linalg.eigvalsh(trial.tensor)[0] > 0.02 * np.linalg.eigvalsh(p.tensor)[0]:
             residuals = [model.residual(trial) for model in models]
-            values = _current(trial, names, extra_names)
+            values = current_values(trial, names, extra_names)
             total = 0.5 * float(np.sum(((values - mean) / std) ** 2))
             for index, model in enumerate(models):
                 blank = np.zeros((*residuals[index].shape, 0))
-                ys, _, logs = _whiten(model, residuals[index], blank, channels[index], state[index], polynomials[index])
+                ys, _, logs = whiten(model, residuals[index], blank, channels[index], state[index], polynomials[index])
                 total += logs
                 for y in ys:
-                    w = _huber(y)
+                    w = huber(y)
                     total += float(np.sum(np.where(w < 1.0, 3.0 * np.abs(y) - 4.5, 0.5 * y**2)))
             if total <= cost + 1e-9 * abs(cost):
                 return trial, fraction
@@ -307,7 +307,6 @@ def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: 
 
 
 SHOOTING_S = 2.0
-IV_ROUNDS = 3
 
 
 def output_error(models: Sequence[RecordModel], start: Fitted, options: Options) -> Fitted:
@@ -332,80 +331,7 @@ def output_error(models: Sequence[RecordModel], start: Fitted, options: Options)
     return fit(shooting, start.parameters, replace(options, colour_rounds=0, autoregression=0), white, fixed=True)
 
 
-def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options) -> Fitted:
-    r"""Refined instrumental variable estimate: solve Z^T W e(theta) = 0 with Z from the planned motion.
-
-    A prediction error estimate is consistent in closed loop only when the controller saw no more than the record holds
-    (Van den Hof 1998). The plan is independent of every disturbance, so this holds whatever the controller saw:
-
-        theta <- theta + (Z^T W X)^-1 Z^T W e,    cov = (Z^T W X)^-1 (Z^T W Z) (X^T W Z)^-1
-
-    with X, Z, e whitened by the same noise model, which is refitted to the residual (Young's refined IV). Z is as wide as X, one
-    instrument for each parameter over all channels together: every instrument more keeps a share of the bias that
-    instruments are there to remove (Bekker 1994), and with gentle flights that share was the larger part of the error.
-    """
-    extra_names = [term.name for term in models[0].extra]
-    channels = [
-        tuple(c for c in options.channels if c < 3 or np.isfinite(model.force[:, c - 3]).all()) for model in models
-    ]
-    colours, polynomials = per_flight(start.colours, channels), per_flight(start.whiteners, channels)
-    p, names = start.parameters, start.names
-    covariance, information = start.covariance, np.linalg.inv(start.covariance)
-    split = _lag_split_precision(names)
-    evaluated = [model.evaluate(p, options) for model in models]
-    iterations = 0
-    for round_index in range(IV_ROUNDS):
-        if round_index > 0:
-            for index, (model, found) in enumerate(zip(models, evaluated, strict=True)):
-                colours[index], polynomials[index] = _noise(
-                    model, found[0], channels[index], colours[index], options.autoregression
-                )
-        planned = [
-            _whiten(
-                model, model.residual(p), model.planned_sensitivities(p, options),
-                channels[index], colours[index], polynomials[index],
-            )[1]
-            for index, model in enumerate(models)
-        ]  # fmt: skip
-        mean, std = _priors(models[0].record, start.parameters, names, models[0].extra, options)
-        precision = np.diag(1.0 / std**2) + split
-        information = precision + sum(z.T @ z for columns in planned for z in columns)
-        for _ in range(10):
-            theta = _current(p, names, extra_names)
-            zx, zz = precision.copy(), precision.copy()
-            ze = (mean - theta) / std**2 + split @ (start.values - theta)
-            for index, model in enumerate(models):
-                ys, xs, _ = _whiten(model, *evaluated[index][:2], channels[index], colours[index], polynomials[index])
-                for y, x, z in zip(ys, xs, planned[index], strict=True):
-                    w = _huber(y)[:, None]
-                    zx += z.T @ (x * w)
-                    zz += z.T @ (z * w)
-                    ze += z.T @ (w[:, 0] * y)
-            step = np.asarray(np.linalg.solve(zx, ze), dtype=float)
-            inverse = np.linalg.inv(zx)
-            covariance = inverse @ zz @ inverse.T
-            p = _bounded_move(p, names, theta, step, extra_names)
-            evaluated = [model.evaluate(p, options) for model in models]
-            iterations += 1
-            moved = _current(p, names, extra_names) - theta
-            if np.all(np.abs(moved) < 0.02 * np.sqrt(np.diag(covariance))):
-                break
-    theta = _current(p, names, extra_names)
-    rms = np.sqrt(np.mean(np.concatenate([e[0] for e in evaluated]) ** 2, axis=0))
-    return replace(
-        start,
-        parameters=p,
-        values=theta,
-        covariance=covariance,
-        bound=np.asarray(np.linalg.inv(information), dtype=float),
-        residual_rms=rms,
-        iterations=iterations,
-        colours=tuple(c for s in colours for c in s),
-        whiteners=tuple(q for s in polynomials for q in s),
-    )
-
-
-def _noise(
+def noise_model(
     model: RecordModel, residual: Array, channels: Sequence[int], previous: Sequence[Colour], autoregression: int
 ) -> tuple[list[Colour], list[Array]]:
     """Noise model of each channel of a residual: its colour, and the autoregression for what the colour leaves."""
@@ -416,26 +342,8 @@ def _noise(
     plain = [np.array([1.0])] * len(channels)
     if not autoregression:
         return colours, plain
-    ys, _, _ = _whiten(model, residual, np.zeros((*residual.shape, 0)), channels, colours, plain)
+    ys, _, _ = whiten(model, residual, np.zeros((*residual.shape, 0)), channels, colours, plain)
     return colours, [whitening_polynomial(y, model.restart, autoregression) for y in ys]
-
-
-def _lag_split_precision(names: Sequence[str]) -> Array:
-    """Prior precision that keeps how the total delay divides into lag up, lag down and dead time near the first estimate.
-
-    The plan excites low frequencies, where only the sum shows; its division comes from the prediction error estimate, to
-    10 ms for the dead time and 5 ms for up against down. The sum stays free.
-    """
-    precision = np.zeros((len(names), len(names)))
-    row = np.zeros(len(names))
-    if "input_delay_s" in names:
-        row[names.index("input_delay_s")] = 1.0
-        precision += np.outer(row, row) / 0.010**2
-    if "rotor_lag_up_s" in names:
-        row = np.zeros(len(names))
-        row[names.index("rotor_lag_up_s")], row[names.index("rotor_lag_down_s")] = 1.0, -1.0
-        precision += np.outer(row, row) / 0.005**2
-    return precision
 
 
 def per_flight(items: Sequence, channels: Sequence[Sequence[int]]) -> list[list]:
@@ -445,19 +353,3 @@ def per_flight(items: Sequence, channels: Sequence[Sequence[int]]) -> list[list]
         out.append(list(items[first : first + len(chosen)]))
         first += len(chosen)
     return out
-
-
-def _bounded_move(
-    p: Parameters, names: Sequence[str], theta: Array, step: Array, extra_names: Sequence[str]
-) -> Parameters:
-    """The step, shortened until the tensor stays positive definite and the mass positive."""
-    fraction = 1.0
-    for _ in range(12):
-        trial = _moved(p, names, theta + fraction * step, extra_names)
-        if (
-            trial.mass_kg > 0.2 * p.mass_kg
-            and np.linalg.eigvalsh(trial.tensor)[0] > 0.05 * np.linalg.eigvalsh(p.tensor)[0]
-        ):
-            return trial
-        fraction *= 0.5
-    return p
