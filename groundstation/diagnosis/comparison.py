@@ -14,10 +14,16 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.attribution import folds
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, Solution
 from groundstation.identification.anchoring import anchored
-from groundstation.identification.pipeline import DynamicFit
 from groundstation.identification.prediction_error import Fitted, fit
 from groundstation.identification.preparation import Prepared
-from groundstation.identification.record_model import CHANNELS, PAIRS, TENSOR, Parameters, initial_parameters
+from groundstation.identification.record_model import (
+    CHANNELS,
+    PAIRS,
+    TENSOR,
+    Parameters,
+    RecordModel,
+    initial_parameters,
+)
 from groundstation.identification.results import Estimate
 from groundstation.vehicle import Vehicle
 
@@ -42,21 +48,35 @@ def base_parameters(
     vehicle: Vehicle,
     baseline: Chosen,
     chosen: Chosen,
-    unlagged: Fitted | None,
+    plain: Fitted | None,
 ) -> tuple[dict[str, Estimate], dict[str, Estimate]]:
     """Base parameters with the effects left out and put in. Left out means re-estimated without them, lag included."""
     after = _base_estimates(evidence, vehicle, evidence.solve(chosen))
-    if unlagged is not None:
-        before, constants = anchored(vehicle, unlagged.names, unlagged.values, unlagged.covariance)
+    if plain is not None:
+        before, constants = anchored(vehicle, plain.names, plain.values, plain.covariance)
         return {**before, **constants}, after
     return _base_estimates(evidence, vehicle, evidence.solve(baseline)), after
 
 
-def without_lag(fitted: DynamicFit, vehicle: Vehicle) -> Fitted:
-    """The base fit of a vehicle whose rotors follow at once, for *before* where a lag was found."""
-    options = replace(fitted.options, lag=False, delay=False, com=False, yaw_trim=False, colour_rounds=1)
-    models = [type(model)(model.record, (), None) for model in fitted.models]
+def declared_model(flight: FlightEvidence) -> RecordModel:
+    """The flight by the thrust curve that was declared."""
+    return RecordModel(replace(flight.model.record, vehicle=flight.prepared.flight.vehicle), (), None)
+
+
+def as_declared(evidence: Evidence, vehicle: Vehicle) -> Fitted:
+    """The base fit by the declared curve with rotors that follow as declared: *before*, where lag or curve was found."""
+    options = replace(evidence.flights[0].options, lag=False, delay=False, channels=(0, 1, 2, 5), colour_rounds=1)
+    models = [declared_model(flight) for flight in evidence.flights]
     return fit(models, initial_parameters(vehicle, lag_s=0.0), options)
+
+
+def plain_gain(evidence: Evidence, chosen: Chosen, plain: Fitted | None) -> float:
+    """Fall of the whitened squared error from the base as declared to everything that was found."""
+    if plain is None:
+        return 0.0
+    residuals = [f.whitened_residual(declared_model(f).residual(plain.parameters)) for f in evidence.flights]
+    after = evidence.remainder(chosen, evidence.solve(chosen))
+    return float(np.sum(np.concatenate(residuals) ** 2 - after**2))
 
 
 def residual_wrench(flight: FlightEvidence, residual: Array, p: Parameters) -> Array:
@@ -89,7 +109,7 @@ def held_out_errors(
     evidence: Evidence,
     baseline: Chosen,
     chosen: Chosen,
-    unlagged: Fitted | None,
+    plain: Fitted | None,
     unseen: Sequence[Prepared],
 ) -> dict[str, dict[str, dict[str, float]]]:
     """RMS of the residual wrench per channel on blocks (or flights) that no estimate saw: nominal, before, after."""
@@ -100,7 +120,7 @@ def held_out_errors(
         others = [evidence.flights[0].of(item) for item in unseen]
         pairs = {"before": (baseline, evidence.solve(baseline)), "after": (chosen, evidence.solve(chosen))}
         for flight in others:
-            _collect(flight, np.ones(len(flight.model.t_s), dtype=bool), pairs, nominal, unlagged, stages)
+            _collect(flight, np.ones(len(flight.model.t_s), dtype=bool), pairs, nominal, plain, stages)
     else:
         times, _, numbers = evidence.time_of_rows()
         for train, test in folds(evidence):
@@ -111,7 +131,7 @@ def held_out_errors(
             for number, flight in enumerate(evidence.flights[: evidence.suspects]):
                 mine = times[(numbers == number) & test]
                 inside = np.isin(flight.model.t_s, mine)
-                _collect(flight, inside, pairs, nominal, unlagged, stages)
+                _collect(flight, inside, pairs, nominal, plain, stages)
     flight = evidence.flights[0]
     return {
         "held_out": {
@@ -129,13 +149,13 @@ def residual_series(
     evidence: Evidence,
     baseline: Chosen,
     chosen: Chosen,
-    unlagged: Fitted | None,
+    plain: Fitted | None,
 ) -> dict[str, Array]:
     """Residual wrench of the first flight over time for the report: by channel before, and as "channel/after"."""
     flight = evidence.flights[0]
     before = (
-        flight.model.residual(unlagged.parameters)
-        if unlagged is not None
+        declared_model(flight).residual(plain.parameters)
+        if plain is not None
         else _remaining(flight, baseline, evidence.solve(baseline))
     )
     after = _remaining(flight, chosen, evidence.solve(chosen))
@@ -151,14 +171,14 @@ def _collect(
     inside: NDArray[np.bool_],
     pairs: dict[str, tuple[Chosen, Solution]],
     nominal: Parameters,
-    unlagged: Fitted | None,
+    plain: Fitted | None,
     stages: dict[str, list[Array]],
 ) -> None:
     p = flight.parameters
-    stages["nominal"].append(residual_wrench(flight, flight.model.residual(nominal), p)[inside])
+    stages["nominal"].append(residual_wrench(flight, declared_model(flight).residual(nominal), p)[inside])
     for stage, (chosen, solution) in pairs.items():
-        if stage == "before" and unlagged is not None:
-            residual = flight.model.residual(unlagged.parameters)
+        if stage == "before" and plain is not None:
+            residual = declared_model(flight).residual(plain.parameters)
         else:
             residual = _remaining(flight, chosen, solution)
         stages[stage].append(residual_wrench(flight, residual, p)[inside])

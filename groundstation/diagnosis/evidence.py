@@ -132,6 +132,10 @@ class FlightEvidence:
         """Another flight about the same base fit."""
         return FlightEvidence(other, self._fitted, self._given, self.known)
 
+    def whitened_residual(self, residual: Array) -> Array:
+        """Any residual (blocks, 6) of this flight, whitened as its own, (rows,)."""
+        return self._whitened(residual[:, :, None])[:, 0]
+
     def _nuisance(self) -> Array:
         """Columns (blocks, 6, m) that keep an effect's own residual out of the noise model: slow drift, drag, damping, thrust.
 

@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.attribution import Named, Selection, candidates
 from groundstation.diagnosis.augmented import is_among
-from groundstation.diagnosis.comparison import base_parameters, held_out_errors, residual_series, without_lag
+from groundstation.diagnosis.comparison import (
+    as_declared,
+    base_parameters,
+    held_out_errors,
+    plain_gain,
+    residual_series,
+)
+from groundstation.diagnosis.curve import exponent_error, recurved, with_exponent
 from groundstation.diagnosis.effect import library
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, Solution
 from groundstation.diagnosis.kinematic import kinematic_findings, turned
@@ -60,6 +67,8 @@ def diagnose(
         unseen = [_for_evidence(prepare(flight)) for flight in held_out]
         kinematic = kinematic_findings(suspects[0])
         suspects, healthy, unseen = ([turned(item, kinematic) for item in each] for each in (suspects, healthy, unseen))
+        bend = exponent_error(suspects[0])
+        suspects, healthy, unseen = ([recurved(item, bend) for item in each] for each in (suspects, healthy, unseen))
         progress(0.25, "base fit")
         fitted = fit_dynamics([*suspects, *healthy])
         evidence, baseline, named, solution = _select(fitted, suspects, healthy, augmented, (), progress)
@@ -75,17 +84,18 @@ def diagnose(
             flight=name, vehicle=vehicle.name, verdict="refused", reason=str(refusal), next_flight=refusal.remedy
         )
     lag = [] if references else lag_findings(evidence, solution)
-    unlagged = without_lag(fitted, vehicle) if lag else None
+    plain = as_declared(evidence, vehicle) if lag or bend else None
     offset = sum(len(c.effect.parameters) for c, _ in baseline)
-    findings = sorted([*lag, *_findings(named, solution, vehicle, offset), *kinematic], key=lambda f: -f.gain)
+    forces = with_exponent(_findings(named, solution, vehicle, offset), bend, plain_gain(evidence, chosen, plain))
+    findings = sorted([*lag, *forces, *kinematic], key=lambda f: -f.gain)
     remaining = with_proposals(
         evidence,
         chosen,
         unexplained(left),
         lambda more: held_out_errors(evidence, chosen, list(more), None, unseen)["held_out"],
     )
-    before, after = base_parameters(evidence, vehicle, baseline, chosen, unlagged)
-    error = held_out_errors(evidence, baseline, chosen, unlagged, unseen)
+    before, after = base_parameters(evidence, vehicle, baseline, chosen, plain)
+    error = held_out_errors(evidence, baseline, chosen, plain, unseen)
     verdict = "unexplained" if remaining else "explained" if findings else "clean"
     progress(1.0, "done")
     return Diagnosis(
@@ -116,7 +126,7 @@ def diagnose(
                 _pool(vehicle, evidence.flights[0], references=bool(healthy)),
             ),
         ),
-        residual=residual_series(evidence, baseline, chosen, unlagged),
+        residual=residual_series(evidence, baseline, chosen, plain),
     )
 
 
