@@ -141,7 +141,7 @@ async def test_abort_works_from_inside_a_field_on_every_screen_and_in_front_of_e
         await abort("f8")
         for question in (Question("?"), TypedQuestion("?", "FLY"), TextPage("log", "text")):
             await app.push_screen(question)
-            await pilot.pause()
+            await until(pilot, lambda: "ABORT + LAND ^g" in screen_text(app) and "KILL ^o" in screen_text(app))
             await abort("ctrl+g")
             app.pop_screen()
         assert len(core.orders) == given

@@ -11,6 +11,7 @@ from groundstation.flight.messages import CheckStatus, CoreStatus, StreamStatus
 from groundstation.flight.overview import FlightView
 from groundstation.flight.sequence import Phase
 from groundstation.flight.sequence import Sequence as FlightSequence
+from groundstation.flight.station import load_station
 from groundstation.paths import find_config
 from groundstation.tui.checks import WHY, checklist
 from groundstation.tui.setup import flight_limits
@@ -100,16 +101,24 @@ def test_a_needed_stream_that_never_came_is_told():
     )
 
 
-def test_clocks_are_told_with_their_interval_and_a_foreign_clock_in_seconds():
-    streams = {
-        "pose": StreamStatus(9, 100.0, delay_s=-4000.0),
-        "imu": StreamStatus(9, 500.0, delay_s=2e-3, delay_std_s=5e-4),
-    }
-    now = status(streams=streams, clock_s=(0.0123, 0.0009))
-    assert "motion capture minus IMU +12.3 ± 0.9 ms" in stream_notes(now)
+def test_clocks_are_told_with_their_interval():
+    streams = {"pose": StreamStatus(9, 100.0), "imu": StreamStatus(9, 500.0)}
+    assert "motion capture minus IMU +12.3 ± 0.9 ms" in stream_notes(status(streams=streams, clock_s=(0.0123, 0.0009)))
     assert "not known yet" in stream_notes(status(streams=streams))
-    delays = {row[0]: row[-2] for row in stream_rows(now)}
-    assert delays == {"pose": "-4000 s", "imu": "+2.0 ± 0.5 ms"}
+
+
+@pytest.mark.parametrize("began_s", [0.0, 4000.0])
+def test_latency_is_told_against_the_least_where_device_clocks_began_at_another_time(began_s):
+    streams = {
+        "pose": StreamStatus(9, 100.0, delay_s=began_s + 0.012, delay_std_s=2e-3),
+        "imu": StreamStatus(9, 500.0, delay_s=began_s + 0.002, delay_std_s=5e-4),
+        "motors": StreamStatus(),
+    }
+    latency = {row[0]: row[-2] for row in stream_rows(status(streams=streams))}
+    if began_s:
+        assert latency == {"pose": "10.0 ± 2.0 ms", "imu": "0.0 ± 0.5 ms", "motors": "–"}
+    else:
+        assert latency == {"pose": "12.0 ± 2.0 ms", "imu": "2.0 ± 0.5 ms", "motors": "–"}
 
 
 def test_distance_to_each_limit():
@@ -117,14 +126,17 @@ def test_distance_to_each_limit():
         position_m=(0.9, -1.2, 1.0), euler_rad=(np.radians(3.0), 0.0, 0.0), tracking_error_m=0.2, battery_v=11.0
     )
     limits = {"x_max_m": 1.0, "y_max_m": 1.0, "z_max_m": 1.5, "z_min_m": 0.7, "tilt_max_rad": np.radians(5.0)}
-    lines = margin_lines(now, limits, {"tracking_m": 1.2, "empty_v": 10.5}).splitlines()
-    assert [float(line[18:].split()[0]) for line in lines] == pytest.approx([0.1, -0.2, 0.5, 0.3, 2.0, 1.0, 0.5])
-    assert [line.split()[-1] == "OUTSIDE" for line in lines] == [False, True, False, False, False, False, False]
+    guard = {"tracking_m": 1.2, "tilt_rad": np.radians(40.0), "empty_v": 10.5}
+    lines = margin_lines(now, limits, guard).splitlines()
+    assert [float(line[17:].split()[0]) for line in lines] == pytest.approx([0.1, -0.2, 0.5, 0.3, 2.0, 1.0, 37.0, 0.5])
+    assert [line for line in lines if "PAST IT" in line] == ["to wall, y         -0.20 m PAST IT"]
+    assert max(map(len, lines)) <= 34, "the column of a narrow terminal"
 
 
 def test_limits_come_from_the_flights_own_plan_and_the_guard_from_the_station(tmp_path):
     (tmp_path / "plan.toml").write_bytes(find_config("plans", "qball2").read_bytes())
     limits, guard = flight_limits(tmp_path, "default")
     assert limits["x_max_m"] == 1.0
-    assert guard == {"empty_v": 10.5, "tracking_m": 1.2}
+    of_station = load_station("default").guard
+    assert guard == {"empty_v": 10.5, "tracking_m": of_station.tracking.limit, "tilt_rad": of_station.tilt.limit}
     assert flight_limits(tmp_path / "absent", None) == ({}, {})

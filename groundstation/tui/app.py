@@ -35,10 +35,9 @@ from groundstation.tui.screens.plan import Planner
 from groundstation.tui.screens.station import Station
 from groundstation.tui.setup import Setup, begin_flight, flight_limits, plan_at_hand
 from groundstation.tui.watch import CoreWatch
-from groundstation.tui.widgets.bars import SCREENS
+from groundstation.tui.widgets.bars import REFRESH_S, SCREENS
 from groundstation.tui.widgets.dialogs import Question, TextPage, TypedQuestion
 
-REFRESH_HZ = 6.0
 AFTER_LANDING = (Phase.LANDED, Phase.IDENTIFYING, Phase.DONE)
 """A view may see any of them first."""
 KEYS = """\
@@ -113,7 +112,7 @@ class GroundStation(App[int]):
 
     def on_mount(self) -> None:
         """Find a flight that goes on, and refresh from now on."""
-        self.set_interval(1.0 / REFRESH_HZ, self._refresh_view)
+        self.set_interval(REFRESH_S, self._refresh_view)
         self.run_worker(self._find_flight, thread=True)
 
     def on_unmount(self) -> None:
@@ -247,7 +246,6 @@ class GroundStation(App[int]):
         status = core.newest if core else None
         new = status is not None and status is not self._shown
         try:
-            screens[-1].refresh_bar()
             if status is not None and new:
                 screens[-1].show_status(status)
             self._show_results(screens[-1])

@@ -97,7 +97,8 @@ def flight_limits(folder: Path, station: str | None) -> tuple[Mapping[str, float
         if empty_v is not None:
             guard["empty_v"] = empty_v
         if station is not None:
-            guard["tracking_m"] = load_station(station).guard.tracking.limit
+            limits = load_station(station).guard
+            guard |= {"tracking_m": limits.tracking.limit, "tilt_rad": limits.tilt.limit}
     except BadInput:
         return {}, guard
     return plan.limits, guard

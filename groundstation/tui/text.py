@@ -23,7 +23,9 @@ from groundstation.reporting.units import (
 )
 
 Row = tuple[str, ...]
-NEAR = {"m": 0.05, "°": 1.0}
+OWN_CLOCK_S = 10.0
+"""A stamp further than this from its arrival is of a clock that began at another time."""
+NEAR = {"m": 0.05, "°": 1.0, "V": 0.0}
 """A plan uses its limits up, and a vehicle follows it no better than this: beyond it a word is said."""
 
 PHASES: Mapping[str, str] = {
@@ -42,20 +44,22 @@ PHASES: Mapping[str, str] = {
 
 
 def stream_rows(status: CoreStatus) -> list[Row]:
-    """One row per stream: name, rate, age, longest gap, samples, from stamp to arrival, and in a word how it does."""
+    """One row per stream: name, rate, age, longest gap, samples, latency, and in a word how it does.
+
+    Latency is from stamp to arrival; where device clocks began at another time than this computer's, it is told against
+    the stream that has least of it.
+    """
+    foreign = any(abs(stream.delay_s) > OWN_CLOCK_S for stream in status.streams.values() if stream.count)
+    least = min((stream.delay_s for stream in status.streams.values() if stream.count), default=0.0) if foreign else 0.0
     rows = []
     for name, stream in sorted(status.streams.items()):
         gap = f"{1e3 * stream.longest_gap_s:.0f} ms"
         word = "! see below" if stream.trouble else "arrives" if stream.rate_hz > 0.5 else "waiting"
-        delay = _delay(stream.delay_s, stream.delay_std_s) if stream.count else "–"
+        delay = f"{1e3 * (stream.delay_s - least):.1f} ± {1e3 * stream.delay_std_s:.1f} ms" if stream.count else "–"
         rows.append(
             (name, f"{stream.rate_hz:.0f} Hz", f"{1e3 * stream.age_s:.0f} ms", gap, f"{stream.count}", delay, word)
         )
     return rows
-
-
-def _delay(seconds: float, std: float) -> str:
-    return f"{1e3 * seconds:+.1f} ± {1e3 * std:.1f} ms" if abs(seconds) < 10.0 else f"{seconds:+.0f} s"
 
 
 def stream_notes(status: CoreStatus) -> str:
@@ -82,41 +86,44 @@ def state_lines(status: CoreStatus) -> str:
     x, y, z = status.position_m
     return "\n".join(
         [
-            f"position     {x:+7.3f} {y:+7.3f} {z:+7.3f} m",
-            f"attitude     {roll:+7.1f} {pitch:+7.1f} {yaw:+7.1f} °",
-            f"off the plan {100 * status.tracking_error_m:7.1f} cm",
-            f"time left    {status.time_left_s:7.1f} s",
-            f"battery      {status.battery_v:7.2f} V",
+            f"position {x:+7.3f} {y:+7.3f} {z:+7.3f} m",
+            f"attitude {roll:+7.1f} {pitch:+7.1f} {yaw:+7.1f} °",
+            f"off plan {100 * status.tracking_error_m:7.1f} cm",
+            f"to go    {status.time_left_s:7.1f} s",
+            f"battery  {status.battery_v:7.2f} V",
         ]
     )
 
 
 def margin_lines(status: CoreStatus, limits: Mapping[str, float], guard: Mapping[str, float]) -> str:
-    """How much is left to each limit of the plan (room, tilt) and of the guard that can be seen from here.
+    """How much is left to each limit of the plan, and to those of the guard that can be seen from here.
 
     Args:
-        limits: of the plan, by name.
-        guard: ``tracking_m``, the distance from the plan at which the guard lands, and ``empty_v`` of the battery.
+        limits: of the plan, by name; it holds roll and pitch each to its tilt.
+        guard: where the guard lands: ``tracking_m`` from the plan, ``tilt_rad``; and ``empty_v`` of the battery.
     """
     x, y, z = status.position_m
-    tilt = math.acos(max(-1.0, min(1.0, math.cos(status.euler_rad[0]) * math.cos(status.euler_rad[1]))))
-    room = {
-        "x_max_m": ("to the wall, x", lambda top: top - abs(x), "m"),
-        "y_max_m": ("to the wall, y", lambda top: top - abs(y), "m"),
-        "z_max_m": ("to the ceiling", lambda top: top - z, "m"),
-        "z_min_m": ("to the floor", lambda low: z - low, "m"),
-        "tilt_max_rad": ("to the tilt limit", lambda top: math.degrees(top - tilt), "°"),
+    roll, pitch, _ = status.euler_rad
+    tilt = math.acos(max(-1.0, min(1.0, math.cos(roll) * math.cos(pitch))))
+    plans = {
+        "x_max_m": ("wall, x", lambda top: top - abs(x), "m"),
+        "y_max_m": ("wall, y", lambda top: top - abs(y), "m"),
+        "z_max_m": ("ceiling", lambda top: top - z, "m"),
+        "z_min_m": ("floor", lambda low: z - low, "m"),
+        "tilt_max_rad": ("tilt", lambda top: math.degrees(top - max(abs(roll), abs(pitch))), "°"),
+    }
+    guards = {
+        "tracking_m": ("guard: plan", lambda top: top - status.tracking_error_m, "m"),
+        "tilt_rad": ("guard: tilt", lambda top: math.degrees(top - tilt), "°"),
+        "empty_v": ("battery empty", lambda low: status.battery_v - low, "V"),
     }
     lines = []
-    for name, (text, left, unit) in room.items():
-        if name in limits:
-            value = left(limits[name])
-            beyond = value < -NEAR[unit] and z > 0.3
-            lines.append(f"{text:<18}{value:+7.2f} {unit}{'  OUTSIDE' if beyond else ''}")
-    if "tracking_m" in guard:
-        lines.append(f"{'to losing the plan':<18}{guard['tracking_m'] - status.tracking_error_m:+7.2f} m")
-    if "empty_v" in guard and status.battery_v > 0.0:
-        lines.append(f"{'to empty':<18}{status.battery_v - guard['empty_v']:+7.2f} V")
+    for known, room in ((limits, plans), (guard, guards)):
+        for name, (text, left, unit) in room.items():
+            if name in known:
+                value = left(known[name])
+                past = value < -NEAR[unit] and z > 0.3
+                lines.append(f"to {text:<14}{value:+7.2f} {unit}{' PAST IT' if past else ''}")
     return "\n".join(lines) or "the plan states no limits"
 
 
@@ -196,7 +203,9 @@ def validation_rows(document: Mapping[str, Any]) -> list[Row]:
         before, after = check["rms"].get("nominal", {}), check["rms"].get(document["best"], {})
         for signal, value in after.items():
             start = before.get(signal)
-            rows.append((check["kind"].replace("_", " "), label(signal), *_change(signal, start, value)))
+            kind = check["kind"].replace("_", " ")
+            model = f", {check['note'].split()[0].lower()}" if kind == "output" and check.get("note") else ""
+            rows.append((kind + model, label(signal), *_change(signal, start, value)))
     return rows
 
 

@@ -56,18 +56,6 @@ class StationScreen(Screen[None]):
     def show_status(self, status: CoreStatus) -> None:
         """Show a flight as of its newest status."""
 
-    def refresh_bar(self) -> None:
-        """Show the flight's line."""
-        watch = self.station.core
-        status = watch.newest if watch else None
-        bar = self.query_one(FlightBar)
-        bar.show(
-            status,
-            operator=watch.operator if watch else True,
-            silent_s=watch.silent_s if watch else 0.0,
-            fault=self.station.trouble or (watch.fault if watch else ""),
-        )
-
     def action_leave_field(self) -> None:
         """Give the keys back to the screen."""
         self.set_focus(None)
@@ -84,9 +72,10 @@ class StationScreen(Screen[None]):
             widget.update(text)
 
 
-def fill(table: DataTable, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Replace a table's content; cells are text, never markup, and numbers align right. An empty table takes no room.
+def fill(table: DataTable, header: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> None:
+    """Replace a table's content; cells are text, never markup. An empty table takes no room.
 
+    The first ``words`` columns hold words and align left, the others hold numbers and align right.
     Where only cells differ, only those are replaced: the table does not flicker.
     """
     rows = [tuple(row) for row in rows]
@@ -95,12 +84,12 @@ def fill(table: DataTable, header: Sequence[str], rows: Iterable[Sequence[str]])
         for index, row in enumerate(rows):
             for column, cell in enumerate(row):
                 if str(table.get_cell_at(Coordinate(index, column))) != cell:
-                    align = "left" if column == 0 else "right"
+                    align = "left" if column < words else "right"
                     table.update_cell_at(Coordinate(index, column), Text(cell, justify=align), update_width=True)
         return
 
     def cells(row: Sequence[str]) -> list[Text]:
-        return [Text(cell, justify="left" if index == 0 else "right") for index, cell in enumerate(row)]
+        return [Text(cell, justify="left" if index < words else "right") for index, cell in enumerate(row)]
 
     table.clear(columns=True)
     table.add_columns(*cells(header))

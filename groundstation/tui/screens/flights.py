@@ -68,7 +68,7 @@ compares the two. t sorts by the next column, / filters: only flights whose line
         else:
             told.sort(key=lambda pair: pair[0][self._sort])
         self._shown = [row for _, row in told]
-        fill(self.query_one("#catalogue", DataTable), COLUMNS, [cells for cells, _ in told])
+        fill(self.query_one("#catalogue", DataTable), COLUMNS, [cells for cells, _ in told], words=5)
         nothing = (
             "no flight matches" if self._rows else f"no flights in {self.station.logs} yet; r on Station makes one"
         )

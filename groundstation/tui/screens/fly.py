@@ -53,9 +53,9 @@ program started again finds it. o takes the operator's lease from another."""
                 yield Static("", id="motors", classes="panel", markup=False)
             with Vertical(id="fly-right"):
                 yield DataTable(id="live", show_cursor=False)
-                yield Plot("x, m", "y, m: plan, + flown", id="xy-plot", span=(0.2, 0.2))
-                yield Plot("t, s", "off the plan, cm", id="error-plot", span=(2.0, 1.0))
-                yield Plot("t, s", "roll, + pitch, °", id="attitude-plot", span=(2.0, 1.0))
+                yield Plot("y over x, m: line planned, + flown", id="xy-plot", span=(0.2, 0.2))
+                yield Plot("off the plan, cm, over s", id="error-plot", span=(2.0, 1.0))
+                yield Plot("° over s: line roll, + pitch", id="attitude-plot", span=(2.0, 1.0))
 
     def show_status(self, status: CoreStatus) -> None:
         """Everything of the newest status, and the plots of those before."""

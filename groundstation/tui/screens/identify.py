@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import ClassVar
 
 from textual.binding import Binding
-from textual.containers import Grid
+from textual.containers import Grid, Horizontal
 from textual.widgets import DataTable, ProgressBar, Static
 
 from groundstation.flight.messages import CoreStatus
@@ -28,7 +28,7 @@ class Identify(StationScreen):
 Comes up after landing. First the analysis and its preliminary estimates, then the table: each parameter by method with
 its 95 % half width, the best method first, beside what the vehicle file declares. Below, why that method is the best,
 the clocks' offset, what the flight does not reveal, and the errors with the nominal and with the identified vehicle.
-The drawings show how the live estimates moved while it flew, crosses bounding their 95 % intervals. e opens the report in the browser. Choose another flight on the Flights screen (6)."""
+The drawings show how the live estimates moved while it flew, between their 95 % intervals. e opens the report in the browser. Choose another flight on the Flights screen (6)."""
     BINDINGS: ClassVar = [Binding("e", "report", "Report")]
 
     def __init__(self) -> None:
@@ -41,10 +41,11 @@ The drawings show how the live estimates moved while it flew, crosses bounding t
         yield ProgressBar(total=1.0, show_eta=False, id="analysis-progress")
         yield DataTable(id="parameters", show_cursor=False)
         yield Static("", id="notes", classes="panel", markup=False)
-        yield DataTable(id="validation", show_cursor=False)
-        with Grid(id="evolution"):
-            for name in EVOLVING:
-                yield Plot("t, s", "", id=f"evolution-{name}")
+        with Horizontal(classes="columns"):
+            with Grid(id="evolution"):
+                for name in EVOLVING:
+                    yield Plot("", id=f"evolution-{name}")
+            yield DataTable(id="validation", show_cursor=False)
 
     def show_status(self, status: CoreStatus) -> None:
         """While the analysis runs: how far it is, and its newest estimates."""
@@ -90,7 +91,7 @@ The drawings show how the live estimates moved while it flew, crosses bounding t
             self.show_results(self.results)
 
     def _draw_evolution(self, results: FlightResults) -> None:
-        """Each parameter's live estimate over the flight, between crosses that bound its 95 % interval."""
+        """Each parameter's live estimate over the flight, and its 95 % interval."""
         told = results.evolution.get("parameters", {})
         self.query_one("#evolution").display = any(column["t_s"] for column in told.values())
         for name in EVOLVING:
@@ -98,10 +99,11 @@ The drawings show how the live estimates moved while it flew, crosses bounding t
             plot.display = bool(column.get("t_s"))
             if plot.display:
                 unit = scale_for(split_unit(name)[1], column["value"])
-                t_s, value, low, high = (column[key] for key in ("t_s", "value", "low", "high"))
-                bounds = [Line(t_s[::3], [unit.factor * v for v in bound[::3]]) for bound in (low, high)]
-                plot.set_ylabel(f"{label(name)}, {unit.unit}")
-                plot.draw([Line(t_s, [unit.factor * v for v in value]), *bounds])
+                lines = [
+                    Line(column["t_s"], [unit.factor * v for v in column[key]]) for key in ("value", "low", "high")
+                ]
+                plot.border_title = f"{label(name)}, {unit.unit}, over s, and its 95 % interval"
+                plot.draw_interval(*lines)
 
     def action_report(self) -> None:
         """Open the report."""

@@ -77,8 +77,8 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
         yield Static("p plans an excitation", id="plan-text", markup=False)
         yield Static("", id="trial", markup=False)
         with Horizontal(classes="columns"):
-            yield Plot("x, m", "y, m", id="path")
-            yield Plot("t, s", "tilt, °", id="tilt")
+            yield Plot("path from above, y over x, m", id="path")
+            yield Plot("tilt, °, over s", id="tilt")
         yield DataTable(id="accuracy", show_cursor=False)
 
     def on_mount(self) -> None:

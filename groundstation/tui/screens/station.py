@@ -14,7 +14,7 @@ from groundstation.tui.screens.base import StationScreen, fill
 from groundstation.tui.setup import SIMULATOR, Setup, links, shipped
 from groundstation.tui.text import state_lines, stream_notes, stream_rows
 
-STREAMS = ("stream", "rate", "age", "gap", "samples", "stamp to arrival", "state")
+STREAMS = ("stream", "rate", "age", "gap", "samples", "latency", "state")
 WELCOME = """\
 Nothing is connected. Two keys fly a simulated drone:
     r   rehearse: plan, upload and checks on the simulator
@@ -30,7 +30,8 @@ class Station(StationScreen):
 Choose vehicle and link, then r to prepare a flight of it. The simulator needs nothing else. A serial port or UDP
 address speaks MAVLink to a PX4 or ArduPilot vehicle; write another address into the field, e.g. tcp://host:5760.
 The table shows each stream as the core records it: rate over the last second, age of the newest sample, the longest gap
-so far, and the time from stamp to arrival as the clocks show it, their offset included. Below it stands what is wrong
+so far, and the latency from stamp to arrival (where device clocks began at another time than this computer's, against
+the stream with the least). Below it stands what is wrong
 with a stream and what to do, and, once the excitation has turned the vehicle, how far the clocks of motion capture and
 IMU are apart. Batches lost on the way and payloads that did not decode are counted."""
     BINDINGS: ClassVar = [Binding("r", "rehearse", "Prepare a flight")]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, cast
+
 from textual.app import ComposeResult
 from textual.containers import Horizontal
 from textual.widgets import Button, Static
@@ -10,6 +12,10 @@ from groundstation.flight.messages import CoreStatus
 from groundstation.flight.sequence import IN_FLIGHT
 from groundstation.tui.text import PHASES
 
+if TYPE_CHECKING:
+    from groundstation.tui.app import GroundStation
+
+REFRESH_S = 1.0 / 6.0
 SCREENS = {
     "station": "Station",
     "plan": "Plan",
@@ -58,24 +64,35 @@ class FlightBar(Horizontal):
         yield Button("KILL ^o", id="kill", classes="order", compact=True)
 
     def on_mount(self) -> None:
-        """The buttons never take the focus from what the keyboard is used for."""
+        """Follow the flight; the buttons never take the focus from what the keyboard is used for."""
         for button in self.query(Button):
             button.can_focus = False
+        self._refresh_line()
+        self.set_interval(REFRESH_S, self._refresh_line)
 
     async def on_button_pressed(self, event: Button.Pressed) -> None:
         """The same as the keys."""
         event.stop()
         await self.app.run_action("abort" if event.button.id == "abort" else "kill")
 
-    def show(self, status: CoreStatus | None, *, operator: bool, silent_s: float, fault: str) -> None:
+    def _refresh_line(self) -> None:
         """As of the newest status."""
+        station = cast("GroundStation", self.app)
+        watch = station.core
+        status = watch.newest if watch else None
+        text = flight_line(
+            status,
+            operator=watch.operator if watch else True,
+            silent_s=watch.silent_s if watch else 0.0,
+            fault=station.trouble or (watch.fault if watch else ""),
+        )
         self.set_class(status is not None and status.phase in IN_FLIGHT, "airborne")
-        line, text = self.query_one("#flight-line", Static), flight_line(status, operator, silent_s, fault)
+        line = self.query_one("#flight-line", Static)
         if line.content != text:
             line.update(text)
 
 
-def flight_line(status: CoreStatus | None, operator: bool, silent_s: float, fault: str) -> str:
+def flight_line(status: CoreStatus | None, *, operator: bool, silent_s: float, fault: str) -> str:
     """The flight in one line; what is wrong comes first."""
     if fault:
         return f"! {fault}"

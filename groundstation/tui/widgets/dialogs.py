@@ -1,4 +1,4 @@
-"""Questions in front of a screen. Abort works from inside each of them."""
+"""Questions in front of a screen. Abort and kill stay visible and work in front of each of them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from textual.binding import Binding
 from textual.containers import Vertical, VerticalScroll
 from textual.screen import ModalScreen
 from textual.widgets import Input, Static
+
+from groundstation.tui.widgets.bars import FlightBar
 
 
 class Question(ModalScreen[bool]):
@@ -22,6 +24,7 @@ class Question(ModalScreen[bool]):
 
     def compose(self) -> ComposeResult:
         """The question and its two answers."""
+        yield FlightBar()
         with Vertical(classes="dialog"):
             yield Static(self._text, markup=False)
             yield Static("y  yes        n  no", classes="keys", markup=False)
@@ -42,6 +45,7 @@ class TypedQuestion(ModalScreen[bool]):
 
     def compose(self) -> ComposeResult:
         """The question and a field."""
+        yield FlightBar()
         with Vertical(classes="dialog"):
             yield Static(self._text, markup=False)
             yield Input(placeholder=f"type {self._word} and Enter; Escape stops", id="word")
@@ -66,6 +70,7 @@ class TextPage(ModalScreen[None]):
 
     def compose(self) -> ComposeResult:
         """A frame with a text that scrolls."""
+        yield FlightBar()
         with VerticalScroll(classes="page") as page:
             page.border_title = self._title
             page.border_subtitle = "Escape closes"

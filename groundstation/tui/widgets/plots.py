@@ -9,8 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from textual_plot import HiResMode, PlotWidget
 
-STYLES = ("cyan", "yellow", "yellow")
-"""The first line is drawn through, the others with crosses: colour alone tells nothing apart."""
+STYLES = ("#0087d7", "#d75f00", "#d75f00")
+"""The first line is drawn through, the others with crosses: colour alone tells nothing apart. Both are of the
+256 colours that every terminal has, and stand out from light and dark."""
+
+INTERVALS = 2.0
+"""Half widths of the last interval that are shown above and below an evolution."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,25 +29,39 @@ class Plot(PlotWidget):
     """Lines that are replaced as a whole. It takes no focus, so that the screens' keys stay theirs.
 
     Args:
-        x_label, y_label: what the axes are, with their units.
+        title: what is drawn over what, with the unit; it stands in the frame.
         id: of the widget.
         span: the least that the axes show; less would be a drawing of noise, with ticks that run into each other.
     """
 
     can_focus = False
 
-    def __init__(self, x_label: str, y_label: str, id: str, span: tuple[float, float] = (0.0, 0.0)):
+    def __init__(self, title: str, id: str, span: tuple[float, float] = (0.0, 0.0)):
         super().__init__(id=id, allow_pan_and_zoom=False)
-        self._names, self._span = (x_label, y_label), span
+        self.border_title, self._span = title, span
 
     def on_mount(self) -> None:
-        """Name the axes."""
-        self.set_xlabel(self._names[0])
-        self.set_ylabel(self._names[1])
-        self.margin_left, self.margin_top, self.margin_bottom = 8, 1, 2
+        """Ticks take one row, the values on the left eight columns."""
+        self.margin_left, self.margin_top, self.margin_bottom = 8, 0, 1
 
     def draw(self, lines: Sequence[Line]) -> None:
         """Show these instead of what was shown: one line, and up to two more as crosses."""
+        first, *others = lines
+        self._reset(lines)
+        self.plot(first.x, first.y, line_style=STYLES[0], hires_mode=HiResMode.BRAILLE)
+        for line, style in zip(others, STYLES[1:], strict=False):
+            self.scatter(line.x, line.y, marker="+", marker_style=style)
+
+    def draw_interval(self, value: Line, low: Line, high: Line) -> None:
+        """Show a line between two that bound it; what the bounds were at first is cut off where they were far apart."""
+        self._reset([value])
+        half = float(np.asarray(high.y)[-1] - np.asarray(low.y)[-1]) / 2.0
+        every = np.asarray(value.y, dtype=float)
+        self.set_ylimits(float(every.min()) - INTERVALS * half, float(every.max()) + INTERVALS * half)
+        for line, style in zip((low, high, value), (*STYLES[1:], STYLES[0]), strict=True):
+            self.plot(line.x, line.y, line_style=style, hires_mode=HiResMode.BRAILLE)
+
+    def _reset(self, lines: Sequence[Line]) -> None:
         self.clear()
         for axis, least, set_limits in zip("xy", self._span, (self.set_xlimits, self.set_ylimits), strict=True):
             every = np.concatenate([np.asarray(getattr(line, axis), dtype=float) for line in lines])
@@ -52,7 +70,3 @@ class Plot(PlotWidget):
                 set_limits(0.5 * (low + high - least), 0.5 * (low + high + least))
             else:
                 set_limits(None, None)
-        first, *others = lines
-        self.plot(first.x, first.y, line_style=STYLES[0], hires_mode=HiResMode.BRAILLE)
-        for line, style in zip(others, STYLES[1:], strict=False):
-            self.scatter(line.x, line.y, marker="+", marker_style=style)
