@@ -75,11 +75,11 @@ def nominal(truth: str, rival: str) -> dict[str, Any]:
         "payload_change": {"mass_change_kg": -0.03 * vehicle.mass_kg, "at_s": 20.0, "within_s": 1.0},
         "battery_sag": {"exponent": 0.8},
         "rotor_drag": {"d_x_kg_s": 0.1 * vehicle.mass_kg, "d_y_kg_s": 0.1 * vehicle.mass_kg},
-        "wind": {"force_world_x_n": 0.005 * weight, "force_world_y_n": 0.005 * weight},
+        "wind": {"force_world_x_n": 0.005 * weight, "force_world_y_n": 0.005 * weight, "drag_ratio": 1.0},
     }
     rotor = 1 if truth == "weak_rotor" else None
     finding = {"effect": truth, "parameters": {n: {"value": v} for n, v in values[truth].items()}, "rotor": rotor}
-    settings = {n: v for n, v in values[rival].items() if n in ("at_s", "within_s")} | {"rotor": 1.0}
+    settings = {n: v for n, v in values[rival].items() if n in ("at_s", "within_s", "drag_ratio")} | {"rotor": 1.0}
     own = {n: v for n, v in values[rival].items() if n not in settings}
     entry = {"effect": rival, "settings": settings, "values": own, "rival_of": truth}
     return {"flight": "", "findings": [{**finding, "alternatives": [rival]}], "candidates": [entry]}

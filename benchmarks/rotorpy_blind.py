@@ -38,6 +38,9 @@ STEP_S = 0.004
 """Of integration, control and inertial sensor; every other one has a pose."""
 SETTLE_S = 3.0
 DURATION_S = 40.0
+ATTITUDE = {"kp_att": 200.0, "kd_att": 25.0}
+POSITION = (np.array([3.0, 3.0, 8.0]), np.array([3.0, 3.0, 5.0]))
+"""Gains of the controller, 1/s^2 and 1/s: with RotorPy's own it chatters at this step with rotors that lag."""
 COEFFICIENTS = ("c_Dx", "c_Dy", "c_Dz", "k_d", "k_z", "k_h", "k_flap")
 HOVER_RAD_S = float(np.sqrt(quad_params["mass"] * 9.81 / (4.0 * quad_params["k_eta"])))
 WEIGHT_N = quad_params["mass"] * 9.81
@@ -56,7 +59,7 @@ KINDS: dict[str, tuple[tuple[str, ...], Callable[[Random], Hidden]]] = {
         ("flapping_moment",),
         lambda r: {"k_flap": -WEIGHT_N * ARM_M * r.uniform(0.005, 0.02) / (4.0 * HOVER_RAD_S)},
     ),
-    "motor lag": (("motor_lag",), lambda r: {"tau_m": r.uniform(0.025, 0.05)}),
+    "motor lag": (("motor_lag",), lambda r: {"tau_m": r.uniform(0.02, 0.03)}),
     "wind": (
         ("rotor_drag", "wind"),
         lambda r: {"k_d": quad_params["k_d"] * r.uniform(0.3, 1.0), "wind_m_s": [*r.uniform(0.4, 1.2, 2), 0.0]},
@@ -105,7 +108,7 @@ def declared(commanded: bool) -> Vehicle:
                 "yaw_max_rad": 3.1,
                 "speed_max_m_s": 2.0,
                 "yaw_rate_max_rad_s": 1.0,
-                "tilt_max_rad": 0.3,
+                "tilt_max_rad": 0.25,
             },
             "identification": {"gravity_m_s2": 9.81, "air_density_kg_m3": 1.225},
         }
@@ -140,7 +143,8 @@ def fly(vehicle: Vehicle, plan: Plan, hidden: Hidden, random: Random) -> FlightD
     """One flight by RotorPy's equations and controller (fourth-order Runge-Kutta), as a recording."""
     real = truth(random, hidden)
     body = Multirotor(real, aero=True)
-    pilot = SE3Control(quad_params)
+    pilot = SE3Control(quad_params | ATTITUDE)
+    pilot.kp_pos, pilot.kd_pos = POSITION
     series = plan.series()
     count = round((2.0 * SETTLE_S + series.duration_s) / STEP_S)
     t = STEP_S * np.arange(count)
