@@ -13,9 +13,12 @@ from textual.pilot import Pilot
 from textual.widgets import DataTable, Input, Static
 
 from drivers import bus
+from groundstation.commands.planning import write_plan
 from groundstation.flight.lease import OperatorLease
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, CoreStatus, Lease, StreamStatus
 from groundstation.flight.sequence import Phase
+from groundstation.paths import find_config
+from groundstation.trajectory import load_plan
 from groundstation.tui.app import GroundStation
 from groundstation.tui.screens.base import StationScreen
 from groundstation.tui.watch import CoreWatch
@@ -126,9 +129,9 @@ async def test_abort_works_from_inside_a_field_on_every_screen_and_in_front_of_e
             await until(pilot, lambda: len(core.orders) >= given)
             assert core.orders[-1].name == "abort"
 
-        for mode in SCREENS:
+        for number, (mode, title) in enumerate(SCREENS.items(), 1):
             await app.switch_mode(mode)
-            await pilot.pause()
+            await all_shown(pilot, number, title)
             fields = list(app.screen.query(Input))
             if not fields:  # a screen without one gets one, so that the promise holds for those to come
                 field = Input()
@@ -199,9 +202,9 @@ async def test_what_is_not_known_to_be_simulated_starts_only_after_the_word(core
             await until(pilot, lambda: isinstance(app.screen, TypedQuestion))
             await pilot.press(*typed, "enter")
             await until(pilot, lambda: isinstance(app.screen, StationScreen))
-            for _ in range(4):
-                core.say(Phase.CHECKED, flight_s=0.0)
-                await pilot.pause(0.2)
+            core.say(Phase.CHECKED, flight_s=0.0)
+            await pilot.pause(0.4)
+            await until(pilot, lambda n=starts: len(core.orders) >= n, lambda: core.say(Phase.CHECKED, flight_s=0.0))
             assert len(core.orders) == starts, typed
 
 
@@ -243,8 +246,13 @@ async def test_after_landing_identify_comes_up_by_itself_and_shows_what_the_anal
         write_results(core.folder)
         await follow(pilot, core, Phase.DONE)
         await until(pilot, lambda: "IV (best)" in screen_text(app) and "1.82540 ± 0.00066" in screen_text(app))
+        assert "mass, kg, over s, and its 95 % interval" in screen_text(app)
         await pilot.press("5")
         await until(pilot, lambda: "the rotors drag" in screen_text(app))
+        await pilot.press("n")
+        await until(pilot, lambda: app.current_mode == "plan" and "to settle it" in screen_text(app))
+        assert app.plan is not None
+        assert app.plan.note == "to settle it", "n takes the plan that the diagnosis proposes"
 
 
 def write_results(folder: Path) -> None:
@@ -276,6 +284,15 @@ def write_results(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "identification.json").write_text(json.dumps(identification), encoding="utf-8")
     (folder / "diagnosis.json").write_text(json.dumps(diagnosis), encoding="utf-8")
+    moving = {
+        "t_s": [20.0, 30.0, 40.0],
+        "value": [1.83, 1.826, 1.825],
+        "low": [1.8, 1.82, 1.824],
+        "high": [1.86, 1.83, 1.827],
+    }
+    (folder / "evolution.json").write_text(json.dumps({"parameters": {"mass_kg": moving}}), encoding="utf-8")
+    proposed = load_plan(find_config("plans", "qball2")).model_copy(update={"note": "to settle it"})
+    write_plan(proposed, folder / "next_flight.toml")
 
 
 async def test_flights_lists_filters_and_opens(tmp_path: Path) -> None:
@@ -298,19 +315,16 @@ async def test_flights_lists_filters_and_opens(tmp_path: Path) -> None:
         assert "beta[red]" in screen_text(app)
 
 
-async def test_nothing_in_the_logs_is_a_sentence(tmp_path: Path) -> None:
+async def test_nothing_in_the_logs_and_a_core_that_does_not_exist_are_sentences(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("groundstation.tui.watch.CONNECT_S", 0.5)
     app = station(tmp_path)
     async with app.run_test(size=(80, 24)) as pilot:
         await pilot.press("6")
         await until(pilot, lambda: "no flights in" in text_of(app, "#flights-text"))
         await pilot.press("4", "5", "ctrl+g", "ctrl+o", "l", "question_mark", "escape")
         assert isinstance(app.screen, StationScreen)
-
-
-async def test_a_core_that_does_not_exist_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("groundstation.tui.watch.CONNECT_S", 0.5)
-    app = station(tmp_path)
-    async with app.run_test(size=(80, 24)) as pilot:
         app.follow(CoreWatch(bus.loopback(bus.free_port()), tmp_path / "gone"))
         await until(pilot, lambda: "no core answers" in text_of(app, "#flight-line"))
 
@@ -326,14 +340,20 @@ async def test_a_flight_under_way_is_found(core: ScriptedCore, tmp_path: Path) -
         assert "EXCITING" in text_of(app, "#big-state")
 
 
-@pytest.mark.parametrize(("size", "theme"), [((80, 24), "textual-dark"), ((200, 60), "textual-light")])
-async def test_abort_and_kill_are_visible_on_every_screen(tmp_path: Path, size: tuple[int, int], theme: str) -> None:
+async def all_shown(pilot: Pilot, number: int, title: str) -> None:
+    """What every screen promises to show."""
+    promised = ("ABORT + LAND ^g", "KILL ^o", f"[{number} {title}]", "? Help")
+    app = pilot.app
+    assert isinstance(app, GroundStation)
+    await until(pilot, lambda: all(text in screen_text(app) for text in promised))
+
+
+async def test_digits_open_the_screens_in_a_large_light_terminal(tmp_path: Path) -> None:
     app = station(tmp_path)
-    async with app.run_test(size=size) as pilot:
-        app.theme = theme
+    async with app.run_test(size=(200, 60)) as pilot:
+        app.theme = "textual-light"
         for number, (mode, title) in enumerate(SCREENS.items(), 1):
             app.screen.set_focus(None)
             await pilot.press(str(number))
             await until(pilot, lambda mode=mode: app.current_mode == mode)
-            promised = ("ABORT + LAND ^g", "KILL ^o", f"[{number} {title}]", "? Help")
-            await until(pilot, lambda promised=promised: all(text in screen_text(app) for text in promised))
+            await all_shown(pilot, number, title)
