@@ -91,7 +91,7 @@ def case(truth: str, rival: str, random: np.random.Generator) -> tuple[str, str,
     names = (truth, *BESIDE.get(truth, ()))
     hidden: dict[str, Table] = {name: sizes(vehicle)[name](random) for name in names}
     if "motor_lag" in hidden:
-        hidden["motor_lag"]["hover_s"] *= 0.5  # what its controller still bears
+        hidden["motor_lag"]["hover_s"] = min(hidden["motor_lag"]["hover_s"], 0.045)  # what its controller still bears
     documents = []
     plan, sentence, seconds = gentle(random), "", 0.0
     for turn in range(2):
