@@ -38,7 +38,6 @@ COLOURS = {
     "declared": "#8a8a8a",
     "identified": "#d9822b",
     "without lag": "#d9822b",
-    "with lag": "#2e8b57",
     "with findings": "#1f6fb2",
 }
 TENSOR = ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
@@ -167,14 +166,16 @@ def _lag_figure(log: Path, results: Path) -> None:
     document = read_model(results / "identification.toml")
     diagnosis = json.loads((results / "diagnosis.json").read_text(encoding="utf-8"))
     before, after = ({n: diagnosis[part][n] for n in TENSOR} for part in ("parameters_before", "parameters_after"))
+    for name in TENSOR:
+        told = [f"{1e6 * part[name]['value']:.1f} ({1e6 * part[name]['ci95'][0]:.1f} .. {1e6 * part[name]['ci95'][1]:.1f})"
+                for part in (before, after)]  # fmt: skip
+        print(f"{name} in 1e-6: without lag {told[0]}, with findings {told[1]}")
     vehicle = vehicle_from_dict(document["vehicle"], "the model")
     unseen = load_flight(log, vehicle=vehicle, start_s=75.0, end_s=90.0)
     constants = {n: e for n, e in document["parameters"].items() if n not in TENSOR}
-    only_lag = {n: e for n, e in document["effects"].items() if n in ("motor_lag", "input_delay")}
     models = {
         "declared": declared_model(vehicle),
         "without lag": model_from_document({"parameters": {**constants, **before}}, vehicle),
-        "with lag": model_from_document({"parameters": {**constants, **after}, "effects": only_lag}, vehicle),
         "with findings": model_from_document(document, vehicle, wrench_of(document["effects"], vehicle)),
     }
     horizons = (0.02, 0.05, 0.1, 0.15, 0.2)
@@ -196,7 +197,7 @@ def _lag_figure(log: Path, results: Path) -> None:
     axes[0].set_title("RMS error of the predicted body rate, rad/s", fontsize=9)
     axes[0].legend(frameon=False)
     for row, name in enumerate(TENSOR):
-        for place, part, colour in ((-0.12, before, "without lag"), (0.12, after, "with lag")):
+        for place, part, colour in ((-0.12, before, "without lag"), (0.12, after, "with findings")):
             low, high = (1e6 * end for end in part[name]["ci95"])
             axes[1].plot([low, high], [row + place] * 2, color=COLOURS[colour], lw=3)
         bench = 1e6 * getattr(vehicle.inertia_kg_m2, name[1:3])
