@@ -61,3 +61,27 @@ def test_a_straight_line_is_refused_for_its_one_axis() -> None:
     assert "one axis only (pitch)" in refusal.reason
     assert {"ixx_kg_m2", "izz_kg_m2"} <= set(refusal.not_identifiable)
     assert "iyy_kg_m2" not in refusal.not_identifiable
+
+
+def test_a_line_aslant_to_the_body_is_refused_for_its_one_axis() -> None:
+    plan = channels(x=0.3)
+    x = plan.coefficients.x
+    y = x.model_copy(update={"a": [0.7 * v for v in x.a], "b": [0.7 * v for v in x.b]})
+    yaw = plan.coefficients.yaw.model_copy(update={"c": -0.3})
+    aslant = plan.model_copy(update={"coefficients": plan.coefficients.model_copy(update={"y": y, "yaw": yaw})})
+    refusal = refused(aslant)
+    assert "one axis only (a line aslant" in refusal.reason
+    assert {"ixx_kg_m2", "ixy_kg_m2", "iyy_kg_m2", "izz_kg_m2"} <= set(refusal.not_identifiable)
+
+
+def test_a_plan_that_drowns_in_the_disturbance_still_gives_the_mass() -> None:
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    lab = load_scenario(find_config("scenarios", "lab"))
+    rough = lab.model_copy(update={"disturbance": lab.disturbance.model_copy(update={"torque_share": 0.02})})
+    flight = flight_data(simulate(vehicle, channels(x=0.1, y=0.1, z=0.1, yaw=0.1), rough, 1))
+    found = identify([flight])
+    parameters = found.methods[found.best].parameters
+    assert flight.truth is not None
+    assert parameters["mass_kg"].value == pytest.approx(flight.truth.mass_kg, rel=0.01)
+    assert {"ixx_kg_m2", "iyy_kg_m2"} <= set(found.not_identifiable)
+    assert not set(found.not_identifiable) & set(parameters)

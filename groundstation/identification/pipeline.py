@@ -332,7 +332,11 @@ def unrevealed(fit: Fitted, prepared: Sequence[Prepared]) -> dict[str, str]:
 
 
 def _refuse_if_empty(fit: Fitted, hidden: Mapping[str, str], prepared: Sequence[Prepared]) -> None:
-    """Refuse a flight that shows at most one moment of inertia and no change of thrust, for its own reason."""
+    """Refuse a flight that shows at most one moment of inertia, for its own reason.
+
+    Not refused, for their mass or thrust curve: a flight whose thrust changed much, and one that flew a plan about two axes or
+    more and only drowned in the disturbance.
+    """
     moments = [name for name in ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2") if name not in hidden]
     if len(moments) >= 2:
         return
@@ -341,18 +345,32 @@ def _refuse_if_empty(fit: Fitted, hidden: Mapping[str, str], prepared: Sequence[
     thrust = first.signals(fit.parameters.lag_up_s, fit.parameters.lag_down_s, 0.0).thrust_n[record.keep].sum(axis=1)
     if record.vehicle.rotors.input != "wrench" and np.std(thrust) > 0.1 * np.mean(thrust):
         return
-    rate = np.std(record.rate_rad_s[record.keep], axis=0)
-    moving = [axis for axis, size in zip(("roll", "pitch", "yaw"), rate, strict=True) if size > 0.3 * rate.max()]
-    if rate.max() < 0.03:
-        reason = f"this flight is a hover: the largest body rate is {rate.max():.3f} rad/s RMS, and inertia shows only when the body turns."
-    elif len(moving) == 1:
-        reason = f"this flight turns about one axis only ({moving[0]}), so it shows at most one moment of inertia."
+    turned = record.rate_rad_s if first.planned is None else first.planned.rate_rad_s
+    line = _one_axis(turned[record.keep])
+    rate = float(np.std(record.rate_rad_s[record.keep], axis=0).max())
+    asked = first.flight.plan is not None or first.flight.setpoint is not None
+    if rate < STILL_RAD_S or (asked and first.planned is None and line is None):
+        reason = f"this flight is a hover: the largest body rate is {rate:.3f} rad/s RMS, and inertia shows only when the body turns."
+    elif line is not None:
+        reason = f"this flight turns about one axis only ({line}), so it shows at most one moment of inertia."
+    elif first.planned is not None and "mass_kg" not in hidden:
+        return
     else:
         reason = "the motion is too weak against the disturbance of this flight: no two moments of inertia stand out."
     listed = tuple(name for name in MASS_AND_TENSOR if name in hidden)
     raise NotIdentifiable(
         reason, "Fly an excitation in x, y, z and yaw, larger or faster (`groundstation plan`).", listed
     )
+
+
+def _one_axis(rate: Array) -> str | None:
+    """The axis in words when a vehicle turns about one axis only (its second principal rate is under 0.3 of the first)."""
+    values, vectors = np.linalg.eigh(np.cov(rate.T))
+    if values[1] > 0.3**2 * values[2]:
+        return None
+    axis = np.abs(vectors[:, 2])
+    nearest = int(np.argmax(axis))
+    return ("roll", "pitch", "yaw")[nearest] if axis[nearest] > 0.95 else "a line aslant to the body's axes"
 
 
 def _seed_methods(

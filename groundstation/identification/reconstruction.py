@@ -208,12 +208,14 @@ def _whitened_fit(e: Array, columns: Array, variance: Array, prior_std: Array) -
         theta = np.linalg.solve(normal, x.T @ (weight * y))
         size = np.abs(y - x @ theta)
         weight = np.minimum(1.0, 2.5 / np.maximum(size, 1e-12))
-    residual = (y - x @ theta)[keep]
-    spread = max(1.0, float(np.sqrt(np.mean(np.clip(residual, -4, 4) ** 2))))
+    residual = y - x @ theta
+    inverse = np.asarray(np.linalg.inv(normal), dtype=float)
+    # Stamps jitter, so a pose is noisier the faster it moves: the spread of each row is its own (White 1980).
+    rows = x * (weight * residual)[:, None]
     return _Fit(
         np.asarray(theta, dtype=float),
-        np.asarray(np.linalg.inv(normal) * spread**2, dtype=float),
-        keep & (np.abs(y - x @ theta) > 6.0),
+        inverse @ (rows.T @ rows + information) @ inverse,
+        keep & (np.abs(residual) > 6.0),
     )
 
 
