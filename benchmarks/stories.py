@@ -27,7 +27,7 @@ from groundstation.model.prediction import declared_model, model_from_document, 
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
 from groundstation.reporting.exports import read_model
-from groundstation.vehicle import vehicle_from_dict
+from groundstation.vehicle import load_vehicle, vehicle_from_dict
 
 Array = NDArray[np.float64]
 
@@ -211,6 +211,63 @@ def _lag_figure(log: Path, results: Path) -> None:
     _save(figure, "lag.svg")
 
 
+GROUPS = {
+    "normal_flight": ("healthy", "#8a8a8a"),
+    "add_weight_W1_near_M3": ("weight beside rotor 3", "#1f6fb2"),
+    "cut_propeller_M3_4mm_4mm_39mm": ("propeller 3 cut", "#d9822b"),
+}
+"""Folders of crazypad: what the figure calls them, and their colour."""
+
+
+def weight(data: Path, folder: Path) -> None:
+    """Crazyflie with a weight beside rotor 3, and with its propeller cut, against its healthy flights."""
+    flights = {group: sorted((data / "crazypad" / group).glob("E*")) for group in GROUPS}
+    healthy = [part for path in flights["normal_flight"] for part in ("--reference", str(path))]
+    for group in list(GROUPS)[1:]:
+        command(
+            "diagnose", *map(str, flights[group]), *healthy, "--vehicle", "crazyflie21", "--logs", str(folder / group)
+        )
+    _weight_figure(flights)
+
+
+def _weight_figure(flights: dict[str, list[Path]]) -> None:
+    """Where the mean commanded thrust stands, and the yaw torque it makes, by the declared constants."""
+    vehicle = load_vehicle(find_config("vehicles", "crazyflie21"))
+    allocation = vehicle.allocation()
+    towards = np.asarray(vehicle.rotors.position_m)[2, :2]
+    towards = towards / np.linalg.norm(towards)
+    figure, axes = _figure(7.2, 2.9, 2)
+    print(f"{'flight':34}{'thrust, g':>11}{'its centre towards rotor 3, mm':>32}{'yaw torque over thrust, mm':>28}")
+    means = {}
+    for group, (name, colour) in GROUPS.items():
+        rows = []
+        for path in flights[group]:
+            thrust = vehicle.thrust(load_flight(path, vehicle=vehicle).motors.values)
+            total = thrust.sum(axis=1)
+            force, roll, pitch, yaw = allocation @ thrust[total > 0.6 * np.median(total)].mean(axis=0)
+            centre = float(towards @ np.array([-pitch, roll]) / force)
+            rows.append((1e3 * force / vehicle.gravity_m_s2, 1e3 * centre, 1e3 * yaw / force))
+            print(f"{f'{name}, {path.name}':34}{rows[-1][0]:11.2f}{rows[-1][1]:32.2f}{rows[-1][2]:28.3f}")
+        found = np.array(rows)
+        means[group] = found.mean(axis=0)
+        for axis, column in zip(axes, (0, 2), strict=True):
+            axis.plot(found[:, 1], found[:, column], "o", color=colour, label=name)
+    start = means["normal_flight"]
+    # Rotor 3 must be asked for a share more: its thrust in grams joins the total at its hub, with its reaction torque.
+    more = np.linspace(0.0, 4.0, 30)
+    arm, torque = 1e3 * vehicle.arm_m(), -1e3 * vehicle.rotors.spin[2] * vehicle.rotors.torque_to_thrust_m
+    total = start[0] + more
+    centre = (start[1] * start[0] + arm * more) / total
+    axes[0].plot(centre, total, "--", color="black", lw=1, label="rotor 3 asked for more")
+    axes[1].plot(centre, (start[2] * start[0] + torque * more) / total, "--", color="black", lw=1)
+    axes[1].axhline(start[2], color="black", lw=1, ls=":")
+    for axis, text in zip(axes, ("commanded thrust, g", "yaw torque over thrust, mm"), strict=True):
+        axis.set_xlabel("centre of thrust towards rotor 3, mm")
+        axis.set_title(text, fontsize=9)
+    axes[0].legend(frameon=False, fontsize=7)
+    _save(figure, "weight.svg")
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(prog="benchmarks.stories", description="Figures and numbers of docs/stories.")
@@ -221,8 +278,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = parser.parse_args(argv)
     if options.story != "blind" and options.data is None:
         parser.error("measured stories need --data")
-    if options.story == "lag":
-        lag(options.data, options.folder)
+    if options.story != "blind":
+        {"lag": lag, "weight": weight}[options.story](options.data, options.folder)
         return 0
     seed = secrets.randbits(32) if options.seed is None else options.seed
     print("seed", seed)
