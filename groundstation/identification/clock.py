@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import Refused
-from groundstation.frames import quat_conjugate, quat_log, quat_multiply
+from groundstation.frames import quat_conjugate, quat_exp, quat_log, quat_multiply, quat_rotate
 
 Array = NDArray[np.float64]
 
 GRID_HZ = 200.0
 SMOOTHING_HZ = 8.0
+INTEGRATION_HZ = 100.0
 
 
 def rates_from_attitude(t_s: Array, quaternion: Array) -> tuple[Array, Array]:
@@ -78,3 +79,43 @@ def coarse_offset(
     else:
         shift = 0.0
     return float(offsets[best] + shift * step), float(coefficient[best])
+
+
+def fine_offset(t_gyro: Array, gyro: Array, t_pose: Array, quaternion: Array, coarse_s: float) -> float:
+    r"""Pose stamp minus gyro stamp over some seconds, from attitudes instead of rates, whose noise is not differentiated.
+
+    With Q the gyro's integral, R its matrix and d the offset less ``coarse_s``, a pose at t differs from Q(t - coarse) by
+
+        log(q_pose Q^*) = c + k t - d R w    (world axes, small angles),
+
+    where c is the unknown start, k t the drift by the gyro's bias, and w the rate there. Linear least squares gives d; poses
+    more than four deviations off (jumps, frozen ones) are left out of a second pass.
+
+    Args:
+        coarse_s: from :func:`coarse_offset`.
+    """
+    step = 1.0 / INTEGRATION_HZ
+    grid = np.arange(t_gyro[0], t_gyro[-1], step)
+    rate = np.stack([np.interp(grid, t_gyro, column) for column in gyro.T], axis=-1)
+    turns = quat_exp(0.5 * step * (rate[1:] + rate[:-1]))
+    attitude = np.empty((len(grid), 4))
+    attitude[0] = quaternion[0]
+    for index, turn in enumerate(turns):
+        attitude[index + 1] = quat_multiply(attitude[index], turn)
+    at = t_pose - coarse_s
+    inside = (at > grid[0]) & (at < grid[-1])
+    place = np.clip(np.searchsorted(grid, at[inside]) - 1, 0, len(grid) - 2)
+    local = np.stack([np.interp(at[inside], grid, column) for column in rate.T], axis=-1)
+    here = quat_multiply(attitude[place], quat_exp(local * (at[inside] - grid[place])[:, None]))
+    error = quat_log(quat_multiply(quaternion[inside], quat_conjugate(here)))
+    turning = quat_rotate(here, local)
+    elapsed = at[inside] - at[inside].mean()
+    eye = np.broadcast_to(np.eye(3), (len(elapsed), 3, 3))
+    columns = np.concatenate([-turning[:, :, None], eye, elapsed[:, None, None] * eye], axis=2)
+    kept = np.ones(len(elapsed), dtype=bool)
+    solution = np.zeros(7)
+    for _ in range(2):
+        solution = np.linalg.lstsq(columns[kept].reshape(-1, 7), error[kept].reshape(-1), rcond=None)[0]
+        left = np.abs(error - columns @ solution).max(axis=1)
+        kept = left < 4.0 * 1.4826 * np.median(left)
+    return coarse_s + float(solution[0])
