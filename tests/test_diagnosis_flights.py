@@ -111,10 +111,3 @@ def test_a_flight_of_a_second_is_refused_and_says_what_would_help():
     assert diagnosis.verdict == "refused"
     assert diagnosis.reason and not diagnosis.findings
     assert diagnosis.to_dict()["verdict"] == "refused"
-
-
-def test_for_the_wall_a_formula_in_its_direction_is_proposed_with_its_held_out_gain():
-    items = [u for u in _diagnosis_of("attracting_wall").unexplained if u.channel == "force_x_n"]
-    assert "force along world x = weight [" in items[0].proposal and "(x/arm)" in items[0].proposal
-    before, after = (float(word) for word in items[0].proposal.split("falls from ")[1].split(" N")[0].split(" to "))
-    assert after < 0.8 * before
