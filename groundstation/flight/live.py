@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 Table = dict[str, tuple[float, float, float, float]]
 Array = NDArray[np.float64]
 STRETCH_S = 4.0
+BROKEN_S = 0.01
 QUEUE = 40
 """Batches: two seconds of a flight at the wall clock's pace."""
 _ON_GROUND = frozenset({Phase.PLANNED, Phase.UPLOADED, Phase.CHECKED})
@@ -35,8 +36,9 @@ _ON_GROUND = frozenset({Phase.PLANNED, Phase.UPLOADED, Phase.CHECKED})
 class LiveClock:
     """Stamp of motion capture minus that of the IMU, from the rotation that both saw in stretches of four seconds.
 
-    Each stretch gives an offset by correlation (:func:`groundstation.identification.clock.coarse_offset`); their mean and
-    Student's interval from their scatter are what is shown. A stretch without rotation tells nothing and is left out.
+    Each stretch gives an offset (:func:`groundstation.identification.clock.fine_offset`); their mean and Student's interval
+    from their scatter are what is shown. A stretch without rotation tells nothing, and one far from the others' median had
+    samples missing: both are left out.
     """
 
     def __init__(self) -> None:
@@ -56,19 +58,21 @@ class LiveClock:
             self._gyro, self._poses = [], []
             if len(poses) > STRETCH_S:
                 self._align(gyro, poses)
-        if len(self._found) < 3:
+        found = np.array(self._found)
+        found = found[np.abs(found - np.median(found)) < BROKEN_S] if len(found) else found
+        if len(found) < 3:
             return None
         from scipy.special import stdtrit
 
-        count = len(self._found)
-        spread = float(np.std(self._found, ddof=1)) / math.sqrt(count)
-        return float(np.mean(self._found)), float(stdtrit(count - 1, 0.975)) * spread
+        spread = float(found.std(ddof=1)) / math.sqrt(len(found))
+        return float(found.mean()), float(stdtrit(len(found) - 1, 0.975)) * spread
 
     def _align(self, gyro: Array, poses: Array) -> None:
-        from groundstation.identification.clock import coarse_offset
+        from groundstation.identification.clock import coarse_offset, fine_offset
 
+        both = (gyro[:, 0], gyro[:, 1:], poses[:, 0], poses[:, 1:])
         try:
-            self._found.append(coarse_offset(gyro[:, 0], gyro[:, 1:], poses[:, 0], poses[:, 1:])[0])
+            self._found.append(fine_offset(*both, coarse_offset(*both)[0]))
         except Refused:
             return
 

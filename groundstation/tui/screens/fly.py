@@ -13,7 +13,7 @@ from textual.widgets import DataTable, Static
 from groundstation.flight.messages import CoreStatus
 from groundstation.flight.sequence import IN_FLIGHT, Phase
 from groundstation.tui.checks import checklist
-from groundstation.tui.screens.base import StationScreen, fill
+from groundstation.tui.screens.base import WIDE, StationScreen, fill
 from groundstation.tui.text import PHASES, live_rows, margin_lines, motor_lines, state_lines
 from groundstation.tui.widgets.plots import Line, Plot
 
@@ -76,7 +76,11 @@ program started again finds it. o takes the operator's lease from another."""
         live = self.query_one("#live", DataTable)
         live.display = bool(status.table)
         if status.table:
-            fill(live, ("so far", "nominal", "estimate, 95 %", "unit"), live_rows(status.table))
+            rows = live_rows(status.table)
+            if self.app.size.width < WIDE:
+                fill(live, ("so far", "estimate, 95 %", "unit"), [(row[0], *row[2:]) for row in rows])
+            else:
+                fill(live, ("so far", "nominal", "estimate, 95 %", "unit"), rows)
 
     def _draw(self) -> None:
         watch = self.station.core
