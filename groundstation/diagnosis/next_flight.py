@@ -298,6 +298,7 @@ def plan_next(
     """
     rivals, shared = contenders(document)
     timing = any(h.effect in TIMING for h in rivals)
+    bounds: dict[str, Any] = dict(limits)
     return discriminate.plan_discrimination(
         vehicle,
         [candidate(h, vehicle, shared) for h in rivals],
@@ -307,7 +308,7 @@ def plan_next(
         trials=max(6, 24 // len(rivals)) if trials is None else trials,
         seed=seed,
         progress=progress,
-        **limits,
+        **bounds,
     )
 
 

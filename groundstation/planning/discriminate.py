@@ -88,7 +88,7 @@ def _whitened(values: Array, vehicle: Vehicle, noise: Noise, duration_s: float) 
 def _seen(candidate: Candidate, series: FourierSeries, vehicle: Vehicle, noise: Noise) -> _Seen:
     """Everything a candidate predicts of a flight; the whole of it is sampled, for an effect may depend on time."""
     count = round(series.periods) * max(64, 16 * series.a.shape[1])
-    t = np.arange(count) * (series.duration_s / count)
+    t = np.asarray(np.arange(count) * (series.duration_s / count), dtype=float)
     motion = rigid_motion(series.sample(t), vehicle.gravity_m_s2)
 
     def white(values: Array) -> Array:
@@ -211,7 +211,7 @@ def plan_discrimination(
     hardest = min(found, key=lambda pair: found[pair][0])
     total, channels = found[hardest]
     plan = describe(best, vehicle, (bounds,), criterion="T", noise=noise, note=f"tells {' from '.join(hardest)}")
-    shares = dict(zip(CHANNELS, (channels / max(total, 1e-300)).tolist(), strict=True))
+    shares: dict[str, float] = dict(zip(CHANNELS, (channels / max(total, 1e-300)).tolist(), strict=True))
     return Separation(plan, {pair: odds for pair, (odds, _) in found.items()}, shares)
 
 
