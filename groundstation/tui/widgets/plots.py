@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 from textual_plot import HiResMode, PlotWidget
+from textual_plot.axis_formatter import NumericAxisFormatter
 
 STYLES = ("#0087d7", "#d75f00", "#d75f00")
 """The first line is drawn through, the others with crosses: colour alone tells nothing apart. Both are of the
 256 colours that every terminal has, and stand out from light and dark."""
 
+NARROW = 60
 INTERVALS = 2.0
 """Half widths of the last interval that are shown above and below an evolution."""
 
@@ -67,6 +69,10 @@ class Plot(PlotWidget):
             every = np.concatenate([np.asarray(getattr(line, axis), dtype=float) for line in lines])
             low, high = float(every.min()), float(every.max())
             if high - low < least:
-                set_limits(0.5 * (low + high - least), 0.5 * (low + high + least))
+                low, high = 0.5 * (low + high - least), 0.5 * (low + high + least)
+                set_limits(low, high)
             else:
                 set_limits(None, None)
+            if axis == "x":  # in a narrow plot the numbers would run into each other
+                crowded = high > low and self.size.width < NARROW
+                self.set_xticks(NumericAxisFormatter().get_ticks(low, high)[::2] if crowded else None)
