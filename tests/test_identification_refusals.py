@@ -77,7 +77,7 @@ def test_a_line_aslant_to_the_body_is_refused_for_its_one_axis() -> None:
 def test_a_plan_that_drowns_in_the_disturbance_still_gives_the_mass() -> None:
     vehicle = load_vehicle(find_config("vehicles", "qball2"))
     lab = load_scenario(find_config("scenarios", "lab"))
-    rough = lab.model_copy(update={"disturbance": lab.disturbance.model_copy(update={"torque_share": 0.02})})
+    rough = lab.model_copy(update={"disturbance": lab.disturbance.model_copy(update={"torque_share": 0.05})})
     flight = flight_data(simulate(vehicle, channels(x=0.1, y=0.1, z=0.1, yaw=0.1), rough, 1))
     found = identify([flight])
     parameters = found.methods[found.best].parameters

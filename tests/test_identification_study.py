@@ -1,4 +1,4 @@
-"""A seeded few of the study's flights: the fast ones among its first six. Gentle ones do not all pass yet (docs/study.md)."""
+"""A seeded dozen of the study's flights, gentle and fast: every demand is met, or the parameter is given no number."""
 
 from __future__ import annotations
 
@@ -10,16 +10,15 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.study import draw, faults, study_flight, tables
+from benchmarks.study import draw, faults, study_flight
 
 
-@pytest.mark.parametrize("seed", [2, 4, 6])
-def test_a_fast_flight_meets_every_demand(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(1001, 1013))
+def test_a_drawn_flight_meets_every_demand(seed: int) -> None:
     flown = study_flight(seed)
-    assert flown.drawn["plan"] == "fast"
     assert flown.found is not None, flown.reason
     assert faults(flown, "best") == []
-    assert "1 of 1" in tables([flown])
+    assert set(flown.found.not_identifiable).isdisjoint(flown.found.methods[flown.found.best].parameters)
 
 
 def test_a_drawn_flight_is_the_same_again_and_another_is_not() -> None:

@@ -449,6 +449,10 @@ def _position_noise(error: Array, dt: Array, start: Array | None = None) -> Arra
     return noise_of(found.x)
 
 
+SHARED = 0.5
+"""Correlation of the clock read from attitudes and from positions: between none and all, as the gyro drifts little or much."""
+
+
 def _combine(
     attitude: Array, p_attitude: Array, position: Array, p_position: Array, offset: float
 ) -> tuple[tuple[str, ...], Array, Array]:
@@ -456,9 +460,12 @@ def _combine(
     w_a, w_p = np.linalg.inv(p_attitude[:2, :2]), np.linalg.inv(p_position[:2, :2])
     covariance_clock = np.linalg.inv(w_a + w_p)
     clock = attitude[:2] + covariance_clock @ (w_p @ position[:2])
+    # The path is integrated along attitudes that were smoothed on the attitude's own clock: the two share part of their error.
+    half_a, half_p = np.linalg.cholesky(p_attitude[:2, :2]), np.linalg.cholesky(p_position[:2, :2])
+    cross = covariance_clock @ w_a @ (SHARED * half_a @ half_p.T) @ w_p @ covariance_clock
     # Gyro and accelerometer chains may lag differently: where the two disagree, the interval says so (Birge ratio).
     disagreement = position[:2] @ np.linalg.solve(p_attitude[:2, :2] + p_position[:2, :2], position[:2]) / 2.0
-    covariance_clock = covariance_clock * max(1.0, float(disagreement))
+    covariance_clock = covariance_clock * max(1.0, float(disagreement)) + cross + cross.T
     names = (*_ATTITUDE, *_POSITION[2:])
     theta = np.concatenate([clock, attitude[2:], position[2:]])
     covariance = np.zeros((len(names), len(names)))

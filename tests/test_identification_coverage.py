@@ -1,0 +1,33 @@
+"""The nominal 95 % intervals hold the truth in 95 of 100 flights, each of another vehicle, plan and laboratory."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.coverage import HALF_95, Score, score, table
+from groundstation.errors import GroundStationError
+from groundstation.identification.results import MASS_AND_TENSOR
+
+FLIGHTS = 200
+LOW, HIGH = 179.0 / 200.0, 198.0 / 200.0  # the 0.1 % band of a binomial count of 200 at 95 %
+
+
+def test_the_intervals_hold_the_truth_as_often_as_they_say() -> None:
+    scores: list[Score] = []
+    for seed in range(70_001, 70_001 + FLIGHTS):
+        try:
+            scores.append(score(seed))
+        except GroundStationError:
+            continue
+    assert len(scores) > 0.97 * FLIGHTS
+    shares = {}
+    for name in (*MASS_AND_TENSOR, "mocap_minus_imu_s"):
+        z = np.array([s.z[name] for s in scores if name in s.z])
+        assert len(z) > 0.6 * FLIGHTS, name
+        shares[name] = float(np.mean(np.abs(z) <= HALF_95))
+    assert all(LOW <= share <= HIGH for share in shares.values()), table(scores)
