@@ -219,6 +219,9 @@ class Telemetry:
     def _statustext(self, m: Message) -> list[Sample]:
         """A text; long ones come in numbered parts that end with one shorter than 50 characters."""
         text = m.text if isinstance(m.text, str) else bytes(m.text).decode(errors="replace")
+        text = text.rstrip("\t\n ") if len(text.encode()) < 50 else text
+        if not m.id and m.chunk_seq:
+            return []  # PX4 gives its first long text the number 0, which means a whole one: the beginning was told
         if not m.id:
             return [Event(self._newest_s, "statustext", f"{_severity(m.severity)}: {text}")]
         parts = self._texts.setdefault(m.id, {})

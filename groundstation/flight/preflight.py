@@ -148,7 +148,7 @@ def _arming(s: Situation) -> Check:
     if s.view.checks_pass is None:
         return Check("arming", True, "the autopilot does not tell beforehand; it will when it is armed")
     texts = [t for t in s.view.texts if "PreArm" in t or "Preflight" in t or t.startswith(("critical", "error"))]
-    said = "; ".join(dict.fromkeys(texts))
+    said = "; ".join(dict.fromkeys(texts)) or f"not well: {', '.join(s.view.unhealthy)}" * bool(s.view.unhealthy)
     return _answer(
         "arming",
         s.view.checks_pass,

@@ -14,6 +14,11 @@ from groundstation.flight.profiles import Profile, Version
 
 _RATE_WINDOW_S = 2.0
 _ON_GROUND = mavlink.MAV_LANDED_STATE_ON_GROUND
+_SENSORS = {
+    number: entry.name.removeprefix("MAV_SYS_STATUS_").removeprefix("SENSOR_").lower().replace("_", " ")
+    for number, entry in mavlink.enums["MAV_SYS_STATUS_SENSOR"].items()
+    if number.bit_count() == 1
+}
 
 
 class Meter:
@@ -49,6 +54,7 @@ class VehicleView:
         armed: as the heartbeat says; None before the first.
         on_ground: as EXTENDED_SYS_STATE says; None where it never came.
         serial: the autopilot's own number; empty where it tells none.
+        unhealthy: what its SYS_STATUS says is wanted and not well, by name.
         logs: its onboard log works, where it tells (ArduPilot in SYS_STATUS).
         log_room_mib: room for it, where it tells (PX4 in STORAGE_INFORMATION; 0 without a card).
         checks_pass: the autopilot's own arming checks, where it tells (ArduPilot, PX4 in SYS_STATUS).
@@ -57,6 +63,7 @@ class VehicleView:
         jump_m: largest jump of the estimate since :meth:`take_jump`.
         texts: newest texts of the autopilot.
         restarts: how often its clock began again.
+        resets: how often the estimator announced one.
     """
 
     profile: Profile
@@ -67,6 +74,7 @@ class VehicleView:
     checks_pass: bool | None = None
     estimator_flags: int | None = None
     vibration_m_s2: Vector3 | None = None
+    unhealthy: tuple[str, ...] = ()
     logs: bool | None = None
     log_room_mib: float | None = None
     capabilities: int | None = None
@@ -83,6 +91,7 @@ class VehicleView:
     heartbeat_s: float = -inf
     jump_m: float = 0.0
     restarts: int = 0
+    resets: int = 0
     meters: dict[str, Meter] = field(default_factory=dict)
     texts: deque[str] = field(default_factory=lambda: deque(maxlen=30))
     oscillation: Oscillation = field(default_factory=Oscillation)
@@ -110,8 +119,10 @@ class VehicleView:
                     self.on_ground = m.landed_state == _ON_GROUND
             case "SYS_STATUS":
                 bit = mavlink.MAV_SYS_STATUS_PREARM_CHECK
-                if m.onboard_control_sensors_present & bit:
+                if m.onboard_control_sensors_present & bit or self.profile.prearm_in_health_alone:
                     self.checks_pass = bool(m.onboard_control_sensors_health & bit)
+                failed = m.onboard_control_sensors_enabled & ~m.onboard_control_sensors_health
+                self.unhealthy = tuple(name for number, name in _SENSORS.items() if failed & number)
                 log = mavlink.MAV_SYS_STATUS_LOGGING
                 if m.onboard_control_sensors_present & log:
                     self.logs = bool(m.onboard_control_sensors_health & log)  # enabled only while it writes
@@ -127,8 +138,9 @@ class VehicleView:
                 self.capabilities, self.software = m.capabilities, m.flight_sw_version
                 self.serial = bytes(m.uid2).hex().rstrip("0") or (f"{m.uid:x}" if m.uid else "")
             case "ODOMETRY":
-                if self._reset_counter not in (None, m.reset_counter):
-                    self.jump_m = inf
+                # Its reset counter is no alarm: PX4 counts the heading's alignment, a metre and a half after each take-off.
+                # How far the position jumped is measured from the positions themselves.
+                self.resets += self._reset_counter not in (None, m.reset_counter)
                 self._reset_counter = m.reset_counter
 
     def sample(self, sample: Sample, now_s: float) -> None:

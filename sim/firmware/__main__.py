@@ -134,7 +134,10 @@ def _serve(options: argparse.Namespace, stopped: Callable[[], bool]) -> None:
                 except TimeoutError:
                     continue
                 with connection:
-                    serve_tcp(exchange, connection, stopped, options.real_time)
+                    try:
+                        serve_tcp(exchange, connection, stopped, options.real_time)
+                    except ConnectionError as error:
+                        raise BadInput(f"PX4 ended the simulator link ({error}); start it again, then this.") from None
     else:
         raise BadInput(f"--px4 {options.px4}: write tcp://127.0.0.1:4560 or serial:///dev/ttyACM0:921600.")
 

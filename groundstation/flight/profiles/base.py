@@ -103,6 +103,7 @@ class Profile:
         pwm_us: servo output at command 0 and 1.
         setpoint_timeout_s: how long after the last setpoint the autopilot reacts by itself.
         log_suffix: of its onboard log.
+        prearm_in_health_alone: SYS_STATUS tells whether it would arm in the health bits, and never that it tells so.
         scripting: the parameter that says (1) whether it runs our script; empty where it has none.
     """
 
@@ -122,6 +123,7 @@ class Profile:
     setpoint_timeout_s: ClassVar[float]
     log_suffix: ClassVar[str]
     scripting: ClassVar[str] = ""
+    prearm_in_health_alone: ClassVar[bool] = False
 
     system: int = 1
     component: int = 1

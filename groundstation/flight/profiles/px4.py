@@ -42,6 +42,7 @@ class Px4(Profile):
     bytewise_parameters = True
     setpoint_timeout_s = 1.0
     log_suffix = ".ulg"
+    prearm_in_health_alone = True
     streams = (
         StreamWish("HIGHRES_IMU", 250.0, 20.0, "rates and specific force: the motion the inertia shows in"),
         StreamWish("ACTUATOR_OUTPUT_STATUS", 250.0, 0.0, "motor commands with full digits", "SERVO_OUTPUT_RAW"),
@@ -54,6 +55,7 @@ class Px4(Profile):
         ),
         StreamWish("BATTERY_STATUS", 20.0, 2.0, "battery voltage for guard and thrust model"),
         StreamWish("EXTENDED_SYS_STATE", 10.0, 2.0, "landed or not"),
+        StreamWish("SYS_STATUS", 4.0, 0.0, "whether the arming checks pass"),
         StreamWish("CURRENT_MODE", 20.0, 0.0, "a mode change seen within 50 ms instead of a heartbeat's second"),
         StreamWish("ESTIMATOR_STATUS", 5.0, 0.0, "estimator health"),
         StreamWish("VIBRATION", 2.0, 0.0, "vibration"),
