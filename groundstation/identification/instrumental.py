@@ -43,9 +43,7 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
     instruments are there to remove (Bekker 1994), and with gentle flights that share was the larger part of the error.
     """
     extra_names = [term.name for term in models[0].extra]
-    channels = [
-        tuple(c for c in options.channels if c < 3 or np.isfinite(model.force[:, c - 3]).all()) for model in models
-    ]
+    channels = [model.channels(options) for model in models]
     colours, polynomials = per_flight(start.colours, channels), per_flight(start.whiteners, channels)
     p, names = start.parameters, start.names
     covariance, information = start.covariance, np.linalg.inv(start.covariance)

@@ -29,6 +29,8 @@ UNREVEALED_PRODUCT = 0.05
 
 STILL_RAD_S = 0.03
 """An axis that turns by less (RMS) only answers the disturbance: noise in the rotor speeds then passes for inertia."""
+QUIET = 0.2
+"""Share of the angular acceleration of the liveliest flight below which a flight without a plan only answers its disturbance."""
 DISAGREES = 3.0
 """Standard deviations between two estimates from which one of them is taken to be biased."""
 
@@ -75,15 +77,33 @@ def options_for(prepared: Prepared) -> Options:
     return Options(lag=not prepared.record.motors.measured and rotors.input != "wrench", channels=channels)
 
 
-def _model_of(prepared: Prepared) -> RecordModel:
-    terms, planned = damping_terms(prepared)
-    return RecordModel(prepared.record, terms, planned)
+def _models_of(prepared: Sequence[Prepared]) -> tuple[RecordModel, ...]:
+    """One model a flight. Flights without a plan leave an axis to those of the others that turn about it much more."""
+    strength = np.array([_angular_acceleration(item) for item in prepared])
+    quiet = strength < QUIET * strength.max(axis=0)
+    models = []
+    for item, axes in zip(prepared, quiet, strict=True):
+        terms, planned = damping_terms(item)
+        silent = frozenset(np.flatnonzero(axes).tolist()) if planned is None else frozenset()
+        models.append(RecordModel(item.record, terms, planned, silent))
+    return tuple(models)
+
+
+def _angular_acceleration(prepared: Prepared) -> Array:
+    """RMS of the angular acceleration below 5 Hz, rad/s^2, (3,)."""
+    from scipy.signal import butter, sosfiltfilt
+
+    record = prepared.record
+    rate_hz = 1.0 / float(np.median(np.diff(record.t_s)))
+    low_pass = butter(2, min(5.0, 0.4 * rate_hz), fs=rate_hz, output="sos")
+    slow = np.asarray(sosfiltfilt(low_pass, record.rate_rad_s, axis=0))
+    return np.std(np.gradient(slow, record.t_s, axis=0)[record.keep], axis=0)
 
 
 def fit_dynamics(prepared: Sequence[Prepared], progress: Progress = lambda fraction, text: None) -> DynamicFit:
     """Prediction error and instrumental estimates of the pooled flights."""
     options = options_for(prepared[0])
-    models = tuple(_model_of(item) for item in prepared)
+    models = _models_of(prepared)
     if any(len(model.t_s) < 50 for model in models):
         raise NotIdentifiable(
             "a flight holds less than a second of usable data.", "Leave out less of it, or fly longer."
@@ -136,7 +156,12 @@ def _with_free_curve(
     found = fitted
     for _ in range(2):
         models = tuple(
-            RecordModel(item.record, (*model.extra[: len(fitted.parameters.extra)], *curve_terms(item, start)))
+            RecordModel(
+                item.record,
+                (*model.extra[: len(fitted.parameters.extra)], *curve_terms(item, start)),
+                None,
+                model.silent,
+            )
             for item, model in zip(prepared, models, strict=True)
         )
         found = fit(models, start, options)
@@ -179,7 +204,7 @@ def identify(
     fitted = fit_dynamics(prepared, progress)
     best = fitted.best
     vehicle = prepared[0].record.vehicle
-    hidden = unrevealed(best, prepared)
+    hidden = {**unrevealed(best, prepared), **_unphysical(fitted)}
     _refuse_if_empty(best, hidden, prepared)
     methods = dict(_seed_methods(prepared, exclude, progress))
     progress(0.85, "output error")
@@ -329,6 +354,21 @@ def unrevealed(fit: Fitted, prepared: Sequence[Prepared]) -> dict[str, str]:
         if relative > limit:
             hidden[name] = REMEDY[name]
     return hidden
+
+
+def _unphysical(fitted: DynamicFit) -> dict[str, str]:
+    """The moment of the least excited axis, where without a plan it comes out larger than the other two together.
+
+    No rigid body has such a tensor: feedback from the disturbance passes for inertia where an axis is not excited.
+    """
+    if fitted.instrumental is not None:
+        return {}
+    moments = np.diag(fitted.best.parameters.tensor)
+    axis = int(np.argmax(moments))
+    strength = np.max([_angular_acceleration(item) for item in fitted.prepared], axis=0)
+    if moments[axis] <= moments.sum() - moments[axis] or axis != int(np.argmin(strength)):
+        return {}
+    return {name: REMEDY[name] for name in MASS_AND_TENSOR if name != "mass_kg" and "xyz"[axis] in name[1:3]}
 
 
 def _refuse_if_empty(fit: Fitted, hidden: Mapping[str, str], prepared: Sequence[Prepared]) -> None:

@@ -180,9 +180,7 @@ def fit(
     records = [model.record for model in models]
     extra_names = [term.name for term in models[0].extra]
     p = start
-    channels = [
-        tuple(c for c in options.channels if c < 3 or np.isfinite(model.force[:, c - 3]).all()) for model in models
-    ]
+    channels = [model.channels(options) for model in models]
     state: list[list[Colour]] = [list(c) for c in colours] if colours is not None else [[] for _ in models]
     polynomials = [[np.array([1.0])] * len(c) for c in channels]
     iterations = 0
@@ -300,9 +298,7 @@ def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: 
     first = replace(options, symmetric_lag=True, delay=False, colour_rounds=1, autoregression=0)
     tried = [fit(models, initial_parameters(vehicle, lag_s=lag, extra=extra), first) for lag in (0.02, 0.08)]
     best = min(tried, key=lambda found: found.cost)
-    channels = [
-        tuple(c for c in options.channels if c < 3 or np.isfinite(model.force[:, c - 3]).all()) for model in models
-    ]
+    channels = [model.channels(options) for model in models]
     return fit(models, best.parameters, options, per_flight(best.colours, channels))
 
 
@@ -322,7 +318,7 @@ def output_error(models: Sequence[RecordModel], start: Fitted, options: Options)
         restart[::every] = True
         shooting.append(model.restarted(restart))
         residual = model.residual(start.parameters)
-        chosen = [c for c in options.channels if c < 3 or np.isfinite(model.force[:, c - 3]).all()]
+        chosen = model.channels(options)
         spread = [
             max(float(np.std(np.diff(residual[:, c]))) if c < 3 else float(np.std(residual[:, c])), 1e-9)
             for c in chosen

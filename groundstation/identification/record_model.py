@@ -175,10 +175,18 @@ class RecordModel:
     Attributes:
         t_s, dt, restart: blocks of averaged samples, shape (blocks,); ``restart`` marks the first of a segment.
         rate, force: measured, averaged, (blocks, 3).
+        silent: channels in which this record only answers its disturbance, while another one tells more.
     """
 
-    def __init__(self, record: DynamicRecord, extra: Sequence[BodyWrench] = (), planned: PlannedMotion | None = None):
+    def __init__(
+        self,
+        record: DynamicRecord,
+        extra: Sequence[BodyWrench] = (),
+        planned: PlannedMotion | None = None,
+        silent: frozenset[int] = frozenset(),
+    ):
         self.record = record
+        self.silent = silent
         self.planned = planned
         self.extra = tuple(extra)
         self._matrix = wrench_matrix(record.vehicle)
@@ -194,9 +202,14 @@ class RecordModel:
         self._extra = tuple((self.average(self._integrate(e.value)), self.average(e.value[:, :3])) for e in self.extra)
         self._bases: tuple[_PlannedBase, ...] = ()
 
+    def channels(self, options: Options) -> tuple[int, ...]:
+        """Outputs of this record that a fit uses: those asked for, measured, and not silent."""
+        known = [True] * 3 + [bool(np.isfinite(self.force[:, axis]).all()) for axis in range(3)]
+        return tuple(c for c in options.channels if known[c] and c not in self.silent)
+
     def restarted(self, restart: Mask) -> RecordModel:
         """The same record with other segment starts."""
-        other = RecordModel(self.record, self.extra, self.planned)
+        other = RecordModel(self.record, self.extra, self.planned, self.silent)
         other.restart = restart
         return other
 
