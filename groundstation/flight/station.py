@@ -50,7 +50,7 @@ class GuardLimits(_Section):
     box: Limit = Limit(limit=0.0, for_s=0.1)
     speed: Limit = Limit(limit=3.0, for_s=0.1)
     tilt: Limit = Limit(limit=0.7, for_s=0.1)
-    tracking: Limit = Limit(limit=0.8, for_s=0.3)
+    tracking: Limit = Limit(limit=1.2, for_s=0.3)
     pose_age: Limit = Limit(limit=0.3)
     pose_disagreement: Limit = Limit(limit=0.4, for_s=0.2)
     state_age: Limit = Limit(limit=0.9)
