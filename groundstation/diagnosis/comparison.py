@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.attribution import folds
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, Solution
 from groundstation.identification.anchoring import anchored
-from groundstation.identification.prediction_error import Fitted, fit
+from groundstation.identification.prediction_error import Fitted, fit, output_error
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import (
     CHANNELS,
@@ -64,10 +64,15 @@ def declared_model(flight: FlightEvidence) -> RecordModel:
 
 
 def as_declared(evidence: Evidence, vehicle: Vehicle) -> Fitted:
-    """The base fit by the declared curve with rotors that follow as declared: *before*, where lag or curve was found."""
+    """The base by the declared curve with rotors that follow as declared: *before*, where a lag or a curve was found.
+
+    By output error: an estimate with a noise model would take most of what is missing for a disturbance, and its parameters
+    would be worse than anyone would use.
+    """
     options = replace(evidence.flights[0].options, lag=False, delay=False, channels=(0, 1, 2, 5), colour_rounds=1)
     models = [declared_model(flight) for flight in evidence.flights]
-    return fit(models, initial_parameters(vehicle, lag_s=0.0), options)
+    start = initial_parameters(vehicle, lag_s=0.0)
+    return output_error(models, replace(fit(models, start, options), parameters=start), options)
 
 
 def plain_gain(evidence: Evidence, chosen: Chosen, plain: Fitted | None) -> float:

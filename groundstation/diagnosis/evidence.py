@@ -15,7 +15,7 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.effect import Effect, Settings
+from groundstation.diagnosis.effect import Effect, Settings, library
 from groundstation.frames import quat_normalise, quat_rotate
 from groundstation.identification.noise import (
     Colour,
@@ -37,6 +37,8 @@ SIGNAL_RATE_HZ = 100.0
 DRIFT_S = 6.0
 ACCEL_DELAY_S = 2e-3
 """How far the delays of gyro and accelerometer (filters, sampling) usually differ."""
+VARIANTS = 6
+"""How many settings of an effect are kept out of the noise before it is found; of those found, the very setting."""
 EFFECT_SHIFTS_S = (-0.1, 0.0, 0.15)
 
 
@@ -137,7 +139,7 @@ class FlightEvidence:
         return self._whitened(residual[:, :, None])[:, 0]
 
     def _nuisance(self) -> Array:
-        """Columns (blocks, 6, m) that keep an effect's own residual out of the noise model: slow drift, drag, damping, thrust.
+        """Columns (blocks, 6, m) that keep an effect's own residual out of the noise model: slow drift, speeds, and the library.
 
         Without them a step or a trend would pass for a disturbance of long memory, and hide itself.
         """
@@ -156,8 +158,16 @@ class FlightEvidence:
                         wrench[:, row] = values
                         columns.append(wrench)
         vehicle = self.prepared.record.vehicle
-        known = [self.predicted(c.effect.wrench(signals, vehicle, c.settings)) for c in self.known]
-        return np.concatenate([self.sensitivity, self.predicted(np.stack(columns, axis=-1)), *known], axis=2)
+        for effect in library().values():
+            settings = effect.variants(signals, vehicle) if effect.applies(vehicle) else ()
+            own = [effect.wrench(signals, vehicle, s) for s in settings[:: max(1, len(settings) // VARIANTS)]]
+            columns += [wrench[:, :, j] for wrench in own for j in range(wrench.shape[2]) if np.isfinite(wrench).all()]
+        columns += [
+            c.effect.wrench(signals, vehicle, c.settings)[:, :, j]
+            for c in self.known
+            for j in range(len(c.effect.parameters))
+        ]
+        return np.concatenate([self.sensitivity, self.predicted(np.stack(columns, axis=-1))], axis=2)
 
     def _colours(self) -> list[Colour]:
         """Noise of each channel from what generic columns leave of the residual.

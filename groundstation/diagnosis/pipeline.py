@@ -26,6 +26,8 @@ from groundstation.diagnosis.proposal import with_proposals
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
 from groundstation.diagnosis.screen import dependences, unexplained
 from groundstation.diagnosis.timing import lag_findings
+from groundstation.diagnosis.trim import applies as trim_applies
+from groundstation.diagnosis.trim import compare_trims
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.pipeline import DynamicFit, fit_dynamics
@@ -67,6 +69,8 @@ def diagnose(
         unseen = [_for_evidence(prepare(flight)) for flight in held_out]
         kinematic = kinematic_findings(suspects[0])
         suspects, healthy, unseen = ([turned(item, kinematic) for item in each] for each in (suspects, healthy, unseen))
+        if healthy and trim_applies(suspects, healthy):
+            return _by_trim(name, suspects, healthy)
         bend = exponent_error(suspects[0])
         suspects, healthy, unseen = ([recurved(item, bend) for item in each] for each in (suspects, healthy, unseen))
         progress(0.25, "base fit")
@@ -116,6 +120,7 @@ def diagnose(
                     "effect": n.candidate.identifier,
                     "settings": dict(n.candidate.settings),
                     "evidence": float(n.evidence),
+                    "held_out_gain": n.gain,
                 }
                 for n in named
             ),
@@ -127,6 +132,28 @@ def diagnose(
             ),
         ),
         residual=residual_series(evidence, baseline, chosen, plain),
+    )
+
+
+def _by_trim(name: str, suspects: Sequence[Prepared], healthy: Sequence[Prepared]) -> Diagnosis:
+    """What mean thrusts say, where the rates that a dynamic comparison needs were not measured."""
+    found = compare_trims(suspects, healthy)
+    shares = {c: min((rms / found.before[c]) ** 2, 1.0) for c, rms in found.after.items() if found.before[c] > 0.0}
+    remaining = () if found.explained else tuple(Unexplained(c, share) for c, share in shares.items() if share > 0.25)
+    verdict = "unexplained" if remaining else "explained" if found.findings else "clean"
+    return Diagnosis(
+        flight=name,
+        vehicle=suspects[0].record.vehicle.name,
+        verdict=verdict,
+        findings=found.findings,
+        unexplained=remaining,
+        error={"held_out": {"before": found.before, "after": found.after}},
+        next_flight=_next_flight(found.findings, ()),
+        reason=_reason(verdict, found.findings, remaining),
+        warnings=(
+            "Body rates were not measured: only the mean thrusts are compared with those of the healthy flights, by the declared "
+            "thrust curve. A gyro and rotor speeds would show inertia, and tell a load from a weak rotor.",
+        ),
     )
 
 

@@ -39,7 +39,6 @@ class Finding:
             "confidence": self.confidence,
             "alternatives": list(self.alternatives),
             "rotor": self.rotor,
-            "gain": self.gain,
         }
 
 

@@ -12,7 +12,7 @@ from groundstation.vehicle import Vehicle
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
     count = len(signals.t_s)
-    centre = np.nanmean(signals.position_m, axis=0)
+    centre = np.mean(signals.position_m, axis=0)
     out = blank(signals, 4)
     out[:, :3, 0] = quat_rotate_inverse(signals.quaternion, -(signals.position_m - centre))
     for axis in range(3):
