@@ -9,13 +9,14 @@ else. Sizes are drawn over a range around what such a vehicle shows; none is lef
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import secrets
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -280,6 +281,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.add_argument(f"--{kind}", type=int, default=number)
     parser.add_argument("--seed", type=int, default=None, help="master seed (default: a fresh one, printed)")
     parser.add_argument("--minutes", type=float, default=math.inf, help="start no flight after this time")
+    parser.add_argument(
+        "--rows", type=Path, default=None, help="append each flight's outcome to this file, as JSON lines"
+    )
     options = parser.parse_args(argv)
     over = time.monotonic() + 60.0 * options.minutes
     master = secrets.randbits(32) if options.seed is None else options.seed
@@ -311,6 +315,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             lost += 1
             continue
         outcomes.append(outcome)
+        if options.rows is not None:
+            with options.rows.open("a") as rows:
+                rows.write(json.dumps({"seed": master, "vehicle": vehicle, **asdict(outcome)}) + "\n")
         print(
             f"{len(outcomes) + lost}/{len(work)} {vehicle:8} {kind:8} {' + '.join(names) or 'nothing':30} -> {outcome.verdict}: "
             f"{', '.join(outcome.named) or 'no finding'}",
