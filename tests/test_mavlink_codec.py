@@ -268,6 +268,15 @@ def test_battery_sums_its_cells_and_long_texts_are_joined():
     assert text.text == "warning: " + "x" * 50 + "end"
 
 
+def test_a_long_text_without_a_number_is_told_once():
+    """PX4's firmware gives its first long text the number 0, which means a whole one, and appends a tab."""
+    first = mavlink.MAVLink_statustext_message(2, b"Arming denied: Resolve system health failures firs", 0, 0)
+    rest = mavlink.MAVLink_statustext_message(2, b"t\t", 0, 1)
+    short = mavlink.MAVLink_statustext_message(6, b"Ready for takeoff!\t", 0, 0)
+    texts = [e.text for e in take(Telemetry(4), first, rest, short)]
+    assert texts == ["critical: Arming denied: Resolve system health failures firs", "info: Ready for takeoff!"]
+
+
 def test_recorded_flights_are_seen_whole_by_the_telemetry():
     for name, imu, climb_m in (
         ("px4-sih/offboard.tlog", "HIGHRES_IMU", 1.5),

@@ -151,3 +151,36 @@ def test_parameters_that_were_renamed_are_asked_for_by_the_version_s_name(versio
     rules = {r.name: r for r in PROFILES["arducopter"].parameters}
     assert rules[name].concerns(version, indoors=False) and not rules[other].concerns(version, indoors=False)
     assert rules[name].holds(2 * rules[name].accepted[0]) and not rules[name].holds(0.5 * rules[name].accepted[0])
+
+
+def test_px4_tells_in_its_health_bits_alone_whether_it_would_arm():
+    """Seen on its firmware: SYS_STATUS never says that the arming check is present."""
+    from drivers.mavlink.codec import MavlinkCodec
+    from drivers.mavlink.dialect import mavlink
+    from groundstation.flight.profiles import PROFILES
+    from groundstation.flight.view import VehicleView
+
+    for health, passes in ((52463679, False), (52463679 | 1 << 28, True)):
+        view = VehicleView(PROFILES["px4"]())
+        sent = mavlink.MAVLink_sys_status_message(50380815, 50446351, health, 0, 16200, -1, 100, 0, 0, 0, 0, 0, 0)
+        for received in MavlinkCodec().decode(MavlinkCodec(1, 1).encode(sent), datagram=True):
+            view.message(received, 1.0)
+        assert view.checks_pass is passes
+        assert set(view.unhealthy) == {"xy position control", "rc receiver"}
+
+
+def test_an_estimator_that_announces_a_reset_without_a_jump_does_not_end_a_flight():
+    """PX4 counts its heading's alignment a metre and a half after each take-off."""
+    from drivers.mavlink.codec import MavlinkCodec
+    from drivers.mavlink.dialect import mavlink
+    from groundstation.flight.profiles import PROFILES
+    from groundstation.flight.view import VehicleView
+
+    view, codec, sender = VehicleView(PROFILES["px4"]()), MavlinkCodec(), MavlinkCodec(1, 1)
+    for n in range(4):
+        sent = mavlink.MAVLink_odometry_message(
+            1_000_000 + 10_000 * n, 1, 12, 0, 0, 0, [1, 0, 0, 0], 0, 0, 0, 0, 0, 0, [0] * 21, [0] * 21, n // 2
+        )
+        for received in codec.decode(sender.encode(sent), datagram=True):
+            view.message(received, 1.0)
+    assert view.resets == 1 and view.take_jump() == 0.0
