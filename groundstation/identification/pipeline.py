@@ -89,6 +89,19 @@ def _models_of(prepared: Sequence[Prepared]) -> tuple[RecordModel, ...]:
     return tuple(models)
 
 
+def _without_gain(model: RecordModel, fitted: Fitted) -> RecordModel:
+    """The model with every damping that came out negative held at zero.
+
+    Air takes energy from a turning vehicle and gives none. Without a plan, what feeds the disturbance back passes for the contrary,
+    and a model with it runs away when it is simulated.
+    """
+    held = tuple(
+        replace(term, prior_std=1e-6 * term.prior_std) if coefficient < 0.0 else term
+        for term, coefficient in zip(model.extra, fitted.parameters.extra, strict=True)
+    )
+    return RecordModel(model.record, held, model.planned, model.silent)
+
+
 def _angular_acceleration(prepared: Prepared) -> Array:
     """RMS of the angular acceleration below 5 Hz, rad/s^2, (3,)."""
     from scipy.signal import butter, sosfiltfilt
@@ -110,6 +123,9 @@ def fit_dynamics(prepared: Sequence[Prepared], progress: Progress = lambda fract
         )
     progress(0.4, "prediction error with the flight's own disturbance")
     filter_error = fit_from_declared(models, prepared[0].record.vehicle, options)
+    if any(item.planned is None for item in prepared) and filter_error.parameters.extra.min(initial=0.0) < 0.0:
+        models = tuple(_without_gain(model, filter_error) for model in models)
+        filter_error = fit(models, filter_error.parameters, options)
     if _curve_is_free(prepared, filter_error):
         progress(0.6, "thrust curve")
         return _with_free_curve(prepared, models, options, filter_error)

@@ -1,0 +1,98 @@
+"""Three 1 kHz logs of a Crazyflie 2.1 identified together, and the body rate it predicts on a part that no fit has seen.
+
+Run with ``python -m benchmarks.crazyflie DATA``, where DATA holds log10, log15 and log16 (© 2024 Jonas Eschmann, MIT); the output is
+kept in docs/crazyflie.md. Against: constant rate; the declared vehicle (pendulum and bench values of Foerster 2015); and the constants
+the logs' authors published (moments 1.03, 1.11 and 1.95e-5 kg m^2, one lag of 72 to 75 ms, accelerometer scaled by 9.18).
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from groundstation.errors import Refused
+from groundstation.flightdata import FlightData
+from groundstation.identification.pipeline import identify
+from groundstation.identification.preparation import flight_states
+from groundstation.model.prediction import VehicleModel, declared_model, model_from_document, predict
+from groundstation.paths import find_config
+from groundstation.recording import load_flight
+from groundstation.reporting.exports import model_document
+from groundstation.vehicle import Vehicle, load_vehicle
+
+SEEN = (("log10", 35.0, 65.0), ("log15", 55.0, 75.0), ("log16", 32.0, 38.0))
+UNSEEN = (("log15", 75.0, 90.0), ("log16", 44.5, 49.5))
+HORIZONS_S = (0.02, 0.05, 0.1, 0.5)
+PUBLISHED = {"ixx_kg_m2": 1.03e-5, "iyy_kg_m2": 1.11e-5, "izz_kg_m2": 1.95e-5}
+PUBLISHED_LAG_S = 0.0735
+PUBLISHED_SCALE = 9.18 / 9.81
+
+
+def published(document: dict, vehicle: Vehicle) -> VehicleModel:
+    """The published moments and lag; as no thrust curve is quoted with them, ours scaled as their accelerometer was."""
+    values = {name: {"value": value} for name, value in PUBLISHED.items()}
+    values |= {name: {"value": 0.0} for name in ("ixy_kg_m2", "ixz_kg_m2", "iyz_kg_m2")}
+    curve = {
+        name: {"value": PUBLISHED_SCALE * entry["value"]}
+        for name, entry in document["model"].items()
+        if name.startswith("thrust_curve")
+    }
+    lag = {"rotor_lag_up_s": {"value": PUBLISHED_LAG_S}, "rotor_lag_down_s": {"value": PUBLISHED_LAG_S}}
+    return model_from_document({"parameters": values, "model": {**curve, **lag}}, vehicle)
+
+
+def table(model: dict[str, VehicleModel], flight: FlightData) -> str:
+    """RMS error of the predicted body rate by model and horizon, Markdown."""
+    states = flight_states(flight)
+    lines = ["| model | " + " | ".join(f"{h:g} s" for h in HORIZONS_S) + " |", "|---|" + "---|" * len(HORIZONS_S)]
+    constant = []
+    for name, each in model.items():
+        row = []
+        for horizon in HORIZONS_S:
+            error = predict(each, states, horizon_s=horizon).error
+            row.append(error["model"][f"{horizon:g}"]["body_rate_rad_s"]["rms"])
+            if len(constant) < len(HORIZONS_S):
+                constant.append(error["constant_velocity"][f"{horizon:g}"]["body_rate_rad_s"]["rms"])
+        lines.append(f"| {name} | " + " | ".join(f"{e:.3f}" for e in row) + " |")
+    lines.append("| constant rate | " + " | ".join(f"{e:.3f}" for e in constant) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Identify, predict, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("data", type=Path)
+    data: Path = parser.parse_args().data
+    vehicle = load_vehicle(find_config("vehicles", "crazyflie21"))
+
+    def load(part: tuple[str, float, float]) -> FlightData:
+        return load_flight(data / part[0], vehicle=vehicle, start_s=part[1], end_s=part[2])
+
+    for chosen in (SEEN, *((part,) for part in SEEN)):
+        print("\n" + " + ".join(f"{name} {first:g} to {last:g} s" for name, first, last in chosen) + "\n")
+        try:
+            found = identify([load(part) for part in chosen])
+        except Refused as error:
+            print(error)
+            continue
+        values = {**found.methods[found.best].parameters, **found.model}
+        print("| parameter | estimate | 95 % interval |\n|---|---|---|")
+        for name, e in values.items():
+            if "bias" not in name:
+                print(f"| {name} | {e.value:.4g} | {e.ci95[0]:.4g} .. {e.ci95[1]:.4g} |")
+        for name, remedy in found.not_identifiable.items():
+            print(f"| {name} | no number | {remedy} |")
+        if chosen is SEEN:
+            document = model_document(found, vehicle)
+            models = {
+                "identified together": model_from_document(document, vehicle),
+                "published constants": published(document, vehicle),
+                "declared": declared_model(vehicle),
+            }
+    for part in UNSEEN:
+        print(f"\nRMS error of the predicted body rate, rad/s, {part[0]} {part[1]:g} to {part[2]:g} s\n")
+        print(table(models, load(part)))
+
+
+if __name__ == "__main__":
+    main()
