@@ -37,7 +37,9 @@ lint: $(READY)  ## format, lint, types, import rules
 	$(VENV)/bin/lint-imports
 
 study: $(READY)  ## many simulated flights: accuracy, coverage, scatter against the bound
-	@$(PY) -m benchmarks.study $(ARGS)
+	@$(PY) -m benchmarks.study
+	@$(PY) -m benchmarks.scatter
+	@$(PY) -m benchmarks.coverage
 
 blind: $(READY)  ## diagnosis of effects it was not told about
 	@$(PY) -m benchmarks.blind $(ARGS)

@@ -54,7 +54,11 @@ def record(seed: int, error: Mapping[str, float] = PLANTED, *, noise: float = 1.
     t = np.arange(0.0, 40.0, 1 / 250.0)
     motion = rigid_motion(series.sample(t))
     q = quat_from_euler(*motion.euler_rad.T)
-    gyro = motion.angular_velocity_body_rad_s + three("gyro_bias", "rad_s") + 1e-3 * noise * random.standard_normal((len(t), 3))
+    gyro = (
+        motion.angular_velocity_body_rad_s
+        + three("gyro_bias", "rad_s")
+        + 1e-3 * noise * random.standard_normal((len(t), 3))
+    )
     force = motion.specific_thrust_m_s2[:, None] * [0.0, 0.0, 1.0]
     accel = force + three("accel_bias", "m_s2") + 0.02 * noise * random.standard_normal((len(t), 3))
     at = np.arange(0.3, 39.7, 1 / 100.0)
