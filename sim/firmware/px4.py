@@ -9,6 +9,7 @@ sensors are paced by ours, and the newest answer counts.
 from __future__ import annotations
 
 import math
+import random
 
 from drivers.mavlink.codec import MavlinkCodec
 from drivers.mavlink.dialect import Message, mavlink
@@ -22,6 +23,9 @@ TRUTH_EVERY = 2
 ALTITUDE_M = 489.4
 FIELD_NED_GAUSS: Vector = (0.2152, 0.0077, 0.4274)
 """Earth's field at the place the positions are reported for."""
+
+FIELD_NOISE_GAUSS, PRESSURE_NOISE_HPA = 5e-4, 5e-3
+"""Of the magnetometer and the barometer. Without any, PX4 takes a vehicle at rest for a sensor that is stuck, after a second."""
 
 FIELDS = 0x1BFF
 """Accelerometer, gyro, magnetometer, pressure, pressure altitude and temperature; no differential pressure."""
@@ -43,6 +47,7 @@ class HilExchange:
 
     def __init__(self, airframe: Airframe, rotors: int):
         self._airframe, self._rotors = airframe, rotors
+        self._noise = random.Random(0)
         self._codec = MavlinkCodec(1, 51)
         self._commands = (0.0,) * rotors
         self._steps = 0
@@ -81,10 +86,14 @@ class HilExchange:
 
     def _sensor(self) -> Message:
         state, imu = self._airframe.state, self._airframe.imu()
-        field = flip(rotate_inverse(state.quaternion, flip(FIELD_NED_GAUSS)))
+        field = [
+            b + self._noise.gauss(0.0, FIELD_NOISE_GAUSS)
+            for b in flip(rotate_inverse(state.quaternion, flip(FIELD_NED_GAUSS)))
+        ]
         height = ALTITUDE_M + state.position_m[2]
+        pressure = pressure_hpa(height) + self._noise.gauss(0.0, PRESSURE_NOISE_HPA)
         return mavlink.MAVLink_hil_sensor_message(
-            self.time_us, *flip(imu.accel_m_s2), *flip(imu.gyro_rad_s), *field, pressure_hpa(height), 0.0, height, 15.0,
+            self.time_us, *flip(imu.accel_m_s2), *flip(imu.gyro_rad_s), *field, pressure, 0.0, height, 15.0,
             FIELDS, 0,
         )  # fmt: skip
 
