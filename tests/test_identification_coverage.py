@@ -13,8 +13,8 @@ from benchmarks.coverage import HALF_95, Score, score, table
 from groundstation.errors import GroundStationError
 from groundstation.identification.results import MASS_AND_TENSOR
 
-FLIGHTS = 200
-LOW, HIGH = 179.0 / 200.0, 198.0 / 200.0  # the 0.1 % band of a binomial count of 200 at 95 %
+FLIGHTS = 100
+LOW, HIGH = 0.87, 1.0  # the 0.1 % band of a binomial count of 100 at 95 %
 
 
 def test_the_intervals_hold_the_truth_as_often_as_they_say() -> None:

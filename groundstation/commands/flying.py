@@ -96,7 +96,9 @@ def _plan_for_link(declared: Any, line: ProgressLine) -> Any:
     from groundstation.planning import plan_excitation
 
     asked = declared.limits.acceleration_max_m_s2
-    limits = AUTOPILOT | ({"acceleration_max_m_s2": min(asked, AUTOPILOT["acceleration_max_m_s2"])} if asked else {})
+    limits: dict[str, Any] = dict(AUTOPILOT)
+    if asked:
+        limits["acceleration_max_m_s2"] = min(asked, AUTOPILOT["acceleration_max_m_s2"])
     return plan_excitation(declared, time_budget_s=PLAN_S, progress=line.fraction, **limits)
 
 

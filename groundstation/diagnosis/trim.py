@@ -122,7 +122,8 @@ def _stories(vehicle: Vehicle, healthy: Array, lift: float) -> list[_Story]:
 def _solved(story: _Story, change: Array, std: Array) -> tuple[Array, Array]:
     a = story.columns / std[:, None]
     gram = a.T @ a + np.diag(1.0 / story.width**2)
-    return np.linalg.solve(gram, a.T @ (change / std)), np.linalg.inv(gram)
+    covariance = np.asarray(np.linalg.inv(gram), dtype=float)
+    return np.asarray(np.linalg.solve(gram, a.T @ (change / std)), dtype=float), covariance
 
 
 def _left(story: _Story, change: Array, std: Array, fitted_on: Array | None = None) -> tuple[Array, Array]:

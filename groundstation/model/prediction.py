@@ -287,7 +287,9 @@ def _simulate(
         torque = wrench[:, 1:] + extra[:, 3:] - damping * w
         torque[:, 2] += model.yaw_trim_nm
         force = extra[:, :3].copy()
-        climb = np.nan_to_num(quat_rotate_inverse(q, v)[:, 2])  # unknown without poses: rates are predicted all the same
+        climb = np.nan_to_num(
+            quat_rotate_inverse(q, v)[:, 2]
+        )  # unknown without poses: rates are predicted all the same
         force[:, 2] += wrench[:, 0] - model.climb_damping_kg_s * climb
         torque = torque - np.cross(com, force)
         rate = (torque - np.cross(w, w @ model.tensor)) @ inverse.T

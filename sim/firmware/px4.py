@@ -86,14 +86,14 @@ class HilExchange:
 
     def _sensor(self) -> Message:
         state, imu = self._airframe.state, self._airframe.imu()
-        field = [
+        mx, my, mz = (
             b + self._noise.gauss(0.0, FIELD_NOISE_GAUSS)
             for b in flip(rotate_inverse(state.quaternion, flip(FIELD_NED_GAUSS)))
-        ]
+        )
         height = ALTITUDE_M + state.position_m[2]
         pressure = pressure_hpa(height) + self._noise.gauss(0.0, PRESSURE_NOISE_HPA)
         return mavlink.MAVLink_hil_sensor_message(
-            self.time_us, *flip(imu.accel_m_s2), *flip(imu.gyro_rad_s), *field, pressure, 0.0, height, 15.0,
+            self.time_us, *flip(imu.accel_m_s2), *flip(imu.gyro_rad_s), mx, my, mz, pressure, 0.0, height, 15.0,
             FIELDS, 0,
         )  # fmt: skip
 

@@ -68,10 +68,11 @@ class ScriptHost:
     def __init__(self, autopilot: ArduCopter):
         from lupa import lua53  # the version ArduPilot carries
 
+        new_runtime: Any = lua53.LuaRuntime
         self._autopilot = autopilot
         self._calls: list[tuple[float, Any]] = []
         for name in sorted(n for n in autopilot.files if n.startswith(FOLDER) and n.endswith(".lua")):
-            lua = lua53.LuaRuntime(register_eval=False, unpack_returned_tuples=True)
+            lua: Any = new_runtime(register_eval=False, unpack_returned_tuples=True)
             lua.execute(_BINDINGS)(self._bindings())
             self._run(lambda lua=lua, name=name: lua.execute(bytes(autopilot.files[name]).decode(errors="replace")))
 
