@@ -32,15 +32,15 @@ class Station:
         self._gone = False
 
     def on_credit(self, credit: bus.Credit) -> None:
-        """The core lives and grants time."""
+        """The core grants time. A grant may arrive after the word that its core is gone; only a token takes that back."""
         with self._changed:
-            self._credit, self._heard_s, self._gone = credit, self._clock(), False
+            self._credit, self._heard_s = credit, self._clock()
             self._changed.notify()
 
     def on_alive(self, _key: str, here: bool) -> None:
         """The core's liveliness token came or went."""
         with self._changed:
-            self._gone = not here and self._heard_s is not None
+            self._gone = not here
             self._changed.notify()
 
     @property

@@ -127,10 +127,10 @@ def test_a_killed_core_leaves_an_open_recording_and_the_drone_lands_itself(plan_
     core.kill()
     core.wait()
     seen: queue.SimpleQueue[bus.DroneStatus] = queue.SimpleQueue()
-    with bus.open_session(listen=[endpoint]) as session:
+    with bus.open_session(listen=[endpoint]) as session, bus.alive(session, bus.CORE_ALIVE):
         keys = bus.DroneKeys(DRONE)
         handle = bus.subscribe(session, keys.status, bus.decoder_of(bus.DroneStatus), seen.put)
-        # The drone connects again by itself. Credit lets it tell how it is; it came down, or still does, without any.
+        # The drone connects again by itself. A new core's token and credit let it tell how it is; it came down without.
         credit = bus.Publisher(session, keys.credit)
         status, end = None, time.monotonic() + 30.0
         while status is None or status.phase != "landed":

@@ -18,7 +18,7 @@ from groundstation.paths import find_config
 from groundstation.trajectory import plan_to_dict
 from groundstation.vehicle import load_vehicle
 from sim.drone import Drone
-from sim.process import DroneProcess
+from sim.process import DroneProcess, Station
 from sim.scenario import load_scenario
 from sim.simulation import Simulation
 
@@ -108,6 +108,22 @@ def _eventually(condition, seconds: float = 20.0) -> None:
     while not condition():
         assert time.monotonic() < end, "did not happen"
         threading.Event().wait(0.01)
+
+
+def test_a_grant_that_arrives_after_its_core_has_gone_does_not_bring_it_back():
+    wall = Wall()
+    station = Station(wall)
+    assert not station.lost  # nobody was there yet
+    station.on_alive("gs/core/alive", True)
+    station.on_credit(bus.Credit(1.0))
+    assert not station.lost
+    station.on_alive("gs/core/alive", False)
+    station.on_credit(bus.Credit(2.0))
+    assert station.lost
+    station.on_alive("gs/core/alive", True)
+    assert not station.lost
+    wall.now += bus.CREDIT_TIMEOUT_S + 0.1
+    assert station.lost
 
 
 def test_in_lock_step_it_runs_exactly_as_far_as_it_is_granted(flown):
