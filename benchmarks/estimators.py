@@ -1,6 +1,6 @@
-"""The four estimators with their evolution on 50 s at 500 Hz, against the same sums in a per-sample Python loop.
+"""The four estimators on 50 s at 500 Hz against the same sums in a per-sample Python loop, and the whole of ``identify``.
 
-Run with ``python -m benchmarks.estimators``; medians of several runs in one process, warm.
+Run with ``OMP_NUM_THREADS=1 python -m benchmarks.estimators`` for one core; medians of the processor time of several runs in one process, warm, and what the first took.
 """
 
 from __future__ import annotations
@@ -11,7 +11,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from benchmarks.study import draw
+from groundstation.flightdata import FlightData
 from groundstation.identification.estimators import ADAPTATION_RATE_PER_S, gradient_descent, least_squares
+from groundstation.identification.pipeline import identify
 from groundstation.identification.regressors import standard_regressor
 from groundstation.paths import find_config
 from groundstation.trajectory import load_plan, rigid_motion
@@ -19,6 +22,10 @@ from groundstation.vehicle import load_vehicle
 
 DURATION_S, PERIOD_S = 50.0, 0.002
 RUNS = 5
+IDENTIFIED = ((0.5, 20.0, 2.0), (1.5, 60.0, 5.0))
+"""Share of the study's plan, seconds of excitation, budget in seconds."""
+IDENTIFIED_SEED = 2001
+"""Of the study: rotors by command, so lag and delay are free, which is the slower case."""
 
 
 def problem() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -60,18 +67,32 @@ def loop_gradient_descent(gamma: np.ndarray, upsilon: np.ndarray) -> np.ndarray:
 
 
 def median_s(function: Callable[[], object], runs: int = RUNS) -> float:
-    """Median wall-clock time of a call, after one that warms up."""
+    """Median processor time of a call, after one that warms up."""
     function()
-    times = []
-    for _ in range(runs):
-        began = time.perf_counter()
-        function()
-        times.append(time.perf_counter() - began)
-    return statistics.median(times)
+    return statistics.median(seconds(function) for _ in range(runs))
+
+
+def seconds(function: Callable[[], object]) -> float:
+    """Processor time of a call, of all threads together: what one core would need, whatever else runs beside it."""
+    began = time.process_time()
+    function()
+    return time.process_time() - began
 
 
 def main() -> None:
-    """Print times and ratio."""
+    """Print times and ratios."""
+    print(f"identify by all methods, study flight {IDENTIFIED_SEED}, 500 Hz, processor time of all threads")
+    for share, excitation_s, budget_s in IDENTIFIED:
+        flight, _, _ = draw(IDENTIFIED_SEED, share)
+
+        def whole(flight: FlightData = flight) -> object:
+            return identify([flight])
+
+        first = seconds(whole)
+        warm = statistics.median(seconds(whole) for _ in range(RUNS))
+        print(
+            f"  {excitation_s:.0f} s of excitation    {warm:6.2f} s   (median of {RUNS}; first {first:.2f} s; budget {budget_s:.0f} s)"
+        )
     gamma, upsilon, t = problem()
     used = np.ones(len(t), bool)
     ours = {"LS": least_squares, "GD": gradient_descent}

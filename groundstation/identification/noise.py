@@ -17,6 +17,11 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+LOGARITHM_EVERY = 8
+"""Variances are multiplied before their logarithm is taken, few enough that the product stays within a double's range."""
+DIFFERENCE = 1e-3
+"""Step in the logarithm of a noise by which the likelihood's slope is taken."""
+
 
 @dataclass(frozen=True, slots=True)
 class Colour:
@@ -34,9 +39,13 @@ class Colour:
     process: float
     sensor: float
 
+    def vector(self) -> Array:
+        """The four values, shape (4,)."""
+        return np.array([self.disturbance, self.correlation_s, self.process, self.sensor])
+
     def logarithms(self) -> Array:
         """The vector the likelihood is searched in, shape (4,)."""
-        return np.log([self.disturbance, self.correlation_s, self.process, self.sensor])
+        return np.log(self.vector())
 
     @classmethod
     def from_logarithms(cls, vector: Array) -> Colour:
@@ -138,19 +147,86 @@ def innovations(
         Innovations (k, m), variances (k,) with inf where a level was only initialised.
     """
     kernel = _integrated_innovations if integrated else _direct_innovations
-    noise = np.array([colour.disturbance, colour.correlation_s, colour.process, colour.sensor])
-    return kernel(np.ascontiguousarray(z), dt, restart, noise)
+    return kernel(np.ascontiguousarray(z), dt, restart, colour.vector())
+
+
+@njit(cache=True)
+def _integrated_costs(z: Array, dt: Array, phi: Array, restart: NDArray[np.bool_], noises: Array) -> Array:
+    """:func:`minus_log_likelihood` of an integrated channel z (k,) under each of several noises (n, 4), shape (n,).
+
+    The filters of all noises run side by side, as each only waits for itself. phi = exp(-dt / tau), (k, n).
+    """
+    lanes = len(noises)
+    x0, x1 = np.zeros(lanes), np.zeros(lanes)
+    p00, p01, p11 = np.zeros(lanes), np.zeros(lanes), np.zeros(lanes)
+    cost, product = np.zeros(lanes), np.ones(lanes)
+    for i in range(len(z)):
+        if restart[i] or i == 0:
+            for n in range(lanes):
+                x0[n], x1[n] = z[i], 0.0
+                p00[n], p01[n], p11[n] = noises[n, 3] ** 2, 0.0, noises[n, 0] ** 2
+            continue
+        h = dt[i]
+        for n in range(lanes):
+            s2, tau, white = noises[n, 0] ** 2, noises[n, 1], noises[n, 2] ** 2 * h
+            r2, f = noises[n, 3] ** 2, phi[i, n]
+            g = tau * (1.0 - f)
+            q00 = max(s2 * tau * (2.0 * h - tau * (3.0 - 4.0 * f + f * f)) + white, white)
+            n00 = p00[n] + 2.0 * g * p01[n] + g * g * p11[n] + q00
+            n01 = f * (p01[n] + g * p11[n]) + s2 * tau * (1.0 - f) * (1.0 - f)
+            n11 = f * f * p11[n] + s2 * (1.0 - f * f)
+            s = n00 + r2
+            k0, k1 = n00 / s, n01 / s
+            level = x0[n] + g * x1[n]
+            e = z[i] - level
+            x0[n], x1[n] = level + k0 * e, f * x1[n] + k1 * e
+            p00[n], p01[n], p11[n] = n00 - k0 * n00, n01 - k0 * n01, n11 - k1 * n01
+            cost[n] += 16.0 * (np.sqrt(1.0 + e * e / s / 16.0) - 1.0)
+            product[n] *= s
+        if i % LOGARITHM_EVERY == 0:
+            for n in range(lanes):
+                cost[n] += 0.5 * np.log(product[n])
+                product[n] = 1.0
+    return cost + 0.5 * np.log(product)
+
+
+@njit(cache=True)
+def _direct_costs(z: Array, dt: Array, phi: Array, restart: NDArray[np.bool_], noises: Array) -> Array:
+    """The same for z = d + white."""
+    lanes = len(noises)
+    x, p = np.zeros(lanes), np.zeros(lanes)
+    cost, product = np.zeros(lanes), np.ones(lanes)
+    for i in range(len(z)):
+        fresh = restart[i] or i == 0
+        h = 1.0 if fresh else dt[i]
+        for n in range(lanes):
+            s2, f = noises[n, 0] ** 2, 0.0 if fresh else phi[i, n]
+            level = f * x[n]
+            spread = f * f * p[n] + s2 * (1.0 - f * f)
+            s = spread + noises[n, 3] ** 2 + noises[n, 2] ** 2 / h
+            gain = spread / s
+            e = z[i] - level
+            x[n] = level + gain * e
+            p[n] = spread - gain * spread
+            cost[n] += 16.0 * (np.sqrt(1.0 + e * e / s / 16.0) - 1.0)
+            product[n] *= s
+        if i % LOGARITHM_EVERY == 0:
+            for n in range(lanes):
+                cost[n] += 0.5 * np.log(product[n])
+                product[n] = 1.0
+    return cost + 0.5 * np.log(product)
+
+
+def _costs(residual: Array, dt: Array, restart: NDArray[np.bool_], noises: Array, integrated: bool) -> Array:
+    kernel = _integrated_costs if integrated else _direct_costs
+    return kernel(residual, dt, np.exp(-dt[:, None] / noises[:, 1]), restart, noises)
 
 
 def minus_log_likelihood(
     residual: Array, dt: Array, restart: NDArray[np.bool_], colour: Colour, integrated: bool
 ) -> float:
     """Half the Gaussian minus-log-likelihood of a residual, robustified (pseudo-Huber at 4 sigma), constants dropped."""
-    e, s = innovations(residual[:, None], dt, restart, colour, integrated=integrated)
-    keep = np.isfinite(s)
-    square = e[keep, 0] ** 2 / s[keep]
-    loss = 2.0 * 16.0 * (np.sqrt(1.0 + square / 16.0) - 1.0)
-    return 0.5 * float(np.sum(np.log(s[keep])) + np.sum(loss))
+    return float(_costs(np.ascontiguousarray(residual), dt, restart, colour.vector()[None, :], integrated)[0])
 
 
 def fit_colour(
@@ -181,20 +257,25 @@ def fit_colour(
     floor = np.log([1e-5 * unit, 2.0 * step, 1e-5 * unit * np.sqrt(step), 1e-4 * scale])
     ceiling = np.log([1e3 * unit, max(length / 4.0, 4.0 * step), 1e2 * unit * np.sqrt(step), 1e2 * scale])
 
-    def cost(vector: Array) -> float:
-        return minus_log_likelihood(
-            residual, dt, restart, Colour.from_logarithms(np.clip(vector, floor, ceiling)), integrated
-        )
+    series = np.ascontiguousarray(residual)
+
+    def cost_and_slope(vector: Array) -> tuple[float, Array]:
+        """Cost, and its slope by a difference in each logarithm, inwards at the ceiling."""
+        step_of = np.where(vector + DIFFERENCE > ceiling, -DIFFERENCE, DIFFERENCE)
+        points = np.concatenate([vector[None, :], vector + np.diag(step_of)])
+        cost = _costs(series, dt, restart, np.exp(np.clip(points, floor, ceiling)), integrated)
+        return float(cost[0]), (cost[1:] - cost[0]) / step_of
 
     best, lowest = starts[0].logarithms(), np.inf
     for colour in starts:
         first = np.clip(colour.logarithms(), floor + 0.1, ceiling - 0.1)
         found = minimize(
-            cost,
+            cost_and_slope,
             first,
+            jac=True,
             method="L-BFGS-B",
             bounds=list(zip(floor, ceiling, strict=True)),
-            options={"maxiter": 40 if start is None else 15, "ftol": 1e-7, "eps": 1e-3},
+            options={"maxiter": 40 if start is None else 15, "ftol": 1e-7},
         )
         if found.fun < lowest:
             best, lowest = found.x, found.fun

@@ -14,9 +14,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from groundstation.model.rotors import MotorInput, cumulative, declared_thrust, interpolate_columns, wrench_matrix
+from groundstation.model.rotors import MotorInput, cumulative, declared_thrust, wrench_matrix
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -26,7 +27,6 @@ TENSOR = ("ixx_kg_m2", "ixy_kg_m2", "ixz_kg_m2", "iyy_kg_m2", "iyz_kg_m2", "izz_
 BASIS = np.zeros((6, 3, 3))
 for _index, (_i, _j) in enumerate([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]):
     BASIS[_index, _i, _j] = BASIS[_index, _j, _i] = 1.0
-INSTRUMENT_SHIFTS_S = (-0.12, 0.0, 0.12)
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """Where the entries of TENSOR stand in the matrix."""
 CHANNELS = ("torque_x_nm", "torque_y_nm", "torque_z_nm", "force_x_n", "force_y_n", "force_z_n")
@@ -77,26 +77,6 @@ class PlannedMotion:
     quaternion: Array
     extra: tuple[Array, ...] = ()
 
-    def shifted(self, seconds: float, t_s: Array) -> PlannedMotion:
-        """The same motion, later by ``seconds``; the ends are held."""
-        if seconds == 0.0:
-            return self
-        query = t_s - seconds
-
-        def move(values: Array) -> Array:
-            columns = values.reshape(len(t_s), -1)
-            return np.stack([np.interp(query, t_s, c) for c in columns.T], axis=-1).reshape(values.shape)
-
-        return PlannedMotion(
-            move(self.rate_rad_s),
-            move(self.angular_acceleration_rad_s2),
-            move(self.specific_thrust_m_s2),
-            move(self.velocity_body_m_s),
-            move(self.position_m),
-            move(self.quaternion),
-            tuple(move(value) for value in self.extra),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class BodyWrench:
@@ -146,6 +126,7 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class _Prediction:
+    on_grid: tuple[Array, Array]
     wrench: Array
     impulse: Array
     rate: Array
@@ -200,7 +181,7 @@ class RecordModel:
         self._elapsed = self.t_s - record.t_s[0]
         self._gyroscopic = self._integrated_gyroscopic(record.rate_rad_s)
         self._extra = tuple((self.average(self._integrate(e.value)), self.average(e.value[:, :3])) for e in self.extra)
-        self._bases: tuple[_PlannedBase, ...] = ()
+        self._last: tuple[Parameters, _Prediction] | None = None
 
     def channels(self, options: Options) -> tuple[int, ...]:
         """Outputs of this record that a fit uses: those asked for, measured, and not silent."""
@@ -230,19 +211,25 @@ class RecordModel:
             total += values[column]
         return total / self._members.shape[1]
 
-    def thrusts(self, up_s: float, down_s: float, delay_s: float) -> tuple[Array, Array]:
-        """[F_z, tau] and their running integrals by the declared constants, shapes (blocks, 4)."""
+    def _wrench(self, up_s: float, down_s: float) -> tuple[Array, Array]:
+        """[F_z, tau] by the declared constants behind a lag and its running integral, on the motors' grid, (k, 4) each."""
         motors = self.record.motors
-        lagged = motors.lagged(up_s, down_s)
-        wrench = declared_thrust(self.record.vehicle, lagged) @ self._matrix.T
+        wrench = declared_thrust(self.record.vehicle, motors.lagged(up_s, down_s)) @ self._matrix.T
         held = not motors.measured and up_s <= 1e-6 and down_s <= 1e-6
-        query = self.record.t_s - delay_s
-        both = np.concatenate([wrench, cumulative(wrench, motors.step_s, held=held)], axis=1)
-        averaged = self.average(interpolate_columns(query, motors.start_s, motors.step_s, both))
-        return averaged[:, :4], averaged[:, 4:]
+        return wrench, cumulative(wrench, motors.step_s, held=held)
+
+    def _thrusts(self, on_grid: tuple[Array, Array], delay_s: float) -> tuple[Array, Array]:
+        """The same later by a delay, averaged over the blocks, (blocks, 4) each."""
+        motors = self.record.motors
+        position = (self.record.t_s - delay_s - motors.start_s) / motors.step_s
+        wrench, impulse = on_grid
+        return _block_means(wrench, position, self._members), _block_means(impulse, position, self._members)
 
     def _predict(self, p: Parameters) -> _Prediction:
-        wrench, impulse = self.thrusts(p.lag_up_s, p.lag_down_s, p.delay_s)
+        if self._last is not None and self._last[0] is p:
+            return self._last[1]
+        on_grid = self._wrench(p.lag_up_s, p.lag_down_s)
+        wrench, impulse = self._thrusts(on_grid, p.delay_s)
         torque = impulse[:, 1:] - self._gyroscopic @ np.array([p.tensor[i, j] for i, j in PAIRS])
         torque[:, :2] += np.stack([-p.com_m[1], p.com_m[0]]) * impulse[:, :1]
         torque[:, 2] += p.yaw_trim_nm * self._elapsed
@@ -251,7 +238,9 @@ class RecordModel:
         for coefficient, (integral, push) in zip(p.extra, self._extra, strict=True):
             torque += coefficient * (integral[:, 3:] - np.cross(p.com_m, integral[:, :3]))
             force += coefficient * push
-        return _Prediction(wrench, impulse, torque @ np.linalg.inv(p.tensor).T, force)
+        prediction = _Prediction(on_grid, wrench, impulse, torque @ np.linalg.inv(p.tensor).T, force)
+        self._last = p, prediction
+        return prediction
 
     def residual(self, p: Parameters) -> Array:
         """Measured less predicted rates and specific forces at ``p``, (blocks, 6)."""
@@ -272,8 +261,8 @@ class RecordModel:
         for name, basis, column in zip(TENSOR, BASIS, np.moveaxis(self._gyroscopic, -1, 0), strict=True):
             table[name] = -(prediction.rate @ basis.T + column) @ inverse.T, blank
 
-        def difference(up: float, down: float, delay: float, step: float) -> tuple[Array, Array]:
-            moved = self.thrusts(up, down, delay)
+        def difference(on_grid: tuple[Array, Array], delay: float, step: float) -> tuple[Array, Array]:
+            moved = self._thrusts(on_grid, delay)
             d_impulse = (moved[1] - impulse) / step
             torque = d_impulse[:, 1:].copy()
             torque[:, :2] += np.stack([-p.com_m[1], p.com_m[0]]) * d_impulse[:, :1]
@@ -284,12 +273,12 @@ class RecordModel:
         up, down, delay = p.lag_up_s, p.lag_down_s, p.delay_s
         step = max(1e-3, 0.02 * max(up, down))
         if options.delay:
-            table["input_delay_s"] = difference(up, down, delay + 1e-3, 1e-3)
+            table["input_delay_s"] = difference(prediction.on_grid, delay + 1e-3, 1e-3)
         if options.lag and options.symmetric_lag:
-            table["rotor_lag_s"] = difference(up + step, down + step, delay, step)
+            table["rotor_lag_s"] = difference(self._wrench(up + step, down + step), delay, step)
         elif options.lag:
-            table["rotor_lag_up_s"] = difference(up + step, down, delay, step)
-            table["rotor_lag_down_s"] = difference(up, down + step, delay, step)
+            table["rotor_lag_up_s"] = difference(self._wrench(up + step, down), delay, step)
+            table["rotor_lag_down_s"] = difference(self._wrench(up, down + step), delay, step)
         self._add_offsets(table, inverse, impulse[:, 0], options)
         for term, (integral, push) in zip(self.extra, self._extra, strict=True):
             torque = integral[:, 3:] - np.cross(p.com_m, integral[:, :3])
@@ -321,24 +310,6 @@ class RecordModel:
         if self.planned is None:
             raise ValueError("no planned motion was given for this record")
         return self._planned_sensitivities(self._planned_base(self.planned, p), p, options)
-
-    def instruments(self, p: Parameters, options: Options) -> Array:
-        """Sensitivities the planned motion would have at ``p``, shifted by INSTRUMENT_SHIFTS_S, (blocks, 6, P * shifts).
-
-        Any function of the plan is a valid instrument (Soderstrom and Stoica 1983); what the vehicle really did is a filtered
-        plan, which a few shifted copies of mass and tensor columns span; few, because each instrument keeps a share of the
-        noise that instruments are to remove.
-        """
-        if self.planned is None:
-            raise ValueError("no planned motion was given for this record")
-        if not self._bases:
-            planned = [self.planned.shifted(seconds, self.record.t_s) for seconds in INSTRUMENT_SHIFTS_S]
-            self._bases = tuple(self._planned_base(motion, p) for motion in planned)
-        columns = [self._planned_sensitivities(base, p, options) for base in self._bases]
-        own = len(TENSOR) + 1
-        return np.concatenate(
-            [c if s == 0.0 else c[:, :, :own] for s, c in zip(INSTRUMENT_SHIFTS_S, columns, strict=True)], axis=2
-        )
 
     def _planned_base(self, plan: PlannedMotion, p: Parameters) -> _PlannedBase:
         rate = plan.rate_rad_s
@@ -400,6 +371,23 @@ class RecordModel:
         for term, (integral, push) in zip(self.extra, base.extra, strict=True):
             table[term.name] = integral[:, 3:] @ inverse.T, push / p.mass_kg
         return _stacked(table)
+
+
+@njit(cache=True)
+def _block_means(values: Array, position: Array, members: NDArray[np.int64]) -> Array:
+    """Block means of a uniform grid's columns (k, n), interpolated linearly at ``position`` (in steps), (blocks, n)."""
+    blocks, size = members.shape
+    out = np.zeros((blocks, values.shape[1]))
+    for b in range(blocks):
+        for m in range(size):
+            at = min(max(position[members[b, m]], 0.0), len(values) - 1.000001)
+            i = int(at)
+            weight = at - i
+            for j in range(values.shape[1]):
+                out[b, j] += values[i, j] * (1.0 - weight) + values[i + 1, j] * weight
+        for j in range(values.shape[1]):
+            out[b, j] /= size
+    return out
 
 
 def _blocks(record: DynamicRecord) -> tuple[NDArray[np.int64], Mask]:

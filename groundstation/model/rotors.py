@@ -25,12 +25,12 @@ def _lagged(value: Array, up: float, down: float, step: float) -> Array:
     out = np.empty_like(value)
     gain_up = 1.0 - np.exp(-step / up) if up > 1e-6 else 1.0
     gain_down = 1.0 - np.exp(-step / down) if down > 1e-6 else 1.0
-    for j in range(value.shape[1]):
-        x = value[0, j]
-        for i in range(value.shape[0]):
-            out[i, j] = x
-            error = value[i, j] - x
-            x += (gain_up if error > 0.0 else gain_down) * error
+    x = value[0].copy()
+    for i in range(value.shape[0]):  # columns side by side: each only waits for itself
+        for j in range(value.shape[1]):
+            out[i, j] = x[j]
+            error = value[i, j] - x[j]
+            x[j] += (gain_up if error > 0.0 else gain_down) * error
     return out
 
 
