@@ -11,6 +11,7 @@ import contextlib
 import os
 import pty
 import select
+import signal
 import sys
 import time
 import tty
@@ -49,6 +50,8 @@ class Direction:
 
 def main() -> None:
     """Relay until interrupted."""
+    for number in (signal.SIGINT, signal.SIGTERM):  # a shell's background jobs ignore the first
+        signal.signal(number, signal.default_int_handler)
     rate = int(sys.argv[1]) / 10.0
     (a, a_name), (b, b_name) = (_terminal() for _ in range(2))
     print(a_name, b_name, flush=True)

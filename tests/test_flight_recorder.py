@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.samples import Batch, Event, Imu
+from drivers.samples import Batch, Event, Imu, Motors
 from groundstation.flight.ground_check import check_ground
 from groundstation.flight.messages import StreamStatus
 from groundstation.flight.recorder import Recorder, StreamMeter
@@ -20,17 +20,18 @@ class Memory:
     """A sink that keeps what it gets, and fails when told to."""
 
     def __init__(self, fail_after: int | None = None):
-        self.samples, self.metadata, self.statuses = [], {}, []
+        self.samples, self.topics, self.metadata, self.statuses = [], [], {}, []
         self.failure, self.closed, self._left = None, False, fail_after
         self.gate = threading.Event()
         self.gate.set()
 
-    def add(self, sample, host_s):
+    def add(self, sample, host_s, topic=None):
         self.gate.wait()
         if self._left is not None and len(self.samples) >= self._left:
             self.failure = "no space left on device"
             return
         self.samples.append((sample, host_s))
+        self.topics.append(topic)
 
     def add_status(self, device_s, host_s, phase, armed, text=""):
         self.statuses.append((phase, text))
@@ -125,3 +126,21 @@ def test_the_ground_check_waits_then_says_yes_or_why_not():
     assert check_ground({"imu": StreamStatus()}, 12.0, vehicle, 2.0) is None
     missing = check_ground({"imu": StreamStatus()}, 12.0, vehicle, 6.0)
     assert not missing.ok and "motors" in missing.reason
+
+
+def test_commands_are_kept_beside_measured_speeds_and_count_as_no_stream_of_their_own():
+    sink = Memory()
+    writer, *_ = recorder(sink)
+    pair = (Motors(1.0, (500.0,) * 4, "rotor_speed"), Motors(1.0, (0.5,) * 4, "command"))
+    writer.put(Batch(0, (1.0, 1.0), pair))
+    writer.close()
+    assert sink.topics == [None, "/motor_commands"]
+    assert writer.streams(1.0)["motors"].count == 1
+
+
+def test_commands_alone_are_the_motors_stream():
+    sink = Memory()
+    writer = Recorder(sink, lambda host_s: None, lambda reason: None, "command")
+    writer.put(Batch(0, (1.0,), (Motors(1.0, (0.5,) * 4, "command"),)))
+    writer.close()
+    assert sink.topics == [None] and writer.streams(1.0)["motors"].count == 1

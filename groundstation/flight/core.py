@@ -101,8 +101,7 @@ class FlightCore:
         self.settings.folder.mkdir(parents=True, exist_ok=True)
         with bus.open_session(listen=self.settings.listen) as session, bus.alive(session, bus.CORE_ALIVE):
             self.session = session
-            keys = bus.DroneKeys(DRONE)
-            self.keys = keys
+            self.keys = keys = bus.DroneKeys(DRONE)
             self._credit = bus.Publisher(session, keys.credit)
             self._status = bus.Publisher(session, bus.CORE_STATUS)
             self._handles = [
@@ -115,11 +114,7 @@ class FlightCore:
             ]
             try:
                 self._drone = start_child(
-                    module_command(
-                        self.settings.drone[0],
-                        *self.settings.drone[1:],
-                        *("--drone", DRONE, "--connect", self.settings.listen[0]),
-                    ),
+                    module_command(*self.settings.drone, "--drone", DRONE, "--connect", self.settings.listen[0]),
                     self.settings.folder / "vehicle.log",
                 )
                 while not self.finished:
@@ -192,6 +187,7 @@ class FlightCore:
             sink,
             on_digested=lambda host_s: self.inbox.put(lambda: self._digested(host_s)),
             on_failure=lambda reason: self.inbox.put(lambda: self._event(seq.AbortRequested(reason))),
+            motor_kind=description.motor_kind,
         )
         if not description.real_time:
             # Deadlines run on the wall's clock; a simulation slower than real time is no fault.

@@ -220,7 +220,9 @@ class LinkProcess:
                 if self._logger.failure and not self._log_failed:
                     self._log_failed = True
                     self.core.note(self.clock(), "link", f"the raw log is not written any more: {self._logger.failure}")
-            if not isinstance(sample, Motors) or (self.core.ready and sample.kind == self.motor_kind()):
+            if not isinstance(sample, Motors) or (
+                self.core.ready and self.motor_kind() in (sample.kind, "rotor_speed")
+            ):
                 self._batch.append((sample, host_s))
 
     def _finished(self) -> bool:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from drivers.samples import Battery, Imu, Motors, Pose, Sample
 from groundstation.errors import Refused
 from groundstation.flight.sequence import Phase
+from groundstation.flightdata import Stream, motor_columns
 from groundstation.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -30,6 +31,8 @@ STRETCH_S = 4.0
 BROKEN_S = 0.01
 QUEUE = 40
 """Batches: two seconds of a flight at the wall clock's pace."""
+JUDGED_AFTER_S = 2.0
+"""Of excitation, until speeds that were computed from the commands are told from measured ones."""
 _ON_GROUND = frozenset({Phase.PLANNED, Phase.UPLOADED, Phase.CHECKED})
 
 
@@ -96,6 +99,7 @@ class LiveEstimate:
         self._clock = LiveClock()
         self._vehicle = vehicle
         self._estimator: RecursiveEstimator | None = None
+        self._unjudged: list[Motors] | None = []
         self._queue: queue.Queue[tuple[Sequence[Sample], Phase]] = queue.Queue(QUEUE)
         threading.Thread(target=self._run, name="live-estimate", daemon=True).start()
 
@@ -112,6 +116,8 @@ class LiveEstimate:
         """Work samples in, on the caller's thread; a fault ends the estimates and nothing else."""
         try:
             self._take(samples, phase)
+        except Refused as error:
+            self.trouble = str(error)
         except Exception as error:
             self.trouble = f"the live estimate ended ({type(error).__name__}: {error})"
             traceback.print_exc()
@@ -129,10 +135,26 @@ class LiveEstimate:
         for sample in samples:
             if isinstance(sample, Battery):
                 self._estimator.battery(sample.voltage_v)
+        if self._unjudged is not None:
+            self._judge([s for s in samples if isinstance(s, Motors)])
         kind = self._vehicle.rotors.input
         motors = np.array([(s.device_s, *s.values) for s in samples if isinstance(s, Motors) and s.kind == kind])
         if (newest := self._estimator.add(imu, motors)) is not None:
             self.table = self._rows(newest)
+
+    def _judge(self, motors: Sequence[Motors]) -> None:
+        """End the estimates, once, where the ESCs' speeds are the commands times a number: the flight goes by the commands."""
+        from groundstation.recording.computed_speeds import commands_behind
+
+        self._unjudged = seen = [*(self._unjudged or ()), *motors]
+        if not seen or seen[-1].device_s - seen[0].device_s < JUDGED_AFTER_S:
+            return
+        self._unjudged = None
+        speeds, commands = (_stream(seen, kind) for kind in ("rotor_speed", "command"))
+        found = commands_behind(speeds, commands) if len(speeds) and len(commands) else None
+        if found is not None:
+            self.table = {}
+            raise Refused(f"no live estimate: {found[1]}")
 
     def _rows(self, newest: RecursiveEstimate) -> Table:
         from groundstation.identification.recursive import SHOWN
@@ -141,3 +163,8 @@ class LiveEstimate:
         known = {name: (e.value, *e.ci95) for name, e in newest.parameters.items()}
         declared = self._vehicle.parameters()
         return {name: (declared[name], *known.get(name, unknown)) for name in SHOWN}
+
+
+def _stream(motors: Sequence[Motors], kind: str) -> Stream:
+    rows = np.array([(m.device_s, *m.values) for m in motors if m.kind == kind]).reshape(-1, 1 + len(motors[0].values))
+    return Stream(rows[:, 0], rows[:, 1:], motor_columns(kind, rows.shape[1] - 1))

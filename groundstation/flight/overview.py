@@ -36,6 +36,7 @@ class FlightView:
         self.drone: DroneStatus | None = None
         self.battery_v = 0.0
         self.motors: tuple[float, ...] = ()
+        self._measured = False
         self.progress, self.text = 0.0, ""
         self.table: dict[str, tuple[float, float, float, float]] = {}
         self.notes: deque[str] = deque(maxlen=NOTES)
@@ -48,7 +49,9 @@ class FlightView:
             if isinstance(sample, Battery):
                 self.battery_v = sample.voltage_v
             elif isinstance(sample, Motors):
-                self.motors = sample.values
+                self._measured |= sample.kind == "rotor_speed"
+                if sample.kind == "rotor_speed" or not self._measured:
+                    self.motors = sample.values
             elif isinstance(sample, Event) and sample.kind == "preflight":
                 self._note_check(sample.text)
 

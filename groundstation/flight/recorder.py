@@ -18,8 +18,9 @@ from typing import Protocol
 import numpy as np
 
 from drivers.bus import Description, DroneStatus
-from drivers.samples import Batch, Event, Raw, Sample
+from drivers.samples import Batch, Event, Motors, Raw, Sample
 from groundstation.flight.messages import StreamStatus
+from groundstation.recording.computed_speeds import COMMANDS
 
 RATE_WINDOW_S = 1.0
 
@@ -29,8 +30,8 @@ class Sink(Protocol):
 
     failure: str | None
 
-    def add(self, sample: Sample, host_s: float) -> None:
-        """Write one sample."""
+    def add(self, sample: Sample, host_s: float, topic: str | None = None) -> None:
+        """Write one sample, to its kind's own topic or another."""
         ...
 
     def add_status(self, device_s: float, host_s: float, phase: str, armed: bool, text: str = "") -> None:
@@ -84,10 +85,17 @@ class Recorder:
         sink: the open file.
         on_digested: called on the recorder's thread with the host time up to which everything is written.
         on_failure: called once with the sentence that says why writing failed.
+        motor_kind: what the motors stream holds; commands that come beside speeds are recorded beside them.
     """
 
-    def __init__(self, sink: Sink, on_digested: Callable[[float], None], on_failure: Callable[[str], None]):
-        self._sink = sink
+    def __init__(
+        self,
+        sink: Sink,
+        on_digested: Callable[[float], None],
+        on_failure: Callable[[str], None],
+        motor_kind: str = "rotor_speed",
+    ):
+        self._sink, self._motor_kind = sink, motor_kind
         self._on_digested = on_digested
         self._on_failure = on_failure
         self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
@@ -145,15 +153,19 @@ class Recorder:
             self.lost_batches += batch.sequence - self._expected
         self._expected = batch.sequence + 1
         for sample, host_s in zip(batch.samples, batch.host_s, strict=True):
-            self._sink.add(sample, host_s)
+            self._sink.add(sample, host_s, f"/{COMMANDS}" if self._beside(sample) else None)
         self.recorded += len(batch.samples)
         with self._lock:
             for sample, host_s in zip(batch.samples, batch.host_s, strict=True):
-                if not isinstance(sample, Event | Raw):
+                if not isinstance(sample, Event | Raw) and not self._beside(sample):
                     name = type(sample).__name__.lower()
                     self._meters.setdefault(name, StreamMeter()).add(sample.device_s, host_s)
         if batch.host_s:
             self._on_digested(batch.host_s[-1])
+
+    def _beside(self, sample: Sample) -> bool:
+        """A command beside the motors stream's measured speeds."""
+        return isinstance(sample, Motors) and sample.kind == "command" != self._motor_kind
 
 
 def open_recording(folder: Path, plan: Path, vehicle: Path, description: Description) -> Sink:

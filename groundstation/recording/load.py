@@ -12,6 +12,7 @@ from groundstation.errors import BadInput
 from groundstation.flightdata import FlightData, Stream, motor_columns
 from groundstation.recording.autopilot import one_line
 from groundstation.recording.bundle import read_bundle
+from groundstation.recording.computed_speeds import without_computed_speeds
 from groundstation.recording.container import MAGIC as MCAP_MAGIC
 from groundstation.recording.crazyflie import is_usd_log, read_usd
 from groundstation.recording.mcapfile import read_mcap
@@ -50,7 +51,7 @@ def read_recording(path: str | Path, vehicle: Vehicle | None = None) -> Recordin
             recording = _foreign(path, head, vehicle)
     if vehicle is not None:
         recording = replace(recording, files={**recording.files, VEHICLE_FILE: vehicle_file(vehicle)})
-    return _with_its_own_input(recording, str(path))
+    return _with_its_own_input(without_computed_speeds(recording), str(path))
 
 
 def _with_its_own_input(recording: Recording, source: str) -> Recording:

@@ -48,6 +48,8 @@ def merge_onboard(link: Recording, onboard: Recording, name: str) -> Recording:
         before = link.streams.get(key)
         if before is not None and (key in ("mocap", "setpoint") or stream.rate_hz() <= before.rate_hz()):
             continue
+        if before is not None and stream.columns != before.columns:  # commands do not stand in for measured speeds
+            continue
         streams[key] = replace(
             stream, t_s=stream.t_s + offset_s, received_s=_arrivals(stream.t_s + offset_s, link.streams)
         )

@@ -6,6 +6,7 @@ import contextlib
 import io
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ from groundstation.recording.autopilot import (
     z_up,
     z_up_quaternion,
 )
+from groundstation.recording.computed_speeds import commands_behind
 from groundstation.recording.derive import slerp
 from groundstation.recording.recorded import Recording
 from groundstation.vehicle import Vehicle
@@ -140,8 +142,8 @@ def _seconds(topic: Topic, key: str = "timestamp") -> Array:
 
 
 def _sampled(topic: Topic) -> Array:
-    """When a sample was taken, where the topic says, else when it was published."""
-    return _seconds(topic, "timestamp_sample" if "timestamp_sample" in topic else "timestamp")
+    """When a sample was taken, where the topic says (PX4's simulator link leaves it 0), else when it was published."""
+    return _seconds(topic, "timestamp_sample" if np.any(topic.get("timestamp_sample", 0)) else "timestamp")
 
 
 def _columns(topic: Topic, name: str, count: int) -> Array:
@@ -187,26 +189,43 @@ def _motors(
     topics: dict[str, Topic], parameters: dict[str, float], vehicle: Vehicle, source: str
 ) -> tuple[Stream, list[str]]:
     count = vehicle.rotors.count
-    commanded = topics.get("actuator_motors", topics.get("actuator_outputs"))
-    escs = topics.get("esc_status")
-    spinning = escs is not None and any(np.any(escs[f"esc[{i}].esc_rpm"] != 0) for i in range(count))
-    kind = wanted_input(vehicle, {"command": commanded is not None, "rotor_speed": spinning}, source)
     order, notes = _order(parameters, vehicle)
-    if kind == "rotor_speed" and escs is not None:
-        rpm = np.column_stack([escs[f"esc[{i}].esc_rpm"].astype(float) for i in range(count)])
-        stream = _stream(escs, np.abs(rpm[:, order]) * (2.0 * np.pi / 60.0), motor_columns(kind, count))
-        return stream, notes + slow_note("motors", stream, MOTORS_SLOW_HZ, _SETTINGS)
+    commands, said = _commands(topics, parameters, count)
+    speeds = _speeds(topics, count)
+    computed = commands_behind(speeds, commands) if speeds is not None and commands is not None else None
+    if computed is not None:
+        speeds, commands, said = None, computed[0], [*said, computed[1]]
+    there = {name: s for name, s in (("command", commands), ("rotor_speed", speeds)) if s is not None}
+    kind = wanted_input(vehicle, {name: name in there for name in ("command", "rotor_speed")}, source)
+    notes = [*notes, *said] if kind == "command" else notes
+    stream = there[kind]
+    stream = replace(stream, values=stream.values[:, order])
+    return stream, notes + slow_note("motors", stream, MOTORS_SLOW_HZ, _SETTINGS)
+
+
+def _speeds(topics: dict[str, Topic], count: int) -> Stream | None:
+    """What the ESCs report, where a rotor was ever seen to turn; rad/s in the autopilot's order."""
+    escs = topics.get("esc_status")
+    if escs is None:
+        return None
+    rpm = np.column_stack([escs[f"esc[{i}].esc_rpm"].astype(float) for i in range(count)])
+    return _stream(escs, np.abs(rpm) * (2.0 * np.pi / 60.0), motor_columns("rotor_speed", count)) if rpm.any() else None
+
+
+def _commands(topics: dict[str, Topic], parameters: dict[str, float], count: int) -> tuple[Stream | None, list[str]]:
+    """What the ESCs are sent, 0..1 in the autopilot's order."""
+    columns = motor_columns("command", count)
     if "actuator_motors" in topics:
         topic = topics["actuator_motors"]
         command = _columns(topic, "control", count)
         command[np.all(np.isnan(command), axis=1)] = 0.0  # disarmed
-        command = _thrust_curve(command, parameters.get("THR_MDL_FAC", 0.0))
-    else:
-        topic = topics["actuator_outputs"]
-        command = np.clip((_columns(topic, "output", count) - 1000.0) / 1000.0, 0.0, None)
-        notes.append("motors: from actuator_outputs, as (microseconds - 1000) / 1000 of outputs 1 and on.")
-    stream = _stream(topic, command[:, order], motor_columns("command", count))
-    return stream, notes + slow_note("motors", stream, MOTORS_SLOW_HZ, _SETTINGS)
+        return _stream(topic, _thrust_curve(command, parameters.get("THR_MDL_FAC", 0.0)), columns), []
+    if "actuator_outputs" not in topics:
+        return None, []
+    topic = topics["actuator_outputs"]
+    command = np.clip((_columns(topic, "output", count) - 1000.0) / 1000.0, 0.0, None)
+    note = "motors: from actuator_outputs, as (microseconds - 1000) / 1000 of outputs 1 and on."
+    return _stream(topic, command, columns), [note]
 
 
 def _thrust_curve(thrust: Array, factor: float) -> Array:

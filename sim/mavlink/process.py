@@ -20,7 +20,7 @@ DATAGRAM = 1200
 MAX_BEHIND_S = 0.25
 DEFAULT_LINKS = {
     "px4": ("udpout://127.0.0.1:14540", "udpout://127.0.0.1:14550"),
-    "arducopter": ("tcpin://127.0.0.1:5760", "udpout://127.0.0.1:14550"),
+    "arducopter": ("tcpin://127.0.0.1:5760", "udpout://127.0.0.1:14540", "udpout://127.0.0.1:14550"),
 }
 STATION_PORT = 14550
 """PX4 streams to this port what a ground station wants, to others what a companion computer wants."""

@@ -1,0 +1,73 @@
+"""Rotor speeds that nobody measured: an autopilot's simulator multiplies the motor command by a number of its own.
+
+PX4's simulator link reports ``esc_rpm = 6000 control`` whatever turns at the other end (``send_esc_telemetry`` in its
+``SimulatorMavlink.cpp``). Taken for measurements, such speeds give every force and inertia on the scale of that number.
+A rotor's speed lags its command by tens of milliseconds and sags with the battery, so that it is never the command of the
+same instant times one number, down to the last digit of both: where it is, the command is all that is known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from groundstation.flightdata import Stream, motor_columns
+from groundstation.recording.recorded import Recording
+
+COMMANDS = "motor_commands"
+"""The stream of commands beside one of measured speeds, in a recording's extras."""
+
+_RPM = 2.0 * np.pi / 60.0
+_COMMAND_STEP = 1e-3  # of a pulse width in microseconds
+_LEAST = 100
+_SHARE = 0.95  # of the pairs; the rest is what a message lost or a rounding shifted
+
+
+def computed_gain(speeds: Stream, commands: Stream) -> float | None:
+    """rad/s per unit command by which speeds were computed from the commands; None where they are measurements.
+
+    Compared are samples with one stamp, of turning rotors whose speed varies far beyond the digits it is told in.
+    """
+    if min(len(speeds), len(commands)) < _LEAST:
+        return None
+    after = np.clip(np.searchsorted(commands.t_s, speeds.t_s), 1, len(commands) - 1)
+    at = after - (speeds.t_s - commands.t_s[after - 1] < commands.t_s[after] - speeds.t_s)
+    u, w = commands.values[at], speeds.values
+    together = np.abs(commands.t_s[at] - speeds.t_s) < 0.25 / max(speeds.rate_hz(), commands.rate_hz())
+    paired = together & np.all((u > 0.0) & (w > 0.0), axis=1)
+    u, w = u[paired], w[paired]
+    if len(u) < _LEAST:
+        return None
+    gain = float(np.median(w / u))
+    digits = 0.5 * (_RPM + gain * _COMMAND_STEP)
+    if float(np.min(np.std(w, axis=0))) < 10.0 * digits:
+        return None
+    return gain if float(np.mean(np.abs(w - gain * u) <= digits)) >= _SHARE else None
+
+
+def commands_behind(speeds: Stream, commands: Stream) -> tuple[Stream, str] | None:
+    """The commands, at the faster of both rates, and what to say of it; None where the speeds are measurements."""
+    gain = computed_gain(speeds, commands)
+    if gain is None:
+        return None
+    note = (
+        f"motors: the ESCs' speeds are the commands times {gain / _RPM:.0f} rpm at every instant, to the last digit: the "
+        "autopilot's simulator computed them, nobody measured them; the commands are used."
+    )
+    if commands.rate_hz() >= speeds.rate_hz():
+        return commands, note
+    return replace(speeds, values=speeds.values / gain, columns=commands.columns), note
+
+
+def without_computed_speeds(recording: Recording) -> Recording:
+    """With the commands as motor values where the speeds were computed from them."""
+    speeds, commands = recording.streams.get("motors"), recording.extras.get(COMMANDS)
+    if speeds is None or commands is None or speeds.columns != motor_columns("rotor_speed", len(speeds.columns)):
+        return recording
+    found = commands_behind(speeds, commands)
+    if found is None:
+        return recording
+    extras = {name: stream for name, stream in recording.extras.items() if name != COMMANDS}
+    streams = {**recording.streams, "motors": found[0]}
+    return replace(recording, streams=streams, extras=extras, notes=(*recording.notes, found[1]))
