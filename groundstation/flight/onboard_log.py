@@ -15,12 +15,15 @@ from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any
 
-from drivers.mavlink.exchange import Conversation
+from drivers.mavlink.dialect import message_id
+from drivers.mavlink.exchange import Ask, Conversation
 from drivers.mavlink.logs import LogEntry, LogError, Logs
 from drivers.mavlink.transports import open_transport
 from groundstation.errors import BadInput, GroundStationError, Refused
 from groundstation.flight.link import bandwidth_of
 from groundstation.flight.link_core import LinkCore, Options
+from groundstation.flight.prepare import acknowledges_interval
+from groundstation.flight.profiles import Profile
 from groundstation.flight.station import load_station
 from groundstation.paths import find_config
 from groundstation.vehicle import Vehicle, load_vehicle
@@ -32,6 +35,12 @@ STEP_S = 0.005
 def newest(entries: list[LogEntry]) -> LogEntry | None:
     """The log of the flight just flown."""
     return max(entries, key=lambda e: (e.time_utc_s, e.number), default=None)
+
+
+def silenced(profile: Profile) -> Generator[Ask, Any, None]:
+    """Switch off what a flight had asked for: on a line it takes three quarters of what a log could use."""
+    for wish in profile.streams:
+        yield Ask((profile.interval(message_id(wish.name), 0.0),), acknowledges_interval, 0.5, 2)
 
 
 def fetch_onboard_log(
@@ -78,6 +87,8 @@ def fetch_onboard_log(
                 raise Refused("no vehicle is heard on the link.", transport.trouble or "Check it, and fetch again.")
             turn()
         profile = core.view.profile
+        if options.bytes_per_s is not None:
+            run(silenced(profile))
         logs = Logs(profile.system, profile.component)
         entries: list[LogEntry] = run(logs.list())
         entry = newest(entries) if number is None else next((e for e in entries if e.number == number), None)

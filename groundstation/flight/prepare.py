@@ -95,9 +95,9 @@ class Preparation:
             unasked = [name for name in self.view.meters if name not in self.rates and name not in _KEPT]
             for name in unasked:
                 if not name.startswith("UNKNOWN"):
-                    yield Ask((self._interval(name, 0.0),), _acknowledges_interval, 0.5, 2)
+                    yield Ask((self._interval(name, 0.0),), acknowledges_interval, 0.5, 2)
         for name, rate in self.rates.items():
-            yield Ask((self._interval(name, rate),), _acknowledges_interval, 0.5, 4)
+            yield Ask((self._interval(name, rate),), acknowledges_interval, 0.5, 4)
 
     def _measure(self) -> Steps[None]:
         """Count arrivals for a while; what is needed and did not come is asked for again.
@@ -112,7 +112,7 @@ class Preparation:
             if not silent:
                 return
             for name in silent:
-                yield Ask((self._interval(name, self.rates[name]),), _acknowledges_interval, 0.5, 4)
+                yield Ask((self._interval(name, self.rates[name]),), acknowledges_interval, 0.5, 4)
 
     def _count(self, name: str) -> int:
         meter = self.view.meters.get(name)
@@ -139,5 +139,6 @@ def _named(name: str) -> Callable[[Message], bool]:
     return lambda m: m.get_type() == name
 
 
-def _acknowledges_interval(m: Message) -> bool:
+def acknowledges_interval(m: Message) -> bool:
+    """The answer to a request for a message's rate; it does not say which."""
     return m.get_type() == "COMMAND_ACK" and m.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
 from sim.mavlink.wire import Message, mavlink
 
 PIECE = 90
+FRAME = 109
+"""Bytes of a LOG_DATA on the wire."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,11 +69,11 @@ class LogServer:
         self.logs.clear()
         self.stop()
 
-    def due(self) -> list[Message]:
-        """What leaves in this control cycle."""
+    def due(self, room: float = math.inf) -> list[Message]:
+        """What leaves in this control cycle, where a wire has room for so many bytes of a log."""
         out = list(self._queue)
         self._queue.clear()
-        for _ in range(self._pieces if self._sending is not None else 0):
+        for _ in range(math.ceil(min(self._pieces, max(0.0, room) / FRAME))):
             if self._sending is None:
                 break
             number, content, offset, end = self._sending

@@ -26,7 +26,7 @@ class Link:
 
     Attributes:
         kind: what is streamed unasked.
-        bytes_per_s: what the wire carries; streams wait for room, answers do not.
+        bytes_per_s: what the wire carries; streams, parameters and logs wait for room, answers do not.
         heard_s: when a ground station's heartbeat last came, on the autopilot's clock.
         budget: room on the wire, bytes.
         texts_sent: number of the last status text that went out here.
@@ -73,11 +73,13 @@ class Outbox:
 
     def emit(self, a: Autopilot) -> None:
         """Everything that is due in this cycle."""
-        pieces = a.logs.due()
         for link in self.links.values():
-            throttled = math.isfinite(link.bytes_per_s)
-            if throttled:
+            if math.isfinite(link.bytes_per_s):
                 link.budget = min(BUFFER, link.budget + link.bytes_per_s * a.EMIT_US * 1e-6)
+        pieces = a.logs.due(
+            min((link.budget for link in self.links.values() if math.isfinite(link.bytes_per_s)), default=math.inf)
+        )
+        for link in self.links.values():
             before = len(link.out)
             self._emit_texts(a, link)
             for _ in range(min(len(link.parameters), a.PARAMETERS_PER_TICK if link.budget > 0.0 else 0)):
@@ -86,7 +88,7 @@ class Outbox:
             for message_id in link.streams.due(a.boot_us):
                 if link.budget > 0.0:
                     link.send(*a.build(message_id))
-            if throttled:
+            if math.isfinite(link.bytes_per_s):
                 link.budget -= sum(len(frame) for frame in link.out[before:])
 
     def _emit_texts(self, a: Autopilot, link: Link) -> None:
