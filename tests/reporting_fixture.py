@@ -247,6 +247,11 @@ def diagnosis(seed: int = 4) -> Diagnosis:
                 "nominal": scaled(1.4),
                 "before": scaled(1.0),
                 "after": {**scaled(0.2), "torque_z_nm": 0.0042},
+                "prediction_0.1_s_nominal": {"position_m": 0.0015, "body_rate_rad_s": 0.11},
+                "prediction_0.1_s_before": {"position_m": 0.0004, "body_rate_rad_s": 0.035},
+                "prediction_0.1_s_after": {"position_m": 0.0001, "body_rate_rad_s": 0.007},
+                "prediction_0.5_s_before": {"position_m": 0.012},
+                "prediction_0.5_s_after": {"position_m": 0.003},
                 "simulation_before": {"x_m": 0.011, "y_m": 0.009},
                 "simulation_after": {"x_m": 0.003, "y_m": 0.0021},
             }
@@ -258,6 +263,7 @@ def diagnosis(seed: int = 4) -> Diagnosis:
         warnings=(
             "The controller of this autopilot is not known; closed-loop simulation is the simulated vehicle's own.",
         ),
+        notes=("Predictions are judged on 144 windows that lie in data no estimate saw.",),
         candidates=(
             {"effect": "rotor_drag", "gain": 0.61, "kept": True, "why": "beats every rival"},
             {"effect": "wind", "gain": 0.02, "kept": False, "why": "no better than chance"},

@@ -120,6 +120,14 @@ def test_findings_come_with_their_sentence_size_rivals_and_rotor(document):
     assert "hover 10 s" in text.lower() and "position x, speed" in text
 
 
+def test_prediction_is_shown_by_horizon_with_how_many_times_smaller_its_error_became(document):
+    text = document.visible()
+    rows = text[text.index("open-loop prediction") :]
+    assert rows.index("position, 0.1 s") < rows.index("body rate, 0.1 s") < rows.index("position, 0.5 s")
+    assert "ratio 4.00" in rows and "ratio 5.00" in rows
+    assert "144 windows that lie in data no estimate saw" in rows
+
+
 def test_names_from_logs_never_become_markup():
     plain = Document(report_html(fixture.flight(), fixture.identification(), fixture.diagnosis()))
     hostile = report_html(*fixture.hostile(HOSTILE), live=(HOSTILE,))

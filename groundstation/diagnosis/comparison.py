@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.attribution import folds
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, Solution
 from groundstation.identification.anchoring import anchored
-from groundstation.identification.prediction_error import Fitted, fit, output_error
+from groundstation.identification.prediction_error import Fitted, output_error
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import (
     CHANNELS,
@@ -29,6 +29,44 @@ from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 Chosen = Sequence[tuple[Candidate, Columns]]
+
+
+@dataclass(frozen=True, slots=True)
+class Split:
+    """What is estimated on, and what is judged.
+
+    Attributes:
+        train: rows of the evidence that the estimates see; None for all.
+        judged: flights, and which of their blocks no estimate sees.
+        plain: the base as declared, by the training data alone, where a lag or a curve was found.
+    """
+
+    train: NDArray[np.bool_] | None
+    judged: tuple[tuple[FlightEvidence, NDArray[np.bool_]], ...]
+    plain: Fitted | None = None
+
+
+def splits_of(evidence: Evidence, unseen: Sequence[Prepared], count: int = 6) -> list[Split]:
+    """The flights that no estimate saw, where there are some; else ``count`` blocks of time, each judged by the others."""
+    if unseen:
+        others = [evidence.flights[0].of(item) for item in unseen]
+        return [Split(None, tuple((flight, np.ones(len(flight.model.t_s), dtype=bool)) for flight in others))]
+    times, _, numbers = evidence.time_of_rows()
+    return [
+        Split(
+            train,
+            tuple(
+                (flight, np.isin(flight.model.t_s, times[(numbers == number) & test]))
+                for number, flight in enumerate(evidence.flights[: evidence.suspects])
+            ),
+        )
+        for train, test in folds(evidence, count)
+    ]
+
+
+def with_plain(splits: Sequence[Split], evidence: Evidence, vehicle: Vehicle) -> list[Split]:
+    """The same, each with the base as declared by its own training data."""
+    return [replace(split, plain=as_declared(evidence, vehicle, split.train)) for split in splits]
 
 
 def _base_estimates(evidence: Evidence, vehicle: Vehicle, solution: Solution) -> dict[str, Estimate]:
@@ -63,16 +101,25 @@ def declared_model(flight: FlightEvidence) -> RecordModel:
     return RecordModel(replace(flight.model.record, vehicle=flight.prepared.flight.vehicle), (), None)
 
 
-def as_declared(evidence: Evidence, vehicle: Vehicle) -> Fitted:
+def as_declared(evidence: Evidence, vehicle: Vehicle, train: NDArray[np.bool_] | None = None) -> Fitted:
     """The base by the declared curve with rotors that follow as declared: *before*, where a lag or a curve was found.
 
     By output error: an estimate with a noise model would take most of what is missing for a disturbance, and its parameters
     would be worse than anyone would use.
+
+    Args:
+        train: rows whose times are used; None for all.
     """
-    options = replace(evidence.flights[0].options, lag=False, delay=False, channels=(0, 1, 2, 5), colour_rounds=1)
+    options = replace(evidence.flights[0].options, lag=False, delay=False, channels=(0, 1, 2, 5))
     models = [declared_model(flight) for flight in evidence.flights]
-    start = initial_parameters(vehicle, lag_s=0.0)
-    return output_error(models, replace(fit(models, start, options), parameters=start), options)
+    if train is not None:
+        times, _, numbers = evidence.time_of_rows()
+        for number, model in enumerate(models):
+            left_out = times[(numbers == number) & ~train]
+            t = model.record.t_s
+            keep = model.record.keep & ~((t >= left_out.min()) & (t <= left_out.max()))
+            models[number] = RecordModel(replace(model.record, keep=keep), (), None)
+    return output_error(models, initial_parameters(vehicle, lag_s=0.0), options)
 
 
 def plain_gain(evidence: Evidence, chosen: Chosen, plain: Fitted | None) -> float:
@@ -111,42 +158,26 @@ def _remaining(flight: FlightEvidence, chosen: Chosen, solution: Solution) -> Ar
 
 
 def held_out_errors(
-    evidence: Evidence,
-    baseline: Chosen,
-    chosen: Chosen,
-    plain: Fitted | None,
-    unseen: Sequence[Prepared],
-) -> dict[str, dict[str, dict[str, float]]]:
-    """RMS of the residual wrench per channel on blocks (or flights) that no estimate saw: nominal, before, after."""
-    vehicle = evidence.flights[0].prepared.record.vehicle
-    nominal = initial_parameters(vehicle, lag_s=0.0)
+    evidence: Evidence, baseline: Chosen, chosen: Chosen, splits: Sequence[Split]
+) -> dict[str, dict[str, float]]:
+    """RMS of the residual wrench per channel on data that no estimate saw: nominal, before, after."""
+    nominal = initial_parameters(evidence.flights[0].prepared.record.vehicle, lag_s=0.0)
     stages: dict[str, list[Array]] = {"nominal": [], "before": [], "after": []}
-    if unseen:
-        others = [evidence.flights[0].of(item) for item in unseen]
-        pairs = {"before": (baseline, evidence.solve(baseline)), "after": (chosen, evidence.solve(chosen))}
-        for flight in others:
-            _collect(flight, np.ones(len(flight.model.t_s), dtype=bool), pairs, nominal, plain, stages)
-    else:
-        times, _, numbers = evidence.time_of_rows()
-        for train, test in folds(evidence):
-            pairs = {
-                "before": (baseline, evidence.solve(baseline, train)),
-                "after": (chosen, evidence.solve(chosen, train)),
-            }
-            for number, flight in enumerate(evidence.flights[: evidence.suspects]):
-                mine = times[(numbers == number) & test]
-                inside = np.isin(flight.model.t_s, mine)
-                _collect(flight, inside, pairs, nominal, plain, stages)
-    flight = evidence.flights[0]
-    return {
-        "held_out": {
-            stage: {
-                name: float(np.sqrt(np.nanmean(np.concatenate(parts)[:, index] ** 2)))
-                for index, name in enumerate(CHANNELS)
-                if index in flight.channels
-            }
-            for stage, parts in stages.items()
+    for split in splits:
+        pairs = {
+            "before": (baseline, evidence.solve(baseline, split.train)),
+            "after": (chosen, evidence.solve(chosen, split.train)),
         }
+        for flight, inside in split.judged:
+            _collect(flight, inside, pairs, nominal, split.plain, stages)
+    channels = evidence.flights[0].channels
+    return {
+        stage: {
+            name: float(np.sqrt(np.nanmean(np.concatenate(parts)[:, index] ** 2)))
+            for index, name in enumerate(CHANNELS)
+            if index in channels
+        }
+        for stage, parts in stages.items()
     }
 
 

@@ -16,10 +16,13 @@ from groundstation.diagnosis.comparison import (
     held_out_errors,
     plain_gain,
     residual_series,
+    splits_of,
+    with_plain,
 )
 from groundstation.diagnosis.curve import exponent_error, recurved, with_exponent
 from groundstation.diagnosis.effect import library
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, Solution
+from groundstation.diagnosis.forecast import forecast
 from groundstation.diagnosis.kinematic import kinematic_findings, turned
 from groundstation.diagnosis.next_flight import rival_entries
 from groundstation.diagnosis.proposal import with_proposals
@@ -64,9 +67,9 @@ def diagnose(
     vehicle = flights[0].vehicle
     try:
         progress(0.05, "bringing the streams onto one clock")
-        suspects = [_for_evidence(prepare(flight)) for flight in flights]
-        healthy = [_for_evidence(prepare(flight)) for flight in references]
-        unseen = [_for_evidence(prepare(flight)) for flight in held_out]
+        suspects = [for_evidence(prepare(flight)) for flight in flights]
+        healthy = [for_evidence(prepare(flight)) for flight in references]
+        unseen = [for_evidence(prepare(flight)) for flight in held_out]
         kinematic = kinematic_findings(suspects[0])
         suspects, healthy, unseen = ([turned(item, kinematic) for item in each] for each in (suspects, healthy, unseen))
         if healthy and trim_applies(suspects, healthy):
@@ -92,14 +95,20 @@ def diagnose(
     offset = sum(len(c.effect.parameters) for c, _ in baseline)
     forces = with_exponent(_findings(named, solution, vehicle, offset), bend, plain_gain(evidence, chosen, plain))
     findings = sorted([*lag, *forces, *kinematic], key=lambda f: -f.gain)
+    splits = splits_of(evidence, unseen)
+    halves = splits if unseen else splits_of(evidence, (), 2)
     remaining = with_proposals(
         evidence,
         chosen,
         unexplained(left),
-        lambda more: held_out_errors(evidence, chosen, list(more), None, unseen)["held_out"],
+        lambda more: held_out_errors(evidence, chosen, list(more), splits),
     )
     before, after = base_parameters(evidence, vehicle, baseline, chosen, plain)
-    error = held_out_errors(evidence, baseline, chosen, plain, unseen)
+    if plain is not None:
+        splits, halves = (with_plain(each, evidence, vehicle) for each in (splits, halves))
+    error = held_out_errors(evidence, baseline, chosen, splits)
+    progress(0.95, "predicting what no estimate saw")
+    ahead, notes = forecast(evidence, baseline, chosen, splits, halves)
     verdict = "unexplained" if remaining else "explained" if findings else "clean"
     progress(1.0, "done")
     return Diagnosis(
@@ -108,12 +117,13 @@ def diagnose(
         verdict=verdict,
         findings=tuple(findings),
         unexplained=remaining,
-        error=error,
+        error={"held_out": error | ahead},
         parameters_before=before,
         parameters_after=after,
         next_flight=_next_flight(findings, remaining),
         reason=_reason(verdict, findings, remaining),
         warnings=tuple(_warnings(suspects, references)),
+        notes=notes,
         candidates=(
             *(
                 {
@@ -147,7 +157,14 @@ def _by_trim(name: str, suspects: Sequence[Prepared], healthy: Sequence[Prepared
         verdict=verdict,
         findings=found.findings,
         unexplained=remaining,
-        error={"held_out": {"before": found.before, "after": found.after}},
+        error={
+            "held_out": {
+                "before": found.before,
+                "after": found.after,
+                "simulation_before": {},
+                "simulation_after": {},
+            }
+        },
         next_flight=_next_flight(found.findings, ()),
         reason=_reason(verdict, found.findings, remaining),
         warnings=(
@@ -157,7 +174,7 @@ def _by_trim(name: str, suspects: Sequence[Prepared], healthy: Sequence[Prepared
     )
 
 
-def _for_evidence(prepared: Prepared) -> Prepared:
+def for_evidence(prepared: Prepared) -> Prepared:
     """Effects are slow: thin the fit to EVIDENCE_RATE_HZ."""
     rate = 1.0 / float(np.median(np.diff(prepared.record.t_s)))
     block = max(prepared.record.block, round(rate / EVIDENCE_RATE_HZ))

@@ -67,7 +67,8 @@ class Diagnosis:
 
     Attributes:
         error: {"held_out": {"before": {channel: rms}, "after": {...}, "nominal": {...},
-            "simulation_before": {...}, "simulation_after": {...}}}.
+            "prediction_0.1_s_before": {quantity: rms}, ..., "simulation_before": {signal: rms}, "simulation_after": {...}}}.
+        notes: what these errors are of, and which of them are left out, and why.
         residual: time series that the report draws: "t_s", each channel before, and "channel/after" with the findings.
         candidates: for each effect tried, its held-out gain and why it was kept or dropped.
     """
@@ -83,6 +84,7 @@ class Diagnosis:
     next_flight: str = ""
     reason: str = ""
     warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     candidates: tuple[Mapping[str, Any], ...] = ()
     residual: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
 
@@ -101,5 +103,6 @@ class Diagnosis:
             "next_flight": self.next_flight,
             "reason": self.reason,
             "warnings": list(self.warnings),
+            "notes": list(self.notes),
             "candidates": [dict(c) for c in self.candidates],
         }

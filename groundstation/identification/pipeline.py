@@ -224,7 +224,7 @@ def identify(
     _refuse_if_empty(best, hidden, prepared)
     methods = dict(_seed_methods(prepared, exclude, progress))
     progress(0.85, "output error")
-    oe = output_error(fitted.models, best, fitted.options)
+    oe = output_error(fitted.models, best.parameters, fitted.options)
     model: dict[str, Estimate] = {}
     for name, found in (("OE", oe), ("FE", fitted.filter_error), ("IV", fitted.instrumental)):
         if found is None:

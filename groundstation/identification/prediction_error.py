@@ -305,7 +305,7 @@ def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: 
 SHOOTING_S = 2.0
 
 
-def output_error(models: Sequence[RecordModel], start: Fitted, options: Options) -> Fitted:
+def output_error(models: Sequence[RecordModel], start: Parameters, options: Options) -> Fitted:
     """Output error by multiple shooting: every SHOOTING_S the state starts anew, and the rest is taken for white noise.
 
     The classical estimate (Klein and Morelli, ch. 6), for comparison: what it takes for noise is mostly disturbance.
@@ -317,14 +317,14 @@ def output_error(models: Sequence[RecordModel], start: Fitted, options: Options)
         restart = model.restart.copy()
         restart[::every] = True
         shooting.append(model.restarted(restart))
-        residual = model.residual(start.parameters)
+        residual = model.residual(start)
         chosen = model.channels(options)
         spread = [
-            max(float(np.std(np.diff(residual[:, c]))) if c < 3 else float(np.std(residual[:, c])), 1e-9)
+            max(float(np.std(np.diff(residual[:, c])[~model.restart[1:]] if c < 3 else residual[:, c])), 1e-9)
             for c in chosen
         ]
         white.append([Colour(1e-9 * s, 1.0, 1e-9 * s, s) for s in spread])
-    return fit(shooting, start.parameters, replace(options, colour_rounds=0, autoregression=0), white, fixed=True)
+    return fit(shooting, start, replace(options, colour_rounds=0, autoregression=0), white, fixed=True)
 
 
 def noise_model(

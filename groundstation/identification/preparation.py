@@ -192,6 +192,12 @@ def flight_states(flight: FlightData, *, own: bool = False) -> FlightStates:
         parts = (x[:, :3], x[:, 3:6], quat_continuous(x[:, 6:10]), x[:, 10:13])
         voltage = np.interp(state.t_s, record.t_s, prepared.voltage_v)
         return FlightStates(state.t_s, *parts, *parts, record.motors, voltage, prepared.window_s, record.vehicle)
+    return smoothed_states(prepared)
+
+
+def smoothed_states(prepared: Prepared) -> FlightStates:
+    """Starts from the past alone, and the smoothed motion to judge by."""
+    record = prepared.record
     q, causal = quat_continuous(prepared.quaternion), quat_continuous(prepared.causal_quaternion)
     return FlightStates(
         record.t_s,

@@ -227,21 +227,42 @@ def predict(
     return Prediction(horizon_s, len(index), error, t[index], final)
 
 
-def _errors(states: FlightStates, at_s: Array, found: Mapping[str, Array]) -> dict[str, dict[str, float]]:
+def error_norms(
+    model: VehicleModel,
+    states: FlightStates,
+    index: NDArray[np.int64],
+    horizons: list[float],
+    *,
+    step_s: float = STEP_S,
+) -> dict[float, dict[str, Array]]:
+    """Size of the error of each window at each horizon (ascending), by quantity, shape (windows,); NaN where unknown.
+
+    Args:
+        index: at which of the states' stamps windows start.
+        step_s: of the integration; thrusts are averaged over each.
+    """
+    path = _simulate(model, states, index, horizons, step_s)
+    return {h: _norms(states, states.t_s[index] + h, path[h]) for h in horizons}
+
+
+def _norms(states: FlightStates, at_s: Array, found: Mapping[str, Array]) -> dict[str, Array]:
     def reference(values: Array) -> Array:
         return np.stack([np.interp(at_s, states.t_s, c) for c in values.T], axis=-1)
 
+    nearest = np.clip(np.searchsorted(states.t_s, at_s), 0, len(states.t_s) - 1)
+    truth = states.quaternion[nearest]
     differences = {
         "position_m": found["position"] - reference(states.position_m),
         "velocity_m_s": found["velocity"] - reference(states.velocity_m_s),
+        "attitude_rad": quat_log(quat_normalise(quat_multiply(quat_conjugate(truth), found["quaternion"]))),
         "body_rate_rad_s": found["rate"] - reference(states.rate_rad_s),
     }
-    nearest = np.clip(np.searchsorted(states.t_s, at_s), 0, len(states.t_s) - 1)
-    truth = states.quaternion[nearest]
-    differences["attitude_rad"] = quat_log(quat_normalise(quat_multiply(quat_conjugate(truth), found["quaternion"])))
+    return {name: np.linalg.norm(differences[name], axis=1) for name in QUANTITIES}
+
+
+def _errors(states: FlightStates, at_s: Array, found: Mapping[str, Array]) -> dict[str, dict[str, float]]:
     out = {}
-    for name in QUANTITIES:
-        norm = np.linalg.norm(differences[name], axis=1)
+    for name, norm in _norms(states, at_s, found).items():
         known = np.isfinite(norm)
         if known.any():
             out[name] = {"mean_norm": float(norm[known].mean()), "rms": float(np.sqrt(np.mean(norm[known] ** 2)))}
@@ -258,7 +279,7 @@ def _constant(states: FlightStates, index: NDArray[np.int64], horizons: list[flo
 
 
 def _simulate(
-    model: VehicleModel, states: FlightStates, index: NDArray[np.int64], horizons: list[float]
+    model: VehicleModel, states: FlightStates, index: NDArray[np.int64], horizons: list[float], h: float = STEP_S
 ) -> dict[float, dict[str, Array]]:
     """RK4 over all windows at once; returns the states at each horizon."""
     vehicle, motors = model.vehicle, states.motors
@@ -295,15 +316,15 @@ def _simulate(
         rate = (torque - np.cross(w, w @ model.tensor)) @ inverse.T
         return quat_rotate(q, force) / model.mass_kg + gravity, rate, w
 
-    steps = round(horizons[-1] / STEP_S)
-    marks = {round(h / STEP_S): h for h in horizons}
+    steps = round(horizons[-1] / h)
+    marks = {round(horizon / h): horizon for horizon in horizons}
     out: dict[float, dict[str, Array]] = {}
     for step in range(steps):
-        now = start + step * STEP_S
-        rotors = (at(impulse, now + STEP_S) - at(impulse, now)) / STEP_S
+        now = start + step * h
+        rotors = (at(impulse, now + h) - at(impulse, now)) / h
         extra = np.zeros((len(index), 6))
         if model.wrench is not None:
-            middle = now + 0.5 * STEP_S
+            middle = now + 0.5 * h
             signals = Signals(
                 t_s=middle - states.t_s[0],
                 position_m=p,
@@ -318,7 +339,6 @@ def _simulate(
                 charge_as=np.full(len(index), np.nan),
             )
             extra = np.nan_to_num(model.wrench(signals))
-        h = STEP_S
         a1, b1, w1 = derivative(p, v, q, w, rotors, extra)
         q2 = quat_multiply(q, quat_exp(0.5 * h * w1))
         a2, b2, w2 = derivative(p, v + 0.5 * h * a1, q2, w + 0.5 * h * b1, rotors, extra)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -178,7 +179,32 @@ def _before_after(page: Page, diagnosis: Diagnosis) -> Markup | None:
             rms = error_table(caption, known, reference="before", improved="after")
             figure = _relative(page, known, title) if _differ(known) else element("p", _SAME, class_="note")
             parts.append(element("div", rms, figure, class_="pair"))
+        parts += [part for part in (_prediction(stages),) if part is not None]
+    parts += [element("p", note, class_="note") for note in diagnosis.notes]
     return fragment(element("h3", "Error before and after"), parts) if parts else None
+
+
+def _prediction(stages: Mapping[str, Mapping[str, float]]) -> Markup | None:
+    """Open-loop prediction by quantity and horizon, with how many times smaller the findings make its error."""
+    columns = ("nominal", "before", "after")
+    rows = []
+    for name in stages:
+        if not (name.startswith("prediction_") and name.endswith("_before")):
+            continue
+        horizon = name.removesuffix("_before")
+        ahead = horizon.removeprefix("prediction_").removesuffix("_s")
+        for error, before in stages[name].items():
+            values = [stages.get(f"{horizon}_{stage}", {}).get(error, math.nan) for stage in columns]
+            scale = scale_for(split_unit(error)[1], values)
+            nominal, _, after = (significant(scale.factor * value) for value in values)
+            ratio = element("small", f"ratio {significant(before / values[-1])}") if values[-1] > 0.0 else None
+            name_and_unit = fragment(f"{label(error)}, {ahead} s", element("small", scale.unit))
+            rows.append((name_and_unit, nominal, significant(scale.factor * before), fragment(after, ratio)))
+    caption = (
+        "RMS, held-out data: open-loop prediction with the recorded inputs, from what the sensors had said until its start. "
+        "Ratio: error before over error after."
+    )
+    return table(caption, ("prediction", *columns), rows, highlight=3) if rows else None
 
 
 _SAME = "The findings concern clocks and frames, or there are none: no force is added, and the error stays as it was."
