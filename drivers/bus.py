@@ -133,6 +133,7 @@ class Description(msgspec.Struct, frozen=True):
         batch_s: longest stretch of host time in one batch.
         scenario: name of the scenario.
         truth_toml: the true vehicle's file (``groundstation.vehicle`` format): mass, inertia and what else is drawn there.
+        notes: what the recording shall say of itself, one sentence each.
         ok, reason: as in :class:`Answer`.
     """
 
@@ -143,6 +144,7 @@ class Description(msgspec.Struct, frozen=True):
     batch_s: float = 0.05
     scenario: str = ""
     truth_toml: str = ""
+    notes: tuple[str, ...] = ()
     ok: bool = True
     reason: str = ""
 

@@ -12,7 +12,7 @@ import pytest
 
 from drivers.mavlink.transports import SerialTransport, TcpTransport, UdpTransport, open_transport, serial_ports
 from groundstation.flight.profiles import PROFILES
-from groundstation.flight.rates import SHARE, fit_rates, frame_bytes
+from groundstation.flight.rates import SHARE, cost_of_line, fit_rates, frame_bytes
 
 
 class UdpEnd:
@@ -157,3 +157,14 @@ def test_a_fast_line_grants_every_wish():
     wishes = PROFILES["px4"].streams
     assert fit_rates(wishes, None) == {w.name: w.rate_hz for w in wishes}
     assert fit_rates(wishes, 1e9) == pytest.approx({w.name: w.rate_hz for w in wishes})
+
+
+def test_what_a_slow_line_costs_is_said_with_the_rates_and_the_width_of_the_intervals():
+    wishes = PROFILES["px4"].streams
+    slow, bare = cost_of_line(wishes, fit_rates(wishes, 5760.0), 5760.0)
+    assert "57600 baud brought HIGHRES_IMU at 24 of 250 Hz" in slow
+    assert "above 12 Hz is not in the record" in slow and "3.2 times as wide" in slow  # sqrt(250 / 24)
+    assert "ESC_STATUS" in bare
+    (full,) = cost_of_line(wishes, fit_rates(wishes, 92160.0), 92160.0)
+    assert "no room for" in full and "ESC_STATUS" in full
+    assert cost_of_line(wishes, fit_rates(wishes, 1e9), 1e9) == ()

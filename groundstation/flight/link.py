@@ -168,6 +168,7 @@ class LinkProcess:
             motor_kind=self.motor_kind(),  # type: ignore[arg-type]
             real_time=True,
             scenario=f"mavlink {name}",
+            notes=self.core.preparation.notes if self.core.preparation is not None else (),
         )
 
     def motor_kind(self) -> str:

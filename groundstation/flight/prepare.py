@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from drivers.mavlink.dialect import Message, mavlink, message_id
 from drivers.mavlink.exchange import Ask, Steps
 from drivers.mavlink.parameters import Parameters
-from groundstation.flight.rates import fit_rates
+from groundstation.flight.rates import cost_of_line, fit_rates
 from groundstation.flight.station import Station
 from groundstation.flight.upload import Way, choose_way
 from groundstation.flight.view import VehicleView
@@ -82,6 +82,13 @@ class Preparation:
             if (yield from self._dialogue.write(name, value)):
                 del self.changed[name]
                 self._changes.append((name, value, value))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the recording shall say of how it came over the line."""
+        if self._bytes_per_s is None or not self.rates:
+            return ()
+        return cost_of_line(self.view.profile.streams, self.rates, self._bytes_per_s)
 
     def take_changes(self) -> list[tuple[str, float, float]]:
         """Name, value before and value now of every parameter changed since the last call."""

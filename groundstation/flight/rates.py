@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from math import sqrt
 
 from drivers.mavlink.dialect import MESSAGES, message_id
 from groundstation.flight.profiles import StreamWish
 
 SHARE = 0.75
 """Of the line's bytes; the rest is for heartbeats, parameters, texts and answers."""
+
+MOTION_HZ = 100.0
+"""Messages wished for so often carry motion; the others tell how things stand."""
 
 _FRAME_BYTES = 12
 
@@ -37,3 +41,26 @@ def fit_rates(wishes: Sequence[StreamWish], bytes_per_s: float | None) -> dict[s
     fraction = min(1.0, max(0.0, (budget - needed) / rest)) if rest > 0.0 else 1.0
     tight = min(1.0, budget / needed) if needed > 0.0 else 1.0
     return {w.name: tight * w.needed_hz + fraction * (w.rate_hz - w.needed_hz) for w in wishes}
+
+
+def cost_of_line(wishes: Sequence[StreamWish], granted: Mapping[str, float], bytes_per_s: float) -> tuple[str, ...]:
+    """What a line that cannot carry every wish costs the estimate, for the report; nothing where it carries them all.
+
+    Half the rate is the highest frequency a record shows (Nyquist). Where white sensor noise rules, a variance
+    is inverse to the number of samples.
+    """
+    line = f"link: the line of {10 * bytes_per_s:.0f} baud"
+    said = []
+    thinned = [w for w in wishes if w.rate_hz >= MOTION_HZ and 0.0 < granted[w.name] < 0.99 * w.rate_hz]
+    if thinned:
+        fastest = max(thinned, key=lambda w: w.rate_hz)
+        rate_hz = granted[fastest.name]
+        said.append(
+            f"{line} brought {', '.join(f'{w.name} at {granted[w.name]:.0f} of {w.rate_hz:.0f} Hz' for w in thinned)}: motion "
+            f"above {0.5 * rate_hz:.0f} Hz is not in the record, and where sensor noise rules, intervals are "
+            f"{sqrt(fastest.rate_hz / rate_hz):.1f} times as wide; the onboard log does not depend on the line."
+        )
+    dropped = [w.name for w in wishes if w.instead_of and granted[w.name] == 0.0]
+    if dropped:
+        said.append(f"{line} had no room for {', '.join(dropped)}; what tells the same less well was taken.")
+    return tuple(said)

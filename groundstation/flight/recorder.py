@@ -6,6 +6,7 @@ the flight; what was written before stays readable (small chunks).
 
 from __future__ import annotations
 
+import json
 import platform
 import queue
 import threading
@@ -178,6 +179,7 @@ def open_recording(folder: Path, plan: Path, vehicle: Path, description: Descrip
         "scenario": description.scenario,
         "motor_kind": description.motor_kind,
         "python": platform.python_version(),
+        "notes": json.dumps(description.notes),
         **{name: version(name) for name in ("groundstation", "numpy", "eclipse-zenoh", "mcap")},
     }
     attachments = {"plan.toml": plan.read_bytes(), "vehicle.toml": vehicle.read_bytes()}

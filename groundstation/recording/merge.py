@@ -58,7 +58,8 @@ def merge_onboard(link: Recording, onboard: Recording, name: str) -> Recording:
         )
     if not said:
         return replace(link, notes=(*link.notes, f"{name}: the log has nothing faster than the link; it is left out."))
-    notes = (*link.notes, *onboard.notes, f"{name}: {', '.join(said)} from the vehicle's own log; {told}.")
+    both = dict.fromkeys((*link.notes, *onboard.notes))  # what both say is said once
+    notes = (*both, f"{name}: {', '.join(said)} from the vehicle's own log; {told}.")
     return replace(link, streams=streams, notes=notes)
 
 
