@@ -17,7 +17,8 @@ from scipy.stats import norm
 from benchmarks.study import draw
 from groundstation.errors import GroundStationError
 from groundstation.identification.anchoring import anchored
-from groundstation.identification.pipeline import fit_dynamics, unrevealed
+from groundstation.identification.identifiability import unrevealed
+from groundstation.identification.pipeline import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.identification.results import MASS_AND_TENSOR
 

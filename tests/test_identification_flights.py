@@ -11,9 +11,12 @@ from flights import flight_data
 
 from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import FlightData
-from groundstation.identification.anchoring import anchored, physically_consistent
+from groundstation.identification.anchoring import anchored
+from groundstation.identification.consistency import nearest_rigid_body, physically_consistent
 from groundstation.identification.pipeline import DynamicFit, fit_dynamics, identify
+from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import flight_states, prepare
+from groundstation.identification.record_model import initial_parameters
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
 from groundstation.model.prediction import declared_model, predict
 from groundstation.paths import find_config
@@ -159,6 +162,39 @@ def test_a_tensor_of_no_rigid_body_is_named(tensor: tuple[float, ...], said: str
     values = dict(zip(MASS_AND_TENSOR, (1.0, *tensor), strict=True))
     verdict = physically_consistent({name: Estimate.normal(value, 0.01) for name, value in values.items()})
     assert said in verdict if said else verdict == ""
+
+
+def measured_body(tensor: tuple[float, ...], std: float) -> Fitted:
+    """A fit that found a mass of 1 kg and a tensor, all equally uncertain and independent."""
+    p = replace(initial_parameters(qball(), lag_s=0.0), mass_kg=1.0)
+    values = np.array([1.0, *tensor])
+    covariance = std**2 * np.eye(7)
+    return Fitted(p, MASS_AND_TENSOR, values, covariance, covariance, (), (), 0.0, np.zeros(6), 0, 0)
+
+
+def test_the_nearest_rigid_body_is_found_and_how_far_it_is() -> None:
+    """Against the plane Izz = Ixx + Iyy, where the nearest point is known; a body that is possible stays itself."""
+    rigid, away = nearest_rigid_body(measured_body((1.0, 0.0, 0.0, 1.0, 0.0, 2.3), 0.01), ())
+    np.testing.assert_allclose(rigid.values[[1, 4, 6]], [1.1, 1.1, 2.2], atol=1e-3)
+    np.testing.assert_allclose(rigid.values[[2, 3, 5]], 0.0, atol=1e-6)
+    assert away == pytest.approx(0.3 / np.sqrt(3.0) / 0.01, rel=1e-3)
+    moments = np.linalg.eigvalsh(rigid.parameters.tensor)
+    assert 0.0 < moments[2] < moments[0] + moments[1]
+    same, away = nearest_rigid_body(measured_body((1.0, 0.1, 0.0, 1.2, 0.0, 1.9), 0.01), ())
+    np.testing.assert_allclose(same.values, [1.0, 1.0, 0.1, 0.0, 1.2, 0.0, 1.9], atol=1e-8)
+    assert away < 1e-4
+
+
+def test_an_estimate_of_no_rigid_body_is_told_and_the_nearest_body_is_believed() -> None:
+    flight = lab_flight(1)
+    document = vehicle_to_dict(flight.vehicle)
+    document["rotors"]["torque_to_thrust_m"] *= 2.0  # and with it what Izz seems to be
+    found = identify([replace(flight, vehicle=vehicle_from_dict(document))])
+    assert found.best == "IV, rigid body"
+    assert any("belongs to no rigid body" in warning and "effect is missing" in warning for warning in found.warnings)
+    assert physically_consistent(found.methods["IV"].parameters)
+    assert not physically_consistent(found.methods[found.best].parameters)
+    assert "IV" in found.best_reason
 
 
 # Refusals for want of data

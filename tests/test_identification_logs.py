@@ -56,9 +56,10 @@ def test_px4_truth_is_within_what_the_intervals_allow_together(found: Identifica
     )  # chi-square with 4 degrees of freedom, 99 %: one flight may miss one interval of four
 
 
-def test_px4_rotor_lag_is_found(found: Identification) -> None:
-    up, down = found.model["rotor_lag_up_s"], found.model["rotor_lag_down_s"]
-    assert np.mean([up.value, down.value]) == pytest.approx(0.05, abs=0.005)
+def test_px4_rotor_lag_is_found_and_its_intervals_hold_it(found: Identification) -> None:
+    lags = [found.model["rotor_lag_up_s"], found.model["rotor_lag_down_s"]]
+    assert np.mean([lag.value for lag in lags]) == pytest.approx(0.05, abs=0.005)
+    assert all(low <= 0.05 <= high for low, high in (lag.ci95 for lag in lags)), lags
 
 
 def test_px4_products_are_nothing(found: Identification) -> None:

@@ -104,6 +104,18 @@ def test_the_colour_of_a_channel_is_found_from_its_residual(integrated: bool) ->
     )
 
 
+@pytest.mark.parametrize("integrated", [True, False])
+@pytest.mark.parametrize("size", [1.0, 1e-11])
+def test_the_likelihood_is_that_of_the_innovations_however_small(integrated: bool, size: float) -> None:
+    colour = Colour(*(PLANTED.vector() * [size, 1.0, size, size]))
+    z = size * planted(PLANTED, 500, 1, integrated=integrated)
+    dt, restart = segments(500, (0, 8, 200))
+    e, s = innovations(z[:, None], dt, restart, colour, integrated=integrated)
+    square = e[np.isfinite(s), 0] ** 2 / s[np.isfinite(s)]
+    expected = np.sum(0.5 * np.log(s[np.isfinite(s)]) + 16.0 * (np.sqrt(1.0 + square / 16.0) - 1.0))
+    assert minus_log_likelihood(z, dt, restart, colour, integrated) == pytest.approx(expected, rel=1e-10)
+
+
 def test_the_whitening_polynomial_undoes_an_autoregression() -> None:
     a = np.array([1.0, -1.2, 0.5])
     x = np.asarray(lfilter([1.0], a, np.random.default_rng(2).standard_normal(8000)))

@@ -6,13 +6,12 @@ could show. The fit takes the declared thrust; the anchor turns its result into 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.identification.record_model import TENSOR
-from groundstation.identification.results import Estimate
+from groundstation.identification.results import MASS_AND_TENSOR, Estimate
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -30,8 +29,7 @@ def anchored(
         (mass and tensor, model parameters that the anchor makes unknown).
     """
     settings = vehicle.identification
-    order = ["mass_kg", *TENSOR]
-    index = [names.index(name) for name in order]
+    index = [names.index(name) for name in MASS_AND_TENSOR]
     theta = np.asarray(values, dtype=float)[index]
     cov = np.asarray(covariance, dtype=float)[np.ix_(index, index)]
     tensor = theta[1:]
@@ -42,7 +40,7 @@ def anchored(
     extra = settings.torque_to_thrust_std**2 * np.outer(ratio, ratio)
     if settings.anchor == "thrust" or vehicle.rotors.input == "wrench":
         cov = cov + settings.thrust_coefficient_std**2 * np.outer(theta, theta) + extra
-        return _estimates(order, theta, cov), {}
+        return _estimates(MASS_AND_TENSOR, theta, cov), {}
     scale = vehicle.mass_kg / theta[0]
     relative_mass_std = settings.mass_std_kg / vehicle.mass_kg
     # values: m fixed, J = scale * J_fit; jacobian with respect to (m_fit, J_fit)
@@ -56,7 +54,7 @@ def anchored(
         + extra * scale**2
     )
     scale_std = scale * float(np.hypot(np.sqrt(cov[0, 0]) / theta[0], relative_mass_std))
-    return _estimates(order, anchored_values, cov_anchored), thrust_constants(vehicle, scale, scale_std)
+    return _estimates(MASS_AND_TENSOR, anchored_values, cov_anchored), thrust_constants(vehicle, scale, scale_std)
 
 
 def thrust_constants(vehicle: Vehicle, scale: float, std: float) -> dict[str, Estimate]:
@@ -77,22 +75,3 @@ def _estimates(names: Sequence[str], values: Array, covariance: Array) -> dict[s
         name: Estimate.normal(value, float(np.sqrt(max(variance, 0.0))))
         for name, value, variance in zip(names, values, np.diag(covariance), strict=True)
     }
-
-
-def physically_consistent(parameters: Mapping[str, Estimate]) -> str:
-    """Why a set cannot belong to a rigid body, or an empty string.
-
-    Mass positive and pseudo-inertia positive definite (Wensing, Kim, Slotine 2018): tensor positive definite and its
-    principal moments obeying the triangle inequality.
-    """
-    if not all(name in parameters for name in TENSOR):
-        return ""
-    xx, xy, xz, yy, yz, zz = (parameters[name].value for name in TENSOR)
-    moments = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
-    if parameters.get("mass_kg") is not None and parameters["mass_kg"].value <= 0.0:
-        return "its mass is not positive"
-    if moments[0] <= 0.0:
-        return "its tensor is not positive definite"
-    if moments[2] > moments[0] + moments[1]:
-        return f"its largest principal moment is {moments[2] / (moments[0] + moments[1]):.2f} times the sum of the other two"
-    return ""

@@ -161,6 +161,10 @@ def _integrated_costs(z: Array, dt: Array, phi: Array, restart: NDArray[np.bool_
     p00, p01, p11 = np.zeros(lanes), np.zeros(lanes), np.zeros(lanes)
     cost, product = np.zeros(lanes), np.ones(lanes)
     for i in range(len(z)):
+        if i % LOGARITHM_EVERY == 0:
+            for n in range(lanes):
+                cost[n] += 0.5 * np.log(product[n])
+                product[n] = 1.0
         if restart[i] or i == 0:
             for n in range(lanes):
                 x0[n], x1[n] = z[i], 0.0
@@ -183,10 +187,6 @@ def _integrated_costs(z: Array, dt: Array, phi: Array, restart: NDArray[np.bool_
             p00[n], p01[n], p11[n] = n00 - k0 * n00, n01 - k0 * n01, n11 - k1 * n01
             cost[n] += 16.0 * (np.sqrt(1.0 + e * e / s / 16.0) - 1.0)
             product[n] *= s
-        if i % LOGARITHM_EVERY == 0:
-            for n in range(lanes):
-                cost[n] += 0.5 * np.log(product[n])
-                product[n] = 1.0
     return cost + 0.5 * np.log(product)
 
 
@@ -197,6 +197,10 @@ def _direct_costs(z: Array, dt: Array, phi: Array, restart: NDArray[np.bool_], n
     x, p = np.zeros(lanes), np.zeros(lanes)
     cost, product = np.zeros(lanes), np.ones(lanes)
     for i in range(len(z)):
+        if i % LOGARITHM_EVERY == 0:
+            for n in range(lanes):
+                cost[n] += 0.5 * np.log(product[n])
+                product[n] = 1.0
         fresh = restart[i] or i == 0
         h = 1.0 if fresh else dt[i]
         for n in range(lanes):
@@ -210,10 +214,6 @@ def _direct_costs(z: Array, dt: Array, phi: Array, restart: NDArray[np.bool_], n
             p[n] = spread - gain * spread
             cost[n] += 16.0 * (np.sqrt(1.0 + e * e / s / 16.0) - 1.0)
             product[n] *= s
-        if i % LOGARITHM_EVERY == 0:
-            for n in range(lanes):
-                cost[n] += 0.5 * np.log(product[n])
-                product[n] = 1.0
     return cost + 0.5 * np.log(product)
 
 

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from groundstation.errors import GroundStationError, NotIdentifiable
 from groundstation.flightdata import FlightData
-from groundstation.identification.anchoring import anchored, physically_consistent
+from groundstation.identification.anchoring import anchored
+from groundstation.identification.consistency import nearest_rigid_body, physically_consistent
+from groundstation.identification.identifiability import angular_acceleration, refuse_if_empty, unphysical, unrevealed
 from groundstation.identification.instrumental import instrumental
 from groundstation.identification.prediction_error import Fitted, fit, fit_from_declared, output_error
 from groundstation.identification.preparation import Prepared, damping_terms, prepare
@@ -22,27 +24,10 @@ from groundstation.model.rotors import wrench_matrix
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
-UNREVEALED = 0.25
-"""A mass or moment known to no better than this fraction gets no number."""
-UNREVEALED_PRODUCT = 0.05
-"""The same for a product of inertia, as a fraction of the trace."""
-
-STILL_RAD_S = 0.03
-"""An axis that turns by less (RMS) only answers the disturbance: noise in the rotor speeds then passes for inertia."""
 QUIET = 0.2
 """Share of the angular acceleration of the liveliest flight below which a flight without a plan only answers its disturbance."""
 DISAGREES = 3.0
 """Standard deviations between two estimates from which one of them is taken to be biased."""
-
-REMEDY = {
-    "mass_kg": "an accelerometer or poses while the rotors carry the vehicle",
-    "ixx_kg_m2": "roll: accelerate sideways (y) and back, repeatedly",
-    "iyy_kg_m2": "pitch: accelerate forward (x) and back, repeatedly",
-    "izz_kg_m2": "yaw: turn left and right, repeatedly",
-    "ixy_kg_m2": "roll and pitch at different frequencies at once",
-    "ixz_kg_m2": "roll and yaw at different frequencies at once",
-    "iyz_kg_m2": "pitch and yaw at different frequencies at once",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +64,7 @@ def options_for(prepared: Prepared) -> Options:
 
 def _models_of(prepared: Sequence[Prepared]) -> tuple[RecordModel, ...]:
     """One model a flight. Flights without a plan leave an axis to those of the others that turn about it much more."""
-    strength = np.array([_angular_acceleration(item) for item in prepared])
+    strength = np.array([angular_acceleration(item) for item in prepared])
     quiet = strength < QUIET * strength.max(axis=0)
     models = []
     for item, axes in zip(prepared, quiet, strict=True):
@@ -100,17 +85,6 @@ def _without_gain(model: RecordModel, fitted: Fitted) -> RecordModel:
         for term, coefficient in zip(model.extra, fitted.parameters.extra, strict=True)
     )
     return RecordModel(model.record, held, model.planned, model.silent)
-
-
-def _angular_acceleration(prepared: Prepared) -> Array:
-    """RMS of the angular acceleration below 5 Hz, rad/s^2, (3,)."""
-    from scipy.signal import butter, sosfiltfilt
-
-    record = prepared.record
-    rate_hz = 1.0 / float(np.median(np.diff(record.t_s)))
-    low_pass = butter(2, min(5.0, 0.4 * rate_hz), fs=rate_hz, output="sos")
-    slow = np.asarray(sosfiltfilt(low_pass, record.rate_rad_s, axis=0))
-    return np.std(np.gradient(slow, record.t_s, axis=0)[record.keep], axis=0)
 
 
 def fit_dynamics(prepared: Sequence[Prepared], progress: Progress = lambda fraction, text: None) -> DynamicFit:
@@ -220,38 +194,30 @@ def identify(
     fitted = fit_dynamics(prepared, progress)
     best = fitted.best
     vehicle = prepared[0].record.vehicle
-    hidden = {**unrevealed(best, prepared), **_unphysical(fitted)}
-    _refuse_if_empty(best, hidden, prepared)
+    hidden = unrevealed(best, prepared)
+    if fitted.instrumental is None:
+        hidden |= unphysical(best, prepared)
+    refuse_if_empty(best, hidden, prepared)
     methods = dict(_seed_methods(prepared, exclude, progress))
     progress(0.85, "output error")
     oe = output_error(fitted.models, best.parameters, fitted.options)
-    model: dict[str, Estimate] = {}
-    for name, found in (("OE", oe), ("FE", fitted.filter_error), ("IV", fitted.instrumental)):
-        if found is None:
-            continue
-        parameters, constants = anchored(vehicle, found.names, found.values, found.covariance)
-        rms = dict(
-            zip(
-                ("torque_x_nm", "torque_y_nm", "torque_z_nm"),
-                _torque_rms(fitted.models, found, fitted.options),
-                strict=True,
-            )
-        )
-        methods[name] = MethodResult(
-            parameters={key: value for key, value in parameters.items() if key not in hidden},
-            rms_output_error={"force_z_n": float(found.residual_rms[5] * found.parameters.mass_kg), **rms},
-            note=_METHOD_NOTES[name],
-        )
-        if found is best:
-            model = {**constants, **_model(found, prepared[0])}
-    name = fitted.best_name
-    reason = _reason(fitted)
-    warnings = []
+    found = {"OE": oe, "FE": fitted.filter_error} | ({} if fitted.instrumental is None else {"IV": fitted.instrumental})
+    methods |= {name: _result(fitted, fit, hidden, _METHOD_NOTES[name]) for name, fit in found.items()}
+    name, reason, warnings = fitted.best_name, _reason(fitted), []
     trouble = physically_consistent(methods[name].parameters)
     if trouble:
+        best, away = nearest_rigid_body(best, [term.name for term in fitted.models[0].extra])
         warnings.append(
-            f"The best estimate belongs to no rigid body ({trouble}): an effect is missing from the model, or the data lack it."
+            f"The {name} estimate belongs to no rigid body ({trouble}), and the nearest that does is {away:.1f} standard "
+            "deviations away: an effect is missing from the model, or the data lack it."
         )
+        name = f"{name}, rigid body"
+        reason = f"{name}: of all rigid bodies the nearest to {reason}"
+        methods[name] = _result(
+            fitted, best, hidden, f"{_METHOD_NOTES['rigid body']} {away:.1f} standard deviations off."
+        )
+    _, constants = anchored(vehicle, best.names, best.values, best.covariance)
+    model = {**constants, **_model(best, prepared[0])}
     if vehicle.identification.anchor == "mass" and vehicle.rotors.input != "wrench":
         hidden["torque_to_thrust_m"] = (
             "a measured reaction torque: yaw torque and yaw inertia scale together, weighing does not fix them"
@@ -289,7 +255,22 @@ _METHOD_NOTES = {
     "OE": "Output error over shooting windows of 2 s: right only where there is no disturbance.",
     "FE": "Filter (prediction) error with the flight's own coloured disturbance; takes the rotor speeds for exact.",
     "IV": "Instrumental variables: the planned motion is the instrument, so neither feedback nor noisy inputs bias it.",
+    "rigid body": "The nearest rigid body in the metric of the estimate's covariance.",
 }
+
+
+def _result(fitted: DynamicFit, fit: Fitted, hidden: Mapping[str, str], note: str) -> MethodResult:
+    """A fit under the vehicle's anchor, less what the motion did not reveal."""
+    parameters, _ = anchored(fitted.prepared[0].record.vehicle, fit.names, fit.values, fit.covariance)
+    torques = _torque_rms(fitted.models, fit, fitted.options)
+    return MethodResult(
+        parameters={key: value for key, value in parameters.items() if key not in hidden},
+        rms_output_error={
+            "force_z_n": float(fit.residual_rms[5] * fit.parameters.mass_kg),
+            **dict(zip(("torque_x_nm", "torque_y_nm", "torque_z_nm"), torques, strict=True)),
+        },
+        note=note,
+    )
 
 
 def _reason(fitted: DynamicFit) -> str:
@@ -315,29 +296,39 @@ def _disagreement(first: Fitted, second: Fitted) -> tuple[str, float]:
 
 
 def _model(fit: Fitted, prepared: Prepared) -> dict[str, Estimate]:
-    """The other parameters of the model, those that mean something for this vehicle."""
+    """The other parameters of the model, those that mean something for this vehicle.
+
+    When within an interval of recorded commands h one took effect, and by which steps an autopilot or simulator runs a lag, no record
+    says: a lag tau in Euler steps of h acts as one of -h / ln(1 - h / tau), about tau - h / 2. Lag and dead time carry that as an error
+    that is uniform over h.
+    """
+    h = float(np.median(np.diff(prepared.flight.motors.t_s)))
     out: dict[str, Estimate] = {}
     for name in fit.names:
         if name in MASS_AND_TENSOR or name.startswith("accel_bias"):
             continue
+        value, std = fit.value(name), fit.std(name)
         if name in CURVE:
-            declared = (prepared.record.vehicle.rotors.thrust_curve or (0.0, 0.0, 0.0))[CURVE.index(name)]
-            out[name] = Estimate.normal(declared + fit.value(name), fit.std(name))
-            continue
-        if name == "input_delay_s":
-            value, std = fit.value(name), fit.std(name)
-            low = max(0.0, value - 1.96 * std)
-            out[name] = Estimate(max(value, 0.0), std, (low, max(low, value + 1.96 * std)))
-            continue
-        out[name] = Estimate.normal(fit.value(name), fit.std(name))
-    if not fit.names.count("rotor_lag_up_s") and "rotor_lag_s" in fit.names:
-        out["rotor_lag_up_s"] = out["rotor_lag_down_s"] = out.pop("rotor_lag_s")
+            value += (prepared.record.vehicle.rotors.thrust_curve or (0.0, 0.0, 0.0))[CURVE.index(name)]
+        if name in _TIMES:
+            out[name] = _time(value, float(np.hypot(std, h / np.sqrt(12.0))))
+        else:
+            out[name] = Estimate.normal(value, std)
     if prepared.compatibility is not None:
         values, std = prepared.compatibility.values, prepared.compatibility.std
         for name in values:
             if name.startswith(("gyro_bias", "accel_bias")):
                 out[name] = Estimate.normal(values[name], std[name])
     return out
+
+
+_TIMES = ("input_delay_s", "rotor_lag_up_s", "rotor_lag_down_s")
+
+
+def _time(value: float, std: float) -> Estimate:
+    """A lag or delay, which is not negative, nor is its interval."""
+    low = max(0.0, value - 1.96 * std)
+    return Estimate(max(value, 0.0), std, (low, max(low, value + 1.96 * std)))
 
 
 def _torque_rms(models: Sequence[RecordModel], fit: Fitted, options: Options) -> list[float]:
@@ -353,80 +344,6 @@ def _torque_rms(models: Sequence[RecordModel], fit: Fitted, options: Options) ->
                 @ fit.parameters.tensor
             )
     return [float(v) for v in np.sqrt(np.mean(np.concatenate(rows) ** 2, axis=0))] if rows else [float("nan")] * 3
-
-
-def unrevealed(fit: Fitted, prepared: Sequence[Prepared]) -> dict[str, str]:
-    """Parameters that the motion did not show, by their standard deviation or for want of motion, with what would."""
-    trace = float(np.trace(fit.parameters.tensor))
-    rates = [np.std(item.record.rate_rad_s[item.record.keep], axis=0) for item in prepared]
-    still = {axis for axis, rate in zip("xyz", np.max(rates, axis=0), strict=True) if rate < STILL_RAD_S}
-    hidden = {}
-    for name in MASS_AND_TENSOR:
-        if name != "mass_kg" and set(name[1:3]) <= still:
-            hidden[name] = REMEDY[name]
-            continue
-        relative = fit.std(name) / (trace if name[1] != name[2] and name != "mass_kg" else abs(fit.value(name)))
-        limit = UNREVEALED_PRODUCT if name[1] != name[2] and name != "mass_kg" else UNREVEALED
-        if relative > limit:
-            hidden[name] = REMEDY[name]
-    return hidden
-
-
-def _unphysical(fitted: DynamicFit) -> dict[str, str]:
-    """The moment of the least excited axis, where without a plan it comes out larger than the other two together.
-
-    No rigid body has such a tensor: feedback from the disturbance passes for inertia where an axis is not excited.
-    """
-    if fitted.instrumental is not None:
-        return {}
-    moments = np.diag(fitted.best.parameters.tensor)
-    axis = int(np.argmax(moments))
-    strength = np.max([_angular_acceleration(item) for item in fitted.prepared], axis=0)
-    if moments[axis] <= moments.sum() - moments[axis] or axis != int(np.argmin(strength)):
-        return {}
-    return {name: REMEDY[name] for name in MASS_AND_TENSOR if name != "mass_kg" and "xyz"[axis] in name[1:3]}
-
-
-def _refuse_if_empty(fit: Fitted, hidden: Mapping[str, str], prepared: Sequence[Prepared]) -> None:
-    """Refuse a flight that shows at most one moment of inertia, for its own reason.
-
-    Not refused, for their mass or thrust curve: a flight whose thrust changed much, and one that flew a plan about two axes or
-    more and only drowned in the disturbance.
-    """
-    moments = [name for name in ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2") if name not in hidden]
-    if len(moments) >= 2:
-        return
-    first = prepared[0]
-    record = first.record
-    thrust = first.signals(fit.parameters.lag_up_s, fit.parameters.lag_down_s, 0.0).thrust_n[record.keep].sum(axis=1)
-    if record.vehicle.rotors.input != "wrench" and np.std(thrust) > 0.1 * np.mean(thrust):
-        return
-    turned = record.rate_rad_s if first.planned is None else first.planned.rate_rad_s
-    line = _one_axis(turned[record.keep])
-    rate = float(np.std(record.rate_rad_s[record.keep], axis=0).max())
-    asked = first.flight.plan is not None or first.flight.setpoint is not None
-    if rate < STILL_RAD_S or (asked and first.planned is None and line is None):
-        reason = f"this flight is a hover: the largest body rate is {rate:.3f} rad/s RMS, and inertia shows only when the body turns."
-    elif line is not None:
-        reason = f"this flight turns about one axis only ({line}), so it shows at most one moment of inertia."
-    elif first.planned is not None and "mass_kg" not in hidden:
-        return
-    else:
-        reason = "the motion is too weak against the disturbance of this flight: no two moments of inertia stand out."
-    listed = tuple(name for name in MASS_AND_TENSOR if name in hidden)
-    raise NotIdentifiable(
-        reason, "Fly an excitation in x, y, z and yaw, larger or faster (`groundstation plan`).", listed
-    )
-
-
-def _one_axis(rate: Array) -> str | None:
-    """The axis in words when a vehicle turns about one axis only (its second principal rate is under 0.3 of the first)."""
-    values, vectors = np.linalg.eigh(np.cov(rate.T))
-    if values[1] > 0.3**2 * values[2]:
-        return None
-    axis = np.abs(vectors[:, 2])
-    nearest = int(np.argmax(axis))
-    return ("roll", "pitch", "yaw")[nearest] if axis[nearest] > 0.95 else "a line aslant to the body's axes"
 
 
 def _seed_methods(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import FlightData
+from groundstation.identification.anchoring import thrust_constants
 from groundstation.identification.estimators import LinearEstimate, gradient_descent, least_squares
 from groundstation.identification.filters import FilterPair, seed_pair
 from groundstation.identification.processing import Signals, process_flight
@@ -240,7 +241,7 @@ def _anchored(estimate: LinearEstimate, vehicle: Vehicle) -> tuple[Array, Array,
         spread = scale * float(np.hypot(relative, anchor))
         extra = {
             "mass_kg": Estimate.normal(vehicle.mass_kg, settings.mass_std_kg),
-            **_thrust_constant(vehicle, scale, spread),
+            **(thrust_constants(vehicle, scale, spread) or {"thrust_scale": Estimate.normal(scale, spread)}),
         }
         ratio *= scale
     else:
@@ -249,16 +250,3 @@ def _anchored(estimate: LinearEstimate, vehicle: Vehicle) -> tuple[Array, Array,
     covariance = covariance + anchor**2 * np.outer(finite, finite)
     covariance += settings.torque_to_thrust_std**2 * np.outer(np.nan_to_num(ratio), np.nan_to_num(ratio))
     return values, covariance, evolution, extra
-
-
-def _thrust_constant(vehicle: Vehicle, scale: float, std: float) -> dict[str, Estimate]:
-    """The thrust constant (or curve) that the declared mass implies."""
-    rotors = vehicle.rotors
-    if rotors.thrust_curve is not None:
-        return {
-            f"thrust_curve_c{i}": Estimate.normal(scale * c, std * abs(c)) for i, c in enumerate(rotors.thrust_curve)
-        }
-    if rotors.thrust_coefficient_n_s2 is None:
-        return {"thrust_scale": Estimate.normal(scale, std)}
-    k = rotors.thrust_coefficient_n_s2
-    return {"thrust_coefficient_n_s2": Estimate.normal(scale * k, std * k)}

@@ -79,10 +79,22 @@ def motor_input(t_s: Array, values: Array, *, measured: bool, step_s: float = FI
     return MotorInput(float(t_s[0]), step_s, np.ascontiguousarray(value, dtype=float), measured)
 
 
+@njit(cache=True)
+def _cumulative(values: Array, step: float, held: bool) -> Array:
+    out = np.empty(values.shape)
+    total = np.zeros(values.shape[1])
+    for j in range(values.shape[1]):
+        out[0, j] = 0.0
+    for i in range(1, values.shape[0]):
+        for j in range(values.shape[1]):
+            total[j] += values[i - 1, j] if held else 0.5 * (values[i, j] + values[i - 1, j])
+            out[i, j] = total[j] * step
+    return out
+
+
 def cumulative(values: Array, step_s: float, *, held: bool) -> Array:
     """Running integral from the first grid point, shape as ``values``; left sums for held values, else trapezoids."""
-    inner = values[:-1] if held else 0.5 * (values[1:] + values[:-1])
-    return np.asarray(np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(inner, axis=0)]) * step_s, dtype=float)
+    return _cumulative(np.ascontiguousarray(values, dtype=float), step_s, held)
 
 
 def interpolate_columns(query_s: Array, start_s: float, step_s: float, values: Array) -> Array:

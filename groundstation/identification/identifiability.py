@@ -1,0 +1,116 @@
+"""What a motion revealed: parameters that get no number, with what would show them, and flights that are refused for their own reason."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.errors import NotIdentifiable
+from groundstation.identification.prediction_error import Fitted
+from groundstation.identification.preparation import Prepared
+from groundstation.identification.results import MASS_AND_TENSOR
+
+Array = NDArray[np.float64]
+
+UNREVEALED = 0.25
+"""A mass or moment known to no better than this fraction gets no number."""
+UNREVEALED_PRODUCT = 0.05
+"""The same for a product of inertia, as a fraction of the trace."""
+
+STILL_RAD_S = 0.03
+"""An axis that turns by less (RMS) only answers the disturbance: noise in the rotor speeds then passes for inertia."""
+
+REMEDY = {
+    "mass_kg": "an accelerometer or poses while the rotors carry the vehicle",
+    "ixx_kg_m2": "roll: accelerate sideways (y) and back, repeatedly",
+    "iyy_kg_m2": "pitch: accelerate forward (x) and back, repeatedly",
+    "izz_kg_m2": "yaw: turn left and right, repeatedly",
+    "ixy_kg_m2": "roll and pitch at different frequencies at once",
+    "ixz_kg_m2": "roll and yaw at different frequencies at once",
+    "iyz_kg_m2": "pitch and yaw at different frequencies at once",
+}
+
+
+def angular_acceleration(prepared: Prepared) -> Array:
+    """RMS of the angular acceleration below 5 Hz, rad/s^2, (3,)."""
+    from scipy.signal import butter, sosfiltfilt
+
+    record = prepared.record
+    rate_hz = 1.0 / float(np.median(np.diff(record.t_s)))
+    low_pass = butter(2, min(5.0, 0.4 * rate_hz), fs=rate_hz, output="sos")
+    slow = np.asarray(sosfiltfilt(low_pass, record.rate_rad_s, axis=0))
+    return np.std(np.gradient(slow, record.t_s, axis=0)[record.keep], axis=0)
+
+
+def unrevealed(fit: Fitted, prepared: Sequence[Prepared]) -> dict[str, str]:
+    """Parameters that the motion did not show, by their standard deviation or for want of motion, with what would."""
+    trace = float(np.trace(fit.parameters.tensor))
+    rates = [np.std(item.record.rate_rad_s[item.record.keep], axis=0) for item in prepared]
+    still = {axis for axis, rate in zip("xyz", np.max(rates, axis=0), strict=True) if rate < STILL_RAD_S}
+    hidden = {}
+    for name in MASS_AND_TENSOR:
+        if name != "mass_kg" and set(name[1:3]) <= still:
+            hidden[name] = REMEDY[name]
+            continue
+        relative = fit.std(name) / (trace if name[1] != name[2] and name != "mass_kg" else abs(fit.value(name)))
+        limit = UNREVEALED_PRODUCT if name[1] != name[2] and name != "mass_kg" else UNREVEALED
+        if relative > limit:
+            hidden[name] = REMEDY[name]
+    return hidden
+
+
+def unphysical(fit: Fitted, prepared: Sequence[Prepared]) -> dict[str, str]:
+    """The moment of the least excited axis, where without a plan it comes out larger than the other two together.
+
+    No rigid body has such a tensor: feedback from the disturbance passes for inertia where an axis is not excited.
+    """
+    moments = np.diag(fit.parameters.tensor)
+    axis = int(np.argmax(moments))
+    strength = np.max([angular_acceleration(item) for item in prepared], axis=0)
+    if moments[axis] <= moments.sum() - moments[axis] or axis != int(np.argmin(strength)):
+        return {}
+    return {name: REMEDY[name] for name in MASS_AND_TENSOR if name != "mass_kg" and "xyz"[axis] in name[1:3]}
+
+
+def refuse_if_empty(fit: Fitted, hidden: Mapping[str, str], prepared: Sequence[Prepared]) -> None:
+    """Refuse a flight that shows at most one moment of inertia, for its own reason.
+
+    Not refused, for their mass or thrust curve: a flight whose thrust changed much, and one that flew a plan about two axes or
+    more and only drowned in the disturbance.
+    """
+    moments = [name for name in ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2") if name not in hidden]
+    if len(moments) >= 2:
+        return
+    first = prepared[0]
+    record = first.record
+    thrust = first.signals(fit.parameters.lag_up_s, fit.parameters.lag_down_s, 0.0).thrust_n[record.keep].sum(axis=1)
+    if record.vehicle.rotors.input != "wrench" and np.std(thrust) > 0.1 * np.mean(thrust):
+        return
+    turned = record.rate_rad_s if first.planned is None else first.planned.rate_rad_s
+    line = _one_axis(turned[record.keep])
+    rate = float(np.std(record.rate_rad_s[record.keep], axis=0).max())
+    asked = first.flight.plan is not None or first.flight.setpoint is not None
+    if rate < STILL_RAD_S or (asked and first.planned is None and line is None):
+        reason = f"this flight is a hover: the largest body rate is {rate:.3f} rad/s RMS, and inertia shows only when the body turns."
+    elif line is not None:
+        reason = f"this flight turns about one axis only ({line}), so it shows at most one moment of inertia."
+    elif first.planned is not None and "mass_kg" not in hidden:
+        return
+    else:
+        reason = "the motion is too weak against the disturbance of this flight: no two moments of inertia stand out."
+    listed = tuple(name for name in MASS_AND_TENSOR if name in hidden)
+    raise NotIdentifiable(
+        reason, "Fly an excitation in x, y, z and yaw, larger or faster (`groundstation plan`).", listed
+    )
+
+
+def _one_axis(rate: Array) -> str | None:
+    """The axis in words when a vehicle turns about one axis only (its second principal rate is under 0.3 of the first)."""
+    values, vectors = np.linalg.eigh(np.cov(rate.T))
+    if values[1] > 0.3**2 * values[2]:
+        return None
+    axis = np.abs(vectors[:, 2])
+    nearest = int(np.argmax(axis))
+    return ("roll", "pitch", "yaw")[nearest] if axis[nearest] > 0.95 else "a line aslant to the body's axes"
