@@ -3,7 +3,9 @@
 Every flight draws its vehicle, trajectory, true mass and inertia, disturbance, biases, stamp jitter and seed from a master seed
 that is new each run and printed. One effect is hidden in a *single*, two in a *pair*, none in a *clean* flight, and in an
 *invented* one something that no file of the library models. The diagnosis gets the recording and the declared vehicle, nothing
-else. Sizes are drawn over a range around what such a vehicle shows; none is left out for being too small to see.
+else. Sizes are drawn over a range around what such a vehicle shows; what is too small to see is counted apart, as effects.md
+defines it: *detectable* is an expected t of 6 in the flight's own coloured noise, taken from the joint estimate with the hidden effects
+told and kept out of the noise, and for kinematic effects and delays a size above those of effects.md.
 """
 
 from __future__ import annotations
@@ -27,8 +29,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from flights import flight_data  # pyright: ignore[reportMissingImports]
 
 from groundstation.diagnosis import diagnose
+from groundstation.diagnosis.attribution import candidates
+from groundstation.diagnosis.effect import library
+from groundstation.diagnosis.evidence import Candidate, Evidence, FlightEvidence
+from groundstation.diagnosis.pipeline import for_evidence
 from groundstation.diagnosis.results import Diagnosis
-from groundstation.errors import FlightAborted
+from groundstation.errors import FlightAborted, Refused
+from groundstation.flightdata import FlightData
+from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.preparation import prepare
 from groundstation.paths import find_config
 from groundstation.planning import plan_excitation
 from groundstation.trajectory import Plan
@@ -42,6 +51,8 @@ PLANS = 2
 """Trajectories planned for each vehicle in a run."""
 COMMANDED = ("motor_lag", "input_delay", "battery_sag")
 """Effects that show only where rotor speeds are commanded, not measured."""
+DETECTABLE = 6.0
+"""Estimate over standard deviation that is expected of an effect that a flight can show (effects.md)."""
 INERTIA = ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
 
 Random = np.random.Generator
@@ -50,7 +61,11 @@ Table = dict[str, Any]
 
 @dataclass(frozen=True)
 class Outcome:
-    """One flight: what was hidden, what was said, and the error of mass and inertia before and after, as shares."""
+    """One flight: what was hidden, what was said, and the error of mass and inertia before and after, as shares.
+
+    Of each hidden effect, ``t`` is the expected t (infinite where the sensors alone tell), and ``shares`` its RMS as a share of weight
+    or of weight times arm (NaN where it is no force).
+    """
 
     kind: str
     hidden: tuple[str, ...]
@@ -61,6 +76,12 @@ class Outcome:
     before: float
     after: float
     seconds: float
+    t: tuple[float, ...]
+    shares: tuple[float, ...]
+
+    def detectable(self) -> bool:
+        """Whether the flight can show all that is hidden in it."""
+        return min(self.t, default=math.inf) >= DETECTABLE
 
     def first(self) -> str:
         """The first name, or the verdict where there is none."""
@@ -112,7 +133,7 @@ def sizes(vehicle: Vehicle) -> dict[str, Callable[[Random], Table]]:
         "slung_load": lambda r: {"mass_kg": per(mass, 0.02, 0.06)(r), "length_m": per(1.0, 0.3, 1.0)(r)},
         "tether": lambda r: {"stiffness_n_m": per(weight, 0.01, 0.04)(r)},
         "constant_wrench": lambda r: {
-            "force_world_n": [0.0] * 3,
+            "force_world_n": [*_turn(r, weight * r.uniform(0.0, 0.03))[:2], 0.0],
             "torque_body_nm": _turn(r, torque * r.uniform(0.01, 0.03)),
         },
         "imu_misalignment": lambda r: {"rotation_rad": _turn(r, r.uniform(0.01, 0.04))},
@@ -189,6 +210,44 @@ def _error_of_parameters(estimates: Any, truth: Vehicle) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
+def visibility(flight: FlightData, hidden: Sequence[tuple[str, Table]]) -> list[tuple[float, float]]:
+    """Expected t and RMS share of each hidden effect, when the diagnosis is told all of them."""
+    seen = {name: (math.inf, math.nan) for name, _ in hidden}
+    modelled = [(name, table) for name, table in hidden if name in library()]
+    if not modelled:
+        return list(seen.values())
+    suspect = for_evidence(prepare(flight))
+    fitted = fit_dynamics([suspect])
+    vehicle = suspect.record.vehicle
+    plain = Evidence([FlightEvidence(suspect, fitted.best, fitted.options)])
+    told = [_told(name, table, plain) for name, table in modelled]
+    evidence = Evidence([FlightEvidence(suspect, fitted.best, fitted.options, told)])
+    chosen = [(c, columns) for c in told if (columns := evidence.columns(c)) is not None]
+    solution, first = evidence.solve(chosen), 0
+    weight = vehicle.mass_kg * vehicle.gravity_m_s2
+    scale = np.array([weight] * 3 + [weight * vehicle.arm_m()] * 3)
+    for candidate, columns in chosen:
+        count = len(candidate.effect.parameters)
+        t = math.sqrt(max(solution.wald(first, count) - count, 0.0))
+        values, _ = solution.part(first, count)
+        seen[candidate.identifier] = t, float(np.max(columns.wrench_rms @ np.abs(values) / scale))
+        first += count
+    return list(seen.values())
+
+
+def _told(name: str, table: Table, evidence: Evidence) -> Candidate:
+    """The library's model of a hidden effect: the right rotor, and the instant or length that serve best."""
+    flight = evidence.flights[0]
+    pool = [
+        (candidate, columns)
+        for candidate in candidates(flight.prepared.record.vehicle, flight.excited, [library()[name]])
+        if candidate.settings.get("rotor") == table.get("rotor")
+        and (columns := evidence.columns(candidate)) is not None
+    ]
+    count = len(library()[name].parameters)
+    return max(pool, key=lambda entry: evidence.solve([entry]).wald(0, count))[0]
+
+
 def fly(kind: str, names: Sequence[str], vehicle_name: str, plan: Plan, random: Random) -> Outcome | None:
     """Hide, fly, diagnose; None where the vehicle could not fly it."""
     vehicle = declared(vehicle_name, names)
@@ -201,6 +260,10 @@ def fly(kind: str, names: Sequence[str], vehicle_name: str, plan: Plan, random: 
     start = time.perf_counter()
     diagnosis: Diagnosis = diagnose([flight])
     seconds = time.perf_counter() - start
+    try:
+        seen = visibility(flight, list(hidden.items()) if kind in ("single", "pair") else [])
+    except Refused:
+        seen = [(0.0, math.nan)] * len(names)
     rotors = tuple(
         f.rotor == hidden[f.effect]["rotor"] for f in diagnosis.findings if "rotor" in hidden.get(f.effect, {})
     )
@@ -214,6 +277,8 @@ def fly(kind: str, names: Sequence[str], vehicle_name: str, plan: Plan, random: 
         before=_error_of_parameters(diagnosis.parameters_before, simulated.truth),
         after=_error_of_parameters(diagnosis.parameters_after, simulated.truth),
         seconds=seconds,
+        t=tuple(t for t, _ in seen),
+        shares=tuple(share for _, share in seen),
     )
 
 
@@ -224,7 +289,7 @@ def schedule(random: Random, counts: dict[str, int]) -> list[tuple[str, tuple[st
     singles: list[str] = []
     while len(singles) < counts["single"]:
         singles += [str(name) for name in random.permutation(alone)]
-    work = [("single", (name,)) for name in singles[: counts["single"]]]
+    work: list[tuple[str, tuple[str, ...]]] = [("single", (name,)) for name in singles[: counts["single"]]]
     work += [("clean", ())] * counts["clean"]
     for _ in range(counts["pair"]):
         pair = tuple(map(str, random.choice(known, 2, replace=False)))
@@ -246,17 +311,26 @@ def wilson(hits: int, count: int) -> str:
 def report(outcomes: Sequence[Outcome]) -> None:
     """Shares, confusion and bias."""
     kinds = {kind: [o for o in outcomes if o.kind == kind] for kind in ("single", "pair", "clean", "invented")}
-    singles = kinds["single"]
+    singles = [o for o in kinds["single"] if o.detectable()]
     right = [o for o in singles if o.first() == o.hidden[0]]
     told = [o for o in singles if o.first() == o.hidden[0] or o.hidden[0] in o.alternatives]
     silent = [o for o in singles if o.verdict in ("clean", "refused")]
-    print(f"\nsingles, right first name                  {wilson(len(right), len(singles))}")
+    print(f"\nsingles, detectable                        {wilson(len(singles), len(kinds['single']))}")
+    print(f"detectable singles, right first name       {wilson(len(right), len(singles))}")
     print(f"  first name or an alternative to it       {wilson(len(told), len(singles))}")
     print(f"  said clean or refused                    {wilson(len(silent), len(singles))}")
     rotors = [hit for o in singles for hit in o.rotors]
     print(f"  right rotor, where one was named         {wilson(sum(rotors), len(rotors))}")
-    both = [o for o in kinds["pair"] if set(o.hidden) <= set(o.named)]
-    print(f"pairs, both named                          {wilson(len(both), len(kinds['pair']))}")
+    blind = [o for o in kinds["single"] if not o.detectable()]
+    named = [o for o in blind if o.hidden[0] in o.named]
+    wrong = [o for o in blind if o.named and o.hidden[0] not in o.named]
+    print(f"too small to be detectable, named          {wilson(len(named), len(blind))}")
+    print(f"  wrongly named                            {wilson(len(wrong), len(blind))}")
+    pairs = [o for o in kinds["pair"] if o.detectable()]
+    both = [o for o in pairs if set(o.hidden) <= set(o.named)]
+    more = [o for o in singles + pairs if set(o.named) - set(o.hidden)]
+    print(f"detectable pairs, both named               {wilson(len(both), len(pairs))}")
+    print(f"detectable, with a further name beside     {wilson(len(more), len(singles + pairs))}")
     alarms = [o for o in kinds["clean"] if o.verdict != "clean"]
     print(f"clean flights, false alarms                {wilson(len(alarms), len(kinds['clean']))}")
     left = [o for o in kinds["invented"] if o.verdict == "unexplained"]
@@ -265,6 +339,15 @@ def report(outcomes: Sequence[Outcome]) -> None:
     for hidden in sorted({o.hidden for o in outcomes}):
         counts = Counter(o.first() for o in outcomes if o.hidden == hidden)
         print(f"  {' + '.join(hidden) or 'nothing':40} " + ", ".join(f"{n} {c}" for n, c in counts.most_common()))
+    print(
+        "\nhidden alone: detectable and right of all; RMS share of weight or weight times arm at which |t| is 6 (median)"
+    )
+    for name in sorted({o.hidden[0] for o in kinds["single"]}):
+        own = [o for o in kinds["single"] if o.hidden[0] == name]
+        seen = [o for o in own if o.detectable()]
+        limits = [o.shares[0] * DETECTABLE / o.t[0] for o in own if np.isfinite(o.shares[0]) and o.t[0] > 0.0]
+        limit = f"{np.median(limits):.2%}" if limits else "told by the sensors"
+        print(f"  {name:20} {sum(o.first() == name for o in seen):3} of {len(seen):3} of {len(own):3}   {limit}")
     for kind in ("single", "pair"):
         pairs = np.array([(o.before, o.after) for o in kinds[kind] if o.named and np.isfinite(o.before + o.after)])
         if len(pairs):

@@ -9,7 +9,7 @@ import pytest
 from test_diagnosis_flights import _flight
 
 from groundstation.diagnosis.evidence import Evidence, FlightEvidence
-from groundstation.diagnosis.pipeline import _for_evidence  # the thinning that diagnose does
+from groundstation.diagnosis.pipeline import for_evidence
 from groundstation.diagnosis.proposal import dictionary, induced_velocity, select, with_proposals
 from groundstation.diagnosis.results import Unexplained
 from groundstation.identification.pipeline import fit_dynamics
@@ -24,7 +24,7 @@ SUSPECTED = (Unexplained("force_x_n", 0.5, ("position_x_m",)),)
 def evidence_of(wall: bool) -> Evidence:
     """Evidence of a flight with or without a wall, straight from the base fit."""
     hidden = {"attracting_wall": {"strength_n_m3": 3.0}} if wall else {}
-    prepared = _for_evidence(prepare(_flight(**hidden)))
+    prepared = for_evidence(prepare(_flight(**hidden)))
     fitted = fit_dynamics([prepared])
     return Evidence([FlightEvidence(prepared, fitted.best, fitted.options)])
 

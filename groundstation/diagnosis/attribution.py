@@ -57,13 +57,6 @@ def candidates(vehicle: Vehicle, signals: Signals, effects: Iterable[Effect] | N
     ]
 
 
-def threshold(candidate: Candidate, variants: int) -> float:
-    """Wald statistic that chance passes with probability CHANCE, for this many parameters and variants."""
-    from scipy.stats import chi2
-
-    return float(chi2.isf(CHANCE / max(variants, 1), len(candidate.effect.parameters)))
-
-
 def material(evidence: Evidence, columns: Columns, values: Array) -> bool:
     """Whether an effect of these values is large enough to matter to anyone."""
     vehicle = evidence.flights[0].prepared.record.vehicle
@@ -110,6 +103,14 @@ class Selection:
         self.discrepancy = Discrepancy(evidence)
         self.lag = self.discrepancy.of_lag(evidence.solve(self.baseline))
         self.variants = {c.identifier: sum(o.identifier == c.identifier for o, _ in self.pool) for c, _ in self.pool}
+        self._thresholds: dict[int, float] = {}
+
+    def _threshold(self, candidate: Candidate, columns: Columns) -> float:
+        """Wald statistic that noise passes with probability CHANCE in any of an effect's variants."""
+        if columns.number not in self._thresholds:
+            chance = CHANCE / max(self.variants[candidate.identifier], 1)
+            self._thresholds[columns.number] = self.evidence.threshold(columns, chance)
+        return self._thresholds[columns.number]
 
     def _margins(self, chosen: Sequence[Entry], members: Sequence[int] | None = None) -> list[float]:
         """Margin of each member (or of some) over chance and over the others' form errors; -inf if implausible or immaterial."""
@@ -123,13 +124,22 @@ class Selection:
             if members is not None and index not in members:
                 continue
             values, covariance = solution.part(first, offset - first)
-            if not plausible(candidate, values, covariance) or not material(self.evidence, columns, values):
+            if (
+                not self._is_founded(candidate, chosen)
+                or not plausible(candidate, values, covariance)
+                or not material(self.evidence, columns, values)
+            ):
                 out.append(-np.inf)
                 continue
             others = total - energies[index]
-            least = threshold(candidate, self.variants[candidate.identifier]) + allowance(energies[index], others)
+            least = self._threshold(candidate, columns) + allowance(energies[index], others)
             out.append(solution.wald(first, offset - first) - least)
         return out
+
+    def _is_founded(self, candidate: Candidate, chosen: Sequence[Entry]) -> bool:
+        """Whether one of the effects that it rests on is there, or it rests on none."""
+        there = {c.identifier for c, _ in (*self.baseline, *chosen)}
+        return not candidate.effect.rests_on or bool(there.intersection(candidate.effect.rests_on))
 
     def _best_addition(self, chosen: list[Entry]) -> Entry | None:
         taken = {c.identifier for c, _ in chosen}
@@ -212,7 +222,7 @@ class Selection:
         rest = [*self.baseline, *chosen[:index], *chosen[index + 1 :]]
         falls = self.evidence.contest([rest, *sets])
         return [
-            (entry, fall - falls[0] - threshold(entry[0], self.variants[entry[0].identifier]))
+            (entry, fall - falls[0] - self._threshold(*entry))
             for entry, fall in zip((chosen[index], *rivals), falls[1:], strict=True)
         ]
 

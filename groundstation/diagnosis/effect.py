@@ -46,7 +46,7 @@ class Effect:
         applies: whether this vehicle's inputs can show it at all.
         confused_with: identifiers that look alike; manoeuvre: what tells it from them.
         sentence: one sentence a pilot understands, with {parameter} places.
-        rests_on: identifiers without which it means nothing (wind needs drag to be felt).
+        rests_on: identifiers of which one has to be there for it to mean anything (wind needs drag to be felt).
     """
 
     identifier: str
@@ -60,6 +60,7 @@ class Effect:
     variants: Callable[[Signals, Vehicle], Sequence[Settings]] = field(default=lambda signals, vehicle: ({},))
     finer: Callable[[Settings], Sequence[Settings]] = field(default=lambda settings: ())
     applies: Callable[[Vehicle], bool] = field(default=lambda vehicle: True)
+    rests_on: tuple[str, ...] = ()
 
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""

@@ -2,8 +2,9 @@ r"""Whitened evidence of one or several flights, and what each effect would expl
 
 About a base fit everything is linear: y = X theta_base + sum C_v theta_v + e, rows whitened by each channel's own coloured
 disturbance. Because the controller feeds disturbances back into the thrusts, a plain regression lets any flexible term in
-the inputs win, on held-out blocks too. So the normal equations are taken with instruments from the planned motion,
-Z^T (y - A theta) = 0, and an effect's evidence is its Wald statistic in the joint estimate. Without a plan Z = A.
+the inputs win, on held-out blocks too. So the normal equations are taken with instruments, Z^T (y - A theta) = 0: the columns
+that the planned motion would have, one for each parameter (each more keeps a share of the bias: Bekker 1994). An effect's
+evidence is its Wald statistic in the joint estimate. Without a plan Z = A.
 """
 
 from __future__ import annotations
@@ -19,11 +20,9 @@ from groundstation.diagnosis.effect import Effect, Settings, library
 from groundstation.frames import quat_normalise, quat_rotate
 from groundstation.identification.noise import (
     Colour,
-    apply_polynomial,
     fit_colour,
     innovations,
     minus_log_likelihood,
-    whitening_polynomial,
 )
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared
@@ -37,9 +36,14 @@ SIGNAL_RATE_HZ = 100.0
 DRIFT_S = 6.0
 ACCEL_DELAY_S = 2e-3
 """How far the delays of gyro and accelerometer (filters, sampling) usually differ."""
+REFILLS = 3
+"""Rounds in which the noise that generic columns take is put back and the noise fitted anew."""
+BAND_BINS = 8
+"""Least number of frequencies that one value of a spectrum is averaged over."""
+SEED = 0
+"""Of the draws that put it back."""
 VARIANTS = 6
 """How many settings of an effect are kept out of the noise before it is found; of those found, the very setting."""
-EFFECT_SHIFTS_S = (-0.1, 0.0, 0.15)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,29 +110,29 @@ class FlightEvidence:
         )
         self.model = RecordModel(record, (), None if prepared.planned is None else replace(prepared.planned, extra=()))
         self._stride = max(1, round(1.0 / float(np.median(np.diff(record.t_s))) / SIGNAL_RATE_HZ))
-        self.signals = _thinned(prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s), self._stride)
+        self.signals = _thinned(prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s), slice(None, None, self._stride))
         self._t = record.t_s[:: self._stride]
         self._step = np.concatenate([[0.0], np.diff(self._t)])
         index = np.clip(np.searchsorted(self._t, self.model.t_s, side="right") - 1, 0, len(self._t) - 2)
         share = np.clip((self.model.t_s - self._t[index]) / self._step[index + 1], 0.0, 1.0)
         self._place = index, share[:, None, None]
         self._keep = record.keep[:: self._stride]
+        self.excited = _thinned(self.signals, self._keep)
         self._inverse = np.linalg.inv(self.parameters.tensor)
-        self.residual, self.sensitivity, self.names = _with_accelerometer_delay(
-            *self.model.evaluate(self.parameters, self.options)
-        )
-        self.planned = [planned_signals(prepared, self.parameters, shift, self._stride) for shift in EFFECT_SHIFTS_S]
+        self.residual, sensitivity, names = self.model.evaluate(self.parameters, self.options)
+        self.sensitivity, self.names = _with_accelerometer_delay(sensitivity, names)
+        self.planned = planned_signals(prepared, self.parameters, self._stride)
         self.colours = self._colours()
-        self.polynomials = [np.array([1.0])] * len(self.channels)
-        self.polynomials = self._polynomials()
+        self.bands = _bands(len(self.model.t_s) // 2 + 1)
+        self.gains = np.ones((len(self.channels), len(self.model.t_s) // 2 + 1))
+        self.gains = self._gains()
         self.y = self._whitened(self.residual[:, :, None])[:, 0]
         self.x = self._whitened(self.sensitivity)
         if prepared.planned is None:
-            self._basis = None
             self.z = self.x
         else:
-            self._basis = _orthonormal_rows(self._whitened(self.model.instruments(self.parameters, self.options)), self)
-            self.z = self._project(self.x, self._basis)
+            wished = self.model.planned_sensitivities(self.parameters, self.options)
+            self.z = self._whitened(_with_accelerometer_delay(wished, names)[0])
 
     def of(self, other: Prepared) -> FlightEvidence:
         """Another flight about the same base fit."""
@@ -159,7 +163,7 @@ class FlightEvidence:
                         columns.append(wrench)
         vehicle = self.prepared.record.vehicle
         for effect in library().values():
-            settings = effect.variants(signals, vehicle) if effect.applies(vehicle) else ()
+            settings = effect.variants(self.excited, vehicle) if effect.applies(vehicle) else ()
             own = [effect.wrench(signals, vehicle, s) for s in settings[:: max(1, len(settings) // VARIANTS)]]
             columns += [wrench[:, :, j] for wrench in own for j in range(wrench.shape[2]) if np.isfinite(wrench).all()]
         columns += [
@@ -176,6 +180,7 @@ class FlightEvidence:
         to speak of, as where sensors are noisier than the air; the likelier goes on.
         """
         self._remainder = self._nuisance()
+        random = np.random.default_rng(SEED)
         found: list[Colour] = []
         for channel in self.channels:
             columns = self._remainder[:, channel, :]
@@ -189,59 +194,69 @@ class FlightEvidence:
                 Colour(1e-2 * rough, 0.3, 1e-3 * rough, size / np.sqrt(2.0)),
             )
             tried = [self._recoloured(z, columns, start, channel) for start in starts]
-            likeliest = min(tried, key=lambda item: item[1])[0]
-            found.append(self._recoloured(z, columns, likeliest, channel, again=True)[0])
+            colour = min(tried, key=lambda item: item[1])[0]
+            for _ in range(REFILLS):
+                colour = self._recoloured(z, columns, colour, channel, random)[0]
+            found.append(colour)
         return found
 
     def _recoloured(
-        self, z: Array, columns: Array, colour: Colour, channel: int, *, again: bool = False
+        self, z: Array, columns: Array, colour: Colour, channel: int, random: np.random.Generator | None = None
     ) -> tuple[Colour, float]:
-        """Noise of what columns leave when they are fitted under a given noise, and half its minus-log-likelihood."""
+        """Noise of what columns leave when they are fitted under a given noise, and half its minus-log-likelihood.
+
+        With ``random`` what they take of the noise is put back (:func:`_coefficients`), and the search starts from the given noise.
+        """
         integrated = channel < 3
         stacked = np.concatenate([z[:, None], columns], axis=1)
         e, s = innovations(stacked, self.model.dt, self.model.restart, colour, integrated=integrated)
         good = np.isfinite(s)
         white = e[good] / np.sqrt(s[good])[:, None]
-        scale = np.linalg.norm(white[:, 1:], axis=0)
-        shown = scale > 1e-9 * scale.max()  # a column that is constant here has no innovations
-        theta = np.zeros(len(scale))
-        theta[shown] = np.linalg.lstsq(white[:, 1:][:, shown] / scale[shown], white[:, 0], rcond=1e-8)[0] / scale[shown]
-        left = z - columns @ theta
-        start = colour if again else None
+        left = z - columns @ _coefficients(white[:, 1:], white[:, 0], random)
+        start = None if random is None else colour
         found = fit_colour(left, self.model.dt, self.model.restart, integrated=integrated, start=start)
         return found, minus_log_likelihood(left, self.model.dt, self.model.restart, found, integrated)
 
-    def _polynomials(self) -> list[Array]:
-        white = self._whitened(self.residual[:, :, None])[:, 0].reshape(len(self.channels), -1)
-        nuisance = self._whitened(self._remainder)
-        rows = nuisance.reshape(len(self.channels), white.shape[1], -1)
-        out = []
-        for y, x in zip(white, rows, strict=True):
-            scale = np.linalg.norm(x, axis=0)
-            x = x[:, scale > 1e-9] / scale[scale > 1e-9]
-            theta = np.linalg.lstsq(x, y, rcond=1e-8)[0]
-            out.append(whitening_polynomial(y - x @ theta, self.model.restart, 12))
+    def _gains(self) -> Array:
+        """What is left of each channel's colour behind its noise model: a filter (channels, frequencies) that whitens the rest.
+
+        A disturbance need not be of first order. The periodogram of what generic columns leave, with what they took put back, is
+        averaged over bands.
+        """
+        rows = len(self.channels)
+        white = self._whitened(self.residual[:, :, None]).reshape(rows, -1)
+        columns = self._whitened(self._remainder).reshape(rows, white.shape[1], -1)
+        random = np.random.default_rng(SEED)
+        out = np.ones_like(self.gains)
+        for gain, y, x in zip(out, white, columns, strict=True):
+            power = np.abs(np.fft.rfft(y - x @ _coefficients(x, y, random))) ** 2 / len(y)
+            for band in self.bands:
+                gain[band] = 1.0 / np.sqrt(np.mean(power[band]) + 1e-12)
         return out
+
+    def spread(self, columns: Array) -> tuple[Array, Array]:
+        """How the energy of whitened columns (rows, p), each of size one, lies over channels and bands, and each one's degrees of freedom.
+
+        Both of shape (channels * bands,).
+        """
+        power = np.abs(np.fft.rfft(columns.reshape(len(self.channels), -1, columns.shape[1]), axis=1)) ** 2
+        by_band = np.stack([power[:, band].sum(axis=1) for band in self.bands], axis=1)
+        total = by_band.sum(axis=(0, 1))
+        energy = np.sum(by_band / np.where(total > 0.0, total, 1.0), axis=-1)
+        freedom = np.tile([2.0 * (band.stop - band.start) for band in self.bands], len(self.channels))
+        return energy.ravel(), freedom
 
     def _whitened(self, columns: Array) -> Array:
         """Stack the whitened channels of (blocks, 6, m) below each other, (channels * blocks, m)."""
         parts = []
-        for channel, colour, polynomial in zip(self.channels, self.colours, self.polynomials, strict=True):
+        for channel, colour, gain in zip(self.channels, self.colours, self.gains, strict=True):
             e, s = innovations(
                 columns[:, channel, :], self.model.dt, self.model.restart, colour, integrated=channel < 3
             )
             good = np.isfinite(s)
             white = np.where(good[:, None], e / np.sqrt(np.where(good, s, 1.0))[:, None], 0.0)
-            parts.append(apply_polynomial(polynomial, white))
+            parts.append(np.fft.irfft(np.fft.rfft(white, axis=0) * gain[:, None], len(white), axis=0))
         return np.concatenate(parts)
-
-    def _project(self, columns: Array, basis: Sequence[Array]) -> Array:
-        out = np.empty_like(columns)
-        count = len(self.model.t_s)
-        for index, q in enumerate(basis):
-            rows = slice(index * count, (index + 1) * count)
-            out[rows] = q @ (q.T @ columns[rows])
-        return out
 
     def predicted(self, wrench: Array) -> Array:
         """Rates and specific forces (blocks, 6, p) that a body wrench (k, 6, p) adds."""
@@ -263,24 +278,14 @@ class FlightEvidence:
         if not np.isfinite(wrench).all():
             return None
         rms = np.sqrt(np.mean(wrench[self._keep] ** 2, axis=0))
-        if self._basis is None:
+        if self.planned is None:
             sensitivity = self._whitened(self.predicted(wrench))
             return Columns(sensitivity, sensitivity, rms)
-        planned = [candidate.effect.wrench(s, vehicle, candidate.settings) for s in self.planned if s is not None]
-        planned = [wished for wished in planned if np.isfinite(wished).all()]
-        if not planned:
+        wished = candidate.effect.wrench(self.planned, vehicle, candidate.settings)
+        if not np.isfinite(wished).all():
             return None
-        white = self._whitened(self.predicted(np.concatenate([wrench, *planned], axis=2)))
-        sensitivity, stacked = white[:, : wrench.shape[2]], white[:, wrench.shape[2] :]
-        out = np.zeros_like(sensitivity)
-        count = len(self.model.t_s)
-        for index, q in enumerate(self._basis):
-            rows = slice(index * count, (index + 1) * count)
-            c, wished = sensitivity[rows], stacked[rows]
-            if c.any():
-                more = _orthonormal(wished - q @ (q.T @ wished)) if wished.any() else wished[:, :0]
-                out[rows] = q @ (q.T @ c) + more @ (more.T @ c)
-        return Columns(sensitivity, out, rms)
+        white = self._whitened(self.predicted(np.concatenate([wrench, wished], axis=2)))
+        return Columns(white[:, : wrench.shape[2]], white[:, wrench.shape[2] :], rms)
 
 
 class Evidence:
@@ -362,6 +367,26 @@ class Evidence:
         inverse = np.linalg.pinv(zx / np.outer(scale, scale), rcond=1e-12) / np.outer(scale, scale)
         return Solution(inverse @ zy, inverse @ zz @ inverse.T, self.x.shape[1])
 
+    def threshold(self, columns: Columns, chance: float) -> float:
+        r"""Wald statistic that noise passes with this probability.
+
+        The noise is known from as many values as lie in the bands that an effect lives in, so that W / p follows an F distribution,
+        whose second degrees of freedom are Satterthwaite's: :math:`1 / \nu = \sum_b s_b^2 / \nu_b` with the shares s_b of the
+        effect's energy. For one slow parameter that asks for twice the chi-squared value.
+        """
+        from scipy.stats import f
+
+        count, first = columns.instrument.shape[1], 0
+        energies, freedoms = [], []
+        for flight in self.flights:
+            energy, freedom = flight.spread(columns.instrument[first : first + len(flight.y)])
+            energies.append(energy)
+            freedoms.append(freedom)
+            first += len(flight.y)
+        share = np.concatenate(energies)
+        share = share / share.sum()
+        return count * float(f.isf(chance, count, 1.0 / np.sum(share**2 / np.concatenate(freedoms))))
+
     def _product(self, a: Columns, b: Columns, rows: NDArray[np.bool_] | None) -> tuple[Array, Array]:
         """(Z_a^T W C_b, Z_a^T W Z_b), remembered for all rows."""
         key = (a.number, b.number)
@@ -417,39 +442,36 @@ class Evidence:
         return np.concatenate(times), np.concatenate(channels), np.concatenate(flights)
 
 
-def _with_accelerometer_delay(
-    residual: Array, sensitivity: Array, names: tuple[str, ...]
-) -> tuple[Array, Array, tuple[str, ...]]:
+def _with_accelerometer_delay(sensitivity: Array, names: tuple[str, ...]) -> tuple[Array, tuple[str, ...]]:
     """Let forces come later than torques by ``accel_delay_s``, beside the ``input_delay_s`` of both.
 
     Gyro and accelerometer pass different filters, and held commands reach a rate through their integral, a force at once.
     Without this a millisecond between the two looks like thrust lost to climbing, as jerk runs against velocity.
     """
     if "input_delay_s" not in names:
-        return residual, sensitivity, names
+        return sensitivity, names
     index = names.index("input_delay_s")
     later = sensitivity[:, :, index : index + 1].copy()
     later[:, :3] = 0.0
-    return residual, np.concatenate([sensitivity, later], axis=2), (*names, "accel_delay_s")
+    return np.concatenate([sensitivity, later], axis=2), (*names, "accel_delay_s")
 
 
-def planned_signals(prepared: Prepared, p: Parameters, shift_s: float, stride: int) -> Signals | None:
-    """The signals the plan asked for: thrusts by inverse dynamics at ``p``; time and battery as they were."""
+def planned_signals(prepared: Prepared, p: Parameters, stride: int) -> Signals | None:
+    """The signals the plan made the vehicle have: thrusts by inverse dynamics at ``p``; time and battery as they were."""
     plan = prepared.planned
     if plan is None:
         return None
-    moved = plan.shifted(shift_s, prepared.record.t_s)
     vehicle = prepared.record.vehicle
-    rate = moved.rate_rad_s
-    torque = moved.angular_acceleration_rad_s2 @ p.tensor + np.cross(rate, rate @ p.tensor)
-    wrench = np.concatenate([p.mass_kg * moved.specific_thrust_m_s2[:, None], torque], axis=1)
+    rate = plan.rate_rad_s
+    torque = plan.angular_acceleration_rad_s2 @ p.tensor + np.cross(rate, rate @ p.tensor)
+    wrench = np.concatenate([p.mass_kg * plan.specific_thrust_m_s2[:, None], torque], axis=1)
     thrust = wrench @ np.linalg.pinv(wrench_matrix(vehicle)).T
     motor = thrust if vehicle.rotors.input == "wrench" else vehicle.motor_for_thrust(thrust)
-    quaternion = quat_normalise(moved.quaternion)
+    quaternion = quat_normalise(plan.quaternion)
     signals = Signals(
         t_s=prepared.record.t_s - prepared.record.t_s[0],
-        position_m=moved.position_m,
-        velocity_world_m_s=quat_rotate(quaternion, moved.velocity_body_m_s),
+        position_m=plan.position_m,
+        velocity_world_m_s=quat_rotate(quaternion, plan.velocity_body_m_s),
         quaternion=quaternion,
         rate_rad_s=rate,
         motor=motor,
@@ -459,11 +481,46 @@ def planned_signals(prepared: Prepared, p: Parameters, shift_s: float, stride: i
         voltage_v=prepared.voltage_v,
         charge_as=prepared.charge_as,
     )
-    return _thinned(signals, stride)
+    return _thinned(signals, slice(None, None, stride))
 
 
-def _thinned(signals: Signals, stride: int) -> Signals:
-    return Signals(*(getattr(signals, name)[::stride] for name in Signals.__slots__))
+def _thinned(signals: Signals, rows: slice | NDArray[np.bool_]) -> Signals:
+    return Signals(*(getattr(signals, name)[rows] for name in Signals.__slots__))
+
+
+def _bands(count: int) -> list[slice]:
+    """Frequencies of a periodogram in bands, each an eighth of its own frequency wide, or BAND_BINS."""
+    out, first = [], 0
+    while first < count:
+        last = first + max(BAND_BINS, first // 8)
+        if count - last < BAND_BINS:
+            last = count
+        out.append(slice(first, last))
+        first = last
+    return out
+
+
+def _coefficients(columns: Array, y: Array, random: np.random.Generator | None) -> Array:
+    """Least-squares coefficients of whitened columns; with ``random`` a draw from their posterior instead of its mean.
+
+    A fit of p columns takes p degrees of freedom out of the noise, nearly all of them at the low frequencies where they live. The
+    draw puts as much back, so that a noise model fitted to what is left is right on average (data augmentation: Tanner and
+    Wong 1987; its limit is restricted maximum likelihood, Patterson and Thompson 1971).
+
+    Args:
+        columns: (rows, p), a column without innovations may be zero. y: (rows,), of unit variance if the noise is right.
+    """
+    scale = np.linalg.norm(columns, axis=0)
+    shown = scale > 1e-9 * scale.max(initial=1e-300)
+    values, vectors = np.linalg.eigh((columns[:, shown] / scale[shown]).T @ (columns[:, shown] / scale[shown]))
+    kept = values > 1e-8 * values[-1]
+    root = vectors[:, kept] / np.sqrt(values[kept])  # of the inverse information
+    inside = root.T @ (columns[:, shown].T @ y / scale[shown])
+    if random is not None:
+        inside = inside + random.standard_normal(len(inside))
+    theta = np.zeros(columns.shape[1])
+    theta[shown] = root @ inside / scale[shown]
+    return theta
 
 
 def _orthonormal(basis: Array) -> Array:
@@ -475,8 +532,3 @@ def _orthonormal(basis: Array) -> Array:
     values, vectors = np.linalg.eigh(used.T @ used)
     keep = values > 1e-6 * values[-1]
     return used @ (vectors[:, keep] / np.sqrt(values[keep]))
-
-
-def _orthonormal_rows(stacked: Array, flight: FlightEvidence) -> list[Array]:
-    count = len(flight.model.t_s)
-    return [_orthonormal(stacked[i * count : (i + 1) * count]) for i in range(len(flight.channels))]

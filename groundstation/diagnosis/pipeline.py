@@ -27,6 +27,7 @@ from groundstation.diagnosis.kinematic import kinematic_findings, turned
 from groundstation.diagnosis.next_flight import rival_entries
 from groundstation.diagnosis.proposal import with_proposals
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
+from groundstation.diagnosis.scale import scale_findings
 from groundstation.diagnosis.screen import dependences, unexplained
 from groundstation.diagnosis.timing import lag_findings
 from groundstation.diagnosis.trim import applies as trim_applies
@@ -94,7 +95,8 @@ def diagnose(
     plain = as_declared(evidence, vehicle) if lag or bend else None
     offset = sum(len(c.effect.parameters) for c, _ in baseline)
     forces = with_exponent(_findings(named, solution, vehicle, offset), bend, plain_gain(evidence, chosen, plain))
-    findings = sorted([*lag, *forces, *kinematic], key=lambda f: -f.gain)
+    before, after = base_parameters(evidence, vehicle, baseline, chosen, plain)
+    findings = sorted([*lag, *forces, *kinematic, *scale_findings(vehicle, after)], key=lambda f: -f.gain)
     splits = splits_of(evidence, unseen)
     halves = splits if unseen else splits_of(evidence, (), 2)
     remaining = with_proposals(
@@ -103,7 +105,6 @@ def diagnose(
         unexplained(left),
         lambda more: held_out_errors(evidence, chosen, list(more), splits),
     )
-    before, after = base_parameters(evidence, vehicle, baseline, chosen, plain)
     if plain is not None:
         splits, halves = (with_plain(each, evidence, vehicle) for each in (splits, halves))
     error = held_out_errors(evidence, baseline, chosen, splits)
@@ -212,7 +213,7 @@ def _evidence(
 
 
 def _pool(vehicle: Vehicle, first: FlightEvidence, *, references: bool) -> list[Candidate]:
-    pool = candidates(vehicle, first.signals)
+    pool = candidates(vehicle, first.excited)
     if references:
         payload = library()["payload_change"]
         pool.append(Candidate(payload, {"at_s": -1.0, "within_s": 1.0}))

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.attribution import MATERIAL
 from groundstation.diagnosis.discrepancy import FORM, Discrepancy
 from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, from_thrust
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
@@ -26,8 +27,6 @@ Array = NDArray[np.float64]
 
 CHANCE = 1e-6
 """Chance, over all pairs of channel and variable, that noise alone would show a dependence."""
-MATERIAL = 2e-3
-"""Least RMS of an unexplained dependence, as a share of weight or of weight times arm."""
 KNOTS = 6
 
 _WRENCH_ROW = {0: 3, 1: 4, 2: 5, 3: 0, 4: 1, 5: 2}
@@ -98,8 +97,6 @@ def _probe(name: str, channel: int, knots: Array) -> Effect:
 
 def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]]) -> list[Dependence]:
     """Every pair of channel and variable that still shows beyond chance, strongest first."""
-    from scipy.stats import chi2
-
     first = evidence.flights[0]
     vehicle = first.prepared.record.vehicle
     weight = vehicle.mass_kg * vehicle.gravity_m_s2
@@ -129,7 +126,9 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
                 continue
             solution = evidence.solve([*chosen, (candidate, columns)])
             count = len(candidate.effect.parameters)
-            margin = solution.wald(offset, count) - float(chi2.isf(CHANCE / pairs, count)) - FORM**2 * energy[channel]
+            margin = (
+                solution.wald(offset, count) - evidence.threshold(columns, CHANCE / pairs) - FORM**2 * energy[channel]
+            )
             if margin <= 0.0:
                 continue
             part = candidate.effect.wrench(first.signals, vehicle, {})[:, _WRENCH_ROW[channel], :]

@@ -161,7 +161,8 @@ def _tether(v: Values, model: Identified) -> Held:
 
 
 def _constant_wrench(v: Values, model: Identified) -> Held:
-    table = {"force_world_n": [0.0] * 3, "torque_body_nm": [v[f"torque_{axis}_nm"] for axis in "xyz"]}
+    force = [v["force_world_x_n"], v["force_world_y_n"], 0.0]
+    table = {"force_world_n": force, "torque_body_nm": [v[f"torque_{axis}_nm"] for axis in "xyz"]}
     return Held("constant_wrench", table)
 
 

@@ -1,28 +1,38 @@
-"""A steady torque that nothing else accounts for."""
+"""A steady force or torque that nothing else accounts for."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, weight
+from groundstation.frames import quat_rotate_inverse
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
-    out = blank(signals, 3)
+    out = blank(signals, 5)
+    for axis in range(2):
+        steady = np.broadcast_to(np.eye(3)[axis], (len(signals.t_s), 3))
+        out[:, :3, axis] = quat_rotate_inverse(signals.quaternion, steady)
     for axis in range(3):
-        out[:, 3 + axis, axis] = 1.0
+        out[:, 3 + axis, 2 + axis] = 1.0
     return out
 
 
 EFFECT = Effect(
     identifier="constant_wrench",
-    equation="tau = constant in the body",
-    source="effects.md; a steady force is wind's or the tether's column in the world frame",
-    parameters=tuple(ParameterInfo(f"torque_{axis}_nm", lambda v: 0.3 * weight(v) * v.arm_m()) for axis in "xyz"),
+    equation="F = constant and level in the world, tau = constant in the body",
+    source="statics; a steady upward force is weight, a steady force in the body the accelerometer's bias",
+    parameters=(
+        *(ParameterInfo(f"force_world_{axis}_n", lambda v: 0.3 * weight(v)) for axis in "xy"),
+        *(ParameterInfo(f"torque_{axis}_nm", lambda v: 0.3 * weight(v) * v.arm_m()) for axis in "xyz"),
+    ),
     wrench=_wrench,
-    sentence="A steady torque of {torque_x_nm}, {torque_y_nm} and {torque_z_nm} N m acts in roll, pitch and yaw.",
-    confused_with=("com_offset", "weak_rotor"),
+    sentence=(
+        "A steady force of {force_world_x_n} N along x and {force_world_y_n} N along y of the room, and a steady torque of "
+        "{torque_x_nm}, {torque_y_nm} and {torque_z_nm} N m in roll, pitch and yaw act on the vehicle."
+    ),
+    confused_with=("com_offset", "weak_rotor", "wind"),
     manoeuvre="climb and sink hard: a torque that stays the same while thrust changes is not a centre of mass",
 )

@@ -36,6 +36,7 @@ EFFECT = Effect(
     ),
     wrench=_wrench,
     sentence="A steady push of {force_world_x_n} N along x and {force_world_y_n} N along y stays where it is when the vehicle turns: air moves.",
+    rests_on=("rotor_drag", "body_drag"),
     confused_with=("tether", "mocap_tilt", "constant_wrench"),
     variants=_variants,
     manoeuvre="yaw through a full turn while hovering, then fly with and against the push",

@@ -1,0 +1,104 @@
+"""The noise that findings are judged against: white behind its model, and not made small by what was fitted to it."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from flights import flight_data
+from scipy.stats import chi2, f
+
+from groundstation.diagnosis.evidence import Columns, Evidence, FlightEvidence, _bands, _coefficients
+from groundstation.diagnosis.pipeline import for_evidence
+from groundstation.diagnosis.scale import scale_findings
+from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.preparation import prepare
+from groundstation.identification.results import Estimate
+from groundstation.paths import find_config
+from groundstation.trajectory import load_plan
+from groundstation.vehicle import load_vehicle, vehicle_from_dict, vehicle_to_dict
+from sim.flight import simulate
+from sim.scenario import load_scenario
+
+LINES = np.array([0.0, 0.6, 2.0, 6.0, 30.0])
+"""Hz, between which the mean power is looked at."""
+
+
+@pytest.fixture(scope="module")
+def evidence() -> Evidence:
+    """A flight of the reference scenario in a disturbance of second order, which the noise model's first order is not."""
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    lab = load_scenario(find_config("scenarios", "lab"))
+    air = lab.disturbance.model_copy(update={"order": 2, "correlation_s": 0.5})
+    plan = load_plan(find_config("plans", "qball2")).model_copy(update={"periods": 4.0})
+    flown = simulate(vehicle, plan, lab.model_copy(update={"disturbance": air}), 5)
+    prepared = for_evidence(prepare(flight_data(flown)))
+    fitted = fit_dynamics([prepared])
+    return Evidence([FlightEvidence(prepared, fitted.best, fitted.options)])
+
+
+def test_what_the_base_leaves_is_white_from_the_lowest_frequencies_up(evidence):
+    flight = evidence.flights[0]
+    rows = evidence.remainder([], evidence.solve([])).reshape(len(flight.channels), -1)
+    power = np.abs(np.fft.rfft(rows, axis=1)) ** 2 / rows.shape[1]
+    frequency = np.fft.rfftfreq(rows.shape[1], float(np.median(flight.model.dt)))
+    for low, high in pairwise(LINES):
+        inside = (frequency >= low) & (frequency < high)
+        count = 2 * len(flight.channels) * int(inside.sum())
+        # 3.3 sigma of the periodogram itself, and a fifth for the estimated spectrum
+        assert abs(power[:, inside].mean() - 1.0) < 0.2 + 3.3 * np.sqrt(2.0 / count), (low, high)
+
+
+def test_a_fit_of_many_columns_takes_noise_and_a_draw_puts_it_back():
+    random = np.random.default_rng(3)
+    rows, columns, rounds = 400, 80, 60
+    x = random.standard_normal((rows, columns)) * np.geomspace(1e-4, 1e3, columns)
+    left = {False: 0.0, True: 0.0}
+    for _ in range(rounds):
+        y = random.standard_normal(rows)
+        for drawn in left:
+            left[drawn] += float(np.mean((y - x @ _coefficients(x, y, random if drawn else None)) ** 2)) / rounds
+    assert left[False] == pytest.approx(1.0 - columns / rows, abs=0.02)
+    assert left[True] == pytest.approx(1.0, abs=0.02)
+
+
+def test_an_effect_in_one_band_has_to_beat_what_is_known_of_the_noise_there(evidence):
+    flight = evidence.flights[0]
+    rows, count = len(flight.model.t_s), len(flight.channels)
+    time = np.arange(rows)
+    band = flight.bands[2]
+    slow, broad = np.zeros((count, rows)), np.zeros((count, rows))
+    slow[0] = np.cos(2.0 * np.pi * (band.start + 1) * time / rows)
+    broad[:] = np.random.default_rng(1).standard_normal((count, rows))
+    known = 2.0 * (band.stop - band.start)
+    found = [evidence.threshold(_columns(part), 1e-5) for part in (slow, broad)]
+    assert found[0] == pytest.approx(f.isf(1e-5, 1, known), rel=1e-3)
+    assert chi2.isf(1e-5, 1) < found[1] < 1.05 * chi2.isf(1e-5, 1)
+
+
+def _columns(rows: np.ndarray) -> Columns:
+    column = rows.reshape(-1, 1)
+    return Columns(column, column, np.zeros((6, 1)))
+
+
+@pytest.mark.parametrize("count", [3, 17, 500, 2001])
+def test_bands_cover_every_frequency_once(count):
+    bands = _bands(count)
+    assert [i for band in bands for i in range(band.start, band.stop)] == list(range(count))
+
+
+def test_only_a_weighed_mass_tells_another_thrust_constant():
+    document = vehicle_to_dict(load_vehicle(find_config("vehicles", "qball2")))
+    vehicle = vehicle_from_dict(document)
+    declared = vehicle.rotors.thrust_coefficient_n_s2
+    assert declared is not None
+    found = {"thrust_coefficient_n_s2": Estimate.normal(1.06 * declared, 0.004 * declared)}
+    (finding,) = scale_findings(vehicle, found)
+    assert finding.effect == "thrust_scale"
+    assert finding.parameters["thrust_scale"].value == pytest.approx(1.06)
+    unsure = vehicle.model_copy(
+        update={"identification": vehicle.identification.model_copy(update={"thrust_coefficient_std": 0.05})}
+    )
+    assert scale_findings(unsure, found) == []  # the declaration itself is not surer than that
+    assert scale_findings(vehicle, {"mass_kg": Estimate.normal(2.0, 0.001)}) == []
