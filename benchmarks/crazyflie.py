@@ -10,10 +10,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import numpy as np
+
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
-from groundstation.identification.pipeline import identify
-from groundstation.identification.preparation import flight_states
+from groundstation.identification.pipeline import fit_dynamics, identify
+from groundstation.identification.preparation import flight_states, prepare
 from groundstation.model.prediction import VehicleModel, declared_model, model_from_document, predict
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
@@ -26,6 +28,7 @@ HORIZONS_S = (0.02, 0.05, 0.1, 0.5)
 PUBLISHED = {"ixx_kg_m2": 1.03e-5, "iyy_kg_m2": 1.11e-5, "izz_kg_m2": 1.95e-5}
 PUBLISHED_LAG_S = 0.0735
 PUBLISHED_SCALE = 9.18 / 9.81
+WINDOW_S = 0.1
 
 
 def published(document: dict, vehicle: Vehicle) -> VehicleModel:
@@ -56,6 +59,29 @@ def table(model: dict[str, VehicleModel], flight: FlightData) -> str:
         lines.append(f"| {name} | " + " | ".join(f"{e:.3f}" for e in row) + " |")
     lines.append("| constant rate | " + " | ".join(f"{e:.3f}" for e in constant) + " |")
     return "\n".join(lines)
+
+
+def lateral_force(flight: FlightData) -> str:
+    """How much of the torque that a fit leaves goes with the lateral force the accelerometer felt, and at what height that acts.
+
+    Torque from differences of the rate residual over WINDOW_S, by least squares on a constant and the mean force of the same window; a
+    force F at height h above the centre of mass makes the torque (-h F_y, h F_x).
+    """
+    fitted = fit_dynamics([prepare(flight)])
+    model, best = fitted.models[0], fitted.best.parameters
+    residual = model.residual(best)[:, :3]
+    step = round(WINDOW_S / float(np.median(model.dt)))
+    torque = (residual[step:] - residual[:-step])[::step] / WINDOW_S @ best.tensor
+    mean = np.cumsum(model.force[:, :2], axis=0)
+    force = best.mass_kg * ((mean[step:] - mean[:-step]) / step)[::step]
+    columns = np.column_stack([np.ones(len(force)), force])
+    arms, left = [], []
+    for axis in range(2):
+        solution, *_ = np.linalg.lstsq(columns, torque[:, axis], rcond=None)
+        arms.append(solution[1:])
+        left.append(float(np.std(torque[:, axis] - columns @ solution) / np.std(torque[:, axis])))
+    shares = " | ".join(f"{100.0 * (1.0 - each**2):.0f} %" for each in left)
+    return f"{shares} | {-1e3 * arms[0][1]:.0f} mm | {1e3 * arms[1][0]:.0f} mm"
 
 
 def main() -> None:
@@ -89,6 +115,10 @@ def main() -> None:
                 "published constants": published(document, vehicle),
                 "declared": declared_model(vehicle),
             }
+    print("\nLateral force in the torque that each fit leaves\n")
+    print("| part | of roll | of pitch | height by roll | height by pitch |\n|---|---|---|---|---|")
+    for part in (*SEEN, *UNSEEN):
+        print(f"| {part[0]} {part[1]:g} to {part[2]:g} s | {lateral_force(load(part))} |")
     for part in UNSEEN:
         print(f"\nRMS error of the predicted body rate, rad/s, {part[0]} {part[1]:g} to {part[2]:g} s\n")
         print(table(models, load(part)))
