@@ -102,6 +102,15 @@ def test_a_quaternion_that_is_not_a_number_counts_as_tilted():
     assert watch(guard(), replace(FINE, quaternion=(math.nan,) * 4), 1.0) is not None
 
 
+def test_a_simulation_behind_real_time_is_told_from_a_vehicle_astray():
+    astray = replace(FINE, **CROSSED["tracking"])
+    for rate, slow in ((None, False), (1.0, False), (0.988, False), (0.7, True)):
+        found = watch(guard(), replace(astray, clock_rate=rate), 1.0)
+        assert found is not None
+        assert ("its clock ran at 0.70 of ours" in found[1].reason) is slow
+    assert watch(guard(), replace(FINE, clock_rate=0.3), 10.0) is None  # it explains, and decides nothing
+
+
 def test_what_does_not_apply_is_not_watched():
     assert watch(guard(), Observations(), 10.0) is None
 

@@ -410,3 +410,18 @@ def test_frames_of_another_vehicle_on_the_same_link_are_not_ours():
     rig.down = lambda frames: [*frames, stranger.encode(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 0, 3))]
     assert rig.finish()
     assert rig.reason == ""
+
+
+@BOTH
+def test_a_vehicle_whose_time_runs_slow_is_seen_as_such(kind):
+    rig = Rig(kind)
+    rig.excite()
+    assert rig.core.view.clock_rate == pytest.approx(1.0, abs=0.02)
+    ahead_s, began_s = rig.now_s, rig.vehicle.device_s
+
+    def slowly() -> None:  # from here on a simulated second takes one and a half
+        rig.vehicle.boot_s = rig.now_s - (began_s + (rig.now_s - ahead_s) / 1.5)
+
+    rig.hooks.append(slowly)
+    rig.wait(2.5)
+    assert rig.core.view.clock_rate == pytest.approx(1 / 1.5, abs=0.05)

@@ -95,6 +95,7 @@ class VehicleView:
     meters: dict[str, Meter] = field(default_factory=dict)
     texts: deque[str] = field(default_factory=lambda: deque(maxlen=30))
     oscillation: Oscillation = field(default_factory=Oscillation)
+    _pace: deque[tuple[float, float]] = field(default_factory=deque)
     _reset_counter: int | None = None
     _boot_ms: int = 0
 
@@ -151,6 +152,9 @@ class VehicleView:
             if self.state is None or sample.device_s > self.state.device_s:
                 self.jump_m = max(self.jump_m, _jump(self.state, sample))
                 self.state, self.state_s = sample, now_s
+                self._pace.append((now_s, sample.device_s))
+                while now_s - self._pace[0][0] > _RATE_WINDOW_S:
+                    self._pace.popleft()
         elif isinstance(sample, Battery):
             self.battery = sample
         elif isinstance(sample, Pose):
@@ -167,6 +171,14 @@ class VehicleView:
         """The largest jump since the last call."""
         jump, self.jump_m = self.jump_m, 0.0
         return jump
+
+    @property
+    def clock_rate(self) -> float | None:
+        """The vehicle's time over ours in the last two seconds of states; None before one of them."""
+        if not self._pace or self._pace[-1][0] - self._pace[0][0] < 0.5 * _RATE_WINDOW_S:
+            return None
+        (host_0, device_0), (host_1, device_1) = self._pace[0], self._pace[-1]
+        return (device_1 - device_0) / (host_1 - host_0)
 
     def rate_hz(self, name: str, now_s: float) -> float:
         """Measured arrival rate of a message."""
@@ -203,6 +215,7 @@ class VehicleView:
             self.restarts += 1
             self._boot_ms = 0
             self.state, self.jump_m, self._reset_counter = None, inf, None
+            self._pace.clear()
         self._boot_ms = max(self._boot_ms, boot_ms)
 
 

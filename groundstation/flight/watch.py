@@ -60,5 +60,6 @@ def observe(
         oscillation_rad_s=view.oscillation.rms_rad_s,
         core_age_s=now_s - core_s if silent and core_s is not None else None,
         setpoint_age_s=now_s - pilot.setpoint_sent_s if led and pilot.setpoint_sent_s is not None else None,
+        clock_rate=view.clock_rate,
         abort=abort,
     )
