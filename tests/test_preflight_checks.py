@@ -85,6 +85,9 @@ def test_a_full_disk_is_seen_before_the_flight(ready):
 def test_a_parameter_that_cannot_be_read_is_a_failure_not_a_silence(ready):
     assert not answer(ready, "COM_OBL_RC_ACT", parameters={}).ok
     assert answer(ready, "GF_ACTION", parameters={}).ok, "advice only"
+    unfenced = answer(ready, "GF_MAX_HOR_DIST", parameters={"GF_MAX_HOR_DIST": 0.0})
+    assert unfenced.ok and "no geofence" in unfenced.reason
+    assert "no geofence" not in answer(ready, "GF_MAX_HOR_DIST", parameters={"GF_MAX_HOR_DIST": 4.0}).reason
 
 
 def test_a_plan_that_leaves_the_room_or_exceeds_the_vehicle_is_refused(ready):

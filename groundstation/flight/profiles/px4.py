@@ -77,6 +77,11 @@ class Px4(Profile):
                       why="the vehicle shall disarm by itself after touch-down"),
         ParameterRule("GF_ACTION", (2.0, 1.0, 3.0, 5.0), required=False,
                       why="the vehicle's own geofence is the last resort when both link and station fail"),
+        *(
+            ParameterRule(name, (1.0,), required=False, or_more=True,
+                          why="at 0 there is no geofence, whatever GF_ACTION says (a polygon on the vehicle is not read)")
+            for name in ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST")
+        ),
         ParameterRule("EKF2_EV_CTRL", (15.0, 11.0), settable=False, indoors=True,
                       why="the estimator shall fuse position, velocity and yaw of the external poses"),
         ParameterRule("EKF2_HGT_REF", (3.0,), settable=False, indoors=True,
