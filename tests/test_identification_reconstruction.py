@@ -14,6 +14,7 @@ from groundstation.frames import quat_exp, quat_from_euler, quat_multiply, quat_
 from groundstation.identification import reconstruction
 from groundstation.identification.clock import coarse_offset
 from groundstation.identification.reconstruction import Compatibility, body_motion, reconstruct
+from groundstation.identification.smoothing import position_filter
 from groundstation.recording.blemishes import frozen, jumps
 from groundstation.trajectory import rigid_motion
 
@@ -105,7 +106,7 @@ def test_poses_without_any_noise_do_not_make_the_filter_singular() -> None:
     dt = np.concatenate([[0.0], np.full(999, 0.01)])
     error = 1e-15 * random.standard_normal((1000, 3)) + np.linspace(0.0, 1e-12, 1000)[:, None]
     noise = reconstruction._position_noise(error, dt)
-    _, variance, _, _, predicted = reconstruction._position_filter(error, dt, noise)
+    _, variance, _, _, predicted = position_filter(error, dt, noise)
     assert np.all(variance[3:] > 0.0)
     assert np.min(np.linalg.eigvalsh(predicted[3:])) > 0.0
 

@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from groundstation.frames import (
@@ -26,6 +25,7 @@ from groundstation.frames import (
     quat_rotate,
 )
 from groundstation.identification.noise import Colour, fit_colour, innovations
+from groundstation.identification.smoothing import integrate_rates, local_level, position_filter, position_smoother
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -57,123 +57,6 @@ class Compatibility:
     causal_velocity_m_s: Array
     pose_noise: tuple[float, float] = (0.0, 0.0)
     notes: tuple[str, ...] = field(default=())
-
-
-@njit(cache=True)
-def _integrate_rates(start: Array, dt: Array, rate: Array) -> Array:
-    """Attitude at each sample from rates, trapezoidal rotation vectors, shape (k, 4)."""
-    k = rate.shape[0]
-    out = np.empty((k, 4))
-    out[0] = start
-    for i in range(1, k):
-        hx = 0.25 * dt[i] * (rate[i, 0] + rate[i - 1, 0])
-        hy = 0.25 * dt[i] * (rate[i, 1] + rate[i - 1, 1])
-        hz = 0.25 * dt[i] * (rate[i, 2] + rate[i - 1, 2])
-        n = np.sqrt(hx * hx + hy * hy + hz * hz)
-        c = np.cos(n)
-        s = np.sin(n) / n if n > 1e-12 else 1.0
-        x, y, z = s * hx, s * hy, s * hz
-        a, b, d, e = out[i - 1, 0], out[i - 1, 1], out[i - 1, 2], out[i - 1, 3]
-        out[i, 0] = a * c - b * x - d * y - e * z
-        out[i, 1] = a * x + b * c + d * z - e * y
-        out[i, 2] = a * y - b * z + d * c + e * x
-        out[i, 3] = a * z + b * y - d * x + e * c
-    return out
-
-
-@njit(cache=True)
-def _local_level(z: Array, dt: Array, q: float, r: float) -> tuple[Array, Array]:
-    """Filtered and smoothed level of z = random walk + white noise, columns alike, shapes (k, m)."""
-    k, m = z.shape
-    filtered = np.empty((k, m))
-    predicted_p = np.empty(k)
-    filtered_p = np.empty(k)
-    filtered[0] = z[0]
-    predicted_p[0], filtered_p[0] = 1e12, r * r
-    for i in range(1, k):
-        p = filtered_p[i - 1] + q * q * dt[i]
-        gain = p / (p + r * r)
-        filtered[i] = filtered[i - 1] + gain * (z[i] - filtered[i - 1])
-        predicted_p[i], filtered_p[i] = p, (1.0 - gain) * p
-    smoothed = filtered.copy()
-    for i in range(k - 2, -1, -1):
-        gain = filtered_p[i] / predicted_p[i + 1] if predicted_p[i + 1] > 0.0 else 0.0
-        smoothed[i] = filtered[i] + gain * (smoothed[i + 1] - filtered[i])
-    return filtered, smoothed
-
-
-@njit(cache=True)
-def _position_filter(z: Array, dt: Array, noise: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """Kalman filter of [position, velocity, acceleration] errors seen in position; columns alike.
-
-    ``noise`` is (pose noise, white acceleration density, acceleration random walk density, initial acceleration). Returns
-    innovations (k, m), variances (k,), filtered states (k, 3, m), filtered and predicted covariances (k, 3, 3).
-    The first three samples only initialise (variance inf).
-    """
-    r, qv, qa, a0 = noise
-    k, m = z.shape
-    out = np.zeros((k, m))
-    variance = np.empty(k)
-    states = np.empty((k, 3, m))
-    pf = np.empty((k, 3, 3))
-    pp = np.empty((k, 3, 3))
-    x0, x1, x2 = z[0].copy(), np.zeros(m), np.zeros(m)
-    a, b = qv * qv, qa * qa
-    p00, p01, p02, p11, p12, p22 = r * r, 0.0, 0.0, 25.0, 0.0, a0 * a0
-    for i in range(k):
-        h = dt[i]
-        if i > 0:
-            # F P F' + Q with F = [[1, h, h^2/2], [0, 1, h], [0, 0, 1]]
-            g = 0.5 * h * h
-            f00, f01, f02 = p00 + h * p01 + g * p02, p01 + h * p11 + g * p12, p02 + h * p12 + g * p22
-            f11, f12 = p11 + h * p12, p12 + h * p22
-            p00 = f00 + h * f01 + g * f02 + a * h**3 / 3 + b * h**5 / 20
-            p01 = f01 + h * f02 + a * h**2 / 2 + b * h**4 / 8
-            p02 = f02 + b * h**3 / 6
-            p11 = f11 + h * f12 + a * h + b * h**3 / 3
-            p12 = f12 + b * h**2 / 2
-            p22 = p22 + b * h
-        pp[i, 0, 0], pp[i, 0, 1], pp[i, 0, 2] = p00, p01, p02
-        pp[i, 1, 0], pp[i, 1, 1], pp[i, 1, 2] = p01, p11, p12
-        pp[i, 2, 0], pp[i, 2, 1], pp[i, 2, 2] = p02, p12, p22
-        variance[i] = np.inf
-        if i > 0:
-            s = p00 + r * r
-            k0, k1, k2 = p00 / s, p01 / s, p02 / s
-            for j in range(m):
-                x0[j] += h * x1[j] + 0.5 * h * h * x2[j]
-                x1[j] += h * x2[j]
-                e = z[i, j] - x0[j]
-                out[i, j] = e
-                x0[j] += k0 * e
-                x1[j] += k1 * e
-                x2[j] += k2 * e
-            p22 -= k2 * p02
-            p12 -= k1 * p02
-            p11 -= k1 * p01
-            left = r * r / s  # 1 - k0 without the cancellation
-            p00, p01, p02 = left * p00, left * p01, left * p02
-            if i >= 3:
-                variance[i] = s
-        states[i, 0], states[i, 1], states[i, 2] = x0, x1, x2
-        pf[i, 0, 0], pf[i, 0, 1], pf[i, 0, 2] = p00, p01, p02
-        pf[i, 1, 0], pf[i, 1, 1], pf[i, 1, 2] = p01, p11, p12
-        pf[i, 2, 0], pf[i, 2, 1], pf[i, 2, 2] = p02, p12, p22
-    return out, variance, states, pf, pp
-
-
-@njit(cache=True)
-def _position_smoother(dt: Array, states: Array, pf: Array, pp: Array) -> Array:
-    """Rauch-Tung-Striebel pass over :func:`_position_filter`, shape (k, 3, m)."""
-    k = len(dt)
-    out = states.copy()
-    f = np.eye(3)
-    for i in range(k - 2, -1, -1):
-        h = dt[i + 1]
-        f[0, 1], f[0, 2], f[1, 2] = h, 0.5 * h * h, h
-        gain = np.linalg.solve(pp[i + 1], f @ pf[i]).T
-        out[i] = states[i] + gain @ (out[i + 1] - f @ states[i])
-    return out
 
 
 def _interpolate(query: Array, t: Array, values: Array) -> Array:
@@ -246,7 +129,6 @@ def reconstruct(
     offset_s: float,
     gravity_m_s2: float,
     mocap_rotation_rad: Array,
-    fixed_clock: bool = False,
 ) -> Compatibility:
     """Estimate the kinematic errors of a flight and its smoothed motion.
 
@@ -255,11 +137,7 @@ def reconstruct(
         t_pose: stamps, shape (m,); position (m, 3) and quaternion (m, 4) of the marker body.
         offset_s: coarse pose stamp minus IMU stamp.
         mocap_rotation_rad: declared rotation vector from the body to the marker frame.
-        fixed_clock: the poses are on the IMU's clock already (a vehicle's own estimate).
     """
-    prior_attitude, prior_position = _ATTITUDE_PRIOR.copy(), _POSITION_PRIOR.copy()
-    if fixed_clock:
-        prior_attitude[:2] = prior_position[:2] = 1e-9
     inside = (t_pose - offset_s > t_imu[0] + 0.05) & (t_pose - offset_s < t_imu[-1] - 0.05)
     dt_imu = np.concatenate([[0.0], np.diff(t_imu)])
     middle = 0.5 * (t_imu[0] + t_imu[-1])
@@ -277,7 +155,7 @@ def reconstruct(
         tk = tp - offset - drift * (tp - offset - middle)
         body = quat_multiply(qm, quat_conjugate(quat_multiply(alignment, quat_exp(rotation))))
         corrected = (gyro - bias) / (1.0 + scale)
-        rough = _integrate_rates(np.array([1.0, 0.0, 0.0, 0.0]), dt_imu, corrected)
+        rough = integrate_rates(np.array([1.0, 0.0, 0.0, 0.0]), dt_imu, corrected)
         at_first = slerp(tk[:1], t_imu, rough)[0]
         attitude = quat_multiply(quat_multiply(body[0], quat_conjugate(at_first)), rough)
         world_from_body = matrix_from_quat(attitude)
@@ -306,7 +184,7 @@ def reconstruct(
         if first:
             colour, first = _local_noise(stacked[:, 0], dts, restart), False
         e, s = innovations(stacked, dts, restart, colour, integrated=True)
-        fit = _whitened_fit(e[:, 0], e[:, 1:], s, prior_attitude)
+        fit = _whitened_fit(e[:, 0], e[:, 1:], s, _ATTITUDE_PRIOR)
         offset += fit.values[0]
         drift += fit.values[1]
         bias = bias + fit.values[2:5]
@@ -320,7 +198,7 @@ def reconstruct(
         kept[kept_index[bad]] = False
         good = ~bad
         dt_good = np.concatenate([[0.0], np.diff(tk[good])])
-        filtered, smoothed = _local_level(corrected_error[good], dt_good, colour.process, colour.sensor)
+        filtered, smoothed = local_level(corrected_error[good], dt_good, colour.process, colour.sensor)
         filtered_q = quat_multiply(quat_exp(_interpolate(t_imu, tk[good], filtered)), attitude)
         smoothed_q = quat_multiply(quat_exp(_interpolate(t_imu, tk[good], smoothed)), attitude)
         colour = _local_noise((stacked[:, 0] - stacked[:, 1:] @ fit.values), dts, restart, colour)
@@ -347,7 +225,7 @@ def reconstruct(
     error = pm - _interpolate(tk, t_imu, path)
     count = len(tk)
     noise = _position_noise(error, dt)
-    _, _, states, _, _ = _position_filter(error, dt, noise)
+    _, _, states, _, _ = position_filter(error, dt, noise)
     # from the past alone: a velocity that knows this pose's noise would pull the clock towards it
     expected = states[:-1, 1, :] + dt[1:, None] * states[:-1, 2, :]
     velocity = _interpolate(tk, t_imu, speed) + np.concatenate([states[:1, 1, :], expected])
@@ -374,16 +252,16 @@ def reconstruct(
         tight = noise.copy()
         tight[3] = 1e-3  # a constant acceleration is named (bias, tilt), not absorbed
         parts = [
-            _position_filter(np.concatenate([error[:, i : i + 1], columns[:, i, :]], axis=1), dt, tight)[:2]
+            position_filter(np.concatenate([error[:, i : i + 1], columns[:, i, :]], axis=1), dt, tight)[:2]
             for i in range(3)
         ]
         e = np.concatenate([p[0] for p in parts])
         s = np.concatenate([p[1] for p in parts])
-        fit = _whitened_fit(e[:, 0], e[:, 1:], s, prior_position)
+        fit = _whitened_fit(e[:, 0], e[:, 1:], s, _POSITION_PRIOR)
         values, covariance_position = fit.values, fit.covariance
         residual = error - columns @ values
-    _, _, states, pf, pp = _position_filter(residual, dt, noise)
-    smooth = _position_smoother(dt, states, pf, pp)
+    _, _, states, pf, pp = position_filter(residual, dt, noise)
+    smooth = position_smoother(dt, states, pf, pp)
     named = columns.copy()
     named[:, :, 0:2] = 0.0  # clock terms move stamps, not the vehicle
     named[:, :, 5:8] = 0.0  # neither does the lever arm
@@ -438,7 +316,7 @@ def _position_noise(error: Array, dt: Array, start: Array | None = None) -> Arra
 
     def cost(logs: Array) -> float:
         noise = noise_of(logs)
-        e, s, *_ = _position_filter(error, dt, noise)
+        e, s, *_ = position_filter(error, dt, noise)
         keep = np.isfinite(s)
         square = np.minimum(e[keep] ** 2 / np.maximum(s[keep, None], 1e-30), 25.0)
         return 0.5 * float(3.0 * np.sum(np.log(np.maximum(s[keep], 1e-30))) + np.sum(square))

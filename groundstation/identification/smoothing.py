@@ -1,0 +1,129 @@
+"""Compiled recursions of the flight-path reconstruction: rates to attitude, and Kalman filters and smoothers of what poses differ by.
+
+The smoothers are those of Rauch, Tung and Striebel (1965).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True)
+def integrate_rates(start: Array, dt: Array, rate: Array) -> Array:
+    """Attitude at each sample from rates, trapezoidal rotation vectors, shape (k, 4)."""
+    k = rate.shape[0]
+    out = np.empty((k, 4))
+    out[0] = start
+    for i in range(1, k):
+        hx = 0.25 * dt[i] * (rate[i, 0] + rate[i - 1, 0])
+        hy = 0.25 * dt[i] * (rate[i, 1] + rate[i - 1, 1])
+        hz = 0.25 * dt[i] * (rate[i, 2] + rate[i - 1, 2])
+        n = np.sqrt(hx * hx + hy * hy + hz * hz)
+        c = np.cos(n)
+        s = np.sin(n) / n if n > 1e-12 else 1.0
+        x, y, z = s * hx, s * hy, s * hz
+        a, b, d, e = out[i - 1, 0], out[i - 1, 1], out[i - 1, 2], out[i - 1, 3]
+        out[i, 0] = a * c - b * x - d * y - e * z
+        out[i, 1] = a * x + b * c + d * z - e * y
+        out[i, 2] = a * y - b * z + d * c + e * x
+        out[i, 3] = a * z + b * y - d * x + e * c
+    return out
+
+
+@njit(cache=True)
+def local_level(z: Array, dt: Array, q: float, r: float) -> tuple[Array, Array]:
+    """Filtered and smoothed level of z = random walk + white noise, columns alike, shapes (k, m)."""
+    k, m = z.shape
+    filtered = np.empty((k, m))
+    predicted_p = np.empty(k)
+    filtered_p = np.empty(k)
+    filtered[0] = z[0]
+    predicted_p[0], filtered_p[0] = 1e12, r * r
+    for i in range(1, k):
+        p = filtered_p[i - 1] + q * q * dt[i]
+        gain = p / (p + r * r)
+        filtered[i] = filtered[i - 1] + gain * (z[i] - filtered[i - 1])
+        predicted_p[i], filtered_p[i] = p, (1.0 - gain) * p
+    smoothed = filtered.copy()
+    for i in range(k - 2, -1, -1):
+        gain = filtered_p[i] / predicted_p[i + 1] if predicted_p[i + 1] > 0.0 else 0.0
+        smoothed[i] = filtered[i] + gain * (smoothed[i + 1] - filtered[i])
+    return filtered, smoothed
+
+
+@njit(cache=True)
+def position_filter(z: Array, dt: Array, noise: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Kalman filter of [position, velocity, acceleration] errors seen in position; columns alike.
+
+    ``noise`` is (pose noise, white acceleration density, acceleration random walk density, initial acceleration). Returns
+    innovations (k, m), variances (k,), filtered states (k, 3, m), filtered and predicted covariances (k, 3, 3).
+    The first three samples only initialise (variance inf).
+    """
+    r, qv, qa, a0 = noise
+    k, m = z.shape
+    out = np.zeros((k, m))
+    variance = np.empty(k)
+    states = np.empty((k, 3, m))
+    pf = np.empty((k, 3, 3))
+    pp = np.empty((k, 3, 3))
+    x0, x1, x2 = z[0].copy(), np.zeros(m), np.zeros(m)
+    a, b = qv * qv, qa * qa
+    p00, p01, p02, p11, p12, p22 = r * r, 0.0, 0.0, 25.0, 0.0, a0 * a0
+    for i in range(k):
+        h = dt[i]
+        if i > 0:
+            # F P F' + Q with F = [[1, h, h^2/2], [0, 1, h], [0, 0, 1]]
+            g = 0.5 * h * h
+            f00, f01, f02 = p00 + h * p01 + g * p02, p01 + h * p11 + g * p12, p02 + h * p12 + g * p22
+            f11, f12 = p11 + h * p12, p12 + h * p22
+            p00 = f00 + h * f01 + g * f02 + a * h**3 / 3 + b * h**5 / 20
+            p01 = f01 + h * f02 + a * h**2 / 2 + b * h**4 / 8
+            p02 = f02 + b * h**3 / 6
+            p11 = f11 + h * f12 + a * h + b * h**3 / 3
+            p12 = f12 + b * h**2 / 2
+            p22 = p22 + b * h
+        pp[i, 0, 0], pp[i, 0, 1], pp[i, 0, 2] = p00, p01, p02
+        pp[i, 1, 0], pp[i, 1, 1], pp[i, 1, 2] = p01, p11, p12
+        pp[i, 2, 0], pp[i, 2, 1], pp[i, 2, 2] = p02, p12, p22
+        variance[i] = np.inf
+        if i > 0:
+            s = p00 + r * r
+            k0, k1, k2 = p00 / s, p01 / s, p02 / s
+            for j in range(m):
+                x0[j] += h * x1[j] + 0.5 * h * h * x2[j]
+                x1[j] += h * x2[j]
+                e = z[i, j] - x0[j]
+                out[i, j] = e
+                x0[j] += k0 * e
+                x1[j] += k1 * e
+                x2[j] += k2 * e
+            p22 -= k2 * p02
+            p12 -= k1 * p02
+            p11 -= k1 * p01
+            left = r * r / s  # 1 - k0 without the cancellation
+            p00, p01, p02 = left * p00, left * p01, left * p02
+            if i >= 3:
+                variance[i] = s
+        states[i, 0], states[i, 1], states[i, 2] = x0, x1, x2
+        pf[i, 0, 0], pf[i, 0, 1], pf[i, 0, 2] = p00, p01, p02
+        pf[i, 1, 0], pf[i, 1, 1], pf[i, 1, 2] = p01, p11, p12
+        pf[i, 2, 0], pf[i, 2, 1], pf[i, 2, 2] = p02, p12, p22
+    return out, variance, states, pf, pp
+
+
+@njit(cache=True)
+def position_smoother(dt: Array, states: Array, pf: Array, pp: Array) -> Array:
+    """Rauch-Tung-Striebel pass over :func:`position_filter`, shape (k, 3, m)."""
+    k = len(dt)
+    out = states.copy()
+    f = np.eye(3)
+    for i in range(k - 2, -1, -1):
+        h = dt[i + 1]
+        f[0, 1], f[0, 2], f[1, 2] = h, 0.5 * h * h, h
+        gain = np.linalg.solve(pp[i + 1], f @ pf[i]).T
+        out[i] = states[i] + gain @ (out[i + 1] - f @ states[i])
+    return out
