@@ -5,17 +5,34 @@ make faults
 
 from __future__ import annotations
 
+import math
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from mavlink_vehicle import Rig, lossy
+from mavlink_vehicle import Rig, lossy, small_plan
+from test_link_process import process
 
+from drivers.bus import make_upload
+from drivers.samples import Batch, Pose, Vector3
 from groundstation.flight.pilot import Phase
+from groundstation.flight.recorder import Recorder
+from groundstation.recording.recorded import plan_file
 
 Break = Callable[[Rig], None]
+WATCHED = {"mocap": {"system": "natnet"}, "policy": {"placement": "world"}}
+INDOORS = {
+    "px4": {"EKF2_EV_CTRL": (15.0, 6), "EKF2_HGT_REF": (3.0, 6), "EKF2_GPS_CTRL": (0.0, 6)},
+    "arducopter": {
+        "VISO_TYPE": (1.0, 9), "GPS1_TYPE": (0.0, 9),
+        **{f"EK3_SRC1_{what}": (6.0, 9) for what in ("POSXY", "POSZ", "YAW")},
+    },
+}  # fmt: skip
 
 
 def cut(seconds: float) -> Break:
@@ -82,6 +99,65 @@ def mute(rig: Rig) -> None:
     rig.vehicle.intervals.pop(32)
 
 
+class Poses:
+    """Motion capture at 125 Hz that sees where the vehicle is, until something happens to it."""
+
+    def __init__(self, rig: Rig, change: Callable[[Vector3], Vector3] = lambda p: p):
+        self.rig, self.change, self.alive, self._count = rig, change, True, 0
+        rig.vehicle.parameters.update(INDOORS[rig.vehicle.kind])
+        rig.hooks.append(self._see)
+
+    def _see(self) -> None:
+        self._count += 1
+        if self.alive and self._count % 2 == 0:
+            north, east, down = self.rig.vehicle.position
+            seen = self.change((north + 1e-5 * (self._count % 7), -east, -down))
+            self.rig._to_vehicle += self.rig.core.pose(
+                Pose(self.rig.now_s, seen, (1.0, 0.0, 0.0, 0.0)), self.rig.now_s
+            ).send
+
+    def stop(self) -> None:
+        """No frame comes any more."""
+        self.alive = False
+
+    def freeze(self) -> None:
+        """The same pose again and again."""
+        north, east, down = self.rig.vehicle.position
+        self.change = lambda _p: (north, -east, -down)
+
+    def jump(self) -> None:
+        """Another body is taken for the vehicle's."""
+        self.change = lambda p: (p[0] + 0.7, p[1], p[2])
+
+
+class FullDisk:
+    """Where nothing can be written."""
+
+    failure = None
+
+    def add(self, *_: object) -> None:
+        """Fails, as the recorder's file does."""
+        self.failure = "no space left on device"
+
+
+def full(rig: Rig) -> None:
+    """The disk has no room left: the recorder fails, and the core aborts as it does."""
+    failed: list[str] = []
+    recorder = Recorder(FullDisk(), lambda _s: None, failed.append)
+    told = [len(rig.samples)]
+
+    def record() -> None:
+        new, told[0] = rig.samples[told[0] :], len(rig.samples)
+        due = recorder.recorded + len(new)
+        recorder.put(Batch(0, tuple(t for _, t in new), tuple(sample for sample, _ in new)))
+        while recorder.recorded < due and not failed:
+            time.sleep(0.0)  # its thread's turn
+        if failed:
+            rig.core.order("abort", rig.now_s, failed[0])
+
+    rig.hooks.append(record)
+
+
 def reboot(rig: Rig) -> None:
     """The autopilot restarts in the air."""
     rig.vehicle.reboot()
@@ -108,16 +184,66 @@ FAULTS: dict[str, Break] = {
     "battery at 10 %": low,
     "estimate jumps 0.8 m": jump,
     "positions stop": mute,
+    "disk full": full,
     "operator's abort": abort,
+}
+POSES: dict[str, Callable[[Poses], None]] = {
+    "poses stop": Poses.stop,
+    "poses freeze": Poses.freeze,
+    "poses jump 0.7 m": Poses.jump,
 }
 
 
-def measure(kind: str, fault: Break) -> tuple[str, str, str]:
-    """Noticed after, on the ground after, by whom."""
+def swapped(kind: str) -> str:
+    """Why a motion capture with x and y swapped is not flown with, once the vehicle was carried along both."""
+    rig = Rig(kind, WATCHED)
+    Poses(rig, lambda p: (p[1], p[0], p[2]))
+    rig.prepare()
+    for axis in (0, 1, 0, 1):
+        for n in range(100):
+            rig.vehicle.position[axis] = 0.6 * math.sin(math.pi * n / 100) ** 2
+            rig.step()
+    rig.vehicle.position[:] = [0.0, 0.0, 0.0]
+    rig.wait(1.0)
+    return rig.upload().reason
+
+
+def denied(kind: str) -> str:
+    """What comes back when the autopilot does not arm."""
     rig = Rig(kind)
+    rig.vehicle.deny_arming = "Arm: Need Position Estimate"
+    rig.prepare()
+    rig.upload()
+    return rig.order("arm").reason
+
+
+def damaged(kind: str) -> str:
+    """What the link says of a plan that lost a byte on its way."""
+    rig = Rig(kind)
+    rig.prepare()
+    whole = make_upload(plan_file(small_plan()))
+    return process(rig)._on_upload(msgspec.structs.replace(whole, plan=whole.plan[:-1])).reason
+
+
+GROUND = {"poses' axes swapped": swapped, "arming denied": denied, "upload corrupted": damaged}
+
+
+def broken(kind: str, name: str) -> Rig:
+    """A vehicle in the middle of its excitation, with the fault from now on."""
+    rig = Rig(kind, WATCHED if name in POSES else None)
+    poses = Poses(rig) if name in POSES else None
     rig.excite()
+    if poses is not None:
+        POSES[name](poses)
+    else:
+        FAULTS[name](rig)
+    return rig
+
+
+def measure(kind: str, name: str) -> tuple[str, str, str]:
+    """Noticed after, on the ground after, by whom."""
+    rig = broken(kind, name)
     begun = rig.now_s
-    fault(rig)
     rig.run(lambda: rig.phase is not Phase.FOLLOWING or not rig.vehicle.armed, 30.0)
     noticed = rig.now_s - begun
     rig.wait(0.1)
@@ -139,9 +265,13 @@ def measure(kind: str, fault: Break) -> tuple[str, str, str]:
 def main() -> None:
     """Print the table."""
     print("| fault | autopilot | noticed after | on the ground after | by |\n| --- | --- | --- | --- | --- |")
-    for name, fault in FAULTS.items():
+    for name in (*FAULTS, *POSES):
         for kind in ("px4", "arducopter"):
-            print(f"| {name} | {kind} | {' | '.join(measure(kind, fault))} |", flush=True)
+            print(f"| {name} | {kind} | {' | '.join(measure(kind, name))} |", flush=True)
+    for name, refused in GROUND.items():
+        for kind in ("px4", "arducopter"):
+            why = refused(kind).split(";")[0]
+            print(f"| {name} | {kind} | before take-off | never left it | refused: {why} |", flush=True)
 
 
 if __name__ == "__main__":
