@@ -93,6 +93,20 @@ def test_every_planted_kinematic_error_is_found_within_its_interval(several: lis
     assert np.max(np.abs(z)) < 3.3, f"{name}: {z}"  # once in a thousand by chance
 
 
+def test_the_jitter_of_the_stamps_is_found() -> None:
+    data = record(1)
+    jitter_s = 0.0015
+    shaken = data.t_pose + jitter_s * np.random.default_rng(0).standard_normal(len(data.t_pose))
+    found = found_of(replace(data, t_pose=shaken), -0.035)
+    assert abs(found.values["stamp_jitter_s"] - jitter_s) < 3.3 * found.std["stamp_jitter_s"]
+    assert found.std["stamp_jitter_s"] < 0.25 * jitter_s
+
+
+def test_even_stamps_have_no_jitter(several: list[Compatibility]) -> None:
+    for found in several:
+        assert found.values["stamp_jitter_s"] < 3.3 * found.std["stamp_jitter_s"]
+
+
 def test_the_intervals_say_something(several: list[Compatibility]) -> None:
     std = several[0].std
     assert std["mocap_minus_imu_s"] < 1e-3

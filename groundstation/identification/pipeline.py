@@ -315,10 +315,17 @@ def _model(fit: Fitted, prepared: Prepared) -> dict[str, Estimate]:
         else:
             out[name] = Estimate.normal(value, std)
     if prepared.compatibility is not None:
-        values, std = prepared.compatibility.values, prepared.compatibility.std
-        for name in values:
-            if name.startswith(("gyro_bias", "accel_bias")):
-                out[name] = Estimate.normal(values[name], std[name])
+        found = prepared.compatibility
+        kinds = (
+            "gyro",
+            "accel",
+            *(() if prepared.clock is None else ("mocap_rotation", "mocap_position", "mocap_tilt")),
+        )
+        for name in found.revealed:
+            if name.startswith(kinds):
+                out[name] = Estimate.normal(found.values[name], found.std[name])
+        if prepared.clock is not None:
+            out["stamp_jitter_s"] = _time(found.values["stamp_jitter_s"], found.std["stamp_jitter_s"])
     return out
 
 

@@ -10,7 +10,7 @@ squares on the innovations gives values with honest standard deviations.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +36,10 @@ class Compatibility:
     """What motion capture and IMU agree on.
 
     Attributes:
-        values, std: kinematic errors by name (``mocap_minus_imu_s``, ``gyro_bias_x_rad_s``, ``mocap_rotation_x_rad`` ...).
+        values, std: kinematic errors by name (``mocap_minus_imu_s``, ``gyro_bias_x_rad_s``, ``mocap_rotation_x_rad`` ...). Beside those
+            of ``names``: ``stamp_jitter_s`` of the poses.
         covariance: of ``names`` in order.
+        revealed: those of ``names`` that the flight tells at least twice as well as was known beforehand.
         kept: poses used, shape (poses,).
         quaternion: smoothed attitude of the body at the IMU's stamps, (k, 4); ``causal_quaternion`` is the filter's.
         position_m, velocity_m_s: of the IMU in the world, smoothed, (k, 3); ``causal_*`` likewise.
@@ -55,8 +57,8 @@ class Compatibility:
     causal_quaternion: Array
     causal_position_m: Array
     causal_velocity_m_s: Array
+    revealed: tuple[str, ...]
     pose_noise: tuple[float, float] = (0.0, 0.0)
-    notes: tuple[str, ...] = field(default=())
 
 
 def _interpolate(query: Array, t: Array, values: Array) -> Array:
@@ -205,6 +207,7 @@ def reconstruct(
         done = bool(np.all(np.abs(fit.values) < 0.05 * np.sqrt(np.diag(fit.covariance))))
         if done:
             break
+    jitter_s, jitter_std_s = _stamp_jitter(e[:, 0] - e[:, 1:] @ fit.values, e[:, 1], s, fit.outlier)
 
     # position: specific force integrated twice with the smoothed attitude
     tp, pm = t_pose[kept], position[kept]
@@ -276,11 +279,13 @@ def reconstruct(
         np.array([offset, drift, *bias, *rotation, *scale]), covariance_attitude, values, covariance_position, offset
     )
     std = np.sqrt(np.diag(covariance))
+    prior = np.concatenate([_ATTITUDE_PRIOR, _POSITION_PRIOR[2:]])
     return Compatibility(
         names=names,
-        values=dict(zip(names, map(float, theta), strict=True)),
-        std=dict(zip(names, map(float, std), strict=True)),
+        values=dict(zip(names, map(float, theta), strict=True)) | {"stamp_jitter_s": jitter_s},
+        std=dict(zip(names, map(float, std), strict=True)) | {"stamp_jitter_s": jitter_std_s},
         covariance=covariance,
+        revealed=tuple(n for n, s, p in zip(names, std, prior, strict=True) if s < 0.5 * p),
         kept=kept,
         quaternion=quat_normalise(smoothed_q),
         position_m=smooth_p,
@@ -290,6 +295,24 @@ def reconstruct(
         causal_velocity_m_s=causal_v,
         pose_noise=(float(noise[0]), float(colour.sensor)),
     )
+
+
+def _stamp_jitter(residual: Array, turning: Array, variance: Array, outlier: Mask) -> tuple[float, float]:
+    """Jitter of the pose stamps and its standard deviation: by how much attitudes are noisier the faster they turn.
+
+    A stamp that is d late moves an attitude by its rate times d. So squared innovations, in units of their variance, are regressed on the
+    squared rate (Breusch and Pagan 1979).
+
+    Args:
+        residual, turning, variance: innovations of the attitude and of its derivative by the clock, and their variance, (rows,).
+    """
+    good = np.isfinite(variance) & ~outlier
+    y, x = residual[good] ** 2 / variance[good], turning[good] ** 2 / variance[good]
+    x = x - np.mean(x)
+    square = float(x @ y / (x @ x))
+    spread = float(np.sqrt(np.mean((y - np.mean(y) - square * x) ** 2) / (x @ x)))
+    jitter = np.sqrt(max(square, 0.0))
+    return float(jitter), float(np.sqrt(jitter**2 + spread) - jitter)
 
 
 # No capture system resolves less than a micrometre; a simulated one without noise must not make the filter singular.
