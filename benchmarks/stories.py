@@ -21,13 +21,14 @@ from numpy.typing import NDArray
 
 from benchmarks.blind import declared, sizes
 from groundstation.diagnosis.effect import wrench_of
+from groundstation.diagnosis.trim import compare_trims, mean_thrust
 from groundstation.flightdata import FlightData
-from groundstation.identification.preparation import flight_states
+from groundstation.identification.preparation import Prepared, flight_states, prepare
 from groundstation.model.prediction import declared_model, model_from_document, predict
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
 from groundstation.reporting.exports import read_model
-from groundstation.vehicle import load_vehicle, vehicle_from_dict
+from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict
 
 Array = NDArray[np.float64]
 
@@ -227,12 +228,26 @@ def weight(data: Path, folder: Path) -> None:
         command(
             "diagnose", *map(str, flights[group]), *healthy, "--vehicle", "crazyflie21", "--logs", str(folder / group)
         )
-    _weight_figure(flights)
-
-
-def _weight_figure(flights: dict[str, list[Path]]) -> None:
-    """Where the mean commanded thrust stands, and the yaw torque it makes, by the declared constants."""
     vehicle = load_vehicle(find_config("vehicles", "crazyflie21"))
+    prepared = {g: [prepare(load_flight(path, vehicle=vehicle)) for path in paths] for g, paths in flights.items()}
+    _one_by_one(prepared)
+    _weight_figure(vehicle, prepared)
+
+
+def _one_by_one(flights: dict[str, list[Prepared]]) -> None:
+    """What each flight says by itself: the faulty ones beside all healthy ones, a healthy one beside the others."""
+    well = flights["normal_flight"]
+    for group, (name, _) in GROUPS.items():
+        for flight in flights[group]:
+            found = compare_trims([flight], [other for other in well if other is not flight]).findings
+            told = [
+                f"{f.effect}, rotor {f.rotor} ({f.confidence:.0%}), or {f.alternatives or 'nothing'}" for f in found
+            ]
+            print(f"{f'{name}, {flight.flight.name}':34}{', '.join(told) or 'nothing found'}")
+
+
+def _weight_figure(vehicle: Vehicle, flights: dict[str, list[Prepared]]) -> None:
+    """Where the mean commanded thrust in settled flight stands, and the yaw torque it makes, by the declared constants."""
     allocation = vehicle.allocation()
     towards = np.asarray(vehicle.rotors.position_m)[2, :2]
     towards = towards / np.linalg.norm(towards)
@@ -241,20 +256,18 @@ def _weight_figure(flights: dict[str, list[Path]]) -> None:
     means = {}
     for group, (name, colour) in GROUPS.items():
         rows = []
-        for path in flights[group]:
-            thrust = vehicle.thrust(load_flight(path, vehicle=vehicle).motors.values)
-            total = thrust.sum(axis=1)
-            force, roll, pitch, yaw = allocation @ thrust[total > 0.6 * np.median(total)].mean(axis=0)
+        for flight in flights[group]:
+            force, roll, pitch, yaw = allocation @ mean_thrust(flight)
             centre = float(towards @ np.array([-pitch, roll]) / force)
             rows.append((1e3 * force / vehicle.gravity_m_s2, 1e3 * centre, 1e3 * yaw / force))
-            print(f"{f'{name}, {path.name}':34}{rows[-1][0]:11.2f}{rows[-1][1]:32.2f}{rows[-1][2]:28.3f}")
+            print(f"{f'{name}, {flight.flight.name}':34}{rows[-1][0]:11.2f}{rows[-1][1]:32.2f}{rows[-1][2]:28.3f}")
         found = np.array(rows)
         means[group] = found.mean(axis=0)
         for axis, column in zip(axes, (0, 2), strict=True):
             axis.plot(found[:, 1], found[:, column], "o", color=colour, label=name)
     start = means["normal_flight"]
     # Rotor 3 must be asked for a share more: its thrust in grams joins the total at its hub, with its reaction torque.
-    more = np.linspace(0.0, 4.0, 30)
+    more = np.linspace(0.0, 1.8, 30)
     arm, torque = 1e3 * vehicle.arm_m(), -1e3 * vehicle.rotors.spin[2] * vehicle.rotors.torque_to_thrust_m
     total = start[0] + more
     centre = (start[1] * start[0] + arm * more) / total

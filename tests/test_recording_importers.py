@@ -342,6 +342,26 @@ def test_a_usd_log_is_decoded_by_its_own_header(tmp_path, crazyflie, version, pe
     assert np.allclose(loaded.extras["usd_fixedFrequency"].column("gyro.y"), values[:, 4], atol=1e-5)
 
 
+def test_commands_of_a_firmware_that_compensates_the_battery_are_the_voltage_its_motors_got(tmp_path, crazyflie):
+    """motor.* asks for thrust, and pwm.* is what makes it: the same request at half the voltage is the same command."""
+    widths = [f"pwm.m{i}_pwm" for i in range(1, 5)]
+    variables = [*IMU_VARIABLES, *((name, "H") for name in widths), ("pm.vbatMV", "H")]
+    still, asked = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0], [30000, 31000, 32000, 33000]
+    rows = [
+        (2000 * k, *still, *asked, *(v * (2 if k >= 50 else 1) for v in (10000, 11000, 12000, 13000)), volts)
+        for k in range(100)
+        for volts in [2000 if k >= 50 else 4000]
+    ]
+    path = tmp_path / "log00"
+    path.write_bytes(usd(rows, variables))
+    loaded = load_flight(path, vehicle=crazyflie)
+    expected = np.array([10000, 11000, 12000, 13000]) / 65535.0 * 4.0 / crazyflie.battery.full_v
+    assert np.allclose(loaded.motors.values, expected)
+    assert any("voltage applied" in note for note in loaded.notes)
+    unknown = crazyflie.model_copy(update={"battery": crazyflie.battery.model_copy(update={"full_v": None})})
+    assert np.allclose(load_flight(path, vehicle=unknown).motors.values, np.array(asked) / 65535.0)
+
+
 def test_a_usd_log_cut_off_is_read_up_to_the_cut(tmp_path, crazyflie):
     rows = [(1000 * k, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1, 2, 3, 4) for k in range(300)]
     data = usd(rows, IMU_VARIABLES)

@@ -170,8 +170,10 @@ def _by_trim(name: str, suspects: Sequence[Prepared], healthy: Sequence[Prepared
         reason=_reason(verdict, found.findings, remaining),
         warnings=(
             "Body rates were not measured: only the mean thrusts are compared with those of the healthy flights, by the declared "
-            "thrust curve. A gyro and rotor speeds would show inertia, and tell a load from a weak rotor.",
+            "thrust curve. Yaw alone tells a load from a weak rotor there, and a battery or another day changes it, too; a gyro "
+            "and rotor speeds would show inertia, and tell them apart.",
         ),
+        notes=("Prediction and closed-loop simulation are left out: body rates were not measured.",),
     )
 
 

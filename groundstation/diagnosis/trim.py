@@ -1,16 +1,17 @@
 r"""What the mean thrusts of a flight say beside those of healthy flights, where body rates were not measured.
 
 In the mean a vehicle that hovers or goes back and forth turns and climbs nowhere: the rotors balance its weight and every steady
-torque. If something changed since the healthy flights, the commanded wrench :math:`w = A \bar T(u)` changes so as to counter it:
+torque. What changed since the healthy flights changes the commanded wrench :math:`w = A \bar T(u)` so as to counter it:
 
-    weak rotor i      w rises by A e_i T_i q, q = loss/(1 - loss): thrust, both tilt torques and yaw alike
-    load beside       F rises by its weight, tau_x by +c_y F, tau_y by -c_x F, yaw by nothing
+    rotor i           F, tau_x, tau_y rise by A e_i T_i q, q = loss / (1 - loss); yaw by q + 1 - d of its torque, d the torque per
+                      thrust that is left: 1 for a weak motor, the diameter's share for a shorter propeller (thrust D^4, torque D^5)
+    load at (x, y)    F rises by its weight G, tau_x by +y G, tau_y by -x G, yaw by nothing
 
-Healthy flights differ from each other besides (battery, trim): their scatter is the noise, known to few degrees of freedom, so
-that differences are Student's (t of each component, correlations neglected). The suspect flights were made in one state and count
-as one more draw, however many they are. An explanation that leaves a component less probable than EXCLUDED is
-out of the question; the others are compared by their
-marginal likelihood (Laplace), each of one prior share; "nothing changed" is one of them.
+Healthy flights differ from each other besides (battery, its place, its voltage). The covariance of that is unknown: it has an
+inverse Wishart prior whose scale the healthy flights choose; integrated out it leaves Student's distribution in all components
+together (Gelman et al., Bayesian Data Analysis, 3.6). The suspect flights were made in one state and count as one more draw, however many they
+are. Every explanation has its marginal likelihood, over all sizes and places it could have, and one prior share; "nothing
+changed" is one of them.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.attribution import posterior
+from groundstation.diagnosis.attribution import INSEPARABLE, posterior
 from groundstation.diagnosis.results import Finding
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.results import Estimate
@@ -34,20 +35,72 @@ CHANNELS = ("force_z_n", "torque_x_nm", "torque_y_nm", "torque_z_nm")
 LEAST_FREEDOM = 3
 FLYING = 0.6
 """Share of the median total thrust from which the vehicle is taken to fly."""
+SETTLED_S = 1.5
+"""How long after lift-off and before landing thrusts still turn the vehicle back to where it shall look."""
+TRIM_SHARES = (3e-3, 3e-2)
+"""Between which scales trims of a healthy vehicle differ from session to session, as shares of the weight (and arm, and torque
+ratio), each as likely on a logarithmic scale: a battery of a quarter of the weight put in 1 mm aside shifts the centre of a
+nano-quadrotor by a hundredth of its arm. Healthy flights of one session do not tell this."""
 EXCLUDED = 1e-3
-"""Probability below which an explanation is out of the question."""
+"""Probability below which what an explanation leaves is no healthy scatter."""
+MOST_LOSS = 0.5
 MOST_LOAD = 0.5
 """Largest load, as a share of the weight."""
+SHORTEST = 0.7
+"""Shortest propeller that still flies, as a share of its diameter: it gives a quarter of the thrust at the same speed."""
+SIZES, RATIOS, SCALES, PRIORS = 150, 16, 16, 6
+"""Points of the integrals: over a size, the torque per thrust, the scale of Student's distribution, and of the prior."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Story:
-    """An explanation: its columns (4, p), the width of each parameter's prior, and what it is called."""
+class Scatter:
+    """How trims of a healthy vehicle differ from their mean, components as shares of the weight: a mixture of Student's
+    distributions, ``matrices`` (k, 4, 4) with one number of degrees of freedom and ``shares`` (k,).
+    """
+
+    matrices: Array
+    shares: Array
+    freedom: float
+
+    def log_density(self, left: Array) -> Array:
+        """Of differences (..., 4)."""
+        from scipy.special import gammaln, logsumexp
+
+        count = left.shape[-1]
+        white = left[..., None, None, :] @ np.linalg.cholesky(np.linalg.inv(self.matrices))
+        square = np.sum(white[..., 0, :] ** 2, axis=-1)
+        total = 0.5 * (self.freedom + count)
+        constant = gammaln(total) - gammaln(0.5 * self.freedom) - 0.5 * count * np.log(self.freedom * np.pi)
+        each = constant - 0.5 * np.linalg.slogdet(self.matrices)[1] - total * np.log1p(square / self.freedom)
+        return np.asarray(logsumexp(each + np.log(self.shares), axis=-1), dtype=float)
+
+    def normal_parts(self) -> tuple[Array, Array]:
+        """The same as a mixture of normal distributions: covariances (m, 4, 4) and the logarithms of their shares (m,)."""
+        from scipy.stats import gamma
+
+        middle = (np.arange(SCALES) + 0.5) / SCALES
+        precision = gamma.ppf(middle, 0.5 * self.freedom, scale=2.0 / self.freedom)
+        covariances = self.matrices[:, None] / precision[:, None, None]
+        shares = np.repeat(np.log(self.shares / SCALES), SCALES)
+        return covariances.reshape(-1, *self.matrices.shape[1:]), shares
+
+    def exceeded(self, left: Array) -> float:
+        """Probability that healthy scatter is larger than a difference (4,)."""
+        from scipy.stats import f
+
+        square = np.einsum("i,kij,j->k", left, np.linalg.inv(self.matrices), left)
+        return float(self.shares @ f.sf(square / len(left), len(left), self.freedom))
+
+
+@dataclass(frozen=True, slots=True)
+class Story:
+    """An explanation: its marginal log-likelihood, its parameters, and the mean change of wrench it makes (4,)."""
 
     effect: str
-    rotor: int | None
-    columns: Array
-    width: Array
+    evidence: float
+    change: Array
+    parameters: dict[str, Estimate]
+    rotor: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,117 +125,160 @@ def applies(suspects: Sequence[Prepared], references: Sequence[Prepared]) -> boo
 def compare_trims(suspects: Sequence[Prepared], references: Sequence[Prepared]) -> Trim:
     """Explain the difference of mean thrusts between suspect and healthy flights."""
     vehicle = suspects[0].record.vehicle
-    ill, well = (np.array([_mean_thrust(item) for item in group]) for group in (suspects, references))
-    matrix = wrench_matrix(vehicle)
-    stories = _stories(vehicle, well.mean(axis=0), float(ill.mean(axis=0).sum() - well.mean(axis=0).sum()))
+    ill, well = (np.array([mean_thrust(item) for item in group]) for group in (suspects, references))
+    healthy = well.mean(axis=0)
+    scale = healthy.sum() * np.array([1.0, *([vehicle.arm_m()] * 2), vehicle.rotors.torque_to_thrust_m or 1.0])
+    matrix = wrench_matrix(vehicle) / scale[:, None]
     ill, well = ill @ matrix.T, well @ matrix.T
-    freedom = len(well) - 1
-    std = np.std(well, axis=0, ddof=1) * np.sqrt(1.0 + 1.0 / len(well))
-    change = ill.mean(axis=0) - well.mean(axis=0)
-    judged = sorted(
-        ((_possible(story, change, std, freedom), _evidence(story, change, std, freedom), story) for story in stories),
-        key=lambda item: (not item[0], -item[1]),
-    )
-    explained, _, story = judged[0]
-    after = [_left(story, one - well.mean(axis=0), std, np.delete(ill, i, axis=0).mean(axis=0) - well.mean(axis=0))[1]
-             for i, one in enumerate(ill)] if len(ill) > 1 else [_left(story, change, std)[1]]  # fmt: skip
-    findings = () if story.effect == "none" else (_finding(vehicle, change, std, freedom, judged),)
+    scatter, changes = healthy_scatter(well), ill - well.mean(axis=0)
+    told = sorted(stories(vehicle, matrix * healthy, changes.mean(axis=0), scatter), key=lambda story: -story.evidence)
+    best = told[0]
+    left = [one - _again(best, vehicle, matrix * healthy, rest, scatter) for one, rest in _each_apart(changes)]
     return Trim(
-        findings,
-        dict(zip(CHANNELS, map(float, np.sqrt(np.mean((ill - well.mean(axis=0)) ** 2, axis=0))), strict=True)),
-        dict(zip(CHANNELS, map(float, np.sqrt(np.mean(np.square(after), axis=0))), strict=True)),
-        explained,
+        () if best.effect == "none" else (_finding(told, vehicle, len(well)),),
+        _rms(changes * scale),
+        _rms(np.array(left) * scale),
+        scatter.exceeded(changes.mean(axis=0) - best.change) > EXCLUDED,
     )
 
 
-def _mean_thrust(prepared: Prepared) -> Array:
-    thrust = prepared.signals(0.0, 0.0, 0.0).thrust_n[prepared.record.keep]
-    total = thrust.sum(axis=1)
-    return thrust[total > FLYING * np.median(total)].mean(axis=0)
+def mean_thrust(prepared: Prepared) -> Array:
+    """Mean thrust of each rotor in settled flight, (n,), by the declared curve."""
+    thrust = prepared.signals(0.0, 0.0, 0.0).thrust_n
+    t_s, keep, total = prepared.record.t_s, prepared.record.keep, thrust.sum(axis=1)
+    flying = keep & (total > FLYING * np.median(total[keep]))
+    ground = np.concatenate([[-np.inf], t_s[keep & ~flying], [np.inf]])
+    after = np.searchsorted(ground, t_s)
+    apart = np.minimum(t_s - ground[after - 1], ground[np.minimum(after, len(ground) - 1)] - t_s)
+    settled = flying & (apart > SETTLED_S)
+    return thrust[settled if settled.any() else flying].mean(axis=0)
 
 
-def _stories(vehicle: Vehicle, healthy: Array, lift: float) -> list[_Story]:
-    """All explanations; ``lift`` is the change of total thrust, N."""
-    matrix, weight = wrench_matrix(vehicle), float(healthy.sum())
-    none = _Story("none", None, np.zeros((4, 0)), np.zeros(0))
-    weak = [
-        _Story("weak_rotor", i + 1, matrix[:, i : i + 1] * healthy[i], np.array([1.0])) for i in range(len(healthy))
-    ]
-    beside = np.zeros((4, 3))
-    beside[0, 0] = vehicle.gravity_m_s2  # mass
-    beside[2, 1], beside[1, 2] = -weight, weight  # com x, y
-    share = float(
-        np.clip(lift / weight, 1e-3, MOST_LOAD)
-    )  # a load sits on the vehicle, so it shifts the centre by its share
+def healthy_scatter(well: Array) -> Scatter:
+    """Of a flight of another session about the mean of healthy ones (n, 4), covariance and the prior's scale integrated out."""
+    flights, count = well.shape
+    apart = well - well.mean(axis=0)
+    prior = count + 2  # the fewest degrees of freedom with which the prior has a mean: the square of the scale
+    spread = np.geomspace(*TRIM_SHARES, PRIORS)[:, None, None] ** 2 * np.eye(count) + apart.T @ apart
+    freedom = prior + flights - count
+    return Scatter(spread * (1.0 + 1.0 / flights) / freedom, np.full(PRIORS, 1.0 / PRIORS), float(freedom))
+
+
+def stories(vehicle: Vehicle, patterns: Array, change: Array, scatter: Scatter) -> list[Story]:
+    """All explanations of a change of wrench (4,); ``patterns`` is what each rotor's healthy thrust makes, (4, n)."""
+    nothing = Story("none", float(scatter.log_density(change)), np.zeros(4), {})
+    weak = [_weak_rotor(rotor, patterns, change, scatter) for rotor in range(1, patterns.shape[1] + 1)]
+    return [nothing, *weak, _load(vehicle, change, scatter)]
+
+
+def _weak_rotor(rotor: int, patterns: Array, change: Array, scatter: Scatter) -> Story:
+    """A weak motor or a shorter propeller, as likely before; all rotors together have the prior share of one story."""
+    pattern = patterns[:, rotor - 1]
+    loss = MOST_LOSS * np.arange(1, SIZES + 1) / SIZES
+    shorter = (1.0 - SHORTEST) * np.linspace(0.0, 1.0, RATIOS)
+    prior = np.full(RATIOS, 0.5 / RATIOS)
+    prior[0] += 0.5
+    more = loss / (1.0 - loss)
+    yaw = np.array([0.0, 0.0, 0.0, pattern[3]])
+    left = change - more[:, None, None] * pattern - shorter[None, :, None] * yaw
+    evidence, weight = _integrated(scatter.log_density(left) + np.log(prior) - np.log(SIZES))
+    parameters = {
+        "loss": _moments(weight, np.broadcast_to(loss[:, None], weight.shape)),
+        "torque_to_thrust_ratio": _moments(weight, np.broadcast_to(1.0 - shorter, weight.shape)),
+    }
+    mean = float(np.sum(weight * more[:, None])) * pattern + float(np.sum(weight * shorter)) * yaw
+    return Story("weak_rotor", evidence - np.log(patterns.shape[1]), mean, parameters, rotor)
+
+
+def _load(vehicle: Vehicle, change: Array, scatter: Scatter) -> Story:
+    """A load somewhere on the vehicle, its place integrated in closed form."""
+    share = MOST_LOAD * np.arange(1, SIZES + 1) / SIZES
+    arm = vehicle.arm_m()
     reach = float(np.max(np.abs(vehicle.rotors.position_m))) + vehicle.rotors.radius_m
-    width = np.array([MOST_LOAD * weight / vehicle.gravity_m_s2, *([2.0 * share * reach] * 2)])
-    return [none, *weak, _Story("com_offset", None, beside, width)]
+    place = reach**2 / 3.0 / arm**2  # variance of a place anywhere on the vehicle
+    columns = np.zeros((SIZES, 1, 4, 2))
+    columns[:, 0, 2, 0], columns[:, 0, 1, 1] = -share, share  # of x and y, in arms
+    left = change - share[:, None] * np.array([1.0, 0.0, 0.0, 0.0])
+    noise, shares = scatter.normal_parts()
+    covariance = noise + place * (columns @ columns.swapaxes(2, 3))
+    inverse = np.linalg.inv(covariance)
+    square = np.einsum("si,smij,sj->sm", left, inverse, left, optimize=True)
+    density = -0.5 * square - 0.5 * np.linalg.slogdet(2.0 * np.pi * covariance)[1]
+    evidence, weight = _integrated(density + shares - np.log(SIZES))
+    gain = place * columns.swapaxes(2, 3) @ inverse
+    where = np.einsum("smjk,sk->smj", gain, left)
+    spread = place * (1.0 - np.einsum("smjk,smkj->smj", gain, np.broadcast_to(columns, (*gain.shape[:2], 4, 2))))
+    lever = (share / (1.0 + share))[:, None] * arm
+    parameters = {"mass_change_kg": _moments(weight, share[:, None] * vehicle.mass_kg)}
+    for axis, name in enumerate(("com_offset_x_m", "com_offset_y_m")):
+        parameters[name] = _moments(weight, lever * where[..., axis], lever**2 * spread[..., axis])
+    moved = np.einsum("sm,s,smj->j", weight, share, where)
+    mean = np.array([float(np.sum(weight * share[:, None])), moved[1], -moved[0], 0.0])
+    return Story("com_offset", evidence, mean, parameters)
 
 
-def _solved(story: _Story, change: Array, std: Array) -> tuple[Array, Array]:
-    a = story.columns / std[:, None]
-    gram = a.T @ a + np.diag(1.0 / story.width**2)
-    covariance = np.asarray(np.linalg.inv(gram), dtype=float)
-    return np.asarray(np.linalg.solve(gram, a.T @ (change / std)), dtype=float), covariance
+def _integrated(log_terms: Array) -> tuple[float, Array]:
+    """Log of the sum of exponentials, and each term's share of it."""
+    top = float(log_terms.max())
+    terms = np.exp(log_terms - top)
+    return top + float(np.log(terms.sum())), terms / terms.sum()
 
 
-def _left(story: _Story, change: Array, std: Array, fitted_on: Array | None = None) -> tuple[Array, Array]:
-    """What a story leaves of a change, in standard deviations and in units, fitted on it or on another."""
-    values, _ = _solved(story, change if fitted_on is None else fitted_on, std)
-    left = change - story.columns @ values
-    return left / std, left
+def _moments(weight: Array, values: Array, variance: Array | float = 0.0) -> Estimate:
+    mean = float(np.sum(weight * values))
+    return Estimate.normal(mean, float(np.sqrt(np.sum(weight * ((values - mean) ** 2 + variance)))))
 
 
-def _evidence(story: _Story, change: Array, std: Array, freedom: int) -> float:
-    """Twice the log of the marginal likelihood, by Laplace; all rotors together have the prior share of one story."""
-    values, covariance = _solved(story, change, std)
-    if len(values) and values[0] < 0.0:  # neither a load nor a loss below nothing
-        return -np.inf
-    misfit = (freedom + 1) * float(np.sum(np.log1p(_left(story, change, std)[0] ** 2 / freedom)))
-    occam = sum(
-        2.0 * np.log(w / (np.sqrt(2.0 * np.pi) * s))
-        for w, s in zip(story.width, np.sqrt(np.diag(covariance)), strict=True)
-    )
-    return -misfit - float(occam) - (2.0 * np.log(4.0) if story.rotor is not None else 0.0)
+def _again(best: Story, vehicle: Vehicle, patterns: Array, change: Array, scatter: Scatter) -> Array:
+    """The change of wrench that the explanation ``best`` makes when it is fitted to another change."""
+    if best.rotor is not None:
+        return _weak_rotor(best.rotor, patterns, change, scatter).change
+    return best.change if best.effect == "none" else _load(vehicle, change, scatter).change
 
 
-def _possible(story: _Story, change: Array, std: Array, freedom: int) -> bool:
-    """No component that a story leaves is less probable than EXCLUDED, by itself."""
-    from scipy.stats import t as student
-
-    values, _ = _solved(story, change, std)
-    largest = float(np.max(np.abs(_left(story, change, std)[0])))
-    return bool(np.all(values[:1] >= 0.0) and 2.0 * student.sf(largest, freedom) > EXCLUDED)
+def _each_apart(changes: Array) -> list[tuple[Array, Array]]:
+    """Each flight's change, and the mean of the others' (its own, where there is no other)."""
+    if len(changes) == 1:
+        return [(changes[0], changes[0])]
+    return [(one, np.delete(changes, i, axis=0).mean(axis=0)) for i, one in enumerate(changes)]
 
 
-def _finding(
-    vehicle: Vehicle, change: Array, std: Array, freedom: int, judged: Sequence[tuple[bool, float, _Story]]
-) -> Finding:
-    (_, own, story), *rivals = judged
-    values, covariance = _solved(story, change, std)
-    sigma = np.sqrt(np.diag(covariance))
-    odds = [score - own if possible else 2.0 * np.log(EXCLUDED) for possible, score, _ in rivals]
-    near = [rival.effect for possible, _, rival in rivals if possible and rival.columns.size]
-    alternatives = tuple(dict.fromkeys(name for name in near if name != story.effect))
-    if story.effect == "weak_rotor":
-        loss = float(values[0] / (1.0 + values[0]))
-        parameters = {"loss": Estimate.normal(loss, float(sigma[0]) * (1.0 - loss) ** 2)}
-        rotor = story.rotor
-        text = f"Beside the healthy flights rotor {rotor} is asked for {100.0 * values[0]:.0f} % more thrust"
-    else:
-        names = ("mass_change_kg", "com_offset_x_m", "com_offset_y_m")
-        parameters = {n: Estimate.normal(float(v), float(s)) for n, v, s in zip(names, values, sigma, strict=True)}
-        hubs = np.asarray(vehicle.rotors.position_m)[:, :2]
-        rotor = 1 + int(np.argmax(hubs @ values[1:] / np.linalg.norm(hubs, axis=1)))
-        text = f"Beside the healthy flights {1e3 * values[0]:.1f} g more are carried towards rotor {rotor}"
-    said = " or ".join(alternatives)
-    limit = f"; {said} cannot be excluded with {freedom + 1} healthy flights and no gyro" if said else ""
+def _rms(wrenches: Array) -> dict[str, float]:
+    return dict(zip(CHANNELS, map(float, np.sqrt(np.mean(wrenches**2, axis=0))), strict=True))
+
+
+def _finding(told: Sequence[Story], vehicle: Vehicle, healthy: int) -> Finding:
+    best, *rivals = told
+    behind = [2.0 * (story.evidence - best.evidence) for story in rivals]
+    near = [s.effect for s, far in zip(rivals, behind, strict=True) if far > -INSEPARABLE and s.effect != best.effect]
+    alternatives = tuple(dict.fromkeys(name for name in near if name != "none"))
+    rotor = best.rotor or _nearest_rotor(best, vehicle)
+    said = " or ".join([*alternatives, *(["a common difference between two days"] if "none" in near else [])])
+    limit = f"; {said} cannot be excluded with {healthy} healthy flights and no gyro" if said else ""
     return Finding(
-        effect=story.effect,
-        parameters=parameters,
-        evidence=f"{text}{limit}.",
-        confidence=posterior(odds),
+        effect=best.effect,
+        parameters=best.parameters,
+        evidence=f"{_sentence(best, rotor)}{limit}.",
+        confidence=posterior(behind),
         alternatives=alternatives,
         rotor=rotor,
-        gain=float(own - next(score for _, score, s in judged if s.effect == "none")),
+        gain=2.0 * (best.evidence - next(story.evidence for story in told if story.effect == "none")),
     )
+
+
+def _sentence(story: Story, rotor: int) -> str:
+    if story.effect == "com_offset":
+        more = 1e3 * story.parameters["mass_change_kg"].value
+        return f"Beside the healthy flights {more:.1f} g more are carried towards rotor {rotor}"
+    loss, ratio = story.parameters["loss"].value, story.parameters["torque_to_thrust_ratio"]
+    text = f"Beside the healthy flights rotor {rotor} is asked for {100.0 * loss / (1.0 - loss):.0f} % more thrust"
+    if ratio.ci95[1] < 1.0:
+        text += f", and at the same thrust its torque is {100.0 * (1.0 - ratio.value):.0f} % less, as of a shorter propeller"
+    return text
+
+
+def _nearest_rotor(load: Story, vehicle: Vehicle) -> int:
+    """In the direction of the load."""
+    hubs = np.asarray(vehicle.rotors.position_m)[:, :2]
+    towards = [load.parameters[name].value for name in ("com_offset_x_m", "com_offset_y_m")]
+    return 1 + int(np.argmax(hubs @ towards / np.linalg.norm(hubs, axis=1)))

@@ -139,8 +139,9 @@ def read_usd(data: bytes, source: str, name: str, vehicle: Vehicle) -> Recording
         found = ", ".join(sorted({v for c in log.columns.values() for v in c})) or "nothing"
         raise BadInput(f"{source}: holds no motor values (motor.m1 to motor.m4); it has {found}. Log them too.")
     t_s, columns = log.t_s[motor_event], log.columns[motor_event]
-    streams = {"motors": _motors(t_s, columns, vehicle, source)}
-    notes = list(log.notes)
+    motors, said = _motors(t_s, columns, vehicle, source)
+    streams = {"motors": motors}
+    notes = [*log.notes, *said]
     for event, found in log.columns.items():
         times = log.t_s[event]
         if {"acc.x", "gyro.x"} <= set(found):
@@ -168,8 +169,13 @@ def read_usd(data: bytes, source: str, name: str, vehicle: Vehicle) -> Recording
     )
 
 
-def _motors(t_s: Array, columns: dict[str, Array], vehicle: Vehicle, source: str) -> Stream:
-    """Commands as a fraction of full scale (65535), or the speeds of an rpm deck."""
+def _motors(t_s: Array, columns: dict[str, Array], vehicle: Vehicle, source: str) -> tuple[Stream, list[str]]:
+    """Commands as a fraction of full scale (65535), or the speeds of an rpm deck.
+
+    A firmware that compensates the battery takes motor.m1..m4 for thrusts and raises pwm.m1_pwm..m4_pwm as the voltage falls
+    (motors.c, motorsCompensateBatteryVoltage). Where both and the voltage are logged, the command is what the motors got:
+    the share of the full battery's voltage.
+    """
     prefixes = {"command": "motor", "rotor_speed": "rpm"}
     names = {kind: [f"{prefix}.m{i}" for i in range(1, _ROTORS + 1)] for kind, prefix in prefixes.items()}
     kind = wanted_input(vehicle, {kind: set(wanted) <= set(columns) for kind, wanted in names.items()}, source)
@@ -178,7 +184,14 @@ def _motors(t_s: Array, columns: dict[str, Array], vehicle: Vehicle, source: str
             f"{source}: has {_ROTORS} motors, the vehicle file {vehicle.rotors.count}; give the Crazyflie's."
         )
     scale = 1.0 / _FULL_COMMAND if kind == "command" else 2.0 * np.pi / 60.0
-    return Stream(t_s, np.column_stack([columns[w] for w in names[kind]]) * scale, motor_columns(kind, _ROTORS))
+    values = np.column_stack([columns[w] for w in names[kind]]) * scale
+    widths = [f"pwm.m{i}_pwm" for i in range(1, _ROTORS + 1)]
+    full = vehicle.battery.full_v
+    if kind != "command" or full is None or not {*widths, "pm.vbatMV"} <= set(columns):
+        return Stream(t_s, values, motor_columns(kind, _ROTORS)), []
+    applied = np.column_stack([columns[w] for w in widths]) / _FULL_COMMAND
+    note = f"motors: commands are the voltage applied (pwm and battery), as a share of the full battery's {full:g} V."
+    return Stream(t_s, applied * columns["pm.vbatMV"][:, None] / 1000.0 / full, motor_columns(kind, _ROTORS)), [note]
 
 
 def _state(t_s: Array, columns: dict[str, Array]) -> tuple[Stream, list[str]]:
