@@ -44,8 +44,8 @@ study: $(READY)  ## many simulated flights: accuracy, coverage, scatter against 
 blind: $(READY)  ## diagnosis of effects it was not told about
 	@$(PY) -m benchmarks.blind $(ARGS)
 
-bench: $(READY)  ## speed of planner, simulator, estimators, recorder, start-up
-	@for each in startup simulator planner estimators recorder; do OMP_NUM_THREADS=1 $(PY) -m benchmarks.$$each || exit; done
+bench: $(READY)  ## speed of planner, simulator, estimators, recorder, start-up; evenness of setpoints
+	@for each in startup simulator planner estimators recorder setpoint_jitter; do OMP_NUM_THREADS=1 $(PY) -m benchmarks.$$each || exit; done
 
 faults: $(READY)  ## every fault of a link or process, and how soon it is safe
 	@$(PY) -m benchmarks.faults $(ARGS)

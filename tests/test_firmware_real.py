@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -15,8 +16,14 @@ import pytest
 from drivers.mavlink.codec import MavlinkCodec
 from drivers.mavlink.dialect import mavlink
 from drivers.mavlink.transports import Transport, open_transport
+from groundstation.paths import find_config
+from groundstation.vehicle import load_vehicle
+from sim.build import true_vehicle
+from sim.scenario import load_scenario
 
 ARDUCOPTER, PX4 = os.environ.get("ARDUCOPTER", ""), os.environ.get("PX4", "")
+NOT_READY = 3
+"""Exit status of a flight that preflight refused."""
 SET_MODE, ARM = mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 
 
@@ -87,17 +94,69 @@ class Ground:
         return 0.0 if position is None else -position.z  # type: ignore[attr-defined]
 
 
-def physics(*arguments: str) -> list[str]:
-    return [sys.executable, "-P", "-m", "sim.firmware", *arguments, "--vehicle", "x500", "--scenario", "clean"]
+def physics(*arguments: str, scenario: str = "clean") -> list[str]:
+    return [sys.executable, "-P", "-m", "sim.firmware", *arguments, "--vehicle", "x500", "--scenario", scenario]
+
+
+def arducopter(folder: Path, parameters: str) -> list[str]:
+    (folder / "copter.parm").write_text(f"FRAME_CLASS 1\nFRAME_TYPE 1\nSIM_RATE_HZ 1000\n{parameters}")
+    shipped = Path(ARDUCOPTER).resolve().parents[3] / "Tools" / "autotest" / "default_params" / "copter.parm"
+    return [ARDUCOPTER, "--model", "JSON:127.0.0.1", "--defaults", f"{shipped},{folder / 'copter.parm'}", "--wipe"]
+
+
+def px4(folder: Path) -> list[str]:
+    return [PX4, "-d", str(Path(PX4).resolve().parents[1] / "etc"), "-w", str(folder)]
+
+
+def flown(link: str, folder: Path) -> dict:
+    """What ``groundstation fly`` says of a whole flight, once the firmware is ready to fly it."""
+    command = [sys.executable, "-P", "-m", "groundstation.cli", "fly", "--link", link, "--vehicle", "x500", "--json"]
+    command += ["--yes-simulated", "--set-parameters", "--logs", str(folder / "flights")]
+    end = time.monotonic() + 300.0
+    while True:
+        ended = subprocess.run(command, capture_output=True, text=True, check=False)
+        if ended.returncode != NOT_READY or time.monotonic() > end:
+            break
+    assert ended.returncode == 0, f"{ended.stdout}\n{ended.stderr[-2000:]}"
+    newest = max((folder / "flights").glob("*/identification.json"), key=lambda path: path.stat().st_mtime)
+    assert (newest.parent / "report.html").is_file()
+    assert list(newest.parent.glob("onboard.*"))
+    return json.loads(newest.read_text())
+
+
+def assert_within_bounds(found: dict) -> None:
+    """Mass to 1 %, moments to the larger of 2 % and three standard deviations."""
+    scenario = load_scenario(find_config("scenarios", "hall"))
+    true = true_vehicle(load_vehicle(find_config("vehicles", "x500")), scenario).parameters()
+    estimates = found["methods"][found["best"]]["parameters"]
+    for name in ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2"):
+        allowed = 0.01 * true[name] if name == "mass_kg" else max(0.02 * true[name], 3.0 * estimates[name]["std"])
+        print(f"{name}: true {true[name]:.5f}, estimated {estimates[name]['value']:.5f}, allowed {allowed:.5f} off")
+        assert abs(estimates[name]["value"] - true[name]) <= allowed
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.skipif(not ARDUCOPTER, reason="ARDUCOPTER names no arducopter binary (make firmware-test ARDUCOPTER=path)")
+@pytest.mark.parametrize("scripting", [0, 1], ids=["by setpoints", "on board"])
+def test_real_arducopter_is_flown_from_preflight_to_report(tmp_path: Path, scripting: int):
+    ours = physics("--arducopter", "127.0.0.1:9002", scenario="hall")
+    firmware = arducopter(tmp_path, f"SCR_ENABLE {scripting}\n")
+    with process(ours, tmp_path), process(firmware, tmp_path):
+        assert_within_bounds(flown("tcp://127.0.0.1:5760", tmp_path))
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.skipif(not PX4, reason="PX4 names no px4 binary (make firmware-test PX4=path)")
+def test_real_px4_is_flown_from_preflight_to_report(tmp_path: Path):
+    ours = physics("--px4", "tcp://127.0.0.1:4560", scenario="hall")
+    with process(ours, tmp_path), process(px4(tmp_path), tmp_path, PX4_SIM_MODEL="none_iris"):
+        assert_within_bounds(flown("udpin://127.0.0.1:14540", tmp_path))
 
 
 @pytest.mark.timeout(300)
 @pytest.mark.skipif(not ARDUCOPTER, reason="ARDUCOPTER names no arducopter binary (make firmware-test ARDUCOPTER=path)")
 def test_real_arducopter_arms_takes_off_and_lands_on_our_physics(tmp_path: Path):
-    (tmp_path / "copter.parm").write_text(
-        "FRAME_CLASS 1\nFRAME_TYPE 1\nSIM_RATE_HZ 1000\nARMING_SKIPCHK 0\nFS_THR_ENABLE 0\n"
-    )
-    firmware = [ARDUCOPTER, "--model", "JSON:127.0.0.1", "--defaults", str(tmp_path / "copter.parm"), "--wipe"]
+    firmware = arducopter(tmp_path, "ARMING_SKIPCHK 0\nFS_THR_ENABLE 0\n")
     with process(physics("--arducopter", "127.0.0.1:9002"), tmp_path), process(firmware, tmp_path):
         ground = Ground(connected("tcp://127.0.0.1:5760"))
         ready = ground.repeatedly((mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, 32, 50000), (SET_MODE, 1, 4), (ARM, 1))
@@ -111,11 +170,9 @@ def test_real_arducopter_arms_takes_off_and_lands_on_our_physics(tmp_path: Path)
 @pytest.mark.timeout(300)
 @pytest.mark.skipif(not PX4, reason="PX4 names no px4 binary (make firmware-test PX4=path)")
 def test_real_px4_arms_takes_off_and_lands_on_our_physics(tmp_path: Path):
-    build = Path(PX4).resolve().parents[1]
-    firmware = [PX4, "-d", str(build / "etc"), "-w", str(tmp_path)]
     with (
         process(physics("--px4", "tcp://127.0.0.1:4560"), tmp_path),
-        process(firmware, tmp_path, PX4_SIM_MODEL="none_iris"),
+        process(px4(tmp_path), tmp_path, PX4_SIM_MODEL="none_iris"),
     ):
         ground = Ground(open_transport("udpin://127.0.0.1:14540"))
         assert ground.until(lambda: ground.armed, 120.0, ground.repeatedly((ARM, 1)))
