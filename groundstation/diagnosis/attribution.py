@@ -21,9 +21,11 @@ CHANCE = 1e-5
 """Chance that noise alone would name an effect, shared by its variants; fixed before any study was run."""
 INSEPARABLE = 9.0
 """Two explanations whose evidence differs by less than this (three standard deviations) are not told apart."""
-MATERIAL = 1e-3
+MATERIAL = 5e-4
 """Least RMS of an effect that is a finding, as a share of weight (forces) or of weight times arm (torques)."""
 MOST = 6
+CLOSER = 2
+"""How often an instant, a length or a curve is looked at more closely."""
 RIVALS = 6
 """How many contest a place."""
 
@@ -156,10 +158,13 @@ class Selection:
         chosen: list[Entry] = []
         for _ in range(MOST):
             entry = self._best_addition(chosen)
-            if entry is None or self.held_out_gain(chosen, entry) <= 0.0:
+            if entry is None:
+                break
+            *_, entry = refined = self._refined([*chosen, entry], len(chosen))
+            if self.held_out_gain(chosen, entry) <= 0.0:
                 break
             before = [c for c, _ in chosen]
-            chosen = self._pruned(self._contested(self._refined([*chosen, entry], len(chosen))))
+            chosen = self._pruned(self._contested(refined))
             if [c for c, _ in chosen] == before:
                 break
         margins = self._margins(chosen)
@@ -174,15 +179,21 @@ class Selection:
         return named, self.evidence.solve([*self.baseline, *order])
 
     def _refined(self, chosen: list[Entry], index: int) -> list[Entry]:
-        """Look closer at the instant or the length of a member."""
-        candidate = chosen[index][0]
-        for settings in candidate.effect.finer(candidate.settings):
-            finer = Candidate(candidate.effect, settings)
-            columns = self.evidence.columns(finer)
-            if columns is not None:
-                trial = [*chosen[:index], (finer, columns), *chosen[index + 1 :]]
-                if self._margins(trial, [index])[0] > self._margins(chosen, [index])[0]:
-                    chosen = trial
+        """Look closer at the instant, the length or the curve of a member, through instruments common to all settings."""
+        for _ in range(CLOSER):
+            current = chosen[index]
+            entries = [current]
+            for settings in current[0].effect.finer(current[0].settings):
+                finer = Candidate(current[0].effect, settings)
+                columns = self.evidence.columns(finer)
+                if columns is not None:
+                    entries.append((finer, columns))
+            sets = [[*self.baseline, *chosen[:index], entry, *chosen[index + 1 :]] for entry in entries]
+            best = entries[int(np.argmax(self.evidence.contest(sets)))] if len(entries) > 1 else current
+            trial = [*chosen[:index], best, *chosen[index + 1 :]]
+            if best is current or self._margins(trial, [index])[0] <= 0.0:
+                break
+            chosen = trial
         return chosen
 
     def _pruned(self, chosen: list[Entry]) -> list[Entry]:

@@ -28,7 +28,7 @@ class Discrepancy:
         self._evidence = evidence
         _, self._channels, _ = evidence.time_of_rows()
         weighted = evidence.z * evidence.weight[:, None]
-        self._absorbing = np.linalg.solve(weighted.T @ evidence.z + np.diag(evidence.prior), weighted.T)
+        self._absorbing = np.linalg.solve(weighted.T @ evidence.z + evidence.prior, weighted.T)
         self._grams: dict[int, Array] = {}
 
     def _gram(self, columns: Columns) -> Array:

@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import Effect, Settings, library
 from groundstation.frames import quat_normalise, quat_rotate
+from groundstation.identification.instrumental import lag_split_precision
 from groundstation.identification.noise import (
     Colour,
     fit_colour,
     innovations,
     minus_log_likelihood,
 )
-from groundstation.identification.prediction_error import Fitted
+from groundstation.identification.prediction_error import Fitted, current_values, moved
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import Options, Parameters, RecordModel
 from groundstation.model.rotors import wrench_matrix
@@ -137,6 +138,16 @@ class FlightEvidence:
     def of(self, other: Prepared) -> FlightEvidence:
         """Another flight about the same base fit."""
         return FlightEvidence(other, self._fitted, self._given, self.known)
+
+    def moved(self, fitted: Fitted, solution: Solution) -> Fitted:
+        """The base fit at a joint estimate, for the next linearisation; as it was where that is no rigid body."""
+        names = [name for name in self.names if name != "accel_delay_s"]
+        index = [self.names.index(name) for name in names]
+        values = current_values(self.parameters, names, ()) + solution.theta[index]
+        p = moved(self.parameters, names, values, ())
+        p = replace(p, delay_s=max(p.delay_s, 0.0), force_bias_m_s2=np.zeros(3))
+        sound = p.mass_kg > 0.2 * self.parameters.mass_kg and np.linalg.eigvalsh(p.tensor)[0] > 0.0
+        return replace(fitted, parameters=p) if sound else fitted
 
     def whitened_residual(self, residual: Array) -> Array:
         """Any residual (blocks, 6) of this flight, whitened as its own, (rows,)."""
@@ -317,7 +328,7 @@ class Evidence:
                 prior[index] = 1.0 / (0.5 * flights[0].parameters.mass_kg) ** 2
             else:
                 prior[index] = 1.0 / float(np.trace(flights[0].parameters.tensor)) ** 2
-        self.prior = prior
+        self.prior = np.diag(prior) + lag_split_precision(self.names)
         self._base = Columns(self.x, self.z, np.zeros(6))
         self._output = Columns(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
         self._products: dict[tuple[int, int], tuple[Array, Array]] = {}
@@ -356,16 +367,22 @@ class Evidence:
             chosen: candidates with their columns.
             rows: which rows to use (all). Products over all rows are remembered.
         """
-        vehicle = self.flights[0].prepared.record.vehicle
         members = [self._base, *(columns for _, columns in chosen)]
-        prior = np.concatenate([self.prior, *(c.effect.precision(vehicle) for c, _ in chosen)])
+        prior = self._precision(chosen)
         products = [[self._product(a, b, rows) for b in members] for a in members]
-        zx = np.block([[cell[0] for cell in line] for line in products]) + np.diag(prior)
-        zz = np.block([[cell[1] for cell in line] for line in products]) + np.diag(prior)
+        zx = np.block([[cell[0] for cell in line] for line in products]) + prior
+        zz = np.block([[cell[1] for cell in line] for line in products]) + prior
         zy = np.concatenate([self._product(a, self._output, rows)[0][:, 0] for a in members])
         scale = np.sqrt(np.diag(zz))
         inverse = np.linalg.pinv(zx / np.outer(scale, scale), rcond=1e-12) / np.outer(scale, scale)
         return Solution(inverse @ zy, inverse @ zz @ inverse.T, self.x.shape[1])
+
+    def _precision(self, chosen: Sequence[tuple[Candidate, Columns]]) -> Array:
+        """Prior precision of base and chosen candidates together."""
+        from scipy.linalg import block_diag
+
+        vehicle = self.flights[0].prepared.record.vehicle
+        return np.asarray(block_diag(self.prior, *(np.diag(c.effect.precision(vehicle)) for c, _ in chosen)))
 
     def threshold(self, columns: Columns, chance: float) -> float:
         r"""Wald statistic that noise passes with this probability.
@@ -405,7 +422,6 @@ class Evidence:
         Z is common to all: the base's instruments and those of every member of any set, channel by channel, so that the falls
         compare (moment selection: Andrews 1999, Econometrica 67(3)).
         """
-        vehicle = self.flights[0].prepared.record.vehicle
         root = np.sqrt(self.weight)[:, None]
         _, channels, _ = self.time_of_rows()
         members = {columns.number: columns for chosen in sets for _, columns in chosen}
@@ -419,9 +435,9 @@ class Evidence:
 
         def left(chosen: Sequence[tuple[Candidate, Columns]]) -> float:
             a = np.concatenate([base, *(seen[columns.number] for _, columns in chosen)], axis=1)
-            prior = np.concatenate([self.prior, *(c.effect.precision(vehicle) for c, _ in chosen)])
-            theta = np.linalg.solve(a.T @ a + np.diag(prior), a.T @ y)
-            return float(np.sum((y - a @ theta) ** 2) + prior @ theta**2)
+            prior = self._precision(chosen)
+            theta = np.linalg.solve(a.T @ a + prior, a.T @ y)
+            return float(np.sum((y - a @ theta) ** 2) + theta @ prior @ theta)
 
         alone = left(())
         return [alone - left(chosen) for chosen in sets]

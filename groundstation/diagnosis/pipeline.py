@@ -34,8 +34,10 @@ from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
-from groundstation.identification.pipeline import DynamicFit, fit_dynamics
+from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared, prepare
+from groundstation.identification.record_model import Options
 from groundstation.identification.results import Estimate
 from groundstation.vehicle import Vehicle
 
@@ -79,11 +81,17 @@ def diagnose(
         suspects, healthy, unseen = ([recurved(item, bend) for item in each] for each in (suspects, healthy, unseen))
         progress(0.25, "base fit")
         fitted = fit_dynamics([*suspects, *healthy])
-        evidence, baseline, named, solution = _select(fitted, suspects, healthy, augmented, (), progress)
+        evidence, baseline, named, solution = _select(
+            fitted.best, fitted.options, suspects, healthy, augmented, (), progress
+        )
         if named:
-            # An effect swells the noise it is judged against: what was found is kept out of the noise, and all is judged anew.
+            # An effect swells the noise it is judged against, and bends the base it is judged about: what was found is kept out of
+            # the noise, the base moves to the joint estimate, and all is judged anew.
             known = tuple(n.candidate for n in named)
-            evidence, baseline, named, solution = _select(fitted, suspects, healthy, augmented, known, progress)
+            about = evidence.flights[0].moved(fitted.best, solution)
+            evidence, baseline, named, solution = _select(
+                about, fitted.options, suspects, healthy, augmented, known, progress
+            )
         chosen = [*baseline, *((n.candidate, n.columns) for n in named)]
         progress(0.9, "what is left")
         left = dependences(evidence, chosen)
@@ -185,7 +193,8 @@ def for_evidence(prepared: Prepared) -> Prepared:
 
 
 def _select(
-    fitted: DynamicFit,
+    about: Fitted,
+    options: Options,
     suspects: Sequence[Prepared],
     healthy: Sequence[Prepared],
     augmented: tuple[Candidate, ...],
@@ -194,7 +203,10 @@ def _select(
 ) -> tuple[Evidence, list[tuple[Candidate, Columns]], list[Named], Solution]:
     """Evidence with a noise model that leaves the known effects out, and what it asks for."""
     progress(0.5, "noise of each channel")
-    evidence = _evidence(fitted, suspects, healthy, (*augmented, *known))
+    evidence = Evidence(
+        [FlightEvidence(item, about, options, (*augmented, *known)) for item in suspects],
+        [FlightEvidence(item, about, options) for item in healthy],
+    )
     vehicle = suspects[0].record.vehicle
     pool = [c for c in _pool(vehicle, evidence.flights[0], references=bool(healthy)) if not is_among(c, augmented)]
     baseline = _baseline(evidence, vehicle) if healthy else []
@@ -202,16 +214,6 @@ def _select(
     selection = Selection(evidence, pool, baseline, lambda f: progress(0.55 + 0.25 * f, "effects one by one"))
     progress(0.8, "selecting")
     return evidence, baseline, *selection.run()
-
-
-def _evidence(
-    fitted: DynamicFit, suspects: Sequence[Prepared], healthy: Sequence[Prepared], known: Sequence[Candidate]
-) -> Evidence:
-    best = fitted.best
-    return Evidence(
-        [FlightEvidence(item, best, fitted.options, known) for item in suspects],
-        [FlightEvidence(item, best, fitted.options) for item in healthy],
-    )
 
 
 def _pool(vehicle: Vehicle, first: FlightEvidence, *, references: bool) -> list[Candidate]:

@@ -47,7 +47,7 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
     colours, polynomials = per_flight(start.colours, channels), per_flight(start.whiteners, channels)
     p, names = start.parameters, start.names
     covariance, information = start.covariance, np.linalg.inv(start.covariance)
-    split = _lag_split_precision(names)
+    split = lag_split_precision(names)
     evaluated = [model.evaluate(p, options) for model in models]
     iterations = 0
     for round_index in range(ROUNDS):
@@ -121,7 +121,7 @@ def _spent_freedom(z: Array, information: Array) -> float:
     return count / max(count - parameters - 2.0, 0.3 * count)
 
 
-def _lag_split_precision(names: Sequence[str]) -> Array:
+def lag_split_precision(names: Sequence[str]) -> Array:
     """Prior precision that keeps how the total delay divides into lag up, lag down and dead time near the first estimate.
 
     The plan excites low frequencies, where only the sum shows; its division comes from the prediction error estimate, to

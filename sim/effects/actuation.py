@@ -57,6 +57,8 @@ class BatterySag(NamedTuple):
 class RotorGyroscopic(NamedTuple):
     """The rotors' own angular momentum h = J sum s_i Omega_i e_z turns with the body and takes up torque when it changes.
 
+    Where neither ``truth.lag`` nor ``motor_lag`` is on, speeds jump and take up none: only what turns with the body is left.
+
     Attributes:
         inertia_kg_m2: J of one rotor with its motor's bell.
     """

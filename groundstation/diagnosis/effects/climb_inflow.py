@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, from_thrust, has_rotors
+from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, from_thrust, has_rotors
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
+CURVATURES_S_M = np.linspace(-0.1, 0.2, 13)
+"""Second-order terms that a closer look tries; 1 / (4 v_h) in momentum theory, v_h the induced speed at hover (4 to 8 m/s)."""
 
-def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
+
+def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
     climb = signals.velocity_body_m_s()[:, 2]
+    climb = climb * (1.0 + settings.get("curvature_s_m", 0.0) * climb)
     out = blank(signals)
     if not has_rotors(vehicle):
         out[:, 2, 0] = -climb
@@ -23,11 +27,12 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
 
 EFFECT = Effect(
     identifier="climb_inflow",
-    equation="T_i = T_0i - (k/n) w Omega_i / Omega_hover, torques with them",
+    equation="T_i = T_0i - (k/n) (w + b w^2) Omega_i / Omega_hover, torques with them",
     source="Leishman 2006, sec. 2.13 (thrust slope with axial inflow); Svacha et al. 2017, eq. 9",
     parameters=(ParameterInfo("k_kg_s", lambda v: v.mass_kg, (0.0, np.inf)),),
     wrench=_wrench,
     sentence="Climbing costs thrust: {k_kg_s} N per m/s.",
     confused_with=("body_drag", "thrust_curve"),
     manoeuvre="climb and sink at several speeds, away from the floor",
+    finer=lambda settings: tuple({"curvature_s_m": float(b)} for b in CURVATURES_S_M),
 )
