@@ -12,6 +12,7 @@ from typing import ClassVar
 from sim.mavlink import messages
 from sim.mavlink.airframe import Vector
 from sim.mavlink.apmlog import ArduCopterLog
+from sim.mavlink.arducopterfailsafe import arming_obstacle, battery_mode, fence_breached, fence_mode, station_mode
 from sim.mavlink.autopilot import (
     ACCEPTED,
     CRITICAL,
@@ -143,7 +144,7 @@ class ArduCopter(Autopilot):
 
     def system_status(self) -> Message:
         """SYS_STATUS with the sensors of the recorded simulation; the pre-arm bit says whether it would arm."""
-        health = _HEALTH | (0x10000000 if self._arming_obstacle() is None else 0)
+        health = _HEALTH | (0x10000000 if arming_obstacle(self) is None else 0)
         return mavlink.MAVLink_sys_status_message(
             _PRESENT, _ENABLED, health, 0, round(1000 * self.truth.voltage_v), round(100 * self.truth.current_a),
             self.battery.percent, 0, 0, 0, 0, 0, 0,
@@ -278,21 +279,10 @@ class ArduCopter(Autopilot):
 
     # -- arming -----------------------------------------------------------------------------------------------------
 
-    def _arming_obstacle(self) -> str | None:
-        if self.deny_arming is not None:
-            return self.deny_arming
-        if not self.estimate.position_valid:
-            return "Need Position Estimate"
-        if 0.0 < self.parameters["BATT_ARM_VOLT"] > self.truth.voltage_v:
-            return "Battery 1 below minimum arming voltage"
-        if self.mode.name in ("RTL", "LAND", "BRAKE"):
-            return f"{self.mode.name} mode not armable"
-        return None
-
     def _command_arm(self, forced: bool) -> int:
         if self.armed:
             return ACCEPTED
-        obstacle = None if forced else self._arming_obstacle()
+        obstacle = None if forced else arming_obstacle(self)
         if obstacle is not None:
             self.text(CRITICAL, f"Arm: {obstacle}")
             return FAILED
@@ -378,33 +368,20 @@ class ArduCopter(Autopilot):
             self._ekf_failsafe = True
             self.text(CRITICAL, "EKF Failsafe: changed to LAND Mode")
             self._land_now()
-        action = int(self.parameters["FS_GCS_ENABLE"])
-        heard = max((link.heard_s for link in self.outbox.links.values()), default=-math.inf)
-        silent = math.isfinite(heard) and self.time_s - heard > self.parameters["FS_GCS_TIMEOUT"]
-        if action and silent and not self._station_failsafe:
+        if not self._station_failsafe and (mode := station_mode(self)) is not None:
             self._station_failsafe = True
-            self.text(CRITICAL, "GCS Failsafe")
-            self._change("LAND" if action == 5 or not self.estimate.position_valid else "RTL")
-            self.failsafe = True
-        low = 0.0 < self.parameters["BATT_LOW_VOLT"] > self.truth.voltage_v
-        if self.parameters["BATT_FS_LOW_ACT"] and low and not self.failsafe:
-            self.text(CRITICAL, "Battery 1 is low")
-            self._change("LAND" if self.parameters["BATT_FS_LOW_ACT"] == 1 else "RTL")
-            self.failsafe = True
-        self._fence()
-
-    def _fence(self) -> None:
-        if not self.parameters["FENCE_ENABLE"] or self.mode.name in ("RTL", "LAND"):
-            return
-        horizontal, vertical = self.distance_from_home
-        kinds = int(self.parameters["FENCE_TYPE"])
-        high = kinds & 1 and vertical > self.parameters["FENCE_ALT_MAX"]
-        wide = kinds & 2 and horizontal > self.parameters["FENCE_RADIUS"]
-        if high or wide:
+            self._act("GCS Failsafe", mode)
+        if not self.failsafe and (mode := battery_mode(self)) is not None:
+            self._act("Battery 1 is low", mode)
+        if fence_breached(self):
             self.text(CRITICAL, "Fence Breached")
-            action = int(self.parameters["FENCE_ACTION"])
-            if action:
-                self._change({1: "RTL", 2: "LAND", 4: "BRAKE"}.get(action, "RTL"))
+            if (mode := fence_mode(self)) is not None:
+                self._change(mode)
+
+    def _act(self, text: str, mode: str) -> None:
+        self.text(CRITICAL, text)
+        self._change(mode)
+        self.failsafe = True
 
     def _land_now(self) -> None:
         self.set_mode("LAND")
@@ -427,7 +404,7 @@ class ArduCopter(Autopilot):
                 self.text(INFO, f"EKF3 IMU{imu} is using {source}")
         if self.time_s >= self._prearm_s:
             self._prearm_s += self.PREARM_EVERY_S
-            obstacle = self._arming_obstacle()
+            obstacle = arming_obstacle(self)
             if not self.armed and obstacle is not None:
                 self.text(CRITICAL, f"PreArm: {obstacle}")
 
