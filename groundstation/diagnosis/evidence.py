@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import Effect, Settings, library
 from groundstation.frames import quat_normalise, quat_rotate
-from groundstation.identification.instrumental import lag_split_precision
 from groundstation.identification.noise import (
     Colour,
     fit_colour,
@@ -43,6 +42,8 @@ BAND_BINS = 8
 """Least number of frequencies that one value of a spectrum is averaged over."""
 SEED = 0
 """Of the draws that put it back."""
+DELAYS = ("rotor_lag", "input_delay", "accel_delay")
+"""Parameters that a plan's own columns instrument weakly: theirs is what all of a plan's columns tell of them, channel by channel."""
 VARIANTS = 6
 """How many settings of an effect are kept out of the noise before it is found; of those found, the very setting."""
 
@@ -134,6 +135,8 @@ class FlightEvidence:
         else:
             wished = self.model.planned_sensitivities(self.parameters, self.options)
             self.z = self._whitened(_with_accelerometer_delay(wished, names)[0])
+            own = [index for index, name in enumerate(self.names) if name.startswith(DELAYS)]
+            self.z[:, own] = self._explained(self.x[:, own], self.z)
 
     def of(self, other: Prepared) -> FlightEvidence:
         """Another flight about the same base fit."""
@@ -245,6 +248,15 @@ class FlightEvidence:
                 gain[band] = 1.0 / np.sqrt(np.mean(power[band]) + 1e-12)
         return out
 
+    def _explained(self, columns: Array, basis: Array) -> Array:
+        """What a basis tells of whitened columns, channel by channel, by least squares."""
+        rows = len(self.channels)
+        out = np.zeros_like(columns)
+        for part, c, b in zip(*(a.reshape(rows, -1, a.shape[1]) for a in (out, columns, basis)), strict=True):
+            q = _orthonormal(b)
+            part[:] = q @ (q.T @ c)
+        return out
+
     def spread(self, columns: Array) -> tuple[Array, Array]:
         """How the energy of whitened columns (rows, p), each of size one, lies over channels and bands, and each one's degrees of freedom.
 
@@ -328,7 +340,7 @@ class Evidence:
                 prior[index] = 1.0 / (0.5 * flights[0].parameters.mass_kg) ** 2
             else:
                 prior[index] = 1.0 / float(np.trace(flights[0].parameters.tensor)) ** 2
-        self.prior = np.diag(prior) + lag_split_precision(self.names)
+        self.prior = np.diag(prior)
         self._base = Columns(self.x, self.z, np.zeros(6))
         self._output = Columns(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
         self._products: dict[tuple[int, int], tuple[Array, Array]] = {}

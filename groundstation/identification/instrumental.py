@@ -47,7 +47,7 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
     colours, polynomials = per_flight(start.colours, channels), per_flight(start.whiteners, channels)
     p, names = start.parameters, start.names
     covariance, information = start.covariance, np.linalg.inv(start.covariance)
-    split = lag_split_precision(names)
+    split = _lag_split_precision(names)
     evaluated = [model.evaluate(p, options) for model in models]
     iterations = 0
     for round_index in range(ROUNDS):
@@ -66,7 +66,8 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
         mean, std = priors(models[0].record, start.parameters, names, models[0].extra, options)
         precision = np.diag(1.0 / std**2) + split
         information = precision + sum(z.T @ z for columns in planned for z in columns)
-        freedom = [[_spent_freedom(z, information) for z in columns] for columns in planned]
+        root = _root_of_inverse(information)
+        freedom = [[_spent_freedom(z @ root) for z in columns] for columns in planned]
         for _ in range(10):
             theta = current_values(p, names, extra_names)
             zx, zz = precision.copy(), precision.copy()
@@ -102,7 +103,18 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
     )
 
 
-def _spent_freedom(z: Array, information: Array) -> float:
+def _root_of_inverse(information: Array) -> Array:
+    """A square root R of the inverse, R R^T = information^-1, by eigenvalues in units in which the diagonal is one.
+
+    What the flight tells nothing of in double precision (a flight without noise tells the rest to ten digits) counts for nothing.
+    """
+    unit = 1.0 / np.sqrt(np.diag(information))
+    eigenvalues, vectors = np.linalg.eigh(information * np.outer(unit, unit))
+    told = eigenvalues > 1e-14 * eigenvalues[-1]
+    return unit[:, None] * vectors[:, told] / np.sqrt(eigenvalues[told])
+
+
+def _spent_freedom(z: Array) -> float:
     """By how much the variance of an estimate exceeds what its residual says: n / (n - p - 2).
 
     A flight has few independent values n in the band an estimate uses (two at each frequency, up to the 95 % point of the
@@ -111,17 +123,15 @@ def _spent_freedom(z: Array, information: Array) -> float:
     p is this channel's leverage, trace(I^-1 Z^T Z).
 
     Args:
-        z: whitened instruments of one channel, (rows, P).
-        information: of all channels, (P, P).
+        z: whitened instruments of one channel in units of the whole fit's standard deviations, (rows, P).
     """
-    inverse = np.linalg.inv(information)
-    parameters = float(np.sum(inverse * (z.T @ z)))
-    power = np.sum(np.abs(np.fft.rfft(z @ np.linalg.cholesky(inverse), axis=0)) ** 2, axis=1)
+    parameters = float(np.sum(z**2))
+    power = np.sum(np.abs(np.fft.rfft(z, axis=0)) ** 2, axis=1)
     count = 2.0 * (1.0 + int(np.searchsorted(np.cumsum(power), 0.95 * float(np.sum(power)))))
     return count / max(count - parameters - 2.0, 0.3 * count)
 
 
-def lag_split_precision(names: Sequence[str]) -> Array:
+def _lag_split_precision(names: Sequence[str]) -> Array:
     """Prior precision that keeps how the total delay divides into lag up, lag down and dead time near the first estimate.
 
     The plan excites low frequencies, where only the sum shows; its division comes from the prediction error estimate, to
