@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.discrepancy import FORM, Discrepancy, allowance
 from groundstation.diagnosis.effect import Effect, library
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, Solution
+from groundstation.identification.record_model import CHANNELS
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
@@ -143,8 +144,8 @@ class Selection:
         there = {c.identifier for c, _ in (*self.baseline, *chosen)}
         return not candidate.effect.rests_on or bool(there.intersection(candidate.effect.rests_on))
 
-    def _best_addition(self, chosen: list[Entry]) -> Entry | None:
-        taken = {c.identifier for c, _ in chosen}
+    def _best_addition(self, chosen: list[Entry], refuted: set[str]) -> Entry | None:
+        taken = {c.identifier for c, _ in chosen} | refuted
         best, found = 0.0, None
         for entry in self.pool:
             if entry[0].identifier not in taken:
@@ -156,13 +157,15 @@ class Selection:
     def run(self) -> tuple[list[Named], Solution]:
         """Select, prune, let rivals contest each place, and name those that explain as much."""
         chosen: list[Entry] = []
-        for _ in range(MOST):
-            entry = self._best_addition(chosen)
+        refuted: set[str] = set()
+        for _ in range(2 * MOST):
+            entry = self._best_addition(chosen, refuted) if len(chosen) < MOST else None
             if entry is None:
                 break
             *_, entry = refined = self._refined([*chosen, entry], len(chosen))
-            if self.held_out_gain(chosen, entry) <= 0.0:
-                break
+            if not self._holds(chosen, entry):
+                refuted.add(entry[0].identifier)
+                continue
             before = [c for c, _ in chosen]
             chosen = self._pruned(self._contested(refined))
             if [c for c, _ in chosen] == before:
@@ -250,15 +253,25 @@ class Selection:
 
     def held_out_gain(self, chosen: Sequence[Entry], entry: Entry) -> float:
         """Fall of the whitened squared residual on blocks no estimate saw, guard gaps left out, when ``entry`` is added."""
+        return float(np.sum(self._held_out_gains(chosen, entry)))
+
+    def _holds(self, chosen: Sequence[Entry], entry: Entry) -> bool:
+        """Whether an effect lessens the error on blocks no estimate saw, and in no channel adds more to it than its form excuses."""
+        gains = self._held_out_gains(chosen, entry)
+        total = float(np.sum(gains))
+        return total > 0.0 and float(np.min(gains)) > -(INSEPARABLE + FORM * total)
+
+    def _held_out_gains(self, chosen: Sequence[Entry], entry: Entry) -> Array:
+        """The same by channel, shape (6,)."""
         before = [*self.baseline, *chosen]
         after = [*before, entry]
-        gain = 0.0
+        _, channels, _ = self.evidence.time_of_rows()
+        gains = np.zeros(len(CHANNELS))
         for train, test in folds(self.evidence):
             old = self.evidence.remainder(before, self.evidence.solve(before, train))[test]
             new = self.evidence.remainder(after, self.evidence.solve(after, train))[test]
-            w = self.evidence.weight[test]
-            gain += float(np.sum(w * (old**2 - new**2)))
-        return gain
+            np.add.at(gains, channels[test], self.evidence.weight[test] * (old**2 - new**2))
+        return gains
 
 
 def folds(
