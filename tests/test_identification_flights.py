@@ -13,6 +13,7 @@ from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored
 from groundstation.identification.consistency import nearest_rigid_body, physically_consistent
+from groundstation.identification.instrumental import _root_of_inverse
 from groundstation.identification.pipeline import DynamicFit, fit_dynamics, identify
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import flight_states, prepare
@@ -104,6 +105,16 @@ def test_the_rotor_lag_of_a_commanded_vehicle_is_found() -> None:
     planted = truth(flight)
     z = {name: (found.value(name) - planted[name]) / found.std(name) for name in MASS_AND_TENSOR}
     assert max(abs(v) for v in z.values()) < 3.5, z
+
+
+def test_what_a_flight_tells_nothing_of_counts_for_nothing() -> None:
+    """A square root of the inverse information, in any units, and where one direction is not told in double precision."""
+    information = np.array([[4e12, 1e3, 0.0], [1e3, 1.0, 0.0], [0.0, 0.0, 1e-20]])
+    root = _root_of_inverse(information)
+    np.testing.assert_allclose(root @ root.T @ information, np.eye(3), atol=1e-9)
+    twice_the_same = np.array([[1.0, 1.0], [1.0, 1.0]])
+    root = _root_of_inverse(twice_the_same)
+    np.testing.assert_allclose(root @ root.T, 0.25 * twice_the_same, atol=1e-12)
 
 
 def test_pooled_flights_know_more_than_each() -> None:
