@@ -6,6 +6,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
+from scipy.stats import binom
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -13,11 +15,12 @@ from benchmarks.coverage import HALF_95, Score, score, table
 from groundstation.errors import GroundStationError
 from groundstation.identification.results import MASS_AND_TENSOR
 
-FLIGHTS = 100
-LOW, HIGH = 0.87, 1.0  # the 0.1 % band of a binomial count of 100 at 95 %
+FLIGHTS = 200
 
 
+@pytest.mark.timeout(1200)  # two minutes and a half of one core, which a busy machine stretches
 def test_the_intervals_hold_the_truth_as_often_as_they_say() -> None:
+    """Within the 0.1 % band of a binomial count at 95 %: 179 to 198 of 200, and likewise of fewer numbers given."""
     scores: list[Score] = []
     for seed in range(70_001, 70_001 + FLIGHTS):
         try:
@@ -25,9 +28,8 @@ def test_the_intervals_hold_the_truth_as_often_as_they_say() -> None:
         except GroundStationError:
             continue
     assert len(scores) > 0.97 * FLIGHTS
-    shares = {}
     for name in (*MASS_AND_TENSOR, "mocap_minus_imu_s"):
         z = np.array([s.z[name] for s in scores if name in s.z])
         assert len(z) > 0.6 * FLIGHTS, name
-        shares[name] = float(np.mean(np.abs(z) <= HALF_95))
-    assert all(LOW <= share <= HIGH for share in shares.values()), table(scores)
+        low, high = binom.interval(0.999, len(z), 0.95)
+        assert low <= np.sum(np.abs(z) <= HALF_95) <= high, table(scores)
