@@ -9,9 +9,10 @@ import pytest
 from flights import flight_data
 from scipy.stats import chi2, f
 
-from groundstation.diagnosis.evidence import Columns, Evidence, FlightEvidence, _bands, _coefficients
+from groundstation.diagnosis.evidence import Columns, Evidence, FlightEvidence
 from groundstation.diagnosis.pipeline import for_evidence
 from groundstation.diagnosis.scale import scale_findings
+from groundstation.diagnosis.whitening import bands_of, coefficients
 from groundstation.identification.pipeline import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.identification.results import Estimate
@@ -58,7 +59,7 @@ def test_a_fit_of_many_columns_takes_noise_and_a_draw_puts_it_back():
     for _ in range(rounds):
         y = random.standard_normal(rows)
         for drawn in left:
-            left[drawn] += float(np.mean((y - x @ _coefficients(x, y, random if drawn else None)) ** 2)) / rounds
+            left[drawn] += float(np.mean((y - x @ coefficients(x, y, random if drawn else None)) ** 2)) / rounds
     assert left[False] == pytest.approx(1.0 - columns / rows, abs=0.02)
     assert left[True] == pytest.approx(1.0, abs=0.02)
 
@@ -67,7 +68,7 @@ def test_an_effect_in_one_band_has_to_beat_what_is_known_of_the_noise_there(evid
     flight = evidence.flights[0]
     rows, count = len(flight.model.t_s), len(flight.channels)
     time = np.arange(rows)
-    band = flight.bands[2]
+    band = flight.whitening.bands[2]
     slow, broad = np.zeros((count, rows)), np.zeros((count, rows))
     slow[0] = np.cos(2.0 * np.pi * (band.start + 1) * time / rows)
     broad[:] = np.random.default_rng(1).standard_normal((count, rows))
@@ -84,7 +85,7 @@ def _columns(rows: np.ndarray) -> Columns:
 
 @pytest.mark.parametrize("count", [3, 17, 500, 2001])
 def test_bands_cover_every_frequency_once(count):
-    bands = _bands(count)
+    bands = bands_of(count)
     assert [i for band in bands for i in range(band.start, band.stop)] == list(range(count))
 
 

@@ -17,13 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import Effect, Settings, library
+from groundstation.diagnosis.whitening import Whitening, orthonormal
 from groundstation.frames import quat_normalise, quat_rotate
-from groundstation.identification.noise import (
-    Colour,
-    fit_colour,
-    innovations,
-    minus_log_likelihood,
-)
 from groundstation.identification.prediction_error import Fitted, current_values, moved
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import Options, Parameters, RecordModel
@@ -36,12 +31,6 @@ SIGNAL_RATE_HZ = 100.0
 DRIFT_S = 6.0
 ACCEL_DELAY_S = 2e-3
 """How far the delays of gyro and accelerometer (filters, sampling) usually differ."""
-REFILLS = 3
-"""Rounds in which the noise that generic columns take is put back and the noise fitted anew."""
-BAND_BINS = 8
-"""Least number of frequencies that one value of a spectrum is averaged over."""
-SEED = 0
-"""Of the draws that put it back."""
 DELAYS = ("rotor_lag", "input_delay", "accel_delay")
 """Parameters that a plan's own columns instrument weakly: theirs is what all of a plan's columns tell of them, channel by channel."""
 VARIANTS = 6
@@ -124,19 +113,16 @@ class FlightEvidence:
         self.residual, sensitivity, names = self.model.evaluate(self.parameters, self.options)
         self.sensitivity, self.names = _with_accelerometer_delay(sensitivity, names)
         self.planned = planned_signals(prepared, self.parameters, self._stride)
-        self.colours = self._colours()
-        self.bands = _bands(len(self.model.t_s) // 2 + 1)
-        self.gains = np.ones((len(self.channels), len(self.model.t_s) // 2 + 1))
-        self.gains = self._gains()
-        self.y = self._whitened(self.residual[:, :, None])[:, 0]
-        self.x = self._whitened(self.sensitivity)
+        self.whitening = Whitening(self.channels, self.model.dt, self.model.restart, self.residual, self._nuisance())
+        self.y = self.whitened_residual(self.residual)
+        self.x = self.whitening.apply(self.sensitivity)
         if prepared.planned is None:
             self.z = self.x
         else:
             wished = self.model.planned_sensitivities(self.parameters, self.options)
-            self.z = self._whitened(_with_accelerometer_delay(wished, names)[0])
+            self.z = self.whitening.apply(_with_accelerometer_delay(wished, names)[0])
             own = [index for index, name in enumerate(self.names) if name.startswith(DELAYS)]
-            self.z[:, own] = self._explained(self.x[:, own], self.z)
+            self.z[:, own] = self.whitening.explained(self.x[:, own], self.z)
 
     def of(self, other: Prepared) -> FlightEvidence:
         """Another flight about the same base fit."""
@@ -154,7 +140,7 @@ class FlightEvidence:
 
     def whitened_residual(self, residual: Array) -> Array:
         """Any residual (blocks, 6) of this flight, whitened as its own, (rows,)."""
-        return self._whitened(residual[:, :, None])[:, 0]
+        return self.whitening.apply(residual[:, :, None])[:, 0]
 
     def _nuisance(self) -> Array:
         """Columns (blocks, 6, m) that keep an effect's own residual out of the noise model: slow drift, speeds, and the library.
@@ -187,100 +173,6 @@ class FlightEvidence:
         ]
         return np.concatenate([self.sensitivity, self.predicted(np.stack(columns, axis=-1))], axis=2)
 
-    def _colours(self) -> list[Colour]:
-        """Noise of each channel from what generic columns leave of the residual.
-
-        Whitened at first by a disturbance of 0.3 s, so that slow effects go into the columns and not into the noise, or by none
-        to speak of, as where sensors are noisier than the air; the likelier goes on.
-        """
-        self._remainder = self._nuisance()
-        random = np.random.default_rng(SEED)
-        found: list[Colour] = []
-        for channel in self.channels:
-            columns = self._remainder[:, channel, :]
-            columns = columns[:, np.any(columns != 0.0, axis=0)]
-            z = self.residual[:, channel]
-            step = float(np.median(self.model.dt)) if channel < 3 else 1.0
-            size = float(np.std(np.diff(z))) + 1e-9
-            rough = size / step
-            starts = (
-                Colour(rough, 0.3, 1e-3 * rough, 0.1 * size),
-                Colour(1e-2 * rough, 0.3, 1e-3 * rough, size / np.sqrt(2.0)),
-            )
-            tried = [self._recoloured(z, columns, start, channel) for start in starts]
-            colour = min(tried, key=lambda item: item[1])[0]
-            for _ in range(REFILLS):
-                colour = self._recoloured(z, columns, colour, channel, random)[0]
-            found.append(colour)
-        return found
-
-    def _recoloured(
-        self, z: Array, columns: Array, colour: Colour, channel: int, random: np.random.Generator | None = None
-    ) -> tuple[Colour, float]:
-        """Noise of what columns leave when they are fitted under a given noise, and half its minus-log-likelihood.
-
-        With ``random`` what they take of the noise is put back (:func:`_coefficients`), and the search starts from the given noise.
-        """
-        integrated = channel < 3
-        stacked = np.concatenate([z[:, None], columns], axis=1)
-        e, s = innovations(stacked, self.model.dt, self.model.restart, colour, integrated=integrated)
-        good = np.isfinite(s)
-        white = e[good] / np.sqrt(s[good])[:, None]
-        left = z - columns @ _coefficients(white[:, 1:], white[:, 0], random)
-        start = None if random is None else colour
-        found = fit_colour(left, self.model.dt, self.model.restart, integrated=integrated, start=start)
-        return found, minus_log_likelihood(left, self.model.dt, self.model.restart, found, integrated)
-
-    def _gains(self) -> Array:
-        """What is left of each channel's colour behind its noise model: a filter (channels, frequencies) that whitens the rest.
-
-        A disturbance need not be of first order. The periodogram of what generic columns leave, with what they took put back, is
-        averaged over bands.
-        """
-        rows = len(self.channels)
-        white = self._whitened(self.residual[:, :, None]).reshape(rows, -1)
-        columns = self._whitened(self._remainder).reshape(rows, white.shape[1], -1)
-        random = np.random.default_rng(SEED)
-        out = np.ones_like(self.gains)
-        for gain, y, x in zip(out, white, columns, strict=True):
-            power = np.abs(np.fft.rfft(y - x @ _coefficients(x, y, random))) ** 2 / len(y)
-            for band in self.bands:
-                gain[band] = 1.0 / np.sqrt(np.mean(power[band]) + 1e-12)
-        return out
-
-    def _explained(self, columns: Array, basis: Array) -> Array:
-        """What a basis tells of whitened columns, channel by channel, by least squares."""
-        rows = len(self.channels)
-        out = np.zeros_like(columns)
-        for part, c, b in zip(*(a.reshape(rows, -1, a.shape[1]) for a in (out, columns, basis)), strict=True):
-            q = _orthonormal(b)
-            part[:] = q @ (q.T @ c)
-        return out
-
-    def spread(self, columns: Array) -> tuple[Array, Array]:
-        """How the energy of whitened columns (rows, p), each of size one, lies over channels and bands, and each one's degrees of freedom.
-
-        Both of shape (channels * bands,).
-        """
-        power = np.abs(np.fft.rfft(columns.reshape(len(self.channels), -1, columns.shape[1]), axis=1)) ** 2
-        by_band = np.stack([power[:, band].sum(axis=1) for band in self.bands], axis=1)
-        total = by_band.sum(axis=(0, 1))
-        energy = np.sum(by_band / np.where(total > 0.0, total, 1.0), axis=-1)
-        freedom = np.tile([2.0 * (band.stop - band.start) for band in self.bands], len(self.channels))
-        return energy.ravel(), freedom
-
-    def _whitened(self, columns: Array) -> Array:
-        """Stack the whitened channels of (blocks, 6, m) below each other, (channels * blocks, m)."""
-        parts = []
-        for channel, colour, gain in zip(self.channels, self.colours, self.gains, strict=True):
-            e, s = innovations(
-                columns[:, channel, :], self.model.dt, self.model.restart, colour, integrated=channel < 3
-            )
-            good = np.isfinite(s)
-            white = np.where(good[:, None], e / np.sqrt(np.where(good, s, 1.0))[:, None], 0.0)
-            parts.append(np.fft.irfft(np.fft.rfft(white, axis=0) * gain[:, None], len(white), axis=0))
-        return np.concatenate(parts)
-
     def predicted(self, wrench: Array) -> Array:
         """Rates and specific forces (blocks, 6, p) that a body wrench (k, 6, p) adds."""
         impulse = np.zeros((len(wrench), 3, wrench.shape[2]))
@@ -302,12 +194,12 @@ class FlightEvidence:
             return None
         rms = np.sqrt(np.mean(wrench[self._keep] ** 2, axis=0))
         if self.planned is None:
-            sensitivity = self._whitened(self.predicted(wrench))
+            sensitivity = self.whitening.apply(self.predicted(wrench))
             return Columns(sensitivity, sensitivity, rms)
         wished = candidate.effect.wrench(self.planned, vehicle, candidate.settings)
         if not np.isfinite(wished).all():
             return None
-        white = self._whitened(self.predicted(np.concatenate([wrench, wished], axis=2)))
+        white = self.whitening.apply(self.predicted(np.concatenate([wrench, wished], axis=2)))
         return Columns(white[:, : wrench.shape[2]], white[:, wrench.shape[2] :], rms)
 
 
@@ -408,7 +300,7 @@ class Evidence:
         count, first = columns.instrument.shape[1], 0
         energies, freedoms = [], []
         for flight in self.flights:
-            energy, freedom = flight.spread(columns.instrument[first : first + len(flight.y)])
+            energy, freedom = flight.whitening.spread(columns.instrument[first : first + len(flight.y)])
             energies.append(energy)
             freedoms.append(freedom)
             first += len(flight.y)
@@ -440,7 +332,7 @@ class Evidence:
         parts = [root * self.z]
         for columns in members.values():
             parts += [root * columns.instrument * (channels == channel)[:, None] for channel in np.unique(channels)]
-        basis = _orthonormal(np.concatenate(parts, axis=1))
+        basis = orthonormal(np.concatenate(parts, axis=1))
         y = basis.T @ (root[:, 0] * self.y)
         seen = {number: basis.T @ (root * columns.sensitivity) for number, columns in members.items()}
         base = basis.T @ (root * self.x)
@@ -514,49 +406,3 @@ def planned_signals(prepared: Prepared, p: Parameters, stride: int) -> Signals |
 
 def _thinned(signals: Signals, rows: slice | NDArray[np.bool_]) -> Signals:
     return Signals(*(getattr(signals, name)[rows] for name in Signals.__slots__))
-
-
-def _bands(count: int) -> list[slice]:
-    """Frequencies of a periodogram in bands, each an eighth of its own frequency wide, or BAND_BINS."""
-    out, first = [], 0
-    while first < count:
-        last = first + max(BAND_BINS, first // 8)
-        if count - last < BAND_BINS:
-            last = count
-        out.append(slice(first, last))
-        first = last
-    return out
-
-
-def _coefficients(columns: Array, y: Array, random: np.random.Generator | None) -> Array:
-    """Least-squares coefficients of whitened columns; with ``random`` a draw from their posterior instead of its mean.
-
-    A fit of p columns takes p degrees of freedom out of the noise, nearly all of them at the low frequencies where they live. The
-    draw puts as much back, so that a noise model fitted to what is left is right on average (data augmentation: Tanner and
-    Wong 1987; its limit is restricted maximum likelihood, Patterson and Thompson 1971).
-
-    Args:
-        columns: (rows, p), a column without innovations may be zero. y: (rows,), of unit variance if the noise is right.
-    """
-    scale = np.linalg.norm(columns, axis=0)
-    shown = scale > 1e-9 * scale.max(initial=1e-300)
-    values, vectors = np.linalg.eigh((columns[:, shown] / scale[shown]).T @ (columns[:, shown] / scale[shown]))
-    kept = values > 1e-8 * values[-1]
-    root = vectors[:, kept] / np.sqrt(values[kept])  # of the inverse information
-    inside = root.T @ (columns[:, shown].T @ y / scale[shown])
-    if random is not None:
-        inside = inside + random.standard_normal(len(inside))
-    theta = np.zeros(columns.shape[1])
-    theta[shown] = root @ inside / scale[shown]
-    return theta
-
-
-def _orthonormal(basis: Array) -> Array:
-    size = np.linalg.norm(basis, axis=0)
-    used = basis[:, size > 1e-7 * max(float(size.max(initial=0.0)), 1e-30)]
-    if used.shape[1] == 0 or float(size.max()) < 1e-12:
-        return np.zeros((len(basis), 0))
-    used = used / np.linalg.norm(used, axis=0)
-    values, vectors = np.linalg.eigh(used.T @ used)
-    keep = values > 1e-6 * values[-1]
-    return used @ (vectors[:, keep] / np.sqrt(values[keep]))

@@ -150,7 +150,7 @@ def _own_size(part: Array, explained: Array, kept: NDArray[np.bool_]) -> float:
 def disturbance_std(evidence: Evidence, channel: int) -> float:
     """Standard deviation of the fitted disturbance of a channel, N or N m."""
     flight = evidence.flights[0]
-    colour = flight.colours[flight.channels.index(channel)]
+    colour = flight.whitening.colours[flight.channels.index(channel)]
     scale = float(flight.parameters.tensor[channel, channel]) if channel < 3 else flight.parameters.mass_kg
     return colour.disturbance * scale
 

@@ -1,0 +1,181 @@
+"""The noise of a flight, channel by channel, and the filter that makes it white: what findings are judged against.
+
+A first-order disturbance with sensor noise is fitted to each channel, then the rest of its colour is taken out band by band. Both are
+estimated from what generic columns (drift, speeds, the library's effects) leave of the residual, with what these take of the noise put back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.identification.noise import Colour, fit_colour, innovations, minus_log_likelihood
+
+Array = NDArray[np.float64]
+
+REFILLS = 3
+"""Rounds in which the noise that generic columns take is put back and the noise fitted anew."""
+BAND_BINS = 8
+"""Least number of frequencies that one value of a spectrum is averaged over."""
+SEED = 0
+"""Of the draws that put it back."""
+
+
+class Whitening:
+    """Whitens the channels of one flight.
+
+    Args:
+        channels: which of the six (torques as rates, forces as specific forces) are known.
+        dt: time since the previous block, (blocks,). restart: True where a new segment begins, (blocks,).
+        residual: (blocks, 6). nuisance: generic columns, (blocks, 6, m).
+    """
+
+    def __init__(
+        self, channels: Sequence[int], dt: Array, restart: NDArray[np.bool_], residual: Array, nuisance: Array
+    ):
+        self.channels = tuple(channels)
+        self._dt, self._restart = dt, restart
+        self.colours = self._fitted_colours(residual, nuisance)
+        self.bands = bands_of(len(dt) // 2 + 1)
+        self._gains = np.ones((len(self.channels), len(dt) // 2 + 1))
+        self._gains = self._fitted_gains(residual, nuisance)
+
+    def apply(self, columns: Array) -> Array:
+        """Stack the whitened channels of (blocks, 6, m) below each other, (channels * blocks, m)."""
+        parts = []
+        for channel, colour, gain in zip(self.channels, self.colours, self._gains, strict=True):
+            e, s = innovations(columns[:, channel, :], self._dt, self._restart, colour, integrated=channel < 3)
+            good = np.isfinite(s)
+            white = np.where(good[:, None], e / np.sqrt(np.where(good, s, 1.0))[:, None], 0.0)
+            parts.append(np.fft.irfft(np.fft.rfft(white, axis=0) * gain[:, None], len(white), axis=0))
+        return np.concatenate(parts)
+
+    def spread(self, columns: Array) -> tuple[Array, Array]:
+        """How the energy of whitened columns (rows, p), each of size one, lies over channels and bands, and each one's degrees of freedom.
+
+        Both of shape (channels * bands,).
+        """
+        power = np.abs(np.fft.rfft(columns.reshape(len(self.channels), -1, columns.shape[1]), axis=1)) ** 2
+        by_band = np.stack([power[:, band].sum(axis=1) for band in self.bands], axis=1)
+        total = by_band.sum(axis=(0, 1))
+        energy = np.sum(by_band / np.where(total > 0.0, total, 1.0), axis=-1)
+        freedom = np.tile([2.0 * (band.stop - band.start) for band in self.bands], len(self.channels))
+        return energy.ravel(), freedom
+
+    def explained(self, columns: Array, basis: Array) -> Array:
+        """What a basis tells of whitened columns, channel by channel, by least squares."""
+        rows = len(self.channels)
+        out = np.zeros_like(columns)
+        for part, c, b in zip(*(a.reshape(rows, -1, a.shape[1]) for a in (out, columns, basis)), strict=True):
+            q = orthonormal(b)
+            part[:] = q @ (q.T @ c)
+        return out
+
+    def _fitted_colours(self, residual: Array, nuisance: Array) -> list[Colour]:
+        """Noise of each channel from what generic columns leave of the residual.
+
+        Whitened at first by a disturbance of 0.3 s, so that slow effects go into the columns and not into the noise, or by none
+        to speak of, as where sensors are noisier than the air; the likelier goes on.
+        """
+        random = np.random.default_rng(SEED)
+        found: list[Colour] = []
+        for channel in self.channels:
+            columns = nuisance[:, channel, :]
+            columns = columns[:, np.any(columns != 0.0, axis=0)]
+            z = residual[:, channel]
+            step = float(np.median(self._dt)) if channel < 3 else 1.0
+            size = float(np.std(np.diff(z))) + 1e-9
+            rough = size / step
+            starts = (
+                Colour(rough, 0.3, 1e-3 * rough, 0.1 * size),
+                Colour(1e-2 * rough, 0.3, 1e-3 * rough, size / np.sqrt(2.0)),
+            )
+            tried = [self._recoloured(z, columns, start, channel) for start in starts]
+            colour = min(tried, key=lambda item: item[1])[0]
+            for _ in range(REFILLS):
+                colour = self._recoloured(z, columns, colour, channel, random)[0]
+            found.append(colour)
+        return found
+
+    def _recoloured(
+        self, z: Array, columns: Array, colour: Colour, channel: int, random: np.random.Generator | None = None
+    ) -> tuple[Colour, float]:
+        """Noise of what columns leave when they are fitted under a given noise, and half its minus-log-likelihood.
+
+        With ``random`` what they take of the noise is put back (:func:`coefficients`), and the search starts from the given noise.
+        """
+        integrated = channel < 3
+        stacked = np.concatenate([z[:, None], columns], axis=1)
+        e, s = innovations(stacked, self._dt, self._restart, colour, integrated=integrated)
+        good = np.isfinite(s)
+        white = e[good] / np.sqrt(s[good])[:, None]
+        left = z - columns @ coefficients(white[:, 1:], white[:, 0], random)
+        start = None if random is None else colour
+        found = fit_colour(left, self._dt, self._restart, integrated=integrated, start=start)
+        return found, minus_log_likelihood(left, self._dt, self._restart, found, integrated)
+
+    def _fitted_gains(self, residual: Array, nuisance: Array) -> Array:
+        """What is left of each channel's colour behind its noise model: a filter (channels, frequencies) that whitens the rest.
+
+        A disturbance need not be of first order. The periodogram of what generic columns leave, with what they took put back, is
+        averaged over bands.
+        """
+        rows = len(self.channels)
+        white = self.apply(residual[:, :, None]).reshape(rows, -1)
+        columns = self.apply(nuisance).reshape(rows, white.shape[1], -1)
+        random = np.random.default_rng(SEED)
+        out = np.ones_like(self._gains)
+        for gain, y, x in zip(out, white, columns, strict=True):
+            power = np.abs(np.fft.rfft(y - x @ coefficients(x, y, random))) ** 2 / len(y)
+            for band in self.bands:
+                gain[band] = 1.0 / np.sqrt(np.mean(power[band]) + 1e-12)
+        return out
+
+
+def bands_of(count: int) -> list[slice]:
+    """Frequencies of a periodogram in bands, each an eighth of its own frequency wide, or BAND_BINS."""
+    out, first = [], 0
+    while first < count:
+        last = first + max(BAND_BINS, first // 8)
+        if count - last < BAND_BINS:
+            last = count
+        out.append(slice(first, last))
+        first = last
+    return out
+
+
+def coefficients(columns: Array, y: Array, random: np.random.Generator | None) -> Array:
+    """Least-squares coefficients of whitened columns; with ``random`` a draw from their posterior instead of its mean.
+
+    A fit of p columns takes p degrees of freedom out of the noise, nearly all of them at the low frequencies where they live. The
+    draw puts as much back, so that a noise model fitted to what is left is right on average (data augmentation: Tanner and
+    Wong 1987; its limit is restricted maximum likelihood, Patterson and Thompson 1971).
+
+    Args:
+        columns: (rows, p), a column without innovations may be zero. y: (rows,), of unit variance if the noise is right.
+    """
+    scale = np.linalg.norm(columns, axis=0)
+    shown = scale > 1e-9 * scale.max(initial=1e-300)
+    values, vectors = np.linalg.eigh((columns[:, shown] / scale[shown]).T @ (columns[:, shown] / scale[shown]))
+    kept = values > 1e-8 * values[-1]
+    root = vectors[:, kept] / np.sqrt(values[kept])  # of the inverse information
+    inside = root.T @ (columns[:, shown].T @ y / scale[shown])
+    if random is not None:
+        inside = inside + random.standard_normal(len(inside))
+    theta = np.zeros(columns.shape[1])
+    theta[shown] = root @ inside / scale[shown]
+    return theta
+
+
+def orthonormal(basis: Array) -> Array:
+    """An orthonormal basis of what columns span."""
+    size = np.linalg.norm(basis, axis=0)
+    used = basis[:, size > 1e-7 * max(float(size.max(initial=0.0)), 1e-30)]
+    if used.shape[1] == 0 or float(size.max()) < 1e-12:
+        return np.zeros((len(basis), 0))
+    used = used / np.linalg.norm(used, axis=0)
+    values, vectors = np.linalg.eigh(used.T @ used)
+    keep = values > 1e-6 * values[-1]
+    return used @ (vectors[:, keep] / np.sqrt(values[keep]))
