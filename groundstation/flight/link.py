@@ -12,7 +12,6 @@ vehicle is landed, parameters are restored, and the process ends.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import gc
 import os
 import queue
@@ -50,6 +49,10 @@ ORDER_S = 4.6
 RESTORE_S = 5.0
 LOST_S = 180.0
 """With the core gone, a vehicle not heard for so long is beyond this link: its battery or its own failsafe has ended it."""
+NOT_AHEAD = (
+    "link: the system does not let it run ahead of other programs, and setpoints leave less evenly on a busy machine; "
+    "a line 'USER - nice -10' in /etc/security/limits.conf allows it"
+)
 SWITCH_S = 2e-4
 """A thread that publishes or logs gives the interpreter up so soon; the default, 5 ms, is how late setpoints left."""
 
@@ -103,6 +106,7 @@ class LinkProcess:
         self._core_seen = False
         self._core_gone_s: float | None = None
         self._motor_kind: str | None = None
+        self._notes: tuple[str, ...] = ()
         self._log = raw_log.open("ab", buffering=0) if raw_log is not None else None
         self._log_failed = False
         self._logger = Writer("raw log", self._write_log) if self._log is not None else None
@@ -111,8 +115,10 @@ class LinkProcess:
 
     def run(self, endpoint: str) -> int:
         """Serve the core at an endpoint; returns the exit status."""
-        with contextlib.suppress(OSError):
+        try:
             os.setpriority(os.PRIO_PROCESS, 0, -10)  # ahead of the analysis, where the system allows it
+        except OSError:
+            self._notes = (NOT_AHEAD,)
         sys.setswitchinterval(SWITCH_S)
         gc.freeze()
         gc.disable()  # collections of a long run would delay setpoints; samples hold no cycles
@@ -171,7 +177,7 @@ class LinkProcess:
             motor_kind=self.motor_kind(),  # type: ignore[arg-type]
             real_time=True,
             scenario=f"mavlink {name}",
-            notes=self.core.preparation.notes if self.core.preparation is not None else (),
+            notes=(*self._notes, *(self.core.preparation.notes if self.core.preparation is not None else ())),
         )
 
     def motor_kind(self) -> str:
