@@ -28,6 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from flights import flight_data  # pyright: ignore[reportMissingImports]
 
+from benchmarks.study import IMU_NOISE
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.attribution import candidates
 from groundstation.diagnosis.effect import library
@@ -161,12 +162,7 @@ def world(random: Random, hidden: dict[str, Table]) -> Scenario:
         {
             "name": "unknown",
             "imu": {
-                "gyro_density": 1e-4,
-                "accel_density": 1.5e-3,
-                "gyro_bias_std": 2e-3,
-                "accel_bias_std": 2e-2,
-                "gyro_walk": 2e-5,
-                "accel_walk": 2e-4,
+                **IMU_NOISE,
                 "clock": clock(2e-5),
             },
             "mocap": {

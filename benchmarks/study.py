@@ -38,6 +38,15 @@ METHODS = ("LS", "GD", "FMLS", "FMGD", "OE", "FE", "IV", "best")
 DIAGONAL = ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
 PRODUCTS = ("ixy_kg_m2", "ixz_kg_m2", "iyz_kg_m2")
 HALF_95 = 1.959964
+IMU_NOISE = {
+    "gyro_density": 1e-4,
+    "accel_density": 1.5e-3,
+    "gyro_bias_std": 2e-3,
+    "accel_bias_std": 2e-2,
+    "gyro_walk": 2e-5,
+    "accel_walk": 2e-4,
+}
+"""Of a usual MEMS unit, as a scenario's section takes it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,12 +129,7 @@ def draw_scenario(random: np.random.Generator, vehicle: Vehicle, rate_hz: float 
             "name": "study",
             "imu": {
                 "rate_hz": rate_hz,
-                "gyro_density": 1e-4,
-                "accel_density": 1.5e-3,
-                "gyro_bias_std": 2e-3,
-                "accel_bias_std": 2e-2,
-                "gyro_walk": 2e-5,
-                "accel_walk": 2e-4,
+                **IMU_NOISE,
                 "clock": {"jitter_s": 2e-5, "latency_s": 0.002, "latency_jitter_s": 5e-4},
             },
             "mocap": {
