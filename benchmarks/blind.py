@@ -142,7 +142,7 @@ def sizes(vehicle: Vehicle) -> dict[str, Callable[[Random], Table]]:
         "mocap_tilt": lambda r: {"tilt_rad": [_signed(r, 0.008, 0.03), _signed(r, 0.008, 0.03)]},
         "attracting_wall": lambda r: {"strength_n_m3": per(weight, 0.06, 0.2)(r), "distance_m": per(1.0, 1.0, 1.6)(r)},
         "thrust_memory": lambda r: {"width_share": per(1.0, 0.04, 0.1)(r)},
-        "magnet": lambda r: {"strength_n_m4": per(weight, 0.002, 0.01)(r), "position_m": [0.4, 0.2, 0.4]},
+        "magnet": lambda r: {"strength_n_m4": per(weight, 0.0005, 0.003)(r), "position_m": [0.4, 0.2, 0.4]},
     }
 
 
