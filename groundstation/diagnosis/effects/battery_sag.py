@@ -10,8 +10,10 @@ from groundstation.vehicle import Vehicle
 
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
-    full = vehicle.battery.full_v or float(np.nanmax(signals.voltage_v))
     out = blank(signals)
+    if not np.isfinite(signals.voltage_v).all():
+        return np.full_like(out, np.nan)
+    full = vehicle.battery.full_v or float(np.max(signals.voltage_v))
     out[:, :, 0] = from_thrust(vehicle, signals.thrust_n * ((signals.voltage_v[:, None] / full) ** 2 - 1.0))
     return out
 
