@@ -30,6 +30,7 @@ class Station:
         self._credit = bus.Credit(0.0)
         self._heard_s: float | None = None
         self._gone = False
+        self._left = False
 
     def on_credit(self, credit: bus.Credit) -> None:
         """The core grants time. A grant may arrive after the word that its core is gone; only a token takes that back."""
@@ -41,6 +42,7 @@ class Station:
         """The core's liveliness token came or went."""
         with self._changed:
             self._gone = not here
+            self._left |= not here
             self._changed.notify()
 
     @property
@@ -49,6 +51,12 @@ class Station:
         if self._heard_s is None:
             return False
         return self._gone or self._clock() - self._heard_s > bus.CREDIT_TIMEOUT_S
+
+    def take_leave(self) -> bool:
+        """Whether the core has left since this was last asked, even if another has come meanwhile."""
+        with self._changed:
+            left, self._left = self._left, False
+            return left
 
     @property
     def credit_s(self) -> float:
@@ -106,18 +114,20 @@ class DroneProcess:
         alone_since: float | None = None
         while not self._ending.is_set():
             lost = self.station.lost
+            orphaned = self.station.take_leave() or lost
             if lost and not self.drone.airborne:
                 alone_since = self._clock() if alone_since is None else alone_since
                 if self._clock() - alone_since > linger_s:
                     return
             elif not lost:
                 alone_since = None
+            with self._lock:
+                if orphaned and (self.drone.airborne or self.drone.armed):
+                    self.drone.land("the station is gone; landing by itself")
             if not self._may_run(lost):
                 self.station.wait(0.05)
                 continue
             with self._lock:
-                if lost and (self.drone.airborne or self.drone.armed):
-                    self.drone.land("the station is gone; landing by itself")
                 self._advance()
 
     def _may_run(self, lost: bool) -> bool:

@@ -122,6 +122,8 @@ def test_a_grant_that_arrives_after_its_core_has_gone_does_not_bring_it_back():
     assert station.lost
     station.on_alive("gs/core/alive", True)
     assert not station.lost
+    assert station.take_leave()  # however soon another came: what flew for the first is orphaned, and told so once
+    assert not station.take_leave()
     wall.now += bus.CREDIT_TIMEOUT_S + 0.1
     assert station.lost
 

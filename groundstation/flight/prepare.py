@@ -13,6 +13,10 @@ from groundstation.flight.upload import Way, choose_way
 from groundstation.flight.view import VehicleView
 
 MEASURE_S = 2.5
+SELDOM = 0.75
+"""Share of the rate asked for under which a request is taken for lost; a line may lose a tenth."""
+AMPLE = 1.5
+"""What comes so many times as often as needed is left alone."""
 ROUNDS = 3
 _KEPT = frozenset(
     {"HEARTBEAT", "SYS_STATUS", "STATUSTEXT", "COMMAND_ACK", "COMMAND_LONG", "TIMESYNC", "AUTOPILOT_VERSION",
@@ -107,18 +111,24 @@ class Preparation:
             yield Ask((self._interval(name, rate),), acknowledges_interval, 0.5, 4)
 
     def _measure(self) -> Steps[None]:
-        """Count arrivals for a while; what is needed and did not come is asked for again.
+        """Count arrivals for a while; what is needed and comes by far too seldom is asked for again.
 
         An acknowledgement does not say of which message: a doubled one stands for a request that was lost.
         """
-        needed = [wish.name for wish in self.view.profile.streams if wish.needed_hz > 0.0]
+        least_hz = {
+            w.name: min(AMPLE * w.needed_hz, SELDOM * self.rates[w.name])
+            for w in self.view.profile.streams
+            if w.needed_hz > 0.0
+        }
         for _ in range(ROUNDS):
-            before = {name: self._count(name) for name in needed}
+            before = {name: self._count(name) for name in least_hz}
             yield Ask((), lambda _m: False, MEASURE_S, 1)
-            silent = [name for name in needed if self._count(name) == before[name]]
-            if not silent:
+            seldom = [
+                name for name, rate_hz in least_hz.items() if self._count(name) - before[name] <= rate_hz * MEASURE_S
+            ]
+            if not seldom:
                 return
-            for name in silent:
+            for name in seldom:
                 yield Ask((self._interval(name, self.rates[name]),), acknowledges_interval, 0.5, 4)
 
     def _count(self, name: str) -> int:
