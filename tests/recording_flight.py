@@ -81,3 +81,17 @@ def flight(duration_s: float = 6.0, seed: int = 0, scale: float = 1.0) -> Flight
         truth=vehicle,
         metadata={"scenario": "kinematic"},
     )
+
+
+def changes_agree(flown, vehicle, lag_s, axes):
+    """Correlation of the gyro's changes over 50 ms with those the rotors' torques make, per axis."""
+    t = flown.imu.t_s
+    held = np.clip(np.searchsorted(flown.motors.t_s + lag_s, t, side="right") - 1, 0, None)
+    torque = (vehicle.thrust(flown.motors.values) @ vehicle.allocation().T)[held, 1:]
+    predicted = np.cumsum(torque[:-1] * np.diff(t)[:, None], axis=0) / np.diag(vehicle.inertia_tensor())
+    step = round(0.05 / np.median(np.diff(t)))
+    made = flown.imu.values[1:, :3]
+    return [
+        float(np.corrcoef(made[step:, a] - made[:-step, a], predicted[step:, a] - predicted[:-step, a])[0, 1])
+        for a in axes
+    ]

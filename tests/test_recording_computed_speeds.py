@@ -15,7 +15,7 @@ from groundstation.recording import read_recording, write_mcap
 from groundstation.recording.computed_speeds import COMMANDS, commands_behind, computed_gain
 from groundstation.recording.recorder import McapRecorder
 from tests.recording_flight import flight
-from tests.test_recording_importers import quad
+from tests.test_recording_autopilots import quad
 
 RPM = 2.0 * np.pi / 60.0
 

@@ -12,7 +12,8 @@ from groundstation.errors import BadInput
 from groundstation.recording import load_flight, write_bundle, write_mcap
 from groundstation.recording.csvfile import parse_csv
 from tests.recording_flight import flight
-from tests.test_recording_importers import IMU_VARIABLES, quad, usd, write_dataflash, write_ulog
+from tests.test_recording_autopilots import quad, write_dataflash, write_ulog
+from tests.test_recording_crazyflie import IMU_VARIABLES, usd
 
 
 @pytest.fixture(scope="module")

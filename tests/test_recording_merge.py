@@ -11,7 +11,7 @@ from groundstation.flightdata import Stream, motor_columns
 from groundstation.recording import load_flight, write_mcap
 from groundstation.recording.merge import clock_offset
 from tests.recording_flight import flight
-from tests.test_recording_importers import MOTOR_OF_ROTOR, motor_commands, quad, write_dataflash, write_ulog
+from tests.test_recording_autopilots import MOTOR_OF_ROTOR, motor_commands, quad, write_dataflash, write_ulog
 
 
 def over_a_slow_link(made):

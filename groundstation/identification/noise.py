@@ -151,6 +151,14 @@ def innovations(
 
 
 @njit(cache=True)
+def _take_logarithm(cost: Array, product: Array) -> None:
+    """Move products of variances into the costs before they leave the range of floats; both of shape (n,)."""
+    for n in range(len(cost)):
+        cost[n] += 0.5 * np.log(product[n])
+        product[n] = 1.0
+
+
+@njit(cache=True)
 def _integrated_costs(z: Array, dt: Array, phi: Array, restart: NDArray[np.bool_], noises: Array) -> Array:
     """:func:`minus_log_likelihood` of an integrated channel z (k,) under each of several noises (n, 4), shape (n,).
 
@@ -162,9 +170,7 @@ def _integrated_costs(z: Array, dt: Array, phi: Array, restart: NDArray[np.bool_
     cost, product = np.zeros(lanes), np.ones(lanes)
     for i in range(len(z)):
         if i % LOGARITHM_EVERY == 0:
-            for n in range(lanes):
-                cost[n] += 0.5 * np.log(product[n])
-                product[n] = 1.0
+            _take_logarithm(cost, product)
         if restart[i] or i == 0:
             for n in range(lanes):
                 x0[n], x1[n] = z[i], 0.0
@@ -198,9 +204,7 @@ def _direct_costs(z: Array, dt: Array, phi: Array, restart: NDArray[np.bool_], n
     cost, product = np.zeros(lanes), np.ones(lanes)
     for i in range(len(z)):
         if i % LOGARITHM_EVERY == 0:
-            for n in range(lanes):
-                cost[n] += 0.5 * np.log(product[n])
-                product[n] = 1.0
+            _take_logarithm(cost, product)
         fresh = restart[i] or i == 0
         h = 1.0 if fresh else dt[i]
         for n in range(lanes):

@@ -64,7 +64,6 @@ def serve_serial(exchange: HilExchange, line: SerialTransport, stopped: Callable
         for _, data in line.read():
             exchange.receive(data)
         line.write(exchange.step())
-        line.wait(max(0.0, exchange.time_us * 1e-6 - (time.monotonic() - begun)))
         time.sleep(max(0.0, exchange.time_us * 1e-6 - (time.monotonic() - begun)))
 
 

@@ -1,10 +1,8 @@
-"""Logs of other programs: planted flights come back in this program's frames, order and units; measured ones obey physics."""
+"""Logs of PX4 and ArduPilot: planted flights come back in this program's frames, order and units; measured ones obey physics."""
 
 from __future__ import annotations
 
 import math
-import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +11,13 @@ import pytest
 from groundstation.errors import BadInput
 from groundstation.frames import matrix_from_quat, quat_rotate
 from groundstation.paths import configs_dir
-from groundstation.recording import convert, load_flight, read_recording
-from groundstation.recording.derive import body_rates, slerp
+from groundstation.recording import convert, load_flight
+from groundstation.recording.derive import body_rates
 from groundstation.recording.recorded import vehicle_file
 from groundstation.vehicle import load_vehicle, vehicle_from_dict, vehicle_to_dict
 from sim.mavlink.dataflash import DataFlashWriter
 from sim.mavlink.ulog import ULogWriter
-from tests.recording_flight import flight
+from tests.recording_flight import changes_agree, flight
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured flights are not at {DATA}")
@@ -299,172 +297,15 @@ def test_a_damaged_ardupilot_log_is_read_to_the_cut_or_refused(tmp_path, made):
         load_flight(path, vehicle=quad())
 
 
-def usd(rows, variables, version=2, event=b"fixedFrequency"):
-    """A usd log from rows of (time in its unit, values...)."""
-    out = bytearray(struct.pack("<BHHH", 0xBC, version, 2, 0xFFFF) + event + b"\0" + struct.pack("<H", len(variables)))
-    out += b"".join(f"{name}({kind})".encode() + b"\0" for name, kind in variables)
-    out += struct.pack("<H", 12) + b"modeChanged\0" + struct.pack("<H", 1) + b"mode(B)\0"
-    packer = struct.Struct("<H" + ("I" if version == 1 else "Q") + "".join(kind for _, kind in variables))
-    for k, row in enumerate(rows):
-        out += packer.pack(0xFFFF, *row)
-        if k % 7 == 3:  # events of another kind lie between
-            out += struct.pack("<H" + ("I" if version == 1 else "Q") + "B", 12, row[0], 1)
-    return bytes(out) + struct.pack("<I", zlib.crc32(bytes(out)))
-
-
-IMU_VARIABLES = [
-    *((f"acc.{axis}", "f") for axis in "xyz"),
-    *((f"gyro.{axis}", "f") for axis in "xyz"),
-    *((f"motor.m{i}", "H") for i in range(1, 5)),
-]
-
-
-@pytest.fixture(scope="module")
-def crazyflie():
-    return load_vehicle(configs_dir() / "vehicles" / "crazyflie21.toml")
-
-
-@pytest.mark.parametrize(("version", "per_second"), [(1, 1e3), (2, 1e6)])
-def test_a_usd_log_is_decoded_by_its_own_header(tmp_path, crazyflie, version, per_second):
-    rng = np.random.default_rng(0)
-    t = (5.0 + np.arange(200) / 500.0) * per_second
-    values = rng.normal(size=(200, 6)) * 0.01 + [0.0, 0.0, 1.0, 5.0, -7.0, 11.0]
-    motors = rng.integers(20000, 40000, (200, 4))
-    rows = [(int(t[k]), *values[k], *motors[k].tolist()) for k in range(200)]
-    path = tmp_path / "log00"
-    path.write_bytes(usd(rows, IMU_VARIABLES, version))
-    loaded = load_flight(path, vehicle=crazyflie)
-    assert loaded.notes == ()
-    assert np.array_equal(loaded.imu.t_s, t.astype(np.int64) / per_second)
-    assert np.allclose(loaded.imu.values[:, 3:], values[:, :3] * 9.80665, atol=1e-5)
-    assert np.allclose(loaded.imu.values[:, :3], np.radians(values[:, 3:]), atol=1e-6)
-    assert np.allclose(loaded.motors.values, motors / 65535.0)
-    assert np.allclose(loaded.extras["usd_fixedFrequency"].column("gyro.y"), values[:, 4], atol=1e-5)
-
-
-def test_commands_of_a_firmware_that_compensates_the_battery_are_the_voltage_its_motors_got(tmp_path, crazyflie):
-    """motor.* asks for thrust, and pwm.* is what makes it: the same request at half the voltage is the same command."""
-    widths = [f"pwm.m{i}_pwm" for i in range(1, 5)]
-    variables = [*IMU_VARIABLES, *((name, "H") for name in widths), ("pm.vbatMV", "H")]
-    still, asked = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0], [30000, 31000, 32000, 33000]
-    rows = [
-        (2000 * k, *still, *asked, *(v * (2 if k >= 50 else 1) for v in (10000, 11000, 12000, 13000)), volts)
-        for k in range(100)
-        for volts in [2000 if k >= 50 else 4000]
-    ]
-    path = tmp_path / "log00"
-    path.write_bytes(usd(rows, variables))
-    loaded = load_flight(path, vehicle=crazyflie)
-    expected = np.array([10000, 11000, 12000, 13000]) / 65535.0 * 4.0 / crazyflie.battery.full_v
-    assert np.allclose(loaded.motors.values, expected)
-    assert any("voltage applied" in note for note in loaded.notes)
-    unknown = crazyflie.model_copy(update={"battery": crazyflie.battery.model_copy(update={"full_v": None})})
-    assert np.allclose(load_flight(path, vehicle=unknown).motors.values, np.array(asked) / 65535.0)
-
-
-def test_a_usd_log_cut_off_is_read_up_to_the_cut(tmp_path, crazyflie):
-    rows = [(1000 * k, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1, 2, 3, 4) for k in range(300)]
-    data = usd(rows, IMU_VARIABLES)
-    path = tmp_path / "log00"
-    path.write_bytes(data[: len(data) // 2])
-    recording = read_recording(path, crazyflie)
-    assert 100 < len(recording.streams["imu"]) < 160
-    assert any("cut off" in note for note in recording.notes)
-
-
-def test_a_usd_log_without_motors_or_with_a_broken_header_is_refused(tmp_path, crazyflie):
-    path = tmp_path / "log00"
-    path.write_bytes(usd([(1, 1.0)], [("acc.x", "f")]))
-    with pytest.raises(BadInput, match=r"no motor values.*acc\.x"):
-        load_flight(path, vehicle=crazyflie)
-    path.write_bytes(struct.pack("<BHH", 0xBC, 2, 9) + b"\xff" * 30)
-    with pytest.raises(BadInput, match="header is damaged"):
-        load_flight(path, vehicle=crazyflie)
-
-
-@pytest.mark.parametrize("name", ["a.ulg", "a.bin", "log00"])
+@pytest.mark.parametrize("name", ["a.ulg", "a.bin"])
 def test_a_log_that_carries_no_vehicle_asks_for_one(tmp_path, made, name):
     path = tmp_path / name
     if name == "a.ulg":
         write_ulog(path, made)
-    elif name == "a.bin":
-        write_dataflash(path, made)
     else:
-        path.write_bytes(usd([(1, *[0.0] * 6, 1, 2, 3, 4)], IMU_VARIABLES))
+        write_dataflash(path, made)
     with pytest.raises(BadInput, match="--vehicle"):
         load_flight(path)
-
-
-def test_pitch_is_found_again_from_acceleration_and_yaw(tmp_path, crazyflie):
-    """A planted flight whose thrust is the only force besides gravity: the derived pitch is the true one."""
-    made = flight(4.0)
-    q = made.state.values[:, 6:10]
-    from groundstation.frames import euler_from_quat
-
-    roll, pitch, yaw = euler_from_quat(q).T
-    direction = quat_rotate(q, np.broadcast_to([0.0, 0.0, 1.0], (len(q), 3)))
-    thrust = 1.0 + 0.1 * np.sin(np.arange(len(q)) / 9.0)
-    acceleration = direction * thrust[:, None] - [0.0, 0.0, 1.0]  # in g, gravity removed
-    names = ["x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "roll", "yaw"]
-    columns = np.column_stack([made.state.values[:, :6], acceleration, np.degrees(roll), np.degrees(yaw)])
-    rows = [(10_000 * k, *columns[k], 1, 2, 3, 4) for k in range(len(q))]
-    variables = [*((f"stateEstimate.{name}", "f") for name in names), *IMU_VARIABLES[6:]]
-    path = tmp_path / "log00"
-    path.write_bytes(usd(rows, variables))
-    loaded = load_flight(path, vehicle=crazyflie)
-    derived = euler_from_quat(loaded.state.values[:, 6:10])
-    assert np.allclose(derived[:, 1], pitch, atol=2e-4)
-    assert np.allclose(derived[:, 0], roll, atol=1e-5)
-    assert any("pitch was not logged" in note for note in loaded.notes)
-    assert any("misses the logged roll by 0.0 degrees" in note for note in loaded.notes)
-
-
-def test_rates_from_attitude_are_exact_for_a_constant_rate():
-    rate = np.array([0.7, -1.3, 2.1])
-    t = np.sort(np.random.default_rng(1).uniform(0.0, 2.0, 50))
-    angle = np.linalg.norm(rate) * t
-    q = np.column_stack([np.cos(angle / 2), np.sin(angle / 2)[:, None] * rate / np.linalg.norm(rate)])
-    assert np.allclose(body_rates(t, q), rate, atol=1e-9)
-    at = np.linspace(t[0], t[-1], 33)
-    angle = np.linalg.norm(rate) * at
-    truth = np.column_stack([np.cos(angle / 2), np.sin(angle / 2)[:, None] * rate / np.linalg.norm(rate)])
-    assert same_attitude(slerp(t, q, at), truth, 1e-6)
-
-
-def _changes_agree(flown, vehicle, lag_s, axes):
-    """Correlation of the gyro's changes over 50 ms with those the rotors' torques make, per axis."""
-    t = flown.imu.t_s
-    held = np.clip(np.searchsorted(flown.motors.t_s + lag_s, t, side="right") - 1, 0, None)
-    torque = (vehicle.thrust(flown.motors.values) @ vehicle.allocation().T)[held, 1:]
-    predicted = np.cumsum(torque[:-1] * np.diff(t)[:, None], axis=0) / np.diag(vehicle.inertia_tensor())
-    step = round(0.05 / np.median(np.diff(t)))
-    made = flown.imu.values[1:, :3]
-    return [
-        float(np.corrcoef(made[step:, a] - made[:-step, a], predicted[step:, a] - predicted[:-step, a])[0, 1])
-        for a in axes
-    ]
-
-
-@needs_data
-def test_the_measured_crazyflie_turns_the_way_its_rotors_push(crazyflie):
-    flown = load_flight(DATA / "crazyflie-1khz" / "log15", vehicle=crazyflie, start_s=55.0, end_s=90.0)
-    assert flown.imu.rate_hz() == pytest.approx(1000.0, rel=0.02)
-    assert np.median(flown.imu.column("accel_z_m_s2")) == pytest.approx(9.8, abs=1.0)
-    assert min(_changes_agree(flown, crazyflie, 0.04, (0, 1))) > 0.6
-    yaw = load_flight(DATA / "crazyflie-1khz" / "log16", vehicle=crazyflie, start_s=32.0, end_s=38.0)
-    assert _changes_agree(yaw, crazyflie, 0.04, (2,))[0] > 0.6
-
-
-@needs_data
-@pytest.mark.parametrize("name", ["normal_flight/E9_log00", "cut_propeller_M3_4mm_4mm_39mm/E8_log01"])
-def test_the_measured_crazypad_flights_are_read(crazyflie, name):
-    flown = load_flight(DATA / "crazypad" / name, vehicle=crazyflie)
-    assert flown.imu is None
-    assert 3.0 < np.median(flown.battery.column("voltage_v")) < 4.3
-    moving = flown.state.column("z_m") > 0.2
-    velocity = np.gradient(flown.state.column("x_m"), flown.state.t_s)
-    assert np.corrcoef(velocity[moving], flown.state.column("vx_m_s")[moving])[0, 1] > 0.9
-    assert any("pitch was not logged" in note for note in flown.notes)
 
 
 def sih():
@@ -495,7 +336,7 @@ def test_the_px4_flight_obeys_newton_in_our_frames():
     gyro = np.column_stack([np.interp(pose.t_s, imu.t_s, column) for column in _smooth(imu.values[:, :3], 10).T])
     for axis in range(3):
         assert np.corrcoef(turned[:, axis], gyro[:, axis])[0, 1] > 0.9, axis
-    assert min(_changes_agree(flown, vehicle, 0.04, (0, 1, 2))) > 0.6
+    assert min(changes_agree(flown, vehicle, 0.04, (0, 1, 2))) > 0.6
     lift = np.interp(pose.t_s, flown.motors.t_s, np.sum(vehicle.thrust(flown.motors.values), axis=1))
     upright = matrix_from_quat(pose.values[:, 3:])[:, 2, 2]
     assert np.mean(lift * upright) == pytest.approx(9.80665, rel=0.03)  # 1 kg, on average neither rising nor falling
