@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import importlib
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from groundstation.diagnosis import effect as effects_module
-from groundstation.diagnosis.attribution import candidates
-from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, library, wrench_of
+from groundstation.diagnosis.attribution import MATERIAL, candidates
+from groundstation.diagnosis.effect import (
+    Effect,
+    FittedEffect,
+    ParameterInfo,
+    SensorEffect,
+    blank,
+    catalogue,
+    library,
+    wrench_of,
+)
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
 from groundstation.identification.record_model import initial_parameters
 from groundstation.identification.results import Estimate
@@ -21,6 +31,14 @@ from groundstation.vehicle import load_vehicle
 VEHICLE = load_vehicle(find_config("vehicles", "x500"))
 HOVER_N = VEHICLE.mass_kg * VEHICLE.gravity_m_s2 / VEHICLE.rotors.count
 
+IDENTIFIERS = (
+    "motor_lag", "input_delay", "clock_offset", "rotor_drag", "body_drag", "flapping_moment", "angular_damping",
+    "translational_lift", "climb_inflow", "ground_effect", "wind", "weak_rotor", "thrust_scale", "torque_scale",
+    "thrust_curve", "rotor_degradation", "com_offset", "rotor_gyroscopic", "battery_sag", "payload_change", "slung_load",
+    "tether", "constant_wrench", "imu_misalignment", "mocap_misalignment", "mocap_tilt",
+)  # fmt: skip
+UNITS = ("_s", "_m", "_n", "_nm", "_nms", "_nm_s_m", "_n_m", "_kg", "_kg_s", "_kg_m", "_kg_m2", "_rad", "_s2_m2")
+RATIOS = {"clock_drift", "strength", "loss", "exponent", "exponent_error", "thrust_scale", "torque_scale"}
 
 TOY = '''"""A toy."""
 
@@ -85,6 +103,43 @@ def _wrench(name: str, signals: Signals, **settings: float) -> np.ndarray:
     return effect.wrench(signals, VEHICLE, settings or dict(effect.variants(signals, VEHICLE)[0]))
 
 
+def test_every_identifier_of_the_vocabulary_has_its_file_and_no_file_has_another():
+    files = importlib.import_module("groundstation.diagnosis.effects").__path__[0]
+    assert {path.stem for path in Path(files).glob("[!_]*.py")} == set(IDENTIFIERS) == set(catalogue())
+
+
+@pytest.mark.parametrize("name", IDENTIFIERS)
+def test_every_file_says_what_the_effect_is_where_it_is_from_and_what_reveals_it(name):
+    effect = catalogue()[name]
+    assert (
+        effect.identifier
+        == name
+        == importlib.import_module(f"groundstation.diagnosis.effects.{name}").EFFECT.identifier
+    )
+    assert effect.equation and effect.source and effect.manoeuvre
+    assert effect.confused_with and set(effect.confused_with) <= set(IDENTIFIERS) - {name}
+    assert effect.parameters
+    for parameter in effect.parameters:
+        assert parameter.name.endswith(UNITS) or parameter.name in RATIOS, parameter.name
+        assert parameter.plausible[0] < parameter.plausible[1]
+
+
+def test_what_the_base_fit_or_the_sensors_show_has_a_least_size_and_a_sentence():
+    for effect in catalogue().values():
+        shown = (
+            effect.readings
+            if isinstance(effect, SensorEffect)
+            else [effect]
+            if isinstance(effect, FittedEffect)
+            else []
+        )
+        assert all(item.least > 0.0 and item.sentence for item in shown)
+        if isinstance(effect, SensorEffect):
+            assert {n for r in effect.readings for n in (*r.parameters, *r.beside)} == set(effect.names())
+    scale = catalogue()["thrust_scale"]
+    assert isinstance(scale, FittedEffect) and scale.least == MATERIAL
+
+
 @pytest.mark.parametrize("name", sorted(library()))
 def test_every_effect_gives_a_finite_wrench_for_each_parameter_and_says_where_it_is_from(name):
     effect, signals = library()[name], _random_signals()
@@ -93,10 +148,9 @@ def test_every_effect_gives_a_finite_wrench_for_each_parameter_and_says_where_it
         assert wrench.shape == (200, 6, len(effect.parameters))
         assert np.isfinite(wrench).all()
         assert np.any(wrench != 0.0)
-    assert effect.source and effect.manoeuvre and effect.equation
     values = {n: "1" for n in effect.names()} | {n: "1" for n in effect.variants(signals, VEHICLE)[0]}
     assert "{" not in effect.sentence.format(**values)
-    assert all(p.prior_std(VEHICLE) > 0.0 and p.plausible[0] < p.plausible[1] for p in effect.parameters)
+    assert all(0.0 < p.prior_std(VEHICLE) < np.inf for p in effect.parameters)
 
 
 def test_air_resists_motion_in_every_attitude_and_gives_it_no_energy():
@@ -265,7 +319,14 @@ def test_measured_speeds_have_their_lag_behind_them_and_commanded_ones_ahead():
 
 def test_a_toy_effect_can_stand_for_the_library():
     toy = Effect(
-        "toy", "F = k", "none", (ParameterInfo("k_n", lambda v: 1.0),), lambda s, v, o: blank(s), "{k_n}", (), "none"
+        identifier="toy",
+        equation="F = k",
+        source="none",
+        parameters=(ParameterInfo("k_n", lambda v: 1.0),),
+        wrench=lambda signals, vehicle, settings: blank(signals),
+        sentence="{k_n}",
+        confused_with=(),
+        manoeuvre="none",
     )
     assert [c.identifier for c in candidates(VEHICLE, _signals(), effects=[toy])] == ["toy"]
 

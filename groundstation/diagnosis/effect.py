@@ -1,7 +1,8 @@
-"""What an effect is to the diagnosis: a wrench per unit of each parameter, computed from the signals of a flight.
+"""What an effect is to the diagnosis, and all of them.
 
-One file per effect in ``effects/``; each defines ``EFFECT``. Adding an effect is adding a file. None of them shares a line
-with the simulator.
+One file per identifier of the effects' vocabulary in ``effects/``; each defines ``EFFECT``, by what shows it: a force or torque
+(:class:`Effect`), the sensors among themselves (:class:`SensorEffect`), the base fit (:class:`FittedEffect`), or nothing that flies
+(:class:`EffectInfo`). Adding one is adding a file. None of them shares a line with the simulator.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,69 +20,134 @@ from numpy.typing import NDArray
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
+if TYPE_CHECKING:  # the preparation is heavy to import, and only its type is needed
+    from groundstation.identification.preparation import Prepared
+
 Array = NDArray[np.float64]
 Settings = Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterInfo:
-    """A parameter of an effect: name with unit last, scale of its prior, and what is physically plausible."""
+    """A parameter of an effect: name with unit last, scale of its prior, and what is physically plausible.
+
+    The prior is the joint estimate's; infinite for what is estimated elsewhere. ``plausible`` is wide enough for every vehicle
+    from 20 g to 10 kg; a force or torque outside of it is not named.
+    """
 
     name: str
-    prior_std: Callable[[Vehicle], float]
+    prior_std: Callable[[Vehicle], float] = field(default=lambda vehicle: np.inf)
     plausible: tuple[float, float] = (-np.inf, np.inf)
 
 
-@dataclass(frozen=True, slots=True)
-class Effect:
-    """An effect that a rigid body with known thrusts leaves out.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EffectInfo:
+    """What is known of an effect before any flight; nothing more where no flight shows it.
 
     Attributes:
-        identifier: of effects.md.
+        identifier: of the effects' vocabulary.
         equation, source: the model and where it is from.
-        parameters: what is estimated, linearly.
-        wrench: (signals, vehicle, settings) -> body force and torque about the declared origin per unit of each
-            parameter, shape (k, 6, len(parameters)); NaN where the signals it needs are unknown.
-        variants: settings to try (a rotor, an instant, a length); one empty set for most effects.
-        finer: settings around one that was found, to look closer.
-        applies: whether this vehicle's inputs can show it at all.
+        parameters: what is estimated.
         confused_with: identifiers that look alike; manoeuvre: what tells it from them.
-        sentence: one sentence a pilot understands, with {parameter} places.
-        rests_on: identifiers of which one has to be there for it to mean anything (wind needs drag to be felt).
     """
 
     identifier: str
     equation: str
     source: str
     parameters: tuple[ParameterInfo, ...]
-    wrench: Callable[[Signals, Vehicle, Settings], Array]
-    sentence: str
     confused_with: tuple[str, ...]
     manoeuvre: str
-    variants: Callable[[Signals, Vehicle], Sequence[Settings]] = field(default=lambda signals, vehicle: ({},))
-    finer: Callable[[Settings], Sequence[Settings]] = field(default=lambda settings: ())
-    applies: Callable[[Vehicle], bool] = field(default=lambda vehicle: True)
-    rests_on: tuple[str, ...] = ()
 
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
         return tuple(p.name for p in self.parameters)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effect(EffectInfo):
+    """A force or torque that a rigid body with known thrusts leaves out, linear in its parameters.
+
+    Attributes:
+        wrench: (signals, vehicle, settings) -> body force and torque about the declared origin per unit of each
+            parameter, shape (k, 6, len(parameters)); NaN where the signals it needs are unknown.
+        sentence: one sentence a pilot understands, with {parameter} places.
+        variants: settings to try (a rotor, an instant, a length); one empty set for most effects.
+        finer: settings around one that was found, to look closer.
+        applies: whether this vehicle's inputs can show it at all.
+        rests_on: identifiers of which one has to be there for it to mean anything (wind needs drag to be felt).
+    """
+
+    wrench: Callable[[Signals, Vehicle, Settings], Array]
+    sentence: str
+    variants: Callable[[Signals, Vehicle], Sequence[Settings]] = field(default=lambda signals, vehicle: ({},))
+    finer: Callable[[Settings], Sequence[Settings]] = field(default=lambda settings: ())
+    applies: Callable[[Vehicle], bool] = field(default=lambda vehicle: True)
+    rests_on: tuple[str, ...] = ()
 
     def precision(self, vehicle: Vehicle) -> Array:
         """Prior precision of each parameter."""
         return np.array([1.0 / p.prior_std(vehicle) ** 2 for p in self.parameters])
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FittedEffect(EffectInfo):
+    """An effect whose parameters the base fit frees, or gives beside mass and tensor: what they differ from is declared.
+
+    Attributes:
+        least: size below which it is no finding, in its parameters' unit.
+        sentence: one sentence a pilot understands; its places are filled by the module that judges it.
+    """
+
+    least: float
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reading:
+    """Numbers of the flight-path reconstruction that an effect of the sensors shows in.
+
+    Attributes:
+        names: of the reconstruction (:attr:`.Compatibility.values`).
+        parameters: what a finding calls them; ``sign`` turns them into the effect's sense.
+        least: Euclidean norm of their departure from ``declared`` below which it is no finding.
+        sentence: one sentence a pilot understands, with a place for {size}; ``size`` makes it of the departure.
+        applies: whether this flight can tell it.
+        beside: further names, given where they are certain by themselves.
+    """
+
+    names: tuple[str, ...]
+    parameters: tuple[str, ...]
+    least: float
+    sentence: str
+    size: Callable[[Array], float]
+    sign: float = 1.0
+    declared: Callable[[Vehicle], Array] = field(default=lambda vehicle: np.zeros(1))
+    applies: Callable[[Prepared], bool] = field(default=lambda prepared: True)
+    beside: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorEffect(EffectInfo):
+    """A clock or a frame that is not what it was taken for: no force is missing, gyro, accelerometer and poses disagree.
+
+    Attributes:
+        readings: where it shows, clearest first; one that stands makes the finding.
+    """
+
+    readings: tuple[Reading, ...]
+
+
+def catalogue() -> Mapping[str, EffectInfo]:
+    """All effects by identifier, from the files in ``effects/``."""
+    package = importlib.import_module("groundstation.diagnosis.effects")
+    modules = [importlib.import_module(f"{package.__name__}.{m.name}") for m in pkgutil.iter_modules(package.__path__)]
+    return {module.EFFECT.identifier: module.EFFECT for module in modules}
+
+
 @cache
 def library() -> Mapping[str, Effect]:
-    """All effects with a force model, by identifier, from the files in ``effects/``."""
-    package = importlib.import_module("groundstation.diagnosis.effects")
-    found = {}
-    for module in pkgutil.iter_modules(package.__path__):
-        loaded = importlib.import_module(f"{package.__name__}.{module.name}")
-        if hasattr(loaded, "EFFECT"):
-            found[loaded.EFFECT.identifier] = loaded.EFFECT
-    return found
+    """Those with a force model, by identifier."""
+    return {name: effect for name, effect in catalogue().items() if isinstance(effect, Effect)}
 
 
 def blank(signals: Signals, parameters: int = 1) -> Array:

@@ -20,7 +20,7 @@ from groundstation.diagnosis.comparison import (
     with_plain,
 )
 from groundstation.diagnosis.curve import exponent_error, recurved, with_exponent
-from groundstation.diagnosis.effect import library
+from groundstation.diagnosis.effect import catalogue, library
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, Solution
 from groundstation.diagnosis.forecast import forecast
 from groundstation.diagnosis.kinematic import kinematic_findings, turned
@@ -264,28 +264,18 @@ def _findings(named: Sequence[Named], solution: Solution, vehicle: Vehicle, offs
 
 def _next_flight(findings: Sequence[Finding], remaining: Sequence[Unexplained]) -> str:
     """The manoeuvre that separates what this flight could not."""
-    effects = library()
+    effects = catalogue()
     parts = []
     for finding in findings:
         if finding.alternatives:
             rivals = ", ".join(finding.alternatives)
-            how = effects[finding.effect].manoeuvre if finding.effect in effects else _OTHER.get(finding.effect, "")
-            parts.append(f"To tell {finding.effect} from {rivals}: {how}.")
+            parts.append(f"To tell {finding.effect} from {rivals}: {effects[finding.effect].manoeuvre}.")
     if remaining:
         where = ", ".join(sorted({v for item in remaining for v in item.depends_on}))
         parts.append(
             f"Something unknown varies with {where}: fly slowly over its whole range, twice, in opposite directions."
         )
     return " ".join(parts)
-
-
-_OTHER = {
-    "motor_lag": "fly faster reversals (5 Hz and more) or attitude steps: a lag rounds them, a dead time shifts them",
-    "input_delay": "fly faster reversals (5 Hz and more) or attitude steps: a lag rounds them, a dead time shifts them",
-    "clock_offset": "turn the vehicle by hand, rotors off, in view of the cameras",
-    "mocap_misalignment": "tilt by 15 degrees and more in roll and pitch",
-    "imu_misalignment": "tilt by 15 degrees and more in roll and pitch",
-}
 
 
 def _reason(verdict: str, findings: Sequence[Finding], remaining: Sequence[Unexplained]) -> str:

@@ -1,8 +1,4 @@
-"""A thrust constant other than declared, which only a weighed mass tells: mass, tensor and thrust scale together.
-
-Under the anchor "mass" the base estimate gives the thrust constants; their ratio to the declared ones is the finding. What weighing
-cannot tell is the ratio of torque to thrust: it scales with yaw inertia (``torque_scale``), and no flight shows either.
-"""
+"""A thrust constant other than declared, which only a weighed mass tells (``effects/thrust_scale.py``)."""
 
 from __future__ import annotations
 
@@ -10,7 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from groundstation.diagnosis.attribution import MATERIAL, posterior
+from groundstation.diagnosis.attribution import posterior
+from groundstation.diagnosis.effects.thrust_scale import EFFECT
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.timing import CERTAIN
 from groundstation.identification.results import Estimate
@@ -32,13 +29,13 @@ def scale_findings(vehicle: Vehicle, parameters: Mapping[str, Estimate]) -> list
     name, value = max(known.items(), key=lambda item: abs(item[1]))
     ratio, std = parameters[name].value / value, parameters[name].std / abs(value)
     wald = ((ratio - 1.0) / float(np.hypot(std, vehicle.identification.thrust_coefficient_std))) ** 2
-    if wald < CERTAIN or abs(ratio - 1.0) < MATERIAL:
+    if wald < CERTAIN or abs(ratio - 1.0) < EFFECT.least:
         return []
     return [
         Finding(
-            effect="thrust_scale",
-            parameters={"thrust_scale": Estimate.normal(ratio, std)},
-            evidence=f"By its weighed mass the vehicle's rotors give {ratio:.3f} times the declared thrust.",
+            effect=EFFECT.identifier,
+            parameters={EFFECT.names()[0]: Estimate.normal(ratio, std)},
+            evidence=EFFECT.sentence.format(ratio=ratio),
             confidence=posterior([CERTAIN - wald]),
             gain=wald,
         )

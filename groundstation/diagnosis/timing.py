@@ -1,4 +1,4 @@
-"""A lag or a dead time between command and thrust that the vehicle file does not declare."""
+"""A lag or a dead time between command and thrust that the vehicle file does not declare: which of the two, or both."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.attribution import INSEPARABLE, posterior
 from groundstation.diagnosis.effect import is_commanded
+from groundstation.diagnosis.effects.input_delay import EFFECT as DELAY
+from groundstation.diagnosis.effects.motor_lag import EFFECT as LAG
 from groundstation.diagnosis.evidence import Evidence, Solution
 from groundstation.diagnosis.results import Finding
 from groundstation.identification.results import Estimate
 
 Array = NDArray[np.float64]
 
-LEAST_LAG_S = 5e-3
 CERTAIN = 25.0
 """Wald statistic (five standard deviations) for one of the two; for both together ten more."""
-NAMES = ("rotor_lag_up_s", "rotor_lag_down_s", "input_delay_s")
+NAMES = (*LAG.names(), *DELAY.names())
 
 
 def lag_findings(evidence: Evidence, solution: Solution) -> list[Finding]:
@@ -43,15 +44,15 @@ def lag_findings(evidence: Evidence, solution: Solution) -> list[Finding]:
 
     everything, only_delay_explains, only_lag_explains = wald([0, 1, 2]), wald([2]), wald([0, 1])
     chance = CERTAIN + 10.0 - everything
-    if chance >= 0.0 or float(values[:2].mean() + values[2]) < LEAST_LAG_S:
+    if chance >= 0.0 or float(values[:2].mean() + values[2]) < LAG.least:
         return []
-    if min(only_delay_explains, only_lag_explains) > CERTAIN and values[2] > LEAST_LAG_S:
+    if min(only_delay_explains, only_lag_explains) > CERTAIN and values[2] > DELAY.least:
         return [
             _lag(values, covariance, declared.up_s, declared.down_s, only_lag_explains, (CERTAIN - only_lag_explains,)),
             _delay(values[2], covariance[2, 2], only_delay_explains, (CERTAIN - only_delay_explains,)),
         ]
     lead = only_lag_explains - only_delay_explains
-    if lead >= 0.0 or values[2] < LEAST_LAG_S:
+    if lead >= 0.0 or values[2] < DELAY.least:
         alone = _conditional(values, covariance)
         return [_lag(*alone, declared.up_s, declared.down_s, everything, (chance, -lead), lead < INSEPARABLE)]
     total = float(values[:2].mean() + values[2])
@@ -69,28 +70,25 @@ def _lag(
 ) -> Finding:
     up, down = values[0] + up_s, values[1] + down_s
     return Finding(
-        effect="motor_lag",
+        effect=LAG.identifier,
         parameters={
             NAMES[0]: Estimate.normal(float(up), float(np.sqrt(covariance[0, 0]))),
             NAMES[1]: Estimate.normal(float(down), float(np.sqrt(covariance[1, 1]))),
         },
-        evidence=(
-            f"The rotors follow their commands with a lag of {1e3 * up:.0f} ms up and {1e3 * down:.0f} ms down "
-            "that is not declared."
-        ),
+        evidence=LAG.sentence.format(up_ms=1e3 * up, down_ms=1e3 * down),
         confidence=posterior(rivals),
-        alternatives=("input_delay",) if close else (),
+        alternatives=(DELAY.identifier,) if close else (),
         gain=gain,
     )
 
 
 def _delay(value: float, variance: float, gain: float, rivals: Sequence[float], close: bool = False) -> Finding:
     return Finding(
-        effect="input_delay",
+        effect=DELAY.identifier,
         parameters={NAMES[2]: Estimate.normal(float(value), float(np.sqrt(variance)))},
-        evidence=f"Commands take {1e3 * value:.0f} ms to act.",
+        evidence=DELAY.sentence.format(delay_ms=1e3 * value),
         confidence=posterior(rivals),
-        alternatives=("motor_lag",) if close else (),
+        alternatives=(LAG.identifier,) if close else (),
         gain=gain,
     )
 

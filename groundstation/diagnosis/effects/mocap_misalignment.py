@@ -1,0 +1,36 @@
+"""Marker-body misalignment: the frame that motion capture tracks is turned and shifted in the body beyond what is declared."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from groundstation.diagnosis.effect import ParameterInfo, Reading, SensorEffect
+
+EFFECT = SensorEffect(
+    identifier="mocap_misalignment",
+    equation="R_capture = R_body exp(declared) exp(r), p_capture = p_body + R_body (declared + o)",
+    source="Klein & Morelli 2006, Aircraft System Identification, ch. 10 (data compatibility)",
+    parameters=(
+        *(ParameterInfo(f"rotation_{a}_rad", plausible=(-np.pi, np.pi)) for a in "xyz"),
+        *(ParameterInfo(f"offset_{a}_m", plausible=(-1.0, 1.0)) for a in "xyz"),
+    ),
+    readings=(
+        Reading(
+            names=tuple(f"mocap_rotation_{a}_rad" for a in "xyz"),
+            parameters=tuple(f"rotation_{a}_rad" for a in "xyz"),
+            least=np.deg2rad(0.3),
+            sentence="Marker body and IMU are turned against each other by {size:.2f} degrees.",
+            size=lambda departure: float(np.degrees(np.linalg.norm(departure))),
+        ),
+        Reading(
+            names=tuple(f"mocap_position_{a}_m" for a in "xyz"),
+            parameters=tuple(f"offset_{a}_m" for a in "xyz"),
+            least=5e-3,
+            sentence="The tracked point lies {size:.0f} mm from where it was declared: positions swing with attitude.",
+            size=lambda departure: 1e3 * float(np.linalg.norm(departure)),
+            declared=lambda v: np.asarray(v.mocap.position_m) - np.asarray(v.imu.position_m),
+        ),
+    ),
+    confused_with=("imu_misalignment", "com_offset"),
+    manoeuvre="tilt by 15 degrees and more in roll and pitch",
+)

@@ -1,0 +1,21 @@
+"""Motor lag: rotor speed follows its command through a lag, up and down differently. The base fit frees it."""
+
+from __future__ import annotations
+
+from groundstation.diagnosis.effect import FittedEffect, ParameterInfo
+
+EFFECT = FittedEffect(
+    identifier="motor_lag",
+    equation="dOmega/dt = (Omega_c - Omega) / tau, tau = tau_up while Omega rises and tau_down while it falls",
+    source="Furrer, Burri, Achtelik, Siegwart 2016, RotorS (rotor time constants up and down)",
+    parameters=(
+        ParameterInfo("rotor_lag_up_s", plausible=(0.0, 0.5)),
+        ParameterInfo("rotor_lag_down_s", plausible=(0.0, 0.5)),
+    ),
+    least=5e-3,
+    sentence=(
+        "The rotors follow their commands with a lag of {up_ms:.0f} ms up and {down_ms:.0f} ms down that is not declared."
+    ),
+    confused_with=("clock_offset", "input_delay"),
+    manoeuvre="fly faster reversals (5 Hz and more) or attitude steps: a lag rounds them, a dead time shifts them",
+)
