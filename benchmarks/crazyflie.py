@@ -8,6 +8,7 @@ the logs' authors published (moments 1.03, 1.11 and 1.95e-5 kg m^2, one lag of 7
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,9 @@ def table(model: dict[str, VehicleModel], flight: FlightData) -> str:
                 constant.append(error["constant_velocity"][f"{horizon:g}"]["body_rate_rad_s"]["rms"])
         lines.append(f"| {name} | " + " | ".join(f"{e:.3f}" for e in row) + " |")
     lines.append("| constant rate | " + " | ".join(f"{e:.3f}" for e in constant) + " |")
+    inside = (states.t_s >= states.window_s[0]) & (states.t_s <= states.window_s[1])
+    still = float(np.sqrt(np.mean(np.sum(states.rate_rad_s[inside] ** 2, axis=1))))
+    lines.append("| no rate at all | " + " | ".join([f"{still:.3f}"] * len(HORIZONS_S)) + " |")
     return "\n".join(lines)
 
 
@@ -110,10 +114,14 @@ def main() -> None:
             print(f"| {name} | no number | {remedy} |")
         if chosen is SEEN:
             document = model_document(found, vehicle)
+            known = model_from_document(document, vehicle)
+            theirs = published(document, vehicle)
             models = {
-                "identified together": model_from_document(document, vehicle),
-                "published constants": published(document, vehicle),
+                "identified together": known,
+                "published constants": theirs,
                 "declared": declared_model(vehicle),
+                "identified, no disturbance carried on": replace(known, disturbance=None),
+                "published constants, our disturbance carried on": replace(theirs, disturbance=known.disturbance),
             }
     print("\nLateral force in the torque that each fit leaves\n")
     print("| part | of roll | of pitch | height by roll | height by pitch |\n|---|---|---|---|---|")

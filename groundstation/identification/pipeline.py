@@ -19,6 +19,7 @@ from groundstation.identification.preparation import Prepared, damping_terms, pr
 from groundstation.identification.record_model import BodyWrench, Options, Parameters, RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification, MethodResult
 from groundstation.identification.validation import validate
+from groundstation.model.disturbance import TurningDisturbance, pooled, three, turning
 from groundstation.model.rotors import wrench_matrix
 
 Array = NDArray[np.float64]
@@ -248,6 +249,7 @@ def identify(
         excluded_s=tuple((float(a), float(b)) for a, b in exclude),
         quality=tuple(note for item in prepared for note in (*item.flight.notes, *item.notes)),
         validation=validation,
+        disturbance=_disturbance(fitted.models, best, fitted.options),
     )
 
 
@@ -336,6 +338,29 @@ def _time(value: float, std: float) -> Estimate:
     """A lag or delay, which is not negative, nor is its interval."""
     low = max(0.0, value - 1.96 * std)
     return Estimate(max(value, 0.0), std, (low, max(low, value + 1.96 * std)))
+
+
+def _disturbance(models: Sequence[RecordModel], fit: Fitted, options: Options) -> TurningDisturbance:
+    """What turned the vehicle beside the model, by the noise model of each flight and axis."""
+    parts, first = [], 0
+    for model in models:
+        channels = model.channels(options)
+        colour = dict(zip(channels, fit.colours[first : first + len(channels)], strict=True))
+        first += len(channels)
+        step = float(np.median(model.dt))
+        size, time = turning(model.rate, step)
+        told = [colour.get(axis) for axis in range(3)]
+        parts.append(
+            TurningDisturbance(
+                acceleration_rad_s2=three(0.0 if c is None else c.disturbance for c in told),
+                correlation_s=three(1.0 if c is None else c.correlation_s for c in told),
+                process_rad_s_rs=three(0.0 if c is None else c.process for c in told),
+                sensor_rad_rs=three(0.0 if c is None else c.sensor * np.sqrt(step) for c in told),
+                turning_rad_s=three(size),
+                turning_correlation_s=three(time),
+            )
+        )
+    return pooled(parts)
 
 
 def _torque_rms(models: Sequence[RecordModel], fit: Fitted, options: Options) -> list[float]:

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.model.disturbance import TurningDisturbance
+
 Array = NDArray[np.float64]
 
 MASS_AND_TENSOR = (
@@ -101,6 +103,7 @@ class Identification:
         not_identifiable: parameter name -> what motion or stream would reveal it.
         bound: Cramer-Rao standard deviation of each parameter on this flight, disturbance counted.
         window_s: the part of the flight that was used, on the IMU's clock (motors' without IMU).
+        disturbance: what turned the vehicle beside the model; None where it was not estimated.
         quality: repairs and data-compatibility findings, one sentence each.
     """
 
@@ -119,6 +122,7 @@ class Identification:
     excluded_s: tuple[tuple[float, float], ...] = ()
     quality: tuple[str, ...] = ()
     validation: tuple[Validation, ...] = ()
+    disturbance: TurningDisturbance | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The document ``identify --json`` prints (flight-bundle.md)."""

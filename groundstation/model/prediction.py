@@ -1,7 +1,8 @@
 """Open-loop prediction: from every moment of a flight, simulate ahead with the recorded inputs and see how far off it is.
 
 All windows are integrated side by side (RK4 on a 5 ms grid, thrusts averaged over each step), for the identified model, the
-declared vehicle, and a guess of constant velocity and rate. States start from the past alone.
+declared vehicle, and a guess of constant velocity and rate. States start from the past alone, the disturbance among them that an
+identified model carries on (:mod:`.disturbance`).
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from groundstation.frames import (
     quat_rotate,
     quat_rotate_inverse,
 )
+from groundstation.model.disturbance import Carried, TurningDisturbance, carried, fading, gains
 from groundstation.model.rotors import (
     MotorInput,
     cumulative,
@@ -51,6 +53,7 @@ class VehicleModel:
         com_m: centre of mass in the body.
         damping_nms, climb_damping_kg_s: linear damping of rates and climb.
         wrench: further body force and torque about the origin, (k, 6), from signals; None for none.
+        disturbance: what turns it besides; None for none.
     """
 
     vehicle: Vehicle
@@ -65,6 +68,7 @@ class VehicleModel:
     damping_nms: tuple[float, float, float] = (0.0, 0.0, 0.0)
     climb_damping_kg_s: float = 0.0
     wrench: Wrench | None = None
+    disturbance: TurningDisturbance | None = None
 
 
 def declared_model(vehicle: Vehicle) -> VehicleModel:
@@ -128,6 +132,7 @@ def model_from_document(document: Mapping[str, Any], vehicle: Vehicle, wrench: W
         ),
         climb_damping_kg_s=values.get("damping_climb_kg_s", 0.0) if free else 0.0,
         wrench=wrench,
+        disturbance=TurningDisturbance.from_dict(document["disturbance"]) if "disturbance" in document else None,
     )
 
 
@@ -278,78 +283,130 @@ def _constant(states: FlightStates, index: NDArray[np.int64], horizons: list[flo
     }
 
 
-def _simulate(
-    model: VehicleModel, states: FlightStates, index: NDArray[np.int64], horizons: list[float], h: float = STEP_S
-) -> dict[float, dict[str, Array]]:
-    """RK4 over all windows at once; returns the states at each horizon."""
-    vehicle, motors = model.vehicle, states.motors
-    lagged = motors.lagged(model.lag_up_s, model.lag_down_s)
-    thrust = declared_thrust(vehicle, lagged) * model.thrust_scale
-    held = not motors.measured and model.lag_up_s <= 1e-6 and model.lag_down_s <= 1e-6
-    impulse = cumulative(thrust, motors.step_s, held=held)
-    slope = np.gradient(lagged, motors.step_s, axis=0)
-    matrix = wrench_matrix(vehicle)
-    inverse = np.linalg.inv(model.tensor)
-    com = np.asarray(model.com_m)
-    gravity = np.array([0.0, 0.0, -vehicle.gravity_m_s2])
-    start = states.t_s[index]
-    known = np.isfinite(states.start_quaternion[index]).all(axis=1, keepdims=True)
-    p, v = states.start_position_m[index], states.start_velocity_m_s[index]
-    q = np.where(known, states.start_quaternion[index], [1.0, 0.0, 0.0, 0.0])
-    w = states.start_rate_rad_s[index]
-    voltage = states.voltage_v[index]
-    damping = np.asarray(model.damping_nms)
+@dataclass(frozen=True, slots=True)
+class _Inputs:
+    """What the rotors of a model do over the flight, on the motors' grid: thrusts, their running integral, lagged values, their slope."""
 
-    def at(values: Array, when: Array) -> Array:
-        return interpolate_columns(when - model.delay_s, motors.start_s, motors.step_s, values)
+    thrust: Array
+    impulse: Array
+    lagged: Array
+    slope: Array
 
-    def derivative(p: Array, v: Array, q: Array, w: Array, rotors: Array, extra: Array) -> tuple[Array, Array, Array]:
-        wrench = rotors @ matrix.T
-        torque = wrench[:, 1:] + extra[:, 3:] - damping * w
+    @classmethod
+    def of(cls, model: VehicleModel, motors: MotorInput) -> _Inputs:
+        lagged = motors.lagged(model.lag_up_s, model.lag_down_s)
+        thrust = declared_thrust(model.vehicle, lagged) * model.thrust_scale
+        held = not motors.measured and model.lag_up_s <= 1e-6 and model.lag_down_s <= 1e-6
+        impulse = cumulative(thrust, motors.step_s, held=held)
+        return cls(thrust, impulse, lagged, np.gradient(lagged, motors.step_s, axis=0))
+
+
+class _Motion:
+    """Accelerations of a model's vehicle in one flight's signals."""
+
+    def __init__(self, model: VehicleModel, states: FlightStates):
+        self._model, self._motors, self._start_s = model, states.motors, states.t_s[0]
+        self.inputs = _Inputs.of(model, states.motors)
+        self._matrix = wrench_matrix(model.vehicle)
+        self._inverse = np.linalg.inv(model.tensor)
+        self._com, self._damping = np.asarray(model.com_m), np.asarray(model.damping_nms)
+        self._gravity = np.array([0.0, 0.0, -model.vehicle.gravity_m_s2])
+
+    def at(self, values: Array, when: Array) -> Array:
+        """Columns of the motors' grid at times of the flight."""
+        return interpolate_columns(when - self._model.delay_s, self._motors.start_s, self._motors.step_s, values)
+
+    def wrench(self, when: Array, p: Array, v: Array, q: Array, w: Array, rotors: Array, voltage: Array) -> Array:
+        """Body force and torque of the model's effects, (k, 6)."""
+        if self._model.wrench is None:
+            return np.zeros((len(when), 6))
+        signals = Signals(
+            t_s=when - self._start_s,
+            position_m=p,
+            velocity_world_m_s=v,
+            quaternion=q,
+            rate_rad_s=w,
+            motor=self.at(self._motors.value, when),
+            lagged=self.at(self.inputs.lagged, when),
+            lagged_rate=self.at(self.inputs.slope, when),
+            thrust_n=rotors,
+            voltage_v=voltage,
+            charge_as=np.full(len(when), np.nan),
+        )
+        return np.nan_to_num(self._model.wrench(signals))
+
+    def accelerations(self, v: Array, q: Array, w: Array, rotors: Array, extra: Array) -> tuple[Array, Array]:
+        """In the world, and of the body rates."""
+        model = self._model
+        wrench = rotors @ self._matrix.T
+        torque = wrench[:, 1:] + extra[:, 3:] - self._damping * w
         torque[:, 2] += model.yaw_trim_nm
         force = extra[:, :3].copy()
         climb = np.nan_to_num(
             quat_rotate_inverse(q, v)[:, 2]
         )  # unknown without poses: rates are predicted all the same
         force[:, 2] += wrench[:, 0] - model.climb_damping_kg_s * climb
-        torque = torque - np.cross(com, force)
-        rate = (torque - np.cross(w, w @ model.tensor)) @ inverse.T
-        return quat_rotate(q, force) / model.mass_kg + gravity, rate, w
+        torque = torque - np.cross(self._com, force)
+        turning = (torque - np.cross(w, w @ model.tensor)) @ self._inverse.T
+        return quat_rotate(q, force) / model.mass_kg + self._gravity, turning
 
+
+def _carried(noise: TurningDisturbance, motion: _Motion, states: FlightStates) -> Carried:
+    """The disturbance at each stamp, from what the rates did beside the model until then."""
+    t_s, w = states.t_s, states.start_rate_rad_s
+    known = np.isfinite(states.start_quaternion).all(axis=1, keepdims=True)
+    q = np.where(known, states.start_quaternion, [1.0, 0.0, 0.0, 0.0])
+    rotors = motion.at(motion.inputs.thrust, t_s)
+    p, v = states.start_position_m, states.start_velocity_m_s
+    extra = motion.wrench(t_s, p, v, q, w, rotors, states.voltage_v)
+    _, turning = motion.accelerations(v, q, w, rotors, extra)
+    step = np.diff(t_s, prepend=t_s[0])[:, None]
+    return carried(noise, t_s, w - np.cumsum(np.nan_to_num(turning) * step, axis=0))
+
+
+def _simulate(
+    model: VehicleModel, states: FlightStates, index: NDArray[np.int64], horizons: list[float], h: float = STEP_S
+) -> dict[float, dict[str, Array]]:
+    """RK4 over all windows at once; returns the states at each horizon."""
+    motion = _Motion(model, states)
+    impulse = motion.inputs.impulse
+    start = states.t_s[index]
+    known = np.isfinite(states.start_quaternion[index]).all(axis=1, keepdims=True)
+    p, v = states.start_position_m[index], states.start_velocity_m_s[index]
+    q = np.where(known, states.start_quaternion[index], [1.0, 0.0, 0.0, 0.0])
+    w = states.start_rate_rad_s[index]
+    voltage = states.voltage_v[index]
     steps = round(horizons[-1] / h)
     marks = {round(horizon / h): horizon for horizon in horizons}
+    pushed, keep, pace, back = np.zeros_like(w), np.ones(3), np.zeros(3), np.zeros((steps, 2, 3))
+    if model.disturbance is not None:
+        found = _carried(model.disturbance, motion, states)
+        pushed, keep = found.acceleration_rad_s2[index], fading(model.disturbance, h)
+        pace = 1.0 / np.asarray(model.disturbance.turning_correlation_s)
+        back = gains(model.disturbance, found.covariance, h, steps)
     out: dict[float, dict[str, Array]] = {}
     for step in range(steps):
         now = start + step * h
-        rotors = (at(impulse, now + h) - at(impulse, now)) / h
-        extra = np.zeros((len(index), 6))
-        if model.wrench is not None:
-            middle = now + 0.5 * h
-            signals = Signals(
-                t_s=middle - states.t_s[0],
-                position_m=p,
-                velocity_world_m_s=v,
-                quaternion=q,
-                rate_rad_s=w,
-                motor=at(motors.value, middle),
-                lagged=at(lagged, middle),
-                lagged_rate=at(slope, middle),
-                thrust_n=rotors,
-                voltage_v=voltage,
-                charge_as=np.full(len(index), np.nan),
-            )
-            extra = np.nan_to_num(model.wrench(signals))
-        a1, b1, w1 = derivative(p, v, q, w, rotors, extra)
-        q2 = quat_multiply(q, quat_exp(0.5 * h * w1))
-        a2, b2, w2 = derivative(p, v + 0.5 * h * a1, q2, w + 0.5 * h * b1, rotors, extra)
-        a3, b3, w3 = derivative(
-            p, v + 0.5 * h * a2, quat_multiply(q, quat_exp(0.5 * h * w2)), w + 0.5 * h * b2, rotors, extra
-        )
-        a4, b4, w4 = derivative(p, v + h * a3, quat_multiply(q, quat_exp(h * w3)), w + h * b3, rotors, extra)
+        rotors = (motion.at(impulse, now + h) - motion.at(impulse, now)) / h
+        extra = motion.wrench(now + 0.5 * h, p, v, q, w, rotors, voltage)
+
+        def derivative(
+            v: Array, q: Array, w: Array, rotors: Array = rotors, extra: Array = extra, pushed: Array = pushed
+        ) -> tuple[Array, Array, Array]:
+            linear, turning = motion.accelerations(v, q, w, rotors, extra)
+            return linear, turning + pushed, w
+
+        a1, b1, w1 = derivative(v, q, w)
+        a2, b2, w2 = derivative(v + 0.5 * h * a1, quat_multiply(q, quat_exp(0.5 * h * w1)), w + 0.5 * h * b1)
+        a3, b3, w3 = derivative(v + 0.5 * h * a2, quat_multiply(q, quat_exp(0.5 * h * w2)), w + 0.5 * h * b2)
+        a4, b4, w4 = derivative(v + h * a3, quat_multiply(q, quat_exp(h * w3)), w + h * b3)
         p = p + h * v + h * h / 6.0 * (a1 + a2 + a3)
         v = v + h / 6.0 * (a1 + 2 * a2 + 2 * a3 + a4)
         q = quat_multiply(q, quat_exp(h / 6.0 * (w1 + 2 * w2 + 2 * w3 + w4)))
-        w = w + h / 6.0 * (b1 + 2 * b2 + 2 * b3 + b4)
+        turning = (b1 + 2 * b2 + 2 * b3 + b4) / 6.0
+        w = w + h * turning
+        away = turning + pace * w
+        w, pushed = w - back[step, 0] * away, keep * pushed - back[step, 1] * away
         if step + 1 in marks:
             blank = np.where(known, 1.0, np.nan)
             out[marks[step + 1]] = {"position": p * blank, "velocity": v * blank, "quaternion": q * blank, "rate": w}

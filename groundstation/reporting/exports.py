@@ -7,6 +7,7 @@ A *model document* is a plain dictionary that carries everything a prediction ne
      "parameters": {"mass_kg": {"value": 1.62, "std": 0.002}},  # mass and tensor of the best method
      "model": {"rotor_lag_up_s": {"value": 0.045, "std": 0.001}},
      "effects": {"rotor_drag": {"d_x_kg_s": {"value": 0.3, "std": 0.01}}},
+     "disturbance": {"acceleration_rad_s2": [1.2, 1.3, 0.4], ...},  # what turns it besides (model/disturbance.py)
      "not_identifiable": ["com_offset_z_m"]}
 
 An effect that is found more than once (two weak rotors) has the later ones under "weak_rotor/2" and so on. Settings of an effect
@@ -57,6 +58,7 @@ def model_document(
         "parameters": _values(parameters),
         "model": _values(identification.model),
         "effects": effects,
+        **({} if identification.disturbance is None else {"disturbance": identification.disturbance.to_dict()}),
         "not_identifiable": list(identification.not_identifiable),
     }
 
