@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from groundstation.flightdata import (
@@ -14,8 +16,10 @@ from groundstation.flightdata import (
     Stream,
     motor_columns,
 )
+from groundstation.paths import find_config
 from groundstation.trajectory import Plan, coefficients_from_arrays
 from sim.flight import SimulatedFlight
+from sim.scenario import Scenario, load_scenario, scenario_from_dict
 
 
 def rest_to_rest_plan(
@@ -38,6 +42,18 @@ def rest_to_rest_plan(
     offset = np.array([0.0, 0.0, 1.1, 0.0]) - size * 0.5 * (shape.max(axis=0) + shape.min(axis=0))
     coefficients = coefficients_from_arrays(a * size[:, None], b * size[:, None], offset)
     return Plan(vehicle=vehicle, base_frequency_rad_s=w, periods=periods, coefficients=coefficients)
+
+
+def laboratory(**effects: dict[str, Any]) -> Scenario:
+    """The laboratory with clocks that agree and rotors as declared, and these effects; mass and inertia stay wrong."""
+    lab = load_scenario(find_config("scenarios", "lab"))
+    agreeing = {"offset_s": 0.0, "drift_ppm": 0.0}
+    sections = {
+        name: (section := getattr(lab, name)).model_copy(update={"clock": section.clock.model_copy(update=agreeing)})
+        for name in ("mocap", "motors")
+    }
+    planted = scenario_from_dict({"effects": effects}).effects
+    return lab.model_copy(update={**sections, "truth": lab.truth.model_copy(update={"lag": None}), "effects": planted})
 
 
 def flight_data(simulated: SimulatedFlight, name: str = "simulated") -> FlightData:

@@ -22,6 +22,7 @@ from groundstation.diagnosis.effect import (
     wrench_of,
 )
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
+from groundstation.frames import quat_rotate
 from groundstation.identification.record_model import initial_parameters
 from groundstation.identification.results import Estimate
 from groundstation.model.signals import Signals
@@ -224,6 +225,34 @@ def test_wind_keeps_its_direction_in_the_world_when_the_vehicle_turns():
     half_turn = np.tile([0.0, 0.0, 0.0, 1.0], (200, 1))
     np.testing.assert_allclose(_wrench("wind", _signals())[0, 0, 0], 1.0)
     np.testing.assert_allclose(_wrench("wind", _signals(quaternion=half_turn))[0, 0, 0], -1.0)
+
+
+def test_a_steady_force_stays_level_in_the_world_and_a_steady_torque_in_the_body():
+    signals = _random_signals()
+    wrench = _wrench("constant_wrench", signals)
+    world = quat_rotate(signals.quaternion[:, None, :], wrench[:, :3, :2].transpose(0, 2, 1))
+    np.testing.assert_allclose(world, np.broadcast_to(np.eye(3)[:2], (200, 2, 3)), atol=1e-12)
+    np.testing.assert_allclose(wrench[:, 3:, 2:], np.broadcast_to(np.eye(3), (200, 3, 3)), atol=1e-12)
+    assert np.all(wrench[:, 3:, :2] == 0.0) and np.all(wrench[:, :3, 2:] == 0.0)
+
+
+def test_translational_lift_grows_with_the_square_of_level_speed_in_every_direction_and_not_with_climb():
+    def lift(*velocity: float) -> np.ndarray:
+        return _wrench("translational_lift", _signals(velocity_world_m_s=np.tile(velocity, (200, 1))))[0, :, 0]
+
+    np.testing.assert_allclose(lift(1.0, 0.0, 0.0), [0.0, 0.0, 4 * HOVER_N, 0.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(lift(0.0, -2.0, 0.0), 4.0 * lift(1.0, 0.0, 0.0), atol=1e-12)
+    np.testing.assert_allclose(lift(0.0, 0.0, 3.0), 0.0, atol=1e-12)
+
+
+def test_thrust_sags_with_the_square_of_voltage_and_not_at_all_on_a_full_battery():
+    share = np.linspace(1.0, 0.8, 200)
+    voltage = share * (VEHICLE.battery.full_v or np.nan)
+    sag = _wrench("battery_sag", _signals(voltage_v=voltage))[:, :, 0]
+    np.testing.assert_allclose(sag[:, 2], -4 * HOVER_N * (1.0 - share**2), atol=1e-9)
+    np.testing.assert_allclose(np.delete(sag, 2, axis=1), 0.0, atol=1e-9)
+    strong = _wrench("battery_sag", _signals(voltage_v=voltage, thrust_n=np.full((200, 4), 2.0 * HOVER_N)))
+    np.testing.assert_allclose(strong[:, 2, 0], 2.0 * sag[:, 2], atol=1e-9)  # a share of thrust, whatever it is
 
 
 def test_a_tether_pulls_back_to_the_middle_and_sums_to_nothing():

@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
-from flights import flight_data
+from flights import flight_data, laboratory
 
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.results import Diagnosis
@@ -15,28 +15,15 @@ from groundstation.paths import find_config
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
-from sim.scenario import Scenario, load_scenario, scenario_from_dict
 
 PERIODS = 4.0
 SEED = 7
 
 
-def _scenario(**effects: dict[str, Any]) -> Scenario:
-    """The laboratory with clocks that agree and rotors as declared; mass and inertia stay wrong."""
-    lab = load_scenario(find_config("scenarios", "lab"))
-    agreeing = {"offset_s": 0.0, "drift_ppm": 0.0}
-    sections = {
-        name: (section := getattr(lab, name)).model_copy(update={"clock": section.clock.model_copy(update=agreeing)})
-        for name in ("mocap", "motors")
-    }
-    planted = scenario_from_dict({"effects": effects}).effects
-    return lab.model_copy(update={**sections, "truth": lab.truth.model_copy(update={"lag": None}), "effects": planted})
-
-
 def _flight(**effects: dict[str, Any]) -> FlightData:
     vehicle = load_vehicle(find_config("vehicles", "qball2"))
     plan = load_plan(find_config("plans", "qball2")).model_copy(update={"periods": PERIODS})
-    return flight_data(simulate(vehicle, plan, _scenario(**effects), SEED))
+    return flight_data(simulate(vehicle, plan, laboratory(**effects), SEED))
 
 
 @cache
