@@ -8,6 +8,9 @@ from groundstation.diagnosis.effect import Effect, ParameterInfo, blank
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
+MOST_NMS = 50.0
+"""A body of 1 kg m^2, as of 10 kg, would stop turning within 20 ms."""
+
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
     out = blank(signals, 3)
@@ -21,7 +24,7 @@ EFFECT = Effect(
     equation="tau = -D omega",
     source="Leishman, Principles of Helicopter Aerodynamics, 2nd ed., sec. 4.9 (rotor damping)",
     parameters=tuple(
-        ParameterInfo(f"damping_{axis}_nms", lambda v, i=i: 5.0 * float(v.inertia_tensor()[i, i]), (0.0, np.inf))
+        ParameterInfo(f"damping_{axis}_nms", lambda v, i=i: 5.0 * float(v.inertia_tensor()[i, i]), (0.0, MOST_NMS))
         for i, axis in enumerate("xyz")
     ),
     wrench=_wrench,

@@ -8,6 +8,9 @@ from groundstation.diagnosis.effect import Effect, ParameterInfo, blank
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
+MOST_KG_M = 5.0
+"""A flat plate of 4 m^2, rho C_d A / 2 with C_d = 2."""
+
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
     velocity = signals.velocity_body_m_s()
@@ -20,7 +23,7 @@ EFFECT = Effect(
     identifier="body_drag",
     equation="F = -c |v| v",
     source="Hoerner, Fluid-Dynamic Drag, 1965, ch. 3",
-    parameters=(ParameterInfo("c_kg_m", lambda v: v.mass_kg, (0.0, np.inf)),),
+    parameters=(ParameterInfo("c_kg_m", lambda v: v.mass_kg, (0.0, MOST_KG_M)),),
     wrench=_wrench,
     sentence="Air resistance grows with the square of speed: {c_kg_m} N at 1 m/s.",
     confused_with=("rotor_drag", "climb_inflow"),

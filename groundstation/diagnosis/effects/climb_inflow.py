@@ -11,6 +11,9 @@ from groundstation.vehicle import Vehicle
 CURVATURES_S_M = np.linspace(-0.1, 0.2, 13)
 """Second-order terms that a closer look tries; 1 / (4 v_h) in momentum theory, v_h the induced speed at hover (4 to 8 m/s)."""
 
+MOST_KG_S = 100.0
+"""At 1 m/s the lift of 10 kg would be gone."""
+
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
     climb = signals.velocity_body_m_s()[:, 2]
@@ -29,7 +32,7 @@ EFFECT = Effect(
     identifier="climb_inflow",
     equation="T_i = T_0i - (k/n) (w + b w^2) Omega_i / Omega_hover, torques with them",
     source="Leishman 2006, sec. 2.13 (thrust slope with axial inflow); Svacha et al. 2017, eq. 9",
-    parameters=(ParameterInfo("k_kg_s", lambda v: v.mass_kg, (0.0, np.inf)),),
+    parameters=(ParameterInfo("k_kg_s", lambda v: v.mass_kg, (0.0, MOST_KG_S)),),
     wrench=_wrench,
     sentence="Climbing costs thrust: {k_kg_s} N per m/s.",
     confused_with=("body_drag", "thrust_curve"),

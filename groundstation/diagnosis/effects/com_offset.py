@@ -8,6 +8,9 @@ from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, from_th
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
+MOST_M = 1.0
+"""The rotors' circle of 10 kg: outside of it nothing flies."""
+
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
     lift = from_thrust(vehicle, signals.thrust_n)[:, 2]
@@ -28,8 +31,8 @@ EFFECT = Effect(
     equation="tau = -c x F e_z; F_origin = -m (omega' x c + omega x (omega x c))",
     source="Newton and Euler about a point other than the centre of mass: Etkin & Reid 1996, sec. 4.3",
     parameters=(
-        ParameterInfo("com_offset_x_m", lambda v: v.arm_m()),
-        ParameterInfo("com_offset_y_m", lambda v: v.arm_m()),
+        ParameterInfo("com_offset_x_m", lambda v: v.arm_m(), (-MOST_M, MOST_M)),
+        ParameterInfo("com_offset_y_m", lambda v: v.arm_m(), (-MOST_M, MOST_M)),
     ),
     wrench=_wrench,
     sentence="The centre of mass lies {com_offset_x_m} m forward and {com_offset_y_m} m left of the declared origin.",

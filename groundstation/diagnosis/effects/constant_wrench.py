@@ -9,6 +9,11 @@ from groundstation.frames import quat_rotate_inverse
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
+MOST_N = 1000.0
+"""Ten times the weight of 10 kg: more than rotors hold against."""
+MOST_NM = 1000.0
+"""The same on an arm of 1 m."""
+
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
     out = blank(signals, 5)
@@ -25,8 +30,11 @@ EFFECT = Effect(
     equation="F = constant and level in the world, tau = constant in the body",
     source="statics; a steady upward force is weight, a steady force in the body the accelerometer's bias",
     parameters=(
-        *(ParameterInfo(f"force_world_{axis}_n", lambda v: 0.3 * weight(v)) for axis in "xy"),
-        *(ParameterInfo(f"torque_{axis}_nm", lambda v: 0.3 * weight(v) * v.arm_m()) for axis in "xyz"),
+        *(ParameterInfo(f"force_world_{axis}_n", lambda v: 0.3 * weight(v), (-MOST_N, MOST_N)) for axis in "xy"),
+        *(
+            ParameterInfo(f"torque_{axis}_nm", lambda v: 0.3 * weight(v) * v.arm_m(), (-MOST_NM, MOST_NM))
+            for axis in "xyz"
+        ),
     ),
     wrench=_wrench,
     sentence=(

@@ -8,6 +8,9 @@ from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, weight
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
+MOST_NM_S_M = 100.0
+"""At 1 m/s the weight of 10 kg on an arm of 1 m."""
+
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
     velocity = signals.velocity_body_m_s()
@@ -21,7 +24,7 @@ EFFECT = Effect(
     identifier="flapping_moment",
     equation="tau = k (v_y, -v_x, 0): nose up (negative pitch torque in FLU) when flying forward",
     source="Hoffmann et al. 2007, AIAA 2007-6461, sec. IV; Pounds et al. 2010",
-    parameters=(ParameterInfo("k_nm_s_m", lambda v: 0.1 * weight(v) * v.arm_m(), (0.0, np.inf)),),
+    parameters=(ParameterInfo("k_nm_s_m", lambda v: 0.1 * weight(v) * v.arm_m(), (0.0, MOST_NM_S_M)),),
     wrench=_wrench,
     sentence="Flying forward lifts the nose with {k_nm_s_m} N m per m/s.",
     confused_with=("com_offset", "angular_damping"),

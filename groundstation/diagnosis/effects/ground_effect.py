@@ -8,6 +8,9 @@ from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, from_th
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
+MOST = 10.0
+"""Eleven times the thrust at one radius; an image source under the rotor gives 1/16."""
+
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
     height = np.maximum(signals.position_m[:, 2:3], 0.5 * vehicle.rotors.radius_m)
@@ -20,7 +23,7 @@ EFFECT = Effect(
     identifier="ground_effect",
     equation="T = T_0 (1 + k (R / z)^2)",
     source="Sanchez-Cuevas, Heredia, Ollero 2017, eq. 4 (first term); form of effects.md",
-    parameters=(ParameterInfo("strength", lambda v: 3.0, (0.0, np.inf)),),
+    parameters=(ParameterInfo("strength", lambda v: 3.0, (0.0, MOST)),),
     wrench=_wrench,
     sentence="Near the floor the rotors lift more: a fraction {strength} of thrust at one rotor radius, falling with height squared.",
     confused_with=("battery_sag", "translational_lift", "tether"),

@@ -10,6 +10,8 @@ from groundstation.vehicle import Vehicle
 
 OFFSETS = np.linspace(-0.6, 0.6, 7)
 """Where a closer look is taken, in spacings of the first one."""
+MOST_KG = 10.0
+"""The heaviest vehicle's own mass."""
 
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
@@ -34,7 +36,7 @@ EFFECT = Effect(
     identifier="payload_change",
     equation="(m + dm H(t - t_0)) f = T e_z, so to first order F_z = -dm T / m after t_0",
     source="Newton's second law with a step in mass",
-    parameters=(ParameterInfo("mass_change_kg", lambda v: 0.5 * v.mass_kg),),
+    parameters=(ParameterInfo("mass_change_kg", lambda v: 0.5 * v.mass_kg, (-MOST_KG, MOST_KG)),),
     wrench=_wrench,
     sentence="At {at_s} s the vehicle's mass changed by {mass_change_kg} kg.",
     confused_with=("battery_sag", "rotor_degradation"),

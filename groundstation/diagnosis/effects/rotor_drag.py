@@ -8,6 +8,9 @@ from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blan
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
+MOST_KG_S = 100.0
+"""It would stop 10 kg within 0.1 s."""
+
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
     velocity = signals.velocity_body_m_s()
@@ -25,8 +28,8 @@ EFFECT = Effect(
     equation="F_xy = -d v_xy sum|Omega| / (sum|Omega| at hover); isotropic: F_z = -d_mean v_z likewise",
     source="Mahony, Kumar, Corke 2012, IEEE RAM 19(3), eq. 10; Faessler et al. 2018",
     parameters=(
-        ParameterInfo("d_x_kg_s", lambda v: v.mass_kg, (0.0, np.inf)),
-        ParameterInfo("d_y_kg_s", lambda v: v.mass_kg, (0.0, np.inf)),
+        ParameterInfo("d_x_kg_s", lambda v: v.mass_kg, (0.0, MOST_KG_S)),
+        ParameterInfo("d_y_kg_s", lambda v: v.mass_kg, (0.0, MOST_KG_S)),
     ),
     wrench=_wrench,
     sentence="Moving sideways is resisted by {d_x_kg_s} N per m/s forward and {d_y_kg_s} N per m/s sideways: the rotors drag.",

@@ -9,6 +9,9 @@ from groundstation.frames import quat_rotate_inverse
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
+MOST_KG = 10.0
+"""The heaviest vehicle's own mass."""
+
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
     from scipy.signal import cont2discrete, lfilter
@@ -32,7 +35,7 @@ EFFECT = Effect(
     identifier="slung_load",
     equation="s'' + 2 z w s' + w^2 s = -a_xy, w^2 = g/l; F = m_l (w^2 s_x, w^2 s_y, -(g + z'')) on the vehicle",
     source="Bisgaard 2008, thesis Aalborg, ch. 3, linearised for small swing",
-    parameters=(ParameterInfo("load_kg", lambda v: 0.3 * v.mass_kg, (0.0, np.inf)),),
+    parameters=(ParameterInfo("load_kg", lambda v: 0.3 * v.mass_kg, (0.0, MOST_KG)),),
     wrench=_wrench,
     sentence="Something of {load_kg} kg swings below the vehicle on {length_m} m.",
     confused_with=("wind", "payload_change"),

@@ -9,6 +9,9 @@ from groundstation.frames import quat_rotate_inverse
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
+MOST_N = 1000.0
+"""Ten times the weight of 10 kg: more than rotors hold against."""
+
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
     count = len(signals.t_s)
@@ -26,9 +29,9 @@ EFFECT = Effect(
     source="Hooke's law, linearised about the middle of the flight",
     parameters=(
         ParameterInfo("stiffness_n_m", lambda v: weight(v), (0.0, np.inf)),
-        ParameterInfo("pull_x_n", lambda v: 0.3 * weight(v)),
-        ParameterInfo("pull_y_n", lambda v: 0.3 * weight(v)),
-        ParameterInfo("pull_z_n", lambda v: 0.3 * weight(v)),
+        ParameterInfo("pull_x_n", lambda v: 0.3 * weight(v), (-MOST_N, MOST_N)),
+        ParameterInfo("pull_y_n", lambda v: 0.3 * weight(v), (-MOST_N, MOST_N)),
+        ParameterInfo("pull_z_n", lambda v: 0.3 * weight(v), (-MOST_N, MOST_N)),
     ),
     wrench=_wrench,
     sentence="Something pulls the vehicle back with {stiffness_n_m} N per metre of displacement.",

@@ -8,6 +8,9 @@ from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, from_th
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
+MOST_S2_M2 = 1.0
+"""1 / (4 v_h^2) in momentum theory for an induced speed v_h of 0.5 m/s; rotors hover at several m/s."""
+
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
     velocity = signals.velocity_body_m_s()
@@ -21,7 +24,7 @@ EFFECT = Effect(
     identifier="translational_lift",
     equation="T = T_0 (1 + c v_xy^2)",
     source="Leishman 2006, sec. 2.14 (Glauert inflow expanded for small advance ratio); Svacha et al. 2017",
-    parameters=(ParameterInfo("lift_s2_m2", lambda v: 0.1, (0.0, np.inf)),),
+    parameters=(ParameterInfo("lift_s2_m2", lambda v: 0.1, (0.0, MOST_S2_M2)),),
     wrench=_wrench,
     sentence="Thrust grows by a fraction {lift_s2_m2} per (m/s)^2 of horizontal speed.",
     confused_with=("ground_effect", "body_drag"),

@@ -9,6 +9,9 @@ from groundstation.frames import quat_rotate_inverse
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
+MOST_N = 1000.0
+"""Ten times the weight of 10 kg: more than rotors hold against."""
+
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
     out = blank(signals, 2)
@@ -31,8 +34,8 @@ EFFECT = Effect(
     equation="F_world = d w (w: air velocity; d: the drag it is felt through), beside -d v",
     source="Tomic et al. 2022, Simultaneous estimation of wind and drag, sec. III",
     parameters=(
-        ParameterInfo("force_world_x_n", lambda v: 0.3 * weight(v)),
-        ParameterInfo("force_world_y_n", lambda v: 0.3 * weight(v)),
+        ParameterInfo("force_world_x_n", lambda v: 0.3 * weight(v), (-MOST_N, MOST_N)),
+        ParameterInfo("force_world_y_n", lambda v: 0.3 * weight(v), (-MOST_N, MOST_N)),
     ),
     wrench=_wrench,
     sentence="A steady push of {force_world_x_n} N along x and {force_world_y_n} N along y stays where it is when the vehicle turns: air moves.",
