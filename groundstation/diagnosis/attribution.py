@@ -106,14 +106,15 @@ class Selection:
         self.discrepancy = Discrepancy(evidence)
         self.lag = self.discrepancy.of_lag(evidence.solve(self.baseline))
         self.variants = {c.identifier: sum(o.identifier == c.identifier for o, _ in self.pool) for c, _ in self.pool}
-        self._thresholds: dict[int, float] = {}
+        self._thresholds: dict[tuple[int, int], float] = {}
 
-    def _threshold(self, candidate: Candidate, columns: Columns) -> float:
-        """Wald statistic that noise passes with probability CHANCE in any of an effect's variants."""
-        if columns.number not in self._thresholds:
+    def _threshold(self, candidate: Candidate, columns: Columns, members: Sequence[int] | None = None) -> float:
+        """Wald statistic of all parameters (or some) that noise passes with probability CHANCE in any of an effect's variants."""
+        key = columns.number, -1 if members is None else len(members)
+        if key not in self._thresholds:
             chance = CHANCE / max(self.variants[candidate.identifier], 1)
-            self._thresholds[columns.number] = self.evidence.threshold(columns, chance)
-        return self._thresholds[columns.number]
+            self._thresholds[key] = self.evidence.threshold(columns, chance, members)
+        return self._thresholds[key]
 
     def _margins(self, chosen: Sequence[Entry], members: Sequence[int] | None = None) -> list[float]:
         """Margin of each member (or of some) over chance and over the others' form errors; -inf if implausible or immaterial."""
@@ -135,8 +136,9 @@ class Selection:
                 out.append(-np.inf)
                 continue
             others = total - energies[index]
-            least = self._threshold(candidate, columns) + allowance(energies[index], others)
-            out.append(solution.wald(first, offset - first) - least)
+            telling = candidate.effect.telling()
+            least = self._threshold(candidate, columns, telling) + allowance(energies[index], others)
+            out.append(solution.wald(first, telling) - least)
         return out
 
     def _is_founded(self, candidate: Candidate, chosen: Sequence[Entry]) -> bool:

@@ -32,12 +32,14 @@ class ParameterInfo:
     """A parameter of an effect: name with unit last, scale of its prior, and what is physically plausible.
 
     The prior is the joint estimate's; infinite for what is estimated elsewhere. ``plausible`` is wide enough for every vehicle
-    from 20 g to 10 kg; a force or torque outside of it is not named.
+    from 20 g to 10 kg; a force or torque outside of it is not named. A ``companion`` is fitted along and says nothing for the effect: a
+    steady pull may come with a tether, but only the stiffness tells one.
     """
 
     name: str
     prior_std: Callable[[Vehicle], float] = field(default=lambda vehicle: np.inf)
     plausible: tuple[float, float] = (-np.inf, np.inf)
+    companion: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,6 +85,10 @@ class Effect(EffectInfo):
     finer: Callable[[Settings], Sequence[Settings]] = field(default=lambda settings: ())
     applies: Callable[[Vehicle], bool] = field(default=lambda vehicle: True)
     rests_on: tuple[str, ...] = ()
+
+    def telling(self) -> list[int]:
+        """Which of the parameters tell the effect."""
+        return [index for index, parameter in enumerate(self.parameters) if not parameter.companion]
 
     def precision(self, vehicle: Vehicle) -> Array:
         """Prior precision of each parameter."""

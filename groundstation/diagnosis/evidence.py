@@ -76,9 +76,10 @@ class Solution:
         index = slice(self.base + first, self.base + first + count)
         return self.theta[index], self.covariance[index, index]
 
-    def wald(self, first: int, count: int) -> float:
-        """theta^T cov^-1 theta of those parameters."""
-        values, covariance = self.part(first, count)
+    def wald(self, first: int, members: Sequence[int]) -> float:
+        """theta^T cov^-1 theta of some of the parameters from ``first``."""
+        index = self.base + first + np.asarray(members)
+        values, covariance = self.theta[index], self.covariance[np.ix_(index, index)]
         return float(values @ np.linalg.solve(covariance, values))
 
 
@@ -288,19 +289,23 @@ class Evidence:
         vehicle = self.flights[0].prepared.record.vehicle
         return np.asarray(block_diag(self.prior, *(np.diag(c.effect.precision(vehicle)) for c, _ in chosen)))
 
-    def threshold(self, columns: Columns, chance: float) -> float:
+    def threshold(self, columns: Columns, chance: float, members: Sequence[int] | None = None) -> float:
         r"""Wald statistic that noise passes with this probability.
 
         The noise is known from as many values as lie in the bands that an effect lives in, so that W / p follows an F distribution,
         whose second degrees of freedom are Satterthwaite's: :math:`1 / \nu = \sum_b s_b^2 / \nu_b` with the shares s_b of the
         effect's energy. For one slow parameter that asks for twice the chi-squared value.
+
+        Args:
+            members: which of the columns' parameters the statistic is of; None for all.
         """
         from scipy.stats import f
 
-        count, first = columns.instrument.shape[1], 0
+        chosen = columns.instrument if members is None else columns.instrument[:, members]
+        count, first = chosen.shape[1], 0
         energies, freedoms = [], []
         for flight in self.flights:
-            energy, freedom = flight.whitening.spread(columns.instrument[first : first + len(flight.y)])
+            energy, freedom = flight.whitening.spread(chosen[first : first + len(flight.y)])
             energies.append(energy)
             freedoms.append(freedom)
             first += len(flight.y)

@@ -78,7 +78,7 @@ def rival_entries(
                     continue
                 solution = evidence.solve([*chosen[:place], (rival, columns), *chosen[place + 1 :]])
                 count = len(rival.effect.parameters)
-                scored.append((solution.wald(first, count), rival, solution.part(first, count)[0]))
+                scored.append((solution.wald(first, range(count)), rival, solution.part(first, count)[0]))
             if scored:
                 wald, rival, theta = max(scored, key=lambda item: item[0])
                 values = dict(zip(rival.effect.names(), theta.tolist(), strict=True))

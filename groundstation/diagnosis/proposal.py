@@ -184,7 +184,7 @@ def select(evidence: Evidence, chosen: Chosen, terms: Sequence[Candidate]) -> li
 
     def walds(entries: Sequence[tuple[Candidate, Columns]]) -> list[float]:
         solution = evidence.solve([*chosen, *entries])
-        return [solution.wald(offset + i, 1) for i in range(len(entries))]
+        return [solution.wald(offset + i, [0]) for i in range(len(entries))]
 
     while len(taken) < MOST:
         open_ones = [entry for entry in pool if not any(_alike(entry, t) for t in taken)]

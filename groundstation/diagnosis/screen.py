@@ -127,7 +127,9 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
             solution = evidence.solve([*chosen, (candidate, columns)])
             count = len(candidate.effect.parameters)
             margin = (
-                solution.wald(offset, count) - evidence.threshold(columns, CHANCE / pairs) - FORM**2 * energy[channel]
+                solution.wald(offset, range(count))
+                - evidence.threshold(columns, CHANCE / pairs)
+                - FORM**2 * energy[channel]
             )
             if margin <= 0.0:
                 continue

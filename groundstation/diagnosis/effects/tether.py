@@ -29,9 +29,9 @@ EFFECT = Effect(
     source="Hooke's law, linearised about the middle of the flight",
     parameters=(
         ParameterInfo("stiffness_n_m", lambda v: weight(v), (0.0, np.inf)),
-        ParameterInfo("pull_x_n", lambda v: 0.3 * weight(v), (-MOST_N, MOST_N)),
-        ParameterInfo("pull_y_n", lambda v: 0.3 * weight(v), (-MOST_N, MOST_N)),
-        ParameterInfo("pull_z_n", lambda v: 0.3 * weight(v), (-MOST_N, MOST_N)),
+        ParameterInfo("pull_x_n", lambda v: 0.3 * weight(v), (-MOST_N, MOST_N), companion=True),
+        ParameterInfo("pull_y_n", lambda v: 0.3 * weight(v), (-MOST_N, MOST_N), companion=True),
+        ParameterInfo("pull_z_n", lambda v: 0.3 * weight(v), (-MOST_N, MOST_N), companion=True),
     ),
     wrench=_wrench,
     sentence="Something pulls the vehicle back with {stiffness_n_m} N per metre of displacement.",
