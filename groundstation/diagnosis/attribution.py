@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,7 +83,12 @@ def posterior(rivals: Sequence[float]) -> float:
 
 
 class Selection:
-    """Forward selection over columns computed once."""
+    """Forward selection over columns computed once.
+
+    Args:
+        pool: what may be named. baseline: what is there in any case.
+        variants: how many settings each effect is tried in; None for those in the pool.
+    """
 
     def __init__(
         self,
@@ -90,6 +96,7 @@ class Selection:
         pool: Sequence[Candidate],
         baseline: Sequence[Entry] = (),
         progress: Callable[[float], None] = lambda fraction: None,
+        variants: Mapping[str, int] | None = None,
     ):
         self.evidence = evidence
         self.baseline = list(baseline)
@@ -105,7 +112,7 @@ class Selection:
             progress((number + 1) / len(pool))
         self.discrepancy = Discrepancy(evidence)
         self.lag = self.discrepancy.of_lag(evidence.solve(self.baseline))
-        self.variants = {c.identifier: sum(o.identifier == c.identifier for o, _ in self.pool) for c, _ in self.pool}
+        self.variants = Counter(c.identifier for c, _ in self.pool) if variants is None else variants
         self._thresholds: dict[tuple[int, int], float] = {}
 
     def _threshold(self, candidate: Candidate, columns: Columns, members: Sequence[int] | None = None) -> float:
@@ -156,8 +163,8 @@ class Selection:
                     best, found = margin, entry
         return found
 
-    def run(self) -> tuple[list[Named], Solution]:
-        """Select, prune, let rivals contest each place, and name those that explain as much."""
+    def choose(self) -> list[Entry]:
+        """Select, prune, and let rivals contest each place."""
         chosen: list[Entry] = []
         refuted: set[str] = set()
         for _ in range(2 * MOST):
@@ -172,6 +179,23 @@ class Selection:
             chosen = self._pruned(self._contested(refined))
             if [c for c, _ in chosen] == before:
                 break
+        return chosen
+
+    def standing(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+        """Those of some candidates that stand together by this evidence; the weakest falls first."""
+        columns = ((candidate, self.evidence.columns(candidate)) for candidate in candidates)
+        chosen = [(candidate, found) for candidate, found in columns if found is not None]
+        while chosen:
+            margins = self._margins(chosen)
+            worst = int(np.argmin(margins))
+            if margins[worst] > 0.0:
+                break
+            chosen = chosen[:worst] + chosen[worst + 1 :]
+        return [candidate for candidate, _ in chosen]
+
+    def named(self, chosen: Sequence[Entry]) -> tuple[list[Named], Solution]:
+        """What was chosen with its alternatives, in order of the error it takes away, and the joint estimate."""
+        chosen = list(chosen)
         margins = self._margins(chosen)
         named = []
         for index, (entry, margin) in enumerate(zip(chosen, margins, strict=True)):

@@ -84,9 +84,23 @@ class Solution:
 
 
 class FlightEvidence:
-    """One flight, whitened about a base fit; effects that are ``known`` already are kept out of its noise model."""
+    """One flight, whitened about a base fit.
 
-    def __init__(self, prepared: Prepared, fitted: Fitted, options: Options, known: Sequence[Candidate] = ()):
+    Args:
+        known: effects that are kept out of its noise model.
+        generic: keep out of it, too, whatever any effect may look like (:meth:`_generic`), so that none hides in the noise; else the
+            noise is all that base and known effects leave.
+    """
+
+    def __init__(
+        self,
+        prepared: Prepared,
+        fitted: Fitted,
+        options: Options,
+        known: Sequence[Candidate] = (),
+        *,
+        generic: bool = True,
+    ):
         self.prepared = prepared
         self.known = tuple(known)
         self._fitted, self._given = fitted, options
@@ -114,7 +128,9 @@ class FlightEvidence:
         self.residual, sensitivity, names = self.model.evaluate(self.parameters, self.options)
         self.sensitivity, self.names = _with_accelerometer_delay(sensitivity, names)
         self.planned = planned_signals(prepared, self.parameters, self._stride)
-        self.whitening = Whitening(self.channels, self.model.dt, self.model.restart, self.residual, self._nuisance())
+        self.whitening = Whitening(
+            self.channels, self.model.dt, self.model.restart, self.residual, self._nuisance(generic)
+        )
         self.y = self.whitened_residual(self.residual)
         self.x = self.whitening.apply(self.sensitivity)
         if prepared.planned is None:
@@ -143,8 +159,19 @@ class FlightEvidence:
         """Any residual (blocks, 6) of this flight, whitened as its own, (rows,)."""
         return self.whitening.apply(residual[:, :, None])[:, 0]
 
-    def _nuisance(self) -> Array:
-        """Columns (blocks, 6, m) that keep an effect's own residual out of the noise model: slow drift, speeds, and the library.
+    def _nuisance(self, generic: bool) -> Array:
+        """Columns (blocks, 6, m) that keep an effect's own residual out of the noise model."""
+        vehicle = self.prepared.record.vehicle
+        wrenches = [c.effect.wrench(self.signals, vehicle, c.settings) for c in self.known]
+        columns = [wrench[:, :, j] for wrench in wrenches for j in range(wrench.shape[2])]
+        if generic:
+            columns += self._generic()
+        if not columns:
+            return self.sensitivity
+        return np.concatenate([self.sensitivity, self.predicted(np.stack(columns, axis=-1))], axis=2)
+
+    def _generic(self) -> list[Array]:
+        """Wrenches (k, 6) of slow drift, speeds, and the library's effects.
 
         Without them a step or a trend would pass for a disturbance of long memory, and hide itself.
         """
@@ -167,12 +194,7 @@ class FlightEvidence:
             settings = effect.variants(self.excited, vehicle) if effect.applies(vehicle) else ()
             own = [effect.wrench(signals, vehicle, s) for s in settings[:: max(1, len(settings) // VARIANTS)]]
             columns += [wrench[:, :, j] for wrench in own for j in range(wrench.shape[2]) if np.isfinite(wrench).all()]
-        columns += [
-            c.effect.wrench(signals, vehicle, c.settings)[:, :, j]
-            for c in self.known
-            for j in range(len(c.effect.parameters))
-        ]
-        return np.concatenate([self.sensitivity, self.predicted(np.stack(columns, axis=-1))], axis=2)
+        return columns
 
     def predicted(self, wrench: Array) -> Array:
         """Rates and specific forces (blocks, 6, p) that a body wrench (k, 6, p) adds."""

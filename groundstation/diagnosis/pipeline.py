@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.attribution import Named, Selection, candidates
+from groundstation.diagnosis.attribution import Entry, Named, Selection, candidates
 from groundstation.diagnosis.augmented import is_among
 from groundstation.diagnosis.comparison import (
     as_declared,
@@ -21,7 +21,7 @@ from groundstation.diagnosis.comparison import (
 )
 from groundstation.diagnosis.curve import exponent_error, recurved, with_exponent
 from groundstation.diagnosis.effect import catalogue, library
-from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, Solution
+from groundstation.diagnosis.evidence import Candidate, Evidence, FlightEvidence, Solution
 from groundstation.diagnosis.forecast import forecast
 from groundstation.diagnosis.kinematic import kinematic_findings, turned
 from groundstation.diagnosis.next_flight import rival_entries
@@ -200,7 +200,7 @@ def _select(
     augmented: tuple[Candidate, ...],
     known: Sequence[Candidate],
     progress: Progress,
-) -> tuple[Evidence, list[tuple[Candidate, Columns]], list[Named], Solution]:
+) -> tuple[Evidence, list[Entry], list[Named], Solution]:
     """Evidence with a noise model that leaves the known effects out, and what it asks for."""
     progress(0.5, "noise of each channel")
     evidence = Evidence(
@@ -209,11 +209,22 @@ def _select(
     )
     vehicle = suspects[0].record.vehicle
     pool = [c for c in _pool(vehicle, evidence.flights[0], references=bool(healthy)) if not is_among(c, augmented)]
-    baseline = _baseline(evidence, vehicle) if healthy else []
-    baseline += [(c, columns) for c in augmented if (columns := evidence.columns(c, everywhere=True)) is not None]
+    baseline = _baseline(evidence, vehicle, augmented, references=bool(healthy))
     selection = Selection(evidence, pool, baseline, lambda f: progress(0.55 + 0.25 * f, "effects one by one"))
     progress(0.8, "selecting")
-    return evidence, baseline, *selection.run()
+    chosen = selection.choose()
+    if chosen:
+        # What is kept out of the noise lest effects hide in it takes noise along, most at the lowest frequencies. What was chosen
+        # has to stand against the noise as it is with nothing else kept out, too.
+        shared = tuple(c for c, _ in baseline)
+        plain = Evidence(
+            [FlightEvidence(i, about, options, (*shared, *(c for c, _ in chosen)), generic=False) for i in suspects],
+            [FlightEvidence(item, about, options, shared, generic=False) for item in healthy],
+        )
+        again = _baseline(plain, vehicle, augmented, references=bool(healthy))
+        left = Selection(plain, (), again, variants=selection.variants).standing([c for c, _ in chosen])
+        chosen = [entry for entry in chosen if entry[0] in left]
+    return evidence, baseline, *selection.named(chosen)
 
 
 def _pool(vehicle: Vehicle, first: FlightEvidence, *, references: bool) -> list[Candidate]:
@@ -224,16 +235,12 @@ def _pool(vehicle: Vehicle, first: FlightEvidence, *, references: bool) -> list[
     return pool
 
 
-def _baseline(evidence: Evidence, vehicle: Vehicle) -> list[tuple[Candidate, Columns]]:
-    out = []
-    for name in BASELINE:
-        effect = library()[name]
-        if effect.applies(vehicle):
-            candidate = Candidate(effect, {})
-            columns = evidence.columns(candidate, everywhere=True)
-            if columns is not None:
-                out.append((candidate, columns))
-    return out
+def _baseline(evidence: Evidence, vehicle: Vehicle, augmented: Sequence[Candidate], *, references: bool) -> list[Entry]:
+    """What is there in any case: effects that are known, and where there are reference flights what those share."""
+    shared = [library()[name] for name in BASELINE] if references else []
+    members = [Candidate(effect, {}) for effect in shared if effect.applies(vehicle)]
+    found = ((candidate, evidence.columns(candidate, everywhere=True)) for candidate in (*members, *augmented))
+    return [(candidate, columns) for candidate, columns in found if columns is not None]
 
 
 def _findings(named: Sequence[Named], solution: Solution, vehicle: Vehicle, offset: int) -> list[Finding]:
