@@ -17,7 +17,7 @@ import secrets
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,7 @@ from groundstation.errors import FlightAborted, Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.pipeline import fit_dynamics
 from groundstation.identification.preparation import prepare
+from groundstation.identification.results import Estimate
 from groundstation.paths import find_config
 from groundstation.planning import plan_excitation
 from groundstation.trajectory import Plan
@@ -54,6 +55,7 @@ COMMANDED = ("motor_lag", "input_delay", "battery_sag")
 """Effects that show only where rotor speeds are commanded, not measured."""
 DETECTABLE = 6.0
 """Estimate over standard deviation that is expected of an effect that a flight can show (effects.md)."""
+MASS_BOUND, MOMENT_BOUND = 0.01, 0.02
 INERTIA = ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
 
 Random = np.random.Generator
@@ -63,6 +65,8 @@ Table = dict[str, Any]
 @dataclass(frozen=True)
 class Outcome:
     """One flight: what was hidden, what was said, and the error of mass and inertia before and after, as shares.
+
+    ``met`` says whether they are within the bounds of the estimation study: mass 1 %, moments 2 % or three of their deviations.
 
     Of each hidden effect, ``t`` is the expected t (infinite where the sensors alone tell), and ``shares`` its RMS as a share of weight
     or of weight times arm (NaN where it is no force).
@@ -76,6 +80,8 @@ class Outcome:
     rotors: tuple[bool, ...]
     before: float
     after: float
+    met_before: bool
+    met_after: bool
     seconds: float
     t: tuple[float, ...]
     shares: tuple[float, ...]
@@ -210,6 +216,17 @@ def _error_of_parameters(estimates: Any, truth: Vehicle) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
+def _meets_bounds(parameters: Mapping[str, Estimate], truth: Vehicle) -> bool:
+    """Whether mass and moments are as near as the estimation study asks: 1 % and the larger of 2 % and three deviations."""
+    moments = [(parameters.get(name), getattr(truth.inertia_kg_m2, name[1:3])) for name in INERTIA]
+    mass = parameters.get("mass_kg")
+    return (
+        mass is not None
+        and abs(mass.value - truth.mass_kg) <= MASS_BOUND * truth.mass_kg
+        and all(e is not None and abs(e.value - own) <= max(MOMENT_BOUND * own, 3.0 * e.std) for e, own in moments)
+    )
+
+
 def visibility(flight: FlightData, hidden: Sequence[tuple[str, Table]]) -> list[tuple[float, float]]:
     """Expected t and RMS share of each hidden effect, when the diagnosis is told all of them."""
     seen = {name: (math.inf, math.nan) for name, _ in hidden}
@@ -228,7 +245,8 @@ def visibility(flight: FlightData, hidden: Sequence[tuple[str, Table]]) -> list[
     scale = np.array([weight] * 3 + [weight * vehicle.arm_m()] * 3)
     for candidate, columns in chosen:
         count = len(candidate.effect.parameters)
-        t = math.sqrt(max(solution.wald(first, count) - count, 0.0))
+        telling = candidate.effect.telling()
+        t = math.sqrt(max(solution.wald(first, telling) - len(telling), 0.0))
         values, _ = solution.part(first, count)
         seen[candidate.identifier] = t, float(np.max(columns.wrench_rms @ np.abs(values) / scale))
         first += count
@@ -244,8 +262,8 @@ def _told(name: str, table: Table, evidence: Evidence) -> Candidate:
         if candidate.settings.get("rotor") == table.get("rotor")
         and (columns := evidence.columns(candidate)) is not None
     ]
-    count = len(library()[name].parameters)
-    return max(pool, key=lambda entry: evidence.solve([entry]).wald(0, count))[0]
+    everything = range(len(library()[name].parameters))
+    return max(pool, key=lambda entry: evidence.solve([entry]).wald(0, everything))[0]
 
 
 def fly(kind: str, names: Sequence[str], vehicle_name: str, plan: Plan, random: Random) -> Outcome | None:
@@ -276,6 +294,8 @@ def fly(kind: str, names: Sequence[str], vehicle_name: str, plan: Plan, random: 
         rotors=rotors,
         before=_error_of_parameters(diagnosis.parameters_before, simulated.truth),
         after=_error_of_parameters(diagnosis.parameters_after, simulated.truth),
+        met_before=_meets_bounds(diagnosis.parameters_before, simulated.truth),
+        met_after=_meets_bounds(diagnosis.parameters_after, simulated.truth),
         seconds=seconds,
         t=tuple(t for t, _ in seen),
         shares=tuple(share for _, share in seen),
@@ -348,10 +368,14 @@ def report(outcomes: Sequence[Outcome]) -> None:
         limits = [o.shares[0] * DETECTABLE / o.t[0] for o in own if np.isfinite(o.shares[0]) and o.t[0] > 0.0]
         limit = f"{np.median(limits):.2%}" if limits else "told by the sensors"
         print(f"  {name:20} {sum(o.first() == name for o in seen):3} of {len(seen):3} of {len(own):3}   {limit}")
+    print("\nmass within 1 %, moments within 2 % or three of their deviations, of those detectable")
+    for kind, members in (("single", singles), ("pair", pairs)):
+        print(f"  {kind}s, before                          {wilson(sum(o.met_before for o in members), len(members))}")
+        print(f"  {kind}s, after                           {wilson(sum(o.met_after for o in members), len(members))}")
     for kind in ("single", "pair"):
-        pairs = np.array([(o.before, o.after) for o in kinds[kind] if o.named and np.isfinite(o.before + o.after)])
-        if len(pairs):
-            before, after = np.median(pairs, axis=0)
+        sizes_of = np.array([(o.before, o.after) for o in kinds[kind] if o.named and np.isfinite(o.before + o.after)])
+        if len(sizes_of):
+            before, after = np.median(sizes_of, axis=0)
             print(f"\n{kind}s, RMS relative error of mass and inertia: median {before:.1%} before, {after:.1%} after")
     if outcomes:
         print(f"\ndiagnosis of {DURATION_S:.0f} s: median {np.median([o.seconds for o in outcomes]):.0f} s")
