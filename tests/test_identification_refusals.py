@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from flights import flight_data
 
 from groundstation.errors import NotIdentifiable
+from groundstation.identification.identifiability import never_moved, revealed
 from groundstation.identification.pipeline import identify
+from groundstation.identification.preparation import prepare
+from groundstation.identification.record_model import Options, RecordModel
+from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.paths import find_config
 from groundstation.trajectory import Coefficients, Plan, load_plan
 from groundstation.vehicle import load_vehicle
@@ -85,3 +92,33 @@ def test_a_plan_that_drowns_in_the_disturbance_still_gives_the_mass() -> None:
     assert parameters["mass_kg"].value == pytest.approx(flight.truth.mass_kg, rel=0.01)
     assert {"ixx_kg_m2", "iyy_kg_m2"} <= set(found.not_identifiable)
     assert not set(found.not_identifiable) & set(parameters)
+
+
+def motion_of(plan: Plan) -> RecordModel:
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    flight = flight_data(simulate(vehicle, plan, load_scenario(find_config("scenarios", "clean")), 1))
+    return RecordModel(prepare(flight).record)
+
+
+def test_singular_values_say_what_a_motion_acts_on_before_any_fit() -> None:
+    """Yaw alone makes torque through Izz (and mass through the height it holds); what all of Izz makes is what the rotors made."""
+    model = motion_of(channels(yaw=1.0))
+    vehicle = model.record.vehicle
+    found = revealed([model], vehicle, Options(lag=False))
+    assert [each.share for each in found] == sorted((each.share for each in found), reverse=True)
+    weights = np.array([list(each.combination.values()) for each in found])
+    np.testing.assert_allclose(weights @ weights.T, np.eye(len(MASS_AND_TENSOR)), atol=1e-9)
+    yaw = max(found, key=lambda each: abs(each.combination["izz_kg_m2"]))
+    roll = max(found, key=lambda each: abs(each.combination["ixx_kg_m2"]))
+    assert yaw.share > 20.0 * roll.share
+
+
+def test_what_a_motion_never_moves_is_told_with_what_would() -> None:
+    """The same record with level, unturning rotors and gyro: the tensor acts on nothing, the mass still does."""
+    model = motion_of(channels(z=1.0))
+    record = model.record
+    even = replace(record.motors, value=np.repeat(record.motors.value.mean(axis=1, keepdims=True), 4, axis=1))
+    still = RecordModel(replace(record, rate_rad_s=np.zeros_like(record.rate_rad_s), motors=even))
+    hidden = never_moved(revealed([still], record.vehicle, Options(lag=False)))
+    assert set(hidden) == set(MASS_AND_TENSOR) - {"mass_kg"}
+    assert "roll" in hidden["ixx_kg_m2"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,9 @@ from numpy.typing import NDArray
 from groundstation.errors import NotIdentifiable
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared
-from groundstation.identification.results import MASS_AND_TENSOR
+from groundstation.identification.record_model import Options, RecordModel, initial_parameters
+from groundstation.identification.results import MASS_AND_TENSOR, Revealed
+from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -21,6 +24,12 @@ UNREVEALED_PRODUCT = 0.05
 
 STILL_RAD_S = 0.03
 """An axis that turns by less (RMS) only answers the disturbance: noise in the rotor speeds then passes for inertia."""
+
+NOTHING = 1e-5
+"""Share of weight (times arm) below which what a change of all of a parameter makes is numerical."""
+SPACING_S = 0.1
+"""Over which torques are averaged: what is quicker is rotor noise and not motion."""
+TYPICAL_LAG_S = 0.05
 
 REMEDY = {
     "mass_kg": "an accelerometer or poses while the rotors carry the vehicle",
@@ -42,6 +51,56 @@ def angular_acceleration(prepared: Prepared) -> Array:
     low_pass = butter(2, min(5.0, 0.4 * rate_hz), fs=rate_hz, output="sos")
     slow = np.asarray(sosfiltfilt(low_pass, record.rate_rad_s, axis=0))
     return np.std(np.gradient(slow, record.t_s, axis=0)[record.keep], axis=0)
+
+
+def revealed(models: Sequence[RecordModel], vehicle: Vehicle, options: Options) -> list[Revealed]:
+    """Which combinations of mass and tensor the motion acts on, from singular values in scaled units, before any fit.
+
+    The sensitivities of torque and vertical force at the declared vehicle, as shares of weight (times arm), to each parameter
+    in units of its declared value (products: of the trace), less what lags, delays, offsets and biases could do in their place
+    (Golub and Van Loan, Matrix Computations, 2.4; for rigid bodies Gautier and Khalil 1990). The largest first.
+    """
+    start = initial_parameters(vehicle, lag_s=TYPICAL_LAG_S, extra=len(models[0].extra))
+    weight = vehicle.mass_kg * vehicle.gravity_m_s2
+    trace = float(np.trace(start.tensor))
+    parts, names = [], ()
+    for model in models:
+        _, sensitivity, names = model.evaluate(start, replace(options, mass=True))
+        spacing = max(1, round(SPACING_S / float(np.median(model.dt))))
+        torque = (sensitivity[spacing:, :3] - sensitivity[:-spacing, :3]) / (spacing * float(np.median(model.dt)))
+        whole = np.cumsum(model.restart)
+        torque = np.einsum("ij,kjp->kip", start.tensor, torque)[whole[spacing:] == whole[:-spacing]]
+        rows = [torque.reshape(-1, len(names)) / (weight * vehicle.arm_m())]
+        if 5 in options.channels:
+            rows.append(sensitivity[:, 5] * vehicle.mass_kg / weight)
+        parts += [part / np.sqrt(len(part)) for part in rows]
+    stacked = np.concatenate(parts) / np.sqrt(len(models))
+    own = [names.index(name) for name in MASS_AND_TENSOR]
+    entries = [
+        getattr(vehicle.inertia_kg_m2, name[1:3]) if name[1] == name[2] else trace for name in MASS_AND_TENSOR[1:]
+    ]
+    columns = stacked[:, own] * np.array([vehicle.mass_kg, *entries])
+    others = np.delete(stacked, own, axis=1)
+    size = np.linalg.norm(others, axis=0)
+    if np.any(size > 0.0):
+        basis, values, _ = np.linalg.svd(others[:, size > 0.0] / size[size > 0.0], full_matrices=False)
+        basis = basis[:, values > 1e-9 * values[0]]
+        columns = columns - basis @ (basis.T @ columns)
+    _, values, directions = np.linalg.svd(columns, full_matrices=False)
+    return [
+        Revealed(float(share), {name: float(v) for name, v in zip(MASS_AND_TENSOR, direction, strict=True)})
+        for share, direction in zip(values, directions, strict=True)
+    ]
+
+
+def never_moved(combinations: Sequence[Revealed]) -> dict[str, str]:
+    """Parameters most of which lies in combinations that the motion does not act on at all, with what would."""
+    hidden = dict.fromkeys(MASS_AND_TENSOR, 0.0)
+    for each in combinations:
+        if each.share < NOTHING:
+            for name, part in each.combination.items():
+                hidden[name] += part**2
+    return {name: REMEDY[name] for name, lost in hidden.items() if lost > 0.5}
 
 
 def unrevealed(fit: Fitted, prepared: Sequence[Prepared]) -> dict[str, str]:

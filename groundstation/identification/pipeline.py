@@ -12,7 +12,14 @@ from groundstation.errors import GroundStationError, NotIdentifiable
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored
 from groundstation.identification.consistency import nearest_rigid_body, physically_consistent
-from groundstation.identification.identifiability import angular_acceleration, refuse_if_empty, unphysical, unrevealed
+from groundstation.identification.identifiability import (
+    angular_acceleration,
+    never_moved,
+    refuse_if_empty,
+    revealed,
+    unphysical,
+    unrevealed,
+)
 from groundstation.identification.instrumental import instrumental
 from groundstation.identification.prediction_error import Fitted, fit, fit_from_declared, output_error
 from groundstation.identification.preparation import Prepared, damping_terms, prepare
@@ -195,7 +202,8 @@ def identify(
     fitted = fit_dynamics(prepared, progress)
     best = fitted.best
     vehicle = prepared[0].record.vehicle
-    hidden = unrevealed(best, prepared)
+    combinations = revealed(fitted.models, vehicle, fitted.options)
+    hidden = never_moved(combinations) | unrevealed(best, prepared)
     if fitted.instrumental is None:
         hidden |= unphysical(best, prepared)
     refuse_if_empty(best, hidden, prepared)
@@ -249,6 +257,7 @@ def identify(
         excluded_s=tuple((float(a), float(b)) for a, b in exclude),
         quality=tuple(note for item in prepared for note in (*item.flight.notes, *item.notes)),
         validation=validation,
+        revealed=tuple(combinations),
         disturbance=_disturbance(fitted.models, best, fitted.options),
     )
 

@@ -70,6 +70,21 @@ class MethodResult:
 
 
 @dataclass(frozen=True, slots=True)
+class Revealed:
+    """A combination of mass and tensor, and what all of it makes of torque and force in this motion: a share of weight (times arm).
+
+    ``combination`` holds the weight of each parameter, in units of its declared value (products: of the trace); squares add up to 1.
+    """
+
+    share: float
+    combination: Mapping[str, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {"share": self.share, "combination": dict(self.combination)}
+
+
+@dataclass(frozen=True, slots=True)
 class Clock:
     """Motion-capture stamp minus IMU stamp of one instant, at the middle of the flight, and its drift (s/s)."""
 
@@ -103,6 +118,7 @@ class Identification:
         not_identifiable: parameter name -> what motion or stream would reveal it.
         bound: Cramer-Rao standard deviation of each parameter on this flight, disturbance counted.
         window_s: the part of the flight that was used, on the IMU's clock (motors' without IMU).
+        revealed: which combinations of mass and tensor the motion acted on, and how strongly, before any fit.
         disturbance: what turned the vehicle beside the model; None where it was not estimated.
         quality: repairs and data-compatibility findings, one sentence each.
     """
@@ -122,6 +138,7 @@ class Identification:
     excluded_s: tuple[tuple[float, float], ...] = ()
     quality: tuple[str, ...] = ()
     validation: tuple[Validation, ...] = ()
+    revealed: tuple[Revealed, ...] = ()
     disturbance: TurningDisturbance | None = None
 
     def to_dict(self) -> dict[str, Any]:
@@ -146,6 +163,7 @@ class Identification:
             },
             "not_identifiable": list(self.not_identifiable),
             "remedies": dict(self.not_identifiable),
+            "revealed": [each.to_dict() for each in self.revealed],
             "warnings": list(self.warnings),
             "bound": dict(self.bound),
             "window_s": list(self.window_s),

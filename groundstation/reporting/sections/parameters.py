@@ -21,6 +21,9 @@ from groundstation.reporting.units import (
     split_unit,
 )
 
+LEAST_PART = 0.2
+"""Parts of a combination that are left out of its name."""
+
 
 def add_parameters(page: Page, flight: FlightData, identification: Identification) -> None:
     """Tables and dot-and-whisker panels."""
@@ -41,6 +44,7 @@ def add_parameters(page: Page, flight: FlightData, identification: Identificatio
         _panels(page, identification, nominal, truth),
         _notes(identification),
         _model_table(identification, nominal, truth),
+        _revealed(identification),
         _not_identifiable(identification),
     )
 
@@ -203,6 +207,26 @@ def _model_table(
     caption = f"The rest of the model, estimated together with mass and inertia ({identification.best})."
     return fragment(
         element("h3", "Rotors, delays and sensors"), table(caption, header, rows, highlight=len(header) - 1)
+    )
+
+
+def _revealed(identification: Identification) -> Markup | None:
+    """Combinations of parameters by how strongly the motion acts on them, the strongest first."""
+    if not identification.revealed:
+        return None
+    rows = []
+    for each in identification.revealed:
+        parts = sorted(each.combination.items(), key=lambda item: -abs(item[1]))
+        top = parts[0][1] or 1.0
+        words = [f"{value / top:+.1f} {label(name)}" for name, value in parts if abs(value / top) > LEAST_PART]
+        rows.append((" ".join(words).removeprefix("+1.0 "), f"{significant(100.0 * each.share, 2)} %"))
+    caption = (
+        "Combinations of mass and tensor, each in units of its declared value (products: of the trace), by the torque or force "
+        "that all of it makes in this motion, as a share of weight (times arm). From singular values, before any fit. A flight's "
+        "disturbance is usually 0.1 % and more."
+    )
+    return fragment(
+        element("h3", "What this motion acts on"), table(caption, ("combination", "share"), rows, class_="text")
     )
 
 
