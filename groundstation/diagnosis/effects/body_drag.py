@@ -22,7 +22,7 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
 EFFECT = Effect(
     identifier="body_drag",
     equation="F = -c |v| v",
-    source="Hoerner, Fluid-Dynamic Drag, 1965, ch. 3",
+    source="McCormick, Aerodynamics, Aeronautics and Flight Mechanics, 2nd ed. 1995, ch. 4 (drag with the square of speed)",
     parameters=(ParameterInfo("c_kg_m", lambda v: v.mass_kg, (0.0, MOST_KG_M)),),
     wrench=_wrench,
     sentence="Air resistance grows with the square of speed: {c_kg_m} N at 1 m/s.",

@@ -31,7 +31,7 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarra
 EFFECT = Effect(
     identifier="climb_inflow",
     equation="T_i = T_0i - (k/n) (w + b w^2) Omega_i / Omega_hover, torques with them",
-    source="Leishman 2006, sec. 2.13 (thrust slope with axial inflow); Svacha et al. 2017, eq. 9",
+    source="Svacha, Mohta and Kumar 2017 (thrust falls with vertical speed); its second order: Johnson, Helicopter Theory, 1994",
     parameters=(ParameterInfo("k_kg_s", lambda v: v.mass_kg, (0.0, MOST_KG_S)),),
     wrench=_wrench,
     sentence="Climbing costs thrust: {k_kg_s} N per m/s.",

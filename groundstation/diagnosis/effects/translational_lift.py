@@ -23,7 +23,7 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
 EFFECT = Effect(
     identifier="translational_lift",
     equation="T = T_0 (1 + c v_xy^2)",
-    source="Leishman 2006, sec. 2.14 (Glauert inflow expanded for small advance ratio); Svacha et al. 2017",
+    source="Svacha, Mohta and Kumar 2017 (thrust rises with the square of horizontal speed)",
     parameters=(ParameterInfo("lift_s2_m2", lambda v: 0.1, (0.0, MOST_S2_M2)),),
     wrench=_wrench,
     sentence="Thrust grows by a fraction {lift_s2_m2} per (m/s)^2 of horizontal speed.",
