@@ -13,7 +13,7 @@ from groundstation.diagnosis.results import Diagnosis
 from groundstation.flightdata import FlightData
 from groundstation.paths import find_config
 from groundstation.trajectory import load_plan
-from groundstation.vehicle import load_vehicle
+from groundstation.vehicle import RotorLag, load_vehicle
 from sim.flight import simulate
 
 PERIODS = 4.0
@@ -81,6 +81,24 @@ def test_a_centre_of_mass_beside_the_origin_is_named_first_with_its_place():
     assert diagnosis.findings[0].effect == "com_offset"
     _assert_near(diagnosis, "com_offset_x_m", 0.006)
     _assert_near(diagnosis, "com_offset_y_m", -0.004)
+
+
+def test_rotors_that_bend_the_yaw_inertia_are_named_and_the_inertia_comes_back():
+    """Rotors that follow their commands with a lag, as all do; their measured speeds are noisy, and the torque is their derivative."""
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    plan = load_plan(find_config("plans", "qball2")).model_copy(update={"periods": PERIODS})
+    scenario = laboratory(rotor_gyroscopic={"inertia_kg_m2": 4e-5})
+    truth = scenario.truth.model_copy(update={"lag": RotorLag(up_s=0.03, down_s=0.04)})
+    flight = flight_data(simulate(vehicle, plan, scenario.model_copy(update={"truth": truth}), SEED))
+    assert flight.truth is not None
+    diagnosis = diagnose([flight])
+    assert diagnosis.findings[0].effect == "rotor_gyroscopic"
+    _assert_near(diagnosis, "rotor_inertia_kg_m2", 4e-5)
+    own = flight.truth.inertia_kg_m2.zz
+    before, after = (
+        abs(p["izz_kg_m2"].value / own - 1.0) for p in (diagnosis.parameters_before, diagnosis.parameters_after)
+    )
+    assert after < min(0.08, 0.3 * before)
 
 
 def test_a_wall_that_attracts_which_no_file_models_does_not_pass_for_clean():

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.discrepancy import FORM, Discrepancy, allowance
 from groundstation.diagnosis.effect import Effect, library
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, Solution
+from groundstation.diagnosis.whitening import orthonormal
 from groundstation.identification.record_model import CHANNELS
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
@@ -288,15 +289,22 @@ class Selection:
         return total > 0.0 and float(np.min(gains)) > -(INSEPARABLE + FORM * total)
 
     def _held_out_gains(self, chosen: Sequence[Entry], entry: Entry) -> Array:
-        """The same by channel, shape (6,)."""
+        """The same by channel, shape (6,), in what the instruments span: a column of measured speeds adds their noise to a residual
+        that is right.
+        """
         before = [*self.baseline, *chosen]
         after = [*before, entry]
+        root = np.sqrt(self.evidence.weight)
+        instruments = np.concatenate([self.evidence.z, *(columns.instrument for _, columns in after)], axis=1)
         _, channels, _ = self.evidence.time_of_rows()
         gains = np.zeros(len(CHANNELS))
         for train, test in folds(self.evidence):
-            old = self.evidence.remainder(before, self.evidence.solve(before, train))[test]
-            new = self.evidence.remainder(after, self.evidence.solve(after, train))[test]
-            np.add.at(gains, channels[test], self.evidence.weight[test] * (old**2 - new**2))
+            old = root * self.evidence.remainder(before, self.evidence.solve(before, train))
+            new = root * self.evidence.remainder(after, self.evidence.solve(after, train))
+            for channel in np.unique(channels):
+                rows = test & (channels == channel)
+                basis = orthonormal(root[rows, None] * instruments[rows])
+                gains[channel] += np.sum((basis.T @ old[rows]) ** 2) - np.sum((basis.T @ new[rows]) ** 2)
         return gains
 
 

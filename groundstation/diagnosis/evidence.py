@@ -17,13 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import Effect, Settings, library
+from groundstation.diagnosis.signals import planned_signals, quietened, thinned
 from groundstation.diagnosis.whitening import Whitening, orthonormal
-from groundstation.frames import quat_normalise, quat_rotate
 from groundstation.identification.prediction_error import Fitted, current_values, moved
 from groundstation.identification.preparation import Prepared
-from groundstation.identification.record_model import Options, Parameters, RecordModel
-from groundstation.model.rotors import wrench_matrix
-from groundstation.model.signals import Signals
+from groundstation.identification.record_model import Options, RecordModel
 
 Array = NDArray[np.float64]
 
@@ -116,14 +114,17 @@ class FlightEvidence:
         )
         self.model = RecordModel(record, (), None if prepared.planned is None else replace(prepared.planned, extra=()))
         self._stride = max(1, round(1.0 / float(np.median(np.diff(record.t_s))) / SIGNAL_RATE_HZ))
-        self.signals = _thinned(prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s), slice(None, None, self._stride))
+        signals = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s)
+        if record.motors.measured:
+            signals = quietened(signals)
+        self.signals = thinned(signals, slice(None, None, self._stride))
         self._t = record.t_s[:: self._stride]
         self._step = np.concatenate([[0.0], np.diff(self._t)])
         index = np.clip(np.searchsorted(self._t, self.model.t_s, side="right") - 1, 0, len(self._t) - 2)
         share = np.clip((self.model.t_s - self._t[index]) / self._step[index + 1], 0.0, 1.0)
         self._place = index, share[:, None, None]
         self._keep = record.keep[:: self._stride]
-        self.excited = _thinned(self.signals, self._keep)
+        self.excited = thinned(self.signals, self._keep)
         self._inverse = np.linalg.inv(self.parameters.tensor)
         self.residual, sensitivity, names = self.model.evaluate(self.parameters, self.options)
         self.sensitivity, self.names = _with_accelerometer_delay(sensitivity, names)
@@ -259,8 +260,18 @@ class Evidence:
         self._base = Columns(self.x, self.z, np.zeros(6))
         self._output = Columns(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
         self._products: dict[tuple[int, int], tuple[Array, Array]] = {}
-        self.weight = np.ones(len(self.y))
-        self.weight = np.minimum(1.0, 4.0 / np.maximum(np.abs(self._plain_remainder()), 1e-9))
+        self.weight = self._robust_weight()
+
+    def _robust_weight(self) -> Array:
+        """Huber's weight of each row at four spreads of its channel: a channel that an effect shakes as a whole has no outliers."""
+        left = np.abs(self._plain_remainder())
+        _, channels, flights = self.time_of_rows()
+        spread = np.ones(len(left))
+        for number in np.unique(flights):
+            for channel in np.unique(channels):
+                rows = (flights == number) & (channels == channel)
+                spread[rows] = max(1.0, 1.4826 * float(np.median(left[rows])) if rows.any() else 1.0)
+        return np.minimum(1.0, 4.0 * spread / np.maximum(left, 1e-9))
 
     def _plain_remainder(self) -> Array:
         """What base and known effects leave in the least squares sense: an effect's own rows are not outliers."""
@@ -401,35 +412,3 @@ def _with_accelerometer_delay(sensitivity: Array, names: tuple[str, ...]) -> tup
     later = sensitivity[:, :, index : index + 1].copy()
     later[:, :3] = 0.0
     return np.concatenate([sensitivity, later], axis=2), (*names, "accel_delay_s")
-
-
-def planned_signals(prepared: Prepared, p: Parameters, stride: int) -> Signals | None:
-    """The signals the plan made the vehicle have: thrusts by inverse dynamics at ``p``; time and battery as they were."""
-    plan = prepared.planned
-    if plan is None:
-        return None
-    vehicle = prepared.record.vehicle
-    rate = plan.rate_rad_s
-    torque = plan.angular_acceleration_rad_s2 @ p.tensor + np.cross(rate, rate @ p.tensor)
-    wrench = np.concatenate([p.mass_kg * plan.specific_thrust_m_s2[:, None], torque], axis=1)
-    thrust = wrench @ np.linalg.pinv(wrench_matrix(vehicle)).T
-    motor = thrust if vehicle.rotors.input == "wrench" else vehicle.motor_for_thrust(thrust)
-    quaternion = quat_normalise(plan.quaternion)
-    signals = Signals(
-        t_s=prepared.record.t_s - prepared.record.t_s[0],
-        position_m=plan.position_m,
-        velocity_world_m_s=quat_rotate(quaternion, plan.velocity_body_m_s),
-        quaternion=quaternion,
-        rate_rad_s=rate,
-        motor=motor,
-        lagged=motor,
-        lagged_rate=np.gradient(motor, prepared.record.t_s, axis=0),
-        thrust_n=thrust,
-        voltage_v=prepared.voltage_v,
-        charge_as=prepared.charge_as,
-    )
-    return _thinned(signals, slice(None, None, stride))
-
-
-def _thinned(signals: Signals, rows: slice | NDArray[np.bool_]) -> Signals:
-    return Signals(*(getattr(signals, name)[rows] for name in Signals.__slots__))

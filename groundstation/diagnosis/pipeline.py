@@ -24,6 +24,7 @@ from groundstation.diagnosis.effect import catalogue, library
 from groundstation.diagnosis.evidence import Candidate, Evidence, FlightEvidence, Solution
 from groundstation.diagnosis.forecast import forecast
 from groundstation.diagnosis.kinematic import kinematic_findings, turned
+from groundstation.diagnosis.linearisation import linearisation
 from groundstation.diagnosis.next_flight import rival_entries
 from groundstation.diagnosis.proposal import with_proposals
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
@@ -81,14 +82,13 @@ def diagnose(
         suspects, healthy, unseen = ([recurved(item, bend) for item in each] for each in (suspects, healthy, unseen))
         progress(0.25, "base fit")
         fitted = fit_dynamics([*suspects, *healthy])
-        evidence, baseline, named, solution = _select(
-            fitted.best, fitted.options, suspects, healthy, augmented, (), progress
-        )
+        start = linearisation(fitted)
+        evidence, baseline, named, solution = _select(start, fitted.options, suspects, healthy, augmented, (), progress)
         if named:
             # An effect swells the noise it is judged against, and bends the base it is judged about: what was found is kept out of
             # the noise, the base moves to the joint estimate, and all is judged anew.
             known = tuple(n.candidate for n in named)
-            about = evidence.flights[0].moved(fitted.best, solution)
+            about = evidence.flights[0].moved(start, solution)
             evidence, baseline, named, solution = _select(
                 about, fitted.options, suspects, healthy, augmented, known, progress
             )

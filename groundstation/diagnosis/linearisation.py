@@ -1,0 +1,57 @@
+"""The point that a flight's evidence is linear about.
+
+A torque that goes with what the body does bends the tensor of a base fit that lacks it, the rotors' angular momentum by half and
+more, and about such a tensor nothing linear finds it back. Where the flight is much likelier with such torques free, their fit is
+the better point. Nothing is named here: what is there, the evidence about that point says.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.diagnosis.effect import Effect, library
+from groundstation.identification.pipeline import DynamicFit
+from groundstation.identification.prediction_error import Fitted, fit
+from groundstation.identification.preparation import Prepared
+from groundstation.identification.record_model import BodyWrench, Parameters, RecordModel
+
+Array = NDArray[np.float64]
+
+BENDING = ("rotor_gyroscopic", "flapping_moment")
+"""Effects whose torque goes with the motion, beside damping and an offset of mass, which are free in every base fit."""
+LIKELIER = 10.0
+"""Fall of half the minus-log-likelihood per coefficient from which the base is taken to be bent; chance gives a half."""
+
+
+def linearisation(fitted: DynamicFit) -> Fitted:
+    """The best base fit, or with mass and tensor of a likelier one, with the bending torques free."""
+    own = fitted.filter_error
+    vehicle = fitted.prepared[0].record.vehicle
+    effects = [library()[name] for name in BENDING if library()[name].applies(vehicle)]
+    models = [
+        RecordModel(item.record, (*model.extra, *_terms(item, own.parameters, effects)), None, model.silent)
+        for item, model in zip(fitted.prepared, fitted.models, strict=True)
+    ]
+    count = len(models[0].extra) - len(own.parameters.extra)
+    if count == 0 or len({len(model.extra) for model in models}) > 1:
+        return fitted.best
+    start = replace(own.parameters, extra=np.concatenate([own.parameters.extra, np.zeros(count)]))
+    freed = fit(models, start, fitted.options)
+    if own.cost - freed.cost < LIKELIER * count:
+        return fitted.best
+    return replace(fitted.best, parameters=replace(freed.parameters, extra=fitted.best.parameters.extra))
+
+
+def _terms(prepared: Prepared, p: Parameters, effects: list[Effect]) -> list[BodyWrench]:
+    """The effects' wrenches at the IMU's stamps; none whose signals are unknown."""
+    signals, vehicle = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s), prepared.record.vehicle
+    found = [(effect, effect.wrench(signals, vehicle, {})) for effect in effects]
+    return [
+        BodyWrench(parameter.name, wrench[:, :, index], prior_std=parameter.prior_std(vehicle))
+        for effect, wrench in found
+        if np.isfinite(wrench).all()
+        for index, parameter in enumerate(effect.parameters)
+    ]
