@@ -260,18 +260,8 @@ class Evidence:
         self._base = Columns(self.x, self.z, np.zeros(6))
         self._output = Columns(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
         self._products: dict[tuple[int, int], tuple[Array, Array]] = {}
-        self.weight = self._robust_weight()
-
-    def _robust_weight(self) -> Array:
-        """Huber's weight of each row at four spreads of its channel: a channel that an effect shakes as a whole has no outliers."""
-        left = np.abs(self._plain_remainder())
-        _, channels, flights = self.time_of_rows()
-        spread = np.ones(len(left))
-        for number in np.unique(flights):
-            for channel in np.unique(channels):
-                rows = (flights == number) & (channels == channel)
-                spread[rows] = max(1.0, 1.4826 * float(np.median(left[rows])) if rows.any() else 1.0)
-        return np.minimum(1.0, 4.0 * spread / np.maximum(left, 1e-9))
+        self.weight = np.ones(len(self.y))
+        self.weight = np.minimum(1.0, 4.0 / np.maximum(np.abs(self._plain_remainder()), 1e-9))
 
     def _plain_remainder(self) -> Array:
         """What base and known effects leave in the least squares sense: an effect's own rows are not outliers."""

@@ -2,7 +2,8 @@
 
 A torque that goes with what the body does bends the tensor of a base fit that lacks it, the rotors' angular momentum by half and
 more, and about such a tensor nothing linear finds it back. Where the flight is much likelier with such torques free, their fit is
-the better point. Nothing is named here: what is there, the evidence about that point says.
+the better point. Nothing is named here: what is there, the evidence about that point says. Where speeds are commanded and not measured,
+lag and dead time are free, and a torque that leads the command is one of them to any such fit: there the base stays as it is.
 """
 
 from __future__ import annotations
@@ -27,8 +28,10 @@ LIKELIER = 10.0
 
 
 def linearisation(fitted: DynamicFit) -> Fitted:
-    """The best base fit, or with mass and tensor of a likelier one, with the bending torques free."""
+    """The best base fit, or a likelier one with the bending torques free."""
     own = fitted.filter_error
+    if fitted.options.lag:
+        return fitted.best
     vehicle = fitted.prepared[0].record.vehicle
     effects = [library()[name] for name in BENDING if library()[name].applies(vehicle)]
     models = [
