@@ -26,7 +26,7 @@ EVENTS = st.one_of(
     st.builds(seq.UploadAnswered, st.booleans(), REASONS),
     st.builds(seq.ChecksAnswered, st.booleans(), REASONS),
     st.just(seq.StartRequested()),
-    st.builds(seq.AbortRequested, st.sampled_from(["Ctrl-C", "operator"])),
+    st.builds(seq.AbortRequested, st.sampled_from(["Ctrl-C", "operator"]), st.booleans()),
     st.just(seq.LandRequested()),
     st.just(seq.VehicleAirborne()),
     st.just(seq.VehicleExciting()),
@@ -111,6 +111,15 @@ def test_landing_early_on_request_keeps_what_was_recorded():
     state, done = run([*GOOD[:6], seq.LandRequested(), seq.VehicleLanded()])
     assert state.phase is Phase.LANDED
     assert done[-3:] == [Do.LAND, Do.CLOSE_RECORDING, Do.ANALYSE]
+
+
+@pytest.mark.parametrize("reached", range(len(GOOD) + 1))
+def test_rotors_off_goes_to_the_vehicle_once_wherever_it_is_believed_to_be(reached):
+    state, _ = run(GOOD[:reached])
+    state, done = run([seq.AbortRequested("rotors stopped by operator", rotors_off=True)], state, 100.0)
+    assert done[0] is Do.KILL and done.count(Do.KILL) == 1
+    assert Do.ABORT not in done and Do.DISARM not in done
+    assert state.phase is (Phase.LANDING if state.started else Phase.ABORTED)
 
 
 def test_a_vehicle_that_comes_down_by_itself_has_aborted():

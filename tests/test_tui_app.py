@@ -295,6 +295,20 @@ def write_results(folder: Path) -> None:
     write_plan(proposed, folder / "next_flight.toml")
 
 
+async def test_a_plan_never_takes_the_place_of_another(tmp_path: Path) -> None:
+    app = GroundStation(tmp_path / "logs")
+    folder = tmp_path / "logs" / "plans"
+    async with app.run_test(size=(80, 24)) as pilot:
+        await pilot.press("2")
+        app.plan = load_plan(find_config("plans", "qball2"))
+        await pilot.press("w", "w")
+        (folder / "qball2-2.toml").write_text("mine")
+        (folder / "qball2-1.toml").unlink()
+        await pilot.press("w", "w")
+    assert sorted(p.name for p in folder.iterdir()) == [f"qball2-{n}.toml" for n in (1, 2, 3)]
+    assert (folder / "qball2-2.toml").read_text() == "mine"
+
+
 async def test_flights_lists_filters_and_opens(tmp_path: Path) -> None:
     logs = tmp_path / "logs"
     for name in ("alpha", "beta[red]"):

@@ -23,7 +23,7 @@ from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.journal import read_journal
 from groundstation.flight.sequence import FINAL, Phase
 from groundstation.paths import find_config
-from groundstation.recording import load_flight
+from groundstation.recording import load_flight, read_recording
 from groundstation.trajectory import Plan, load_plan
 from groundstation.tui.app import GroundStation
 from groundstation.tui.setup import Setup, plan_at_hand
@@ -184,6 +184,9 @@ async def test_kill_asks_and_then_the_vehicle_falls(tmp_path: Path) -> None:
     status, reason = outcome(app.core.folder)
     assert status == 4
     assert "rotors stopped by" in reason
-    said = {e["said"]: e["host_s"] for e in read_journal(app.core.folder / JOURNAL) if e["kind"] == "vehicle"}
-    stopped_s, down_s = said["rotors stopped on command"], max(said.values())
+    events = read_recording(app.core.folder / "flight.mcap").texts["events"]
+    assert events.received_s is not None
+    at_s = {text: arrived_s for arrived_s, (_, text) in zip(events.received_s, events.rows, strict=True)}
+    stopped_s = at_s["landing: rotors stopped on command"]
+    down_s = max(e["host_s"] for e in read_journal(app.core.folder / JOURNAL) if e["kind"] == "vehicle")
     assert 0.0 < down_s - stopped_s < 1.2, "from half a metre it falls; a controlled descent takes longer"

@@ -10,6 +10,7 @@ import click
 
 from groundstation.commands.common import Result, example, json_option, load_vehicle_option, logs_option
 from groundstation.errors import BadInput
+from groundstation.writing import write_whole
 
 MOVED = 3.0
 """Combined standard deviations from which a change from flight to flight is worth a word."""
@@ -75,7 +76,7 @@ def export(model: Path, form: str, output: Path | None, vehicle: str | None) -> 
     if output is None:
         return Result({**document, "content": text}, text.rstrip("\n"))
     try:
-        output.write_text(text, encoding="utf-8")
+        write_whole(output, text)
     except OSError as error:
         raise BadInput(
             f"{output}: cannot be written ({error.strerror}); name a file in a folder that exists."

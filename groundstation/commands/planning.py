@@ -11,6 +11,7 @@ import click
 
 from groundstation.commands.common import ProgressLine, Result, assignments, example, json_option
 from groundstation.errors import BadInput
+from groundstation.writing import write_whole
 
 if TYPE_CHECKING:
     from groundstation.trajectory import Plan
@@ -200,7 +201,7 @@ def write_plan(found: Plan, path: Path) -> Path:
     from groundstation.trajectory import plan_to_dict
 
     try:
-        path.write_text(tomli_w.dumps(plan_to_dict(found)), encoding="utf-8")
+        write_whole(path, tomli_w.dumps(plan_to_dict(found)))
     except OSError as error:
         raise BadInput(f"{path}: cannot be written ({error.strerror}); name a file in a folder that exists.") from None
     return path

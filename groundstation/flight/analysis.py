@@ -23,6 +23,7 @@ from groundstation.errors import GroundStationError, NotIdentifiable, Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification
 from groundstation.vehicle import Vehicle
+from groundstation.writing import write_whole
 
 AUGMENTED = "with findings"
 """The parameter set of the augmented model among the validations."""
@@ -200,8 +201,7 @@ def write_identification(
 
 def write_json(path: Path, document: Mapping[str, Any]) -> Path:
     """A JSON file a person can read. Numbers that are not finite become null, as JSON has none."""
-    path.write_text(json.dumps(finite(document), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    return path
+    return write_whole(path, json.dumps(finite(document), indent=1, ensure_ascii=False) + "\n")
 
 
 def finite(value: Any) -> Any:

@@ -17,6 +17,7 @@ from groundstation.flight.children import Child, last_line, module_command, star
 from groundstation.flight.journal import ENDPOINT_FILE, read_journal
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.messages import CLIENT_ALIVE, CommandName, CoreCommand, CoreStatus, Lease, LeaseAnswer
+from groundstation.writing import write_whole
 
 if TYPE_CHECKING:
     import zenoh
@@ -109,7 +110,7 @@ def start_core(
     """
     folder.mkdir(parents=True, exist_ok=True)
     endpoint = bus.loopback(bus.free_port())
-    (folder / ENDPOINT_FILE).write_text(endpoint, encoding="utf-8")
+    write_whole(folder / ENDPOINT_FILE, endpoint)
     arguments = ["--folder", folder, "--plan", plan, "--vehicle", vehicle, "--listen", endpoint]
     for extra in listen:
         arguments += ["--listen", extra]

@@ -250,13 +250,11 @@ class FlightCore:
             return bus.Answer(False, refusal)
         if command.name == "start" and self.state.phase is not seq.Phase.CHECKED:
             return bus.Answer(False, f"the flight is {self.state.phase}; it can be started once it is checked.")
-        if command.name == "kill":
-            self.inbox.put(lambda: self._order(partial(self._command, "kill")))
         event = {
             "start": seq.StartRequested(),
             "land": seq.LandRequested(),
             "abort": seq.AbortRequested(f"aborted by {command.client}"),
-            "kill": seq.AbortRequested(f"rotors stopped by {command.client}"),
+            "kill": seq.AbortRequested(f"rotors stopped by {command.client}", rotors_off=True),
         }[command.name]
         self.inbox.put(lambda: self._event(event))
         return bus.Answer(True)
@@ -273,7 +271,7 @@ class FlightCore:
             case seq.Do.START:
                 self._order(self._start)
                 self._prepare_analysis()
-            case seq.Do.ABORT | seq.Do.LAND | seq.Do.DISARM:
+            case seq.Do.ABORT | seq.Do.KILL | seq.Do.LAND | seq.Do.DISARM:
                 name: bus.CommandName = action.do.value  # type: ignore[assignment]
                 self._order(partial(self._command, name))
             case seq.Do.CLOSE_RECORDING:
@@ -318,6 +316,8 @@ class FlightCore:
             self.inbox.put(lambda: self._tell("refused", f"the vehicle refused '{name}'", reason=reason))
             if name in ("arm", "start"):
                 self.inbox.put(lambda: self._event(seq.StartRefused(reason)))
+            elif name == "kill":
+                self.abort(f"the vehicle refused to stop its rotors: {reason}")
         return answer.ok
 
     def _start(self) -> None:

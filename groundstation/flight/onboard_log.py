@@ -27,6 +27,7 @@ from groundstation.flight.profiles import Profile
 from groundstation.flight.station import load_station
 from groundstation.paths import find_config
 from groundstation.vehicle import Vehicle, load_vehicle
+from groundstation.writing import write_whole
 
 FIND_S = 15.0
 STEP_S = 0.005
@@ -109,12 +110,12 @@ def fetch_onboard_log(
         try:
             run(logs.fetch(entry, data, tell))
         except (LogError, Refused) as error:
-            part.write_bytes(data)
+            write_whole(part, bytes(data))
             raise Refused(
                 f"{error}", f"{len(data)} of {entry.size} bytes are in {part}; fetch again to go on."
             ) from None
         path = folder / f"onboard{profile.log_suffix}"
-        path.write_bytes(data)
+        write_whole(path, bytes(data))
         part.unlink(missing_ok=True)
         return path
     finally:

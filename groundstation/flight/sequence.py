@@ -46,6 +46,7 @@ class Do(StrEnum):
     CHECK = "check"
     START = "start"
     ABORT = "abort"
+    KILL = "kill"
     LAND = "land"
     DISARM = "disarm"
     CLOSE_RECORDING = "close_recording"
@@ -94,9 +95,10 @@ class StartRequested:
 
 @dataclass(frozen=True, slots=True)
 class AbortRequested:
-    """Somebody wants it to end now. Everyone may."""
+    """Somebody wants it to end now. Everyone may; with the rotors off, wherever it is believed to be, the operator."""
 
     reason: str
+    rotors_off: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +223,7 @@ def step(state: Sequence, event: Event, now_s: float) -> Result:
     if state.final:
         return state, ()
     if isinstance(event, AbortRequested):
-        return _abort(state, event.reason, now_s)
+        return _abort(state, event.reason, now_s, rotors_off=event.rotors_off)
     if isinstance(event, VehicleLost):
         return _lost(state, event.reason, now_s)
     if isinstance(event, Tick):
@@ -247,18 +249,20 @@ def _refused(state: Sequence, reason: str, now_s: float) -> Result:
     return _aborted(state, reason, now_s, Action(Do.DISARM, reason), status=Refused.exit_status)
 
 
-def _abort(state: Sequence, reason: str, now_s: float) -> Result:
+def _abort(state: Sequence, reason: str, now_s: float, *, rotors_off: bool = False) -> Result:
+    kill = Action(Do.KILL, reason)
     if state.phase in (Phase.LANDED, Phase.IDENTIFYING):
         # On the ground with the recording closed: only the analysis is given up.
         why = f"the analysis was given up: {reason}"
-        status = FlightAborted.exit_status
-        return _enter(state, Phase.ABORTED, now_s, Action(Do.FINISH, why), exit_status=status, reason=why)
+        actions = ((kill,) if rotors_off else ()) + (Action(Do.FINISH, why),)
+        return _enter(state, Phase.ABORTED, now_s, *actions, exit_status=FlightAborted.exit_status, reason=why)
     if not state.started:
-        return _aborted(state, reason, now_s, Action(Do.DISARM, reason))
+        return _aborted(state, reason, now_s, kill if rotors_off else Action(Do.DISARM, reason))
+    stop = kill if rotors_off else Action(Do.ABORT, reason)
     if state.phase is Phase.LANDING:
         # Say it again: the first request may have been lost, and repeating it is harmless.
-        return replace(state, aborting=state.aborting or reason), (Action(Do.ABORT, reason),)
-    return _enter(state, Phase.LANDING, now_s, Action(Do.ABORT, reason), aborting=reason)
+        return replace(state, aborting=state.aborting or reason), (stop,)
+    return _enter(state, Phase.LANDING, now_s, stop, aborting=reason)
 
 
 def _lost(state: Sequence, reason: str, now_s: float) -> Result:

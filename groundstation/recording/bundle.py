@@ -21,6 +21,7 @@ from groundstation.recording.recorded import (
     recording_of,
 )
 from groundstation.vehicle import Vehicle
+from groundstation.writing import write_whole
 
 FLIGHT_FILE = "flight.json"
 """Name, metadata, excitation window and the names of extra streams; only bundles written here have it."""
@@ -233,7 +234,7 @@ def _write(recording: Recording, folder: Path) -> None:
         "extras": own,
         "notes": list(recording.notes),
     }
-    (folder / FLIGHT_FILE).write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    write_whole(folder / FLIGHT_FILE, json.dumps(about, indent=1) + "\n")
 
 
 def _with_times(t_s: Array, received_s: Array | None) -> tuple[tuple[str, ...], list[Any]]:

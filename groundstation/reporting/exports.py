@@ -28,6 +28,7 @@ from groundstation.reporting import simulators
 from groundstation.reporting.identified import Identified, identified_from_document
 from groundstation.reporting.scenario import to_scenario
 from groundstation.vehicle import Vehicle, vehicle_to_dict
+from groundstation.writing import write_whole
 
 if TYPE_CHECKING:  # the diagnosis is heavy to import, and only its type is needed
     from groundstation.diagnosis.results import Diagnosis
@@ -125,8 +126,7 @@ def read_model(path: str | Path, vehicle: Vehicle | None = None) -> dict[str, An
 def write_model(path: str | Path, document: Mapping[str, Any]) -> Path:
     """Write a model document as TOML, or as JSON where the name ends in .json."""
     path = Path(path)
-    path.write_text(_json(document) if path.suffix == ".json" else _toml(document), encoding="utf-8")
-    return path
+    return write_whole(path, _json(document) if path.suffix == ".json" else _toml(document))
 
 
 def _toml(document: Mapping[str, Any]) -> str:

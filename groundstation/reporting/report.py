@@ -18,6 +18,7 @@ from groundstation.reporting.sections.flight import add_flight
 from groundstation.reporting.sections.parameters import add_parameters
 from groundstation.reporting.sections.verdict import add_verdict
 from groundstation.reporting.units import fixed
+from groundstation.writing import write_whole
 
 if TYPE_CHECKING:  # the diagnosis is heavy to import, and only its type is needed
     from groundstation.diagnosis.results import Diagnosis
@@ -70,8 +71,7 @@ def write_report(
     recording = path.with_name("flight.mcap")
     if source is None and recording.is_file():
         source = shlex.quote(str(recording))
-    path.write_text(report_html(flight, identification, diagnosis, live=live, source=source), encoding="utf-8")
-    return path
+    return write_whole(path, report_html(flight, identification, diagnosis, live=live, source=source))
 
 
 def _header(flight: FlightData) -> str:

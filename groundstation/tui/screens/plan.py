@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterable
+from itertools import count
 from pathlib import Path
 from typing import ClassVar
 
@@ -126,10 +127,11 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
             self.notify("there is no plan yet; p makes one.")
             return
         folder: Path = self.station.logs / "plans"
-        folder.mkdir(parents=True, exist_ok=True)
         try:
-            path = write_plan(plan, folder / f"{plan.vehicle}-{len(list(folder.glob('*.toml'))) + 1}.toml")
-        except BadInput as error:
+            folder.mkdir(parents=True, exist_ok=True)
+            names = (folder / f"{plan.vehicle}-{number}.toml" for number in count(1))
+            path = write_plan(plan, next(name for name in names if not name.exists()))
+        except (BadInput, OSError) as error:
             self.say("#plan-text", str(error))
         else:
             self.notify(f"written: {path}", markup=False)
