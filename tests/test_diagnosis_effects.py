@@ -266,6 +266,9 @@ def test_a_lost_load_lifts_from_its_instant_on():
     wrench = _wrench("payload_change", _signals(), at_s=10.0, within_s=1.0)[:, 2, 0]
     assert wrench[0] == 0.0
     assert wrench[-1] == pytest.approx(-VEHICLE.gravity_m_s2)  # one kilogram more, in hover
+    carried = _wrench("payload_change", _signals(), at_s=10.0, within_s=1.0, carried_kg=0.5)[:, 2, 0]
+    share = VEHICLE.mass_kg / (VEHICLE.mass_kg + 0.5)  # on board until then: the same step, about the empty vehicle
+    np.testing.assert_allclose(carried, (wrench - wrench[-1]) * share)
 
 
 def test_a_slung_load_is_pulled_after_the_vehicle_and_rings_at_its_own_frequency():

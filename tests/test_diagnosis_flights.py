@@ -76,6 +76,12 @@ def test_a_lost_load_is_named_first_with_its_mass():
     _assert_near(diagnosis, "mass_change_kg", -0.1)
 
 
+def test_the_mass_beside_a_lost_load_is_the_vehicles_own_without_it():
+    truth = _flight(payload_change={"mass_kg": 0.1, "time_s": 15.0}).truth
+    assert truth is not None
+    assert abs(_diagnosis_of("payload_change").parameters_after["mass_kg"].value / truth.mass_kg - 1.0) < 0.005
+
+
 def test_a_centre_of_mass_beside_the_origin_is_named_first_with_its_place():
     diagnosis = _diagnosis_of("com_offset")
     assert diagnosis.findings[0].effect == "com_offset"

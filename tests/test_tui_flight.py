@@ -180,7 +180,9 @@ async def test_kill_asks_and_then_the_vehicle_falls(tmp_path: Path) -> None:
         await until(pilot, lambda: isinstance(app.screen, Question))
         await pilot.press("y")
         await until(pilot, lambda: phase(app) in FINAL)
-    assert app.core is not None
+        assert app.core is not None
+        log = app.core.folder / JOURNAL
+        await until(pilot, lambda: read_journal(log)[-1]["kind"] == "outcome")
     status, reason = outcome(app.core.folder)
     assert status == 4
     assert "rotors stopped by" in reason
@@ -188,5 +190,5 @@ async def test_kill_asks_and_then_the_vehicle_falls(tmp_path: Path) -> None:
     assert events.received_s is not None
     at_s = {text: arrived_s for arrived_s, (_, text) in zip(events.received_s, events.rows, strict=True)}
     stopped_s = at_s["landing: rotors stopped on command"]
-    down_s = max(e["host_s"] for e in read_journal(app.core.folder / JOURNAL) if e["kind"] == "vehicle")
+    down_s = max(e["host_s"] for e in read_journal(log) if e["kind"] == "vehicle")
     assert 0.0 < down_s - stopped_s < 1.2, "from half a metre it falls; a controlled descent takes longer"

@@ -27,7 +27,7 @@ INSEPARABLE = 9.0
 MATERIAL = 5e-4
 """Least RMS of an effect that is a finding, as a share of weight (forces) or of weight times arm (torques)."""
 MOST = 6
-CLOSER = 2
+CLOSER = 4
 """How often an instant, a length or a curve is looked at more closely."""
 RIVALS = 6
 """How many contest a place."""
@@ -196,7 +196,7 @@ class Selection:
 
     def named(self, chosen: Sequence[Entry]) -> tuple[list[Named], Solution]:
         """What was chosen with its alternatives, in order of the error it takes away, and the joint estimate."""
-        chosen = list(chosen)
+        chosen = self._settled(chosen)
         margins = self._margins(chosen)
         named = []
         for index, (entry, margin) in enumerate(zip(chosen, margins, strict=True)):
@@ -207,6 +207,20 @@ class Selection:
         named.sort(key=lambda n: -n.gain)
         order = [(n.candidate, n.columns) for n in named]
         return named, self.evidence.solve([*self.baseline, *order])
+
+    def _settled(self, chosen: Sequence[Entry]) -> list[Entry]:
+        """The same in the settings that follow from the values found."""
+        solution = self.evidence.solve([*self.baseline, *chosen])
+        first = sum(len(c.effect.parameters) for c, _ in self.baseline)
+        out = []
+        for candidate, columns in chosen:
+            count = len(candidate.effect.parameters)
+            settings = candidate.effect.settled(candidate.settings, solution.part(first, count)[0])
+            first += count
+            settled = candidate if settings == candidate.settings else Candidate(candidate.effect, settings)
+            anew = columns if settled is candidate else self.evidence.columns(settled)
+            out.append((candidate, columns) if anew is None else (settled, anew))
+        return out
 
     def _refined(self, chosen: list[Entry], index: int) -> list[Entry]:
         """Look closer at the instant, the length or the curve of a member, through instruments common to all settings."""

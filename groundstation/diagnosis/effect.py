@@ -75,6 +75,7 @@ class Effect(EffectInfo):
         sentence: one sentence a pilot understands, with {parameter} places.
         variants: settings to try (a rotor, an instant, a length); one empty set for most effects.
         finer: settings around one that was found, to look closer.
+        settled: settings as they follow from the values that were found (a load that was let go was on board before).
         applies: whether this vehicle's inputs can show it at all.
         rests_on: identifiers of which one has to be there for it to mean anything (wind needs drag to be felt).
     """
@@ -83,6 +84,7 @@ class Effect(EffectInfo):
     sentence: str
     variants: Callable[[Signals, Vehicle], Sequence[Settings]] = field(default=lambda signals, vehicle: ({},))
     finer: Callable[[Settings], Sequence[Settings]] = field(default=lambda settings: ())
+    settled: Callable[[Settings, Array], Settings] = field(default=lambda settings, values: settings)
     applies: Callable[[Vehicle], bool] = field(default=lambda vehicle: True)
     rests_on: tuple[str, ...] = ()
 
@@ -168,6 +170,20 @@ def from_thrust(vehicle: Vehicle, thrust: Array) -> Array:
     out = np.zeros((len(thrust), 6))
     out[:, 2:] = thrust @ wrench_matrix(vehicle).T
     return out
+
+
+def ramp(t_s: Array, at_s: float, within_s: float) -> Array:
+    """From zero to one within a time about an instant, shape as ``t_s``."""
+    return np.clip((t_s - at_s) / within_s + 0.5, 0.0, 1.0)
+
+
+def sharper(settings: Settings, instant: str) -> tuple[Settings, ...]:
+    """Ramps of half the length about instants near the one found: a step is met only by those a fraction of it away."""
+    length = settings["within_s"]
+    shifts = np.linspace(-0.5, 0.5, 9)
+    return tuple(
+        {**settings, instant: settings[instant] + s * length, "within_s": 0.5 * length} for s in shifts.tolist()
+    )
 
 
 def hover_share(signals: Signals, vehicle: Vehicle) -> Array:

@@ -259,11 +259,10 @@ def scenario_document(model: Identified) -> tuple[Table, list[str]]:
 
 
 def _truth(model: Identified) -> Table:
-    """Mass at the flight's end (the simulator lets a load go from it), tensor and lag."""
+    """The vehicle's own mass (the simulator adds the load it lets go), tensor and lag."""
     vehicle = model.vehicle
-    dropped = sum(v.get("mass_change_kg", 0.0) for n, v in model.effects.items() if n.startswith("payload_change"))
     truth: Table = {
-        "mass_kg": vehicle.mass_kg + dropped,
+        "mass_kg": vehicle.mass_kg,
         "inertia_kg_m2": vehicle.inertia_kg_m2.model_dump(),
     }
     if vehicle.rotors.lag.up_s > 0.0 or vehicle.rotors.lag.down_s > 0.0:

@@ -1,24 +1,25 @@
-"""Payload change: the mass steps in flight."""
+"""Payload change: the mass steps in flight. The vehicle's own mass is that without the load, taken up or let go."""
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
-from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, from_thrust
+from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, from_thrust, ramp, sharper
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
-OFFSETS = np.linspace(-0.6, 0.6, 7)
-"""Where a closer look is taken, in spacings of the first one."""
 MOST_KG = 10.0
 """The heaviest vehicle's own mass."""
 
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
-    after = np.clip((signals.t_s - settings["at_s"]) / settings["within_s"] + 0.5, 0.0, 1.0)
+    carried = settings.get("carried_kg", 0.0)
+    after = ramp(signals.t_s, settings["at_s"], settings["within_s"])
     lift = from_thrust(vehicle, signals.thrust_n)[:, 2]
     out = blank(signals)
-    out[:, 2, 0] = -after * lift / vehicle.mass_kg
+    out[:, 2, 0] = (float(carried > 0.0) - after) * lift / (vehicle.mass_kg + carried)
     return out
 
 
@@ -27,14 +28,14 @@ def _variants(signals: Signals, vehicle: Vehicle) -> tuple[Settings, ...]:
     return tuple({"at_s": float(s), "within_s": float(instants[1] - instants[0])} for s in instants)
 
 
-def _finer(settings: Settings) -> tuple[Settings, ...]:
-    width = settings["within_s"]
-    return tuple({"at_s": settings["at_s"] + share * width, "within_s": 0.25 * width} for share in OFFSETS)
+def _settled(settings: Settings, values: np.ndarray) -> Settings:
+    """A load that is let go during the flight was on board until then."""
+    return {**settings, "carried_kg": float(-values[0])} if values[0] < 0.0 < settings["at_s"] else settings
 
 
 EFFECT = Effect(
     identifier="payload_change",
-    equation="(m + dm H(t - t_0)) f = T e_z, so to first order F_z = -dm T / m after t_0",
+    equation="(m + dm (H(t - t_0) - c)) f = T e_z, so F_z = -dm (H - c) T / (m - c dm); c = 1: carried at first, let go at t_0",
     source="Newton's second law with a step in mass",
     parameters=(ParameterInfo("mass_change_kg", lambda v: 0.5 * v.mass_kg, (-MOST_KG, MOST_KG)),),
     wrench=_wrench,
@@ -42,5 +43,6 @@ EFFECT = Effect(
     confused_with=("battery_sag", "rotor_degradation"),
     manoeuvre="hover before and after, at the same voltage",
     variants=_variants,
-    finer=_finer,
+    finer=partial(sharper, instant="at_s"),
+    settled=_settled,
 )

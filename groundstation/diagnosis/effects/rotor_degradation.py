@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
-from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, from_thrust, has_rotors
+from groundstation.diagnosis.effect import (
+    Effect,
+    ParameterInfo,
+    Settings,
+    blank,
+    from_thrust,
+    has_rotors,
+    ramp,
+    sharper,
+)
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
-
-OFFSETS = np.linspace(-0.6, 0.6, 7)
-"""Where a closer look is taken, in spacings of the first one."""
 
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
     lost = np.zeros_like(signals.thrust_n)
     rotor = int(settings["rotor"]) - 1
-    lost[:, rotor] = -signals.thrust_n[:, rotor] * np.clip(
-        (signals.t_s - settings["from_s"]) / settings["within_s"] + 0.5, 0.0, 1.0
-    )
+    lost[:, rotor] = -signals.thrust_n[:, rotor] * ramp(signals.t_s, settings["from_s"], settings["within_s"])
     out = blank(signals)
     out[:, :, 0] = from_thrust(vehicle, lost)
     return out
@@ -33,13 +39,6 @@ def _variants(signals: Signals, vehicle: Vehicle) -> tuple[Settings, ...]:
     )
 
 
-def _finer(settings: Settings) -> tuple[Settings, ...]:
-    width = settings["within_s"]
-    return tuple(
-        {**settings, "from_s": settings["from_s"] + share * width, "within_s": 0.25 * width} for share in OFFSETS
-    )
-
-
 EFFECT = Effect(
     identifier="rotor_degradation",
     equation="T_i = (1 - loss H(t - t_0)) k_i Omega_i^2",
@@ -50,6 +49,6 @@ EFFECT = Effect(
     confused_with=("weak_rotor", "payload_change"),
     manoeuvre="repeat the same manoeuvre early and late",
     variants=_variants,
-    finer=_finer,
+    finer=partial(sharper, instant="from_s"),
     applies=has_rotors,
 )
