@@ -82,6 +82,22 @@ def test_the_mass_beside_a_lost_load_is_the_vehicles_own_without_it():
     assert abs(_diagnosis_of("payload_change").parameters_after["mass_kg"].value / truth.mass_kg - 1.0) < 0.005
 
 
+def test_a_motor_and_its_propeller_are_a_lag_and_nothing_else_and_bend_neither_mass_nor_moments():
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    vehicle = vehicle.model_copy(update={"rotors": vehicle.rotors.model_copy(update={"speed_source": "command"})})
+    plan = load_plan(find_config("plans", "qball2")).model_copy(update={"periods": PERIODS})
+    simulated = simulate(vehicle, plan, laboratory(motor_lag={"hover_s": 0.05, "propeller_share": 0.4}), SEED)
+    diagnosis = diagnose([flight_data(simulated)])
+    assert [f.effect for f in diagnosis.findings] == ["motor_lag"], diagnosis.findings
+    found, truth = diagnosis.findings[0].parameters, simulated.truth
+    assert 0.2 < found["rotor_lag_slope"].value < 0.7
+    assert 0.045 < found["rotor_lag_up_s"].value < 0.06
+    assert abs(diagnosis.parameters_after["mass_kg"].value / truth.mass_kg - 1.0) < 0.01
+    for axis in ("xx", "yy", "zz"):
+        own = getattr(truth.inertia_kg_m2, axis)
+        assert abs(diagnosis.parameters_after[f"i{axis}_kg_m2"].value / own - 1.0) < 0.02, axis
+
+
 def test_a_centre_of_mass_beside_the_origin_is_named_first_with_its_place():
     diagnosis = _diagnosis_of("com_offset")
     assert diagnosis.findings[0].effect == "com_offset"

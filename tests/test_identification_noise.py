@@ -155,6 +155,24 @@ def test_up_and_down_have_their_own_lag() -> None:
     assert np.interp(1.09, grid, lagged) == pytest.approx(1.0 + np.exp(-1.0), abs=1e-4)
 
 
+@given(
+    tau=st.floats(0.01, 0.2),
+    start=st.floats(0.4, 1.6),
+    end=st.floats(0.4, 1.6),
+    slope=st.floats(-1.0, 1.0).filter(bool),
+)
+@settings(max_examples=50, deadline=None)
+def test_a_lag_by_speed_is_the_exponential_at_the_rate_of_the_command(
+    tau: float, start: float, end: float, slope: float
+) -> None:
+    t = np.arange(0.0, 1.0, 0.01)
+    motors = motor_input(t, 400.0 * np.where(t < 0.2 - 1e-9, start, end)[:, None], measured=False, hover=400.0)
+    since = np.maximum(motors.t_s - 0.2, 0.0)
+    rate = (1.0 + slope * (end - 1.0)) / tau
+    expected = 400.0 * (end + (start - end) * np.exp(-rate * since))
+    np.testing.assert_allclose(motors.lagged(tau, tau, slope)[:, 0], expected, rtol=1e-9)
+
+
 def test_no_lag_passes_the_command_through_and_holds_it_between_samples() -> None:
     motors = motor_input(np.array([0.0, 0.1, 0.2]), np.array([[1.0], [3.0], [2.0]]), measured=False)
     np.testing.assert_array_equal(motors.lagged(0.0, 0.0)[[0, 99, 100, 199, 200], 0], [1.0, 1.0, 3.0, 3.0, 2.0])

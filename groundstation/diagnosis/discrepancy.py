@@ -49,7 +49,7 @@ class Discrepancy:
         first = self._evidence.flights[0]
         p, declared = first.parameters, first.prepared.record.vehicle.rotors.lag
         found = {"rotor_lag_up_s": p.lag_up_s - declared.up_s, "rotor_lag_down_s": p.lag_down_s - declared.down_s}
-        found["input_delay_s"] = p.delay_s
+        found |= {"input_delay_s": p.delay_s, "rotor_lag_slope": p.lag_slope}
         names = list(self._evidence.names)
         if "rotor_lag_up_s" not in names:
             return np.zeros(len(CHANNELS))

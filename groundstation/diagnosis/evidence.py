@@ -114,7 +114,7 @@ class FlightEvidence:
         )
         self.model = RecordModel(record, (), None if prepared.planned is None else replace(prepared.planned, extra=()))
         self._stride = max(1, round(1.0 / float(np.median(np.diff(record.t_s))) / SIGNAL_RATE_HZ))
-        signals = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s)
+        signals = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
         if record.motors.measured:
             signals = quietened(signals)
         self.signals = thinned(signals, slice(None, None, self._stride))
@@ -250,6 +250,8 @@ class Evidence:
                 prior[index] = 1.0 / max(float(flights[0].prepared.record.force_bias_std[axis]), 1e-4) ** 2
             elif name == "accel_delay_s":
                 prior[index] = 1.0 / ACCEL_DELAY_S**2
+            elif name == "rotor_lag_slope":
+                prior[index] = 1.0 / 0.5**2
             elif name.startswith(("rotor_lag", "input_delay")):
                 prior[index] = 1.0 / 0.15**2
             elif name == "mass_kg":

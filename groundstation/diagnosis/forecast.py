@@ -56,6 +56,7 @@ def vehicle_model(evidence: Evidence, chosen: Chosen, solution: Solution) -> Veh
         tensor=np.asarray(tensor),
         lag_up_s=float(np.clip(p.lag_up_s + moved.get("rotor_lag_up_s", 0.0), 0.0, 0.5)),
         lag_down_s=float(np.clip(p.lag_down_s + moved.get("rotor_lag_down_s", 0.0), 0.0, 0.5)),
+        lag_slope=p.lag_slope + moved.get("rotor_lag_slope", 0.0),
         delay_s=p.delay_s + moved.get("input_delay_s", 0.0),
         wrench=wrench if parts else None,
     )

@@ -50,7 +50,7 @@ def linearisation(fitted: DynamicFit) -> Fitted:
 
 def _terms(prepared: Prepared, p: Parameters, effects: list[Effect]) -> list[BodyWrench]:
     """The effects' wrenches at the IMU's stamps; none whose signals are unknown."""
-    signals, vehicle = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s), prepared.record.vehicle
+    signals, vehicle = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope), prepared.record.vehicle
     found = [(effect, effect.wrench(signals, vehicle, {})) for effect in effects]
     return [
         BodyWrench(parameter.name, wrench[:, :, index], prior_std=parameter.prior_std(vehicle))

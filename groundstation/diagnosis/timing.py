@@ -19,7 +19,8 @@ Array = NDArray[np.float64]
 
 CERTAIN = 25.0
 """Wald statistic (five standard deviations) for one of the two; for both together ten more."""
-NAMES = (*LAG.names(), *DELAY.names())
+NAMES = (*LAG.names()[:2], *DELAY.names())
+SLOPE = LAG.names()[2]
 
 
 def lag_findings(evidence: Evidence, solution: Solution) -> list[Finding]:
@@ -37,6 +38,9 @@ def lag_findings(evidence: Evidence, solution: Solution) -> list[Finding]:
     values = np.array([p.lag_up_s, p.lag_down_s, p.delay_s]) + solution.theta[index]
     values -= [declared.up_s, declared.down_s, 0.0]
     covariance = solution.covariance[np.ix_(index, index)]
+    at = names.index(SLOPE)
+    slope = Estimate.normal(float(p.lag_slope + solution.theta[at]), float(np.sqrt(solution.covariance[at, at])))
+    lags = (declared.up_s, declared.down_s, slope)
 
     def wald(part: Sequence[int]) -> float:
         v, c = values[list(part)], covariance[np.ix_(part, part)]
@@ -48,13 +52,13 @@ def lag_findings(evidence: Evidence, solution: Solution) -> list[Finding]:
         return []
     if min(only_delay_explains, only_lag_explains) > CERTAIN and values[2] > DELAY.least:
         return [
-            _lag(values, covariance, declared.up_s, declared.down_s, only_lag_explains, (CERTAIN - only_lag_explains,)),
+            _lag(values, covariance, lags, only_lag_explains, (CERTAIN - only_lag_explains,)),
             _delay(values[2], covariance[2, 2], only_delay_explains, (CERTAIN - only_delay_explains,)),
         ]
     lead = only_lag_explains - only_delay_explains
     if lead >= 0.0 or values[2] < DELAY.least:
         alone = _conditional(values, covariance)
-        return [_lag(*alone, declared.up_s, declared.down_s, everything, (chance, -lead), lead < INSEPARABLE)]
+        return [_lag(*alone, lags, everything, (chance, -lead), lead < INSEPARABLE)]
     total = float(values[:2].mean() + values[2])
     return [_delay(total, covariance[2, 2], everything, (chance, lead), -lead < INSEPARABLE)]
 
@@ -62,18 +66,19 @@ def lag_findings(evidence: Evidence, solution: Solution) -> list[Finding]:
 def _lag(
     values: Array,
     covariance: Array,
-    up_s: float,
-    down_s: float,
+    beside: tuple[float, float, Estimate],
     gain: float,
     rivals: Sequence[float],
     close: bool = False,
 ) -> Finding:
-    up, down = values[0] + up_s, values[1] + down_s
+    """The finding; ``beside`` the lags' departures stand the declared lags and how the rate goes with the speed."""
+    up, down = values[0] + beside[0], values[1] + beside[1]
     return Finding(
         effect=LAG.identifier,
         parameters={
             NAMES[0]: Estimate.normal(float(up), float(np.sqrt(covariance[0, 0]))),
             NAMES[1]: Estimate.normal(float(down), float(np.sqrt(covariance[1, 1]))),
+            SLOPE: beside[2],
         },
         evidence=LAG.sentence.format(up_ms=1e3 * up, down_ms=1e3 * down),
         confidence=posterior(rivals),

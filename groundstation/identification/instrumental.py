@@ -26,6 +26,8 @@ from groundstation.identification.record_model import Options, Parameters, Recor
 
 Array = NDArray[np.float64]
 
+HELD = "rotor_lag_slope"
+"""Stays as the prediction error estimate has it, with the interval that has there."""
 ROUNDS = 3
 """How often the noise model is refitted to the residual."""
 
@@ -90,6 +92,8 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
                 break
     theta = current_values(p, names, extra_names)
     rms = np.sqrt(np.mean(np.concatenate([e[0] for e in evaluated]) ** 2, axis=0))
+    held = [index for index, name in enumerate(names) if name == HELD]
+    covariance[held, held] = start.covariance[held, held]
     return replace(
         start,
         parameters=p,
@@ -136,7 +140,7 @@ def _lag_split_precision(names: Sequence[str]) -> Array:
 
     The plan excites low frequencies, where only the sum shows; its division comes from the prediction error estimate, to
     2 ms for the dead time (in 28 drawn flights it was never wrong by more than 1 ms, however wrong the lag) and 5 ms for up against
-    down. The sum stays free.
+    down. The sum stays free. How the lag goes with the speed is held: a plan's own columns tell it weakly, and ran away with it.
     """
     precision = np.zeros((len(names), len(names)))
     row = np.zeros(len(names))
@@ -147,6 +151,9 @@ def _lag_split_precision(names: Sequence[str]) -> Array:
         row = np.zeros(len(names))
         row[names.index("rotor_lag_up_s")], row[names.index("rotor_lag_down_s")] = 1.0, -1.0
         precision += np.outer(row, row) / 0.005**2
+    if HELD in names:
+        index = names.index(HELD)
+        precision[index, index] += 1.0 / 0.001**2
     return precision
 
 

@@ -170,7 +170,7 @@ def _with_free_curve(
 def curve_terms(prepared: Prepared, p: Parameters) -> list[BodyWrench]:
     """Body wrench per unit change of each coefficient of the thrust curve, at a given lag and delay."""
     vehicle = prepared.record.vehicle
-    lagged = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s).lagged
+    lagged = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope).lagged
     matrix = wrench_matrix(vehicle)
     terms = []
     for power, (name, declared) in enumerate(zip(CURVE, vehicle.rotors.thrust_curve or (), strict=True)):

@@ -34,6 +34,7 @@ from groundstation.model.rotors import (
     MotorInput,
     cumulative,
     declared_thrust,
+    hover_value,
     interpolate_columns,
     motor_input,
     wrench_matrix,
@@ -81,16 +82,16 @@ class Prepared:
     window_s: tuple[float, float]
     notes: tuple[str, ...]
 
-    def signals(self, up_s: float, down_s: float, delay_s: float) -> Signals:
+    def signals(self, up_s: float, down_s: float, delay_s: float, slope: float = 0.0) -> Signals:
         """What forces can depend on, at the record's stamps, for a given lag and delay."""
         record, motors = self.record, self.record.motors
-        lagged = motors.lagged(up_s, down_s)
+        lagged = motors.lagged(up_s, down_s, slope)
         query = record.t_s - delay_s
 
         def at(values: Array) -> Array:
             return interpolate_columns(query, motors.start_s, motors.step_s, values)
 
-        slope = np.gradient(lagged, motors.step_s, axis=0)
+        rate = np.gradient(lagged, motors.step_s, axis=0)
         return Signals(
             t_s=record.t_s - record.t_s[0],
             position_m=self.position_m,
@@ -99,7 +100,7 @@ class Prepared:
             rate_rad_s=record.rate_rad_s,
             motor=at(motors.value),
             lagged=at(lagged),
-            lagged_rate=at(slope),
+            lagged_rate=at(rate),
             thrust_n=at(declared_thrust(record.vehicle, lagged)),
             voltage_v=self.voltage_v,
             charge_as=self.charge_as,
@@ -125,7 +126,7 @@ def prepare(flight: FlightData, *, exclude: Sequence[tuple[float, float]] = ()) 
             f"the flight is too short: {end_s - start_s:.1f} s in the air, {SHORTEST_S:.0f} s is the least.",
             "Fly the excitation for 20 s or more.",
         )
-    inputs = motor_input(motors.t_s, motors.values, measured=measured)
+    inputs = motor_input(motors.t_s, motors.values, measured=measured, hover=hover_value(vehicle))
     motion = _motion(flight, notes)
     offset = _motor_offset(flight, motion, inputs)
     if offset != 0.0:

@@ -104,6 +104,7 @@ class Parameters:
     yaw_trim_nm: float
     force_bias_m_s2: Array
     extra: Array = field(default_factory=lambda: np.zeros(0))
+    lag_slope: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,9 +145,11 @@ class _PlannedBase:
     slope: Array
     rising: Array
     falling: Array
+    bending: Array
     d_slope: Array
     d_rising: Array
     d_falling: Array
+    d_bending: Array
     extra: tuple[tuple[Array, Array], ...]
 
 
@@ -211,10 +214,10 @@ class RecordModel:
             total += values[column]
         return total / self._members.shape[1]
 
-    def _wrench(self, up_s: float, down_s: float) -> tuple[Array, Array]:
+    def _wrench(self, up_s: float, down_s: float, slope: float) -> tuple[Array, Array]:
         """[F_z, tau] by the declared constants behind a lag and its running integral, on the motors' grid, (k, 4) each."""
         motors = self.record.motors
-        wrench = declared_thrust(self.record.vehicle, motors.lagged(up_s, down_s)) @ self._matrix.T
+        wrench = declared_thrust(self.record.vehicle, motors.lagged(up_s, down_s, slope)) @ self._matrix.T
         held = not motors.measured and up_s <= 1e-6 and down_s <= 1e-6
         return wrench, cumulative(wrench, motors.step_s, held=held)
 
@@ -228,7 +231,7 @@ class RecordModel:
     def _predict(self, p: Parameters) -> _Prediction:
         if self._last is not None and self._last[0] is p:
             return self._last[1]
-        on_grid = self._wrench(p.lag_up_s, p.lag_down_s)
+        on_grid = self._wrench(p.lag_up_s, p.lag_down_s, p.lag_slope)
         wrench, impulse = self._thrusts(on_grid, p.delay_s)
         torque = impulse[:, 1:] - self._gyroscopic @ np.array([p.tensor[i, j] for i, j in PAIRS])
         torque[:, :2] += np.stack([-p.com_m[1], p.com_m[0]]) * impulse[:, :1]
@@ -270,15 +273,16 @@ class RecordModel:
             force[:, 2] = (moved[0] - wrench)[:, 0] / step / p.mass_kg
             return torque @ inverse.T, force
 
-        up, down, delay = p.lag_up_s, p.lag_down_s, p.delay_s
+        up, down, slope, delay = p.lag_up_s, p.lag_down_s, p.lag_slope, p.delay_s
         step = max(1e-3, 0.02 * max(up, down))
         if options.delay:
             table["input_delay_s"] = difference(prediction.on_grid, delay + 1e-3, 1e-3)
         if options.lag and options.symmetric_lag:
-            table["rotor_lag_s"] = difference(self._wrench(up + step, down + step), delay, step)
+            table["rotor_lag_s"] = difference(self._wrench(up + step, down + step, slope), delay, step)
         elif options.lag:
-            table["rotor_lag_up_s"] = difference(self._wrench(up + step, down), delay, step)
-            table["rotor_lag_down_s"] = difference(self._wrench(up, down + step), delay, step)
+            table["rotor_lag_up_s"] = difference(self._wrench(up + step, down, slope), delay, step)
+            table["rotor_lag_down_s"] = difference(self._wrench(up, down + step, slope), delay, step)
+            table["rotor_lag_slope"] = difference(self._wrench(up, down, slope + 0.05), delay, 0.05)
         self._add_offsets(table, inverse, impulse[:, 0], options)
         for term, (integral, push) in zip(self.extra, self._extra, strict=True):
             torque = integral[:, 3:] - np.cross(p.com_m, integral[:, :3])
@@ -318,8 +322,19 @@ class RecordModel:
         slope = np.gradient(np.concatenate([thrust, torque], axis=1), self.record.t_s, axis=0)
         each = slope @ np.linalg.pinv(self._matrix).T
         # thrust y behind a lag: y' = (u - y) / tau, so dy/dtau = -y' through the same lag, of rising or falling rotors
-        falling = self._behind_lag(np.minimum(each, 0.0), p.lag_down_s) @ self._matrix.T
-        rising = self._behind_lag(np.maximum(each, 0.0), p.lag_up_s) @ self._matrix.T
+        down, up = (
+            self._behind_lag(np.minimum(each, 0.0), p.lag_down_s),
+            self._behind_lag(np.maximum(each, 0.0), p.lag_up_s),
+        )
+        falling, rising = down @ self._matrix.T, up @ self._matrix.T
+        # and where the rate is (1 + s x) / tau, dy/ds = tau x y' through the lag, x of the command u = y + tau y' above hover's
+        asked = np.concatenate([thrust, torque], axis=1) @ np.linalg.pinv(self._matrix).T
+        asked += np.where(each > 0.0, p.lag_up_s, p.lag_down_s) * each
+        above = self._above_hover(asked)
+        bending = (
+            p.lag_down_s * self._behind_lag(above * down, p.lag_down_s)
+            + p.lag_up_s * self._behind_lag(above * up, p.lag_up_s)
+        ) @ self._matrix.T
         return _PlannedBase(
             rate=self.average(rate),
             gyroscopic=self._integrated_gyroscopic(rate),
@@ -328,11 +343,19 @@ class RecordModel:
             slope=self.average(self._integrate(slope)),
             rising=self.average(self._integrate(rising)),
             falling=self.average(self._integrate(falling)),
+            bending=self.average(self._integrate(bending)),
             d_slope=self.average(slope),
             d_rising=self.average(rising),
             d_falling=self.average(falling),
+            d_bending=self.average(bending),
             extra=tuple((self.average(self._integrate(e)), self.average(e[:, :3])) for e in plan.extra),
         )
+
+    def _above_hover(self, thrust: Array) -> Array:
+        """Motor values for thrusts (k, n) over hover's, less one."""
+        if self.record.vehicle.rotors.input == "wrench":
+            return np.zeros_like(thrust)
+        return self.record.vehicle.motor_for_thrust(thrust) / self.record.motors.hover - 1.0
 
     def _behind_lag(self, values: Array, lag_s: float) -> Array:
         """Columns through a first-order lag, shape kept."""
@@ -367,6 +390,7 @@ class RecordModel:
         elif options.lag:
             table["rotor_lag_up_s"] = later(base.rising, base.d_rising)
             table["rotor_lag_down_s"] = later(base.falling, base.d_falling)
+            table["rotor_lag_slope"] = later(-base.bending, -base.d_bending)
         self._add_offsets(table, inverse, base.impulse, options)
         for term, (integral, push) in zip(self.extra, base.extra, strict=True):
             table[term.name] = integral[:, 3:] @ inverse.T, push / p.mass_kg

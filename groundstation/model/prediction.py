@@ -61,6 +61,7 @@ class VehicleModel:
     tensor: Array
     lag_up_s: float = 0.0
     lag_down_s: float = 0.0
+    lag_slope: float = 0.0
     delay_s: float = 0.0
     thrust_scale: float = 1.0
     com_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -121,6 +122,7 @@ def model_from_document(document: Mapping[str, Any], vehicle: Vehicle, wrench: W
         tensor=tensor,
         lag_up_s=lagged.get("rotor_lag_up_s", values.get("rotor_lag_up_s", vehicle.rotors.lag.up_s)),
         lag_down_s=lagged.get("rotor_lag_down_s", values.get("rotor_lag_down_s", vehicle.rotors.lag.down_s)),
+        lag_slope=lagged.get("rotor_lag_slope", values.get("rotor_lag_slope", 0.0)),
         delay_s=lagged.get("input_delay_s", values.get("input_delay_s", 0.0)),
         thrust_scale=scale,
         com_m=(values.get("com_offset_x_m", 0.0), values.get("com_offset_y_m", 0.0), 0.0) if free else (0.0, 0.0, 0.0),
@@ -294,7 +296,7 @@ class _Inputs:
 
     @classmethod
     def of(cls, model: VehicleModel, motors: MotorInput) -> _Inputs:
-        lagged = motors.lagged(model.lag_up_s, model.lag_down_s)
+        lagged = motors.lagged(model.lag_up_s, model.lag_down_s, model.lag_slope)
         thrust = declared_thrust(model.vehicle, lagged) * model.thrust_scale
         held = not motors.measured and model.lag_up_s <= 1e-6 and model.lag_down_s <= 1e-6
         impulse = cumulative(thrust, motors.step_s, held=held)

@@ -1,7 +1,10 @@
 """Rotor thrusts over time from what a flight recorded of its motors: commands through a lag, or measured speeds.
 
 A command holds until the next one; a measured speed is interpolated linearly (it is a sample of something continuous).
-The first-order lag x' = (u - x)/tau, with tau by the sign of u - x, is solved exactly over each step of a fine grid.
+The lag x' = (1 + s (u/u_h - 1)) (u - x)/tau, with tau by the sign of u - x, is solved exactly over each step of a fine grid.
+A first-order lag has s = 0. The torque of a motor falls in proportion to its speed and its propeller's drag grows with the
+square, so small changes about a speed fade at the rate (a + b u), which is linearised about hover's command u_h: s is the
+propeller's share of the damping there (Bangura and Mahony 2014, Thrust control for multirotor aerial vehicles, for the torques).
 """
 
 from __future__ import annotations
@@ -17,6 +20,8 @@ from groundstation.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 FINE_STEP_S = 0.001
+SLOWEST = 0.1
+"""Share of hover's rate that a lag keeps however small the command."""
 
 
 @njit(cache=True)
@@ -34,6 +39,20 @@ def _lagged(value: Array, up: float, down: float, step: float) -> Array:
     return out
 
 
+@njit(cache=True)
+def _lagged_by_speed(value: Array, up: float, down: float, step: float, slope: float, hover: float) -> Array:
+    """The same where the rate of the lag goes with the input."""
+    out = np.empty_like(value)
+    x = value[0].copy()
+    for i in range(value.shape[0]):
+        for j in range(value.shape[1]):
+            out[i, j] = x[j]
+            error = value[i, j] - x[j]
+            rate = max(1.0 + slope * (value[i, j] / hover - 1.0), SLOWEST)
+            x[j] -= np.expm1(-step * rate / max(up if error > 0.0 else down, 1e-6)) * error
+    return out
+
+
 @dataclass(frozen=True, slots=True)
 class MotorInput:
     """Recorded motor values on a fine uniform grid of the motors' clock.
@@ -42,26 +61,32 @@ class MotorInput:
         start_s, step_s: the grid.
         value: speeds, commands or wrench components, shape (k, n).
         measured: the values are measured speeds (no lag between them and the thrust).
+        hover: value at which a rotor carries its share of the weight.
     """
 
     start_s: float
     step_s: float
     value: Array
     measured: bool
+    hover: float = 1.0
 
     @property
     def t_s(self) -> Array:
         """Grid times, shape (k,)."""
         return np.asarray(self.start_s + self.step_s * np.arange(len(self.value)), dtype=float)
 
-    def lagged(self, up_s: float, down_s: float) -> Array:
-        """Values after the first-order lag, shape (k, n). A zero lag passes the values through."""
+    def lagged(self, up_s: float, down_s: float, slope: float = 0.0) -> Array:
+        """Values after the lag, shape (k, n). A zero lag passes the values through."""
         if up_s <= 1e-6 and down_s <= 1e-6:
             return self.value
+        if slope != 0.0:
+            return _lagged_by_speed(self.value, up_s, down_s, self.step_s, slope, self.hover)
         return _lagged(self.value, up_s, down_s, self.step_s)
 
 
-def motor_input(t_s: Array, values: Array, *, measured: bool, step_s: float = FINE_STEP_S) -> MotorInput:
+def motor_input(
+    t_s: Array, values: Array, *, measured: bool, step_s: float = FINE_STEP_S, hover: float = 1.0
+) -> MotorInput:
     """Put recorded motor values on a uniform grid: hold commands, interpolate measured speeds.
 
     Args:
@@ -69,6 +94,7 @@ def motor_input(t_s: Array, values: Array, *, measured: bool, step_s: float = FI
         values: shape (m, n).
         measured: interpolate instead of holding.
         step_s: spacing of the grid.
+        hover: value at which a rotor carries its share of the weight.
     """
     t_s = np.asarray(t_s, dtype=float)
     grid = t_s[0] + step_s * np.arange(int(np.floor((t_s[-1] - t_s[0]) / step_s)) + 1)
@@ -76,7 +102,7 @@ def motor_input(t_s: Array, values: Array, *, measured: bool, step_s: float = FI
         value = np.stack([np.interp(grid, t_s, column) for column in values.T], axis=-1)
     else:
         value = values[np.clip(np.searchsorted(t_s, grid + 1e-9, side="right") - 1, 0, len(t_s) - 1)]
-    return MotorInput(float(t_s[0]), step_s, np.ascontiguousarray(value, dtype=float), measured)
+    return MotorInput(float(t_s[0]), step_s, np.ascontiguousarray(value, dtype=float), measured, hover)
 
 
 @njit(cache=True)
@@ -103,6 +129,14 @@ def interpolate_columns(query_s: Array, start_s: float, step_s: float, values: A
     index = position.astype(np.int64)
     weight = (position - index)[:, None]
     return values[index] * (1.0 - weight) + values[index + 1] * weight
+
+
+def hover_value(vehicle: Vehicle) -> float:
+    """Motor value at which a rotor carries its share of the declared weight; one where none does (a wrench as input)."""
+    if vehicle.rotors.input == "wrench":
+        return 1.0
+    share = vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.rotors.count
+    return float(vehicle.motor_for_thrust(share)) or 1.0
 
 
 def declared_thrust(vehicle: Vehicle, lagged: Array) -> Array:
