@@ -66,6 +66,16 @@ def test_every_effect_the_diagnosis_can_name_is_switched_on_in_the_simulator(nam
     assert on == ["constant_wrench" if name == "wind" else name]
 
 
+def test_a_lag_that_goes_with_the_speed_is_the_simulators_motor_with_its_propeller():
+    table = {"rotor_lag_up_s": 0.05, "rotor_lag_down_s": 0.0625, "rotor_lag_slope": 0.4}
+    text, found = scenario(motor_lag=table)
+    assert found.truth.lag is None and found.effects.motor_lag.on
+    motor = found.effects.motor_lag
+    assert (motor.hover_s, motor.propeller_share) == (0.05, 0.4)
+    assert motor.braking_share == pytest.approx((0.8 - 0.4) / 0.6)
+    assert "Lost: motor_lag" in text
+
+
 def test_every_form_is_of_an_effect_that_can_be_found():
     assert set(MAPPERS) == {*library(), *SENSORS, "thrust_scale", "torque_scale"}
 

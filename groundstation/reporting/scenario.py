@@ -31,6 +31,10 @@ STANDING_S = 1.0
 """From a rehearsal's first sample to its take-off: findings count from the former, the simulator from the latter."""
 
 
+LEAST_SHARE, MOST_SHARE = 0.1, 0.95
+"""Shares of a motor's damping that come from its propeller: below the first a lag is one of first order."""
+
+
 @dataclass(frozen=True, slots=True)
 class Held:
     """A finding in the simulator's form: its table under ``[effects]``, and what that does not hold."""
@@ -188,6 +192,25 @@ def _mocap_tilt(v: Values, model: Identified) -> Held:
     return Held("mocap_tilt", {"tilt_rad": [v["tilt_x_rad"], v["tilt_y_rad"]]})
 
 
+def _motor_lag(v: Values, model: Identified) -> Held | None:
+    """A lag whose rate goes with the speed is a motor's with its propeller; else ``truth.lag`` holds it.
+
+    About hover the motor's rate rises by ``propeller_share`` of it per share of speed, and what brakes is that share and as much of the
+    rest as the controller uses: tau_up / tau_down = share + braking (1 - share).
+    """
+    share = v.get("rotor_lag_slope", 0.0)
+    if share < LEAST_SHARE:
+        return None
+    share = min(share, MOST_SHARE)
+    braking = (v["rotor_lag_up_s"] / max(v["rotor_lag_down_s"], 1e-3) - share) / (1.0 - share)
+    table = {
+        "hover_s": v["rotor_lag_up_s"],
+        "propeller_share": share,
+        "braking_share": min(max(braking, 0.1), 1.0),
+    }
+    return Held("motor_lag", table, "its rate by the command alone: the simulator's goes with the speed, too")
+
+
 def _nothing(v: Values, model: Identified) -> None:
     """Held by ``[truth]`` already."""
 
@@ -216,7 +239,7 @@ MAPPERS: Mapping[str, Mapper] = {
     "imu_misalignment": _turned("imu_misalignment"),
     "mocap_misalignment": _turned("mocap_misalignment"),
     "mocap_tilt": _mocap_tilt,
-    "motor_lag": _nothing,
+    "motor_lag": _motor_lag,
     "thrust_scale": _nothing,
     "torque_scale": _nothing,
 }
@@ -254,6 +277,8 @@ def scenario_document(model: Identified) -> tuple[Table, list[str]]:
             if held.lost:
                 lost.append(f"{name}: {held.lost}")
     document["truth"] = _truth(model)
+    if "motor_lag" in effects:
+        document["truth"].pop("lag", None)
     document["effects"] = effects | _scales(model)
     return document, lost
 
