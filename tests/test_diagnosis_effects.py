@@ -39,7 +39,16 @@ IDENTIFIERS = (
     "tether", "constant_wrench", "imu_misalignment", "mocap_misalignment", "mocap_tilt",
 )  # fmt: skip
 UNITS = ("_s", "_m", "_n", "_nm", "_nms", "_nm_s_m", "_n_m", "_kg", "_kg_s", "_kg_m", "_kg_m2", "_rad", "_s2_m2")
-RATIOS = {"clock_drift", "strength", "loss", "exponent", "exponent_error", "thrust_scale", "torque_scale"}
+RATIOS = {
+    "clock_drift",
+    "rotor_lag_slope",
+    "strength",
+    "loss",
+    "exponent",
+    "exponent_error",
+    "thrust_scale",
+    "torque_scale",
+}
 
 TOY = '''"""A toy."""
 

@@ -134,6 +134,24 @@ class Reading:
     beside: tuple[str, ...] = ()
 
 
+ROTATION = tuple(f"mocap_rotation_{a}_rad" for a in "xyz")
+"""The reconstruction's rotation of the tracked frame against the IMU."""
+ROTATION_PARAMETERS = tuple(ParameterInfo(f"rotation_{a}_rad", plausible=(-np.pi, np.pi)) for a in "xyz")
+"""What a finding calls it."""
+
+
+def turned_reading(sentence: str, sign: float = 1.0) -> Reading:
+    """The rotation between tracked frame and IMU, which an effect shows in with a sign of its own."""
+    return Reading(
+        names=ROTATION,
+        parameters=tuple(parameter.name for parameter in ROTATION_PARAMETERS),
+        least=np.deg2rad(0.3),
+        sentence=sentence,
+        size=lambda departure: float(np.degrees(np.linalg.norm(departure))),
+        sign=sign,
+    )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorEffect(EffectInfo):
     """A clock or a frame that is not what it was taken for: no force is missing, gyro, accelerometer and poses disagree.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.attribution import INSEPARABLE, posterior
-from groundstation.diagnosis.effect import Reading, SensorEffect, catalogue
+from groundstation.diagnosis.effect import ROTATION, Reading, SensorEffect, catalogue
 from groundstation.diagnosis.results import Finding
 from groundstation.frames import quat_exp, quat_multiply, quat_rotate
 from groundstation.identification.preparation import Prepared
@@ -27,7 +27,6 @@ TRUE_RAD = np.deg2rad(0.3)
 """How upright rotors stand in a frame, one standard deviation."""
 TURNED = "imu_misalignment", "mocap_misalignment"
 """One rotation tells of both: that between IMU and marker body."""
-ROTATION = tuple(f"mocap_rotation_{a}_rad" for a in "xyz")
 
 
 def kinematic_findings(prepared: Prepared) -> list[Finding]:

@@ -4,24 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.diagnosis.effect import ParameterInfo, Reading, SensorEffect
+from groundstation.diagnosis.effect import ROTATION_PARAMETERS, ParameterInfo, Reading, SensorEffect, turned_reading
 
 EFFECT = SensorEffect(
     identifier="mocap_misalignment",
     equation="R_capture = R_body exp(declared) exp(r), p_capture = p_body + R_body (declared + o)",
     source="Klein & Morelli 2006, Aircraft System Identification, ch. 10 (data compatibility)",
     parameters=(
-        *(ParameterInfo(f"rotation_{a}_rad", plausible=(-np.pi, np.pi)) for a in "xyz"),
+        *ROTATION_PARAMETERS,
         *(ParameterInfo(f"offset_{a}_m", plausible=(-1.0, 1.0)) for a in "xyz"),
     ),
     readings=(
-        Reading(
-            names=tuple(f"mocap_rotation_{a}_rad" for a in "xyz"),
-            parameters=tuple(f"rotation_{a}_rad" for a in "xyz"),
-            least=np.deg2rad(0.3),
-            sentence="Marker body and IMU are turned against each other by {size:.2f} degrees.",
-            size=lambda departure: float(np.degrees(np.linalg.norm(departure))),
-        ),
+        turned_reading("Marker body and IMU are turned against each other by {size:.2f} degrees."),
         Reading(
             names=tuple(f"mocap_position_{a}_m" for a in "xyz"),
             parameters=tuple(f"offset_{a}_m" for a in "xyz"),
