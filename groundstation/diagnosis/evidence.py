@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.effect import Effect, Settings, library
 from groundstation.diagnosis.signals import planned_signals, quietened, thinned
 from groundstation.diagnosis.whitening import Whitening, orthonormal
+from groundstation.identification.instrumental import lag_split_precision
 from groundstation.identification.prediction_error import Fitted, current_values, moved
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import Options, RecordModel
@@ -142,6 +143,10 @@ class FlightEvidence:
             own = [index for index, name in enumerate(self.names) if name.startswith(DELAYS)]
             self.z[:, own] = self.whitening.explained(self.x[:, own], self.z)
 
+    def base_std(self, name: str) -> float:
+        """Standard deviation of a parameter of the base fit."""
+        return self._fitted.std(name)
+
     def of(self, other: Prepared) -> FlightEvidence:
         """Another flight about the same base fit."""
         return FlightEvidence(other, self._fitted, self._given, self.known)
@@ -251,14 +256,14 @@ class Evidence:
             elif name == "accel_delay_s":
                 prior[index] = 1.0 / ACCEL_DELAY_S**2
             elif name == "rotor_lag_slope":
-                prior[index] = 1.0 / 0.5**2
+                prior[index] = 1.0 / flights[0].base_std(name) ** 2
             elif name.startswith(("rotor_lag", "input_delay")):
                 prior[index] = 1.0 / 0.15**2
             elif name == "mass_kg":
                 prior[index] = 1.0 / (0.5 * flights[0].parameters.mass_kg) ** 2
             else:
                 prior[index] = 1.0 / float(np.trace(flights[0].parameters.tensor)) ** 2
-        self.prior = np.diag(prior)
+        self.prior = np.diag(prior) + lag_split_precision(self.names)
         self._base = Columns(self.x, self.z, np.zeros(6))
         self._output = Columns(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
         self._products: dict[tuple[int, int], tuple[Array, Array]] = {}

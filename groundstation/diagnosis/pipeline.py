@@ -35,7 +35,7 @@ from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
-from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.pipeline import fit_dynamics, options_for
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared, prepare
 from groundstation.identification.record_model import Options
@@ -71,9 +71,9 @@ def diagnose(
     vehicle = flights[0].vehicle
     try:
         progress(0.05, "bringing the streams onto one clock")
-        suspects = [for_evidence(prepare(flight)) for flight in flights]
-        healthy = [for_evidence(prepare(flight)) for flight in references]
-        unseen = [for_evidence(prepare(flight)) for flight in held_out]
+        suspects = [prepare(flight) for flight in flights]
+        healthy = [prepare(flight) for flight in references]
+        unseen = [prepare(flight) for flight in held_out]
         kinematic = kinematic_findings(suspects[0])
         suspects, healthy, unseen = ([turned(item, kinematic) for item in each] for each in (suspects, healthy, unseen))
         if healthy and trim_applies(suspects, healthy):
@@ -81,17 +81,15 @@ def diagnose(
         bend = exponent_error(suspects[0])
         suspects, healthy, unseen = ([recurved(item, bend) for item in each] for each in (suspects, healthy, unseen))
         progress(0.25, "base fit")
-        fitted = fit_dynamics([*suspects, *healthy])
-        start = linearisation(fitted)
-        evidence, baseline, named, solution = _select(start, fitted.options, suspects, healthy, augmented, (), progress)
+        start, options = base_fit([*suspects, *healthy])
+        suspects, healthy, unseen = ([for_evidence(item) for item in each] for each in (suspects, healthy, unseen))
+        evidence, baseline, named, solution = _select(start, options, suspects, healthy, augmented, (), progress)
         if named:
             # An effect swells the noise it is judged against, and bends the base it is judged about: what was found is kept out of
             # the noise, the base moves to the joint estimate, and all is judged anew.
             known = tuple(n.candidate for n in named)
             about = evidence.flights[0].moved(start, solution)
-            evidence, baseline, named, solution = _select(
-                about, fitted.options, suspects, healthy, augmented, known, progress
-            )
+            evidence, baseline, named, solution = _select(about, options, suspects, healthy, augmented, known, progress)
         chosen = [*baseline, *((n.candidate, n.columns) for n in named)]
         progress(0.9, "what is left")
         left = dependences(evidence, chosen)
@@ -183,6 +181,13 @@ def _by_trim(name: str, suspects: Sequence[Prepared], healthy: Sequence[Prepared
         ),
         notes=("Prediction and closed-loop simulation are left out: body rates were not measured.",),
     )
+
+
+def base_fit(prepared: Sequence[Prepared]) -> tuple[Fitted, Options]:
+    """The fit that the evidence is linear about. What divides a lag from a dead time lies above the evidence's rate: it keeps its own there."""
+    free = options_for(prepared[0])
+    fitted = fit_dynamics(prepared if free.lag else [for_evidence(item) for item in prepared])
+    return linearisation(fitted), fitted.options
 
 
 def for_evidence(prepared: Prepared) -> Prepared:

@@ -27,7 +27,7 @@ from groundstation.identification.record_model import Options, Parameters, Recor
 Array = NDArray[np.float64]
 
 HELD = "rotor_lag_slope"
-"""Stays as the prediction error estimate has it, with the interval that has there."""
+"""Stays as the prediction error estimate has it, with its interval there: a plan's own columns tell it weakly, and ran away with it."""
 ROUNDS = 3
 """How often the noise model is refitted to the residual."""
 
@@ -49,7 +49,9 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
     colours, polynomials = per_flight(start.colours, channels), per_flight(start.whiteners, channels)
     p, names = start.parameters, start.names
     covariance, information = start.covariance, np.linalg.inv(start.covariance)
-    split = _lag_split_precision(names)
+    held = [index for index, name in enumerate(names) if name == HELD]
+    split = lag_split_precision(names)
+    split[held, held] += 1.0 / 0.001**2
     evaluated = [model.evaluate(p, options) for model in models]
     iterations = 0
     for round_index in range(ROUNDS):
@@ -92,7 +94,6 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
                 break
     theta = current_values(p, names, extra_names)
     rms = np.sqrt(np.mean(np.concatenate([e[0] for e in evaluated]) ** 2, axis=0))
-    held = [index for index, name in enumerate(names) if name == HELD]
     covariance[held, held] = start.covariance[held, held]
     return replace(
         start,
@@ -135,12 +136,12 @@ def _spent_freedom(z: Array) -> float:
     return count / max(count - parameters - 2.0, 0.3 * count)
 
 
-def _lag_split_precision(names: Sequence[str]) -> Array:
+def lag_split_precision(names: Sequence[str]) -> Array:
     """Prior precision that keeps how the total delay divides into lag up, lag down and dead time near the first estimate.
 
     The plan excites low frequencies, where only the sum shows; its division comes from the prediction error estimate, to
     2 ms for the dead time (in 28 drawn flights it was never wrong by more than 1 ms, however wrong the lag) and 5 ms for up against
-    down. The sum stays free. How the lag goes with the speed is held: a plan's own columns tell it weakly, and ran away with it.
+    down. The sum stays free.
     """
     precision = np.zeros((len(names), len(names)))
     row = np.zeros(len(names))
@@ -151,9 +152,6 @@ def _lag_split_precision(names: Sequence[str]) -> Array:
         row = np.zeros(len(names))
         row[names.index("rotor_lag_up_s")], row[names.index("rotor_lag_down_s")] = 1.0, -1.0
         precision += np.outer(row, row) / 0.005**2
-    if HELD in names:
-        index = names.index(HELD)
-        precision[index, index] += 1.0 / 0.001**2
     return precision
 
 
