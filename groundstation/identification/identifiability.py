@@ -17,6 +17,8 @@ from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
+APART = 2.0
+"""Factor between two estimates of a moment from which neither is told."""
 UNREVEALED = 0.25
 """A mass or moment known to no better than this fraction gets no number."""
 UNREVEALED_PRODUCT = 0.05
@@ -118,6 +120,12 @@ def unrevealed(fit: Fitted, prepared: Sequence[Prepared]) -> dict[str, str]:
         if relative > limit:
             hidden[name] = REMEDY[name]
     return hidden
+
+
+def unsettled(one: Fitted, other: Fitted) -> dict[str, str]:
+    """Moments of inertia that two estimates of the same flight give a factor APART of each other: neither is known to a quarter."""
+    ratios = {name: abs(one.value(name) / other.value(name)) for name in ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")}
+    return {name: REMEDY[name] for name, ratio in ratios.items() if not 1.0 / APART < ratio < APART}
 
 
 def unphysical(fit: Fitted, prepared: Sequence[Prepared]) -> dict[str, str]:

@@ -94,7 +94,8 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
                 break
     theta = current_values(p, names, extra_names)
     rms = np.sqrt(np.mean(np.concatenate([e[0] for e in evaluated]) ** 2, axis=0))
-    covariance[held, held] = start.covariance[held, held]
+    for index in held:
+        covariance = _with_uncertain(covariance, zx, index, float(start.covariance[index, index]))
     return replace(
         start,
         parameters=p,
@@ -106,6 +107,20 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
         colours=tuple(c for s in colours for c in s),
         whiteners=tuple(q for s in polynomials for q in s),
     )
+
+
+def _with_uncertain(covariance: Array, zx: Array, held: int, variance: float) -> Array:
+    """The covariance with that of a parameter which was held, and what its uncertainty does to the others.
+
+    Args:
+        zx: Z^T W X with the precision of the held one in its place; the others answer a change of it by -zx_oo^-1 zx_oh.
+    """
+    others = np.arange(len(zx)) != held
+    answer = np.ones(len(zx))
+    answer[others] = -np.linalg.solve(zx[np.ix_(others, others)], zx[others, held])
+    out = covariance.copy()
+    out[held, :] = out[:, held] = 0.0
+    return out + variance * np.outer(answer, answer)
 
 
 def _root_of_inverse(information: Array) -> Array:

@@ -19,6 +19,7 @@ from groundstation.identification.identifiability import (
     revealed,
     unphysical,
     unrevealed,
+    unsettled,
 )
 from groundstation.identification.instrumental import instrumental
 from groundstation.identification.prediction_error import Fitted, fit, fit_from_declared, output_error
@@ -206,6 +207,8 @@ def identify(
     hidden = never_moved(combinations) | unrevealed(best, prepared)
     if fitted.instrumental is None:
         hidden |= unphysical(best, prepared)
+    else:
+        hidden |= unsettled(fitted.instrumental, fitted.filter_error)
     refuse_if_empty(best, hidden, prepared)
     methods = dict(_seed_methods(prepared, exclude, progress))
     progress(0.85, "output error")
