@@ -40,6 +40,7 @@ COLOURS = {
     "identified": "#d9822b",
     "without lag": "#d9822b",
     "with findings": "#1f6fb2",
+    "and disturbance": "#3a9a5b",
 }
 TENSOR = ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
 
@@ -174,10 +175,12 @@ def _lag_figure(log: Path, results: Path) -> None:
     vehicle = vehicle_from_dict(document["vehicle"], "the model")
     unseen = load_flight(log, vehicle=vehicle, start_s=75.0, end_s=90.0)
     constants = {n: e for n, e in document["parameters"].items() if n not in TENSOR}
+    bare = {part: entries for part, entries in document.items() if part != "disturbance"}
     models = {
         "declared": declared_model(vehicle),
         "without lag": model_from_document({"parameters": {**constants, **before}}, vehicle),
-        "with findings": model_from_document(document, vehicle, wrench_of(document["effects"], vehicle)),
+        "with findings": model_from_document(bare, vehicle, wrench_of(document["effects"], vehicle)),
+        "and disturbance": model_from_document(document, vehicle, wrench_of(document["effects"], vehicle)),
     }
     horizons = (0.02, 0.05, 0.1, 0.15, 0.2)
     states = flight_states(unseen)

@@ -41,15 +41,18 @@ def _lagged(value: Array, up: float, down: float, step: float) -> Array:
 
 @njit(cache=True)
 def _lagged_by_speed(value: Array, up: float, down: float, step: float, slope: float, hover: float) -> Array:
-    """The same where the rate of the lag goes with the input."""
+    """The same where the rate of the lag goes with the input; 1 - exp(-z) by its Pade approximant where z is small."""
     out = np.empty_like(value)
+    step_up, step_down = step / max(up, 1e-6), step / max(down, 1e-6)
+    still, more = 1.0 - slope, slope / hover
     x = value[0].copy()
     for i in range(value.shape[0]):
         for j in range(value.shape[1]):
             out[i, j] = x[j]
             error = value[i, j] - x[j]
-            rate = max(1.0 + slope * (value[i, j] / hover - 1.0), SLOWEST)
-            x[j] -= np.expm1(-step * rate / max(up if error > 0.0 else down, 1e-6)) * error
+            z = max(still + more * value[i, j], SLOWEST) * (step_up if error > 0.0 else step_down)
+            gain = z / (1.0 + z * (0.5 + z / 12.0)) if z < 0.05 else -np.expm1(-z)
+            x[j] += gain * error
     return out
 
 
