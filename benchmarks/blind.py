@@ -5,7 +5,8 @@ that is new each run and printed. One effect is hidden in a *single*, two in a *
 *invented* one something that no file of the library models. The diagnosis gets the recording and the declared vehicle, nothing
 else. Sizes are drawn over a range around what such a vehicle shows; what is too small to see is counted apart, as effects.md
 defines it: *detectable* is an expected t of 6 in the flight's own coloured noise, taken from the joint estimate with the hidden effects
-told and kept out of the noise, and for kinematic effects and delays a size above those of effects.md.
+told and kept out of the noise, and for kinematic effects and delays a size above those of effects.md. An invented force of a place is
+told by the simulator's own formula; thrust with memory counts as detectable.
 """
 
 from __future__ import annotations
@@ -31,19 +32,22 @@ from flights import flight_data  # pyright: ignore[reportMissingImports]
 from benchmarks.study import IMU_NOISE
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.attribution import candidates
-from groundstation.diagnosis.effect import library
+from groundstation.diagnosis.effect import Effect, ParameterInfo, library
 from groundstation.diagnosis.evidence import Candidate, Evidence, FlightEvidence
 from groundstation.diagnosis.pipeline import for_evidence
 from groundstation.diagnosis.results import Diagnosis
 from groundstation.errors import FlightAborted, Refused
 from groundstation.flightdata import FlightData
+from groundstation.frames import quat_rotate_inverse
 from groundstation.identification.pipeline import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.identification.results import Estimate
+from groundstation.model.signals import Signals
 from groundstation.paths import find_config
 from groundstation.planning import plan_excitation
 from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
+from sim.effects.surroundings import magnet, wall
 from sim.flight import simulate
 from sim.scenario import Scenario, scenario_from_dict
 
@@ -153,6 +157,8 @@ def sizes(vehicle: Vehicle) -> dict[str, Callable[[Random], Table]]:
 
 
 INVENTED = ("attracting_wall", "thrust_memory", "magnet")
+FIELDS = ("attracting_wall", "magnet")
+"""Invented ones that are a force at a place: the simulator's own formula says how detectable they are."""
 
 
 def world(random: Random, hidden: dict[str, Table]) -> Scenario:
@@ -230,7 +236,7 @@ def _meets_bounds(parameters: Mapping[str, Estimate], truth: Vehicle) -> bool:
 def visibility(flight: FlightData, hidden: Sequence[tuple[str, Table]]) -> list[tuple[float, float]]:
     """Expected t and RMS share of each hidden effect, when the diagnosis is told all of them."""
     seen = {name: (math.inf, math.nan) for name, _ in hidden}
-    modelled = [(name, table) for name, table in hidden if name in library()]
+    modelled = [(name, table) for name, table in hidden if name in library() or name in FIELDS]
     if not modelled:
         return list(seen.values())
     suspect = for_evidence(prepare(flight))
@@ -256,6 +262,8 @@ def visibility(flight: FlightData, hidden: Sequence[tuple[str, Table]]) -> list[
 def _told(name: str, table: Table, evidence: Evidence) -> Candidate:
     """The library's model of a hidden effect: the right rotor, and the instant or length that serve best."""
     flight = evidence.flights[0]
+    if name in FIELDS:
+        return Candidate(_field(name, table), {})
     pool = [
         (candidate, columns)
         for candidate in candidates(flight.prepared.record.vehicle, flight.excited, [library()[name]])
@@ -264,6 +272,34 @@ def _told(name: str, table: Table, evidence: Evidence) -> Candidate:
     ]
     everything = range(len(library()[name].parameters))
     return max(pool, key=lambda entry: evidence.solve([entry]).wald(0, everything))[0]
+
+
+def _field(name: str, table: Table) -> Effect:
+    """An invented field of the room by the simulator's own formula, at the poses that were measured; its one parameter is one."""
+    scenario = scenario_from_dict({"name": name, "effects": {name: table}})
+
+    def wrench(signals: Signals, vehicle: Vehicle, settings: Mapping[str, float]) -> np.ndarray:
+        force, torque = np.zeros((2, len(signals.t_s), 3))
+        for index, (place, q) in enumerate(zip(signals.position_m.tolist(), signals.quaternion.tolist(), strict=True)):
+            if name == "magnet":
+                force[index], torque[index] = magnet(scenario.effects.magnet, tuple(place), tuple(q))
+            else:
+                field = scenario.effects.attracting_wall
+                force[index] = wall(
+                    field, tuple(place), (math.cos(field.azimuth_rad), math.sin(field.azimuth_rad), 0.0)
+                )
+        return np.concatenate([quat_rotate_inverse(signals.quaternion, force), torque], axis=1)[:, :, None]
+
+    return Effect(
+        identifier=name,
+        equation="the simulator's",
+        source="invented",
+        parameters=(ParameterInfo("times", lambda vehicle: 10.0),),
+        confused_with=(),
+        manoeuvre="",
+        sentence="",
+        wrench=wrench,
+    )
 
 
 def fly(kind: str, names: Sequence[str], vehicle_name: str, plan: Plan, random: Random) -> Outcome | None:
@@ -279,7 +315,7 @@ def fly(kind: str, names: Sequence[str], vehicle_name: str, plan: Plan, random: 
     diagnosis: Diagnosis = diagnose([flight])
     seconds = time.perf_counter() - start
     try:
-        seen = visibility(flight, list(hidden.items()) if kind in ("single", "pair") else [])
+        seen = visibility(flight, list(hidden.items()))
     except Refused:
         seen = [(0.0, math.nan)] * len(names)
     rotors = tuple(
@@ -355,6 +391,9 @@ def report(outcomes: Sequence[Outcome]) -> None:
     print(f"clean flights, false alarms                {wilson(len(alarms), len(kinds['clean']))}")
     left = [o for o in kinds["invented"] if o.verdict == "unexplained"]
     print(f"invented, verdict unexplained              {wilson(len(left), len(kinds['invented']))}")
+    shown = [o for o in kinds["invented"] if o.detectable()]
+    left = [o for o in shown if o.verdict == "unexplained"]
+    print(f"  of those detectable                      {wilson(len(left), len(shown))}")
     print("\nhidden (down), first name (counts)")
     for hidden in sorted({o.hidden for o in outcomes}):
         counts = Counter(o.first() for o in outcomes if o.hidden == hidden)
