@@ -196,7 +196,7 @@ def _lag_figure(log: Path, results: Path) -> None:
     axes[0].set_xlabel("seconds ahead")
     axes[0].set_xticks(horizons, [f"{h:g}" for h in horizons])
     axes[0].set_yscale("log")
-    axes[0].set_yticks((0.5, 1, 2, 5), ("0.5", "1", "2", "5"), minor=False)
+    axes[0].set_yticks((0.1, 0.2, 0.5, 1, 2, 5), ("0.1", "0.2", "0.5", "1", "2", "5"), minor=False)
     axes[0].minorticks_off()
     axes[0].set_title("RMS error of the predicted body rate, rad/s", fontsize=9)
     axes[0].legend(frameon=False)
