@@ -25,33 +25,18 @@ SLOWEST = 0.1
 
 
 @njit(cache=True)
-def _lagged(value: Array, up: float, down: float, step: float) -> Array:
-    """First-order lag of each column of a piecewise constant input, exact at the grid points, shape as ``value``."""
+def _lagged(value: Array, up: float, down: float, step: float, slope: float, hover: float) -> Array:
+    """Each column of a piecewise constant input behind the lag, shape kept; z / (1 - exp(-z)) by its series where z is small."""
     out = np.empty_like(value)
-    gain_up = 1.0 - np.exp(-step / up) if up > 1e-6 else 1.0
-    gain_down = 1.0 - np.exp(-step / down) if down > 1e-6 else 1.0
+    step_up, step_down = step / max(up, 1e-6), step / max(down, 1e-6)
+    still, more = 1.0 - slope, slope / hover
     x = value[0].copy()
     for i in range(value.shape[0]):  # columns side by side: each only waits for itself
         for j in range(value.shape[1]):
             out[i, j] = x[j]
             error = value[i, j] - x[j]
-            x[j] += (gain_up if error > 0.0 else gain_down) * error
-    return out
-
-
-@njit(cache=True)
-def _lagged_by_speed(value: Array, up: float, down: float, step: float, slope: float, hover: float) -> Array:
-    """The same where the rate of the lag goes with the input; 1 - exp(-z) by its Pade approximant where z is small."""
-    out = np.empty_like(value)
-    step_up, step_down = step / max(up, 1e-6), step / max(down, 1e-6)
-    still, more = 1.0 - slope, slope / hover
-    x = value[0].copy()
-    for i in range(value.shape[0]):
-        for j in range(value.shape[1]):
-            out[i, j] = x[j]
-            error = value[i, j] - x[j]
             z = max(still + more * value[i, j], SLOWEST) * (step_up if error > 0.0 else step_down)
-            gain = z / (1.0 + z * (0.5 + z / 12.0)) if z < 0.05 else -np.expm1(-z)
+            gain = z / (1.0 + z * (0.5 + z * (1.0 - z * z / 60.0) / 12.0)) if z < 0.05 else -np.expm1(-z)
             x[j] += gain * error
     return out
 
@@ -82,9 +67,7 @@ class MotorInput:
         """Values after the lag, shape (k, n). A zero lag passes the values through."""
         if up_s <= 1e-6 and down_s <= 1e-6:
             return self.value
-        if slope != 0.0:
-            return _lagged_by_speed(self.value, up_s, down_s, self.step_s, slope, self.hover)
-        return _lagged(self.value, up_s, down_s, self.step_s)
+        return _lagged(self.value, up_s, down_s, self.step_s, slope, self.hover)
 
 
 def motor_input(
