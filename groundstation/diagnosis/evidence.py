@@ -20,6 +20,7 @@ from groundstation.diagnosis.effect import Effect, Settings, library
 from groundstation.diagnosis.signals import planned_signals, quietened, thinned
 from groundstation.diagnosis.whitening import Whitening, orthonormal
 from groundstation.identification.instrumental import lag_split_precision
+from groundstation.identification.planned_model import planned_sensitivities
 from groundstation.identification.prediction_error import Fitted, current_values, moved
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import Options, RecordModel
@@ -138,7 +139,7 @@ class FlightEvidence:
         if prepared.planned is None:
             self.z = self.x
         else:
-            wished = self.model.planned_sensitivities(self.parameters, self.options)
+            wished = planned_sensitivities(self.model, self.parameters, self.options)
             self.z = self.whitening.apply(_with_accelerometer_delay(wished, names)[0])
             own = [index for index, name in enumerate(self.names) if name.startswith(DELAYS)]
             self.z[:, own] = self.whitening.explained(self.x[:, own], self.z)

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.identification.planned_model import planned_sensitivities
 from groundstation.identification.prediction_error import (
     Fitted,
     current_values,
@@ -62,7 +63,7 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
                 )
         planned = [
             whiten(
-                model, model.residual(p), model.planned_sensitivities(p, options),
+                model, model.residual(p), planned_sensitivities(model, p, options),
                 channels[index], colours[index], polynomials[index],
             )[1]
             for index, model in enumerate(models)

@@ -134,29 +134,11 @@ class _Prediction:
     force: Array
 
 
-@dataclass(frozen=True, slots=True)
-class _PlannedBase:
-    """What the planned sensitivities are made of, averaged to the fit's rate."""
-
-    rate: Array
-    gyroscopic: Array
-    thrust: Array
-    impulse: Array
-    slope: Array
-    rising: Array
-    falling: Array
-    bending: Array
-    d_slope: Array
-    d_rising: Array
-    d_falling: Array
-    d_bending: Array
-    extra: tuple[tuple[Array, Array], ...]
-
-
 class RecordModel:
     """Predicted outputs of one record and their sensitivities, at the fit's rate. Built once per flight; pure in the parameters.
 
     Attributes:
+        matrix: from rotors' thrusts to [F_z, tau], (4, n).
         t_s, dt, restart: blocks of averaged samples, shape (blocks,); ``restart`` marks the first of a segment.
         rate, force: measured, averaged, (blocks, 3).
         silent: channels in which this record only answers its disturbance, while another one tells more.
@@ -173,7 +155,7 @@ class RecordModel:
         self.silent = silent
         self.planned = planned
         self.extra = tuple(extra)
-        self._matrix = wrench_matrix(record.vehicle)
+        self.matrix = wrench_matrix(record.vehicle)
         self._members, self.restart = _blocks(record)
         self._step = np.concatenate([[0.0], np.diff(record.t_s)])
         self.t_s = self.average(record.t_s[:, None])[:, 0]
@@ -182,8 +164,8 @@ class RecordModel:
         self.rate = self.average(record.rate_rad_s)
         self.force = self.average(record.force_m_s2)
         self._elapsed = self.t_s - record.t_s[0]
-        self._gyroscopic = self._integrated_gyroscopic(record.rate_rad_s)
-        self._extra = tuple((self.average(self._integrate(e.value)), self.average(e.value[:, :3])) for e in self.extra)
+        self._gyroscopic = self.integrated_gyroscopic(record.rate_rad_s)
+        self._extra = tuple((self.average(self.integrated(e.value)), self.average(e.value[:, :3])) for e in self.extra)
         self._last: tuple[Parameters, _Prediction] | None = None
 
     def channels(self, options: Options) -> tuple[int, ...]:
@@ -197,13 +179,15 @@ class RecordModel:
         other.restart = restart
         return other
 
-    def _integrate(self, values: Array) -> Array:
+    def integrated(self, values: Array) -> Array:
+        """Running integral of values at the IMU's stamps, shape kept."""
         mean = 0.5 * (values[1:] + values[:-1]) * self._step[1:, None]
         return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(mean, axis=0)])
 
-    def _integrated_gyroscopic(self, rate: Array) -> Array:
+    def integrated_gyroscopic(self, rate: Array) -> Array:
+        """Block means of the integral of omega x J omega per entry of the tensor, (blocks, 3, 6)."""
         products = np.stack([np.cross(rate, rate @ basis) for basis in BASIS], axis=-1)
-        return self.average(self._integrate(products.reshape(len(rate), -1))).reshape(-1, 3, 6)
+        return self.average(self.integrated(products.reshape(len(rate), -1))).reshape(-1, 3, 6)
 
     def average(self, values: Array) -> Array:
         """Block means of samples at the IMU's stamps, shape (blocks, columns)."""
@@ -217,7 +201,7 @@ class RecordModel:
     def _wrench(self, up_s: float, down_s: float, slope: float) -> tuple[Array, Array]:
         """[F_z, tau] by the declared constants behind a lag and its running integral, on the motors' grid, (k, 4) each."""
         motors = self.record.motors
-        wrench = declared_thrust(self.record.vehicle, motors.lagged(up_s, down_s, slope)) @ self._matrix.T
+        wrench = declared_thrust(self.record.vehicle, motors.lagged(up_s, down_s, slope)) @ self.matrix.T
         held = not motors.measured and up_s <= 1e-6 and down_s <= 1e-6
         return wrench, cumulative(wrench, motors.step_s, held=held)
 
@@ -283,16 +267,16 @@ class RecordModel:
             table["rotor_lag_up_s"] = difference(self._wrench(up + step, down, slope), delay, step)
             table["rotor_lag_down_s"] = difference(self._wrench(up, down + step, slope), delay, step)
             table["rotor_lag_slope"] = difference(self._wrench(up, down, slope + 0.05), delay, 0.05)
-        self._add_offsets(table, inverse, impulse[:, 0], options)
+        self.add_offsets(table, inverse, impulse[:, 0], options)
         for term, (integral, push) in zip(self.extra, self._extra, strict=True):
             torque = integral[:, 3:] - np.cross(p.com_m, integral[:, :3])
             table[term.name] = torque @ inverse.T, push / p.mass_kg
-        return self._residual(p, prediction), _stacked(table), tuple(table)
+        return self._residual(p, prediction), stacked(table), tuple(table)
 
-    def _add_offsets(
+    def add_offsets(
         self, table: dict[str, tuple[Array, Array]], inverse: Array, impulse: Array, options: Options
     ) -> None:
-        """Sensitivities to centre of mass, yaw trim and accelerometer bias."""
+        """Put in the sensitivities to centre of mass, yaw trim and accelerometer bias."""
         blank = np.zeros((len(impulse), 3))
 
         def along(axis: int, values: Array | float) -> Array:
@@ -308,93 +292,6 @@ class RecordModel:
         for axis, letter in enumerate("xyz"):
             if axis + 3 in options.channels:
                 table[f"accel_bias_{letter}_m_s2"] = blank, along(axis, 1.0)
-
-    def planned_sensitivities(self, p: Parameters, options: Options) -> Array:
-        """Sensitivities that the planned motion would have at ``p``, shape (blocks, 6, P), columns as in :meth:`evaluate`."""
-        if self.planned is None:
-            raise ValueError("no planned motion was given for this record")
-        return self._planned_sensitivities(self._planned_base(self.planned, p), p, options)
-
-    def _planned_base(self, plan: PlannedMotion, p: Parameters) -> _PlannedBase:
-        rate = plan.rate_rad_s
-        torque = plan.angular_acceleration_rad_s2 @ p.tensor + np.cross(rate, rate @ p.tensor)
-        thrust = p.mass_kg * plan.specific_thrust_m_s2[:, None]
-        slope = np.gradient(np.concatenate([thrust, torque], axis=1), self.record.t_s, axis=0)
-        each = slope @ np.linalg.pinv(self._matrix).T
-        # thrust y behind a lag: y' = (u - y) / tau, so dy/dtau = -y' through the same lag, of rising or falling rotors
-        down, up = (
-            self._behind_lag(np.minimum(each, 0.0), p.lag_down_s),
-            self._behind_lag(np.maximum(each, 0.0), p.lag_up_s),
-        )
-        falling, rising = down @ self._matrix.T, up @ self._matrix.T
-        # and where the rate is (1 + s x) / tau, dy/ds = tau x y' through the lag, x of the command u = y + tau y' above hover's
-        asked = np.concatenate([thrust, torque], axis=1) @ np.linalg.pinv(self._matrix).T
-        asked += np.where(each > 0.0, p.lag_up_s, p.lag_down_s) * each
-        above = self._above_hover(asked)
-        bending = (
-            p.lag_down_s * self._behind_lag(above * down, p.lag_down_s)
-            + p.lag_up_s * self._behind_lag(above * up, p.lag_up_s)
-        ) @ self._matrix.T
-        return _PlannedBase(
-            rate=self.average(rate),
-            gyroscopic=self._integrated_gyroscopic(rate),
-            thrust=self.average(thrust)[:, 0],
-            impulse=self.average(self._integrate(thrust))[:, 0],
-            slope=self.average(self._integrate(slope)),
-            rising=self.average(self._integrate(rising)),
-            falling=self.average(self._integrate(falling)),
-            bending=self.average(self._integrate(bending)),
-            d_slope=self.average(slope),
-            d_rising=self.average(rising),
-            d_falling=self.average(falling),
-            d_bending=self.average(bending),
-            extra=tuple((self.average(self._integrate(e)), self.average(e[:, :3])) for e in plan.extra),
-        )
-
-    def _above_hover(self, thrust: Array) -> Array:
-        """Motor values for thrusts (k, n) over hover's, less one."""
-        if self.record.vehicle.rotors.input == "wrench":
-            return np.zeros_like(thrust)
-        return self.record.vehicle.motor_for_thrust(thrust) / self.record.motors.hover - 1.0
-
-    def _behind_lag(self, values: Array, lag_s: float) -> Array:
-        """Columns through a first-order lag, shape kept."""
-        from scipy.signal import lfilter
-
-        if lag_s < 1e-4:
-            return values
-        keep = np.exp(-float(np.median(self._step[1:])) / lag_s)
-        return np.asarray(lfilter([1.0 - keep], [1.0, -keep], values, axis=0))
-
-    def _planned_sensitivities(self, base: _PlannedBase, p: Parameters, options: Options) -> Array:
-        inverse = np.asarray(np.linalg.inv(p.tensor), dtype=float)
-        table: dict[str, tuple[Array, Array]] = {}
-        blank = np.zeros((len(base.thrust), 3))
-
-        def upward(values: Array) -> Array:
-            out = blank.copy()
-            out[:, 2] = values
-            return out
-
-        table["mass_kg"] = blank, upward(-base.thrust / p.mass_kg**2)
-        for name, basis, column in zip(TENSOR, BASIS, np.moveaxis(base.gyroscopic, -1, 0), strict=True):
-            table[name] = -(base.rate @ basis.T + column) @ inverse.T, blank
-
-        def later(impulse: Array, wrench: Array) -> tuple[Array, Array]:
-            return -impulse[:, 1:] @ inverse.T, upward(-wrench[:, 0] / p.mass_kg)
-
-        if options.delay:
-            table["input_delay_s"] = later(base.slope, base.d_slope)
-        if options.lag and options.symmetric_lag:
-            table["rotor_lag_s"] = later(base.rising + base.falling, base.d_rising + base.d_falling)
-        elif options.lag:
-            table["rotor_lag_up_s"] = later(base.rising, base.d_rising)
-            table["rotor_lag_down_s"] = later(base.falling, base.d_falling)
-            table["rotor_lag_slope"] = later(-base.bending, -base.d_bending)
-        self._add_offsets(table, inverse, base.impulse, options)
-        for term, (integral, push) in zip(self.extra, base.extra, strict=True):
-            table[term.name] = integral[:, 3:] @ inverse.T, push / p.mass_kg
-        return _stacked(table)
 
 
 @njit(cache=True)
@@ -430,7 +327,7 @@ def _blocks(record: DynamicRecord) -> tuple[NDArray[np.int64], Mask]:
     return (np.concatenate(members) if members else empty), np.array(restarts, dtype=bool)
 
 
-def _stacked(table: dict[str, tuple[Array, Array]]) -> Array:
+def stacked(table: dict[str, tuple[Array, Array]]) -> Array:
     """Columns (rate, force) of each parameter side by side, (blocks, 6, P)."""
     return np.stack([np.concatenate(pair, axis=1) for pair in table.values()], axis=-1)
 
