@@ -12,9 +12,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
 
 from benchmarks.study import draw
+from benchmarks.tally import HALF_95, wilson
 from groundstation.errors import GroundStationError
 from groundstation.identification.anchoring import anchored
 from groundstation.identification.identifiability import unrevealed
@@ -22,7 +22,6 @@ from groundstation.identification.pipeline import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.identification.results import MASS_AND_TENSOR
 
-HALF_95 = float(norm.ppf(0.975))
 SHARE, RATE_HZ = 0.5, 250.0
 
 
@@ -52,13 +51,6 @@ def score(seed: int) -> Score:
     if prepared.clock is not None:
         z["mocap_minus_imu_s"] = (prepared.clock.mocap_minus_imu_s - offset) / prepared.clock.std_s
     return Score(z, tuple(hidden))
-
-
-def wilson(inside: int, count: int) -> tuple[float, float]:
-    """95 % bounds of a share (Wilson 1927)."""
-    centre = (inside + HALF_95**2 / 2.0) / (count + HALF_95**2)
-    half = HALF_95 / (count + HALF_95**2) * np.sqrt(inside * (count - inside) / count + HALF_95**2 / 4.0)
-    return centre - half, centre + half
 
 
 def table(scores: Iterable[Score]) -> str:

@@ -7,18 +7,13 @@ Run with ``python -m benchmarks.disagreement``; the output is kept in docs/disag
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-
-from flights import flight_data
-
+from benchmarks.flown import flight_data
 from groundstation.flightdata import FlightData
 from groundstation.identification.estimators import least_squares
 from groundstation.identification.filters import matched_pair, seed_pair

@@ -17,7 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.blind import Table, declared, flight_data, sizes, wilson, world
+from benchmarks.flown import flight_data
+from benchmarks.hidden import Table, declared, sizes, world
+from benchmarks.tally import share
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.next_flight import odds_sentence, plan_next
 from groundstation.errors import FlightAborted, Refused
@@ -144,7 +146,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"{truth + ' | ' + rival:32} {told[0]:38} {told[1]}")
     for name, index in (("gentle", 0), ("planned", 1)):
         total = sum((c[index] for c in counts.values()), Counter())
-        print(f"settled by the {name} flight: {wilson(total['settled'], sum(total.values()))}")
+        print(f"settled by the {name} flight: {share(total['settled'], sum(total.values()))}")
     return 0
 
 

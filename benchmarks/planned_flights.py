@@ -10,15 +10,10 @@ Run with ``python -m benchmarks.planned_flights``; the output is kept in docs/pl
 from __future__ import annotations
 
 import argparse
-import sys
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-
-from flights import flight_data
-
+from benchmarks.flown import flight_data
 from groundstation.identification.seed import identify_seed
 from groundstation.planning import paper_plan, paper_problem, percentages, plan_excitation
 from groundstation.planning.criteria import PARAMETERS

@@ -24,7 +24,7 @@ from rotorpy.controllers.quadrotor_control import SE3Control
 from rotorpy.vehicles.hummingbird_params import quad_params
 from rotorpy.vehicles.multirotor import Multirotor
 
-from benchmarks.blind import wilson
+from benchmarks.tally import share
 from groundstation.diagnosis import diagnose
 from groundstation.flightdata import IMU_COLUMNS, MOCAP_COLUMNS, FlightData, Stream, motor_columns
 from groundstation.planning import plan_excitation
@@ -286,10 +286,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"{kind:20} {' + '.join(KINDS[kind][0]) or 'clean':26} {told}   {verdicts}")
     hidden = [k for k in kinds if k != "nothing"]
     total = sum(right[k][o] for k in hidden for o in ("right", "in part", "wrong"))
-    print(f"\nall named, first name right   {wilson(sum(right[k]['right'] for k in hidden), total)}")
+    print(f"\nall named, first name right   {share(sum(right[k]['right'] for k in hidden), total)}")
     if "nothing" in right:
         clean = right["nothing"]
-        print(f"false alarms                  {wilson(clean['wrong'], clean['right'] + clean['wrong'])}")
+        print(f"false alarms                  {share(clean['wrong'], clean['right'] + clean['wrong'])}")
     print(f"diagnosis of {DURATION_S:.0f} s: median {np.median(seconds):.0f} s")
     return 0
 

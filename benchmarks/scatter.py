@@ -10,14 +10,10 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-
-from flights import flight_data
-
+from benchmarks.flown import flight_data
 from groundstation.identification.anchoring import anchored
 from groundstation.identification.pipeline import fit_dynamics
 from groundstation.identification.preparation import prepare

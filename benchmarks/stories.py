@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.blind import declared, sizes
+from benchmarks.hidden import declared, sizes
 from groundstation.diagnosis.effect import wrench_of
 from groundstation.diagnosis.trim import compare_trims, mean_thrust
 from groundstation.flightdata import FlightData

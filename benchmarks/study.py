@@ -14,14 +14,10 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-
-from flights import flight_data
-
+from benchmarks.flown import flight_data
 from groundstation.errors import GroundStationError
 from groundstation.flightdata import FlightData
 from groundstation.identification.pipeline import identify

@@ -1,4 +1,4 @@
-"""Simulated flights for tests: plans, and recordings as the analysis sees them."""
+"""Simulated flights for tests: plans and laboratories."""
 
 from __future__ import annotations
 
@@ -6,19 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.flightdata import (
-    BATTERY_COLUMNS,
-    IMU_COLUMNS,
-    MOCAP_COLUMNS,
-    SETPOINT_COLUMNS,
-    STATE_COLUMNS,
-    FlightData,
-    Stream,
-    motor_columns,
-)
 from groundstation.paths import find_config
 from groundstation.trajectory import Plan, coefficients_from_arrays
-from sim.flight import SimulatedFlight
 from sim.scenario import Scenario, load_scenario, scenario_from_dict
 
 
@@ -54,29 +43,3 @@ def laboratory(**effects: dict[str, Any]) -> Scenario:
     }
     planted = scenario_from_dict({"effects": effects}).effects
     return lab.model_copy(update={**sections, "truth": lab.truth.model_copy(update={"lag": None}), "effects": planted})
-
-
-def flight_data(simulated: SimulatedFlight, name: str = "simulated") -> FlightData:
-    """The recording of a simulated flight."""
-    rotors = simulated.vehicle.rotors
-    columns = {
-        "imu": IMU_COLUMNS,
-        "mocap": MOCAP_COLUMNS,
-        "motors": motor_columns(rotors.input, rotors.count),
-        "battery": BATTERY_COLUMNS,
-        "setpoint": SETPOINT_COLUMNS,
-        "state": STATE_COLUMNS,
-    }
-    streams = {
-        key: Stream(stamps, values, columns[key], arrival)
-        for key, (stamps, arrival, values) in simulated.streams.items()
-    }
-    return FlightData(
-        name=name,
-        vehicle=simulated.vehicle,
-        plan=simulated.plan,
-        window_s=simulated.window_s,
-        truth=simulated.truth,
-        metadata={"scenario": simulated.scenario},
-        **streams,
-    )

@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from flights import flight_data
 from scipy.stats import chi2, f
 
+from benchmarks.flown import flight_data
 from groundstation.diagnosis.evidence import Columns, Evidence, FlightEvidence
 from groundstation.diagnosis.pipeline import for_evidence
 from groundstation.diagnosis.scale import scale_findings

@@ -6,8 +6,9 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
-from flights import flight_data, laboratory
+from flights import laboratory
 
+from benchmarks.flown import flight_data
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.results import Diagnosis
 from groundstation.flightdata import FlightData

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flights import flight_data
 
+from benchmarks.flown import flight_data
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.comparison import as_declared, splits_of
 from groundstation.diagnosis.evidence import Evidence, FlightEvidence

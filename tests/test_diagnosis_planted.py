@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flights import flight_data, laboratory
+from flights import laboratory
 
+from benchmarks.flown import flight_data
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.kinematic import kinematic_findings
 from groundstation.diagnosis.results import Finding

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.stats import binom
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.coverage import HALF_95, Score, score, table
+from benchmarks.coverage import Score, score, table
+from benchmarks.tally import HALF_95
 from groundstation.errors import GroundStationError
 from groundstation.identification.results import MASS_AND_TENSOR
 

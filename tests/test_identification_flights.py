@@ -7,8 +7,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from flights import flight_data
 
+from benchmarks.flown import flight_data
 from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored

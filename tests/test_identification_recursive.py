@@ -9,8 +9,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from flights import flight_data
 
+from benchmarks.flown import flight_data
 from drivers.samples import Battery, Imu, Motors, Pose
 from groundstation.flight.live import QUEUE, LiveClock, LiveEstimate
 from groundstation.flight.sequence import Phase

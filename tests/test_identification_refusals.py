@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flights import flight_data
 
+from benchmarks.flown import flight_data
 from groundstation.errors import NotIdentifiable
 from groundstation.identification.identifiability import never_moved, revealed
 from groundstation.identification.pipeline import identify

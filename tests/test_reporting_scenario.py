@@ -6,8 +6,9 @@ import tomllib
 
 import numpy as np
 import pytest
-from flights import flight_data, rest_to_rest_plan
+from flights import rest_to_rest_plan
 
+from benchmarks.flown import flight_data
 from groundstation.diagnosis.augmented import is_among, known_candidates
 from groundstation.diagnosis.effect import library
 from groundstation.paths import find_config

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from flights import flight_data
 
+from benchmarks.flown import flight_data
 from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.identification.seed import identify_seed
 from groundstation.paths import find_config

@@ -6,11 +6,12 @@ import time
 
 import numpy as np
 import pytest
-from flights import flight_data, rest_to_rest_plan
+from flights import rest_to_rest_plan
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from sim_states import vehicle_of
 
+from benchmarks.flown import flight_data
 from groundstation import frames
 from groundstation.paths import find_config
 from groundstation.vehicle import RotorLag, load_vehicle, vehicle_from_dict, vehicle_to_dict
