@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import Effect, Settings, library
-from groundstation.diagnosis.signals import planned_signals, quietened, thinned
+from groundstation.diagnosis.signals import planned_signals, thinned
 from groundstation.diagnosis.whitening import Whitening, orthonormal
 from groundstation.identification.instrumental import lag_split_precision
 from groundstation.identification.planned_model import planned_sensitivities
@@ -27,7 +27,6 @@ from groundstation.identification.record_model import Options, RecordModel
 
 Array = NDArray[np.float64]
 
-SIGNAL_RATE_HZ = 100.0
 DRIFT_S = 6.0
 ACCEL_DELAY_S = 2e-3
 """How far the delays of gyro and accelerometer (filters, sampling) usually differ."""
@@ -115,22 +114,13 @@ class FlightEvidence:
             lag=options.lag, symmetric_lag=False, delay=options.delay, com=False, yaw_trim=False, channels=self.channels
         )
         self.model = RecordModel(record, (), None if prepared.planned is None else replace(prepared.planned, extra=()))
-        self._stride = max(1, round(1.0 / float(np.median(np.diff(record.t_s))) / SIGNAL_RATE_HZ))
-        signals = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
-        if record.motors.measured:
-            signals = quietened(signals)
-        self.signals = thinned(signals, slice(None, None, self._stride))
-        self._t = record.t_s[:: self._stride]
-        self._step = np.concatenate([[0.0], np.diff(self._t)])
-        index = np.clip(np.searchsorted(self._t, self.model.t_s, side="right") - 1, 0, len(self._t) - 2)
-        share = np.clip((self.model.t_s - self._t[index]) / self._step[index + 1], 0.0, 1.0)
-        self._place = index, share[:, None, None]
-        self._keep = record.keep[:: self._stride]
-        self.excited = thinned(self.signals, self._keep)
+        self.signals = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
+        self.excited = thinned(self.signals, record.keep)
+        self._share = record.keep / np.sum(record.keep)
         self._inverse = np.linalg.inv(self.parameters.tensor)
         self.residual, sensitivity, names = self.model.evaluate(self.parameters, self.options)
         self.sensitivity, self.names = _with_accelerometer_delay(sensitivity, names)
-        self.planned = planned_signals(prepared, self.parameters, self._stride)
+        self.planned = planned_signals(prepared, self.parameters)
         self.whitening = Whitening(
             self.channels, self.model.dt, self.model.restart, self.residual, self._nuisance(generic)
         )
@@ -153,14 +143,23 @@ class FlightEvidence:
         return FlightEvidence(other, self._fitted, self._given, self.known)
 
     def moved(self, fitted: Fitted, solution: Solution) -> Fitted:
-        """The base fit at a joint estimate, for the next linearisation; as it was where that is no rigid body."""
+        """The base fit at a joint estimate, for the next linearisation; as it was where that is no rigid body.
+
+        What a wrench does is linear in the inverses of mass and tensor, d(1/m) = -dm / m0^2 and d(J^-1) = -J0^-1 dJ J0^-1: the step is
+        taken in these, and lands where a far one in m and J would not.
+        """
         names = [name for name in self.names if name != "accel_delay_s"]
         index = [self.names.index(name) for name in names]
         values = current_values(self.parameters, names, ()) + solution.theta[index]
         p = moved(self.parameters, names, values, ())
-        p = replace(p, delay_s=max(p.delay_s, 0.0), force_bias_m_s2=np.zeros(3))
-        sound = p.mass_kg > 0.2 * self.parameters.mass_kg and np.linalg.eigvalsh(p.tensor)[0] > 0.0
-        return replace(fitted, parameters=p) if sound else fitted
+        mass, tensor = self.parameters.mass_kg, self.parameters.tensor
+        lightness = 2.0 - p.mass_kg / mass
+        left = 2.0 * tensor - p.tensor
+        if lightness <= 0.0 or np.linalg.eigvalsh(left)[0] <= 0.0:
+            return fitted
+        tensor = tensor @ np.linalg.solve(left, tensor)
+        p = replace(p, mass_kg=mass / lightness, tensor=0.5 * (tensor + tensor.T))
+        return replace(fitted, parameters=replace(p, delay_s=max(p.delay_s, 0.0), force_bias_m_s2=np.zeros(3)))
 
     def whitened_residual(self, residual: Array) -> Array:
         """Any residual (blocks, 6) of this flight, whitened as its own, (rows,)."""
@@ -205,16 +204,10 @@ class FlightEvidence:
 
     def predicted(self, wrench: Array) -> Array:
         """Rates and specific forces (blocks, 6, p) that a body wrench (k, 6, p) adds."""
-        impulse = np.zeros((len(wrench), 3, wrench.shape[2]))
-        np.cumsum(0.5 * (wrench[1:, 3:] + wrench[:-1, 3:]) * self._step[1:, None, None], axis=0, out=impulse[1:])
         out = np.empty((len(self.model.t_s), 6, wrench.shape[2]))
-        out[:, :3] = np.einsum("ij,kjp->kip", self._inverse, self._at_blocks(impulse))
-        out[:, 3:] = self._at_blocks(wrench[:, :3]) / self.parameters.mass_kg
+        out[:, :3] = np.einsum("ij,kjp->kip", self._inverse, self.model.integrated(wrench[:, 3:]))
+        out[:, 3:] = self.model.average(wrench[:, :3]) / self.parameters.mass_kg
         return out
-
-    def _at_blocks(self, values: Array) -> Array:
-        index, share = self._place
-        return values[index] * (1.0 - share) + values[index + 1] * share
 
     def columns(self, candidate: Candidate) -> Columns | None:
         """Whitened sensitivities and instruments of a candidate; None where its signals are unknown or it does nothing."""
@@ -222,7 +215,7 @@ class FlightEvidence:
         wrench = candidate.effect.wrench(self.signals, vehicle, candidate.settings)
         if not np.isfinite(wrench).all():
             return None
-        rms = np.sqrt(np.mean(wrench[self._keep] ** 2, axis=0))
+        rms = np.sqrt(np.einsum("k,kij,kij->ij", self._share, wrench, wrench))
         if self.planned is None:
             sensitivity = self.whitening.apply(self.predicted(wrench))
             return Columns(sensitivity, sensitivity, rms)

@@ -101,9 +101,7 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
     vehicle = first.prepared.record.vehicle
     weight = vehicle.mass_kg * vehicle.gravity_m_s2
     offset = sum(len(c.effect.parameters) for c, _ in chosen)
-    kept = first.prepared.record.keep[:: max(1, len(first.prepared.record.keep) // len(first.signals.t_s))][
-        : len(first.signals.t_s)
-    ]
+    kept = first.prepared.record.keep
     discrepancy = Discrepancy(evidence)
     solution = evidence.solve(chosen)
     energy = discrepancy.energies(chosen, solution).sum(axis=0) + discrepancy.of_lag(solution)

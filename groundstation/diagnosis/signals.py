@@ -1,8 +1,6 @@
-"""The signals effects are computed from, as a flight's evidence takes them: at its rate, without sample noise, and as planned."""
+"""The signals effects are computed from, as the plan made them, and at some of the instants only."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +11,17 @@ from groundstation.identification.record_model import Parameters
 from groundstation.model.rotors import wrench_matrix
 from groundstation.model.signals import Signals
 
-QUIET_S = 0.06
-"""Over which measured rotor speeds are smoothed."""
+Array = NDArray[np.float64]
+
+SLOW_S = 6.0
+"""Between corners of a battery's course."""
 
 
-def planned_signals(prepared: Prepared, p: Parameters, stride: int) -> Signals | None:
-    """The signals the plan made the vehicle have: thrusts by inverse dynamics at ``p``; time and battery as they were."""
+def planned_signals(prepared: Prepared, p: Parameters) -> Signals | None:
+    """The signals the plan made the vehicle have: thrusts by inverse dynamics at ``p``; time and charge as they were.
+
+    Of the voltage its slow course: its samples' noise, and what a sample misses of a drop under load, stand in both sides of an equation.
+    """
     plan = prepared.planned
     if plan is None:
         return None
@@ -29,7 +32,7 @@ def planned_signals(prepared: Prepared, p: Parameters, stride: int) -> Signals |
     thrust = wrench @ np.linalg.pinv(wrench_matrix(vehicle)).T
     motor = thrust if vehicle.rotors.input == "wrench" else vehicle.motor_for_thrust(thrust)
     quaternion = quat_normalise(plan.quaternion)
-    signals = Signals(
+    return Signals(
         t_s=prepared.record.t_s - prepared.record.t_s[0],
         position_m=plan.position_m,
         velocity_world_m_s=quat_rotate(quaternion, plan.velocity_body_m_s),
@@ -39,26 +42,18 @@ def planned_signals(prepared: Prepared, p: Parameters, stride: int) -> Signals |
         lagged=motor,
         lagged_rate=np.gradient(motor, prepared.record.t_s, axis=0),
         thrust_n=thrust,
-        voltage_v=prepared.voltage_v,
+        voltage_v=_slow(prepared.record.t_s, prepared.voltage_v),
         charge_as=prepared.charge_as,
     )
-    return thinned(signals, slice(None, None, stride))
 
 
-def quietened(signals: Signals) -> Signals:
-    """Measured rotor speeds without the noise of single samples (Savitzky and Golay 1964: cubics over QUIET_S keep what is slower than 15 Hz).
-
-    Their derivative turns a spinning rotor's momentum into torque: its noise would be larger than most torques.
-    """
-    from scipy.signal import savgol_filter
-
-    window = round(QUIET_S / float(np.median(np.diff(signals.t_s)))) | 1
-    if window < 5 or window > len(signals.t_s):
-        return signals
-    fields = ("motor", "lagged", "lagged_rate", "thrust_n")
-    return replace(signals, **{name: savgol_filter(getattr(signals, name), window, 3, axis=0) for name in fields})
+def _slow(t_s: Array, values: Array) -> Array:
+    """A polygon through a signal with corners SLOW_S apart, by least squares, shape (k,)."""
+    corners = np.linspace(t_s[0], t_s[-1], max(3, round((t_s[-1] - t_s[0]) / SLOW_S)) + 1)
+    hats = np.stack([np.interp(t_s, corners, peak) for peak in np.eye(len(corners))], axis=1)
+    return hats @ np.linalg.solve(hats.T @ hats, hats.T @ values)
 
 
-def thinned(signals: Signals, rows: slice | NDArray[np.bool_]) -> Signals:
+def thinned(signals: Signals, rows: NDArray[np.bool_]) -> Signals:
     """Some of the instants."""
     return Signals(*(getattr(signals, name)[rows] for name in Signals.__slots__))

@@ -25,7 +25,7 @@ def planned_sensitivities(model: RecordModel, p: Parameters, options: Options) -
     torque = plan.angular_acceleration_rad_s2 @ p.tensor + np.cross(rate, rate @ p.tensor)
     wrench = np.concatenate([thrust, torque], axis=1)
     slope = np.gradient(wrench, model.record.t_s, axis=0)
-    impulse = model.average(model.integrated(thrust))[:, 0]
+    impulse = model.integrated(thrust)[:, 0]
     blank = np.zeros((len(impulse), 3))
 
     def upward(values: Array) -> Array:
@@ -35,7 +35,7 @@ def planned_sensitivities(model: RecordModel, p: Parameters, options: Options) -
 
     def later(values: Array) -> tuple[Array, Array]:
         """What a wrench (k, 4) that is taken away changes."""
-        mean = model.average(model.integrated(values))
+        mean = model.integrated(values)
         return -mean[:, 1:] @ inverse.T, upward(-model.average(values)[:, 0] / p.mass_kg)
 
     table: dict[str, tuple[Array, Array]] = {}
@@ -63,7 +63,7 @@ def planned_sensitivities(model: RecordModel, p: Parameters, options: Options) -
     model.add_offsets(table, inverse, impulse, options)
     for term, extra in zip(model.extra, plan.extra, strict=True):
         table[term.name] = (
-            model.average(model.integrated(extra))[:, 3:] @ inverse.T,
+            model.integrated(extra)[:, 3:] @ inverse.T,
             model.average(extra[:, :3]) / p.mass_kg,
         )
     return stacked(table)

@@ -165,7 +165,7 @@ class RecordModel:
         self.force = self.average(record.force_m_s2)
         self._elapsed = self.t_s - record.t_s[0]
         self._gyroscopic = self.integrated_gyroscopic(record.rate_rad_s)
-        self._extra = tuple((self.average(self.integrated(e.value)), self.average(e.value[:, :3])) for e in self.extra)
+        self._extra = tuple((self.integrated(e.value), self.average(e.value[:, :3])) for e in self.extra)
         self._last: tuple[Parameters, _Prediction] | None = None
 
     def channels(self, options: Options) -> tuple[int, ...]:
@@ -180,19 +180,19 @@ class RecordModel:
         return other
 
     def integrated(self, values: Array) -> Array:
-        """Running integral of values at the IMU's stamps, shape kept."""
-        mean = 0.5 * (values[1:] + values[:-1]) * self._step[1:, None]
-        return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(mean, axis=0)])
+        """Block means of the running integral of values (k, ...) at the IMU's stamps, (blocks, ...)."""
+        means = _integral_means(values.reshape(len(values), -1), self._step, self._members)
+        return means.reshape(len(means), *values.shape[1:])
 
     def integrated_gyroscopic(self, rate: Array) -> Array:
         """Block means of the integral of omega x J omega per entry of the tensor, (blocks, 3, 6)."""
         products = np.stack([np.cross(rate, rate @ basis) for basis in BASIS], axis=-1)
-        return self.average(self.integrated(products.reshape(len(rate), -1))).reshape(-1, 3, 6)
+        return self.integrated(products)
 
     def average(self, values: Array) -> Array:
-        """Block means of samples at the IMU's stamps, shape (blocks, columns)."""
+        """Block means of samples (k, ...) at the IMU's stamps, (blocks, ...)."""
         if not len(self._members):
-            return np.zeros((0, values.shape[1]))
+            return np.zeros((0, *values.shape[1:]))
         total = values[self._members[:, 0]].copy()
         for column in self._members.T[1:]:
             total += values[column]
@@ -292,6 +292,27 @@ class RecordModel:
         for axis, letter in enumerate("xyz"):
             if axis + 3 in options.channels:
                 table[f"accel_bias_{letter}_m_s2"] = blank, along(axis, 1.0)
+
+
+@njit(cache=True)
+def _integral_means(values: Array, step: Array, members: NDArray[np.int64]) -> Array:
+    """Block means of the running integral by the trapezoidal rule of columns (k, n), with ``step`` before each sample, (blocks, n)."""
+    count = values.shape[1]
+    blocks, size = members.shape
+    out = np.zeros((blocks, count))
+    impulse = np.zeros(count)
+    at = 0
+    for b in range(blocks):
+        for m in range(size):
+            while at < members[b, m]:
+                at += 1
+                for j in range(count):
+                    impulse[j] += 0.5 * (values[at, j] + values[at - 1, j]) * step[at]
+            for j in range(count):
+                out[b, j] += impulse[j]
+        for j in range(count):
+            out[b, j] /= size
+    return out
 
 
 @njit(cache=True)
