@@ -3,7 +3,8 @@
 A torque that goes with what the body does bends the tensor of a base fit that lacks it, the rotors' angular momentum by half and
 more, and about such a tensor nothing linear finds it back. Where the flight is much likelier with such torques free, their fit is
 the better point. Nothing is named here: what is there, the evidence about that point says. Where speeds are commanded and not measured,
-lag and dead time are free, and a torque that leads the command is one of them to any such fit: there the base stays as it is.
+lag and dead time are free, and a torque that leads the command is one of them to any such fit: there the base stays as it is, or
+is the prediction error estimate where what is lacking has led the instruments far astray.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import Effect, library
+from groundstation.identification.identifiability import unsettled
 from groundstation.identification.pipeline import DynamicFit
 from groundstation.identification.prediction_error import Fitted, fit
 from groundstation.identification.preparation import Prepared
@@ -31,7 +33,7 @@ def linearisation(fitted: DynamicFit) -> Fitted:
     """The best base fit, or a likelier one with the bending torques free."""
     own = fitted.filter_error
     if fitted.options.lag:
-        return fitted.best
+        return own if unsettled(fitted.best, own) else fitted.best
     vehicle = fitted.prepared[0].record.vehicle
     effects = [library()[name] for name in BENDING if library()[name].applies(vehicle)]
     models = [

@@ -48,19 +48,19 @@ def lag_findings(evidence: Evidence, solution: Solution) -> list[Finding]:
 
     everything, only_delay_explains, only_lag_explains = wald([0, 1, 2]), wald([2]), wald([0, 1])
     chance = CERTAIN + 10.0 - everything
-    if chance >= 0.0 or float(values[:2].mean() + values[2]) < LAG.least:
+    lag, delay = float(values[:2].mean()), float(values[2])
+    if chance >= 0.0 or lag + delay < LAG.least:
         return []
-    if min(only_delay_explains, only_lag_explains) > CERTAIN and values[2] > DELAY.least:
+    if min(only_delay_explains, only_lag_explains) > CERTAIN and lag > LAG.least and delay > DELAY.least:
         return [
             _lag(values, covariance, lags, only_lag_explains, (CERTAIN - only_lag_explains,)),
-            _delay(values[2], covariance[2, 2], only_delay_explains, (CERTAIN - only_delay_explains,)),
+            _delay(delay, covariance[2, 2], only_delay_explains, (CERTAIN - only_delay_explains,)),
         ]
     lead = only_lag_explains - only_delay_explains
-    if lead >= 0.0 or values[2] < DELAY.least:
+    if lead >= 0.0 or delay < DELAY.least:
         alone = _conditional(values, covariance)
         return [_lag(*alone, lags, everything, (chance, -lead), lead < INSEPARABLE)]
-    total = float(values[:2].mean() + values[2])
-    return [_delay(total, covariance[2, 2], everything, (chance, lead), -lead < INSEPARABLE)]
+    return [_delay(lag + delay, covariance[2, 2], everything, (chance, lead), -lead < INSEPARABLE)]
 
 
 def _lag(
