@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.stats import chi2, f
 
 from benchmarks.flown import flight_data
 from groundstation.diagnosis.evidence import Columns, Evidence, FlightEvidence
+from groundstation.diagnosis.linearisation import linearisation
 from groundstation.diagnosis.pipeline import for_evidence
 from groundstation.diagnosis.scale import scale_findings
 from groundstation.diagnosis.whitening import bands_of, coefficients
@@ -49,6 +51,52 @@ def test_what_the_base_leaves_is_white_from_the_lowest_frequencies_up(evidence):
         count = 2 * len(flight.channels) * int(inside.sum())
         # 3.3 sigma of the periodogram itself, and a fifth for the estimated spectrum
         assert abs(power[:, inside].mean() - 1.0) < 0.2 + 3.3 * np.sqrt(2.0 / count), (low, high)
+
+
+def test_an_effect_is_averaged_over_a_block_as_the_sensors_are(evidence):
+    flight, rate = evidence.flights[0], 2.0 * np.pi * 8.0
+    record, model = flight.prepared.record, flight.model
+    step = float(np.median(np.diff(record.t_s)))
+    shown = np.sin(0.5 * rate * step * record.block) / (record.block * np.sin(0.5 * rate * step))
+    assert shown < 0.98, "a frequency that a block dampens"
+    wrench = np.zeros((len(record.t_s), 6, 1))
+    wrench[:, 2, 0] = wrench[:, 5, 0] = np.sin(rate * record.t_s)
+    seen = flight.predicted(wrench)[:, :, 0]
+    force = shown * np.sin(rate * model.t_s) / flight.parameters.mass_kg
+    turned = shown * (np.cos(rate * record.t_s[0]) - np.cos(rate * model.t_s)) / rate
+    turned = turned * np.linalg.inv(flight.parameters.tensor)[2, 2]
+    for got, expected in ((seen[:, 5], force), (seen[:, 2], turned)):
+        assert np.std(got - expected) < 0.005 * np.std(expected)
+
+
+def test_a_step_to_another_mass_and_tensor_lands_at_once(evidence):
+    """What a solution about one rigid body says of another is linear in the inverses."""
+    flight = evidence.flights[0]
+    p, index = flight.parameters, list(flight.names).index("mass_kg")
+    solution = evidence.solve([])
+    solution.theta[:] = 0.0
+    solution.theta[index] = p.mass_kg**2 * (1.0 / p.mass_kg - 1.0 / (1.4 * p.mass_kg))
+    inertia = list(flight.names).index("izz_kg_m2")
+    own = p.tensor[2, 2]
+    solution.theta[inertia] = own**2 * (1.0 / own - 1.0 / (1.4 * own))
+    about = flight.moved(evidence.flights[0]._fitted, solution)
+    assert about.parameters.mass_kg == pytest.approx(1.4 * p.mass_kg)
+    assert about.parameters.tensor[2, 2] == pytest.approx(1.4 * own, rel=0.01)  # products of inertia aside
+    solution.theta[index] = 1.1 * p.mass_kg
+    assert flight.moved(evidence.flights[0]._fitted, solution) is evidence.flights[0]._fitted
+
+
+def test_instruments_that_went_far_astray_give_way_to_the_prediction_error():
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    vehicle = vehicle.model_copy(update={"rotors": vehicle.rotors.model_copy(update={"speed_source": "command"})})
+    plan = load_plan(find_config("plans", "qball2")).model_copy(update={"periods": 2.0})
+    flown = simulate(vehicle, plan, load_scenario(find_config("scenarios", "lab")), 5)
+    fitted = fit_dynamics([for_evidence(prepare(flight_data(flown)))])
+    own, refined = fitted.filter_error, fitted.instrumental
+    assert refined is not None and linearisation(fitted) is refined
+    astray = refined.values.copy()
+    astray[refined.names.index("ixx_kg_m2")] *= 0.3
+    assert linearisation(replace(fitted, instrumental=replace(refined, values=astray))) is own
 
 
 def test_a_fit_of_many_columns_takes_noise_and_a_draw_puts_it_back():

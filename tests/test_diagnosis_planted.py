@@ -168,6 +168,15 @@ def test_lag_and_dead_time_are_told_apart_and_lie_within_their_intervals(hidden)
         _assert_within(found["input_delay"].parameters["input_delay_s"], effects["input_delay"]["delay_s"])
 
 
+def test_a_lag_of_less_than_5_ms_beside_a_dead_time_is_counted_with_it():
+    """Noise in what is recorded of the commands is smoothed by a small lag: effects.md takes less than 5 ms for no finding."""
+    vehicle = _qball(rotors={"speed_source": "command"})
+    small = {"lag": RotorLag(up_s=0.003, down_s=0.003)}
+    (finding,) = diagnose([_flown(vehicle, truth=small, input_delay={"delay_s": 0.025})]).findings
+    assert finding.effect == "input_delay"
+    assert finding.parameters["input_delay_s"].value == pytest.approx(0.028, abs=0.001)
+
+
 @cache
 def _thin_air() -> FlightData:
     """Rotors give 0.95 of their declared thrust; the vehicle is as heavy as declared."""

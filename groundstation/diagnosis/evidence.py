@@ -32,7 +32,7 @@ ACCEL_DELAY_S = 2e-3
 """How far the delays of gyro and accelerometer (filters, sampling) usually differ."""
 DELAYS = ("rotor_lag", "input_delay", "accel_delay")
 """Parameters that a plan's own columns instrument weakly: theirs is what all of a plan's columns tell of them, channel by channel."""
-VARIANTS = 6
+VARIANTS = 4
 """How many settings of an effect are kept out of the noise before it is found; of those found, the very setting."""
 
 

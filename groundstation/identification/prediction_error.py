@@ -277,24 +277,40 @@ def _line_search(
     for _ in range(10):
         trial = moved(p, names, theta + fraction * step, extra_names)
         if trial.mass_kg > 0.0 and np.linalg.eigvalsh(trial.tensor)[0] > 0.02 * np.linalg.eigvalsh(p.tensor)[0]:
-            residuals = [model.residual(trial) for model in models]
             values = current_values(trial, names, extra_names)
             total = 0.5 * float(np.sum(((values - mean) / std) ** 2))
-            for index, model in enumerate(models):
-                blank = np.zeros((*residuals[index].shape, 0))
-                ys, _, logs = whiten(model, residuals[index], blank, channels[index], state[index], polynomials[index])
-                total += logs
-                for y in ys:
-                    w = huber(y)
-                    total += float(np.sum(np.where(w < 1.0, 3.0 * np.abs(y) - 4.5, 0.5 * y**2)))
+            total += misfit(models, trial, channels, state, polynomials)
             if total <= cost + 1e-9 * abs(cost):
                 return trial, fraction
         fraction *= 0.5
     return p, 0.0
 
 
+def misfit(
+    models: Sequence[RecordModel],
+    p: Parameters,
+    channels: Sequence[tuple[int, ...]],
+    state: Sequence[Sequence[Colour]],
+    polynomials: Sequence[Sequence[Array]],
+) -> float:
+    """Half the robust squared innovations and the logarithms of their deviations, at ``p`` under given noise models."""
+    total = 0.0
+    for index, model in enumerate(models):
+        residual = model.residual(p)
+        blank = np.zeros((*residual.shape, 0))
+        ys, _, logs = whiten(model, residual, blank, channels[index], state[index], polynomials[index])
+        total += logs
+        for y in ys:
+            total += float(np.sum(np.where(huber(y) < 1.0, 3.0 * np.abs(y) - 4.5, 0.5 * y**2)))
+    return total
+
+
 def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: Options) -> Fitted:
-    """Prediction error estimate from the declared vehicle: first one lag and no dead time from two starts, then all."""
+    """Prediction error estimate from the declared vehicle: first one lag and no dead time from two starts, then all.
+
+    What divides the total into lag and dead time are the commands' highest frequencies, a narrow band: each of its periods has a
+    minimum. So the division is looked for over all of the total before the last fit, and once more after it.
+    """
     extra = len(models[0].extra)
     if not options.lag:
         return fit(models, initial_parameters(vehicle, lag_s=0.0, extra=extra), options)
@@ -302,7 +318,28 @@ def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: 
     tried = [fit(models, initial_parameters(vehicle, lag_s=lag, extra=extra), first) for lag in (0.02, 0.08)]
     best = min(tried, key=lambda found: found.cost)
     channels = [model.channels(options) for model in models]
-    return fit(models, best.parameters, options, per_flight(best.colours, channels))
+    best = fit(models, divided_anew(models, best, options), options, per_flight(best.colours, channels))
+    start = divided_anew(models, best, options)
+    if start is best.parameters:
+        return best
+    return min(best, fit(models, start, options, per_flight(best.colours, channels)), key=lambda found: found.cost)
+
+
+DIVISION_S = 0.002
+"""Between dead times that are tried."""
+
+
+def divided_anew(models: Sequence[RecordModel], found: Fitted, options: Options) -> Parameters:
+    """The parameters found, or those whose dead time and lags, of the same sum, suit the residual better."""
+    p, channels = found.parameters, [model.channels(options) for model in models]
+    noise = per_flight(found.colours, channels), per_flight(found.whiteners, channels)
+    shifts = DIVISION_S * np.arange(
+        -np.floor(max(p.delay_s, 0.0) / DIVISION_S), min(p.lag_up_s, p.lag_down_s) / DIVISION_S
+    )
+    tried = [p] + [
+        replace(p, lag_up_s=p.lag_up_s - s, lag_down_s=p.lag_down_s - s, delay_s=p.delay_s + s) for s in shifts if s
+    ]
+    return min(tried, key=lambda each: misfit(models, each, channels, *noise))
 
 
 SHOOTING_S = 2.0
