@@ -17,6 +17,7 @@ from groundstation.identification.prediction_error import (
     Fitted,
     current_values,
     huber,
+    inverted,
     moved,
     noise_model,
     per_flight,
@@ -49,7 +50,7 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
     channels = [model.channels(options) for model in models]
     colours, polynomials = per_flight(start.colours, channels), per_flight(start.whiteners, channels)
     p, names = start.parameters, start.names
-    covariance, information = start.covariance, np.linalg.inv(start.covariance)
+    covariance, information = start.covariance, inverted(start.covariance)
     held = [index for index, name in enumerate(names) if name == HELD]
     split = lag_split_precision(names)
     split[held, held] += 1.0 / 0.001**2
@@ -102,7 +103,7 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
         parameters=p,
         values=theta,
         covariance=covariance,
-        bound=np.asarray(np.linalg.inv(information), dtype=float),
+        bound=inverted(information),
         residual_rms=rms,
         iterations=iterations,
         colours=tuple(c for s in colours for c in s),

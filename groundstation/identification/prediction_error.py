@@ -164,6 +164,13 @@ def huber(y: Array, limit: float = 3.0) -> Array:
     return np.minimum(1.0, limit / np.maximum(np.abs(y), 1e-12))
 
 
+def inverted(information: Array) -> Array:
+    """The inverse of an information matrix, in units in which its diagonal is one: kilograms and kg m^2 of a nano-quadrotor lie 1e10 apart."""
+    unit = 1.0 / np.sqrt(np.diag(information))
+    scale = np.outer(unit, unit)
+    return np.asarray(np.linalg.inv(information * scale) * scale, dtype=float)
+
+
 def fit(
     models: Sequence[RecordModel],
     start: Parameters,
@@ -237,10 +244,13 @@ def fit(
             iterations += 1
             if taken > 0.0:
                 evaluated = [model.evaluate(p, options) for model in models]
-            if taken == 0.0 or np.all(np.abs(taken * step) < 0.02 * np.sqrt(np.diag(np.linalg.inv(normal)))):
+            variance = np.maximum(
+                np.diag(inverted(normal)), 0.0
+            )  # of what a flight does not show, rounding may make it negative
+            if taken == 0.0 or np.all(np.abs(taken * step) < 0.02 * np.sqrt(variance)):
                 break
     theta = current_values(p, names, extra_names)
-    covariance = np.asarray(np.linalg.inv(normal), dtype=float)
+    covariance = inverted(normal)
     rms = np.sqrt(np.mean(np.concatenate([e[0] for e in evaluated]) ** 2, axis=0))
     samples = sum(len(m.t_s) for m in models)
     return Fitted(
