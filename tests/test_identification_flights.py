@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from flights import laboratory
 
 from benchmarks.flown import flight_data
 from groundstation.errors import NotIdentifiable
@@ -24,7 +25,7 @@ from groundstation.paths import find_config
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
 from sim.flight import simulate
-from sim.scenario import load_scenario
+from sim.scenario import RotorLag, load_scenario
 
 SEEDS = (1, 2)
 TRUE_OFFSET_S = -0.018
@@ -239,3 +240,17 @@ def test_the_true_model_predicts_better_than_the_declared_one_and_than_constant_
         name = next(key for key in error["model"][horizon] if quantity in key)
         model = error["model"][horizon][name]["rms"]
         assert model < 0.5 * error["constant_velocity"][horizon][name]["rms"], quantity
+
+
+@pytest.mark.parametrize("lag_s", [0.001, 0.008])
+def test_a_dead_time_with_little_lag_is_divided_rightly(lag_s):
+    """The commands' highest frequencies divide them, and each period of these has a minimum of its own."""
+    document = vehicle_to_dict(qball())
+    document["rotors"] |= {"speed_source": "command", "lag": {"up_s": 0.0, "down_s": 0.0}}
+    plan = load_plan(find_config("plans", "qball2")).model_copy(update={"periods": 4.0})
+    late = laboratory(input_delay={"delay_s": 0.025})
+    true = late.truth.model_copy(update={"lag": RotorLag(up_s=lag_s, down_s=lag_s)})
+    flown = simulate(vehicle_from_dict(document), plan, late.model_copy(update={"truth": true}), 7)
+    found = fit_dynamics([prepare(flight_data(flown))]).filter_error.parameters
+    assert found.delay_s == pytest.approx(0.025, abs=3e-4)
+    assert [found.lag_up_s, found.lag_down_s] == pytest.approx([lag_s, lag_s], abs=4e-4)
