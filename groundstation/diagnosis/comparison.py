@@ -12,14 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.attribution import folds
-from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, Solution
+from groundstation.diagnosis.evidence import RIGID_BODY, Candidate, Columns, Evidence, FlightEvidence, Solution, landed
 from groundstation.identification.anchoring import anchored
-from groundstation.identification.prediction_error import Fitted, output_error
+from groundstation.identification.prediction_error import Fitted, current_values, output_error
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import (
     CHANNELS,
-    PAIRS,
-    TENSOR,
     Parameters,
     RecordModel,
     initial_parameters,
@@ -71,13 +69,12 @@ def with_plain(splits: Sequence[Split], evidence: Evidence, vehicle: Vehicle) ->
 
 def _base_estimates(evidence: Evidence, vehicle: Vehicle, solution: Solution) -> dict[str, Estimate]:
     """Mass and tensor of a linearised joint estimate, under the anchor."""
-    p = evidence.flights[0].parameters
     names = list(evidence.names)
-    index = [names.index(n) for n in ("mass_kg", *TENSOR)]
-    about = np.array([p.mass_kg, *(p.tensor[i, j] for i, j in PAIRS)])
-    estimates, constants = anchored(
-        vehicle, ["mass_kg", *TENSOR], about + solution.theta[index], solution.covariance[np.ix_(index, index)]
-    )
+    index = [names.index(n) for n in RIGID_BODY]
+    about, step = current_values(evidence.flights[0].parameters, RIGID_BODY, ()), solution.theta[index]
+    values, jacobian = landed(about, step) or (about + step, np.eye(len(about)))
+    covariance = jacobian @ solution.covariance[np.ix_(index, index)] @ jacobian.T
+    estimates, constants = anchored(vehicle, RIGID_BODY, values, covariance)
     return {**estimates, **constants}
 
 

@@ -23,7 +23,7 @@ from groundstation.identification.instrumental import lag_split_precision
 from groundstation.identification.planned_model import planned_sensitivities
 from groundstation.identification.prediction_error import Fitted, current_values, moved
 from groundstation.identification.preparation import Prepared
-from groundstation.identification.record_model import Options, RecordModel
+from groundstation.identification.record_model import BASIS, PAIRS, TENSOR, Options, RecordModel
 
 Array = NDArray[np.float64]
 
@@ -32,6 +32,7 @@ ACCEL_DELAY_S = 2e-3
 """How far the delays of gyro and accelerometer (filters, sampling) usually differ."""
 DELAYS = ("rotor_lag", "input_delay", "accel_delay")
 """Parameters that a plan's own columns instrument weakly: theirs is what all of a plan's columns tell of them, channel by channel."""
+RIGID_BODY = ("mass_kg", *TENSOR)
 VARIANTS = 4
 """How many settings of an effect are kept out of the noise before it is found; of those found, the very setting."""
 
@@ -143,22 +144,16 @@ class FlightEvidence:
         return FlightEvidence(other, self._fitted, self._given, self.known)
 
     def moved(self, fitted: Fitted, solution: Solution) -> Fitted:
-        """The base fit at a joint estimate, for the next linearisation; as it was where that is no rigid body.
-
-        What a wrench does is linear in the inverses of mass and tensor, d(1/m) = -dm / m0^2 and d(J^-1) = -J0^-1 dJ J0^-1: the step is
-        taken in these, and lands where a far one in m and J would not.
-        """
+        """The base fit at a joint estimate, for the next linearisation; as it was where that is no rigid body (:func:`landed`)."""
         names = [name for name in self.names if name != "accel_delay_s"]
-        index = [self.names.index(name) for name in names]
-        values = current_values(self.parameters, names, ()) + solution.theta[index]
-        p = moved(self.parameters, names, values, ())
-        mass, tensor = self.parameters.mass_kg, self.parameters.tensor
-        lightness = 2.0 - p.mass_kg / mass
-        left = 2.0 * tensor - p.tensor
-        if lightness <= 0.0 or np.linalg.eigvalsh(left)[0] <= 0.0:
+        step = dict(zip(self.names, solution.theta.tolist(), strict=True))
+        about = current_values(self.parameters, names, ())
+        found = landed(current_values(self.parameters, RIGID_BODY, ()), np.array([step[name] for name in RIGID_BODY]))
+        if found is None:
             return fitted
-        tensor = tensor @ np.linalg.solve(left, tensor)
-        p = replace(p, mass_kg=mass / lightness, tensor=0.5 * (tensor + tensor.T))
+        values = about + np.array([step[name] for name in names])
+        values[[names.index(name) for name in RIGID_BODY]] = found[0]
+        p = moved(self.parameters, names, values, ())
         return replace(fitted, parameters=replace(p, delay_s=max(p.delay_s, 0.0), force_bias_m_s2=np.zeros(3)))
 
     def whitened_residual(self, residual: Array) -> Array:
@@ -389,6 +384,25 @@ class Evidence:
                 channels.append(np.full(len(flight.model.t_s), channel))
                 flights.append(np.full(len(flight.model.t_s), number))
         return np.concatenate(times), np.concatenate(channels), np.concatenate(flights)
+
+
+def landed(about: Array, step: Array) -> tuple[Array, Array] | None:
+    """Mass and tensor, in the order of RIGID_BODY, that a linear step from others means, and their Jacobian by the step.
+
+    What a wrench does is linear in the inverses of mass and tensor, d(1/m) = -dm / m0^2 and d(J^-1) = -J0^-1 dJ J0^-1: taken in these,
+    a far step lands where one in m and J would not. None where it is as large as what it starts from: no rigid body lies there.
+    """
+    lightness = 1.0 - step[0] / about[0]
+    tensor, change = (np.einsum("k,kij->ij", values[1:], BASIS) for values in (about, step))
+    left = tensor - change
+    if lightness <= 0.0 or np.linalg.eigvalsh(left)[0] <= 0.0:
+        return None
+    turn = tensor @ np.linalg.inv(left)
+    jacobian = np.zeros((7, 7))
+    jacobian[0, 0] = lightness**-2
+    rows, columns = np.array(PAIRS).T
+    jacobian[1:, 1:] = (turn @ BASIS @ turn.T)[:, rows, columns].T
+    return np.array([about[0] / lightness, *(turn @ tensor)[rows, columns]]), jacobian
 
 
 def _with_accelerometer_delay(sensitivity: Array, names: tuple[str, ...]) -> tuple[Array, tuple[str, ...]]:

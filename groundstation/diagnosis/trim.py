@@ -146,12 +146,12 @@ def mean_thrust(prepared: Prepared) -> Array:
     """Mean thrust of each rotor in settled flight, (n,), by the declared curve."""
     thrust = prepared.signals(0.0, 0.0, 0.0).thrust_n
     t_s, keep, total = prepared.record.t_s, prepared.record.keep, thrust.sum(axis=1)
-    flying = keep & (total > FLYING * np.median(total[keep]))
-    ground = np.concatenate([[-np.inf], t_s[keep & ~flying], [np.inf]])
+    aloft = total > FLYING * np.median(total[keep])
+    ground = np.concatenate([[-np.inf], t_s[~aloft], [np.inf]])
     after = np.searchsorted(ground, t_s)
     apart = np.minimum(t_s - ground[after - 1], ground[np.minimum(after, len(ground) - 1)] - t_s)
-    settled = flying & (apart > SETTLED_S)
-    return thrust[settled if settled.any() else flying].mean(axis=0)
+    settled = keep & aloft & (apart > SETTLED_S)
+    return thrust[settled if settled.any() else keep & aloft].mean(axis=0)
 
 
 def healthy_scatter(well: Array) -> Scatter:
