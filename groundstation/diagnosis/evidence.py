@@ -146,7 +146,7 @@ class FlightEvidence:
     def moved(self, fitted: Fitted, solution: Solution) -> Fitted:
         """The base fit at a joint estimate, for the next linearisation; as it was where that is no rigid body (:func:`landed`)."""
         names = [name for name in self.names if name != "accel_delay_s"]
-        step = dict(zip(self.names, solution.theta.tolist(), strict=True))
+        step = dict(zip(self.names, solution.theta[: solution.base].tolist(), strict=True))
         about = current_values(self.parameters, names, ())
         found = landed(current_values(self.parameters, RIGID_BODY, ()), np.array([step[name] for name in RIGID_BODY]))
         if found is None:
