@@ -69,7 +69,7 @@ def fly(kind: str, names: Sequence[str], vehicle_name: str, plan: Plan, random: 
     vehicle = declared(vehicle_name, names)
     hidden = {name: sizes(vehicle)[name](random) for name in names}
     try:
-        simulated = simulate(vehicle, plan, world(random, hidden), int(random.integers(2**31)))
+        simulated = simulate(vehicle, plan, world(random, hidden, vehicle), int(random.integers(2**31)))
     except FlightAborted:
         return None
     flight = flight_data(simulated, "unknown")

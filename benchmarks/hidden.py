@@ -78,7 +78,7 @@ def sizes(vehicle: Vehicle) -> dict[str, Callable[[Random], Table]]:
     }
 
 
-def world(random: Random, hidden: dict[str, Table]) -> Scenario:
+def world(random: Random, hidden: dict[str, Table], vehicle: Vehicle) -> Scenario:
     """A laboratory with drawn disturbance, biases and jitter, whose clocks agree and whose rotors are as declared.
 
     Rotors whose speed is measured lag behind their commands as all rotors do; the diagnosis sees the speeds.
@@ -114,7 +114,7 @@ def world(random: Random, hidden: dict[str, Table]) -> Scenario:
                 "mass_factor": float(random.uniform(0.95, 1.05)),
                 "inertia_factor": [float(f) for f in (*random.uniform(1.0, 1.2, 2), random.uniform(0.85, 1.0))],
                 "product_share": [float(f) for f in random.uniform(-0.015, 0.015, 3)],
-                **({} if set(hidden) & set(COMMANDED) else {"lag": {"up_s": 0.03, "down_s": 0.04}}),
+                **({} if vehicle.rotors.speed_source == "command" else {"lag": {"up_s": 0.03, "down_s": 0.04}}),
             },
             "effects": hidden,
         }

@@ -97,7 +97,7 @@ def case(truth: str, rival: str, random: np.random.Generator) -> tuple[str, str,
     documents = []
     plan, sentence, seconds = gentle(random), "", 0.0
     for turn in range(2):
-        simulated = simulate(vehicle, plan, world(random, hidden), int(random.integers(2**31)))
+        simulated = simulate(vehicle, plan, world(random, hidden, vehicle), int(random.integers(2**31)))
         documents.append(diagnose([flight_data(simulated, "unknown")]).to_dict())
         if turn:
             break

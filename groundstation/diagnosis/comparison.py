@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.attribution import folds
-from groundstation.diagnosis.evidence import RIGID_BODY, Candidate, Columns, Evidence, FlightEvidence, Solution, landed
+from groundstation.diagnosis.evidence import RIGID_BODY, Candidate, Columns, Evidence, FlightEvidence, Solution
 from groundstation.identification.anchoring import anchored
-from groundstation.identification.prediction_error import Fitted, current_values, output_error
+from groundstation.identification.prediction_error import Fitted, output_error
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import (
     CHANNELS,
@@ -71,8 +71,7 @@ def _base_estimates(evidence: Evidence, vehicle: Vehicle, solution: Solution) ->
     """Mass and tensor of a linearised joint estimate, under the anchor."""
     names = list(evidence.names)
     index = [names.index(n) for n in RIGID_BODY]
-    about, step = current_values(evidence.flights[0].parameters, RIGID_BODY, ()), solution.theta[index]
-    values, jacobian = landed(about, step) or (about + step, np.eye(len(about)))
+    values, jacobian = evidence.flights[0].rigid_body(solution)
     covariance = jacobian @ solution.covariance[np.ix_(index, index)] @ jacobian.T
     estimates, constants = anchored(vehicle, RIGID_BODY, values, covariance)
     return {**estimates, **constants}

@@ -146,15 +146,25 @@ class FlightEvidence:
     def moved(self, fitted: Fitted, solution: Solution) -> Fitted:
         """The base fit at a joint estimate, for the next linearisation; as it was where that is no rigid body (:func:`landed`)."""
         names = [name for name in self.names if name != "accel_delay_s"]
-        step = dict(zip(self.names, solution.theta[: solution.base].tolist(), strict=True))
-        about = current_values(self.parameters, names, ())
-        found = landed(current_values(self.parameters, RIGID_BODY, ()), np.array([step[name] for name in RIGID_BODY]))
+        values = current_values(self.parameters, names, ()) + solution.theta[[self.names.index(name) for name in names]]
+        found = landed(*self._rigid_step(solution))
         if found is None:
             return fitted
-        values = about + np.array([step[name] for name in names])
         values[[names.index(name) for name in RIGID_BODY]] = found[0]
         p = moved(self.parameters, names, values, ())
         return replace(fitted, parameters=replace(p, delay_s=max(p.delay_s, 0.0), force_bias_m_s2=np.zeros(3)))
+
+    def rigid_body(self, solution: Solution) -> tuple[Array, Array]:
+        """Mass and tensor of a joint estimate, in the order of RIGID_BODY, and their Jacobian by its parameters.
+
+        Those parameters themselves where no rigid body lies there (:func:`landed`).
+        """
+        about, step = self._rigid_step(solution)
+        return landed(about, step) or (about + step, np.eye(len(about)))
+
+    def _rigid_step(self, solution: Solution) -> tuple[Array, Array]:
+        index = [self.names.index(name) for name in RIGID_BODY]
+        return current_values(self.parameters, RIGID_BODY, ()), solution.theta[index]
 
     def whitened_residual(self, residual: Array) -> Array:
         """Any residual (blocks, 6) of this flight, whitened as its own, (rows,)."""

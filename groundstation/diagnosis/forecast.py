@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.comparison import Chosen, Split
 from groundstation.diagnosis.evidence import Evidence, Solution
 from groundstation.identification.preparation import Prepared, smoothed_states
-from groundstation.identification.record_model import BASIS, PAIRS, TENSOR, Parameters
+from groundstation.identification.record_model import BASIS, PAIRS, Parameters
 from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.identification.validation import closed_loop_validation
 from groundstation.model.prediction import VehicleModel, declared_model, error_norms
@@ -37,7 +37,7 @@ def vehicle_model(evidence: Evidence, chosen: Chosen, solution: Solution) -> Veh
     first = evidence.flights[0]
     p, vehicle = first.parameters, first.prepared.record.vehicle
     moved = dict(zip(evidence.names, solution.theta[: solution.base], strict=True))
-    tensor = p.tensor + sum(moved[name] * basis for name, basis in zip(TENSOR, BASIS, strict=True))
+    (mass, *entries), _ = first.rigid_body(solution)
     parts, offset = [], 0
     for candidate, _ in chosen:
         count = len(candidate.effect.parameters)
@@ -52,8 +52,8 @@ def vehicle_model(evidence: Evidence, chosen: Chosen, solution: Solution) -> Veh
 
     return VehicleModel(
         vehicle=vehicle,
-        mass_kg=p.mass_kg + moved["mass_kg"],
-        tensor=np.asarray(tensor),
+        mass_kg=float(mass),
+        tensor=np.einsum("k,kij->ij", entries, BASIS),
         lag_up_s=float(np.clip(p.lag_up_s + moved.get("rotor_lag_up_s", 0.0), 0.0, 0.5)),
         lag_down_s=float(np.clip(p.lag_down_s + moved.get("rotor_lag_down_s", 0.0), 0.0, 0.5)),
         lag_slope=p.lag_slope + moved.get("rotor_lag_slope", 0.0),

@@ -252,6 +252,7 @@ def error_norms(
     return {h: _norms(states, states.t_s[index] + h, path[h]) for h in horizons}
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a model that runs away has no error that is a number
 def _norms(states: FlightStates, at_s: Array, found: Mapping[str, Array]) -> dict[str, Array]:
     def reference(values: Array) -> Array:
         return np.stack([np.interp(at_s, states.t_s, c) for c in values.T], axis=-1)
@@ -366,6 +367,7 @@ def _carried(noise: TurningDisturbance, motion: _Motion, states: FlightStates) -
     return carried(noise, t_s, w - np.cumsum(np.nan_to_num(turning) * step, axis=0))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a model that runs away has no error that is a number
 def _simulate(
     model: VehicleModel, states: FlightStates, index: NDArray[np.int64], horizons: list[float], h: float = STEP_S
 ) -> dict[float, dict[str, Array]]:
