@@ -24,7 +24,7 @@ from groundstation.identification.identifiability import (
 from groundstation.identification.instrumental import instrumental
 from groundstation.identification.prediction_error import Fitted, fit, fit_from_declared, output_error
 from groundstation.identification.preparation import Prepared, damping_terms, prepare
-from groundstation.identification.record_model import BodyWrench, Options, Parameters, RecordModel
+from groundstation.identification.record_model import BodyWrench, DynamicRecord, Options, Parameters, RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification, MethodResult
 from groundstation.identification.validation import validate
 from groundstation.model.disturbance import TurningDisturbance, pooled, three, turning
@@ -362,17 +362,31 @@ def _disturbance(models: Sequence[RecordModel], fit: Fitted, options: Options) -
         step = float(np.median(model.dt))
         size, time = turning(model.rate, step)
         told = [colour.get(axis) for axis in range(3)]
+        sensor = _white_density(model.record)
         parts.append(
             TurningDisturbance(
                 acceleration_rad_s2=three(0.0 if c is None else c.disturbance for c in told),
                 correlation_s=three(1.0 if c is None else c.correlation_s for c in told),
                 process_rad_s_rs=three(0.0 if c is None else c.process for c in told),
-                sensor_rad_rs=three(0.0 if c is None else c.sensor * np.sqrt(step) for c in told),
+                sensor_rad_rs=three(
+                    0.0 if c is None else max(c.sensor * np.sqrt(step), own)
+                    for c, own in zip(told, sensor, strict=True)
+                ),
                 turning_rad_s=three(size),
                 turning_correlation_s=three(time),
             )
         )
     return pooled(parts)
+
+
+def _white_density(record: DynamicRecord) -> Array:
+    """Density root of the rates' white noise, rad per root second, by their second differences at the record's own rate, (3,).
+
+    A fit to averaged samples need not see it: a disturbance may turn the vehicle by more between two of them.
+    """
+    step = float(np.median(np.diff(record.t_s)))
+    second = np.diff(record.rate_rad_s, 2, axis=0)[record.keep[2:]]
+    return np.asarray(np.sqrt(np.mean(second**2, axis=0) / 6.0 * step), dtype=float)
 
 
 def _torque_rms(models: Sequence[RecordModel], fit: Fitted, options: Options) -> list[float]:
