@@ -94,13 +94,17 @@ class Scatter:
 
 @dataclass(frozen=True, slots=True)
 class Story:
-    """An explanation: its marginal log-likelihood, its parameters, and the mean change of wrench it makes (4,)."""
+    """An explanation: its marginal log-likelihood, its parameters, and the mean change of wrench it makes (4,).
+
+    ``shorter`` is, of a weak rotor, the probability that its propeller is short and not its motor weak.
+    """
 
     effect: str
     evidence: float
     change: Array
     parameters: dict[str, Estimate]
     rotor: int | None = None
+    shorter: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +191,9 @@ def _weak_rotor(rotor: int, patterns: Array, change: Array, scatter: Scatter) ->
         "torque_to_thrust_ratio": _moments(weight, np.broadcast_to(1.0 - shorter, weight.shape)),
     }
     mean = float(np.sum(weight * more[:, None])) * pattern + float(np.sum(weight * shorter)) * yaw
-    return Story("weak_rotor", evidence - np.log(patterns.shape[1]), mean, parameters, rotor)
+    return Story(
+        "weak_rotor", evidence - np.log(patterns.shape[1]), mean, parameters, rotor, float(np.sum(weight[:, 1:]))
+    )
 
 
 def _load(vehicle: Vehicle, change: Array, scatter: Scatter) -> Story:
@@ -270,10 +276,10 @@ def _sentence(story: Story, rotor: int) -> str:
     if story.effect == "com_offset":
         more = 1e3 * story.parameters["mass_change_kg"].value
         return f"Beside the healthy flights {more:.1f} g more are carried towards rotor {rotor}"
-    loss, ratio = story.parameters["loss"].value, story.parameters["torque_to_thrust_ratio"]
+    loss, ratio = story.parameters["loss"].value, story.parameters["torque_to_thrust_ratio"].value
     text = f"Beside the healthy flights rotor {rotor} is asked for {100.0 * loss / (1.0 - loss):.0f} % more thrust"
-    if ratio.ci95[1] < 1.0:
-        text += f", and at the same thrust its torque is {100.0 * (1.0 - ratio.value):.0f} % less, as of a shorter propeller"
+    if story.shorter > 0.5:
+        text += f", and at the same thrust its torque is {100.0 * (1.0 - ratio):.0f} % less, as of a shorter propeller ({story.shorter:.0%})"
     return text
 
 
