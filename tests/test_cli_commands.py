@@ -136,6 +136,10 @@ def test_results_go_beside_a_recording_and_never_into_any_other_input(tmp_path):
     (tmp_path / "bundle").mkdir()
     assert result_folder(tmp_path / "bundle", tmp_path / "logs") == tmp_path / "logs" / "bundle"
     assert result_folder(tmp_path / "log15", tmp_path / "logs") == tmp_path / "logs" / "log15"
+    flown = tmp_path / "logs" / "2026-01-01T12-00-00-x500"
+    flown.mkdir(parents=True)
+    (flown / "flight.mcap").touch()
+    assert result_folder(flown, tmp_path / "logs") == flown, "a flight's own folder stands for its recording"
 
 
 def test_progress_elsewhere_than_on_a_terminal_is_a_line_now_and_then(capsys):

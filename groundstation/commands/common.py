@@ -143,6 +143,9 @@ def load_flights(
 
 def result_folder(path: Path, logs: Path) -> Path:
     """Where results go: beside an MCAP recording; for any other input a folder of its own in ``logs``."""
+    from groundstation.recording import flight_file
+
+    path = flight_file(path)
     if path.suffix == ".mcap":
         return path.parent
     return logs / (path.name if path.is_dir() else path.stem)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from groundstation.recording.bundle import write_bundle
 from groundstation.recording.conversion import convert
-from groundstation.recording.load import load_flight, read_recording
+from groundstation.recording.load import flight_file, load_flight, read_recording
 from groundstation.recording.logs import catalogue, parameter_history
 from groundstation.recording.mcapfile import write_mcap
 from groundstation.recording.recorder import McapRecorder
@@ -13,6 +13,7 @@ __all__ = [
     "McapRecorder",
     "catalogue",
     "convert",
+    "flight_file",
     "load_flight",
     "parameter_history",
     "read_recording",

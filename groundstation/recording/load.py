@@ -26,6 +26,13 @@ _ULOG_MAGIC = b"ULog\x01\x12\x35"
 _DATAFLASH_MAGIC = b"\xa3\x95\x80"
 
 
+def flight_file(path: str | Path) -> Path:
+    """The recording in the folder of a flight; any other path as it is."""
+    path = Path(path)
+    inside = path / "flight.mcap"
+    return inside if inside.is_file() else path
+
+
 def read_recording(path: str | Path, vehicle: Vehicle | None = None) -> Recording:
     """Read a recording of any format as it is: every sample, nothing repaired.
 
@@ -36,7 +43,7 @@ def read_recording(path: str | Path, vehicle: Vehicle | None = None) -> Recordin
     Raises:
         BadInput: it is missing, of no known format, or malformed.
     """
-    path = Path(path)
+    path = flight_file(path)
     if path.is_dir():
         recording = read_bundle(path, vehicle)
     else:
@@ -108,7 +115,7 @@ def load_flight(
     Raises:
         BadInput: it is missing, of no known format, malformed, or a stream is beyond repair.
     """
-    path = Path(path)
+    path = flight_file(path)
     recording = read_recording(path, vehicle)
     declared = recording.vehicle(str(path))
     if declared is None:

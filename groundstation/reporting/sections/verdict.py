@@ -14,6 +14,7 @@ from groundstation.reporting.page import Page
 from groundstation.reporting.sections.parameters import reason
 from groundstation.reporting.sections.tables import UNCHANGED, error_table, estimate_cell, row_name
 from groundstation.reporting.units import (
+    half_width,
     interval_text,
     label,
     percent,
@@ -59,7 +60,11 @@ def add_verdict(page: Page, identification: Identification | Refused, diagnosis:
     if diagnosis is None:
         best = f"Best estimate: {identification.best}. {reason(identification)}"
         page.section(
-            "verdict", "Verdict", _banner("open", "Identified; not diagnosed.", best), warnings, _cards(identification)
+            "verdict",
+            "Verdict",
+            _banner("open", "Identified; not diagnosed.", best),
+            warnings,
+            _cards(identification, None),
         )
         return
     page.section(
@@ -67,7 +72,7 @@ def add_verdict(page: Page, identification: Identification | Refused, diagnosis:
         "Verdict",
         _banner(diagnosis.verdict, VERDICTS[diagnosis.verdict], readable(diagnosis.reason, _identifiers(diagnosis))),
         warnings,
-        _cards(identification),
+        _cards(identification, diagnosis),
         _findings(diagnosis),
         _unexplained(diagnosis),
         _before_after(page, diagnosis),
@@ -101,19 +106,24 @@ def _missing(names: tuple[str, ...]) -> Markup | None:
     return element("p", "No number is given for: ", ", ".join(label(n) for n in names), ".") if names else None
 
 
-def _cards(identification: Identification) -> Markup:
-    """Mass and principal entries of the best method."""
+def _cards(identification: Identification, diagnosis: Diagnosis | None) -> Markup:
+    """Mass and principal entries of the best method; where something was found, with the findings put in, as the model that is kept has them."""
     best = identification.methods.get(identification.best)
+    own = best.parameters if best else {}
+    kept = dict(own) | (dict(diagnosis.parameters_after) if diagnosis and diagnosis.findings else {})
     shown = ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
-    present = [(n, best.parameters[n]) for n in shown if n in best.parameters] if best else []
-    present += [(n, e) for n, e in identification.model.items() if n.startswith("rotor_lag")][:1]
-    return element("div", [_card(name, estimate) for name, estimate in present], class_="cards")
+    present = [(n, kept[n], own[n]) for n in shown if n in kept and n in own]
+    present += [(n, e, e) for n, e in identification.model.items() if n.startswith("rotor_lag")][:1]
+    return element("div", [_card(*entry) for entry in present], class_="cards")
 
 
-def _card(name: str, estimate: Estimate) -> Markup:
+def _card(name: str, estimate: Estimate, left_out: Estimate) -> Markup:
+    """A number; below it what it was with the findings left out, where the two are apart by more than their intervals say."""
     scale = scale_for(split_unit(name)[1], [estimate.value])
     number = element("b", interval_text(estimate, scale))
-    return element("div", element("span", label(name)), number, element("span", scale.unit), class_="card")
+    apart = abs(left_out.value - estimate.value) > half_width(left_out) + half_width(estimate)
+    before = element("span", f"{interval_text(left_out, scale)} with the findings left out") if apart else None
+    return element("div", element("span", label(name)), number, element("span", scale.unit), before, class_="card")
 
 
 def _identifiers(diagnosis: Diagnosis) -> set[str]:
