@@ -97,14 +97,14 @@ def test_crazyflie_rates_are_predicted_better_than_by_published_constants_and_th
             assert error < 0.75 * published["constant_velocity"][horizon]["body_rate_rad_s"]["rms"]
 
 
-@pytest.mark.parametrize("end_s", [58.0, 60.0])
-def test_px4_lacks_a_lag_and_the_air_and_nothing_else_whatever_the_window(end_s: float) -> None:
+@pytest.mark.parametrize(("start_s", "end_s"), [(25.0, 58.0), (25.0, 60.0), (30.0, 58.0)])
+def test_px4_lacks_a_lag_and_the_air_and_nothing_else_whatever_the_window(start_s: float, end_s: float) -> None:
     if not PX4_LOG.exists():
         pytest.skip(f"the PX4 log is not there: {PX4_LOG}")
-    diagnosis = diagnose([load_flight(PX4_LOG, vehicle=sih_vehicle(), start_s=25.0, end_s=end_s)])
+    diagnosis = diagnose([load_flight(PX4_LOG, vehicle=sih_vehicle(), start_s=start_s, end_s=end_s)])
     found = {finding.effect: finding.parameters for finding in diagnosis.findings}
     assert (diagnosis.verdict, set(found)) == ("explained", {"angular_damping", "motor_lag", "rotor_drag"})
-    assert [found["angular_damping"][f"damping_{a}_nms"].value for a in "xyz"] == pytest.approx([0.025] * 3, rel=0.06)
+    assert [found["angular_damping"][f"damping_{a}_nms"].value for a in "xyz"] == pytest.approx([0.025] * 3, rel=0.08)
     assert [found["rotor_drag"][f"d_{a}_kg_s"].value for a in "xy"] == pytest.approx([1.0, 1.0], rel=0.05)
     lag = found["motor_lag"]
     assert [lag[f"rotor_lag_{way}_s"].value for way in ("up", "down")] == pytest.approx([0.05, 0.05], rel=0.12)

@@ -9,6 +9,11 @@ from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
 
+def _speed_known(vehicle: Vehicle) -> bool:
+    """Momentum asks for speeds: measured or commanded ones, or commands whose top speed is declared."""
+    return has_rotors(vehicle) and (vehicle.rotors.input == "rotor_speed" or bool(vehicle.rotors.speed_max_rad_s))
+
+
 def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
     spin = np.asarray(vehicle.rotors.spin, dtype=float)
     scale = vehicle.rotors.speed_max_rad_s or 1.0 if vehicle.rotors.input == "command" else 1.0
@@ -30,5 +35,5 @@ EFFECT = Effect(
     sentence="The rotors' own spin shows: each behaves as {rotor_inertia_kg_m2} kg m^2 about its axis.",
     confused_with=("motor_lag", "angular_damping"),
     manoeuvre="brisk yaw reversals: spin-up reaction leads the aerodynamic torque",
-    applies=has_rotors,
+    applies=_speed_known,
 )
