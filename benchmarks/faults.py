@@ -20,11 +20,13 @@ from test_link_process import process
 
 from drivers.bus import make_upload
 from drivers.samples import Batch, Pose, Vector3
-from groundstation.flight.pilot import Phase
-from groundstation.flight.recorder import Recorder
+from groundstation.flight.core.recorder import Recorder
+from groundstation.flight.link.pilot import Phase
 from groundstation.recording.recorded import plan_file
 
 Break = Callable[[Rig], None]
+PATIENCE_S = 10.0
+"""Real time for another thread's work of microseconds."""
 WATCHED = {"mocap": {"system": "natnet"}, "policy": {"placement": "world"}}
 INDOORS = {
     "px4": {"EKF2_EV_CTRL": (15.0, 6), "EKF2_HGT_REF": (3.0, 6), "EKF2_GPS_CTRL": (0.0, 6)},
@@ -150,7 +152,10 @@ def full(rig: Rig) -> None:
         new, told[0] = rig.samples[told[0] :], len(rig.samples)
         due = recorder.recorded + len(new)
         recorder.put(Batch(0, tuple(t for _, t in new), tuple(sample for sample, _ in new)))
+        end = time.monotonic() + PATIENCE_S
         while recorder.recorded < due and not failed:
+            if time.monotonic() > end:
+                raise SystemExit(f"the recorder's thread has neither recorded nor failed for {PATIENCE_S:.0f} s")
             time.sleep(0.0)  # its thread's turn
         if failed:
             rig.core.order("abort", rig.now_s, failed[0])

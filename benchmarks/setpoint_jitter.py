@@ -28,8 +28,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from mavlink_vehicle import small_plan
 
-from groundstation.flight.client import outcome, start_core
-from groundstation.flight.rehearse import linked_vehicle
+from groundstation.flight.client.client import outcome, start_core
+from groundstation.flight.client.rehearse import linked_vehicle
 from groundstation.paths import find_config
 
 PERIOD_S = 0.02

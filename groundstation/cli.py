@@ -97,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             text = f"this is a defect of groundstation ({type(error).__name__}: {error}); `groundstation --debug ...` shows where"
             return _fail(text, 1, as_json, out)
         if isinstance(result, Result):
-            from groundstation.flight.analysis import finite
+            from groundstation.analysis.documents import finite
 
             print(json.dumps(finite(result.document), ensure_ascii=False) if as_json else result.text, file=out)
             return result.exit_status
@@ -110,7 +110,7 @@ def _fail(text: str, status: int, as_json: bool, out: TextIO, reason: Refused | 
     if as_json:
         document: dict[str, Any] = {"error": text, "exit_status": status}
         if reason is not None:
-            from groundstation.flight.analysis import refusal
+            from groundstation.analysis.documents import refusal
 
             document |= refusal(reason)
         print(json.dumps(document, ensure_ascii=False), file=out)

@@ -151,7 +151,7 @@ def test_progress_elsewhere_than_on_a_terminal_is_a_line_now_and_then(capsys):
 
 
 def test_the_table_shows_truth_only_where_there_is_one_and_says_what_is_not_revealed():
-    from groundstation.flight.rehearse import result_table
+    from groundstation.flight.client.rehearse import result_table
 
     found = {"value": 1.8253, "std": 0.0003, "ci95": [1.8247, 1.8259]}
     document = {

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from groundstation.analysis.analyse import with_next_flight
 from groundstation.cli import main
 from groundstation.diagnosis.next_flight import Hypothesis, candidate, contenders, odds_sentence, plan_next
 from groundstation.diagnosis.results import Diagnosis, Finding
 from groundstation.errors import Refused
-from groundstation.flight.analysis import with_next_flight
 from groundstation.identification.results import Estimate
 from groundstation.paths import find_config
 from groundstation.planning.discriminate import separation

@@ -21,10 +21,10 @@ from mavlink_vehicle import small_plan
 from drivers.mavlink.codec import MavlinkCodec
 from drivers.mavlink.dialect import mavlink
 from drivers.mavlink.tlog import entries
-from groundstation.flight.client import outcome, start_core
+from groundstation.flight.client.client import outcome, start_core
+from groundstation.flight.client.rehearse import linked_vehicle
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.journal import read_journal
-from groundstation.flight.rehearse import linked_vehicle
 from groundstation.paths import find_config
 from groundstation.recording.load import read_recording
 

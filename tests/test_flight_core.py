@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from groundstation.flight.client import connect, outcome, running_cores, start_core
+from groundstation.flight.client.client import connect, outcome, running_cores, start_core
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.journal import read_journal
 from groundstation.paths import find_config

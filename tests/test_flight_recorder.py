@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.samples import Batch, Event, Imu, Motors
-from groundstation.flight.ground_check import check_ground
+from groundstation.flight.core.ground_check import check_ground
+from groundstation.flight.core.recorder import Recorder, StreamMeter
 from groundstation.flight.messages import StreamStatus
-from groundstation.flight.recorder import Recorder, StreamMeter
 from groundstation.paths import find_config
 from groundstation.vehicle import load_vehicle
 

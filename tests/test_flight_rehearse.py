@@ -15,11 +15,11 @@ import pytest
 import tomli_w
 
 from drivers import bus
-from groundstation.flight.client import outcome, start_core
-from groundstation.flight.core import DRONE
+from groundstation.flight.client.client import outcome, start_core
+from groundstation.flight.client.rehearse import simulated_drone
+from groundstation.flight.core.process import DRONE
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.journal import read_journal
-from groundstation.flight.rehearse import simulated_drone
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
 from groundstation.trajectory import load_plan, plan_from_dict, plan_to_dict

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from groundstation.errors import BadInput
-from groundstation.flight.guard import Guard, Observations, Oscillation
+from groundstation.flight.link.guard import Guard, Observations, Oscillation
 from groundstation.flight.station import Station, load_station, station_from_dict
 
 FINE = Observations(

@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks.flown import flight_data
 from drivers.samples import Battery, Imu, Motors, Pose
-from groundstation.flight.live import QUEUE, LiveClock, LiveEstimate
+from groundstation.flight.core.live import QUEUE, LiveClock, LiveEstimate
 from groundstation.flight.sequence import Phase
 from groundstation.flightdata import FlightData
 from groundstation.identification.recursive import SHOWN, RecursiveEstimator, replay

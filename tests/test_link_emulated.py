@@ -9,8 +9,8 @@ from mavlink_vehicle import small_plan
 from drivers.mavlink.exchange import Conversation
 from drivers.mavlink.ftp import Ftp, FtpError, checksum
 from drivers.mavlink.logs import Logs
-from groundstation.flight.link_core import LinkCore, Options
-from groundstation.flight.pilot import IN_AIR, Phase
+from groundstation.flight.link.link_core import LinkCore, Options
+from groundstation.flight.link.pilot import IN_AIR, Phase
 from groundstation.flight.station import station_from_dict
 from sim.mavlink.arducopter import ArduCopter
 from sim.mavlink.px4 import Px4

@@ -6,7 +6,7 @@ import pytest
 from mavlink_vehicle import Rig, lossy, small_plan
 
 from drivers.samples import Event, Pose
-from groundstation.flight.pilot import Phase
+from groundstation.flight.link.pilot import Phase
 
 BOTH = pytest.mark.parametrize("kind", ["px4", "arducopter"])
 MOCAP = {"mocap": {"system": "natnet"}, "policy": {"placement": "world"}}
@@ -374,7 +374,7 @@ def test_settable_parameters_are_journalled_before_they_are_set_and_restored_aft
 
 
 def test_what_a_crashed_station_left_changed_is_restored_by_the_next():
-    from groundstation.flight.link_core import LinkCore
+    from groundstation.flight.link.link_core import LinkCore
 
     rig = Rig("px4")
     rig.vehicle.parameters["NAV_DLL_ACT"] = (3.0, 6)

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from drivers.mavlink.dialect import mavlink
 from drivers.mocap.source import FrameReader, StampMap, frame
 from drivers.samples import Pose, State
-from groundstation.flight.preflight import compare_frames
-from groundstation.flight.profiles import PROFILES
+from groundstation.flight.link.preflight import compare_frames
+from groundstation.flight.link.profiles import PROFILES
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 

@@ -8,8 +8,8 @@ import pytest
 from mavlink_vehicle import Rig, small_plan
 
 from drivers.samples import Event
-from groundstation.flight.link import LinkProcess
-from groundstation.flight.parameter_journal import ParameterJournal
+from groundstation.flight.link.parameter_journal import ParameterJournal
+from groundstation.flight.link.process import LinkProcess
 
 
 class Port:

@@ -9,10 +9,10 @@ from test_link_emulated import Pair
 
 from drivers.mavlink.ftp import Ftp
 from drivers.samples import Event
-from groundstation.flight.pilot import IN_AIR, Phase
-from groundstation.flight.placement import Placement, target_at
-from groundstation.flight.profiles import PROFILES
-from groundstation.flight.upload import SCRIPT, coefficients_text
+from groundstation.flight.link.pilot import IN_AIR, Phase
+from groundstation.flight.link.placement import Placement, target_at
+from groundstation.flight.link.profiles import PROFILES
+from groundstation.flight.link.upload import SCRIPT, coefficients_text
 from groundstation.trajectory import FourierSeries, Sequence
 
 lua53 = pytest.importorskip("lupa.lua53", reason="lupa, a Lua interpreter, is not installed")

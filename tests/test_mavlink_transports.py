@@ -11,8 +11,8 @@ import tty
 import pytest
 
 from drivers.mavlink.transports import SerialTransport, TcpTransport, UdpTransport, open_transport, serial_ports
-from groundstation.flight.profiles import PROFILES
-from groundstation.flight.rates import SHARE, cost_of_line, fit_rates, frame_bytes
+from groundstation.flight.link.profiles import PROFILES
+from groundstation.flight.link.rates import SHARE, cost_of_line, fit_rates, frame_bytes
 
 
 class UdpEnd:

@@ -8,7 +8,7 @@ import pytest
 from mavlink_vehicle import Rig, small_plan
 
 from groundstation.errors import BadInput
-from groundstation.flight.preflight import Situation, failures, run_checks
+from groundstation.flight.link.preflight import Situation, failures, run_checks
 from groundstation.flight.station import station_from_dict
 
 
@@ -149,7 +149,7 @@ def test_a_trajectory_the_autopilot_would_smooth_is_refused_and_the_limit_named(
     ("version", "name", "other"), [((4, 7), "WP_ACC", "WPNAV_ACCEL"), ((4, 6), "WPNAV_ACCEL", "WP_ACC")]
 )
 def test_parameters_that_were_renamed_are_asked_for_by_the_version_s_name(version, name, other):
-    from groundstation.flight.profiles import PROFILES
+    from groundstation.flight.link.profiles import PROFILES
 
     rules = {r.name: r for r in PROFILES["arducopter"].parameters}
     assert rules[name].concerns(version, indoors=False) and not rules[other].concerns(version, indoors=False)
@@ -160,8 +160,8 @@ def test_px4_tells_in_its_health_bits_alone_whether_it_would_arm():
     """Seen on its firmware: SYS_STATUS never says that the arming check is present."""
     from drivers.mavlink.codec import MavlinkCodec
     from drivers.mavlink.dialect import mavlink
-    from groundstation.flight.profiles import PROFILES
-    from groundstation.flight.view import VehicleView
+    from groundstation.flight.link.profiles import PROFILES
+    from groundstation.flight.link.view import VehicleView
 
     for health, passes in ((52463679, False), (52463679 | 1 << 28, True)):
         view = VehicleView(PROFILES["px4"]())
@@ -176,8 +176,8 @@ def test_an_estimator_that_announces_a_reset_without_a_jump_does_not_end_a_fligh
     """PX4 counts its heading's alignment a metre and a half after each take-off."""
     from drivers.mavlink.codec import MavlinkCodec
     from drivers.mavlink.dialect import mavlink
-    from groundstation.flight.profiles import PROFILES
-    from groundstation.flight.view import VehicleView
+    from groundstation.flight.link.profiles import PROFILES
+    from groundstation.flight.link.view import VehicleView
 
     view, codec, sender = VehicleView(PROFILES["px4"]()), MavlinkCodec(), MavlinkCodec(1, 1)
     for n in range(4):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.samples import Motors
-from groundstation.flight.live import LiveEstimate
+from groundstation.flight.core.live import LiveEstimate
 from groundstation.flight.sequence import Phase
 from groundstation.flightdata import Stream, motor_columns
 from groundstation.recording import read_recording, write_mcap

@@ -13,8 +13,8 @@ from textual.pilot import Pilot
 from textual.widgets import DataTable, Input, Static
 
 from drivers import bus
-from groundstation.commands.planning import write_plan
-from groundstation.flight.lease import OperatorLease
+from groundstation.analysis.plans import write_plan
+from groundstation.flight.core.lease import OperatorLease
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, CoreStatus, Lease, StreamStatus
 from groundstation.flight.sequence import Phase
 from groundstation.paths import find_config

@@ -18,7 +18,7 @@ import pytest
 from test_tui_app import screen_text
 from textual.pilot import Pilot
 
-from groundstation.flight.client import outcome
+from groundstation.flight.client.client import outcome
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.journal import read_journal
 from groundstation.flight.sequence import FINAL, Phase

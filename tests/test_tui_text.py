@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from drivers.samples import Event
-from groundstation.flight.ground_check import with_troubles
+from groundstation.flight.core.ground_check import with_troubles
+from groundstation.flight.core.overview import FlightView
 from groundstation.flight.messages import CheckStatus, CoreStatus, StreamStatus
-from groundstation.flight.overview import FlightView
 from groundstation.flight.sequence import Phase
 from groundstation.flight.sequence import Sequence as FlightSequence
 from groundstation.flight.station import load_station
@@ -44,7 +44,7 @@ def test_an_end_says_why_and_a_good_end_is_no_trouble():
 
 def test_every_check_of_the_link_has_its_why():
     """Names in the preflight that are no parameters of the autopilot."""
-    source = (find_config("stations", "default").parents[2] / "groundstation/flight/preflight.py").read_text()
+    source = (find_config("stations", "default").parents[2] / "groundstation/flight/link/preflight.py").read_text()
     for name in ("link", "streams", "arming", "disarmed", "estimate", "clock", "battery", "log", "disk", "poses",
                  "frames", "plan", "room", "vibration", "oscillation"):  # fmt: skip
         assert f'"{name}"' in source

@@ -23,8 +23,8 @@ _REOPEN_S = 0.5
 _RECEIVE_BUFFER = 4 << 20  # a log download comes in bursts of 256 KB, more than a default buffer holds
 
 
-class Transport(Protocol):
-    """One way to one or more peers.
+class Line(Protocol):
+    """One way to one or more peers, which waits for nothing.
 
     Attributes:
         datagrams: frames never continue in the next read.
@@ -42,12 +42,16 @@ class Transport(Protocol):
         """Send to the vehicle; what cannot be sent now is lost, as on any radio."""
         ...
 
-    def wait(self, timeout_s: float) -> None:
-        """Sleep until something arrives or time is up."""
-        ...
-
     def close(self) -> None:
         """Give the port back."""
+        ...
+
+
+class Transport(Line, Protocol):
+    """A line whose owner can sleep on it."""
+
+    def wait(self, timeout_s: float) -> None:
+        """Sleep until something arrives or time is up."""
         ...
 
 

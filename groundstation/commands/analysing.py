@@ -57,8 +57,8 @@ def identify(
     """
     left_out = [seconds_pair(pair) for pair in exclude]
     loaded = load_flights(flights, vehicle, start_s, end_s)
-    from groundstation.flight.analysis import write_identification
-    from groundstation.flight.rehearse import result_table
+    from groundstation.analysis.analyse import write_identification
+    from groundstation.flight.client.rehearse import result_table
     from groundstation.identification.pipeline import identify as run
 
     line = ProgressLine()
@@ -103,9 +103,10 @@ def diagnose(
     """Find what the declared vehicle lacks: trace the residual to effects, with the error before and after."""
     loaded = load_flights(flights, vehicle, start_s, end_s)
     references, judges = load_flights(reference, vehicle), load_flights(held_out, vehicle)
+    from groundstation.analysis.analyse import with_next_flight
+    from groundstation.analysis.documents import write_json
     from groundstation.diagnosis import diagnose as run
     from groundstation.diagnosis.augmented import known_candidates
-    from groundstation.flight.analysis import with_next_flight, write_json
     from groundstation.reporting.exports import read_model
     from groundstation.reporting.identified import identified_from_document
 
@@ -161,7 +162,7 @@ def report(
 ) -> Result:
     """Identify and diagnose, and write the HTML report."""
     loaded = load_flights(flights, vehicle, start_s, end_s)
-    from groundstation.flight.analysis import analyse
+    from groundstation.analysis.analyse import analyse
 
     line = ProgressLine()
     done = analyse(

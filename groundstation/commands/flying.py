@@ -14,7 +14,7 @@ from groundstation.commands.common import ProgressLine, Result, example, json_op
 from groundstation.errors import BadInput, Refused
 
 if TYPE_CHECKING:
-    from groundstation.flight.rehearse import FlightResult
+    from groundstation.flight.client.rehearse import FlightResult
 
 LOG_S = 120.0
 """How long a flight waits for its onboard log; a fetch that breaks off can be continued."""
@@ -64,9 +64,9 @@ def rehearse(vehicle: str, scenario: str, plan_file: Path | None, seed: int, rea
 
     Ctrl-C aborts: the simulated drone lands. Killing this program does not end the flight.
     """
-    from groundstation.flight.client import new_flight_folder
-    from groundstation.flight.rehearse import fly as fly_plan
-    from groundstation.flight.rehearse import simulated_drone
+    from groundstation.flight.client.client import new_flight_folder
+    from groundstation.flight.client.rehearse import fly as fly_plan
+    from groundstation.flight.client.rehearse import simulated_drone
     from groundstation.paths import find_config
     from groundstation.trajectory import load_plan
     from groundstation.vehicle import load_vehicle
@@ -113,7 +113,7 @@ def _new_plan(declared: Any, line: ProgressLine) -> Any:
 
 
 def _keep_plan(chosen: Any, folder: Path) -> Path:
-    from groundstation.commands.planning import write_plan
+    from groundstation.analysis.plans import write_plan
 
     folder.mkdir(parents=True)
     return write_plan(chosen, folder / "plan.toml")
@@ -123,7 +123,7 @@ def _flight_result(flown: FlightResult) -> Result:
     """Where everything is, and the table."""
     import json
 
-    from groundstation.flight.rehearse import result_table
+    from groundstation.flight.client.rehearse import result_table
     from groundstation.recording import load_flight
 
     files = flown.files()
@@ -200,8 +200,8 @@ def link_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def _link_flight(vehicle: str, plan_file: Path | None, logs: Path, line: ProgressLine, **link: Any) -> dict[str, Any]:
     """Folder, plan, vehicle and link process of a flight on a MAVLink link."""
-    from groundstation.flight.client import new_flight_folder
-    from groundstation.flight.rehearse import linked_vehicle
+    from groundstation.flight.client.client import new_flight_folder
+    from groundstation.flight.client.rehearse import linked_vehicle
     from groundstation.flight.station import load_station
     from groundstation.paths import find_config
     from groundstation.trajectory import load_plan
@@ -220,7 +220,7 @@ def _link_flight(vehicle: str, plan_file: Path | None, logs: Path, line: Progres
 @link_options
 def preflight(vehicle: str, plan_file: Path | None, logs: Path, **link: Any) -> Result:
     """Check everything that can be checked before a flight; each failure with reason and remedy. Nothing is armed."""
-    from groundstation.flight.rehearse import check
+    from groundstation.flight.client.rehearse import check
 
     line = ProgressLine()
     flight = _link_flight(vehicle, plan_file, logs, line, **link)
@@ -243,7 +243,7 @@ def fly(vehicle: str, plan_file: Path | None, logs: Path, yes_simulated: bool, *
 
     Ctrl-C aborts: the vehicle lands. Killing this program does not end the flight.
     """
-    from groundstation.flight.rehearse import fly as fly_plan
+    from groundstation.flight.client.rehearse import fly as fly_plan
 
     if not yes_simulated and not sys.stdin.isatty():
         raise BadInput("a real vehicle is armed only by somebody at a terminal; a simulated one with --yes-simulated.")
@@ -259,7 +259,7 @@ def fly(vehicle: str, plan_file: Path | None, logs: Path, yes_simulated: bool, *
 def _fetch_log(url: str, vehicle: Path, flown: FlightResult, line: ProgressLine) -> None:
     """The onboard log beside the recording; without it, what came over the link is all there is, and that is said."""
     from groundstation.errors import GroundStationError
-    from groundstation.flight.onboard_log import fetch_onboard_log
+    from groundstation.flight.link.onboard_log import fetch_onboard_log
     from groundstation.vehicle import load_vehicle
 
     try:

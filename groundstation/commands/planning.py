@@ -11,7 +11,6 @@ import click
 
 from groundstation.commands.common import ProgressLine, Result, assignments, example, json_option
 from groundstation.errors import BadInput
-from groundstation.writing import write_whole
 
 if TYPE_CHECKING:
     from groundstation.trajectory import Plan
@@ -114,7 +113,7 @@ def plan(
     found = plan_excitation(seed=seed, time_budget_s=time_budget_s, progress=line.fraction, **problem)
     line.end()
     if output is not None:
-        write_plan(found, output)
+        _write(found, output)
     return Result(plan_document(found), plan_text(found, output))
 
 
@@ -144,7 +143,7 @@ def _discriminating(
     )
     line.end()
     if output is not None:
-        write_plan(found.plan, output)
+        _write(found.plan, output)
     odds = [{"pair": list(pair), "log_odds": value} for pair, value in found.log_odds.items()]
     answer = {**plan_document(found.plan), "expected_log_odds": odds, "channels": found.channels}
     return Result(answer, f"next flight: {odds_sentence(found)}\n{plan_text(found.plan, output)}")
@@ -194,17 +193,10 @@ def known_limits(values: dict[str, float]) -> dict[str, float]:
     return values
 
 
-def write_plan(found: Plan, path: Path) -> Path:
-    """Write a plan file."""
-    import tomli_w
+def _write(found: Plan, path: Path) -> None:
+    from groundstation.analysis.plans import write_plan
 
-    from groundstation.trajectory import plan_to_dict
-
-    try:
-        write_whole(path, tomli_w.dumps(plan_to_dict(found)))
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be written ({error.strerror}); name a file in a folder that exists.") from None
-    return path
+    write_plan(found, path)
 
 
 def plan_text(found: Plan, output: Path | None) -> str:

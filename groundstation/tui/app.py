@@ -19,7 +19,7 @@ from textual.css.query import NoMatches
 from groundstation.commands.common import LOGS
 from groundstation.errors import GroundStationError
 from groundstation.flight.children import Child, last_line
-from groundstation.flight.client import running_cores
+from groundstation.flight.client.client import running_cores
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.journal import read_journal
 from groundstation.flight.messages import CommandName, CoreStatus

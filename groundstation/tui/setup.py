@@ -8,8 +8,8 @@ from pathlib import Path
 
 from groundstation.errors import BadInput
 from groundstation.flight.children import Child
-from groundstation.flight.client import new_flight_folder, start_core
-from groundstation.flight.rehearse import linked_vehicle, simulated_drone
+from groundstation.flight.client.client import new_flight_folder, start_core
+from groundstation.flight.client.rehearse import linked_vehicle, simulated_drone
 from groundstation.paths import configs_dir, find_config
 from groundstation.trajectory import Plan, load_plan
 
@@ -70,7 +70,7 @@ def begin_flight(setup: Setup, plan: Plan, logs: Path, *, analyse: bool = True) 
     Raises:
         BadInput: vehicle, scenario or station do not exist.
     """
-    from groundstation.commands.planning import write_plan
+    from groundstation.analysis.plans import write_plan
 
     vehicle = find_config("vehicles", setup.vehicle).resolve()
     folder = new_flight_folder(logs.resolve(), vehicle.stem)

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
-from groundstation.flight.client import CoreClient, connect
+from groundstation.flight.client.client import CoreClient, connect
 from groundstation.flight.messages import CommandName, CoreStatus
 from groundstation.flight.sequence import FINAL
 

@@ -11,7 +11,7 @@ from types import FrameType
 
 from drivers.mavlink.codec import MavlinkCodec
 from drivers.mavlink.signing import Signing, signing_stamp
-from drivers.mavlink.transports import Peer, SerialTransport, Transport, open_transport
+from drivers.mavlink.transports import Line, Peer, SerialTransport, open_transport
 from groundstation.errors import BadInput
 from sim.mavlink.autopilot import Autopilot
 from sim.mavlink.faults import FaultSchedule
@@ -76,10 +76,6 @@ class TcpServer:
         except OSError:
             self._drop()
 
-    def wait(self, timeout_s: float) -> None:
-        """Not used: the process waits for its own clock."""
-        time.sleep(max(0.0, timeout_s))
-
     def close(self) -> None:
         """Close everything."""
         self._drop()
@@ -92,7 +88,7 @@ class TcpServer:
         self._pending.clear()
 
 
-def open_link(url: str) -> Transport:
+def open_link(url: str) -> Line:
     """A transport by URL; ``tcpin://HOST:PORT`` serves, the others are those of the station.
 
     Raises:
@@ -109,12 +105,12 @@ def open_link(url: str) -> Transport:
         raise BadInput(f"--link {url}: {error}.") from None
 
 
-def attach(autopilot: Autopilot, urls: tuple[str, ...], *, key: bytes | None = None) -> dict[str, Transport]:
+def attach(autopilot: Autopilot, urls: tuple[str, ...], *, key: bytes | None = None) -> dict[str, Line]:
     """Open the links and tell the autopilot of them.
 
     A serial line carries a tenth of its baud rate in bytes. With a key every frame is signed, and unsigned ones are refused.
     """
-    transports: dict[str, Transport] = {}
+    transports: dict[str, Line] = {}
     for url in urls:
         transport = open_link(url)
         transports[url] = transport
@@ -143,7 +139,7 @@ class Service:
     def __init__(
         self,
         autopilot: Autopilot,
-        transports: dict[str, Transport],
+        transports: dict[str, Line],
         *,
         speed: float = 1.0,
         faults: FaultSchedule | None = None,

@@ -120,7 +120,7 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
 
     def action_write(self) -> None:
         """Write the plan shown into the folder of the flights."""
-        from groundstation.commands.planning import write_plan
+        from groundstation.analysis.plans import write_plan
 
         plan = self.station.plan
         if plan is None:

@@ -1,6 +1,6 @@
 """What happens to a recording after landing: identify, diagnose, report. One function for the core's worker and the CLI.
 
-    python -P -m groundstation.flight.analysis FOLDER
+    python -P -m groundstation.analysis.analyse FOLDER
 
 waits for a line on standard input and prints one JSON document per line on standard output: ``{"progress": 0.4, "text": "...", "table": {...}}``.
 """
@@ -18,12 +18,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from groundstation.analysis.documents import finite, refusal, write_json
 from groundstation.diagnosis.results import Diagnosis
 from groundstation.errors import GroundStationError, NotIdentifiable, Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification
 from groundstation.vehicle import Vehicle
-from groundstation.writing import write_whole
 
 AUGMENTED = "with findings"
 """The parameter set of the augmented model among the validations."""
@@ -173,7 +173,7 @@ def with_next_flight(folder: Path, diagnosis: Diagnosis, vehicle: Vehicle) -> tu
 
     Where no motion tells them apart, the diagnosis stays as it is: it names the manoeuvre or the measurement.
     """
-    from groundstation.commands.planning import write_plan
+    from groundstation.analysis.plans import write_plan
     from groundstation.diagnosis.next_flight import odds_sentence, plan_next
 
     if not any(finding.alternatives for finding in diagnosis.findings):
@@ -197,24 +197,6 @@ def write_identification(
         "identification": write_json(folder / "identification.json", identification.to_dict()),
         "model": write_model(folder / "identification.toml", model_document(identification, vehicle, diagnosis)),
     }
-
-
-def write_json(path: Path, document: Mapping[str, Any]) -> Path:
-    """A JSON file a person can read. Numbers that are not finite become null, as JSON has none."""
-    return write_whole(path, json.dumps(finite(document), indent=1, ensure_ascii=False) + "\n")
-
-
-def finite(value: Any) -> Any:
-    """The same document with numpy numbers as plain ones and NaN or infinity as None."""
-    if isinstance(value, Mapping):
-        return {str(key): finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(item) for item in value]
-    if hasattr(value, "tolist"):
-        return finite(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def _say(fraction: float, text: str, table: Table | None = None) -> None:
@@ -264,17 +246,6 @@ def main(folder: Path) -> int:
     except Exception:
         traceback.print_exc()
         return 1
-
-
-def refusal(error: Refused) -> dict[str, Any]:
-    """The JSON document of a refusal."""
-    return {
-        "schema": "groundstation.refusal/1",
-        "refused": True,
-        "reason": error.reason,
-        "remedy": error.remedy,
-        "not_identifiable": list(error.not_identifiable),
-    }
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from typing import ClassVar
 from drivers.mavlink.dialect import Message, mavlink
 from drivers.mavlink.geometry import flip
 from drivers.samples import Pose
-from groundstation.flight.profiles.base import ParameterRule, Profile, StreamWish, pose_covariance
+from groundstation.flight.link.profiles.base import ParameterRule, Profile, StreamWish, pose_covariance
 from groundstation.frames import euler_from_quat
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from groundstation.errors import BadInput, FlightAborted, Refused
 from groundstation.flight.children import Child
-from groundstation.flight.client import CoreClient, connect, outcome, start_core
+from groundstation.flight.client.client import CoreClient, connect, outcome, start_core
 from groundstation.flight.messages import WAY, CoreStatus
 from groundstation.flight.sequence import FINAL, IN_FLIGHT, Phase
 from groundstation.identification.results import Estimate
@@ -67,7 +67,7 @@ def linked_vehicle(
         arguments.append("--set-parameters")
     if key_file is not None:
         arguments += ["--key-file", str(key_file)]
-    return ("groundstation.flight.link", *arguments)
+    return ("groundstation.flight.link.process", *arguments)
 
 
 def check(folder: Path, *, plan: Path, vehicle: Path, drone: tuple[str, ...], say: Say) -> str:

@@ -23,13 +23,13 @@ from drivers.mavlink.dialect import Message
 from drivers.mavlink.exchange import Conversation, Steps
 from drivers.mavlink.geometry import yaw_of
 from drivers.samples import Vector3
-from groundstation.flight.guard import Verdict
-from groundstation.flight.onboard import OnboardExcitation
-from groundstation.flight.orders import Orders, distance
-from groundstation.flight.placement import Placement, target_at
-from groundstation.flight.profiles import Profile, Target
+from groundstation.flight.link.guard import Verdict
+from groundstation.flight.link.onboard import OnboardExcitation
+from groundstation.flight.link.orders import Orders, distance
+from groundstation.flight.link.placement import Placement, target_at
+from groundstation.flight.link.profiles import Profile, Target
+from groundstation.flight.link.view import VehicleView
 from groundstation.flight.station import Policy
-from groundstation.flight.view import VehicleView
 from groundstation.trajectory import Plan, Sequence, flight_path
 
 AGAIN_S = 0.5

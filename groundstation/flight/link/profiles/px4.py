@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from drivers.mavlink.dialect import Message, mavlink
 from drivers.samples import Pose
-from groundstation.flight.profiles.base import ParameterRule, Profile, StreamWish, odometry_message
+from groundstation.flight.link.profiles.base import ParameterRule, Profile, StreamWish, odometry_message
 
 
 def _mode(main: int, sub: int = 0) -> int:

@@ -1,6 +1,6 @@
 """The core process of one flight: sequence, recorder and bus. It flies on when every client is gone.
 
-    python -P -m groundstation.flight.core --folder logs/NAME --plan P --vehicle V --listen tcp/127.0.0.1:7450 -- sim ...
+    python -P -m groundstation.flight.core.process --folder logs/NAME --plan P --vehicle V --listen tcp/127.0.0.1:7450 -- sim ...
 
 What follows ``--`` is the module and arguments of the process that stands for the vehicle: the simulated drone, or the
 link to a real one. Both speak the drone's side of ``drivers.bus``; the core adds ``--drone`` and ``--connect``.
@@ -28,14 +28,14 @@ from drivers.samples import Batch, decode_batch
 from groundstation.errors import BadInput, GroundStationError
 from groundstation.flight import sequence as seq
 from groundstation.flight.children import Child, module_command, start_child
-from groundstation.flight.ground_check import check_ground
+from groundstation.flight.core.ground_check import check_ground
+from groundstation.flight.core.lease import OperatorLease
+from groundstation.flight.core.overview import FlightView
+from groundstation.flight.core.recorder import Recorder, open_recording
+from groundstation.flight.core.worker import AnalysisWorker, Progress
 from groundstation.flight.journal import ENDPOINT_FILE, Journal
 from groundstation.flight.journal import NAME as JOURNAL
-from groundstation.flight.lease import OperatorLease
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, Lease
-from groundstation.flight.overview import FlightView
-from groundstation.flight.recorder import Recorder, open_recording
-from groundstation.flight.worker import AnalysisWorker, Progress
 from groundstation.trajectory import Plan, flight_path, load_plan
 from groundstation.vehicle import Vehicle, load_vehicle
 
@@ -412,7 +412,7 @@ class FlightCore:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of the process."""
-    parser = argparse.ArgumentParser(prog="groundstation.flight.core", description=__doc__)
+    parser = argparse.ArgumentParser(prog="groundstation.flight.core.process", description=__doc__)
     parser.add_argument("--folder", type=Path, required=True, help="where this flight is kept")
     parser.add_argument("--plan", type=Path, required=True)
     parser.add_argument("--vehicle", type=Path, required=True)

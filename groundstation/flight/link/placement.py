@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from math import cos, sin
 
 from drivers.samples import Vector3
-from groundstation.flight.profiles import Target
+from groundstation.flight.link.profiles import Target
 from groundstation.trajectory import Sequence
 
 

@@ -21,15 +21,15 @@ from drivers.mavlink.timesync import Timesync
 from drivers.mavlink.transports import Peer
 from drivers.samples import Event, Pose, Raw, Sample, Setpoint, State
 from groundstation.errors import BadInput
-from groundstation.flight.guard import Guard, Verdict
-from groundstation.flight.pilot import GUARDED, Answered, Phase, Pilot
-from groundstation.flight.preflight import Check, Situation, failures, run_checks
-from groundstation.flight.prepare import Preparation
-from groundstation.flight.profiles import profile_for
+from groundstation.flight.link.guard import Guard, Verdict
+from groundstation.flight.link.pilot import GUARDED, Answered, Phase, Pilot
+from groundstation.flight.link.preflight import Check, Situation, failures, run_checks
+from groundstation.flight.link.prepare import Preparation
+from groundstation.flight.link.profiles import profile_for
+from groundstation.flight.link.upload import Way, send_coefficients
+from groundstation.flight.link.view import Meter, VehicleView
+from groundstation.flight.link.watch import Disagreement, observe
 from groundstation.flight.station import Station
-from groundstation.flight.upload import Way, send_coefficients
-from groundstation.flight.view import Meter, VehicleView
-from groundstation.flight.watch import Disagreement, observe
 from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle
 

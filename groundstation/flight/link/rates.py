@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from math import sqrt
 
 from drivers.mavlink.dialect import MESSAGES, message_id
-from groundstation.flight.profiles import StreamWish
+from groundstation.flight.link.profiles import StreamWish
 
 SHARE = 0.75
 """Of the line's bytes; the rest is for heartbeats, parameters, texts and answers."""

@@ -118,7 +118,7 @@ def start_core(
         arguments.append("--start")
     if not analyse:
         arguments.append("--no-analysis")
-    command = module_command("groundstation.flight.core", *map(str, arguments), "--", *drone)
+    command = module_command("groundstation.flight.core.process", *map(str, arguments), "--", *drone)
     return start_child(command, folder / "core.log"), endpoint
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from drivers.samples import Vector3
-from groundstation.flight.guard import Observations
-from groundstation.flight.pilot import Phase, Pilot
+from groundstation.flight.link.guard import Observations
+from groundstation.flight.link.pilot import Phase, Pilot
+from groundstation.flight.link.view import VehicleView
 from groundstation.flight.station import Station
-from groundstation.flight.view import VehicleView
 
 
 class Disagreement:

@@ -25,7 +25,7 @@ class Progress(msgspec.Struct, frozen=True):
 
 
 class AnalysisWorker:
-    """Starts ``groundstation.flight.analysis`` on a flight's folder; it imports and then waits for :meth:`go`.
+    """Starts ``groundstation.analysis.analyse`` on a flight's folder; it imports and then waits for :meth:`go`.
 
     Args:
         folder: of the flight.
@@ -35,7 +35,7 @@ class AnalysisWorker:
 
     def __init__(self, folder: Path, on_progress: Callable[[Progress], None], on_end: Callable[[int, str], None]):
         self._on_progress, self._on_end = on_progress, on_end
-        command = module_command("groundstation.flight.analysis", str(folder))
+        command = module_command("groundstation.analysis.analyse", str(folder))
         self._child = start_child(command, folder / "analysis.log", piped=True)
 
     def go(self) -> None:

@@ -10,10 +10,10 @@ from typing import Any
 
 from drivers.bus import DroneStatus
 from drivers.samples import Battery, Event, Motors, Sample
-from groundstation.flight.ground_check import checklist, with_troubles
-from groundstation.flight.live import LiveEstimate
+from groundstation.flight.core.ground_check import checklist, with_troubles
+from groundstation.flight.core.live import LiveEstimate
+from groundstation.flight.core.recorder import Recorder
 from groundstation.flight.messages import CheckStatus, CoreStatus
-from groundstation.flight.recorder import Recorder
 from groundstation.flight.sequence import IN_FLIGHT, Phase
 from groundstation.flight.sequence import Sequence as FlightSequence
 from groundstation.vehicle import Vehicle

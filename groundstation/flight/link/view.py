@@ -9,8 +9,8 @@ from math import inf, sqrt
 from drivers.mavlink.codec import Received
 from drivers.mavlink.dialect import Message, mavlink
 from drivers.samples import Battery, Event, Imu, Pose, Sample, State, Vector3
-from groundstation.flight.guard import Oscillation
-from groundstation.flight.profiles import Profile, Version
+from groundstation.flight.link.guard import Oscillation
+from groundstation.flight.link.profiles import Profile, Version
 
 _RATE_WINDOW_S = 2.0
 _ON_GROUND = mavlink.MAV_LANDED_STATE_ON_GROUND

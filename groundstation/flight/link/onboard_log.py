@@ -3,7 +3,7 @@
 What came is kept in ``NAME.part`` until the log is whole, so that a second try goes on where the first stopped. Logs are told
 apart by time stamp, because ids are in no order of time; without stamps the highest id counts.
 
-    python -P -m groundstation.flight.onboard_log --link udpin://127.0.0.1:14540 --vehicle x500 --folder logs/FLIGHT
+    python -P -m groundstation.flight.link.onboard_log --link udpin://127.0.0.1:14540 --vehicle x500 --folder logs/FLIGHT
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from drivers.mavlink.exchange import Ask, Conversation
 from drivers.mavlink.logs import LogEntry, LogError, Logs
 from drivers.mavlink.transports import open_transport
 from groundstation.errors import BadInput, GroundStationError, Refused
-from groundstation.flight.link import bandwidth_of
-from groundstation.flight.link_core import LinkCore, Options
-from groundstation.flight.prepare import acknowledges_interval
-from groundstation.flight.profiles import Profile
+from groundstation.flight.link.link_core import LinkCore, Options
+from groundstation.flight.link.prepare import acknowledges_interval
+from groundstation.flight.link.process import bandwidth_of
+from groundstation.flight.link.profiles import Profile
 from groundstation.flight.station import load_station
 from groundstation.paths import find_config
 from groundstation.vehicle import Vehicle, load_vehicle
@@ -124,7 +124,7 @@ def fetch_onboard_log(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point: fetch a log, or go on with one."""
-    parser = argparse.ArgumentParser(prog="groundstation.flight.onboard_log", description=__doc__)
+    parser = argparse.ArgumentParser(prog="groundstation.flight.link.onboard_log", description=__doc__)
     parser.add_argument("--link", required=True)
     parser.add_argument("--vehicle", required=True)
     parser.add_argument("--folder", type=Path, required=True, help="where it goes, e.g. beside the flight's recording")

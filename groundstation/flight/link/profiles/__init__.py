@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from groundstation.errors import BadInput
-from groundstation.flight.profiles.arducopter import ArduCopter
-from groundstation.flight.profiles.base import ParameterRule, Profile, StreamWish, Target, Version
-from groundstation.flight.profiles.px4 import Px4
+from groundstation.flight.link.profiles.arducopter import ArduCopter
+from groundstation.flight.link.profiles.base import ParameterRule, Profile, StreamWish, Target, Version
+from groundstation.flight.link.profiles.px4 import Px4
 
 PROFILES: dict[str, type[Profile]] = {kind.name: kind for kind in (Px4, ArduCopter)}
 

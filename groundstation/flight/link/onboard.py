@@ -13,8 +13,8 @@ from drivers.mavlink.dialect import Message
 from drivers.mavlink.exchange import Steps, listen
 from drivers.mavlink.geometry import flip
 from drivers.mavlink.parameters import Parameters
-from groundstation.flight.placement import Placement
-from groundstation.flight.profiles import Profile
+from groundstation.flight.link.placement import Placement
+from groundstation.flight.link.profiles import Profile
 
 REPORT = "GSPATH"
 ORDER, PLACE = "SCR_USER1", ("SCR_USER2", "SCR_USER3", "SCR_USER4", "SCR_USER5")

@@ -2,7 +2,7 @@
 
 On board means our script and the plan's coefficients in the autopilot's scripts folder, each confirmed by its checksum. The
 script goes up while the link prepares, the coefficients with each plan; where the plan lies is told at the start
-(:mod:`groundstation.flight.onboard`).
+(:mod:`groundstation.flight.link.onboard`).
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import numpy as np
 from drivers.mavlink.dialect import Message, mavlink
 from drivers.mavlink.exchange import Ask, Steps, listen
 from drivers.mavlink.ftp import Ftp, FtpError, checksum
+from groundstation.flight.link.onboard import REPORT, is_report
+from groundstation.flight.link.profiles import Profile
 from groundstation.flight.messages import WAY
-from groundstation.flight.onboard import REPORT, is_report
-from groundstation.flight.profiles import Profile
 from groundstation.flight.station import Policy
 from groundstation.trajectory import FourierSeries
 

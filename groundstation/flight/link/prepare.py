@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from drivers.mavlink.dialect import Message, mavlink, message_id
 from drivers.mavlink.exchange import Ask, Steps
 from drivers.mavlink.parameters import Parameters
-from groundstation.flight.rates import cost_of_line, fit_rates
+from groundstation.flight.link.rates import cost_of_line, fit_rates
+from groundstation.flight.link.upload import Way, choose_way
+from groundstation.flight.link.view import VehicleView
 from groundstation.flight.station import Station
-from groundstation.flight.upload import Way, choose_way
-from groundstation.flight.view import VehicleView
 
 MEASURE_S = 2.5
 SELDOM = 0.75

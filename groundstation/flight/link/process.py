@@ -1,10 +1,10 @@
 """The link process: owns the port, the guard, the setpoints' age and the raw log of one vehicle.
 
-    python -P -m groundstation.flight.link --link udpin://127.0.0.1:14540 --vehicle V --station S \
+    python -P -m groundstation.flight.link.process --link udpin://127.0.0.1:14540 --vehicle V --station S \
         --drone vehicle --connect tcp/127.0.0.1:7450
 
 Towards the core it is a drone like the simulated one (``drivers.bus``). One thread flies: it waits for bytes or for the next
-setpoint, steps :class:`~groundstation.flight.link_core.LinkCore` and writes what comes out. Publishing and the raw log have
+setpoint, steps :class:`~groundstation.flight.link.link_core.LinkCore` and writes what comes out. Publishing and the raw log have
 threads and queues of their own, so that neither a slow core nor a full disk delays a setpoint. When the core dies the
 vehicle is landed, parameters are restored, and the process ends.
 """
@@ -31,11 +31,11 @@ from drivers.mavlink.signing import Signing, signing_stamp
 from drivers.mavlink.transports import Transport, open_transport
 from drivers.samples import Batch, Motors, Raw, Sample, encode_batch
 from groundstation.errors import BadInput, GroundStationError, Refused
-from groundstation.flight.background import Writer
-from groundstation.flight.link_core import LinkCore, Options, Output
-from groundstation.flight.parameter_journal import ParameterJournal
-from groundstation.flight.pilot import IN_AIR, Answered, Phase
-from groundstation.flight.pose_source import PoseSource
+from groundstation.flight.link.background import Writer
+from groundstation.flight.link.link_core import LinkCore, Options, Output
+from groundstation.flight.link.parameter_journal import ParameterJournal
+from groundstation.flight.link.pilot import IN_AIR, Answered, Phase
+from groundstation.flight.link.pose_source import PoseSource
 from groundstation.flight.station import load_station
 from groundstation.trajectory import plan_from_dict
 from groundstation.vehicle import Vehicle, load_vehicle
@@ -372,7 +372,7 @@ def bandwidth_of(url: str) -> float | None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of the process."""
-    parser = argparse.ArgumentParser(prog="groundstation.flight.link", description=__doc__)
+    parser = argparse.ArgumentParser(prog="groundstation.flight.link.process", description=__doc__)
     parser.add_argument("--link", required=True, help="serial:///dev/ttyACM0:921600, udpin://127.0.0.1:14540, ...")
     parser.add_argument("--vehicle", type=Path, required=True)
     parser.add_argument("--station", default="default")

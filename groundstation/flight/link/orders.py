@@ -12,9 +12,9 @@ from math import sqrt
 from drivers.mavlink.dialect import Message, mavlink
 from drivers.mavlink.exchange import Ask, Steps
 from drivers.samples import Vector3
-from groundstation.flight.profiles import Profile
+from groundstation.flight.link.profiles import Profile
+from groundstation.flight.link.view import VehicleView
 from groundstation.flight.station import Policy
-from groundstation.flight.view import VehicleView
 
 STREAM_FIRST_S = 0.6
 CLIMB_TIMEOUT_S = 30.0

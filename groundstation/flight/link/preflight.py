@@ -14,9 +14,9 @@ import numpy as np
 from drivers.mavlink.geometry import tilt_cosine, yaw_of
 from drivers.samples import Pose, State
 from groundstation.errors import BadInput
-from groundstation.flight.profiles import ParameterRule, Profile
+from groundstation.flight.link.profiles import ParameterRule, Profile
+from groundstation.flight.link.view import VehicleView
 from groundstation.flight.station import Station
-from groundstation.flight.view import VehicleView
 from groundstation.trajectory import Plan, flight_path, rigid_motion
 from groundstation.vehicle import Vehicle
 
