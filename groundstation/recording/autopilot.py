@@ -101,9 +101,9 @@ def spin_notes(vehicle: Vehicle, order: Sequence[int], logged_spin: Sequence[int
 
 
 def running(t_s: Array, command: Array) -> tuple[float, float]:
-    """First and last time at which the motors' mean is above a tenth of its largest, so when settings matter."""
+    """First and last time at which the motors' mean is above a tenth of its range, so when settings matter."""
     level = np.nan_to_num(command).mean(axis=1)
-    on = np.flatnonzero(level > 0.1 * level.max()) if len(level) else np.empty(0, int)
+    on = np.flatnonzero(level - level.min() > 0.1 * np.ptp(level)) if len(level) else np.empty(0, int)
     return (float(t_s[on[0]]), float(t_s[on[-1]])) if len(on) else (-np.inf, np.inf)
 
 

@@ -50,7 +50,7 @@ def read_motors(tables: Tables, settings: Settings, vehicle: Vehicle, source: st
     outputs = _outputs(tables)
     if outputs is not None and not len(outputs[0]):
         outputs = None
-    start, end = running(*outputs) if outputs else (-np.inf, np.inf)
+    start, _ = running(*outputs) if outputs else (-np.inf, np.inf)
     channels, said = _channels(settings, start, vehicle.rotors.count, source)
     airframe = _airframe(settings, start, len(channels), source)
     wires = [f"output {channel}" for channel in channels]
@@ -70,7 +70,12 @@ def read_motors(tables: Tables, settings: Settings, vehicle: Vehicle, source: st
         notes = [motor_map(order, wires_esc, frame), *notes, *said]
         notes.append("motors: ESC telemetry; speeds of the other rotors are interpolated to the stamps of the first.")
         return stream, notes + slow_note("motors", stream, MOTORS_SLOW_HZ, "raise the ESC telemetry rate.")
-    notes = [motor_map(order, wires, frame), *notes, *said, *settings.told(scaling, start, end)]
+    notes = [
+        motor_map(order, wires, frame),
+        *notes,
+        *said,
+        *settings.told(scaling, *running(stream.t_s, stream.values)),
+    ]
     return stream, notes + slow_note("motors", stream, MOTORS_SLOW_HZ, _REMEDY)
 
 

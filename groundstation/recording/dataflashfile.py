@@ -52,7 +52,7 @@ def decode_dataflash(data: Bytes) -> DataFlashFile:
     tables: dict[str, Table] = {}
     for number, name, letters, columns in _formats(data, where[kinds == _FORMAT]):
         fields = _layout(letters, columns)
-        clock = next(((c, unit) for c, unit in (("TimeUS", 1e-6), ("TimeMS", 1e-3)) if c in fields), None)
+        clock = next(((c, per_s) for c, per_s in (("TimeUS", 1e6), ("TimeMS", 1e3)) if c in fields), None)
         rows = where[kinds == number]
         if fields and clock is not None and len(rows):
             tables[name] = Table(name, 0, fields, data, rows, clock)

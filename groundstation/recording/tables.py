@@ -29,7 +29,7 @@ class Table:
         fields: offset in the record, type as numpy writes it, and factor of each field.
         data: the file.
         where: where each record begins, shape (k,).
-        clock: field that holds the time, and seconds per unit of it.
+        clock: field that holds the time, and its ticks per second.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Table:
     fields: Mapping[str, tuple[int, str, float]]
     data: Bytes = field(repr=False)
     where: NDArray[np.int64] = field(repr=False)
-    clock: tuple[str, float] = ("timestamp", 1e-6)
+    clock: tuple[str, float] = ("timestamp", 1e6)
 
     def __len__(self) -> int:
         return len(self.where)
@@ -75,7 +75,7 @@ class Table:
 
     def seconds(self) -> Array:
         """The stamp of each record, shape (k,)."""
-        return self.column(self.clock[0]) * self.clock[1]
+        return self.column(self.clock[0]) / self.clock[1]
 
     def rate_hz(self) -> float:
         """Median rate; 0 for fewer than two records."""
