@@ -15,6 +15,7 @@ from groundstation.recording.bundle import read_bundle
 from groundstation.recording.computed_speeds import without_computed_speeds
 from groundstation.recording.container import MAGIC as MCAP_MAGIC
 from groundstation.recording.crazyflie import is_usd_log, read_usd
+from groundstation.recording.kinds import READABLE, described
 from groundstation.recording.mcapfile import read_mcap
 from groundstation.recording.merge import merge_onboard, onboard_log_of
 from groundstation.recording.recorded import VEHICLE_FILE, Recording, vehicle_file
@@ -22,7 +23,6 @@ from groundstation.recording.repair import repair
 from groundstation.recording.tables import MissingField
 from groundstation.vehicle import Vehicle
 
-_KNOWN = "an MCAP recording, a flight bundle (folder), a PX4 ULog, an ArduPilot DataFlash log or a Crazyflie usd log"
 _ULOG_MAGIC = b"ULog\x01\x12\x35"
 _DATAFLASH_MAGIC = b"\xa3\x95\x80"
 
@@ -50,9 +50,9 @@ def read_recording(path: str | Path, vehicle: Vehicle | None = None) -> Recordin
     else:
         try:
             with path.open("rb") as file:
-                head = file.read(16)
+                head = file.read(512)
         except OSError as error:
-            raise BadInput(f"{path}: cannot be read ({error.strerror}); give the path of {_KNOWN}.") from None
+            raise BadInput(f"{path}: cannot be read ({error.strerror}); give the path of {READABLE}.") from None
         if head.startswith(MCAP_MAGIC):
             recording = read_mcap(path)
         else:
@@ -87,7 +87,7 @@ def _foreign(path: Path, head: bytes, vehicle: Vehicle | None) -> Recording:
     elif head.startswith(_DATAFLASH_MAGIC):
         from groundstation.recording.dataflash import read_dataflash as read
     else:
-        raise BadInput(f"{path}: is of no known format; give {_KNOWN}.")
+        raise BadInput(f"{path}: {described(head, path.stat().st_size)}.")
     if vehicle is None:
         raise BadInput(f"{path}: carries no vehicle; give its file with --vehicle FILE.")
     try:
