@@ -48,9 +48,9 @@ compares the two. t sorts by the next column, / filters: only flights whose line
         self.run_worker(self._read, thread=True, exclusive=True, group="catalogue")
 
     def _read(self) -> None:
-        from groundstation.recording import catalogue
+        from groundstation.fleet.catalogue import Catalogue
 
-        rows = catalogue(self.station.logs)
+        rows = Catalogue(self.station.logs).rows()
         self.station.call_from_thread(self._fill, rows)
 
     def _fill(self, rows: list[dict[str, Any]]) -> None:
