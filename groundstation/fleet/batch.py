@@ -292,5 +292,5 @@ def write_table(path: Path, found: Sequence[Result]) -> Path:
     """
     from groundstation.fleet.catalogue import write_rows
 
-    kinds = dict.fromkeys(("source", "state", "sentence", "method", "name"), "VARCHAR")
+    kinds: dict[str, str] = dict.fromkeys(("source", "state", "sentence", "method", "name"), "VARCHAR")
     return write_rows(path, table(found), kinds | dict.fromkeys(("value", "std", "low", "high"), "DOUBLE"))

@@ -94,15 +94,18 @@ class Catalogue:
         limit = f"ORDER BY date DESC, flight DESC LIMIT {int(newest)}" if newest is not None else ""
         chosen = self._connection.execute(
             "SELECT flight, folder, date, vehicle, state, verdict, reason, best, tags, note,"
-            " list_filter(parameters, lambda p: p.method = 'canonical') AS parameters, moved"
+            " [p.name FOR p IN parameters IF p.method = 'canonical'] AS names,"
+            " [p.value FOR p IN parameters IF p.method = 'canonical'] AS values,"
+            " [p.std FOR p IN parameters IF p.method = 'canonical'] AS stds, moved_names, moves"
             f" FROM catalogue LEFT JOIN moves USING (folder) WHERE {condition} {limit}",
             values,
         )
-        names = [column[0] for column in chosen.description or ()]
-        found = [dict(zip(names, row, strict=True)) for row in chosen.fetchall()]
+        columns = [column[0] for column in chosen.description or ()]
+        found = [dict(zip(columns, row, strict=True)) for row in chosen.fetchall()]
         for row in found:
-            row["parameters"] = {p["name"]: {"value": p["value"], "std": p["std"]} for p in row["parameters"]}
-            row["moved"] = {m["name"]: m["moved"] for m in row["moved"] or ()}
+            estimates = zip(row.pop("names"), row.pop("values"), row.pop("stds"), strict=True)
+            row["parameters"] = {name: {"value": value, "std": std} for name, value, std in estimates}
+            row["moved"] = dict(zip(row.pop("moved_names") or (), row.pop("moves") or (), strict=True))
         return sorted(found, key=lambda row: (row["date"], row["flight"]))
 
     def series(self, vehicle: str) -> Mapping[str, tuple[list[str], list[float], list[float]]]:
@@ -199,7 +202,7 @@ class Catalogue:
 
 
 _MOVES = """
-CREATE TABLE moves AS SELECT folder, list({'name': name, 'moved': (value - before) / hypot}) AS moved FROM (
+CREATE TABLE moves AS SELECT folder, list(name ORDER BY name) AS moved_names, list((value - before) / hypot ORDER BY name) AS moves FROM (
   SELECT folder, name, value, before, sqrt(std * std + std_before * std_before) AS hypot FROM (
     SELECT folder, name, value, std, lag(value) OVER w AS before, lag(std) OVER w AS std_before, flight_number,
       lag(flight_number) OVER w AS number_before
