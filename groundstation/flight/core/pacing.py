@@ -61,8 +61,8 @@ class Pace:
         self._received_s = max(self._received_s, batch.until_s)
         if self._down:
             return False
-        words = (sample.text.partition(":")[0] for sample in batch.samples if _is_phase(sample))
-        self._down = any(word in _AT_REST for word in words)
+        events = [sample for sample in batch.samples if isinstance(sample, Event) and sample.kind == "phase"]
+        self._down = any(event.text.partition(":")[0] in _AT_REST for event in events)
         return True
 
     def told(self, status: DroneStatus) -> None:
@@ -74,7 +74,3 @@ class Pace:
         now = [s for s in self._early if not self.lock_step or s.host_s <= self._received_s + _ROUNDING_S]
         self._early = self._early[len(now) :]
         return now
-
-
-def _is_phase(sample: object) -> bool:
-    return isinstance(sample, Event) and sample.kind == "phase"
