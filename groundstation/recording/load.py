@@ -24,6 +24,7 @@ from groundstation.recording.tables import MissingField
 from groundstation.vehicle import Vehicle
 
 _ULOG_MAGIC = b"ULog\x01\x12\x35"
+_BLACKBOX_MAGIC = b"H Product:Blackbox"
 _DATAFLASH_MAGIC = b"\xa3\x95\x80"
 
 
@@ -86,6 +87,8 @@ def _foreign(path: Path, head: bytes, vehicle: Vehicle | None) -> Recording:
         from groundstation.recording.ulog import read_ulog as read
     elif head.startswith(_DATAFLASH_MAGIC):
         from groundstation.recording.dataflash import read_dataflash as read
+    elif head.startswith(_BLACKBOX_MAGIC):
+        from groundstation.recording.blackbox import read_blackbox as read
     else:
         raise BadInput(f"{path}: {described(head, path.stat().st_size)}.")
     if vehicle is None:
