@@ -14,6 +14,7 @@ installed). Each function raises :class:`~groundstation.errors.BadInput` for wro
 from __future__ import annotations
 
 import tempfile
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from groundstation.analysis.analyse import Analysis
+    from groundstation.diagnosis.effect import EffectInfo
     from groundstation.diagnosis.results import Diagnosis
     from groundstation.flightdata import FlightData
     from groundstation.identification.results import Identification
@@ -45,12 +47,14 @@ __all__ = [
     "identify",
     "load_flight",
     "load_plan",
+    "load_scenario",
     "load_vehicle",
     "model_document",
     "plan_excitation",
     "plan_next_flight",
     "plot",
     "predict",
+    "register_effect",
     "simulate",
     "write_report",
 ]
@@ -85,6 +89,33 @@ def load_plan(plan: Plan | str | Path) -> Plan:
     from groundstation.trajectory import Plan, load_plan
 
     return plan if isinstance(plan, Plan) else load_plan(find_config("plans", plan))
+
+
+def load_scenario(name: str | Path) -> dict[str, Any]:
+    """The document of a scenario, to be changed and given to :func:`simulate`: sensors, disturbance, true vehicle, effects.
+
+    Args:
+        name: a scenario file, or the name of a shipped one ("clean", "lab", "worn", "hall", "seed").
+    """
+    from groundstation.paths import find_config
+
+    path = find_config("scenarios", name)
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise BadInput(f"{path}: is not valid TOML ({error}); correct it there.") from None
+
+
+def register_effect(effect: EffectInfo) -> None:
+    """Add an effect of your own to what :func:`diagnose` tries, in this process.
+
+    Args:
+        effect: a :class:`groundstation.diagnosis.effect.Effect`: a wrench per unit of each parameter, shape (k, 6, n), N and N m
+            in the body; parameters with plausible ranges; a sentence for people.
+    """
+    from groundstation.diagnosis.effect import register
+
+    register(effect)
 
 
 def load_flight(

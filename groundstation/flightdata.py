@@ -69,9 +69,13 @@ class Stream(Tabular):
             for row in np.column_stack([self.t_s, self.values]).tolist()
         ]
 
-    def _repr_html_(self) -> str:
+    def __str__(self) -> str:
         """A summary: a stream has too many rows to show."""
-        return f"<p>{len(self)} samples at {self.rate_hz():.0f} Hz: {html.escape(', '.join(self.columns))}</p>"
+        return f"{len(self)} samples at {self.rate_hz():.0f} Hz: {', '.join(self.columns)}"
+
+    def _repr_html_(self) -> str:
+        """The summary."""
+        return f"<p>{html.escape(str(self))}</p>"
 
     def rate_hz(self) -> float:
         """Median sample rate; 0 for fewer than two samples."""

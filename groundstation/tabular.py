@@ -21,6 +21,17 @@ class Tabular:
         """One mapping per row; the first column names the row, and every row has the same keys."""
         raise NotImplementedError
 
+    def __str__(self) -> str:
+        """The title and the rows, aligned."""
+        rows = self.records()
+        columns = list(rows[0]) if rows else []
+        cells = [columns, *([_cell(row[name]) for name in columns] for row in rows)]
+        widths = [max(len(line[i]) for line in cells) for i in range(len(columns))]
+        lines = [
+            "  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in cells
+        ]
+        return "\n".join([self._title(), *lines[: 1 + len(rows)]]) if rows else self._title()
+
     def to_frame(self) -> Any:
         """The rows as a ``pandas.DataFrame``, indexed by the first column.
 
@@ -40,6 +51,10 @@ class Tabular:
     def _title(self) -> str:
         """What stands above the table."""
         return type(self).__name__
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        """What IPython prints."""
+        printer.text(str(self))
 
     def _repr_html_(self) -> str:
         """The table that a notebook shows."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,15 @@ Plottable = FlightData | Plan | Identification | Diagnosis | Prediction
 BLUE, RED, GREY = "#1f6fb2", "#d1495b", "#667080"
 
 
+class Drawing(Figure):
+    """A figure that a notebook shows without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        out = io.BytesIO()
+        self.savefig(out, format="png", dpi=100, metadata={"Software": None})
+        return out.getvalue()
+
+
 def plot(result: Plottable, flight: FlightData | None = None) -> Figure:
     """The figure of a result, by its type."""
     for kind, draw in _DRAW.items():
@@ -42,7 +52,7 @@ def _identification(found: Identification, flight: FlightData | None) -> Figure:
     if flight is not None and flight.truth is not None:
         marks["true"] = (flight.truth.parameters(), "x", RED)
     best = found.methods[found.best].parameters
-    figure = Figure(figsize=(8.0, 0.55 * len(best) + 0.9), layout="constrained")
+    figure = Drawing(figsize=(8.0, 0.55 * len(best) + 0.9), layout="constrained")
     grid = figure.subplots(len(best), 1, squeeze=False)
     for axes, (name, estimate) in zip(grid[:, 0], best.items(), strict=True):
         _interval_row(
@@ -77,7 +87,7 @@ def _diagnosis(found: Diagnosis) -> Figure:
     """RMS error of each channel on data that no estimate saw: before and after."""
     stages = found.error.get("held_out", {})
     drawn = {stage: stages[stage] for stage in ("nominal", "before", "after") if stages.get(stage)}
-    figure = Figure(figsize=(8.0, 3.0), layout="constrained")
+    figure = Drawing(figsize=(8.0, 3.0), layout="constrained")
     force, torque = figure.subplots(1, 2)
     for axes, unit, title in ((force, "_n", "force (N)"), (torque, "_nm", "torque (N m)")):
         channels = [c for c in drawn.get("before", {}) if c.endswith(unit)]
@@ -99,7 +109,7 @@ def _bars(axes: Axes, groups: Mapping[str, list[float]]) -> None:
 def _flight(flight: FlightData) -> Figure:
     """The path from above and in height, and the tilt."""
     poses = flight.mocap if flight.mocap is not None else flight.state
-    figure = Figure(figsize=(9.0, 3.0), layout="constrained")
+    figure = Drawing(figsize=(9.0, 3.0), layout="constrained")
     if poses is None:
         axes = figure.subplots()
         for name, values in zip(flight.motors.columns, flight.motors.values.T, strict=True):
@@ -125,7 +135,7 @@ def _plan(plan: Plan) -> Figure:
     series = plan.series()
     t_s = np.linspace(0.0, series.duration_s, 1000)
     flat = series.sample(t_s)
-    figure = Figure(figsize=(8.0, 3.0), layout="constrained")
+    figure = Drawing(figsize=(8.0, 3.0), layout="constrained")
     axes = figure.subplots()
     for name, values, colour in zip("xyz", flat.position[0].T, (BLUE, RED, "#2e8b57"), strict=True):
         axes.plot(t_s, values, label=f"{name} (m)", color=colour, linewidth=1.0)
@@ -138,7 +148,7 @@ def _plan(plan: Plan) -> Figure:
 def _prediction(found: Prediction) -> Figure:
     """RMS error by horizon, one panel per quantity."""
     horizons = [float(h) for h in found.error["model"]]
-    figure = Figure(figsize=(9.0, 2.8), layout="constrained")
+    figure = Drawing(figsize=(9.0, 2.8), layout="constrained")
     for axes, quantity in zip(figure.subplots(1, len(QUANTITIES)), QUANTITIES, strict=True):
         for (name, by), colour in zip(found.error.items(), (BLUE, RED, GREY), strict=False):
             axes.loglog(
