@@ -227,13 +227,15 @@ def identify(
         carries; ``model`` has lag, delay and thrust constants; what the flight does not reveal is in ``not_identifiable``.
     """
     from groundstation.identification.pipeline import identify
+    from groundstation.options import AnalysisOptions
 
-    return identify(_listed(flights), exclude=exclude, progress=progress)
+    return identify(_listed(flights), AnalysisOptions(exclude=tuple(exclude)), progress=progress)
 
 
 def diagnose(
     flights: FlightData | Sequence[FlightData],
     *,
+    exclude: Sequence[tuple[float, float]] = (),
     references: Sequence[FlightData] = (),
     held_out: Sequence[FlightData] = (),
     model: Mapping[str, Any] | str | Path | None = None,
@@ -243,6 +245,7 @@ def diagnose(
 
     Args:
         flights: one flight, or several of the same vehicle, which are pooled.
+        exclude: parts (start, end) of them to leave out, seconds on the IMU's clock.
         references: healthy flights of the same vehicle; findings are then what differs from them.
         held_out: flights that are kept for judging.
         model: a model document or its file; what it holds is known, and findings are what it lacks.
@@ -253,20 +256,21 @@ def diagnose(
         (RMS in N and N m by channel, before and after), ``next_flight`` in words.
     """
     from groundstation.diagnosis import diagnose
+    from groundstation.options import AnalysisOptions
 
     groups = (_listed(flights), list(references), list(held_out))
-    known: Any = ()
+    known: Mapping[str, Any] = {}
     if model is not None:
-        from groundstation.diagnosis.augmented import known_candidates
         from groundstation.reporting.exports import read_model
         from groundstation.reporting.identified import identified_from_document
 
         document = dict(model) if isinstance(model, Mapping) else read_model(model)
-        known = known_candidates(document["effects"])
+        known = document["effects"]
         vehicle = identified_from_document(document).vehicle
         groups = tuple([replace(flight, vehicle=vehicle) for flight in group] for group in groups)
     suspects, healthy, judges = groups
-    return diagnose(suspects, references=healthy, held_out=judges, augmented=known, progress=progress)
+    options = AnalysisOptions(tuple(exclude), tuple(healthy), tuple(judges), known)
+    return diagnose(suspects, options, progress=progress)
 
 
 def model_document(
@@ -383,16 +387,10 @@ def analyse(
     The result has ``identification``, ``diagnosis`` and ``files``.
     """
     from groundstation.analysis.analyse import analyse
+    from groundstation.options import AnalysisOptions
 
-    return analyse(
-        _listed(flights),
-        Path(folder),
-        exclude=exclude,
-        references=references,
-        held_out=held_out,
-        progress=progress,
-        source=source,
-    )
+    options = AnalysisOptions(tuple(exclude), tuple(references), tuple(held_out))
+    return analyse(_listed(flights), Path(folder), options, progress=progress, source=source)
 
 
 def export(

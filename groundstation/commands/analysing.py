@@ -54,7 +54,7 @@ def identify(
 
     FLIGHTS are MCAP recordings, bundle folders, PX4 ULog, ArduPilot DataFlash or Crazyflie usd logs.
     """
-    left_out = [seconds_pair(pair) for pair in exclude]
+    left_out = tuple(seconds_pair(pair) for pair in exclude)
     loaded = load_flights(flights, vehicle, start_s, end_s)
     from groundstation import api
     from groundstation.analysis.analyse import write_identification
@@ -100,6 +100,7 @@ def diagnose(
     model: Path | None,
 ) -> Result:
     """Find what the declared vehicle lacks: trace the residual to effects, with the error before and after."""
+    left_out = tuple(seconds_pair(pair) for pair in exclude)
     loaded = load_flights(flights, vehicle, start_s, end_s)
     references, judges = load_flights(reference, vehicle), load_flights(held_out, vehicle)
     from groundstation import api
@@ -109,7 +110,9 @@ def diagnose(
 
     known = None if model is None else read_model(model, loaded[0].vehicle if vehicle is not None else None)
     line = ProgressLine()
-    found = api.diagnose(loaded, references=references, held_out=judges, model=known, progress=line.fraction)
+    found = api.diagnose(
+        loaded, exclude=left_out, references=references, held_out=judges, model=known, progress=line.fraction
+    )
     line.end()
     folder = result_folder(flights[0], logs)
     folder.mkdir(parents=True, exist_ok=True)
@@ -151,6 +154,7 @@ def report(
     held_out: tuple[Path, ...],
 ) -> Result:
     """Identify and diagnose, and write the HTML report."""
+    left_out = tuple(seconds_pair(pair) for pair in exclude)
     loaded = load_flights(flights, vehicle, start_s, end_s)
     from groundstation import api
 
@@ -158,7 +162,7 @@ def report(
     done = api.analyse(
         loaded,
         result_folder(flights[0], logs),
-        exclude=[seconds_pair(pair) for pair in exclude],
+        exclude=left_out,
         references=load_flights(reference, vehicle),
         held_out=load_flights(held_out, vehicle),
         progress=line.fraction,
