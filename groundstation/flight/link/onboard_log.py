@@ -63,12 +63,16 @@ def fetch_onboard_log(
     transport = open_transport(url)
     options = Options(bytes_per_s=bandwidth_of(url), keep_raw=False, quiet=True)
     core = LinkCore(vehicle, load_station(), options)
+    core.datagrams = transport.datagrams
     deadline = clock() + timeout_s
 
     def turn() -> None:
-        transport.wait(STEP_S)
-        for data in core.step(clock(), transport.read(), datagrams=transport.datagrams).send:
+        if not core.waiting:
+            transport.wait(STEP_S)
+        for data in core.step(clock(), transport.read()).send:
             transport.write(data)
+        if core.peer is not None:
+            transport.answer(core.peer)
 
     def run(steps: Generator[Any, Any, Any]) -> Any:
         talk: Conversation[Any] = core.converse(steps)

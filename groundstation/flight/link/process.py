@@ -43,6 +43,8 @@ from groundstation.vehicle import Vehicle, load_vehicle
 HEARD_S = 45.0
 READY_S = 45.0
 IDLE_WAIT_S = 0.02
+CATCH_UP_S = 0.1
+"""So long an order waits for what arrived before it to be taken in."""
 PUBLISH_EVERY_S = 0.02
 STATUS_EVERY_S = 0.1
 ORDER_S = 4.6
@@ -93,6 +95,7 @@ class LinkProcess:
         clock: Callable[[], float] = time.monotonic,
     ):
         self.core, self.transport, self.vehicle, self.clock = core, transport, vehicle, clock
+        core.datagrams = transport.datagrams
         self._keys = bus.DroneKeys(drone)
         self._drone = drone
         self._journal = journal
@@ -201,16 +204,21 @@ class LinkProcess:
     def turn(self) -> None:
         """Wait, step, write."""
         due = self.core.next_s - self.clock()
-        self.transport.wait(min(IDLE_WAIT_S, due) if due > -1e6 else IDLE_WAIT_S)
+        if not self.core.waiting:
+            self.transport.wait(min(IDLE_WAIT_S, due) if due > -1e6 else IDLE_WAIT_S)
         now = self.clock()
         if self._stop_reason and self.core.pilot is not None and self.core.pilot.phase in IN_AIR:
             self.core.order("abort", now, self._stop_reason)
         for pose, received_s in self._poses.read() if self._poses is not None else ():
             self._emit(self.core.pose(pose, received_s))
-        self._emit(self.core.step(now, self.transport.read(), datagrams=self.transport.datagrams))
+        self._emit(self.core.step(now, self.transport.read()))
+        if self.core.peer is not None:
+            self.transport.answer(self.core.peer)
         if (
             not self._inbox.empty()
         ):  # after what arrived, so that an order is not judged by the knowledge before a stall
+            while self.core.waiting and self.clock() - now < CATCH_UP_S:
+                self._emit(self.core.step(self.clock(), ()))
             while not self._inbox.empty():
                 self._inbox.get_nowait()()
             self._emit(self.core.step(self.clock(), ()))
