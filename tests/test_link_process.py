@@ -46,6 +46,8 @@ class Port:
 class Bus:
     """Takes what is published."""
 
+    failure = ""
+
     def put(self, _item: object) -> None:
         pass
 

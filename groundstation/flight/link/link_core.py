@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from drivers.mavlink.codec import MavlinkCodec, Received
 from drivers.mavlink.dialect import Message, mavlink
@@ -46,6 +46,10 @@ LATE_S = 0.1
 LOAD_EVERY_S = 5.0
 
 
+TakeOver = Literal["", "land", "hold", "leave"]
+TAKEN_OVER_HOLD_S = 60.0
+
+
 @dataclass(frozen=True, slots=True)
 class Options:
     """What one link is to do beside flying.
@@ -57,6 +61,9 @@ class Options:
         bytes_per_s: what the line carries; None where that is no limit.
         keep_raw: raw frames become samples too.
         quiet: ask for no messages and read no parameters: for fetching files alone.
+        take_over: what is done with a vehicle that is found in flight: ``land``, ``hold`` (a minute, then land), or ``leave``
+            it to its own failsafe; empty refuses it. Without ``land`` or ``hold`` such a vehicle gets no heartbeat of ours,
+            which would hold its failsafe off.
     """
 
     system: int | None = None
@@ -65,6 +72,7 @@ class Options:
     bytes_per_s: float | None = None
     keep_raw: bool = True
     quiet: bool = False
+    take_over: TakeOver = ""
 
 
 @dataclass(slots=True)
@@ -93,6 +101,7 @@ class LinkCore:
         trouble: why it is not; one sentence.
         checks: of the last upload.
         datagrams: the line's frames never continue in the next read.
+        found_flying: it was armed when it was first heard, and does not say that it stands on the ground.
     """
 
     def __init__(
@@ -117,6 +126,7 @@ class LinkCore:
         self._stepped_s = self._load_told_s = -inf
         self._telemetry: Telemetry | None = None
         self._guard: Guard | None = None
+        self.found_flying = False
         self._restoring: Conversation[None] | None = None
         self._talks: list[Conversation] = []
         self._events: list[Event] = []
@@ -328,13 +338,38 @@ class LinkCore:
         self._telemetry = Telemetry(
             self.vehicle.rotors.count, system=profile.system, imu=profile.imu, pwm_us=profile.pwm_us
         )
-        if not self.options.quiet:
+        self.found_flying = not self.options.quiet and bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        if self.options.take_over:
+            self._take_over(now_s, armed=self.found_flying)
+        elif not self.options.quiet and not self.found_flying:
+            self._prepare()
+        self.trouble = "asking the vehicle for its messages and parameters"
+        self._tell(out, now_s, "link", f"{profile.name} heard as system {profile.system} from {peer}")
+
+    def _take_over(self, now_s: float, *, armed: bool) -> None:
+        """Bring down what another link or station left in the air; what it does is known from its first heartbeat on."""
+        assert self.pilot is not None and self.view is not None  # noqa: S101 - discovered
+        self.preparation = Preparation(self.view, self.station, False, self.options.bytes_per_s, self._left_changed)
+        self.converse(self.preparation.listen())
+        self.ready = True
+        if not armed:
+            self.pilot.phase = Phase.LANDED
+        elif self.options.take_over != "leave":
+            self._guard = Guard(self.station.guard, self.station.box, self.vehicle.battery.empty_v)
+            hold_s = TAKEN_OVER_HOLD_S if self.options.take_over == "hold" else 0.0
+            self.pilot.take_over(now_s, "taken over in flight by a new link", hold_s=hold_s)
+
+    def prepare_on_ground(self) -> None:
+        """It was armed when it was found, and stands on the ground: go on as with any other."""
+        self.found_flying = False
+        self._prepare()
+
+    def _prepare(self) -> None:
+        if self.view is not None:
             self.preparation = Preparation(
                 self.view, self.station, self.options.set_parameters, self.options.bytes_per_s, self._left_changed
             )
             self.converse(self.preparation.steps())
-        self.trouble = "asking the vehicle for its messages and parameters"
-        self._tell(out, now_s, "link", f"{profile.name} heard as system {profile.system} from {peer}")
 
     def _take(self, received: Received, now_s: float, out: Output) -> None:
         assert self.view is not None and self._telemetry is not None  # noqa: S101 - discovered before
@@ -420,7 +455,8 @@ class LinkCore:
     # Sending ----------------------------------------------------------------------------------------------------------
 
     def _keep_alive(self, now_s: float, out: Output) -> None:
-        if now_s - self._heartbeat_s >= HEARTBEAT_EVERY_S:
+        silent = self.found_flying and self.options.take_over not in ("land", "hold")
+        if now_s - self._heartbeat_s >= HEARTBEAT_EVERY_S and not silent:
             self._heartbeat_s = now_s
             self._send(
                 mavlink.MAVLink_heartbeat_message(
