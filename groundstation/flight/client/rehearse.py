@@ -117,6 +117,7 @@ def fly(
     drone: tuple[str, ...],
     say: Say,
     confirm: Callable[[], bool] = lambda: True,
+    analyse: bool = True,
     stop: Interrupts | None = None,
     take_over: str = "",
 ) -> FlightResult:
@@ -129,6 +130,7 @@ def fly(
         drone: module and arguments of the vehicle's process.
         say: takes lines of progress.
         confirm: asked once everything is checked; the flight is given up when it says no.
+        analyse: identify, diagnose and report after landing.
         stop: has taken signals since the command began; one that came before now starts nothing.
         take_over: ``land`` or ``hold`` a vehicle found in flight, instead of flying a plan.
 
@@ -146,12 +148,15 @@ def fly(
                 drone=drone,
                 say=say,
                 confirm=confirm,
+                analyse=analyse,
                 stop=stop,
                 take_over=take_over,
             )
     stop.check()
     with stop.ordering(lambda: None):  # what comes until the client is connected is ordered then
-        core, endpoint = start_core(folder, plan=plan, vehicle=vehicle, drone=drone, take_over=take_over)
+        core, endpoint = start_core(
+            folder, plan=plan, vehicle=vehicle, drone=drone, analyse=analyse, take_over=take_over
+        )
 
         def body(client: CoreClient) -> None:
             with stop.ordering(lambda: _abort(client, say)):
