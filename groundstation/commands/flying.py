@@ -142,8 +142,8 @@ def _flight_result(flown: FlightResult) -> Result:
     """Where everything is, and the table."""
     import json
 
+    from groundstation import api
     from groundstation.flight.client.rehearse import result_table
-    from groundstation.recording import load_flight
 
     files = flown.files()
     document: dict[str, Any] = {
@@ -156,7 +156,7 @@ def _flight_result(flown: FlightResult) -> Result:
     lines = [f"{name:<20} {path}" for name, path in files.items()]
     if "identification.json" in files:
         identification = json.loads(files["identification.json"].read_text(encoding="utf-8"))
-        flight = load_flight(files["flight.mcap"])
+        flight = api.load_flight(files["flight.mcap"])
         truth = flight.truth.parameters() if flight.truth is not None else {}
         document |= {"identification": identification, "truth": truth}
         lines += ["", result_table(identification, flight.vehicle.parameters(), truth)]
