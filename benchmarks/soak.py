@@ -4,7 +4,7 @@ python -m benchmarks.soak [--seconds 100] [--out docs/results/soak.json]
 
 Six recordings, one after the other, each by a process of its own at full load: IMU at 1 kHz, poses of three bodies at 360 Hz,
 four rotor speeds at 400 Hz, setpoints at 50 Hz and raw MAVLink frames at 400 Hz, through the flight's own recorder, file and
-keeper. Each has a small disk of its own (tmpfs). What comes back is counted by the MCAP library's reader, not by ours.
+keeper. Each has a small disk of its own (tmpfs; ext4 in a file where it turns read-only). What comes back is counted by the MCAP library's reader, not by ours.
 """
 
 from __future__ import annotations
@@ -77,6 +77,12 @@ def worker(folder: Path, seconds: float, jump: bool) -> None:
     print(json.dumps({"put": put, "at_s": time.monotonic(), "longest_put_s": longest, "lost": sink.lost}), flush=True)
 
 
+def tool(name: str, *arguments: str) -> bool:
+    """Run a tool of the system; whether it was there and worked."""
+    path = shutil.which(name, path=f"{os.environ.get('PATH', '')}:/sbin:/usr/sbin")
+    return path is not None and subprocess.run([path, *arguments], check=False, capture_output=True).returncode == 0
+
+
 def break_it(fault: str, process: subprocess.Popen[str], folder: Path, disk: Path) -> None:
     """Let it happen."""
     if fault == "kill":
@@ -86,8 +92,7 @@ def break_it(fault: str, process: subprocess.Popen[str], folder: Path, disk: Pat
             while True:
                 ballast.write(bytes(1 << 20))
     elif fault == "read-only":
-        # A busy tmpfs cannot be remounted read-only while it is written; what a disk with errors does is the same: EROFS.
-        subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=False, capture_output=True)
+        tool("mount", "-o", "remount,abort", str(disk))  # what ext4 does by itself when its disk fails: EROFS
     elif fault == "folder removed":
         shutil.rmtree(folder)
 
@@ -114,15 +119,18 @@ def readable(path: Path) -> int:
 def measure(fault: str, seconds: float) -> dict[str, object]:
     """One recording with one fault."""
     disk = Path(tempfile.mkdtemp(prefix="soak-"))
-    size = 24 if fault == "disk full" else 1024
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", f"size={size + 40 if fault == 'disk full' else size}m", "tmpfs", str(disk)],
-        check=False, capture_output=True,
-    ).returncode == 0  # fmt: skip
+    size = 64 if fault == "disk full" else 1024
+    if fault == "read-only":
+        image = disk.with_suffix(".img")
+        with image.open("wb") as file:
+            file.truncate(512 << 20)
+        mounted = tool("mkfs.ext4", "-q", str(image)) and tool("mount", "-o", "loop", str(image), str(disk))
+    else:
+        mounted = tool("mount", "-t", "tmpfs", "-o", f"size={size}m", "tmpfs", str(disk))
     folder = disk / "flight"
     if not mounted and fault in ("disk full", "read-only"):
         return {"fault": fault, "skipped": "needs to mount a small disk (root)"}
-    command = [sys.executable, "-P", "-c", f"import sys; sys.path.insert(0, {os.getcwd()!r})\nfrom benchmarks.soak import worker\n"
+    command = [sys.executable, "-P", "-c", f"import sys; sys.path.insert(0, {str(Path.cwd())!r})\nfrom benchmarks.soak import worker\n"
                f"from pathlib import Path\nworker(Path({str(folder)!r}), {seconds}, {fault == 'clock jump'})"]  # fmt: skip
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
@@ -153,7 +161,8 @@ def measure(fault: str, seconds: float) -> dict[str, object]:
         "longest_put_ms": round(1e3 * longest, 2),
     }  # fmt: skip
     if mounted:
-        subprocess.run(["umount", "-l", str(disk)], check=False)
+        tool("umount", "-l", str(disk))
+        disk.with_suffix(".img").unlink(missing_ok=True)
     shutil.rmtree(disk, ignore_errors=True)
     return result
 
