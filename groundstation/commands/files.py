@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from groundstation.commands.common import Result, example, json_option
+from groundstation.commands.common import Result, example, json_option, load_vehicle_option
 from groundstation.errors import BadInput
 from groundstation.writing import write_whole
 

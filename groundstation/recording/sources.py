@@ -33,11 +33,11 @@ def sources_of(path: Path) -> dict[str, Source]:
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror}); give the path of a log.") from None
     if head.startswith(ulogfile.MAGIC):
-        log = ulogfile.decode_ulog(np.memmap(path, np.uint8, mode="r"))
-        return {f"{n}.{i}" if i else n: lambda t=table: t for (n, i), table in sorted(log.topics.items())}
+        topics = ulogfile.decode_ulog(np.memmap(path, np.uint8, mode="r")).topics
+        return {f"{n}.{i}" if i else n: lambda t=table: t for (n, i), table in sorted(topics.items())}
     if head.startswith(dataflashfile.MAGIC):
-        log = dataflashfile.decode_dataflash(np.memmap(path, np.uint8, mode="r"))
-        return {name: lambda t=table: t for name, table in sorted(log.tables.items())}
+        tables = dataflashfile.decode_dataflash(np.memmap(path, np.uint8, mode="r")).tables
+        return {name: lambda t=table: t for name, table in sorted(tables.items())}
     if head.startswith((MCAP_MAGIC, b"SQLite format 3\0")):
         return _bag(path)
     if head.startswith(b"PAR1"):
