@@ -433,7 +433,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--station", default="default")
     parser.add_argument("--drone", required=True, help="name on the bus")
     parser.add_argument("--connect", required=True, help="zenoh endpoint of the core")
-    parser.add_argument("--system", type=int, help="the vehicle's system id; default the first autopilot heard")
+    parser.add_argument(
+        "--system", type=int, help="the vehicle's system id; default the station file's, else the first heard"
+    )
     parser.add_argument("--force", action="append", default=[], metavar="NAME", help="fly although this check fails")
     parser.add_argument(
         "--set-parameters", action="store_true", help="set what the flight needs, restore it afterwards"
@@ -450,7 +452,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         memory = _signing(options.key_file, options.journal)
         signing = memory.signing if memory is not None else None
         settings = Options(
-            options.system,
+            options.system or station.system,
             tuple(options.force),
             options.set_parameters,
             options.bytes_per_s or bandwidth_of(options.link),
