@@ -54,7 +54,7 @@ def identify(
 ) -> Result:
     """Estimate mass, inertia and the rest from one flight, or from several together, with intervals.
 
-    FLIGHTS are MCAP recordings, bundle folders, PX4 ULog, ArduPilot DataFlash or Crazyflie usd logs.
+    FLIGHTS are MCAP recordings, bundle folders, PX4 ULog, ArduPilot DataFlash, blackbox, ROS 2 bags or Crazyflie usd logs.
     """
     left_out = tuple(seconds_pair(pair) for pair in exclude)
     loaded = load_flights(flights, vehicle, start_s, end_s, everything)
