@@ -273,7 +273,8 @@ def _from_imu(flight: FlightData, imu: Stream, pose: Stream | None, state: Strea
         )
     else:
         expected = _arrival_difference(pose, imu)
-        offset, _ = coarse_offset(t, gyro, pose.t_s, pose.values[:, 3:7], expected_s=expected or 0.0)
+        source = "motion capture" if flight.mocap is not None else "the vehicle's own attitude"
+        offset, _ = coarse_offset(t, gyro, pose.t_s, pose.values[:, 3:7], expected_s=expected or 0.0, source=source)
         compatibility = reconstruct(
             t, gyro, accel, pose.t_s, pose.values[:, :3], pose.values[:, 3:7],
             offset_s=offset, gravity_m_s2=flight.vehicle.gravity_m_s2,
