@@ -28,7 +28,8 @@ COMMANDS = {
     "report": "analysing",
     "export": "files",
     "convert": "files",
-    "flights": "files",
+    "flights": "fleet",
+    "batch": "fleet",
     "doctor": "station",
     "reproduce": "station",
 }

@@ -31,6 +31,7 @@ from groundstation.flight.children import Child, module_command, start_child
 from groundstation.flight.core.ground_check import check_ground
 from groundstation.flight.core.lease import OperatorLease
 from groundstation.flight.core.overview import FlightView
+from groundstation.flight.core.pacing import Pace
 from groundstation.flight.core.recorder import Recorder, open_recording
 from groundstation.flight.core.worker import AnalysisWorker, Progress
 from groundstation.flight.journal import ENDPOINT_FILE, Journal
@@ -40,7 +41,6 @@ from groundstation.trajectory import Plan, flight_path, load_plan
 from groundstation.vehicle import Vehicle, load_vehicle
 
 DRONE = "vehicle"
-CREDIT_AHEAD_S = 1.0
 CREDIT_EVERY_S = 0.2
 STATUS_EVERY_S = 0.1
 START_UP_S = 90.0
@@ -82,8 +82,9 @@ class FlightCore:
         self.view = FlightView(settings.folder, self.vehicle)
         self.description = bus.Description()
         self.recorder: Recorder | None = None
+        self.pace = Pace(lock_step=False)  # until the vehicle has said what it is
         self.lease = OperatorLease()
-        self.digested_s = 0.0
+        self.digested_s = self.moment_s = 0.0
         self._first_s: float | None = None
         self.heard_s = clock()
         self.finished = False
@@ -106,7 +107,7 @@ class FlightCore:
             self._status = bus.Publisher(session, bus.CORE_STATUS)
             self._handles = [
                 bus.subscribe(session, keys.samples, decode_batch, self._from_bus(self._on_batch)),
-                bus.subscribe(session, keys.status, bus.decoder_of(bus.DroneStatus), self._from_bus(self._on_status)),
+                bus.subscribe(session, keys.status, bus.decoder_of(bus.DroneStatus), self._from_bus(self._on_word)),
                 bus.serve(session, bus.CORE_COMMAND, CoreCommand, self._on_command),
                 bus.serve(session, bus.CORE_LEASE, Lease, self.lease.request),
                 bus.watch_alive(session, keys.alive, self._on_drone_alive),
@@ -155,12 +156,11 @@ class FlightCore:
 
     def _tell(self, kind: str, text: str, **figures: Any) -> None:
         """One line in the flight's log, one event in the recording, one sentence for the clients."""
-        host_s = self.digested_s
-        self.journal.write(kind, text, host_s=host_s, **{k: v for k, v in figures.items() if v != ""})
+        self.journal.write(kind, text, host_s=self.moment_s, **{k: v for k, v in figures.items() if v != ""})
         reason = figures.get("reason")
         self.view.notes.append(f"{text}: {reason}" if reason else text)
         if self.recorder is not None:
-            self.recorder.note(host_s, kind, self.view.notes[-1])
+            self.recorder.note(self.moment_s, kind, self.view.notes[-1])
 
     # From the vehicle -------------------------------------------------------------------------------------------------
 
@@ -181,7 +181,7 @@ class FlightCore:
         if self.recorder is not None or self.state.final:
             return  # the vehicle's process came back; its flight goes on, or is over
         self.heard_s = self.clock()
-        self.description = description
+        self.description, self.pace = description, Pace(lock_step=not description.real_time)
         sink = open_recording(self.settings.folder, self.settings.plan, self.settings.vehicle, description)
         self.recorder = Recorder(
             sink,
@@ -196,8 +196,9 @@ class FlightCore:
 
     def _digested(self, host_s: float) -> None:
         self.digested_s = max(self.digested_s, host_s)
+        self.moment_s = self.digested_s
         self._first_s = host_s if self._first_s is None else self._first_s
-        if self.state.phase is seq.Phase.UPLOADED:
+        if self.state.phase is seq.Phase.UPLOADED and self.pace.stands(self.digested_s):
             self._check()
 
     def _on_batch(self, batch: Batch) -> None:
@@ -205,12 +206,21 @@ class FlightCore:
         if len(batch.samples) != len(batch.host_s):
             self._malformed += 1
             return
-        if self.recorder is not None and self.state.phase not in (seq.Phase.LANDED, seq.Phase.IDENTIFYING):
+        over = self.state.phase in (seq.Phase.LANDED, seq.Phase.IDENTIFYING)
+        if self.pace.recorded(batch) and self.recorder is not None and not over:
             self.recorder.put(batch)
         self.view.see(batch.samples, self.state.phase)
+        for status in self.pace.due():
+            self._on_status(status)
+
+    def _on_word(self, word: bus.DroneStatus) -> None:
+        self.heard_s = self.clock()
+        self.pace.told(word)
+        for status in self.pace.due():
+            self._on_status(status)
 
     def _on_status(self, status: bus.DroneStatus) -> None:
-        self.heard_s = self.clock()
+        self.moment_s = status.host_s
         before, self.view.drone = self.view.drone, status
         if before is not None and status.phase == before.phase:
             return
@@ -327,14 +337,17 @@ class FlightCore:
     def _check(self) -> None:
         """Called as data come in, until it can say yes or no."""
         if self.recorder is None or self._first_s is None:
+            self.pace.look()
             return
         streams = self.recorder.streams(self.digested_s)
-        answer = check_ground(streams, self.view.battery_v, self.vehicle, self.digested_s - self._first_s)
+        volts = self.view.battery_v
+        answer = check_ground(streams, volts, self.vehicle, self.digested_s - self._first_s)
         if answer is None:
+            self.pace.look()
             return
         rates = {name: round(stream.rate_hz, 1) for name, stream in streams.items()}
         told = "streams and battery are as they should be" if answer.ok else "not ready to fly"
-        self._tell("checks", told, reason=answer.reason, rates_hz=rates, battery_v=self.view.battery_v)
+        self._tell("checks", told, reason=answer.reason, rates_hz=rates, battery_v=volts)
         self._event(answer)
         if self.settings.start:
             self._event(seq.StartRequested())
@@ -371,11 +384,12 @@ class FlightCore:
             self._event(seq.VehicleLost(text))
             return
         patience = START_UP_S if self.recorder is None else SILENCE_S
-        if not done and self.clock() - self.heard_s > patience:
+        owed = self.recorder is None or self.pace.owes(self.state.phase, self.digested_s)
+        if not done and owed and self.clock() - self.heard_s > patience:
             self._event(seq.VehicleLost(f"nothing was heard from the vehicle for {patience:g} s"))
 
     def _send_credit(self) -> None:
-        now, credit = self.clock(), self.digested_s + CREDIT_AHEAD_S
+        now, credit = self.clock(), self.pace.credit_s(self.state.phase, self.digested_s)
         sent, at = self._credit_sent
         if self.recorder is not None and (credit >= sent + 0.1 or now - at > CREDIT_EVERY_S):
             self._credit.put(bus.Credit(credit))

@@ -161,8 +161,8 @@ class Recorder:
                 if not isinstance(sample, Event | Raw) and not self._beside(sample):
                     name = type(sample).__name__.lower()
                     self._meters.setdefault(name, StreamMeter()).add(sample.device_s, host_s)
-        if batch.host_s:
-            self._on_digested(batch.host_s[-1])
+        if batch.until_s or batch.host_s:
+            self._on_digested(batch.until_s or batch.host_s[-1])
 
     def _beside(self, sample: Sample) -> bool:
         """A command beside the motors stream's measured speeds."""
