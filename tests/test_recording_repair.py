@@ -266,13 +266,13 @@ def test_half_of_every_rotors_values_far_too_low_are_told_and_refused(made):
     def change(values, times):
         values[np.random.default_rng(7).random(values.shape) < 0.5] *= 0.2
 
-    with pytest.raises(BadInput, match="far too low in flight"):
+    with pytest.raises(BadInput, match="motors: .*refused"):
         repair(planted(made, "motors", change))
 
 
-def test_moments_of_low_speed_in_a_fast_flight_are_flown(made):
+def test_moments_of_low_speed_along_a_rotors_lag_are_flown(made):
     def change(values, times):
-        values[[200, 700, 701], 2] *= 0.3
+        values[200:300, 2] *= 1.0 - 0.8 * np.sin(np.linspace(0.0, np.pi, 100))
 
     flown = repair(planted(made, "motors", change))
     assert counted(flown, "motors", "far too low") == 0
