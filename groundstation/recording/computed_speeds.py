@@ -60,6 +60,46 @@ def commands_behind(speeds: Stream, commands: Stream) -> tuple[Stream, str] | No
     return replace(speeds, values=speeds.values / gain, columns=commands.columns), note
 
 
+_FOLLOWS, _CLEARLY = 0.5, 0.2
+
+
+def motors_by_data(speeds: Stream, commands: Stream) -> list[int] | None:
+    """Which command each speed follows, by correlation of what sets the rotors apart; None where the data do not tell.
+
+    The mean over the rotors is removed from both: what all do together (a climb) tells nothing. A pair counts where its
+    correlation is above 0.5 and 0.2 above every other of that speed.
+
+    Args:
+        speeds: of any rotors in any order, shape (k, n).
+        commands: in the order wanted, shape (m, n).
+
+    Returns:
+        For each column of the speeds the column of the commands.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    count = len(commands.columns)
+    if len(speeds.columns) != count or min(len(speeds), len(commands)) < _LEAST:
+        return None
+    inside = (speeds.t_s >= commands.t_s[0]) & (speeds.t_s <= commands.t_s[-1])
+    sent = np.column_stack([np.interp(speeds.t_s[inside], commands.t_s, column) for column in commands.values.T])
+    made = speeds.values[inside]
+    on = (sent.mean(axis=1) > 0.1 * sent.mean(axis=1).max(initial=0.0)) & np.all(made > 0.0, axis=1)
+    sent, made = sent[on], made[on]
+    if len(made) < _LEAST:
+        return None
+    sent, made = sent - sent.mean(axis=1, keepdims=True), made - made.mean(axis=1, keepdims=True)
+    if np.any(np.std(sent, axis=0) == 0.0) or np.any(np.std(made, axis=0) == 0.0):
+        return None
+    agreement = np.corrcoef(made.T, sent.T)[:count, count:]
+    follows = [int(i) for i in linear_sum_assignment(-agreement)[1]]
+    for speed, command in enumerate(follows):
+        others = np.delete(agreement[speed], command)
+        if agreement[speed, command] < _FOLLOWS or agreement[speed, command] < others.max() + _CLEARLY:
+            return None
+    return follows
+
+
 def without_computed_speeds(recording: Recording) -> Recording:
     """With the commands as motor values where the speeds were computed from them."""
     speeds, commands = recording.streams.get("motors"), recording.extras.get(COMMANDS)
