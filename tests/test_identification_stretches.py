@@ -62,7 +62,9 @@ def flown() -> FlightData:
     """A laboratory flight, seed 1, commanded rotors behind a lag, so that what was not recorded lasts."""
     vehicle = load_vehicle(find_config("vehicles", "qball2"))
     rotors = vehicle.rotors.model_copy(update={"speed_source": "command"})
-    return flight_data(simulate(vehicle.model_copy(update={"rotors": rotors}), rest_to_rest_plan(seed=1), laboratory(), 1))
+    return flight_data(
+        simulate(vehicle.model_copy(update={"rotors": rotors}), rest_to_rest_plan(seed=1), laboratory(), 1)
+    )
 
 
 def test_gaps_are_left_out_of_the_fit_and_cost_it_no_accuracy(flown: FlightData) -> None:
@@ -88,7 +90,9 @@ def test_gaps_are_left_out_of_the_fit_and_cost_it_no_accuracy(flown: FlightData)
 def test_an_unusable_mocap_beside_a_good_imu_costs_only_what_it_would_have_told(flown: FlightData) -> None:
     mocap = flown.mocap
     assert mocap is not None
-    still = np.tile(mocap.values[:1], (len(mocap), 1)) + 1e-4 * np.random.default_rng(1).standard_normal((len(mocap), 7))
+    still = np.tile(mocap.values[:1], (len(mocap), 1)) + 1e-4 * np.random.default_rng(1).standard_normal(
+        (len(mocap), 7)
+    )
     prepared = prepare(replace(flown, mocap=replace(mocap, values=still)))
     assert any(note.startswith("The poses are left out") for note in prepared.notes)
     assert prepared.compatibility is None

@@ -266,7 +266,7 @@ def test_half_of_every_rotors_values_far_too_low_are_told_and_refused(made):
     def change(values, times):
         values[np.random.default_rng(7).random(values.shape) < 0.5] *= 0.2
 
-    with pytest.raises(BadInput, match="motors: .*refused"):
+    with pytest.raises(BadInput, match=r"motors: .*refused"):
         repair(planted(made, "motors", change))
 
 

@@ -168,7 +168,9 @@ def partial_answer(fit: Fitted, hidden: Mapping[str, str], prepared: Sequence[Pr
     remedy = "Fly an excitation in x, y, z and yaw, larger or faster (`groundstation plan`)."
     if hover or not (moments or heaves or "mass_kg" not in hidden):
         if "mass_kg" not in hidden:
-            reason += f" Its mass, by the declared thrust, is {fit.value('mass_kg'):.4g} +- {fit.std('mass_kg'):.2g} kg."
+            reason += (
+                f" Its mass, by the declared thrust, is {fit.value('mass_kg'):.4g} +- {fit.std('mass_kg'):.2g} kg."
+            )
         listed = tuple(name for name in MASS_AND_TENSOR if name in hidden)
         raise NotIdentifiable(reason, remedy, listed)
     return f"{reason} What it does show is given. {remedy}"

@@ -33,13 +33,11 @@ from groundstation.identification.results import Clock
 from groundstation.identification.stretches import GAP_S, Stretch, gaps, runs_of, told, within
 from groundstation.model.prediction import FlightStates
 from groundstation.model.rotors import (
-    MotorInput,
     cumulative,
     declared_thrust,
     hover_value,
     interpolate_columns,
     motor_input,
-    wrench_matrix,
 )
 from groundstation.model.signals import Signals
 
@@ -227,7 +225,9 @@ def flight_states(flight: FlightData, *, own: bool = False) -> FlightStates:
         x = state.values
         parts = (x[:, :3], x[:, 3:6], quat_continuous(x[:, 6:10]), x[:, 10:13])
         voltage = np.interp(state.t_s, record.t_s, prepared.voltage_v)
-        return FlightStates(state.t_s, *parts, *parts, record.motors, voltage, prepared.window_s, record.vehicle, prepared.stretches)
+        return FlightStates(
+            state.t_s, *parts, *parts, record.motors, voltage, prepared.window_s, record.vehicle, prepared.stretches
+        )
     return smoothed_states(prepared)
 
 

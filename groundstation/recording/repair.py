@@ -121,7 +121,7 @@ def _refuse_past_half(name: str, causes: Mapping[str, Mask], total: int) -> None
         worst = max(causes, key=lambda cause: int(causes[cause].sum()))
         raise _Unusable(
             f"{name}: {bad} of {total} samples are unusable, most for {worst}; the stream is refused.",
-            f"Record it anew, or leave {name} out if the flight has other motion data."
+            f"Record it anew, or leave {name} out if the flight has other motion data.",
         )
 
 
@@ -149,7 +149,7 @@ def _refuse_mostly_gaps(name: str, stream: Stream) -> None:
     if len(stream) > 1 and 2.0 * missing > stream.t_s[-1] - stream.t_s[0]:
         raise _Unusable(
             f"{name}: {missing:.1f} of {stream.t_s[-1] - stream.t_s[0]:.1f} s are gaps; the stream is refused.",
-            f"Record it anew, or leave {name} out if the flight has other motion data."
+            f"Record it anew, or leave {name} out if the flight has other motion data.",
         )
 
 
