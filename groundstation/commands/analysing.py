@@ -55,14 +55,15 @@ def identify(
 
     FLIGHTS are MCAP recordings, bundle folders, PX4 ULog, ArduPilot DataFlash or Crazyflie usd logs.
     """
-    left_out = [seconds_pair(pair) for pair in exclude]
+    left_out = tuple(seconds_pair(pair) for pair in exclude)
     loaded = load_flights(flights, vehicle, start_s, end_s)
     from groundstation.analysis.analyse import write_identification
     from groundstation.flight.client.rehearse import result_table
     from groundstation.identification.pipeline import identify as run
+    from groundstation.options import AnalysisOptions
 
     line = ProgressLine()
-    found = run(loaded, exclude=left_out, progress=line.fraction)
+    found = run(loaded, AnalysisOptions(exclude=left_out), progress=line.fraction)
     line.end()
     folder = result_folder(flights[0], logs)
     folder.mkdir(parents=True, exist_ok=True)
@@ -101,25 +102,27 @@ def diagnose(
     model: Path | None,
 ) -> Result:
     """Find what the declared vehicle lacks: trace the residual to effects, with the error before and after."""
+    left_out = tuple(seconds_pair(pair) for pair in exclude)
     loaded = load_flights(flights, vehicle, start_s, end_s)
     references, judges = load_flights(reference, vehicle), load_flights(held_out, vehicle)
     from groundstation.analysis.analyse import with_next_flight
     from groundstation.analysis.documents import write_json
     from groundstation.diagnosis import diagnose as run
-    from groundstation.diagnosis.augmented import known_candidates
+    from groundstation.options import AnalysisOptions
     from groundstation.reporting.exports import read_model
     from groundstation.reporting.identified import identified_from_document
 
-    known = ()
+    known: Mapping[str, Any] = {}
     if model is not None:
         document = read_model(model, loaded[0].vehicle if vehicle is not None else None)
-        known = known_candidates(document["effects"])
+        known = document["effects"]
         loaded, references, judges = (
             [replace(flight, vehicle=identified_from_document(document).vehicle) for flight in group]
             for group in (loaded, references, judges)
         )
     line = ProgressLine()
-    found = run(loaded, references=references, held_out=judges, augmented=known, progress=line.fraction)
+    options = AnalysisOptions(left_out, tuple(references), tuple(judges), known)
+    found = run(loaded, options, progress=line.fraction)
     line.end()
     folder = result_folder(flights[0], logs)
     folder.mkdir(parents=True, exist_ok=True)
@@ -161,16 +164,17 @@ def report(
     held_out: tuple[Path, ...],
 ) -> Result:
     """Identify and diagnose, and write the HTML report."""
+    left_out = tuple(seconds_pair(pair) for pair in exclude)
     loaded = load_flights(flights, vehicle, start_s, end_s)
     from groundstation.analysis.analyse import analyse
+    from groundstation.options import AnalysisOptions
 
+    options = AnalysisOptions(left_out, tuple(load_flights(reference, vehicle)), tuple(load_flights(held_out, vehicle)))
     line = ProgressLine()
     done = analyse(
         loaded,
         result_folder(flights[0], logs),
-        exclude=[seconds_pair(pair) for pair in exclude],
-        references=load_flights(reference, vehicle),
-        held_out=load_flights(held_out, vehicle),
+        options,
         progress=line.fraction,
         source=_arguments(flights, {"--vehicle": vehicle, "--from": start_s, "--to": end_s}),
     )

@@ -42,6 +42,7 @@ from groundstation.model.rotors import (
 from groundstation.model.signals import Signals
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 FIT_RATE_HZ = 150.0
 MEASURED_RATE_HZ = 30.0
@@ -66,6 +67,7 @@ class Prepared:
         source: "imu", "poses" or "state": where rates and accelerations come from.
         window_s: start and end of what is used, on the record's clock.
         stretches: the runs without a hole that it consists of.
+        excluded_s: stretches (start, end) that the user left out, on the record's clock.
     """
 
     flight: FlightData
@@ -85,6 +87,7 @@ class Prepared:
     window_s: tuple[float, float]
     notes: tuple[str, ...]
     stretches: tuple[Stretch, ...] = ()
+    excluded_s: tuple[tuple[float, float], ...] = ()
 
     def signals(self, up_s: float, down_s: float, delay_s: float, slope: float = 0.0) -> Signals:
         """What forces can depend on, at the record's stamps, for a given lag and delay."""
@@ -188,17 +191,35 @@ def prepare(flight: FlightData, *, exclude: Sequence[tuple[float, float]] = ()) 
         window_s=(float(t[keep][0]), float(t[keep][-1])),
         notes=tuple(notes),
         stretches=used,
+        excluded_s=tuple(exclude),
     )
 
 
+def prepare_all(flights: Sequence[FlightData], exclude: Sequence[tuple[float, float]] = ()) -> list[Prepared]:
+    """:func:`prepare` each flight.
+
+    Raises:
+        BadInput: a stretch to leave out lies in none of the flights.
+    """
+    prepared = [prepare(flight, exclude=exclude) for flight in flights]
+    for first, last in exclude:
+        if not any(np.any((p.record.t_s >= first) & (p.record.t_s <= last)) for p in prepared):
+            spans = " and ".join(f"{p.record.t_s[0]:.2f} to {p.record.t_s[-1]:.2f} s" for p in prepared)
+            raise BadInput(
+                f"there is nothing to leave out from {first:g} to {last:g} s: stamps run from {spans}; give times within them."
+            )
+    return prepared
+
+
 def _share_note(
-    flight: FlightData, motors: Stream, t: Array, keep: Array, used: Sequence[Stretch], lost: Sequence[Stretch]
+    flight: FlightData, motors: Stream, t: Array, keep: Mask, used: Sequence[Stretch], lost: Sequence[Stretch]
 ) -> list[str]:
     """The share of the recording that is used, where that is not all of a known excitation."""
     if flight.window_s is not None and not lost:
         return []
     recorded = float(motors.t_s[-1] - motors.t_s[0])
-    used_s = float(np.sum(np.diff(t, append=t[-1])[keep & (np.diff(t, append=t[-1]) < GAP_S)]))
+    step = np.diff(t, append=t[-1])
+    used_s = float(np.sum(step[keep & (step < GAP_S)]))
     missing = sum(end - start for start, end in lost)
     why = [f"{len(lost)} gaps of the motors' stream ({missing:.1f} s)"] if lost else []
     if flight.window_s is None:

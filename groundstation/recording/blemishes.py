@@ -127,9 +127,9 @@ def too_slow(t_s: Array, speeds: Array) -> Mask:
     if not np.any(speeds > 0.0):
         return low
     usual = np.nanquantile(np.where(speeds > 0.0, speeds, np.nan), 0.75, axis=0)
-    slow = np.nan_to_num(speeds, nan=np.inf) < usual / 3.0
+    slow = np.asarray(np.nan_to_num(speeds, nan=np.inf) < usual / 3.0)
     grounded = np.zeros(len(t_s), bool)
-    for first, last in _runs(slow.all(axis=1)):
+    for first, last in _runs(np.all(slow, axis=1)):
         grounded[first : last + 1] = t_s[last] - t_s[first] >= _FALL_S
     quick = np.diff(t_s, prepend=-np.inf) <= 0.5 * _ROTOR_LAG_S
     leap = np.abs(np.diff(speeds, axis=0, prepend=np.nan)) > 0.5 * usual

@@ -117,6 +117,7 @@ def fly(
     drone: tuple[str, ...],
     say: Say,
     confirm: Callable[[], bool] = lambda: True,
+    analyse: bool = True,
 ) -> FlightResult:
     """Fly a plan through a core and follow it to the report. Ctrl-C is an abort; twice is still an abort.
 
@@ -127,12 +128,13 @@ def fly(
         drone: module and arguments of the vehicle's process.
         say: takes lines of progress.
         confirm: asked once everything is checked; the flight is given up when it says no.
+        analyse: identify, diagnose and report after landing.
 
     Raises:
         FlightAborted: the flight was aborted and the vehicle is down.
         Refused: the vehicle or the checks refused to fly.
     """
-    core, endpoint = start_core(folder, plan=plan, vehicle=vehicle, drone=drone)
+    core, endpoint = start_core(folder, plan=plan, vehicle=vehicle, drone=drone, analyse=analyse)
 
     def body(client: CoreClient) -> None:
         with _interrupts(client, say):
