@@ -25,7 +25,7 @@ from typing import Any
 
 from drivers import bus
 from drivers.samples import Batch, decode_batch
-from groundstation.errors import BadInput, GroundStationError
+from groundstation.errors import BadInput, GroundStationError, Refused
 from groundstation.flight import sequence as seq
 from groundstation.flight.children import Child, module_command, start_child
 from groundstation.flight.core.ground_check import check_ground
@@ -432,7 +432,7 @@ class FlightCore:
         if not done and self._drone is not None and (status := self._drone.poll()) is not None:
             detail = self._drone.last_words()
             text = f"the vehicle's process ended with status {status}" + (f": {detail}" if detail else "")
-            self._lost(text)
+            self._lost(text, refused=detail if status == Refused.exit_status else "")
             return
         patience = START_UP_S if self.recorder is None else HANG_S if self._can_land_it() else SILENCE_S
         if self._successors and self.view.drone is None:
@@ -446,10 +446,10 @@ class FlightCore:
         linked = self.settings.drone[0] == LINK_MODULE
         return linked and self.state.started and not self.state.final and self._successors < SUCCESSORS
 
-    def _lost(self, reason: str) -> None:
+    def _lost(self, reason: str, *, refused: str = "") -> None:
         """A link is started again and takes over by landing; another vehicle's process is lost."""
         if not self._can_land_it():
-            self._event(seq.VehicleLost(reason))
+            self._event(seq.VehicleLost(refused or reason, refused=bool(refused)))
             return
         if self._drone is not None:
             self._drone.kill()  # one that hangs holds the port
