@@ -64,7 +64,7 @@ FAULTS: dict[str, Break] = {
     "stranger floods, 1000/s": relay(stranger="noise", per_s=1000, seconds=5.0),
 }
 TRIES = 3
-HARMLESS_S = 8.0
+HARMLESS_S = 7.0
 """A fault that brings nobody down within this is flown through; the flight is then ended by an abort."""
 
 
@@ -122,7 +122,7 @@ def table(results: list[dict[str, Any]]) -> str:
             lines.append(f"| {r['fault']} | {r['autopilot']} | not flown: {r['failed']} | | | | | |")
             continue
         times = ["—" if r[k] is None else f"{r[k]:.2f} s" for k in ("noticed_s", "mode_s", "ground_s", "disarmed_s")]
-        status = "no core left" if r["status"] is None else str(r["status"])
+        status = r["reason"] if r["status"] is None else str(r["status"])
         lines.append(f"| {r['fault']} | {r['autopilot']} | {' | '.join(times)} | {r['by']} | {status} |")
     return "\n".join(lines)
 

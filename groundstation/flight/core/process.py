@@ -103,7 +103,7 @@ class FlightCore:
         self._credit_sent = (-1.0, -1e9)
         self._status_sent = -1e9
         self._malformed = 0
-        self._abort_taken = False
+        self._abort_heard = False
         self._successors = 0
         self._keeper: Keeper | None = None
         self._orders = ThreadPoolExecutor(2, thread_name_prefix="orders")
@@ -275,12 +275,12 @@ class FlightCore:
             )
 
     def _stands(self, status: bus.DroneStatus) -> None:
-        """An abort was taken, and the vehicle shows that it neither flies nor is armed."""
-        if self._abort_taken and status.phase in ("idle", "uploaded") and not status.armed:
+        """An abort was answered, and the vehicle shows that it neither flies nor is armed."""
+        if self._abort_heard and status.phase in ("idle", "uploaded") and not status.armed:
             self._event(seq.VehicleStands())
 
     def _abort_answered(self) -> None:
-        self._abort_taken = True
+        self._abort_heard = True
         if self.view.drone is not None:
             self._stands(self.view.drone)
 
@@ -373,7 +373,7 @@ class FlightCore:
                 self.inbox.put(lambda: self._event(seq.StartRefused(reason)))
             elif name == "kill":
                 self.abort(f"the vehicle refused to stop its rotors: {reason}")
-        elif name == "abort":
+        if name == "abort":  # refused, too: there may be nothing to abort, which the status shows
             self.inbox.put(self._abort_answered)
         return answer.ok
 

@@ -28,7 +28,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--bytes-per-s", type=float, help="what the link carries, e.g. a radio behind USB")
     parser.add_argument("--raw-log", type=Path, help="telemetry log of every frame")
     parser.add_argument("--journal", type=Path, help="where changed parameters are remembered through a crash")
-    parser.add_argument("--take-over", choices=("", "land", "hold", "leave"), default="", help="of a vehicle in flight")
+    parser.add_argument("--take-over", choices=("", "land", "hold"), default="", help="of a vehicle in flight")
     parser.add_argument("--key-file", type=Path, help="32-byte signing key; signs and verifies every frame")
     return parser.parse_args(arguments)
 

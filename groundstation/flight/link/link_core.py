@@ -321,7 +321,7 @@ class LinkCore:
         self.ready = True
         if not armed:
             self.pilot.phase = Phase.LANDED
-        elif self.options.take_over != "leave":
+        else:
             self._guard = Guard(self.station.guard, self.station.box, self.vehicle.battery.empty_v)
             hold_s = TAKEN_OVER_HOLD_S if self.options.take_over == "hold" else 0.0
             self.pilot.take_over(now_s, "taken over in flight by a new link", hold_s=hold_s)
@@ -422,7 +422,7 @@ class LinkCore:
     # Sending ----------------------------------------------------------------------------------------------------------
 
     def _keep_alive(self, now_s: float, out: Output) -> None:
-        silent = self.found_flying and self.options.take_over not in ("land", "hold")
+        silent = self.found_flying and not self.options.take_over
         if now_s - self._heartbeat_s >= HEARTBEAT_EVERY_S and not silent:
             self._heartbeat_s = now_s
             self._send(

@@ -7,7 +7,7 @@ from typing import Literal
 
 from drivers.samples import Sample
 
-TakeOver = Literal["", "land", "hold", "leave"]
+TakeOver = Literal["", "land", "hold"]
 TAKEN_OVER_HOLD_S = 60.0
 
 
@@ -22,9 +22,8 @@ class Options:
         bytes_per_s: what the line carries; None where that is no limit.
         keep_raw: raw frames become samples too.
         quiet: ask for no messages and read no parameters: for fetching files alone.
-        take_over: what is done with a vehicle that is found in flight: ``land``, ``hold`` (a minute, then land), or ``leave``
-            it to its own failsafe; empty refuses it. Without ``land`` or ``hold`` such a vehicle gets no heartbeat of ours,
-            which would hold its failsafe off.
+        take_over: what is done with a vehicle that is found in flight: ``land``, or ``hold`` (a minute, then land). Empty leaves
+            it to its own failsafe: it gets no heartbeat of ours, which would hold that off.
     """
 
     system: int | None = None
