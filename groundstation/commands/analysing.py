@@ -71,8 +71,7 @@ def identify(
     document = found.to_dict()
     truth = loaded[0].truth.parameters() if loaded[0].truth is not None else {}
     lines = [
-        *loaded[0].notes,
-        *found.quality,
+        *dict.fromkeys(found.quality),
         *(f"warning: {text}" for text in found.warnings),
         f"best: {found.best}" + (f" ({found.best_reason})" if found.best_reason else ""),
         result_table(document, loaded[0].vehicle.parameters(), truth),
