@@ -209,7 +209,8 @@ SHELLS = {
     epilog=example("groundstation completion bash > ~/.local/share/bash-completion/completions/groundstation")
 )
 @click.argument("shell", type=Choice(tuple(SHELLS)))
-def completion(shell: str) -> Result:
+@click.pass_context
+def completion(ctx: click.Context, shell: str) -> Result:
     r"""Print a completion script for bash, zsh or fish; write it where the shell looks for it, and open a new shell.
 
     \b
@@ -219,10 +220,8 @@ def completion(shell: str) -> Result:
     """
     from click.shell_completion import get_completion_class
 
-    from groundstation.cli import cli
-
     completer = get_completion_class(shell)
     if completer is None:
         raise BadInput(f"{shell}: no completion; there are {', '.join(SHELLS)}.")
-    script = completer(cli, {}, "groundstation", "_GROUNDSTATION_COMPLETE").source()
+    script = completer(ctx.find_root().command, {}, "groundstation", "_GROUNDSTATION_COMPLETE").source()
     return Result({"schema": "groundstation.completion/1", "shell": shell, "script": script}, script)
