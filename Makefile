@@ -51,8 +51,8 @@ study: $(READY)  ## many simulated flights: accuracy, coverage, scatter against 
 blind: $(READY)  ## diagnosis of effects it was not told about
 	@$(PY) -m benchmarks.blind $(ARGS)
 
-bench: $(READY)  ## speed of planner, simulator, estimators, recorder, start-up; evenness of setpoints
-	@for each in startup simulator planner estimators recorder setpoint_jitter; do OMP_NUM_THREADS=1 $(PY) -m benchmarks.$$each || exit; done
+bench: $(READY)  ## speed of planner, simulator, estimators, recorder, log readers, start-up; evenness of setpoints
+	@for each in startup simulator planner estimators recorder logs setpoint_jitter; do OMP_NUM_THREADS=1 $(PY) -m benchmarks.$$each || exit; done
 
 campaign: $(READY)  ## flight after flight in simulation until three hidden effects are found and the targets are met
 	@$(VENV)/bin/groundstation campaign --vehicle qball2-commanded --scenario hidden $(ARGS)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import difflib
 import shutil
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -86,6 +88,10 @@ def assignments(pairs: tuple[str, ...]) -> dict[str, float]:
     return out
 
 
+_QUIET_S = 1.5
+"""Nobody waits two seconds without a word."""
+
+
 def suggestion(given: str, known: Iterable[str]) -> str:
     """What was probably meant, else all there is, as a sentence."""
     near = difflib.get_close_matches(given.lower(), list(known), n=2, cutoff=0.55)
@@ -119,9 +125,11 @@ class ProgressLine:
         self._width = 0
         self._word = ""
         self._began: float | None = None
+        self._last_text = ""
 
     def fraction(self, fraction: float, text: str) -> None:
         """Progress of a computation."""
+        self._last_text = text
         self._show(f"{100 * fraction:3.0f} %  {self._left(fraction)}{text}", force=fraction >= 1.0)
 
     def _left(self, fraction: float) -> str:
@@ -153,6 +161,30 @@ class ProgressLine:
         else:
             print(text, file=sys.stderr, flush=True)
 
+    @contextmanager
+    def ticking(self, text: str) -> Iterator[None]:
+        """Say how long something takes that tells nothing of itself, whenever the line was quiet for a second and a half."""
+        done, begun = threading.Event(), self._clock()
+
+        def tick() -> None:
+            while not done.wait(0.25):
+                self.quiet(text, begun)
+
+        thread = threading.Thread(target=tick, name="progress", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()
+            self.end()
+
+    def quiet(self, text: str, begun_s: float) -> None:
+        """Say how long it has been going on, where the line was quiet for too long."""
+        now = self._clock()
+        if now - max(self._last_s, begun_s) >= _QUIET_S:
+            self._show(f"{self._last_text or text}: {now - begun_s:.0f} s", force=True)
+
     def end(self) -> None:
         """Leave the line."""
         if self._terminal and self._width:
@@ -168,13 +200,21 @@ def load_vehicle_option(value: str | None) -> Vehicle | None:
 
 
 def load_flights(
-    paths: tuple[Path, ...], vehicle: str | None, start_s: float | None = None, end_s: float | None = None
+    paths: tuple[Path, ...],
+    vehicle: str | None,
+    start_s: float | None = None,
+    end_s: float | None = None,
+    everything: bool = False,
 ) -> list[FlightData]:
-    """Read flights of any format, with the vehicle of the command line over the recorded one."""
+    """Read flights of any format, with the vehicle of the command line over the recorded one; progress meanwhile."""
     from groundstation import api
 
     declared = load_vehicle_option(vehicle)
-    return [api.load_flight(path, vehicle=declared, start_s=start_s, end_s=end_s) for path in paths]
+    flights: list[FlightData] = []
+    for path in paths:
+        with ProgressLine().ticking(f"reading {path.name}"):
+            flights.append(api.load_flight(path, vehicle=declared, start_s=start_s, end_s=end_s, everything=everything))
+    return flights
 
 
 def result_folder(path: Path, logs: Path) -> Path:

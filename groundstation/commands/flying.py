@@ -208,6 +208,11 @@ def link_options(function: Callable[..., Any]) -> Callable[..., Any]:
         click.option(
             "--plan", "plan_file", type=click.Path(path_type=Path, dir_okay=False), help="Plan; else a new one."
         ),
+        click.option(
+            "--system",
+            type=click.IntRange(1, 255),
+            help="The vehicle's MAVLink system id, where several are on the link.",
+        ),
         click.option("--force", multiple=True, metavar="NAME", help="Fly although this check fails; recorded."),
         click.option(
             "--set-parameters", is_flag=True, help="Set what the flight needs on the vehicle; restored afterwards."
