@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 FIND_PYTHON = for p in $(PYTHON) python3.11 python3.12 python3.13 python3.14 python3; do \
   "$$p" -c 'import sys, ensurepip, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { command -v "$$p"; break; }; done
 
-.PHONY: help setup rehearse test lint study blind bench campaign faults firmware-test reproduce clean
+.PHONY: help setup rehearse test test-fast docs lint study blind bench campaign faults firmware-test reproduce clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -26,6 +26,13 @@ setup: $(READY)  ## the virtual environment alone
 
 rehearse: $(READY)  ## a whole flight in simulation, from plan to report
 	@$(VENV)/bin/groundstation rehearse $(ARGS)
+
+test-fast: $(READY)  ## the tests without processes, terminals, browsers and long flights: under a minute
+	@$(PY) -m pytest -q -n 2 -m "not slow" $(ARGS)
+
+docs: $(READY)  ## the documentation site in build/site; any warning is an error
+	@$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
+	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --quiet $(ARGS)
 
 test: $(READY)  ## the whole test suite
 	@$(PY) -m pytest -n 2 $(ARGS)

@@ -131,7 +131,8 @@ def load_flight(
     Args:
         path: the recording, or the folder of a flight.
         vehicle: replaces the vehicle declared in the recording; needed for a log that carries none.
-        start_s, end_s: use this part of the flight, seconds.
+        start_s: use the flight from this time on, s.
+        end_s: use the flight up to this time, s.
         everything: use all of a flight of more than ten minutes, of which else the most informative stretch is used.
 
     Returns:
