@@ -103,7 +103,9 @@ def analyse(
 
     folder.mkdir(parents=True, exist_ok=True)
     try:
-        identification = identify(flights, exclude=exclude, progress=lambda f, text: progress(0.05 + 0.5 * f, text))
+        identification = identify(
+            flights, exclude=exclude, predictive=True, progress=lambda f, text: progress(0.05 + 0.5 * f, text)
+        )
     except Refused as error:
         write_report(folder / "report.html", flights[0], error, source=source)
         raise

@@ -62,7 +62,7 @@ def identify(
     from groundstation.identification.pipeline import identify as run
 
     line = ProgressLine()
-    found = run(loaded, exclude=left_out, progress=line.fraction)
+    found = run(loaded, exclude=left_out, predictive=True, progress=line.fraction)
     line.end()
     folder = result_folder(flights[0], logs)
     folder.mkdir(parents=True, exist_ok=True)
@@ -70,6 +70,7 @@ def identify(
     document = found.to_dict()
     truth = loaded[0].truth.parameters() if loaded[0].truth is not None else {}
     lines = [
+        *([f"prediction: {found.prediction['summary']}"] if found.prediction else []),
         *loaded[0].notes,
         *found.quality,
         *(f"warning: {text}" for text in found.warnings),
@@ -186,6 +187,8 @@ def report(
 @click.option("--horizon", type=float, default=0.5, show_default=True, help="Seconds to predict.")
 @click.option("--state", type=click.Choice(["smoothed", "own"]), default="smoothed", show_default=True,
               help="Start from and judge by the smoothed state, or the vehicle's own estimate.")  # fmt: skip
+@click.option("--use", type=click.Choice(["prediction", "physical"]), default="prediction", show_default=True,
+              help="The model that predicts best, or the physical one; without a [prediction] section it is the physical one.")  # fmt: skip
 @click.option("--save", type=click.Path(path_type=Path, dir_okay=False), default=None, help="CSV of predicted states.")
 @click.option("--vehicle", default=None, help="Vehicle file or shipped name; overrides the recorded one.")
 @click.option("--from", "start_s", type=float, default=None, help="Use the flight from this time on, s.")
@@ -196,6 +199,7 @@ def predict(
     flight: Path,
     horizon: float,
     state: str,
+    use: str,
     save: Path | None,
     vehicle: str | None,
     start_s: float | None,
@@ -204,6 +208,7 @@ def predict(
     """Simulate open loop from every sample of FLIGHT with MODEL (identification.toml), and say how far off it is."""
     loaded = load_flights((flight,), vehicle, start_s, end_s)[0]
     from groundstation.diagnosis.effect import library, wrench_of
+    from groundstation.identification.predictive_choice import WORDS, chosen_predictor
     from groundstation.identification.preparation import flight_states
     from groundstation.model.prediction import model_from_document
     from groundstation.model.prediction import predict as run
@@ -216,7 +221,10 @@ def predict(
     effects = document.get("effects", {})
     wrench = wrench_of(effects, declared) if any(name in library() for name in effects) else None
     states = flight_states(loaded, own=state == "own")
-    found = run(model_from_document(document, declared, wrench), states, horizon_s=horizon, progress=line.fraction)
+    physical = model_from_document(document, declared, wrench)
+    predictor = physical if use == "physical" else chosen_predictor(document, physical)
+    kind = "physical" if use == "physical" else document.get("prediction", {}).get("candidate", "physical")
+    found = run(predictor, states, horizon_s=horizon, predictor=WORDS[kind], progress=line.fraction)
     line.end()
     if save is not None:
         from groundstation.recording.csvfile import write_csv

@@ -23,6 +23,7 @@ from groundstation.identification.identifiability import (
 )
 from groundstation.identification.instrumental import instrumental
 from groundstation.identification.prediction_error import Fitted, fit, fit_from_declared, output_error
+from groundstation.identification.predictive_choice import physical_model, prediction_section
 from groundstation.identification.preparation import Prepared, damping_terms, prepare
 from groundstation.identification.record_model import BodyWrench, DynamicRecord, Options, Parameters, RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification, MethodResult
@@ -186,6 +187,7 @@ def identify(
     flights: Sequence[FlightData],
     *,
     exclude: Sequence[tuple[float, float]] = (),
+    predictive: bool = False,
     progress: Progress = lambda fraction, text: None,
 ) -> Identification:
     """Identify one vehicle from one or several of its flights.
@@ -193,6 +195,7 @@ def identify(
     Args:
         flights: recordings of the same vehicle; they are pooled.
         exclude: segments (start, end) to leave out, seconds on the IMU's clock.
+        predictive: fit and choose a prediction model beside the physical one, too.
         progress: told the fraction done and what is being done.
 
     Raises:
@@ -243,6 +246,11 @@ def identify(
         mocap_minus_imu_s=0.0 if first.clock is None else first.clock.mocap_minus_imu_s,
         exclude=exclude,
     )
+    disturbance, prediction = _disturbance(fitted.models, best, fitted.options), {}
+    if predictive:
+        progress(0.96, "prediction model")
+        physical = physical_model(vehicle, methods[name].parameters, model, disturbance)
+        prediction = prediction_section(prepared, physical)
     progress(1.0, "done")
     return Identification(
         flight=" + ".join(flight.name for flight in flights),
@@ -261,7 +269,8 @@ def identify(
         quality=tuple(note for item in prepared for note in (*item.flight.notes, *item.notes)),
         validation=validation,
         revealed=tuple(combinations),
-        disturbance=_disturbance(fitted.models, best, fitted.options),
+        disturbance=disturbance,
+        prediction=prediction,
     )
 
 

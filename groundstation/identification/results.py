@@ -120,6 +120,7 @@ class Identification:
         window_s: the part of the flight that was used, on the IMU's clock (motors' without IMU).
         revealed: which combinations of mass and tensor the motion acted on, and how strongly, before any fit.
         disturbance: what turned the vehicle beside the model; None where it was not estimated.
+        prediction: the ``[prediction]`` section of a model file; empty where it was not asked for or the flights are too short.
         quality: repairs and data-compatibility findings, one sentence each.
     """
 
@@ -140,6 +141,7 @@ class Identification:
     validation: tuple[Validation, ...] = ()
     revealed: tuple[Revealed, ...] = ()
     disturbance: TurningDisturbance | None = None
+    prediction: Mapping[str, Any] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """The document ``identify --json`` prints (flight-bundle.md)."""
@@ -163,6 +165,7 @@ class Identification:
             },
             "not_identifiable": list(self.not_identifiable),
             "remedies": dict(self.not_identifiable),
+            "prediction": dict(self.prediction),
             "revealed": [each.to_dict() for each in self.revealed],
             "warnings": list(self.warnings),
             "bound": dict(self.bound),

@@ -25,6 +25,7 @@ from groundstation.frames import (
     quat_rotate_inverse,
 )
 from groundstation.model.disturbance import Carried, TurningDisturbance, carried, fading, gains
+from groundstation.model.predictive import PredictiveModel, simulate
 from groundstation.model.rotors import (
     MotorInput,
     cumulative,
@@ -166,6 +167,7 @@ class Prediction:
     error: Mapping[str, Mapping[str, Mapping[str, Mapping[str, float]]]]
     start_s: Array
     final: Mapping[str, Array]
+    predictor: str = "the physical model"
 
     def to_dict(self) -> dict[str, Any]:
         """The document ``predict --json`` prints (flight-bundle.md)."""
@@ -173,14 +175,30 @@ class Prediction:
             "schema": "groundstation.prediction/1",
             "horizon_s": self.horizon_s,
             "windows": self.windows,
+            "predictor": self.predictor,
+            "worse_than_constant_velocity": [f"{q} at {h} s" for h, q in self.worse()],
             "error": {
                 k: {h: {q: dict(v) for q, v in e.items()} for h, e in by.items()} for k, by in self.error.items()
             },
         }
 
+    def worse(self) -> list[tuple[str, str]]:
+        """Horizons and quantities in which the model errs more (by 2 %, more than rounding) than constant velocity does."""
+        still = self.error["constant_velocity"]
+        return [
+            (h, q)
+            for h, by in self.error["model"].items()
+            for q, e in by.items()
+            if q in still[h] and e["mean_norm"] > 1.02 * still[h][q]["mean_norm"] + 1e-12
+        ]
+
     def to_text(self) -> str:
         """A table of RMS errors at each horizon."""
-        lines = [f"{self.windows} windows, RMS error of the open-loop prediction"]
+        worse = ", ".join(f"{q} at {h} s" for h, q in self.worse())
+        lines = [
+            *([f"WORSE than constant velocity in this flight: {worse}"] if worse else []),
+            f"{self.windows} windows, RMS error of the open-loop prediction by {self.predictor}",
+        ]
         for horizon in self.error["model"]:
             lines.append(f"  after {horizon} s")
             for quantity in self.error["model"][horizon]:
@@ -196,13 +214,21 @@ class Prediction:
 
 
 def predict(
-    model: VehicleModel,
+    model: VehicleModel | PredictiveModel | None,
     states: FlightStates,
     *,
     horizon_s: float = 0.5,
+    predictor: str = "the physical model",
     progress: Callable[[float, str], None] = lambda fraction, text: None,
 ) -> Prediction:
     """Simulate ahead from every window's start with the identified, the declared and the constant-velocity model.
+
+    Args:
+        model: physical or predictive; None is constant velocity itself.
+        states: of the flight.
+        horizon_s: how far.
+        predictor: what the model is called.
+        progress: told the fraction done.
 
     Raises:
         BadInput: the horizon is not between 0.01 s and 10 s.
@@ -223,15 +249,24 @@ def predict(
     error: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
     final: dict[str, Array] = {}
     predictors = {"model": model, "nominal": declared_model(states.vehicle), "constant_velocity": None}
-    for number, (name, predictor) in enumerate(predictors.items()):
+    for number, (name, each) in enumerate(predictors.items()):
         progress(number / 3.0, f"predicting with {name}")
-        path = (
-            _constant(states, index, horizons) if predictor is None else _simulate(predictor, states, index, horizons)
-        )
+        path = _path(each, states, index, horizons)
         error[name] = {f"{h:g}": _errors(states, t[index] + h, path[h]) for h in horizons}
         if name == "model":
             final = path[horizons[-1]]
-    return Prediction(horizon_s, len(index), error, t[index], final)
+    return Prediction(horizon_s, len(index), error, t[index], final, predictor)
+
+
+def _path(
+    model: VehicleModel | PredictiveModel | None, states: FlightStates, index: NDArray[np.int64], horizons: list[float]
+) -> dict[float, dict[str, Array]]:
+    """The states that any kind of model predicts."""
+    if model is None:
+        return _constant(states, index, horizons)
+    if isinstance(model, PredictiveModel):
+        return simulate(model, states, index, horizons)
+    return _simulate(model, states, index, horizons)
 
 
 def error_norms(
