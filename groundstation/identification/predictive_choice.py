@@ -106,6 +106,11 @@ def summary(found: Judgement) -> str:
     )
 
 
+def chosen_name(document: Mapping[str, Any]) -> str:
+    """What the predictor of a model file is called."""
+    return WORDS.get(document.get("prediction", {}).get("candidate", "physical"), "the model")
+
+
 def chosen_predictor(document: Mapping[str, Any], physical: VehicleModel) -> Any:
     """What a model file's ``[prediction]`` section asks to predict with; None stands for constant velocity.
 
