@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.analysis.documents import finite, refusal, write_json
+from groundstation.diagnosis.published import published
 from groundstation.diagnosis.results import Diagnosis
 from groundstation.errors import GroundStationError, NotIdentifiable, Refused
 from groundstation.flightdata import FlightData
@@ -113,6 +114,7 @@ def analyse(
     write_identification(folder, identification, flights[0].vehicle)
     write_json(folder / "evolution.json", evolution(flights[0]))
     diagnosis = _diagnose(flights, options, lambda f, text: progress(0.55 + 0.35 * f, text))
+    diagnosis = published(diagnosis, identification.not_identifiable)
     diagnosis, plan = with_next_flight(folder, diagnosis, flights[0].vehicle)
     identification = with_augmented_loop(flights[0], identification, diagnosis, options)
     files = write_identification(folder, identification, flights[0].vehicle, diagnosis)

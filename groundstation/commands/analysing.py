@@ -105,8 +105,9 @@ def diagnose(
     loaded = load_flights(flights, vehicle, start_s, end_s)
     references, judges = load_flights(reference, vehicle), load_flights(held_out, vehicle)
     from groundstation import api
-    from groundstation.analysis.analyse import with_next_flight
+    from groundstation.analysis.analyse import with_next_flight, write_identification
     from groundstation.analysis.documents import write_json
+    from groundstation.diagnosis.published import published
     from groundstation.reporting.exports import read_model
 
     known = None if model is None else read_model(model, loaded[0].vehicle if vehicle is not None else None)
@@ -114,9 +115,18 @@ def diagnose(
     found = api.diagnose(
         loaded, exclude=left_out, references=references, held_out=judges, model=known, progress=line.fraction
     )
+    try:
+        base, refused = api.identify(loaded, exclude=left_out, progress=line.fraction), ""
+    except Refused as error:
+        base, refused = None, f"no model file: {error}"
     line.end()
     folder = result_folder(flights[0], logs)
     folder.mkdir(parents=True, exist_ok=True)
+    if base is not None:
+        found = published(found, base.not_identifiable)
+        files = write_identification(folder, base, loaded[0].vehicle, found)
+    else:
+        files = {}
     found, plan = with_next_flight(folder, found, loaded[0].vehicle)
     written = write_json(folder / "diagnosis.json", found.to_dict())
     lines = [
@@ -128,7 +138,9 @@ def diagnose(
         ),
         *(f"warning: {text}" for text in found.warnings),
         *([f"next flight: {found.next_flight}"] if found.next_flight else []),
+        *([refused] if refused else []),
         f"written: {written}",
+        *(f"written: {path}" for path in files.values()),
         *([f"written: {plan}"] if plan is not None else []),
     ]
     return Result(found.to_dict(), "\n".join(lines), Refused.exit_status if found.verdict == "refused" else 0)

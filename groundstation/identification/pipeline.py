@@ -22,6 +22,7 @@ from groundstation.identification.identifiability import (
     unsettled,
 )
 from groundstation.identification.instrumental import instrumental
+from groundstation.identification.physical_limits import outside
 from groundstation.identification.prediction_error import Fitted, fit, fit_from_declared, output_error
 from groundstation.identification.predictive_choice import physical_model, prediction_section
 from groundstation.identification.preparation import Prepared, damping_terms, prepare_all
@@ -237,6 +238,11 @@ def identify(
         )
     _, constants = anchored(vehicle, best.names, best.values, best.covariance)
     model = {**constants, **_model(best, prepared[0])}
+    impossible = outside(vehicle, methods[name].parameters, model)
+    hidden |= impossible
+    warnings += [f"{key}: {text}." for key, text in impossible.items()]
+    methods = {key: method.without(impossible) for key, method in methods.items()}
+    model = {key: estimate for key, estimate in model.items() if key not in impossible}
     if vehicle.identification.anchor == "mass" and vehicle.rotors.input != "wrench":
         hidden["torque_to_thrust_m"] = (
             "a measured reaction torque: yaw torque and yaw inertia scale together, weighing does not fix them"
@@ -309,6 +315,12 @@ def _reason(fitted: DynamicFit) -> str:
         if size < DISAGREES
         else f"FE differs by {size:.1f} standard deviations in {worst}: feedback or noisy rotor speeds bias it"
     )
+    flights = [item.flight for item in fitted.prepared]
+    if any(flight.plan is None and flight.setpoint is None for flight in flights):
+        return (
+            "IV: neither plan nor setpoints are recorded, and the smoothed path flown is the instrument: noisy rotor speeds do not "
+            f"bias it, but it is not immune to feedback from disturbances; {verdict}."
+        )
     return f"IV: the plan is known, so it is immune to feedback from disturbances; {verdict}."
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,10 @@ class MethodResult:
     rms_output_error: Mapping[str, float] = field(default_factory=dict)
     evolution: Evolution | None = None
     note: str = ""
+
+    def without(self, names: Collection[str]) -> MethodResult:
+        """The same without some of its parameters."""
+        return replace(self, parameters={key: value for key, value in self.parameters.items() if key not in names})
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form of flight-bundle.md."""

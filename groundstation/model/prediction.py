@@ -106,6 +106,8 @@ def model_from_document(document: Mapping[str, Any], vehicle: Vehicle, wrench: W
             [entry("xz"), entry("yz"), entry("zz")],
         ]
     )
+    if not all(f"i{name}_kg_m2" in values for name in ("xx", "yy", "zz", "xy", "xz", "yz")):
+        tensor = nearest_mixture(tensor, vehicle.inertia_tensor())
     if np.linalg.eigvalsh(tensor)[0] <= 0.0:
         raise BadInput("the model's inertia tensor is not positive definite; identify on a flight that reveals it.")
     lagged = {k: v["value"] for k, v in document.get("effects", {}).get("motor_lag", {}).items()} | {
@@ -138,6 +140,18 @@ def model_from_document(document: Mapping[str, Any], vehicle: Vehicle, wrench: W
         wrench=wrench,
         disturbance=TurningDisturbance.from_dict(document["disturbance"]) if "disturbance" in document else None,
     )
+
+
+def nearest_mixture(tensor: Array, declared: Array) -> Array:
+    """A tensor that is partly measured, with as much of the declared one as makes a rigid body of it, shape (3, 3).
+
+    Moments must be positive and obey the triangle inequality: the second moment of mass tr(J)/2 1 - J is positive definite.
+    """
+    for share in np.linspace(0.0, 1.0, 21):
+        mixed = (1.0 - share) * tensor + share * declared
+        if np.linalg.eigvalsh(0.5 * np.trace(mixed) * np.eye(3) - mixed)[0] > 0.0:
+            return np.asarray(mixed, dtype=float)
+    return declared
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,7 +291,23 @@ def predict(
         error[name] = {f"{h:g}": _errors(states, t[index] + h, path[h]) for h in horizons}
         if name == "model":
             final = path[horizons[-1]]
+            _refuse_what_ran_away(error[name], final, states)
     return Prediction(horizon_s, len(index), error, t[index], final, predictor)
+
+
+def _refuse_what_ran_away(
+    error: Mapping[str, Mapping[str, Mapping[str, float]]], final: Mapping[str, Array], states: FlightStates
+) -> None:
+    """A prediction without a number for what is known is a refusal, not an empty field."""
+    for horizon, quantities in error.items():
+        told = QUANTITIES if np.isfinite(states.quaternion).all(axis=1).any() else QUANTITIES[3:]
+        missing = [q for q in told if q not in quantities or not np.isfinite(quantities[q]["mean_norm"])]
+        lost = np.mean(~np.isfinite(final["rate"]).all(axis=1))
+        if missing or lost > 0.0:
+            raise Refused(
+                f"the model runs away: {horizon} s ahead it has no finite {missing[0] if missing else 'body rate'} in this flight.",
+                "Predict with the [prediction] section (`--use prediction`), or identify again from livelier flights.",
+            )
 
 
 def _path(

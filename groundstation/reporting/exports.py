@@ -45,7 +45,8 @@ def model_document(
     parameters = dict(best.parameters) if best is not None else {}
     effects: dict[str, dict[str, dict[str, float]]] = {}
     if diagnosis is not None and diagnosis.findings:
-        parameters |= diagnosis.parameters_after
+        hidden = identification.not_identifiable  # what one flight hides no finding reveals
+        parameters |= {name: value for name, value in diagnosis.parameters_after.items() if name not in hidden}
         for finding in diagnosis.findings:
             again = sum(name.partition("/")[0] == finding.effect for name in effects)
             entry = effects[f"{finding.effect}/{again + 1}" if again else finding.effect] = _values(finding.parameters)
