@@ -93,7 +93,7 @@ def test_no_flight_is_explained_where_a_channel_got_worse() -> None:
 
 
 def test_no_flight_is_explained_on_an_unrevealed_base() -> None:
-    hidden = dict.fromkeys(("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2"), "turn")
+    hidden: dict[str, str] = dict.fromkeys(("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2"), "turn")
     assert published(diagnosed(0.5), hidden).verdict == "unexplained"
 
 
