@@ -141,6 +141,7 @@ class Identification(Tabular):
     validation: tuple[Validation, ...] = ()
     revealed: tuple[Revealed, ...] = ()
     disturbance: TurningDisturbance | None = None
+    declarations: tuple[Mapping[str, Any], ...] = ()
 
     def records(self) -> list[Record]:
         """One row per parameter: the best method's estimate with its 95 % interval; None where the flight does not tell."""
@@ -179,6 +180,7 @@ class Identification(Tabular):
             "not_identifiable": list(self.not_identifiable),
             "remedies": dict(self.not_identifiable),
             "revealed": [each.to_dict() for each in self.revealed],
+            "declarations": [dict(check) for check in self.declarations],
             "warnings": list(self.warnings),
             "bound": dict(self.bound),
             "window_s": list(self.window_s),
