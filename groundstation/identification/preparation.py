@@ -339,7 +339,8 @@ def _aligned(flight: FlightData, imu: Stream, pose: Stream, notes: list[str]) ->
     expected = arrival_difference(pose, imu)
     t, gyro, accel = imu.t_s, imu.values[:, :3], imu.values[:, 3:6]
     try:
-        offset, _ = coarse_offset(t, gyro, pose.t_s, pose.values[:, 3:7], expected_s=expected or 0.0)
+        source = "motion capture" if flight.mocap is not None else "the vehicle's own attitude"
+        offset, _ = coarse_offset(t, gyro, pose.t_s, pose.values[:, 3:7], expected_s=expected or 0.0, source=source)
     except Refused as refusal:
         notes.append(f"The poses are left out: {refusal}")
         return None, 0.0

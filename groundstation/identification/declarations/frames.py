@@ -15,11 +15,11 @@ from groundstation.identification.declarations.signals import (
     STEP_S,
     alike,
     in_words,
+    long_enough,
     on_grid,
     passed,
     signed_permutations,
 )
-from groundstation.identification.processing import clean
 from groundstation.identification.reconstruction import slerp
 
 Array = NDArray[np.float64]
@@ -46,22 +46,18 @@ def read_as(quaternion: Array, reading: str) -> Array:
 def frame_checks(flight: FlightData) -> list[Check]:
     """Checks of the pose stream ("quaternion", "body_frame", "world_frame", "position_unit") and of the state's velocity."""
     found: list[Check] = []
-    pose = None if flight.mocap is None or len(flight.mocap) < 100 else clean(flight.mocap)
-    if pose is None and flight.state is not None and len(flight.state) >= 100:
-        state = clean(flight.state)
-        pose = Stream(state.t_s, state.values[:, [0, 1, 2, 6, 7, 8, 9]], ())
-    if flight.state is not None and len(flight.state) >= 100:
-        found += _velocity(clean(flight.state))
-    if pose is None:
+    pose, state, imu = (long_enough(stream) for stream in (flight.mocap, flight.state, flight.imu))
+    if state is not None:
+        found += _velocity(state)
+        pose = pose or Stream(state.t_s, state.values[:, [0, 1, 2, 6, 7, 8, 9]], ())
+    if pose is None or imu is None:
         return found
     mounting = quat_exp(np.asarray(flight.vehicle.mocap.rotation_rad))
-    if flight.imu is not None and len(flight.imu) >= 100:
-        imu = clean(flight.imu)
-        reading, offset, checks = _attitude(imu, pose, mounting)
-        found += checks
-        if offset is not None:
-            quaternion = quat_multiply(read_as(pose.values[:, 3:7], reading), quat_conjugate(mounting))
-            found += _world(imu, pose, quaternion, offset, flight.vehicle.gravity_m_s2)
+    reading, offset, checks = _attitude(imu, pose, mounting)
+    found += checks
+    if offset is not None:
+        quaternion = quat_multiply(read_as(pose.values[:, 3:7], reading), quat_conjugate(mounting))
+        found += _world(imu, pose, quaternion, offset, flight.vehicle.gravity_m_s2)
     return found
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.identification.declarations.check import Check
-from groundstation.identification.declarations.signals import STEP_S, Flown, apart, passed, similarity
+from groundstation.identification.declarations.signals import SHORTEST_S, STEP_S, Flown, apart, passed, similarity
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ def orders(count: int) -> list[tuple[int, ...]]:
 
 def rotor_checks(flown: Flown, vehicle: Vehicle) -> list[Check]:
     """Checks "rotor_order" and "rotor_spin"."""
-    if flown.thrust is None or flown.rate is None:
+    if flown.thrust is None or flown.rate is None or flown.used.sum() * STEP_S < SHORTEST_S:
         return []
     thrust = passed(flown.thrust)
     turning = passed(np.gradient(flown.rate, STEP_S, axis=0))

@@ -16,6 +16,8 @@ from groundstation.identification.wrench import voltage_ratio
 Array = NDArray[np.float64]
 
 STEP_S = 0.01
+SHORTEST_S = 3.0
+"""Of a stream that a check can go by: the slowest manoeuvre in its band, once."""
 BAND_HZ = (0.3, 8.0)
 PARTS = 12
 
@@ -49,6 +51,12 @@ def passed(values: Array, band_hz: tuple[float, float] = BAND_HZ) -> Array:
 def on_grid(grid: Array, t_s: Array, values: Array) -> Array:
     """Linear interpolation of columns, (k, d)."""
     return np.stack([np.interp(grid, t_s, column) for column in values.T], axis=-1)
+
+
+def long_enough(stream: Stream | None) -> Stream | None:
+    """A stream's good samples; None where they are too few or too short."""
+    kept = None if stream is None or len(stream) < 100 else clean(stream)
+    return kept if kept is not None and len(kept) >= 100 and kept.t_s[-1] - kept.t_s[0] >= SHORTEST_S else None
 
 
 def similarity(first: Array, second: Array) -> float:
@@ -103,7 +111,7 @@ def flown(flight: FlightData) -> Flown:
 
     motors = clean(flight.motors)
     stretches = flown_stretches(flight, 0.0)
-    imu = None if flight.imu is None or len(flight.imu) < 50 else clean(flight.imu)
+    imu = long_enough(flight.imu)
     offset = 0.0
     if imu is not None and not one_clock(flight):
         offset = arrival_difference(flight.motors, imu) or 0.0
@@ -125,7 +133,7 @@ def flown(flight: FlightData) -> Flown:
 
 def _rates_of(flight: FlightData) -> Stream | None:
     """Rates of the vehicle's own state, where there is no IMU."""
-    if flight.state is None or len(flight.state) < 50:
+    state = long_enough(flight.state)
+    if state is None:
         return None
-    state = clean(flight.state)
     return Stream(state.t_s, state.values[:, 10:13], ("x", "y", "z"))
