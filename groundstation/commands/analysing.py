@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 
@@ -93,6 +93,7 @@ def identify(
     truth = loaded[0].truth.parameters() if loaded[0].truth is not None else {}
     lines = [
         *first_of_all(document),
+        *([f"prediction: {found.prediction['summary']}"] if found.prediction else []),
         *dict.fromkeys(found.quality),
         *(f"warning: {text}" for text in found.warnings if not text.startswith("declaration ")),
         f"best: {found.best}" + (f" ({found.best_reason})" if found.best_reason else ""),
@@ -132,8 +133,9 @@ def diagnose(
     go_on(loaded, accepted)
     references, judges = load_flights(reference, vehicle), load_flights(held_out, vehicle)
     from groundstation import api
-    from groundstation.analysis.analyse import with_next_flight
+    from groundstation.analysis.analyse import with_next_flight, write_identification
     from groundstation.analysis.documents import write_json
+    from groundstation.diagnosis.published import published
     from groundstation.reporting.exports import read_model
 
     known = None if model is None else read_model(model, loaded[0].vehicle if vehicle is not None else None)
@@ -142,8 +144,17 @@ def diagnose(
         found = api.diagnose(
             loaded, exclude=left_out, references=references, held_out=judges, model=known, progress=line.fraction
         )
+        try:
+            base, refused = api.identify(loaded, exclude=left_out, progress=line.fraction), ""
+        except Refused as error:
+            base, refused = None, f"no model file: {error}"
     folder = result_folder(flights[0], logs)
     folder.mkdir(parents=True, exist_ok=True)
+    if base is not None:
+        found = published(found, base.not_identifiable)
+        files = write_identification(folder, base, loaded[0].vehicle, found)
+    else:
+        files = {}
     found, plan = with_next_flight(folder, found, loaded[0].vehicle)
     written = write_json(folder / "diagnosis.json", found.to_dict())
     lines = [
@@ -156,7 +167,9 @@ def diagnose(
         ),
         *(f"warning: {text}" for text in found.warnings if not text.startswith("declaration ")),
         *([f"next flight: {found.next_flight}"] if found.next_flight else []),
+        *([refused] if refused else []),
         f"written: {written}",
+        *(f"written: {path}" for path in files.values()),
         *([f"written: {plan}"] if plan is not None else []),
     ]
     return Result(found.to_dict(), "\n".join(lines), Refused.exit_status if found.verdict == "refused" else 0)
@@ -223,6 +236,8 @@ def report(
 @click.option("--horizon", type=float, default=0.5, show_default=True, help="Seconds to predict.")
 @click.option("--state", type=click.Choice(["smoothed", "own"]), default="smoothed", show_default=True,
               help="Start from and judge by the smoothed state, or the vehicle's own estimate.")  # fmt: skip
+@click.option("--use", type=click.Choice(["prediction", "physical"]), default="prediction", show_default=True,
+              help="The model that predicts best, or the physical one; without a [prediction] section it is the physical one.")  # fmt: skip
 @click.option("--save", type=click.Path(path_type=Path, dir_okay=False), default=None, help="CSV of predicted states.")
 @click.option("--vehicle", default=None, help="Vehicle file or shipped name; overrides the recorded one.")
 @click.option("--from", "start_s", type=float, default=None, help="Use the flight from this time on, s.")
@@ -233,6 +248,7 @@ def predict(
     flight: Path,
     horizon: float,
     state: str,
+    use: str,
     save: Path | None,
     vehicle: str | None,
     start_s: float | None,
@@ -245,7 +261,8 @@ def predict(
 
     line = ProgressLine()
     document = read_model(model, loaded.vehicle if vehicle is not None else None)
-    found = api.predict(document, loaded, horizon_s=horizon, own_state=state == "own", progress=line.fraction)
+    kind: Literal["prediction", "physical"] = "physical" if use == "physical" else "prediction"
+    found = api.predict(document, loaded, horizon_s=horizon, own_state=state == "own", use=kind, progress=line.fraction)
     line.end()
     if save is not None:
         from groundstation.recording.csvfile import write_csv

@@ -8,6 +8,7 @@ A *model document* is a plain dictionary that carries everything a prediction ne
      "model": {"rotor_lag_up_s": {"value": 0.045, "std": 0.001}},
      "effects": {"rotor_drag": {"d_x_kg_s": {"value": 0.3, "std": 0.01}}},
      "disturbance": {"acceleration_rad_s2": [1.2, 1.3, 0.4], ...},  # what turns it besides (model/disturbance.py)
+     "prediction": {"kind": "fitted", ...},          # what predicts best (model/predictive.py); exports take the physical part
      "not_identifiable": ["com_offset_z_m"]}
 
 An effect that is found more than once (two weak rotors) has the later ones under "weak_rotor/2" and so on. Settings of an effect
@@ -44,7 +45,8 @@ def model_document(
     parameters = dict(best.parameters) if best is not None else {}
     effects: dict[str, dict[str, dict[str, float]]] = {}
     if diagnosis is not None and diagnosis.findings:
-        parameters |= diagnosis.parameters_after
+        hidden = identification.not_identifiable  # what one flight hides no finding reveals
+        parameters |= {name: value for name, value in diagnosis.parameters_after.items() if name not in hidden}
         for finding in diagnosis.findings:
             again = sum(name.partition("/")[0] == finding.effect for name in effects)
             entry = effects[f"{finding.effect}/{again + 1}" if again else finding.effect] = _values(finding.parameters)
@@ -60,6 +62,7 @@ def model_document(
         "model": _values(identification.model),
         "effects": effects,
         **({} if identification.disturbance is None else {"disturbance": identification.disturbance.to_dict()}),
+        **({"prediction": dict(identification.prediction)} if identification.prediction else {}),
         "not_identifiable": list(identification.not_identifiable),
     }
 
@@ -91,6 +94,7 @@ def model_from_identification_json(document: Mapping[str, Any], vehicle: Vehicle
         "parameters": values(methods[best]["parameters"]),
         "model": values(document.get("model", {})),
         "effects": {},
+        **({"prediction": document["prediction"]} if document.get("prediction") else {}),
         "not_identifiable": list(document.get("not_identifiable", [])),
     }
 
