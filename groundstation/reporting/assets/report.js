@@ -99,7 +99,7 @@
       });
       line.append(button);
     }
-    place.after(line);
+    place.append(line);
   });
   const unfold = () => {
     const target = location.hash && document.getElementById(location.hash.slice(1));
