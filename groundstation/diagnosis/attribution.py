@@ -12,22 +12,26 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.discrepancy import FORM, Discrepancy, allowance
 from groundstation.diagnosis.effect import Effect, library
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, Solution
+from groundstation.diagnosis.rivals import (
+    INSEPARABLE,
+    INSTANTS,
+    Entry,
+    Kind,
+    kind_of,
+    material,
+    plausible,
+    posterior,
+    preferred,
+)
 from groundstation.diagnosis.whitening import orthonormal
 from groundstation.identification.record_model import CHANNELS
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-Entry = tuple[Candidate, Columns]
-Kind = tuple[str, float | None]
-"""An effect, and of which rotor: what a finding names, whatever its instant or length."""
 
 CHANCE = 1e-5
 """Chance that noise alone would name an effect, shared by its variants; fixed before any study was run."""
-INSEPARABLE = 9.0
-"""Two explanations whose evidence differs by less than this (three standard deviations) are not told apart."""
-MATERIAL = 5e-4
-"""Least RMS of an effect that is a finding, as a share of weight (forces) or of weight times arm (torques)."""
 MOST = 6
 CLOSER = 4
 """How often an instant, a length or a curve is looked at more closely."""
@@ -64,33 +68,6 @@ def candidates(vehicle: Vehicle, signals: Signals, effects: Iterable[Effect] | N
     ]
 
 
-def kind_of(entry: Entry) -> Kind:
-    """What a candidate would name."""
-    candidate, _ = entry
-    return candidate.identifier, candidate.settings.get("rotor")
-
-
-def material(evidence: Evidence, columns: Columns, values: Array) -> bool:
-    """Whether an effect of these values is large enough to matter to anyone."""
-    vehicle = evidence.flights[0].prepared.record.vehicle
-    weight = vehicle.mass_kg * vehicle.gravity_m_s2
-    size = np.abs(columns.wrench_rms @ np.abs(values))
-    scale = np.array([weight] * 3 + [weight * vehicle.arm_m()] * 3)
-    return bool(np.any(size / scale > MATERIAL))
-
-
-def plausible(candidate: Candidate, values: Array, covariance: Array) -> bool:
-    """Values within the physical range, two standard deviations allowed."""
-    std = np.sqrt(np.diag(covariance))
-    ranges = [p.plausible for p in candidate.effect.parameters]
-    return all(low - 2.0 * s <= v <= high + 2.0 * s for v, s, (low, high) in zip(values, std, ranges, strict=True))
-
-
-def posterior(rivals: Sequence[float]) -> float:
-    """Share of an explanation among rivals (chance is one) whose evidence stands this far from its own, as chi squared."""
-    return float(1.0 / (1.0 + np.sum(np.exp(0.5 * np.clip(rivals, -200.0, 0.0)))))
-
-
 class Selection:
     """Forward selection over columns computed once.
 
@@ -123,6 +100,7 @@ class Selection:
         self.lag = self.discrepancy.of_lag(evidence.solve(self.baseline))
         self.variants = Counter(c.identifier for c, _ in self.pool) if variants is None else variants
         self._thresholds: dict[tuple[int, int], float] = {}
+        self._alone: dict[frozenset[int], Array] = {}
         self._beaten: list[tuple[set[Kind], float]] = []
 
     def _threshold(self, candidate: Candidate, columns: Columns, members: Sequence[int] | None = None) -> float:
@@ -133,12 +111,19 @@ class Selection:
             self._thresholds[key] = self.evidence.threshold(columns, chance, members)
         return self._thresholds[key]
 
+    def _cost(self, entry: Entry) -> float:
+        """What an entry has to explain in a contest: what chance gives it, and what an instant gives that was looked for.
+
+        The search for an instant is one more parameter, which costs the logarithm of the number of rows (Schwarz 1978), about as
+        much as INSEPARABLE: a rotor that was weak all along is not one that failed early for less.
+        """
+        return self._threshold(*entry) + (INSEPARABLE if INSTANTS.intersection(entry[0].settings) else 0.0)
+
     def _margins(self, chosen: Sequence[Entry], members: Sequence[int] | None = None) -> list[float]:
         """Margin of each member (or of some) over chance and over the others' form errors; -inf if implausible or immaterial."""
         solution = self.evidence.solve([*self.baseline, *chosen])
         offset = sum(len(c.effect.parameters) for c, _ in self.baseline)
         energies = self.discrepancy.energies(chosen, solution, offset)
-        total = energies.sum(axis=0) + self.lag
         out = []
         for index, (candidate, columns) in enumerate(chosen):
             first, offset = offset, offset + len(candidate.effect.parameters)
@@ -152,11 +137,25 @@ class Selection:
             ):
                 out.append(-np.inf)
                 continue
-            others = total - energies[index]
+            others = self._without(chosen, index)
             telling = candidate.effect.telling()
             least = self._threshold(candidate, columns, telling) + allowance(energies[index], others)
             out.append(solution.wald(first, telling) - least)
         return out
+
+    def _without(self, chosen: Sequence[Entry], index: int) -> Array:
+        """Energy by channel, shape (6,), of lag and the other members as they are estimated without one.
+
+        What their formulas may leave to it is theirs where it is not there: beside it, two that are alike nearly cancel, and their
+        energies mean nothing.
+        """
+        rest = [*chosen[:index], *chosen[index + 1 :]]
+        key = frozenset(columns.number for _, columns in rest)
+        if key not in self._alone:
+            solution = self.evidence.solve([*self.baseline, *rest])
+            first = sum(len(c.effect.parameters) for c, _ in self.baseline)
+            self._alone[key] = self.discrepancy.energies(rest, solution, first).sum(axis=0) + self.lag
+        return self._alone[key]
 
     def _is_founded(self, candidate: Candidate, chosen: Sequence[Entry]) -> bool:
         """Whether one of the effects that it rests on is there, or it rests on none."""
@@ -184,24 +183,23 @@ class Selection:
         if not found:
             return found
         rivals = self._from_other_starts(found)
-        scores, _ = self._scores([found, *rivals])
-        best = int(np.argmax(scores))
-        if scores[best] - scores[0] > INSEPARABLE:
+        best = preferred([found, *rivals], *self._scores([found, *rivals]))
+        if best > 0:
             polished = self._selected(self._polished(rivals[best - 1]))
             if polished:
                 rivals = [found, *rivals]
                 found = polished
         scores, misfit = self._scores([found, *rivals])
-        self._beaten = [
-            ({kind_of(e) for e in rival}, (score - scores[0]) / misfit)
-            for rival, score in zip(rivals, scores[1:], strict=True)
-        ]
+        own = {kind_of(entry) for entry in found}
+        beaten = [({kind_of(e) for e in rival}, score) for rival, score in zip(rivals, scores[1:], strict=True)]
+        # A set that is one exchange away contests that place, and is counted there.
+        self._beaten = [(kinds, (score - scores[0]) / misfit) for kinds, score in beaten if len(kinds ^ own) > 2]
         return found
 
     def _scores(self, sets: Sequence[Sequence[Entry]]) -> tuple[list[float], float]:
         """What each set explains beyond what chance could give each of its members; and the misfit of the best."""
         result = self.evidence.contest([[*self.baseline, *chosen] for chosen in sets])
-        costs = [sum(self._threshold(*entry) for entry in chosen) for chosen in sets]
+        costs = [sum(map(self._cost, chosen)) for chosen in sets]
         return [fall - cost for fall, cost in zip(result.falls, costs, strict=True)], result.misfit
 
     def _from_other_starts(self, found: Sequence[Entry]) -> list[list[Entry]]:
@@ -355,7 +353,7 @@ class Selection:
         result = self.evidence.contest([rest, *sets])
         falls = result.falls
         return [
-            (entry, fall - falls[0] - self._threshold(*entry))
+            (entry, fall - falls[0] - self._cost(entry))
             for entry, fall in zip((chosen[index], *rivals), falls[1:], strict=True)
         ], result.misfit
 

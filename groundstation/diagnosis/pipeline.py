@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.attribution import Entry, Named, Selection, candidates
+from groundstation.diagnosis.attribution import Named, Selection, candidates
 from groundstation.diagnosis.augmented import is_among
 from groundstation.diagnosis.comparison import (
     as_declared,
@@ -28,6 +28,7 @@ from groundstation.diagnosis.linearisation import linearisation
 from groundstation.diagnosis.next_flight import rival_entries
 from groundstation.diagnosis.proposal import with_proposals
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
+from groundstation.diagnosis.rivals import Entry
 from groundstation.diagnosis.scale import scale_findings
 from groundstation.diagnosis.screen import dependences, unexplained
 from groundstation.diagnosis.timing import lag_findings

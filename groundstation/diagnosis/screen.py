@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.attribution import MATERIAL
 from groundstation.diagnosis.discrepancy import FORM, Discrepancy
 from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, from_thrust
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
 from groundstation.diagnosis.results import Unexplained
+from groundstation.diagnosis.rivals import MATERIAL
 from groundstation.frames import euler_from_quat
 from groundstation.identification.record_model import CHANNELS
 from groundstation.model.signals import Signals
