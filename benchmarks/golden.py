@@ -35,6 +35,7 @@ from groundstation.flightdata import FlightData
 from groundstation.identification.pipeline import identify
 from groundstation.identification.preparation import flight_states
 from groundstation.model.prediction import model_from_document, predict
+from groundstation.options import AnalysisOptions
 from groundstation.paths import find_config
 from groundstation.planning import plan_excitation
 from groundstation.recording import load_flight
@@ -132,7 +133,7 @@ def fingerprint(flight: FlightData) -> dict[str, str]:
 def results(flight: FlightData, unseen: FlightData, references: tuple[FlightData, ...] = ()) -> dict[str, Any]:
     """Everything that is found of one flight, and a prediction of another."""
     identification = identify([flight])
-    diagnosis = diagnose([flight], references=references)
+    diagnosis = diagnose([flight], AnalysisOptions(references=references))
     document = model_document(identification, flight.vehicle)
     prediction = predict(model_from_document(document, flight.vehicle), flight_states(unseen), horizon_s=0.3)
     series = {
@@ -200,7 +201,7 @@ def hover_thrusts() -> dict[str, Any]:
     folders = ("cut_propeller_M3_4mm_4mm_39mm/E8_log00", "normal_flight/E9_log00", "normal_flight/E9_log01")
     cut, *healthy = (recorded(f"crazypad/{folder}", vehicle, None, None) for folder in folders)
     return {"input": [fingerprint(each) for each in (cut, *healthy)]} | {
-        "diagnose": diagnose([cut], references=healthy).to_dict()
+        "diagnose": diagnose([cut], AnalysisOptions(references=tuple(healthy))).to_dict()
     }
 
 
