@@ -57,7 +57,7 @@ def identify(
     left_out = tuple(seconds_pair(pair) for pair in exclude)
     loaded = load_flights(flights, vehicle, start_s, end_s)
     from groundstation import api
-    from groundstation.analysis.analyse import write_identification
+    from groundstation.analysis.analyse import identification_document, write_identification
     from groundstation.flight.client.rehearse import result_table
 
     line = ProgressLine()
@@ -66,7 +66,7 @@ def identify(
     folder = result_folder(flights[0], logs)
     folder.mkdir(parents=True, exist_ok=True)
     files = write_identification(folder, found, loaded[0].vehicle)
-    document = found.to_dict()
+    document = identification_document(found)
     truth = loaded[0].truth.parameters() if loaded[0].truth is not None else {}
     lines = [
         *loaded[0].notes,
