@@ -7,23 +7,49 @@ from typing import Any
 
 import click
 
-from groundstation.commands.common import Result, example, json_option
+from groundstation.commands.common import Choice, Result, example, json_option, load_vehicle_option
 from groundstation.errors import BadInput
 from groundstation.writing import write_whole
 
 ANY = click.Path(path_type=Path)
+FORMAT_NAMES = (
+    *("toml", "json", "csv", "vehicle", "scenario", "px4-sih", "sdf", "urdf", "mjcf", "rotorpy"),
+    *("ardupilot-sitl", "pybullet", "crazyflow", "agilicious", "webots", "matlab", "ros2"),
+)
+"""Keys of :data:`groundstation.reporting.exports.FORMATS`, which are heavy to import; a test holds the two together."""
+OTHER_NAMES = {
+    "mujoco": "mjcf",
+    "gazebo": "sdf",
+    "px4": "px4-sih",
+    "ros": "ros2",
+    "ardupilot": "ardupilot-sitl",
+    "gym-pybullet-drones": "pybullet",
+    "crazyflie": "crazyflow",
+    "flightmare": "agilicious",
+    "simulink": "matlab",
+}
+"""What people call a format by its reader."""
 
 
 @click.command(epilog=example("groundstation convert flight.mcap bundle/"))
 @click.argument("source", type=ANY)
-@click.argument("target", type=ANY)
+@click.argument("target", type=ANY, required=False)
 @click.option("--vehicle", default=None, help="Vehicle file or shipped name, for a log that carries none.")
+@click.option("--map", "mapped", type=ANY, help="Map file: which columns of any log are which stream.")
+@click.option("--map-template", "template", is_flag=True, help="Print a map file for SOURCE, to be filled in.")
 @json_option
-def convert(source: Path, target: Path, vehicle: str | None) -> Result:
-    """Convert between MCAP recordings and flight bundles; every sample and time stamp is kept."""
+def convert(source: Path, target: Path | None, vehicle: str | None, mapped: Path | None, template: bool) -> Result:
+    """Convert between MCAP recordings and flight bundles, and logs into them; every sample and time stamp is kept."""
+    if template:
+        from groundstation.recording.mapping import template as write
+
+        text = write(source, load_vehicle_option(vehicle))
+        return Result({"schema": "groundstation.map_template/1", "source": str(source), "map": text}, text.rstrip())
+    if target is None:
+        raise BadInput("convert needs a TARGET: an MCAP file (.mcap) or a folder for a flight bundle.")
     from groundstation.recording import convert as run
 
-    lost = run(source, target, vehicle=vehicle)
+    lost = run(source, target, vehicle=vehicle, mapped=mapped)
     document = {
         "schema": "groundstation.convert/1",
         "source": str(source),
@@ -35,9 +61,7 @@ def convert(source: Path, target: Path, vehicle: str | None) -> Result:
 
 @click.command(epilog=example("groundstation export identification.toml --format mjcf --output vehicle.xml"))
 @click.argument("model", type=ANY)
-@click.option(
-    "--format", "form", required=True, help="toml, json, csv, vehicle, px4-sih, sdf, urdf, mjcf, rotorpy or scenario."
-)
+@click.option("--format", "form", required=True, type=Choice(FORMAT_NAMES, OTHER_NAMES), help="What reads it.")
 @click.option("--output", type=click.Path(path_type=Path, dir_okay=False), help="File to write; else standard output.")
 @click.option("--vehicle", default=None, help="Vehicle file or shipped name; overrides the model's.")
 @json_option

@@ -36,11 +36,17 @@ MAVLINK_VEHICLE = "x500"
 @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
 @click.pass_context
 def sim(ctx: click.Context, arguments: tuple[str, ...]) -> None:
-    """Start the simulated drone, on zenoh or (--mavlink) as an autopilot; it takes the arguments below."""
+    """Start the simulated drone as a process that another program flies.
+
+    With --mavlink it is an autopilot on UDP, for `preflight` and `fly`. Without it, it waits for a core on the bus; `rehearse` starts
+    one by itself and needs no `sim`. The arguments follow.
+    """
     from groundstation.flight.children import module_command
 
     rest = [argument for argument in arguments if argument != "--mavlink"]
     mavlink = len(rest) < len(arguments)
+    if not arguments or "-h" in rest:
+        rest = ["--help"]
     if "--help" in rest:
         click.echo(f"{ctx.get_help()}\n")
     elif mavlink and "--vehicle" not in rest:
@@ -182,6 +188,11 @@ def link_options(function: Callable[..., Any]) -> Callable[..., Any]:
         click.option(
             "--plan", "plan_file", type=click.Path(path_type=Path, dir_okay=False), help="Plan; else a new one."
         ),
+        click.option(
+            "--system",
+            type=click.IntRange(1, 255),
+            help="The vehicle's MAVLink system id, where several are on the link.",
+        ),
         click.option("--force", multiple=True, metavar="NAME", help="Fly although this check fails; recorded."),
         click.option(
             "--set-parameters", is_flag=True, help="Set what the flight needs on the vehicle; restored afterwards."
@@ -263,7 +274,16 @@ def fly(
             return _flight_result(fly_plan(**flight, say=line.say, stop=stop, take_over=take_over))
         flight = _link_flight(vehicle, plan_file, logs, line, **link)
         stop.check()
-        flown = fly_plan(**flight, say=line.say, confirm=lambda: yes_simulated or _typed_confirmation(line), stop=stop)
+        try:
+            flown = fly_plan(
+                **flight, say=line.say, confirm=lambda: yes_simulated or _typed_confirmation(line), stop=stop
+            )
+        except Refused as error:
+            how = _offered(str(error), line)
+            if not how:
+                raise
+            flight = _interrupted(vehicle, logs, line, **link)
+            return _flight_result(fly_plan(**flight, say=line.say, stop=stop, take_over=how))
     _fetch_log(link["link"], flight["vehicle"], flown, line, link["key_file"])
     line.end()
     return _flight_result(flown)
@@ -307,6 +327,17 @@ def _fetch_log(url: str, vehicle: Path, flown: FlightResult, line: ProgressLine,
         line.say(f"onboard log: {path}; `groundstation identify {path} --vehicle {vehicle}` uses its rates")
     except (GroundStationError, ConnectionError, ValueError) as error:
         line.say(f"no onboard log ({error}); identified from what came over the link")
+
+
+def _offered(refusal: str, line: ProgressLine) -> str:
+    """What the operator at a terminal wants done with a vehicle that is in flight; empty leaves it to its own failsafe."""
+    from groundstation.flight.messages import IN_FLIGHT
+
+    if not refusal.startswith(IN_FLIGHT) or not sys.stdin.isatty():
+        return ""
+    line.end()
+    print(f"{refusal}\nType LAND or HOLD to take it over, anything else to leave it to its failsafe: ", file=sys.stderr)
+    return {"LAND": "land", "HOLD": "hold"}.get(sys.stdin.readline().strip(), "")
 
 
 def _typed_confirmation(line: ProgressLine) -> bool:

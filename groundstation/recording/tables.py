@@ -58,7 +58,8 @@ class Table:
 
     def column(self, name: str) -> Array:
         """A column as doubles in its own unit, shape (k,)."""
-        values = self.raw(name).astype(float)
+        with np.errstate(invalid="ignore"):  # damaged bytes may be any NaN
+            values = self.raw(name).astype(float)
         factor = self.fields[name][2]
         return values if factor == 1.0 else values * factor
 
@@ -93,6 +94,14 @@ class Table:
         """
         names = next((names for names in choices if all(name in self for name in names)), choices[0])
         return self.columns(*names)
+
+
+def table_of(name: str, columns: Mapping[str, Array], clock: tuple[str, float]) -> Table:
+    """Columns that are in memory already as a table."""
+    matrix = np.ascontiguousarray(np.column_stack(list(columns.values())), dtype="<f8")
+    fields = {field: (8 * i, "<f8", 1.0) for i, field in enumerate(columns)}
+    where = np.arange(len(matrix), dtype=np.int64) * 8 * len(columns)
+    return Table(name, 0, fields, matrix.reshape(-1).view(np.uint8), where, clock)
 
 
 def gather(data: Bytes, where: NDArray[np.int64], kind: str) -> NDArray:

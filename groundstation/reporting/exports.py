@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 from groundstation.errors import BadInput
 from groundstation.identification.results import Estimate, Identification
-from groundstation.reporting import simulators
+from groundstation.reporting import robotics, simulators
 from groundstation.reporting.canonical import canonical, estimate_in
 from groundstation.reporting.identified import Identified, identified_from_document
 from groundstation.reporting.scenario import to_scenario
@@ -158,6 +158,13 @@ FORMATS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "mjcf": _simulator(simulators.to_mjcf),
     "rotorpy": _simulator(simulators.to_rotorpy),
     "scenario": _simulator(to_scenario),
+    "ardupilot-sitl": _simulator(robotics.to_ardupilot_sitl),
+    "pybullet": _simulator(robotics.to_pybullet),
+    "crazyflow": _simulator(robotics.to_crazyflow),
+    "agilicious": _simulator(robotics.to_agilicious),
+    "webots": _simulator(robotics.to_webots),
+    "matlab": _simulator(robotics.to_matlab),
+    "ros2": _simulator(robotics.to_ros2),
 }
 """Writers by the name of the format."""
 

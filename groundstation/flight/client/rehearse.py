@@ -58,6 +58,7 @@ def linked_vehicle(
     force: tuple[str, ...] = (),
     set_parameters: bool = False,
     key_file: Path | None = None,
+    system: int | None = None,
 ) -> tuple[str, ...]:
     """Module and arguments of the link process to a MAVLink vehicle; its raw log goes beside the recording."""
     arguments = ["--link", link, "--vehicle", str(vehicle), "--station", station, "--raw-log", str(folder / "raw.tlog")]
@@ -66,6 +67,8 @@ def linked_vehicle(
         arguments += ["--force", name]
     if set_parameters:
         arguments.append("--set-parameters")
+    if system is not None:
+        arguments += ["--system", str(system)]
     if key_file is not None:
         arguments += ["--key-file", str(key_file)]
     return ("groundstation.flight.link.process", *arguments)
@@ -87,7 +90,8 @@ def check(folder: Path, *, plan: Path, vehicle: Path, drone: tuple[str, ...], sa
             if ready or status.phase in FINAL:
                 return
 
-    _as_client(core, endpoint, body)
+    with Interrupts() as stop, stop.ordering(core.interrupt):
+        _as_client(core, endpoint, body)
     return "" if ready else outcome(folder)[1]
 
 

@@ -25,7 +25,7 @@ from typing import Any
 
 from drivers import bus
 from drivers.samples import Batch, decode_batch
-from groundstation.errors import BadInput, GroundStationError
+from groundstation.errors import BadInput, GroundStationError, Refused
 from groundstation.flight import sequence as seq
 from groundstation.flight.children import Child, module_command, start_child
 from groundstation.flight.core.ground_check import check_ground
@@ -47,6 +47,9 @@ STATUS_EVERY_S = 0.1
 START_UP_S = 90.0
 """How long the vehicle's process may take to appear: the simulator's first start on a machine compiles it."""
 SILENCE_S = 10.0
+HANG_S = 3.0
+"""A link in flight says something fifty times a second; one that is silent so long has sent no setpoint either, and the
+vehicle's own failsafe has begun: another is started, to land it and to say so."""
 LOCK_STEP_SLACK = 20.0
 DRONE_PATIENCE_S = 10.0
 LINK_MODULE = "groundstation.flight.link.process"
@@ -100,7 +103,7 @@ class FlightCore:
         self._credit_sent = (-1.0, -1e9)
         self._status_sent = -1e9
         self._malformed = 0
-        self._abort_taken = False
+        self._abort_heard = False
         self._successors = 0
         self._keeper: Keeper | None = None
         self._orders = ThreadPoolExecutor(2, thread_name_prefix="orders")
@@ -272,12 +275,12 @@ class FlightCore:
             )
 
     def _stands(self, status: bus.DroneStatus) -> None:
-        """An abort was taken, and the vehicle shows that it neither flies nor is armed."""
-        if self._abort_taken and status.phase in ("idle", "uploaded") and not status.armed:
+        """An abort was answered, and the vehicle shows that it neither flies nor is armed."""
+        if self._abort_heard and status.phase in ("idle", "uploaded") and not status.armed:
             self._event(seq.VehicleStands())
 
     def _abort_answered(self) -> None:
-        self._abort_taken = True
+        self._abort_heard = True
         if self.view.drone is not None:
             self._stands(self.view.drone)
 
@@ -370,7 +373,7 @@ class FlightCore:
                 self.inbox.put(lambda: self._event(seq.StartRefused(reason)))
             elif name == "kill":
                 self.abort(f"the vehicle refused to stop its rotors: {reason}")
-        elif name == "abort":
+        if name == "abort":  # refused, too: there may be nothing to abort, which the status shows
             self.inbox.put(self._abort_answered)
         return answer.ok
 
@@ -429,9 +432,11 @@ class FlightCore:
         if not done and self._drone is not None and (status := self._drone.poll()) is not None:
             detail = self._drone.last_words()
             text = f"the vehicle's process ended with status {status}" + (f": {detail}" if detail else "")
-            self._lost(text)
+            self._lost(text, refused=detail if status == Refused.exit_status else "")
             return
-        patience = START_UP_S if self.recorder is None else SILENCE_S
+        patience = START_UP_S if self.recorder is None else HANG_S if self._can_land_it() else SILENCE_S
+        if self._successors and self.view.drone is None:
+            patience = START_UP_S  # one that was just started
         owed = self.recorder is None or self.pace.owes(self.state.phase, self.digested_s)
         if not done and owed and self.clock() - self.heard_s > patience:
             self._lost(f"nothing was heard from the vehicle's process for {patience:g} s")
@@ -441,10 +446,10 @@ class FlightCore:
         linked = self.settings.drone[0] == LINK_MODULE
         return linked and self.state.started and not self.state.final and self._successors < SUCCESSORS
 
-    def _lost(self, reason: str) -> None:
+    def _lost(self, reason: str, *, refused: str = "") -> None:
         """A link is started again and takes over by landing; another vehicle's process is lost."""
         if not self._can_land_it():
-            self._event(seq.VehicleLost(reason))
+            self._event(seq.VehicleLost(refused or reason, refused=bool(refused)))
             return
         if self._drone is not None:
             self._drone.kill()  # one that hangs holds the port
@@ -452,7 +457,7 @@ class FlightCore:
         self._successors += 1
         self._tell("vehicle", "another link is started, and lands the vehicle", reason=reason)
         self._event(seq.LinkDied(f"{reason}; another link landed it"))
-        self.heard_s = self.clock()
+        self.heard_s, self.view.drone = self.clock(), None
         self._start_drone("land")
 
     def _send_credit(self) -> None:
