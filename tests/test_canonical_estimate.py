@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import reporting_fixture as fixture
-import tomllib
 
 from groundstation.analysis.analyse import identification_document, parameter_table, write_identification
 from groundstation.diagnosis.adoption import why_not
@@ -55,7 +55,7 @@ def test_every_place_shows_the_same_digits(kind, tmp_path: Path):
     report = write_report(tmp_path / "report.html", flight, identification, diagnosis).read_text()
     assert estimate.source in text and header[3].startswith(estimate.source)
     assert f"Estimate: {estimate.source}" in report
-    predicted = model_from_document(model)
+    predicted = model_from_document(model, flight.vehicle)
     assert predicted.mass_kg == estimate.parameters["mass_kg"].value
     assert identified.vehicle.mass_kg == estimate.parameters["mass_kg"].value
     for name in SHOWN:
