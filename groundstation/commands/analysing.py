@@ -33,12 +33,29 @@ def flight_options(function: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--to", "end_s", type=float, default=None, help="Use the flights up to this time, s."),
         click.option("--all", "everything", is_flag=True, help="Use all of a flight of more than ten minutes."),
         click.option("--exclude", multiple=True, metavar="START:END", help="Leave a stretch out, s (repeatable)."),
+        click.option(
+            "--accept-declaration",
+            "accepted",
+            multiple=True,
+            metavar="NAME",
+            help="Go on although the data contradict this declaration (repeatable; docs/declarations.md).",
+        ),
         logs_option,
         json_option,
     )
     for option in reversed(options):
         function = option(function)
     return function
+
+
+def first_of_all(document: Mapping[str, Any]) -> list[str]:
+    """What the declaration checks say, before every number."""
+    checks = document["declarations"]
+    loud = [text for text in document["warnings"] if text.startswith("declaration ")]
+    for verdict in ("cannot tell", "agrees"):
+        names = ", ".join(check["name"] for check in checks if check["verdict"] == verdict)
+        loud += [f"declarations, {verdict}: {names}"] if names else []
+    return loud
 
 
 @click.command(epilog=example("groundstation identify flight.mcap --exclude 12.0:13.5 --json"))
@@ -50,6 +67,7 @@ def identify(
     end_s: float | None,
     everything: bool,
     exclude: tuple[str, ...],
+    accepted: tuple[str, ...],
     logs: Path,
 ) -> Result:
     """Estimate mass, inertia and the rest from one flight, or from several together, with intervals.
@@ -58,6 +76,9 @@ def identify(
     """
     left_out = tuple(seconds_pair(pair) for pair in exclude)
     loaded = load_flights(flights, vehicle, start_s, end_s, everything)
+    from groundstation.identification.declarations import go_on
+
+    go_on(loaded, accepted)
     from groundstation import api
     from groundstation.analysis.analyse import write_identification
     from groundstation.flight.client.rehearse import result_table
@@ -71,9 +92,10 @@ def identify(
     document = found.to_dict()
     truth = loaded[0].truth.parameters() if loaded[0].truth is not None else {}
     lines = [
+        *first_of_all(document),
         *([f"prediction: {found.prediction['summary']}"] if found.prediction else []),
         *dict.fromkeys(found.quality),
-        *(f"warning: {text}" for text in found.warnings),
+        *(f"warning: {text}" for text in found.warnings if not text.startswith("declaration ")),
         f"best: {found.best}" + (f" ({found.best_reason})" if found.best_reason else ""),
         result_table(document, loaded[0].vehicle.parameters(), truth),
         *(f"not revealed: {name}: {remedy}" for name, remedy in found.not_identifiable.items()),
@@ -97,6 +119,7 @@ def diagnose(
     end_s: float | None,
     everything: bool,
     exclude: tuple[str, ...],
+    accepted: tuple[str, ...],
     logs: Path,
     reference: tuple[Path, ...],
     held_out: tuple[Path, ...],
@@ -105,6 +128,9 @@ def diagnose(
     """Find what the declared vehicle lacks: trace the residual to effects, with the error before and after."""
     left_out = tuple(seconds_pair(pair) for pair in exclude)
     loaded = load_flights(flights, vehicle, start_s, end_s, everything)
+    from groundstation.identification.declarations import go_on
+
+    go_on(loaded, accepted)
     references, judges = load_flights(reference, vehicle), load_flights(held_out, vehicle)
     from groundstation import api
     from groundstation.analysis.analyse import with_next_flight, write_identification
@@ -132,13 +158,14 @@ def diagnose(
     found, plan = with_next_flight(folder, found, loaded[0].vehicle)
     written = write_json(folder / "diagnosis.json", found.to_dict())
     lines = [
+        *first_of_all(found.to_dict()),
         f"verdict: {found.verdict}" + (f" ({found.reason})" if found.reason else ""),
         *(f"{finding.effect} ({finding.confidence:.0%}): {finding.evidence}" for finding in found.findings),
         *(
             f"unexplained: {item.share:.0%} of {item.channel}, varies with {', '.join(item.depends_on) or 'nothing known'}"
             for item in found.unexplained
         ),
-        *(f"warning: {text}" for text in found.warnings),
+        *(f"warning: {text}" for text in found.warnings if not text.startswith("declaration ")),
         *([f"next flight: {found.next_flight}"] if found.next_flight else []),
         *([refused] if refused else []),
         f"written: {written}",
@@ -166,6 +193,7 @@ def report(
     end_s: float | None,
     everything: bool,
     exclude: tuple[str, ...],
+    accepted: tuple[str, ...],
     logs: Path,
     reference: tuple[Path, ...],
     held_out: tuple[Path, ...],
@@ -173,6 +201,9 @@ def report(
     """Identify and diagnose, and write the HTML report."""
     left_out = tuple(seconds_pair(pair) for pair in exclude)
     loaded = load_flights(flights, vehicle, start_s, end_s, everything)
+    from groundstation.identification.declarations import go_on
+
+    go_on(loaded, accepted)
     from groundstation import api
 
     line = ProgressLine()
@@ -188,8 +219,15 @@ def report(
             source=_arguments(flights, {"--vehicle": vehicle, "--from": start_s, "--to": end_s}, everything),
         )
     files = {name: str(path) for name, path in done.files.items()}
-    document = {"schema": "groundstation.report/1", "flight": done.identification.flight, "files": files}
-    return Result(document, "\n".join(f"{name:<16} {path}" for name, path in files.items()))
+    first = done.identification.to_dict()
+    document = {
+        "schema": "groundstation.report/1",
+        "flight": done.identification.flight,
+        "declarations": first["declarations"],
+        "files": files,
+    }
+    lines = [*first_of_all(first), *(f"{name:<16} {path}" for name, path in files.items())]
+    return Result(document, "\n".join(lines))
 
 
 @click.command(epilog=example("groundstation predict identification.toml other.mcap --horizon 0.5 --json"))

@@ -12,6 +12,7 @@ from groundstation.errors import GroundStationError, NotIdentifiable
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored
 from groundstation.identification.consistency import nearest_rigid_body, physically_consistent
+from groundstation.identification.declarations import check_declarations, said_first
 from groundstation.identification.identifiability import (
     angular_acceleration,
     never_moved,
@@ -207,6 +208,7 @@ def identify(
     progress(0.05, "bringing the streams onto one clock")
     options.require_only("identify", "exclude")
     exclude = options.exclude
+    checks = check_declarations(flights[0])
     prepared = prepare_all(flights, exclude)
     fitted = fit_dynamics(prepared, progress)
     best = fitted.best
@@ -223,7 +225,8 @@ def identify(
     oe = output_error(fitted.models, best.parameters, fitted.options)
     found = {"OE": oe, "FE": fitted.filter_error} | ({} if fitted.instrumental is None else {"IV": fitted.instrumental})
     methods |= {name: _result(fitted, fit, hidden, _METHOD_NOTES[name]) for name, fit in found.items()}
-    name, reason, warnings = fitted.best_name, _reason(fitted), [] if partial is None else [partial]
+    name, reason = fitted.best_name, _reason(fitted)
+    warnings = [*said_first(checks), *([] if partial is None else [partial])]
     trouble = physically_consistent(methods[name].parameters)
     if trouble:
         best, away = nearest_rigid_body(best, [term.name for term in fitted.models[0].extra])
@@ -272,6 +275,7 @@ def identify(
         best_reason=reason,
         clock=first.clock,
         not_identifiable=hidden,
+        declarations=tuple(check.to_dict() for check in checks),
         warnings=tuple(warnings),
         bound={key: value.std for key, value in bounds.items() if key not in hidden},
         window_s=first.window_s,

@@ -146,6 +146,7 @@ class Identification(Tabular):
     validation: tuple[Validation, ...] = ()
     revealed: tuple[Revealed, ...] = ()
     disturbance: TurningDisturbance | None = None
+    declarations: tuple[Mapping[str, Any], ...] = ()
     prediction: Mapping[str, Any] = field(default_factory=dict)
 
     def records(self) -> list[Record]:
@@ -186,6 +187,7 @@ class Identification(Tabular):
             "remedies": dict(self.not_identifiable),
             "prediction": dict(self.prediction),
             "revealed": [each.to_dict() for each in self.revealed],
+            "declarations": [dict(check) for check in self.declarations],
             "warnings": list(self.warnings),
             "bound": dict(self.bound),
             "window_s": list(self.window_s),
