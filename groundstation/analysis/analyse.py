@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.analysis.documents import finite, refusal, write_json
+from groundstation.diagnosis.published import published
 from groundstation.diagnosis.results import Diagnosis
 from groundstation.errors import GroundStationError, NotIdentifiable, Refused
 from groundstation.flightdata import FlightData
@@ -107,13 +108,16 @@ def analyse(
     folder.mkdir(parents=True, exist_ok=True)
     try:
         identifying = AnalysisOptions(exclude=options.exclude)
-        identification = identify(flights, identifying, progress=lambda f, text: progress(0.05 + 0.5 * f, text))
+        identification = identify(
+            flights, identifying, predictive=True, progress=lambda f, text: progress(0.05 + 0.5 * f, text)
+        )
     except Refused as error:
         write_report(folder / "report.html", flights[0], error, source=source)
         raise
     write_identification(folder, identification, flights[0].vehicle)
     write_json(folder / "evolution.json", evolution(flights[0]))
     diagnosis = _diagnose(flights, options, lambda f, text: progress(0.55 + 0.35 * f, text))
+    diagnosis = published(diagnosis, identification.not_identifiable)
     diagnosis, plan = with_next_flight(folder, diagnosis, flights[0].vehicle)
     identification = with_augmented_loop(flights[0], identification, diagnosis, options)
     files = write_identification(folder, identification, flights[0].vehicle, diagnosis)

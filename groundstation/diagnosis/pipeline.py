@@ -37,6 +37,7 @@ from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
+from groundstation.identification.declarations import check_declarations, said_first
 from groundstation.identification.pipeline import fit_dynamics, options_for
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared, prepare_all
@@ -66,6 +67,17 @@ def diagnose(
         options: stretches to leave out, healthy flights to compare with, flights to judge by, effects that are known.
         progress: told the fraction done and what is being done.
     """
+    checks = check_declarations(flights[0])
+    found = _diagnose(flights, options, progress)
+    return replace(
+        found,
+        declarations=tuple(check.to_dict() for check in checks),
+        warnings=(*said_first(checks), *found.warnings),
+    )
+
+
+def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress: Progress) -> Diagnosis:
+    """What :func:`diagnose` finds, the declarations taken as they are."""
     name = " + ".join(flight.name for flight in flights)
     vehicle = flights[0].vehicle
     references, augmented = options.references, known_candidates(options.known_effects)

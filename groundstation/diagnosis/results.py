@@ -86,6 +86,7 @@ class Diagnosis(Tabular):
     next_flight: str = ""
     reason: str = ""
     warnings: tuple[str, ...] = ()
+    declarations: tuple[Mapping[str, Any], ...] = ()
     notes: tuple[str, ...] = ()
     candidates: tuple[Mapping[str, Any], ...] = ()
     adopted: bool = True
@@ -124,6 +125,7 @@ class Diagnosis(Tabular):
             "parameters_after": {k: v.to_dict() for k, v in self.parameters_after.items()},
             "next_flight": self.next_flight,
             "reason": self.reason,
+            "declarations": [dict(check) for check in self.declarations],
             "warnings": list(self.warnings),
             "notes": list(self.notes),
             "adopted": self.adopted,

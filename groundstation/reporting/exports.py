@@ -8,6 +8,7 @@ A *model document* is a plain dictionary that carries everything a prediction ne
      "model": {"rotor_lag_up_s": {"value": 0.045, "std": 0.001}},
      "effects": {"rotor_drag": {"d_x_kg_s": {"value": 0.3, "std": 0.01}}},
      "disturbance": {"acceleration_rad_s2": [1.2, 1.3, 0.4], ...},  # what turns it besides (model/disturbance.py)
+     "prediction": {"kind": "fitted", ...},          # what predicts best (model/predictive.py); exports take the physical part
      "not_identifiable": ["com_offset_z_m"]}
 
 An effect that is found more than once (two weak rotors) has the later ones under "weak_rotor/2" and so on. Settings of an effect
@@ -61,6 +62,7 @@ def model_document(
         "model": _values(model),
         "effects": effects,
         **({} if identification.disturbance is None else {"disturbance": identification.disturbance.to_dict()}),
+        **({"prediction": dict(identification.prediction)} if identification.prediction else {}),
         "not_identifiable": list(identification.not_identifiable),
     }
 
@@ -95,6 +97,7 @@ def model_from_identification_json(document: Mapping[str, Any], vehicle: Vehicle
         "parameters": values({name: e for name, e in found.items() if name not in model}),
         "model": values({name: e for name, e in found.items() if name in model}),
         "effects": {},
+        **({"prediction": document["prediction"]} if document.get("prediction") else {}),
         "not_identifiable": list(document.get("not_identifiable", [])),
     }
 
