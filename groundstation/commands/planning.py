@@ -155,14 +155,9 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
     Raises:
         BadInput: missing, malformed, or of another schema.
     """
-    import json
+    from groundstation.outside import read_json
 
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); give the diagnosis.json of a flight.") from None
-    except ValueError as error:
-        raise BadInput(f"{path}: is not valid JSON ({error}); write it again with `diagnose`.") from None
+    document = read_json(path, "the diagnosis.json of a flight")
     if not isinstance(document, dict) or document.get("schema") != "groundstation.diagnosis/1":
         raise BadInput(f"{path}: is no groundstation.diagnosis/1 document; write one with `diagnose`.")
     return document
@@ -170,14 +165,16 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
 
 def _vehicle_of(path: Path, document: dict[str, Any], given: str | None) -> Vehicle:
     """The vehicle as given, else as declared in the identification beside the diagnosis, else the shipped one of its name."""
-    from groundstation.paths import find_config
+    from groundstation.paths import find_config, shipped_config
     from groundstation.reporting.exports import read_model
     from groundstation.vehicle import load_vehicle, vehicle_from_dict
 
     model = path.with_name("identification.toml")
     if given is None and model.is_file():
         return vehicle_from_dict(read_model(model)["vehicle"], str(model))
-    return load_vehicle(find_config("vehicles", given or str(document.get("vehicle"))))
+    if given is None:
+        return load_vehicle(shipped_config("vehicles", document.get("vehicle")))
+    return load_vehicle(find_config("vehicles", given))
 
 
 def known_limits(values: dict[str, float]) -> dict[str, float]:

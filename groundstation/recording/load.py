@@ -10,6 +10,7 @@ import numpy as np
 
 from groundstation.errors import BadInput
 from groundstation.flightdata import FlightData, Stream, motor_columns
+from groundstation.outside import read_bytes, require_file
 from groundstation.recording.autopilot import one_line
 from groundstation.recording.bundle import read_bundle
 from groundstation.recording.computed_speeds import without_computed_speeds
@@ -47,6 +48,7 @@ def read_recording(path: str | Path, vehicle: Vehicle | None = None) -> Recordin
     if path.is_dir():
         recording = read_bundle(path, vehicle)
     else:
+        require_file(path, _KNOWN)
         try:
             with path.open("rb") as file:
                 head = file.read(16)
@@ -96,7 +98,7 @@ def _foreign(path: Path, head: bytes, vehicle: Vehicle | None) -> Recording:
 
 
 def _read_usd(path: Path, vehicle: Vehicle) -> Recording:
-    return read_usd(path.read_bytes(), str(path), path.name, vehicle)
+    return read_usd(read_bytes(path, _KNOWN), str(path), path.name, vehicle)
 
 
 def load_flight(

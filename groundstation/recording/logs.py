@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+
+from groundstation.errors import BadInput
+from groundstation.outside import read_json
 
 Row = dict[str, Any]
 
@@ -51,8 +53,8 @@ def _row(folder: Path) -> Row:
 def _document(path: Path) -> Row:
     """A JSON document; empty where there is none or it is damaged (a crash while it was written)."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        document = read_json(path, "a result")
+    except BadInput:
         return {}
     return document if isinstance(document, dict) else {}
 

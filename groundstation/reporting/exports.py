@@ -17,13 +17,13 @@ An effect that is found more than once (two weak rotors) has the later ones unde
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from groundstation.errors import BadInput
 from groundstation.identification.results import Estimate, Identification
+from groundstation.outside import read_json, read_toml
 from groundstation.reporting import simulators
 from groundstation.reporting.identified import Identified, identified_from_document
 from groundstation.reporting.scenario import to_scenario
@@ -106,13 +106,8 @@ def read_model(path: str | Path, vehicle: Vehicle | None = None) -> dict[str, An
         BadInput: missing, malformed, of another schema, or without a vehicle.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-        document = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); give an identification file.") from None
-    except ValueError as error:  # of JSON, of TOML and of the encoding
-        raise BadInput(f"{path}: is neither valid JSON nor TOML ({error}); write it again with `identify`.") from None
+    read = read_json if path.suffix == ".json" else read_toml
+    document = read(path, "an identification file")
     schema = document.get("schema") if isinstance(document, dict) else None
     if schema == SCHEMA:
         return {**document, "vehicle": vehicle_to_dict(vehicle)} if vehicle is not None else document

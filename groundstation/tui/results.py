@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from groundstation.errors import BadInput
+from groundstation.outside import read_json
 from groundstation.trajectory import Plan, load_plan
 
 
@@ -55,18 +55,18 @@ def read_results(folder: Path) -> FlightResults:
 
 def _document(path: Path) -> dict[str, Any]:
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        document = read_json(path, "a result")
+    except BadInput:
         return {}
     return document if isinstance(document, dict) else {}
 
 
 def _declared(name: str) -> Mapping[str, float]:
     """Nominal parameters of a shipped vehicle."""
-    from groundstation.paths import find_config
+    from groundstation.paths import shipped_config
     from groundstation.vehicle import load_vehicle
 
     try:
-        return load_vehicle(find_config("vehicles", name)).parameters()
+        return load_vehicle(shipped_config("vehicles", name)).parameters()
     except BadInput:
         return {}

@@ -17,6 +17,7 @@ from groundstation.flight.children import Child, last_line, module_command, star
 from groundstation.flight.journal import ENDPOINT_FILE, read_journal
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.messages import CLIENT_ALIVE, CommandName, CoreCommand, CoreStatus, Lease, LeaseAnswer
+from groundstation.outside import file_name
 from groundstation.writing import write_whole
 
 if TYPE_CHECKING:
@@ -143,7 +144,7 @@ def outcome(folder: Path) -> tuple[int, str]:
     """
     log = folder / JOURNAL
     entries = read_journal(log) if log.is_file() else []
-    if not entries or entries[-1]["kind"] != "outcome":
+    if not entries or entries[-1]["kind"] != "outcome" or not isinstance(entries[-1].get("exit_status"), int):
         said = last_line(folder / "core.log")
         why = f": {said}" if said else "; it was killed, and the recording opens as far as it goes"
         raise BadInput(f"{folder}: the core ended without an outcome{why}.")
@@ -152,7 +153,7 @@ def outcome(folder: Path) -> tuple[int, str]:
 
 def new_flight_folder(logs: Path, vehicle: str, now: time.struct_time | None = None) -> Path:
     """A folder name that sorts by time: ``logs/2025-01-31T12-00-00-qball2``; a suffix keeps it unique."""
-    stem = f"{time.strftime('%Y-%m-%dT%H-%M-%S', now or time.localtime())}-{vehicle}"
+    stem = f"{time.strftime('%Y-%m-%dT%H-%M-%S', now or time.localtime())}-{file_name(vehicle, 'vehicle')}"
     folder, number = logs / stem, 2
     while folder.exists():
         folder, number = logs / f"{stem}-{number}", number + 1

@@ -19,11 +19,8 @@ import shutil
 import signal
 import sys
 import time
-import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-
-import msgspec
 
 from drivers import bus
 from drivers.mavlink import tlog
@@ -37,6 +34,7 @@ from groundstation.flight.link.parameter_journal import ParameterJournal
 from groundstation.flight.link.pilot import IN_AIR, Answered, Phase
 from groundstation.flight.link.pose_source import PoseSource
 from groundstation.flight.station import load_station
+from groundstation.outside import parse_json, parse_toml
 from groundstation.trajectory import plan_from_dict
 from groundstation.vehicle import Vehicle, load_vehicle
 
@@ -269,11 +267,9 @@ class LinkProcess:
         if not bus.checksum_holds(upload):
             return bus.Answer(False, "the plan was damaged on its way (checksum); send it again")
         try:
-            document = (
-                tomllib.loads(upload.plan.decode()) if upload.format == "toml" else msgspec.json.decode(upload.plan)
-            )
-            plan = plan_from_dict(document, "the uploaded plan")
-        except (ValueError, GroundStationError) as error:
+            parse = parse_toml if upload.format == "toml" else parse_json
+            plan = plan_from_dict(parse(upload.plan, "the uploaded plan"), "the uploaded plan")
+        except GroundStationError as error:
             return bus.Answer(False, str(error))
         return self._ask(lambda: self.core.upload(plan, self.clock()))
 
