@@ -128,6 +128,7 @@ def _discriminating(
 ) -> Result:
     """The flight that settles a diagnosis."""
     from groundstation.diagnosis.next_flight import DURATION_S, TRIAL_S, odds_sentence, plan_next
+    from groundstation.documents import read_diagnosis
     from groundstation.planning import plan_document
 
     document = read_diagnosis(path)
@@ -147,20 +148,6 @@ def _discriminating(
     odds = [{"pair": list(pair), "log_odds": value} for pair, value in found.log_odds.items()]
     answer = {**plan_document(found.plan), "expected_log_odds": odds, "channels": found.channels}
     return Result(answer, f"next flight: {odds_sentence(found)}\n{plan_text(found.plan, output)}")
-
-
-def read_diagnosis(path: Path) -> dict[str, Any]:
-    """The document in a ``diagnosis.json``.
-
-    Raises:
-        BadInput: missing, malformed, or of another schema.
-    """
-    from groundstation.outside import read_json
-
-    document = read_json(path, "the diagnosis.json of a flight")
-    if not isinstance(document, dict) or document.get("schema") != "groundstation.diagnosis/1":
-        raise BadInput(f"{path}: is no groundstation.diagnosis/1 document; write one with `diagnose`.")
-    return document
 
 
 def _vehicle_of(path: Path, document: dict[str, Any], given: str | None) -> Vehicle:

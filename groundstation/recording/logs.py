@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from groundstation.documents import read_diagnosis, read_identification
 from groundstation.errors import BadInput
 from groundstation.outside import read_json
 
@@ -30,9 +31,9 @@ _SIGNS = ("flight.mcap", "identification.json", "refused.json")
 
 
 def _row(folder: Path) -> Row:
-    identification, refusal, diagnosis = (
-        _document(folder / name) for name in ("identification.json", "refused.json", "diagnosis.json")
-    )
+    identification = _document(read_identification, folder / "identification.json")
+    diagnosis = _document(read_diagnosis, folder / "diagnosis.json")
+    refusal = _document(_table, folder / "refused.json")
     best = identification.get("best")
     method = identification.get("methods", {}).get(best, {})
     found = {**identification.get("model", {}), **method.get("parameters", {})}
@@ -44,23 +45,28 @@ def _row(folder: Path) -> Row:
         "vehicle": identification.get("vehicle"),
         "state": "identified" if identification else "refused" if refusal else "recorded",
         "verdict": diagnosis.get("verdict"),
-        "reason": refusal.get("reason") or diagnosis.get("reason") or "",
+        "reason": str(refusal.get("reason") or diagnosis.get("reason") or ""),
         "best": best,
         "parameters": {name: {"value": e["value"], "std": e["std"]} for name, e in found.items() if _usable(e)},
     }
 
 
-def _document(path: Path) -> Row:
-    """A JSON document; empty where there is none or it is damaged (a crash while it was written)."""
-    try:
-        document = read_json(path, "a result")
-    except BadInput:
-        return {}
+def _table(path: Path) -> Row:
+    document = read_json(path, "a result")
     return document if isinstance(document, dict) else {}
 
 
+def _document(read: Callable[[Path], Row], path: Path) -> Row:
+    """A JSON document; empty where there is none or it is damaged (a crash while it was written)."""
+    try:
+        return read(path)
+    except BadInput:
+        return {}
+
+
 def _usable(estimate: Any) -> bool:
-    return isinstance(estimate, dict) and all(isinstance(estimate.get(key), (int, float)) for key in ("value", "std"))
+    """Whether a spread was written with the value."""
+    return math.isfinite(estimate["std"])
 
 
 def with_moves(rows: Sequence[Row]) -> list[Row]:

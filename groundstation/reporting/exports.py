@@ -21,9 +21,17 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from groundstation.documents import (
+    IDENTIFICATION_SCHEMA,
+    MODEL_SCHEMA,
+    IdentificationDocument,
+    ModelDocument,
+    checked,
+    require_best,
+)
 from groundstation.errors import BadInput
 from groundstation.identification.results import Estimate, Identification
-from groundstation.outside import read_json, read_toml
+from groundstation.outside import read_json, read_toml, shown
 from groundstation.reporting import simulators
 from groundstation.reporting.identified import Identified, identified_from_document
 from groundstation.reporting.scenario import to_scenario
@@ -33,7 +41,7 @@ from groundstation.writing import write_whole
 if TYPE_CHECKING:  # the diagnosis is heavy to import, and only its type is needed
     from groundstation.diagnosis.results import Diagnosis
 
-SCHEMA = "groundstation.model/1"
+SCHEMA = MODEL_SCHEMA
 
 
 def model_document(
@@ -74,10 +82,8 @@ def model_from_identification_json(document: Mapping[str, Any], vehicle: Vehicle
     Raises:
         BadInput: the best method is not among the methods.
     """
-    best = document.get("best")
-    methods = document.get("methods", {})
-    if best not in methods:
-        raise BadInput(f"{source}: its best method '{best}' is not among {', '.join(methods) or 'no methods'}.")
+    require_best(document, source)
+    best, methods = document["best"], document["methods"]
 
     def values(estimates: Mapping[str, Any]) -> dict[str, dict[str, float]]:
         return {name: {"value": e["value"], "std": e["std"]} for name, e in estimates.items()}
@@ -110,12 +116,15 @@ def read_model(path: str | Path, vehicle: Vehicle | None = None) -> dict[str, An
     document = read(path, "an identification file")
     schema = document.get("schema") if isinstance(document, dict) else None
     if schema == SCHEMA:
-        return {**document, "vehicle": vehicle_to_dict(vehicle)} if vehicle is not None else document
-    if schema == "groundstation.identification/1":
+        found = checked(document, ModelDocument, str(path))
+        return {**found, "vehicle": vehicle_to_dict(vehicle)} if vehicle is not None else found
+    if schema == IDENTIFICATION_SCHEMA:
         if vehicle is None:
             raise BadInput(f"{path}: names its vehicle but does not carry it; give the vehicle file with --vehicle.")
-        return model_from_identification_json(document, vehicle, str(path))
-    raise BadInput(f"{path}: has schema {schema!r}; {SCHEMA} or groundstation.identification/1 is expected.")
+        return model_from_identification_json(checked(document, IdentificationDocument, str(path)), vehicle, str(path))
+    raise BadInput(
+        f"{path}: has schema {shown(repr(schema), limit=60)}; {SCHEMA} or {IDENTIFICATION_SCHEMA} is expected."
+    )
 
 
 def write_model(path: str | Path, document: Mapping[str, Any]) -> Path:

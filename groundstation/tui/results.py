@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from groundstation.documents import read_diagnosis, read_identification
 from groundstation.errors import BadInput
 from groundstation.outside import read_json
 from groundstation.trajectory import Plan, load_plan
@@ -43,7 +44,10 @@ class FlightResults:
 def read_results(folder: Path) -> FlightResults:
     """Read what there is; a file that is damaged counts as absent."""
     names = ("identification.json", "diagnosis.json", "refused.json", "evolution.json")
-    identification, diagnosis, refused, evolution = (_document(folder / name) for name in names)
+    readers = (read_identification, read_diagnosis, _table, _table)
+    identification, diagnosis, refused, evolution = (
+        _document(read, folder / name) for read, name in zip(readers, names, strict=True)
+    )
     refusal = " ".join(str(refused[key]) for key in ("reason", "remedy") if refused.get(key))
     name = str(identification.get("vehicle") or "")
     try:
@@ -53,12 +57,16 @@ def read_results(folder: Path) -> FlightResults:
     return FlightResults(folder, identification, diagnosis, refusal, evolution, proposed, _declared(name))
 
 
-def _document(path: Path) -> dict[str, Any]:
+def _table(path: Path) -> dict[str, Any]:
+    document = read_json(path, "a result")
+    return document if isinstance(document, dict) else {}
+
+
+def _document(read: Callable[[Path], dict[str, Any]], path: Path) -> dict[str, Any]:
     try:
-        document = read_json(path, "a result")
+        return read(path)
     except BadInput:
         return {}
-    return document if isinstance(document, dict) else {}
 
 
 def _declared(name: str) -> Mapping[str, float]:
