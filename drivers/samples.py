@@ -6,7 +6,7 @@ device's own time; the arrival time on the host is added where it arrives.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -88,7 +88,7 @@ class Batch(msgspec.Struct, frozen=True, array_like=True):
         samples: the samples.
     """
 
-    sequence: int
+    sequence: Annotated[int, msgspec.Meta(ge=0, le=2**53)]
     host_s: tuple[float, ...]
     samples: tuple[Sample, ...]
 
@@ -110,5 +110,5 @@ def decode_batch(data: bytes) -> Batch:
     """
     try:
         return _decoder.decode(data)
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, RecursionError) as error:
         raise ValueError(f"not a batch of samples: {error}") from None

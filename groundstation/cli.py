@@ -15,7 +15,7 @@ import click
 from groundstation import __version__
 from groundstation.commands.common import Result
 from groundstation.errors import BadInput, GroundStationError, Refused
-from groundstation.outside import shown
+from groundstation.texts import shown
 
 COMMANDS = {
     "plan": "planning",

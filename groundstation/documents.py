@@ -13,7 +13,8 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from groundstation.errors import BadInput
-from groundstation.outside import read_json, shown
+from groundstation.outside import read_json
+from groundstation.texts import shown
 
 MODEL_SCHEMA = "groundstation.model/1"
 IDENTIFICATION_SCHEMA = "groundstation.identification/1"
@@ -43,7 +44,7 @@ class Value(_Part):
 
     value: Size
     std: Annotated[float, BeforeValidator(_spread)] = math.nan
-    ci95: Annotated[tuple[float, float], BeforeValidator(_pair)] = (math.nan, math.nan)
+    ci95: Annotated[tuple[float, float] | None, BeforeValidator(_pair)] = None
 
 
 def _known(table: Any) -> Any:
@@ -155,6 +156,7 @@ class CandidateEntry(_Part):
     effect: str = "?"
     settings: dict[str, Any] | None = None
     values: dict[str, Size] | None = None
+    rival_of: str | None = None
 
 
 class DiagnosisDocument(_Part):

@@ -8,56 +8,19 @@ that the rest of the program can hold, or raise :class:`BadInput`; they never wa
 from __future__ import annotations
 
 import json
-import re
 import stat
 import tomllib
-import unicodedata
 from pathlib import Path
 from typing import Any
 
 from groundstation.errors import BadInput
+from groundstation.texts import holdable, shown
 
 DOCUMENT_BYTES = 64 * 1024 * 1024
 """A settings file has a few kilobytes, an identification with its evolution a few megabytes."""
 DEPTH = 40
 """Tables within tables. Our documents have 6; parsers and writers recurse, and Python allows them about 300."""
-NAME_CHARS = 100
 _INTEGER = 2**63
-_ALLOWED = re.compile(r"[\w .+,=@()\[\]~-]+")
-_INVISIBLE = frozenset({"Cc", "Cf", "Co", "Cs", "Zl", "Zp"})
-"""Unicode categories that a terminal acts on or does not draw: controls, format (bidirectional overrides), separators."""
-
-
-def shown(text: object, *, limit: int = 2000, lines: bool = False) -> str:
-    r"""A text from outside as it may reach a terminal, a page or a log: what cannot be seen is left out.
-
-    Args:
-        text: anything; its ``str``.
-        limit: of characters; a longer text ends in "...".
-        lines: keep line breaks and tabs, for texts of several lines of our own.
-    """
-    kept = "\n\t" if lines else ""
-    whole = str(text)
-    if len(whole) <= limit and whole.isprintable():
-        return whole
-    clean = "".join(
-        char if char in kept else " " if char in "\n\r\t" else char
-        for char in whole[: limit + 1]
-        if char in kept or char in "\n\r\t" or unicodedata.category(char) not in _INVISIBLE
-    )
-    return clean if len(whole) <= limit else f"{clean[: limit - 3]}..."
-
-
-def file_name(text: object, default: str = "unnamed") -> str:
-    """A text from outside as the name of one file or folder: letters, digits, ``._-``; never hidden, empty or a path."""
-    name = re.sub(r"[^\w.-]+", "_", shown(text, limit=NAME_CHARS)).strip("._")
-    return name or default
-
-
-def holdable(name: str) -> bool:
-    """Whether :func:`inside` takes a name."""
-    parts = name.split("/")
-    return len(name) <= 2 * NAME_CHARS and all(_ALLOWED.fullmatch(part) and part.strip(" .") == part for part in parts)
 
 
 def inside(folder: Path, name: str) -> Path:

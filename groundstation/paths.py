@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from groundstation.errors import BadInput
-from groundstation.outside import file_name, shown
+from groundstation.texts import file_name, shown
 
 
 def configs_dir() -> Path:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from groundstation.errors import BadInput
-from groundstation.outside import file_name, shown
+from groundstation.texts import file_name, shown
 
 if TYPE_CHECKING:
     from groundstation.flightdata import FlightData

@@ -12,7 +12,9 @@ from groundstation.outside import parse_json, read_bytes
 
 NAME = "flight.log.jsonl"
 ENDPOINT_FILE = "core.endpoint"
-"""Where the flight's core listens, for as long as it runs."""
+"""Where the flight's core listens and an operator's secret, for as long as it runs."""
+WATCH_FILE = "watch.endpoint"
+"""Beside it: what to give to somebody who may watch and abort."""
 
 
 class Journal:

@@ -13,7 +13,7 @@ import numpy as np
 
 from groundstation.errors import BadInput
 from groundstation.flightdata import Array, FlightData, Stream, motor_columns
-from groundstation.outside import holdable, inside, read_bytes, read_json, shown
+from groundstation.outside import inside, read_bytes, read_json
 from groundstation.recording.csvfile import Columns, parse_csv, write_csv
 from groundstation.recording.recorded import (
     COLUMNS,
@@ -24,6 +24,7 @@ from groundstation.recording.recorded import (
     Texts,
     recording_of,
 )
+from groundstation.texts import holdable, shown
 from groundstation.vehicle import Vehicle
 from groundstation.writing import write_whole
 

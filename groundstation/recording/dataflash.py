@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.foreign import Decoded
 from groundstation.errors import BadInput
 from groundstation.flightdata import (
     BATTERY_COLUMNS,
@@ -27,13 +25,13 @@ from groundstation.recording.autopilot import (
     MOTORS_SLOW_HZ,
     QUAD_X,
     motor_order,
-    one_line,
     slow_note,
     wanted_input,
     z_up,
     z_up_quaternion,
 )
 from groundstation.recording.derive import slerp
+from groundstation.recording.foreign import read_tables
 from groundstation.recording.recorded import Recording
 from groundstation.vehicle import Vehicle
 
@@ -75,7 +73,16 @@ def read_dataflash(path: Path, vehicle: Vehicle) -> Recording:
     Raises:
         BadInput: it is damaged at the start, or holds no motor outputs.
     """
-    tables, parameters, lost = _tables(path)
+    return recording_of_dataflash(path, read_tables("dataflash", path, _FIELDS), vehicle)
+
+
+def recording_of_dataflash(path: Path, log: Decoded, vehicle: Vehicle) -> Recording:
+    """The streams in a log's tables.
+
+    Raises:
+        BadInput: it holds no motor outputs.
+    """
+    tables, parameters, lost = _tables(path, log)
     notes = [*lost]
     streams: dict[str, Stream] = {}
     streams["motors"], said = _motors(tables, parameters, vehicle, str(path))
@@ -108,34 +115,12 @@ def read_dataflash(path: Path, vehicle: Vehicle) -> Recording:
     )
 
 
-def _tables(path: Path) -> tuple[Tables, dict[str, float], list[str]]:
+def _tables(path: Path, log: Decoded) -> tuple[Tables, dict[str, float], list[str]]:
     """Columns of each message type with ``t_s``, the parameters, and a note on damage."""
-    os.environ.setdefault("MAVLINK20", "1")
-    from pymavlink.DFReader import DFReader_binary
-
-    rows: dict[str, list[tuple[float, ...]]] = {name: [] for name in _FIELDS}
-    parameters: dict[str, float] = {}
-    complaints = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(complaints), contextlib.redirect_stdout(complaints):
-            reader = DFReader_binary(str(path), zero_time_base=True)
-            while (message := reader.recv_match(type=list(_FIELDS))) is not None:
-                name = message.get_type()
-                if name == "PARM":
-                    parameters[message.Name] = float(message.Value)
-                else:
-                    rows[name].append((message.TimeUS, *(getattr(message, key, np.nan) for key in _FIELDS[name])))
-    except Exception as error:  # the library has no error of its own for most kinds of damage
-        raise BadInput(f"{path}: is damaged ({one_line(error)}); download the log again.") from None
-    skipped = sum(map(int, re.findall(r"Skipped (\d+) bad bytes", complaints.getvalue())))
+    skipped = sum(map(int, re.findall(r"Skipped (\d+) bad bytes", log.complaints)))
     notes = [f"{path.name}: {skipped} damaged bytes were skipped."] if skipped else []
-    tables: Tables = {}
-    for name, found in rows.items():
-        if len(found) > 1:
-            matrix = np.array(found, dtype=float)
-            tables[name] = {"t_s": matrix[:, 0] / 1e6}
-            tables[name] |= {key: matrix[:, i + 1] for i, key in enumerate(_FIELDS[name])}
-    return tables, parameters, notes
+    tables = {name: {"t_s": columns["TimeUS"] / 1e6, **columns} for name, columns in log.tables.items()}
+    return tables, log.parameters, notes
 
 
 def _stack(table: dict[str, Array], *names: str) -> Array:

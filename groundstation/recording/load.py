@@ -27,6 +27,10 @@ _ULOG_MAGIC = b"ULog\x01\x12\x35"
 _DATAFLASH_MAGIC = b"\xa3\x95\x80"
 
 
+FAULTS = (LookupError, ValueError, TypeError, ArithmeticError, MemoryError, struct.error)
+"""What readers raise of fields that are missing, empty, torn or absurd."""
+
+
 def flight_file(path: str | Path) -> Path:
     """The recording in the folder of a flight; any other path as it is."""
     path = Path(path)
@@ -93,7 +97,7 @@ def _foreign(path: Path, head: bytes, vehicle: Vehicle | None) -> Recording:
         raise BadInput(f"{path}: carries no vehicle; give its file with --vehicle FILE.")
     try:
         return read(path, vehicle)
-    except (LookupError, ValueError, TypeError, struct.error) as error:  # fields that are missing, empty or torn
+    except FAULTS as error:
         raise BadInput(f"{path}: is damaged ({one_line(error)}); copy the log from the vehicle again.") from None
 
 
@@ -123,6 +127,18 @@ def load_flight(
     if declared is None:
         raise BadInput(f"{path}: carries no vehicle; give its file with --vehicle FILE.")
     recording = _with_onboard_log(path, recording, declared)
+    flight = checked_flight(recording, declared, str(path))
+    if start_s is not None or end_s is not None:
+        flight = _cut(flight, start_s, end_s)
+    return repair(flight)
+
+
+def checked_flight(recording: Recording, declared: Vehicle, path: str) -> FlightData:
+    """A recording as a flight of a vehicle.
+
+    Raises:
+        BadInput: it holds no motor samples, or others than the vehicle has.
+    """
     if "motors" not in recording.streams:
         raise BadInput(f"{path}: holds no motor samples; without them nothing can be identified.")
     wanted = motor_columns(declared.rotors.input, declared.rotors.count)
@@ -132,20 +148,17 @@ def load_flight(
             f"{path}: the motors are recorded as {has[0]} to {has[-1]}, but the vehicle file asks for {wanted[0]} to "
             f"{wanted[-1]}; give the file of this vehicle, with its own [rotors] input."
         )
-    flight = FlightData(
+    return FlightData(
         name=recording.name,
         vehicle=declared,
         extras=recording.extras,
-        plan=recording.plan(str(path)),
+        plan=recording.plan(path),
         window_s=recording.window_s,
-        truth=recording.truth(str(path)),
+        truth=recording.truth(path),
         metadata=recording.metadata,
         notes=recording.notes,
         **recording.streams,
     )
-    if start_s is not None or end_s is not None:
-        flight = _cut(flight, start_s, end_s)
-    return repair(flight)
 
 
 def _with_onboard_log(path: Path, recording: Recording, vehicle: Vehicle) -> Recording:

@@ -14,7 +14,7 @@ import numpy as np
 from drivers.samples import Battery, Event, Imu, Motors, Pose, Raw, Setpoint, State
 from groundstation.errors import BadInput
 from groundstation.flightdata import Array, FlightData, Stream, motor_columns
-from groundstation.outside import parse_json, read_bytes, shown
+from groundstation.outside import parse_json, read_bytes
 from groundstation.recording import cdr
 from groundstation.recording.container import Contents, ReadChannel, read_container
 from groundstation.recording.recorded import (
@@ -28,6 +28,7 @@ from groundstation.recording.recorded import (
 )
 from groundstation.recording.recorder import METADATA, SCHEMA, McapRecorder
 from groundstation.recording.schemas import EXACT_TYPE, ROW_TYPE, STREAM_OF_TYPE, TOPICS
+from groundstation.texts import shown
 
 _OWN_KEYS = ("schema", "groundstation", "flight", "window_start_s", "window_end_s", "notes")
 _EXTRA = "/extra/"

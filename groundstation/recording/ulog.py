@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
 import struct
 from dataclasses import replace
@@ -13,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.errors import BadInput
+from drivers.foreign import Decoded
 from groundstation.flightdata import (
     BATTERY_COLUMNS,
     IMU_COLUMNS,
@@ -27,7 +25,6 @@ from groundstation.recording.autopilot import (
     MOTORS_SLOW_HZ,
     QUAD_X,
     motor_order,
-    one_line,
     slow_note,
     spin_notes,
     wanted_input,
@@ -36,7 +33,9 @@ from groundstation.recording.autopilot import (
 )
 from groundstation.recording.computed_speeds import commands_behind
 from groundstation.recording.derive import slerp
+from groundstation.recording.foreign import read_tables
 from groundstation.recording.recorded import Recording
+from groundstation.texts import shown
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -61,17 +60,17 @@ def read_ulog(path: Path, vehicle: Vehicle) -> Recording:
     Raises:
         BadInput: it is damaged at the start, or holds no motor outputs.
     """
-    from pyulog import ULog
+    return recording_of_ulog(path, read_tables("ulog", path, _TOPICS), vehicle)
 
-    complaints = io.StringIO()  # the library prints, and standard output is the caller's
-    try:
-        with contextlib.redirect_stdout(complaints):
-            log = ULog(str(path), list(_TOPICS))
-    except Exception as error:  # the library has no error of its own for most kinds of damage
-        raise BadInput(f"{path}: is damaged ({one_line(error)}); download the log again.") from None
-    topics = {topic.name: topic.data for topic in reversed(log.data_list) if len(topic.data["timestamp"]) > 1}
-    parameters = dict(log.initial_parameters)
-    lost = _losses(path, log, complaints.getvalue())
+
+def recording_of_ulog(path: Path, log: Decoded, vehicle: Vehicle) -> Recording:
+    """The streams in a log's tables.
+
+    Raises:
+        BadInput: it holds no motor outputs.
+    """
+    topics, parameters = log.tables, log.parameters
+    lost = _losses(path, log)
     notes = [*lost]
     streams: dict[str, Stream] = {}
     streams["motors"], said = _motors(topics, parameters, vehicle, str(path))
@@ -104,14 +103,14 @@ def read_ulog(path: Path, vehicle: Vehicle) -> Recording:
     )
 
 
-def _metadata(log: Any, parameters: dict[str, float]) -> dict[str, str]:
-    info = {key: str(value) for key, value in log.msg_info_dict.items() if key in ("sys_name", "ver_sw", "ver_hw")}
+def _metadata(log: Decoded, parameters: dict[str, float]) -> dict[str, str]:
+    info = {key: shown(value) for key, value in log.info.items() if key in ("sys_name", "ver_sw", "ver_hw")}
     # The simulator's own parameters are the answer, not an input: they are carried for reports and read by nothing else.
     truth = {key: value for key, value in parameters.items() if key.startswith("SIH_")}
     return {"format": "PX4 ULog", **info, **({"simulator_parameters": json.dumps(truth)} if truth else {})}
 
 
-def _losses(path: Path, log: Any, complaints: str) -> list[str]:
+def _losses(path: Path, log: Decoded) -> list[str]:
     """What the logger or a copy lost. The library reads a truncated file without a word."""
     notes = []
     missing = _missing_bytes(path.read_bytes())
@@ -120,11 +119,11 @@ def _losses(path: Path, log: Any, complaints: str) -> list[str]:
             f"{path.name}: the log is cut off in the middle of a message ({missing} bytes of it are missing); "
             "it was read up to there."
         )
-    if "corrupt" in complaints:
+    if "corrupt" in log.complaints:
         notes.append(f"{path.name}: parts of the log are damaged and were left out.")
-    if log.dropouts:
-        lost = sum(dropout.duration for dropout in log.dropouts) / 1000.0
-        notes.append(f"{path.name}: the logger dropped data {len(log.dropouts)} times, {lost:.2f} s in all.")
+    if log.dropouts_ms:
+        lost = sum(log.dropouts_ms) / 1000.0
+        notes.append(f"{path.name}: the logger dropped data {len(log.dropouts_ms)} times, {lost:.2f} s in all.")
     return notes
 
 

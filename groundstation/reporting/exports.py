@@ -17,6 +17,7 @@ An effect that is found more than once (two weak rotors) has the later ones unde
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,10 +32,11 @@ from groundstation.documents import (
 )
 from groundstation.errors import BadInput
 from groundstation.identification.results import Estimate, Identification
-from groundstation.outside import read_json, read_toml, shown
+from groundstation.outside import read_json, read_toml
 from groundstation.reporting import simulators
 from groundstation.reporting.identified import Identified, identified_from_document
 from groundstation.reporting.scenario import to_scenario
+from groundstation.texts import shown
 from groundstation.vehicle import Vehicle, vehicle_to_dict
 from groundstation.writing import write_whole
 
@@ -140,7 +142,16 @@ def _toml(document: Mapping[str, Any]) -> str:
 
 
 def _json(document: Mapping[str, Any]) -> str:
-    return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return json.dumps(_without_nan(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _without_nan(value: Any) -> Any:
+    """The same with null for a number that is none: JSON has no other word for it."""
+    if isinstance(value, Mapping):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _simulator(write: Callable[[Identified], str]) -> Callable[[Mapping[str, Any]], str]:

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from groundstation.errors import BadInput
-from groundstation.outside import shown
 from groundstation.reporting.identified import Identified
 from groundstation.reporting.units import split_unit
+from groundstation.texts import shown
 from groundstation.vehicle import INERTIA_NAMES, vehicle_to_dict
 
 

@@ -24,7 +24,7 @@ from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.journal import read_journal
 from groundstation.flight.messages import CommandName, CoreStatus
 from groundstation.flight.sequence import FINAL, IN_FLIGHT, Phase
-from groundstation.outside import shown
+from groundstation.texts import shown
 from groundstation.trajectory import Plan
 from groundstation.tui.results import FlightResults, read_results
 from groundstation.tui.screens.base import StationScreen
@@ -134,7 +134,7 @@ class GroundStation(App[int]):
 
     def _find_flight(self) -> None:
         """On a thread: a flight begun by another client is followed."""
-        for folder, endpoint in running_cores(self.logs)[:1]:
+        for folder, endpoint in running_cores(self.logs, told=lambda text: self.call_from_thread(self._fail, text))[:1]:
             self.call_from_thread(self.follow, CoreWatch(endpoint, folder))
 
     def limits(self) -> tuple[Mapping[str, float], Mapping[str, float]]:

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from drivers.access import Access
 from groundstation.errors import BadInput
 from groundstation.flight.children import Child
 from groundstation.flight.client.client import new_flight_folder, start_core
 from groundstation.flight.client.rehearse import linked_vehicle, simulated_drone
-from groundstation.outside import file_name
 from groundstation.paths import configs_dir, find_config, shipped_config
+from groundstation.texts import file_name
 from groundstation.trajectory import Plan, load_plan
 
 SIMULATOR = "simulator"
@@ -65,7 +66,7 @@ def plan_at_hand(setup: Setup, newest: Plan | None) -> Plan | None:
     return load_plan(path) if path.is_file() else None
 
 
-def begin_flight(setup: Setup, plan: Plan, logs: Path, *, analyse: bool = True) -> tuple[Child, str, Path]:
+def begin_flight(setup: Setup, plan: Plan, logs: Path, *, analyse: bool = True) -> tuple[Child, Access, Path]:
     """Start the core of a flight: its process, endpoint and folder. It waits for the operator's start.
 
     Raises:

@@ -23,6 +23,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from drivers import bus
+from drivers.access import own_login
 from drivers.mavlink import tlog
 from drivers.mavlink.signing import Signing, signing_stamp
 from drivers.mavlink.transports import Transport, open_transport
@@ -120,7 +121,7 @@ class LinkProcess:
         sys.setswitchinterval(SWITCH_S)
         gc.freeze()
         gc.disable()  # collections of a long run would delay setpoints; samples hold no cycles
-        with bus.open_session(connect=[endpoint]) as session:
+        with bus.open_session(connect=[endpoint], login=own_login()) as session:
             self._samples = bus.Publisher(session, self._keys.samples, lossless=True)
             self._status = bus.Publisher(session, self._keys.status)
             self._publisher = Writer("publisher", lambda item: item())  # type: ignore[operator]

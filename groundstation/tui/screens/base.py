@@ -14,7 +14,7 @@ from textual.screen import Screen
 from textual.widgets import DataTable, Footer, Static
 
 from groundstation.flight.messages import CoreStatus
-from groundstation.outside import shown
+from groundstation.texts import shown
 from groundstation.tui.widgets.bars import FlightBar, Tabs
 
 if TYPE_CHECKING:

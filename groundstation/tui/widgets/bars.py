@@ -10,7 +10,7 @@ from textual.widgets import Button, Static
 
 from groundstation.flight.messages import CoreStatus
 from groundstation.flight.sequence import IN_FLIGHT
-from groundstation.outside import shown
+from groundstation.texts import shown
 from groundstation.tui.text import PHASES
 
 if TYPE_CHECKING:

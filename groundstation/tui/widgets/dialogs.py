@@ -10,7 +10,7 @@ from textual.containers import Vertical, VerticalScroll
 from textual.screen import ModalScreen
 from textual.widgets import Input, Static
 
-from groundstation.outside import shown
+from groundstation.texts import shown
 from groundstation.tui.widgets.bars import FlightBar
 
 
