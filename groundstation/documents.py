@@ -164,7 +164,7 @@ class DiagnosisDocument(_Part):
 
     flight: Text = ""
     vehicle: Text = ""
-    verdict: str
+    verdict: str = ""
     findings: list[FindingEntry] = []
     unexplained: list[UnexplainedEntry] = []
     error: dict[str, dict[str, Numbers]] = {}
@@ -202,8 +202,11 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
     Raises:
         BadInput: missing, malformed, or of another schema.
     """
-    document = read_json(path, "the diagnosis.json of a flight")
-    if not isinstance(document, dict) or document.get("schema") != DIAGNOSIS_SCHEMA:
+    try:
+        document = read_json(path, "the diagnosis.json of a flight")
+    except BadInput as error:
+        raise BadInput(f"{str(error).removesuffix('.')}; write it with `diagnose`.") from None
+    if not isinstance(document, dict) or document.get("schema", DIAGNOSIS_SCHEMA) != DIAGNOSIS_SCHEMA:
         raise BadInput(f"{path}: is no {DIAGNOSIS_SCHEMA} document; write one with `diagnose`.")
     return checked(document, DiagnosisDocument, str(path))
 
@@ -215,7 +218,7 @@ def read_identification(path: Path) -> dict[str, Any]:
         BadInput: missing, malformed, of another schema, or its best method is none of its methods.
     """
     document = read_json(path, "the identification.json of a flight")
-    if not isinstance(document, dict) or document.get("schema") != IDENTIFICATION_SCHEMA:
+    if not isinstance(document, dict) or document.get("schema", IDENTIFICATION_SCHEMA) != IDENTIFICATION_SCHEMA:
         raise BadInput(f"{path}: is no {IDENTIFICATION_SCHEMA} document; write one with `identify`.")
     found = checked(document, IdentificationDocument, str(path))
     require_best(found, str(path))

@@ -15,6 +15,7 @@ from textual.widgets import DataTable, Input, Static
 from drivers import bus
 from drivers.access import Access
 from groundstation.analysis.plans import write_plan
+from groundstation.flight.client.access import write_access
 from groundstation.flight.core.lease import OperatorLease
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, CoreStatus, Lease, StreamStatus
 from groundstation.flight.sequence import Phase
@@ -22,7 +23,6 @@ from groundstation.paths import find_config
 from groundstation.trajectory import load_plan
 from groundstation.tui.app import GroundStation
 from groundstation.tui.screens.base import StationScreen
-from groundstation.flight.client.access import write_access
 from groundstation.tui.watch import CoreWatch
 from groundstation.tui.widgets.bars import SCREENS
 from groundstation.tui.widgets.dialogs import Question, TextPage, TypedQuestion

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.errors import BadInput
 from groundstation.paths import find_config
 from groundstation.reporting.identified import Identified
 from groundstation.reporting.simulators import hash_comment
@@ -312,11 +313,17 @@ def to_scenario(model: Identified) -> str:
 
     Raises:
         Refused: the tensor belongs to no rigid body.
+        BadInput: an effect lacks one of its parameters.
     """
     import tomli_w
 
     model.require_rigid("the simulated drone")
-    document, lost = scenario_document(model)
+    try:
+        document, lost = scenario_document(model)
+    except (KeyError, ValueError, OverflowError) as error:
+        raise BadInput(
+            f"the model's effects lack {error}, which a scenario needs; write it again with `report`."
+        ) from None
     head = [f"Identified from flight {model.flight or 'unnamed'}: what it lacked is switched on here."]
     head.append("Rehearse it with the vehicle as it was declared; sensors and disturbance are the laboratory's.")
     head += [f"Lost: {text}." for text in lost]

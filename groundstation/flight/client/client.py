@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers import bus
-from drivers.access import Access, Login, hand_over, new_secrets
+from drivers.access import Access, Login, Secrets, hand_over, new_secrets
 from groundstation.errors import BadInput
 from groundstation.flight.children import Child, last_line, module_command, start_child
 from groundstation.flight.client.access import read_access, write_access
@@ -96,6 +96,7 @@ def start_core(
     start: bool = False,
     analyse: bool = True,
     listen: tuple[str, ...] = (),
+    secrets: Secrets | None = None,
 ) -> tuple[Child, Access]:
     """Start the core of one flight in a session of its own.
 
@@ -107,6 +108,7 @@ def start_core(
         start: fly as soon as the checks pass, without an operator's ``start``.
         analyse: identify, diagnose and report after landing.
         listen: endpoints beyond the loopback one, for clients on other machines.
+        secrets: of the roles; new ones by default.
 
     Returns:
         The process, and an operator's access to it, which is also in ``core.endpoint`` in the folder, for this user alone;
@@ -114,7 +116,7 @@ def start_core(
     """
     folder.mkdir(parents=True, exist_ok=True)
     endpoint = bus.loopback(bus.free_port())
-    secrets = new_secrets()
+    secrets = secrets or new_secrets()
     access = Access(endpoint, Login("operate", secrets["operate"]))
     write_access(folder / ENDPOINT_FILE, access)
     write_access(folder / WATCH_FILE, Access(endpoint, Login("watch", secrets["watch"])))
