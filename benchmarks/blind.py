@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import many
 from benchmarks.flown import flight_data
 from benchmarks.hidden import INVENTED, Random, declared, sizes, world
 from benchmarks.tally import Outcome, report
@@ -116,6 +117,10 @@ def schedule(random: Random, counts: dict[str, int]) -> list[tuple[str, tuple[st
     return [work[i] for i in random.permutation(len(work))]
 
 
+def _fly(item: tuple[str, tuple[str, ...], str, Plan, Random]) -> Outcome | None:
+    return fly(*item)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(prog="benchmarks.blind", description="Diagnosis of effects it was not told about.")
@@ -126,6 +131,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--rows", type=Path, default=None, help="append each flight's outcome to this file, as JSON lines"
     )
+    many.add_options(parser)
     options = parser.parse_args(argv)
     over = time.monotonic() + 60.0 * options.minutes
     master = secrets.randbits(32) if options.seed is None else options.seed
@@ -146,25 +152,29 @@ def main(argv: Sequence[str] | None = None) -> int:
         for name in VEHICLES
     }
     outcomes, lost = [], 0
-    work = schedule(random, counts)
-    for (kind, names), own in zip(work, random.spawn(len(work)), strict=True):
+    work = []
+    planned = schedule(random, counts)
+    for (kind, names), own in zip(planned, random.spawn(len(planned)), strict=True):
+        vehicle = str(own.choice(VEHICLES))
+        work.append((kind, names, vehicle, plans[vehicle][int(own.integers(PLANS))], own))
+    for each in many.outcomes(_fly, work, options):
+        kind, names, vehicle, *_ = each.item
+        outcome = each.value
+        if outcome is None:
+            lost += 1
+        else:
+            outcomes.append(outcome)
+            if options.rows is not None:
+                with options.rows.open("a") as rows:
+                    rows.write(json.dumps({"seed": master, "vehicle": vehicle, **asdict(outcome)}) + "\n")
+            print(
+                f"{each.index + 1}/{len(work)} {vehicle:8} {kind:8} {' + '.join(names) or 'nothing':30} -> {outcome.verdict}: "
+                f"{', '.join(outcome.named) or 'no finding'}",
+                flush=True,
+            )
         if time.monotonic() > over:
             print("out of time: the rest was not flown")
             break
-        vehicle = str(own.choice(VEHICLES))
-        outcome = fly(kind, names, vehicle, plans[vehicle][int(own.integers(PLANS))], own)
-        if outcome is None:
-            lost += 1
-            continue
-        outcomes.append(outcome)
-        if options.rows is not None:
-            with options.rows.open("a") as rows:
-                rows.write(json.dumps({"seed": master, "vehicle": vehicle, **asdict(outcome)}) + "\n")
-        print(
-            f"{len(outcomes) + lost}/{len(work)} {vehicle:8} {kind:8} {' + '.join(names) or 'nothing':30} -> {outcome.verdict}: "
-            f"{', '.join(outcome.named) or 'no finding'}",
-            flush=True,
-        )
     if lost:
         print(f"{lost} flights ended on the floor and are left out")
     report(outcomes)

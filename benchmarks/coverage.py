@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.many import add_options, outcomes
 from benchmarks.study import draw
 from benchmarks.tally import HALF_95, wilson
-from groundstation.errors import GroundStationError
 from groundstation.identification.anchoring import anchored
 from groundstation.identification.identifiability import unrevealed
 from groundstation.identification.pipeline import fit_dynamics
@@ -78,15 +78,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--flights", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=10_001, help="of the first flight; the others follow")
+    add_options(parser)
     arguments = parser.parse_args()
     scores: list[Score] = []
     refused = 0
-    for seed in range(arguments.seed, arguments.seed + arguments.flights):
-        try:
-            scores.append(score(seed))
-        except GroundStationError:
+    for outcome in outcomes(score, range(arguments.seed, arguments.seed + arguments.flights), arguments):
+        if outcome.value is None:
             refused += 1
-        if (seed - arguments.seed) % 50 == 49:
+        else:
+            scores.append(outcome.value)
+        if outcome.index % 50 == 49:
             print(f"\n{len(scores)} flights\n{table(scores)}", file=sys.stderr, flush=True)
     print(f"{len(scores)} flights from seed {arguments.seed}; {refused} more refused or not flown.\n\n{table(scores)}")
 

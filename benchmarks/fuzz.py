@@ -7,8 +7,6 @@ python -m benchmarks.fuzz --replay plan:17   # one input again, with its traceba
 
 Seeds lie in tests/corpus, one folder a reader. Input k of a reader is a function of (seed, reader, k) alone. Inputs run in
 child processes, one a few hundred inputs, that the system holds to 1 GB and that end themselves where one input takes 20 s.
-A log of a foreign format goes through the library itself; in the program that runs in a process that is ended after 12 s
-of processor time (groundstation.recording.foreign), so the same stops count as refusals here, in a column of their own.
 """
 
 from __future__ import annotations
@@ -21,7 +19,6 @@ import mmap
 import os
 import random
 import shutil
-import signal
 import struct
 import sys
 import tempfile
@@ -29,7 +26,7 @@ import time
 import traceback
 from collections import Counter
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from benchmarks.fuzz_readers import READERS
 from benchmarks.mutators import mutate_folder, mutate_named
@@ -40,16 +37,10 @@ CORPUS = Path(__file__).resolve().parent.parent / "tests" / "corpus"
 RESULTS = Path(__file__).resolve().parent.parent / "docs" / "results" / "fuzz.json"
 SEED = 1
 LONGEST_S = 20
-FOREIGN_S = 12.0
 MEMORY = 1 << 30
 AT_A_TIME = 500
-FOREIGN = ("ulog", "dataflash")
 
 Seeds = list[tuple[str, bytes | dict[str, bytes]]]
-
-
-class Stopped(BaseException):
-    """A foreign library has had its time."""
 
 
 def seeds_of(reader: str) -> Seeds:
@@ -79,13 +70,11 @@ def make_input(reader: str, seeds: Seeds, index: int, place: Path, seed: int = S
 
 
 def run_one(reader: str, path: Path) -> str:
-    """Read one input: "read", "refused", "stopped", or the signature of a crash."""
+    """Read one input: "read", "refused", or the signature of a crash."""
     try:
         READERS[reader].read(path)
     except GroundStationError as error:
         return "refused" if "\n" not in str(error) else f"a refusal of several lines: {str(error)[:80]!r}"
-    except Stopped:
-        return "stopped"
     except (Exception, RecursionError) as error:
         where = traceback.extract_tb(error.__traceback__)
         ours = [
@@ -96,17 +85,12 @@ def run_one(reader: str, path: Path) -> str:
     return "read"
 
 
-def _stop(*_: object) -> NoReturn:
-    raise Stopped
-
-
 def child(reader: str, first: int, last: int, shared: mmap.mmap, out: int, seed: int) -> None:
     """Run inputs ``first`` to ``last``; says which is under way in ``shared`` and what came of each on ``out``."""
     import resource
 
     used = int(Path("/proc/self/statm").read_text().split()[0]) * mmap.PAGESIZE
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
-    signal.signal(signal.SIGALRM, _stop)
     seeds = seeds_of(reader)
     place = Path(tempfile.mkdtemp(prefix="fuzz-"))
     done: Counter[str] = Counter()
@@ -116,10 +100,7 @@ def child(reader: str, first: int, last: int, shared: mmap.mmap, out: int, seed:
             shared[:8] = struct.pack("<q", index)
             faulthandler.dump_traceback_later(LONGEST_S, exit=True)
             path = make_input(reader, seeds, index, place, seed)
-            if reader in FOREIGN:
-                signal.setitimer(signal.ITIMER_REAL, FOREIGN_S)
             outcome = run_one(reader, path)
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
             done[outcome] += 1
             examples.setdefault(outcome, index)
             shared[8:16] = struct.pack("<q", index + 1)
@@ -182,7 +163,7 @@ class Tally:
 
     def crashes(self) -> dict[str, str]:
         """Signature by its first input."""
-        fine = ("read", "refused", "stopped")
+        fine = ("read", "refused")
         return {f"{r}:{i}": s for r, each in self.examples.items() for s, i in each.items() if s not in fine}
 
     def total(self) -> int:
@@ -197,8 +178,7 @@ class Tally:
                 "inputs": sum(counts.values()),
                 "read": counts["read"],
                 "refused": counts["refused"],
-                "stopped": counts["stopped"],
-                "crashed": sum(counts.values()) - counts["read"] - counts["refused"] - counts["stopped"],
+                "crashed": sum(counts.values()) - counts["read"] - counts["refused"],
                 "peak_mb": self.peak_mb[reader],
             }
             for reader, counts in self.done.items()
@@ -254,7 +234,7 @@ def main() -> int:
     tally = fuzz(options.count, options.minutes, options.seed, tuple(options.reader), options.start)
     took = time.monotonic() - began
     print(f"seed {options.seed}, first input {options.start}: {tally.total()} inputs in {took:.0f} s")
-    print(f"{'reader':<12}{'inputs':>9}{'read':>9}{'refused':>9}{'stopped':>9}{'crashed':>9}{'peak MB':>9}")
+    print(f"{'reader':<12}{'inputs':>9}{'read':>9}{'refused':>9}{'crashed':>9}{'peak MB':>9}")
     for row in tally.rows():
         print(f"{row['reader']:<12}" + "".join(f"{row[k]:>9}" for k in list(row)[1:]))
     for place, signature in tally.crashes().items():

@@ -41,34 +41,13 @@ def quad() -> Vehicle:
     return vehicle_from_dict(document)
 
 
-def _flight(name: str | None = None) -> Callable[[Path], object]:
+def _flight(flown: Callable[[], Vehicle | None] = lambda: None) -> Callable[[Path], object]:
     def read(path: Path) -> object:
         from groundstation.recording import load_flight
 
-        return load_flight(path, vehicle=None if name is None else vehicle(name))
+        return load_flight(path, vehicle=flown())
 
     return read
-
-
-def _decoded(path: Path) -> object:
-    """A foreign log through the functions that the worker process runs, on this side of the process."""
-    from drivers.foreign import decode_dataflash, decode_ulog, pack, unpack
-    from groundstation.recording.dataflash import _FIELDS, recording_of_dataflash
-    from groundstation.recording.load import FAULTS, checked_flight
-    from groundstation.recording.repair import repair
-    from groundstation.recording.ulog import _TOPICS, recording_of_ulog
-
-    try:
-        ulog = path.suffix == ".ulg"
-        log = decode_ulog(path, _TOPICS) if ulog else decode_dataflash(path, _FIELDS)
-    except Exception:  # what the worker process tells as a sentence
-        raise BadInput("damaged") from None
-    make = recording_of_ulog if ulog else recording_of_dataflash
-    try:
-        recording = make(path, unpack(pack(log)), quad())
-    except FAULTS:
-        raise BadInput("damaged") from None
-    return repair(checked_flight(recording, quad(), str(path)))
 
 
 def _converted(path: Path) -> object:
@@ -155,16 +134,15 @@ def _diagnosis(path: Path) -> object:
 
 
 def _results(folder: Path) -> object:
-    """A folder of flights: the catalogue, a comparison, and what the screens show of each."""
-    from groundstation.commands.files import _flight_line
-    from groundstation.recording import catalogue
+    """A folder of flights: what the catalogue takes of each, and what the screens show of it."""
+    from groundstation.fleet.rows import row_of
     from groundstation.tui import text
     from groundstation.tui.results import read_results
 
-    rows = catalogue(folder)
-    for row in rows:
-        _flight_line(row), text.flight_row(row), text.comparison(rows[0], row)
-        results = read_results(Path(row["folder"]))
+    rows = []
+    for flight in sorted({path.parent for path in folder.rglob("*.json")}):
+        rows.append(row_of(flight, folder))
+        results = read_results(flight)
         if results.identification:
             text.method_table(results.identification, results.declared, 4)
             text.identification_notes(results.identification), text.validation_rows(results.identification)
@@ -220,9 +198,9 @@ READERS: Mapping[str, Reader] = {
     "mcap": Reader(_flight(), 60),
     "convert": Reader(_converted, 20),
     "bundle": Reader(_flight(), 60, folder=True),
-    "usd": Reader(_flight("crazyflie21"), 40),
-    "ulog": Reader(_decoded, 60),
-    "dataflash": Reader(_decoded, 60),
+    "usd": Reader(_flight(lambda: vehicle("crazyflie21")), 40),
+    "ulog": Reader(_flight(quad), 60),
+    "dataflash": Reader(_flight(quad), 60),
     "batch": Reader(_batch, 60),
     "vehicle": Reader(_vehicle, 110),
     "plan": Reader(_plan, 100),

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.flown import flight_data
+from benchmarks.many import add_options, outcomes
 from groundstation.errors import GroundStationError
 from groundstation.flightdata import FlightData
 from groundstation.identification.pipeline import identify
@@ -282,17 +283,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--flights", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1001, help="of the first flight; the others follow")
+    add_options(parser)
     arguments = parser.parse_args()
     flights: list[Flown] = []
     unflown: list[str] = []
-    for seed in range(arguments.seed, arguments.seed + arguments.flights):
-        try:
-            flights.append(study_flight(seed))
-            said = flights[-1].reason or ", ".join(faults(flights[-1], "best")) or "meets everything"
-        except GroundStationError as error:
-            unflown.append(f"seed {seed}: {error}")
-            said = "could not be flown"
-        print(f"seed {seed}: {said}", file=sys.stderr, flush=True)
+    for outcome in outcomes(study_flight, range(arguments.seed, arguments.seed + arguments.flights), arguments):
+        if outcome.value is None:
+            unflown.append(f"seed {outcome.item}: {outcome.failure}")
+            continue
+        flights.append(outcome.value)
+        said = flights[-1].reason or ", ".join(faults(flights[-1], "best")) or "meets everything"
+        print(f"seed {outcome.item}: {said}", file=sys.stderr, flush=True)
     if flights:
         print(tables(flights))
     for line in unflown:

@@ -24,8 +24,11 @@ than real time: it starts at 0 when the drone process starts, and advances only 
 time is reached. The core grants more as it has digested what came: keep credit 0.5 to 2 s ahead of the last batch. With
 ``--real-time`` the drone paces itself by the wall clock and takes from credit only that the core is alive.
 
+Orders take effect at the simulated instant at which the drone stands, between two batches. The core lets it stand at
+fixed instants on the ground (``groundstation.flight.core.pacing``), so one seed and plan give one flight on any machine.
+
 Losing the station. A drone that was sent at least one Credit and then hears none for :data:`CREDIT_TIMEOUT_S` of wall
-time, or sees ``gs/core/alive`` vanish, no longer waits: it flies itself down, lands and disarms, publishing all the while.
+time (:data:`LOCK_STEP_TIMEOUT_S` in lock-step), or sees ``gs/core/alive`` vanish, no longer waits: it flies itself down, lands and disarms, publishing all the while.
 A lock-stepped drone then stands still until a core grants credit beyond its ``host_s`` again, and ends its process after ten
 seconds alone; a real-time drone after two minutes. Send Credit at least every 0.5 s, also when it grants nothing new.
 
@@ -54,7 +57,9 @@ if TYPE_CHECKING:
     import zenoh
 
 CREDIT_TIMEOUT_S = 3.0
-"""Wall time without Credit after which the drone takes the station for dead."""
+"""Wall time without Credit after which a drone in real time takes the station for dead."""
+LOCK_STEP_TIMEOUT_S = 30.0
+"""And one in lock-step, for which no time passes meanwhile: a core short of processor time is none that died."""
 
 CORE_ALIVE = "gs/core/alive"
 CORE_STATUS = "gs/core/status"

@@ -86,11 +86,13 @@ class Batch(msgspec.Struct, frozen=True, array_like=True):
         sequence: counts batches from 0 without gaps.
         host_s: the host's monotonic time at which each sample arrived; simulated in lock-step.
         samples: the samples.
+        until_s: host time up to which nothing is missing; of a lock-stepped vehicle, where its time stands.
     """
 
     sequence: Annotated[int, msgspec.Meta(ge=0, le=2**53)]
     host_s: tuple[float, ...]
     samples: tuple[Sample, ...]
+    until_s: float = 0.0
 
 
 _encoder = msgspec.msgpack.Encoder()

@@ -29,7 +29,9 @@ COMMANDS = {
     "report": "analysing",
     "export": "files",
     "convert": "files",
-    "flights": "files",
+    "flights": "fleet",
+    "batch": "fleet",
+    "campaign": "campaign",
     "doctor": "station",
     "reproduce": "station",
 }

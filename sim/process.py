@@ -23,10 +23,15 @@ _LINGER_REAL_TIME_S = 120.0  # and one in real time, to which somebody may conne
 
 
 class Station:
-    """What the drone knows of the core: how far it may run, and whether the core lives. Fed from the bus' threads."""
+    """What the drone knows of the core: how far it may run, and whether the core lives. Fed from the bus' threads.
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic):
-        self._clock = clock
+    Args:
+        clock: monotonic seconds.
+        silence_s: without a word for so long, the core is taken for dead.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic, silence_s: float = bus.CREDIT_TIMEOUT_S):
+        self._clock, self._silence_s = clock, silence_s
         self._changed = threading.Condition()
         self._credit = bus.Credit(0.0)
         self._heard_s: float | None = None
@@ -51,7 +56,7 @@ class Station:
         """Whether a core that was there is gone."""
         if self._heard_s is None:
             return False
-        return self._gone or self._clock() - self._heard_s > bus.CREDIT_TIMEOUT_S
+        return self._gone or self._clock() - self._heard_s > self._silence_s
 
     def take_leave(self) -> bool:
         """Whether the core has left since this was last asked, even if another has come meanwhile."""
@@ -76,16 +81,16 @@ class DroneProcess:
     def __init__(self, drone: Drone, session, *, clock: Callable[[], float] = time.monotonic):
         self.drone = drone
         self.keys = bus.DroneKeys(drone.description.drone)
-        self.station = Station(clock)
         self._clock = clock
         self._real_time = drone.description.real_time
+        self.station = Station(clock, bus.CREDIT_TIMEOUT_S if self._real_time else bus.LOCK_STEP_TIMEOUT_S)
         self._offset_s = clock() if self._real_time else 0.0
         self._lock = threading.Lock()
         self._ending = threading.Event()
         self._sequence = 0
         self._told: tuple[str, str, float] = ("", "", -1.0)
         self._samples = bus.Publisher(session, self.keys.samples, lossless=not self._real_time)
-        self._status = bus.Publisher(session, self.keys.status)
+        self._status = bus.Publisher(session, self.keys.status, lossless=not self._real_time)
         self._served = [
             bus.serve(session, self.keys.upload, bus.Upload, self._locked(drone.upload)),
             bus.serve(session, self.keys.command, bus.Command, self._locked(self._command)),
@@ -146,7 +151,9 @@ class DroneProcess:
     def _advance(self) -> None:
         arrived = self.drone.advance(round(self.drone.description.batch_s / STEP_S))
         times = tuple(at + self._offset_s for at, _ in arrived)
-        self._samples.put(encode_batch(Batch(self._sequence, times, tuple(sample for _, sample in arrived))))
+        samples = tuple(sample for _, sample in arrived)
+        until_s = self.drone.simulation.time_s + self._offset_s
+        self._samples.put(encode_batch(Batch(self._sequence, times, samples, until_s)))
         self._sequence += 1
         self._publish_status()
 

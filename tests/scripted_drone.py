@@ -87,7 +87,9 @@ class Drone:
             samples = [Imu(t, REST.gyro_rad_s, REST.accel_m_s2) for t in times]
             samples += [Motors(t, (400.0,) * 4) for t in times]
             samples += [Pose(times[-1], (0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0)), Battery(times[-1], 12.0, 5.0)]
-            self.samples.put(encode_batch(Batch(self.sequence, tuple(s.device_s for s in samples), tuple(samples))))
+            self.samples.put(
+                encode_batch(Batch(self.sequence, tuple(s.device_s for s in samples), tuple(samples), self.host_s))
+            )
         self.sequence += 1
         if self.phase in ("takeoff", "exciting", "landing"):
             ends = accumulate(duration for _, duration in PHASES)

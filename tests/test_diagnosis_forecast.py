@@ -21,6 +21,7 @@ from groundstation.diagnosis.results import Diagnosis
 from groundstation.flightdata import FlightData
 from groundstation.identification.pipeline import fit_dynamics
 from groundstation.identification.preparation import prepare
+from groundstation.options import AnalysisOptions
 from groundstation.paths import find_config
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
@@ -98,10 +99,10 @@ def test_the_document_holds_every_stage_quantity_and_what_they_are_of():
 
 
 def test_on_an_unseen_flight_the_parameters_of_the_first_are_judged():
-    found = diagnose([_flown(3, "weak")], held_out=[_flown(4, "weak")])
+    found = diagnose([_flown(3, "weak")], AnalysisOptions(held_out=(_flown(4, "weak"),)))
     assert _ratio(found, "prediction_0.1_s_{}", "body_rate_rad_s") > 3.0
     assert _ratio(found, "simulation_{}", "torque_x_nm") > 1.0
-    other = diagnose([_flown(3, "weak")], held_out=[_flown(4, "nothing")])
+    other = diagnose([_flown(3, "weak")], AnalysisOptions(held_out=(_flown(4, "nothing"),)))
     assert _ratio(other, "prediction_0.1_s_{}", "body_rate_rad_s") < 0.5  # a fault that the other flight does not have
 
 

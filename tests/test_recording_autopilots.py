@@ -177,7 +177,7 @@ def test_such_a_log_converts_to_a_bundle_that_is_consistent(tmp_path, made):
 
 def test_another_number_of_motors_is_refused(tmp_path, made):
     hexa = quad(position_m=[*POSITIONS, [0.0, 0.2, 0.0], [0.0, -0.2, 0.0]], spin=[1, 1, -1, -1, 1, -1])
-    with pytest.raises(BadInput, match="4 motors, the vehicle file 6"):
+    with pytest.raises(BadInput, match=r"4 motors.*'qball2' has 6 rotors"):
         load_flight(write_ulog(tmp_path / "a.ulg", made), vehicle=hexa)
 
 
@@ -220,6 +220,8 @@ def write_dataflash(path, made, *, raw=False, first_output=1):
     log = _InOrder()
     for motor in range(4):
         log.add("PARM", 1, f"SERVO{first_output + motor}_FUNCTION".encode(), 33.0 + motor, 0.0)
+    for name, value in (("MOT_PWM_MIN", 1000.0), ("MOT_PWM_MAX", 2000.0)):
+        log.add("PARM", 1, name.encode(), value, 0.0)
     imu = np.hstack([to_ned(made.imu.values[:, :3]), to_ned(made.imu.values[:, 3:])])
     times = microseconds(made.imu.t_s)
     for k, (t, row) in enumerate(zip(times, imu, strict=True)):
@@ -349,7 +351,11 @@ def _smooth(values, width):
 
 @needs_data
 def test_the_default_ardupilot_log_says_what_is_too_slow_and_what_to_set():
-    flown = load_flight(DATA / "arducopter" / "circle-gps.bin", vehicle=sih())
+    document = vehicle_to_dict(sih())
+    document["rotors"]["position_m"] = [[0.0, -0.2, 0.0], [0.0, 0.2, 0.0], [0.2, 0.0, 0.0], [-0.2, 0.0, 0.0]]
+    with pytest.raises(BadInput, match="frame is quad plus, and the rotors of 'x500' do not stand like that"):
+        load_flight(DATA / "arducopter" / "circle-gps.bin", vehicle=sih())
+    flown = load_flight(DATA / "arducopter" / "circle-gps.bin", vehicle=vehicle_from_dict(document))
     said = " ".join(flown.notes)
     assert "motors: 10 Hz is too slow" in said
     assert "imu: 25 Hz is too slow" in said

@@ -155,7 +155,7 @@ def test_when_the_station_is_gone_it_lands_by_itself_and_then_ends(flown, death)
         core.fly(14.0)
         assert process.drone.phase == "exciting"
         if death == "silence":
-            wall.now += bus.CREDIT_TIMEOUT_S + 0.1
+            wall.now += bus.LOCK_STEP_TIMEOUT_S + 0.1
     # Leaving the block takes the core's token away, which is how a killed core looks.
     _eventually(lambda: process.drone.phase == "landed")
     assert process.drone.simulation.position_m[2] == pytest.approx(0.1)

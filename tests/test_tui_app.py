@@ -15,6 +15,7 @@ from textual.widgets import DataTable, Input, Static
 from drivers import bus
 from drivers.access import Access
 from groundstation.analysis.plans import write_plan
+from groundstation.fleet.catalogue import Catalogue
 from groundstation.flight.client.access import write_access
 from groundstation.flight.core.lease import OperatorLease
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, CoreStatus, Lease, StreamStatus
@@ -331,6 +332,24 @@ async def test_flights_lists_filters_and_opens(tmp_path: Path) -> None:
         await pilot.press("enter")
         await until(pilot, lambda: app.current_mode == "identify" and "IV (best)" in screen_text(app))
         assert "beta[red]" in screen_text(app)
+
+
+async def test_flights_are_tagged_noted_and_their_trend_is_shown(tmp_path: Path) -> None:
+    logs = tmp_path / "logs"
+    for name in ("alpha", "beta"):
+        write_results(logs / name)
+    app = GroundStation(logs)
+    async with app.run_test(size=(80, 24)) as pilot:
+        await pilot.press("6")
+        await until(pilot, lambda: app.screen.query_one("#catalogue", DataTable).row_count == 2)
+        await pilot.press("g", *"payload", "enter")
+        await until(pilot, lambda: any(row["tags"] == ["payload"] for row in Catalogue(logs).rows()))
+        await pilot.press("n", *"windy", "enter")
+        await until(pilot, lambda: any(row["note"] == "windy" for row in Catalogue(logs).rows()))
+        await pilot.press("d")
+        await until(pilot, lambda: "a trend needs 4" in text_of(app, "#flights-text"))
+        await pilot.press("b")
+        await until(pilot, lambda: "every recording here has results" in text_of(app, "#flights-text"))
 
 
 async def test_nothing_in_the_logs_and_a_core_that_does_not_exist_are_sentences(

@@ -23,6 +23,7 @@ from groundstation.diagnosis.results import Diagnosis
 from groundstation.errors import GroundStationError, NotIdentifiable, Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification
+from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
 from groundstation.vehicle import Vehicle
 
 AUGMENTED = "with findings"
@@ -82,16 +83,15 @@ def evolution(flight: FlightData) -> dict[str, Any]:
 def analyse(
     flights: Sequence[FlightData],
     folder: Path,
+    options: AnalysisOptions = DEFAULT_OPTIONS,
     *,
-    exclude: Sequence[tuple[float, float]] = (),
-    references: Sequence[FlightData] = (),
-    held_out: Sequence[FlightData] = (),
     progress: Progress = lambda fraction, text: None,
     source: str | None = None,
 ) -> Analysis:
     """Identify, diagnose and report into ``folder``. A diagnosis that refuses or fails never costs the report.
 
     Args:
+        options: stretches to leave out, references, flights kept for judging.
         source: the recordings and options as on the command line, for the report's commands that repeat it.
 
     Raises:
@@ -103,15 +103,16 @@ def analyse(
 
     folder.mkdir(parents=True, exist_ok=True)
     try:
-        identification = identify(flights, exclude=exclude, progress=lambda f, text: progress(0.05 + 0.5 * f, text))
+        identifying = AnalysisOptions(exclude=options.exclude)
+        identification = identify(flights, identifying, progress=lambda f, text: progress(0.05 + 0.5 * f, text))
     except Refused as error:
         write_report(folder / "report.html", flights[0], error, source=source)
         raise
     write_identification(folder, identification, flights[0].vehicle)
     write_json(folder / "evolution.json", evolution(flights[0]))
-    diagnosis = _diagnose(flights, references, held_out, lambda f, text: progress(0.55 + 0.35 * f, text))
+    diagnosis = _diagnose(flights, options, lambda f, text: progress(0.55 + 0.35 * f, text))
     diagnosis, plan = with_next_flight(folder, diagnosis, flights[0].vehicle)
-    identification = with_augmented_loop(flights[0], identification, diagnosis, exclude)
+    identification = with_augmented_loop(flights[0], identification, diagnosis, options)
     files = write_identification(folder, identification, flights[0].vehicle, diagnosis)
     if plan is not None:
         files["next_flight"] = plan
@@ -122,14 +123,12 @@ def analyse(
     return Analysis(identification, diagnosis, files)
 
 
-def _diagnose(
-    flights: Sequence[FlightData], references: Sequence[FlightData], held_out: Sequence[FlightData], progress: Progress
-) -> Diagnosis:
+def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress: Progress) -> Diagnosis:
     from groundstation.diagnosis import diagnose
 
     first = flights[0]
     try:
-        return diagnose(flights, references=references, held_out=held_out, progress=progress)
+        return diagnose(flights, options, progress=progress)
     except Refused as error:
         return Diagnosis(first.name, first.vehicle.name, "refused", reason=str(error))
     except Exception as error:
@@ -142,7 +141,7 @@ def with_augmented_loop(
     flight: FlightData,
     identification: Identification,
     diagnosis: Diagnosis,
-    exclude: Sequence[tuple[float, float]] = (),
+    options: AnalysisOptions = DEFAULT_OPTIONS,
 ) -> Identification:
     """Where the closed loop was simulated, the same with the augmented model: parameters and forces of the findings."""
     from groundstation.diagnosis.effect import wrench_of
@@ -161,7 +160,7 @@ def with_augmented_loop(
         flight.plan,
         sets,
         mocap_minus_imu_s=identification.clock.mocap_minus_imu_s if identification.clock is not None else 0.0,
-        exclude=exclude,
+        exclude=options.exclude,
         wrenches={AUGMENTED: wrench_of(effects, flight.vehicle)},
     )
     both = replace(loop, rms={**loop.rms, **again.rms})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -55,14 +54,14 @@ def identify(
 
     FLIGHTS are MCAP recordings, bundle folders, PX4 ULog, ArduPilot DataFlash or Crazyflie usd logs.
     """
-    left_out = [seconds_pair(pair) for pair in exclude]
+    left_out = tuple(seconds_pair(pair) for pair in exclude)
     loaded = load_flights(flights, vehicle, start_s, end_s)
+    from groundstation import api
     from groundstation.analysis.analyse import write_identification
     from groundstation.flight.client.rehearse import result_table
-    from groundstation.identification.pipeline import identify as run
 
     line = ProgressLine()
-    found = run(loaded, exclude=left_out, progress=line.fraction)
+    found = api.identify(loaded, exclude=left_out, progress=line.fraction)
     line.end()
     folder = result_folder(flights[0], logs)
     folder.mkdir(parents=True, exist_ok=True)
@@ -101,25 +100,19 @@ def diagnose(
     model: Path | None,
 ) -> Result:
     """Find what the declared vehicle lacks: trace the residual to effects, with the error before and after."""
+    left_out = tuple(seconds_pair(pair) for pair in exclude)
     loaded = load_flights(flights, vehicle, start_s, end_s)
     references, judges = load_flights(reference, vehicle), load_flights(held_out, vehicle)
+    from groundstation import api
     from groundstation.analysis.analyse import with_next_flight
     from groundstation.analysis.documents import write_json
-    from groundstation.diagnosis import diagnose as run
-    from groundstation.diagnosis.augmented import known_candidates
     from groundstation.reporting.exports import read_model
-    from groundstation.reporting.identified import identified_from_document
 
-    known = ()
-    if model is not None:
-        document = read_model(model, loaded[0].vehicle if vehicle is not None else None)
-        known = known_candidates(document["effects"])
-        loaded, references, judges = (
-            [replace(flight, vehicle=identified_from_document(document).vehicle) for flight in group]
-            for group in (loaded, references, judges)
-        )
+    known = None if model is None else read_model(model, loaded[0].vehicle if vehicle is not None else None)
     line = ProgressLine()
-    found = run(loaded, references=references, held_out=judges, augmented=known, progress=line.fraction)
+    found = api.diagnose(
+        loaded, exclude=left_out, references=references, held_out=judges, model=known, progress=line.fraction
+    )
     line.end()
     folder = result_folder(flights[0], logs)
     folder.mkdir(parents=True, exist_ok=True)
@@ -161,14 +154,15 @@ def report(
     held_out: tuple[Path, ...],
 ) -> Result:
     """Identify and diagnose, and write the HTML report."""
+    left_out = tuple(seconds_pair(pair) for pair in exclude)
     loaded = load_flights(flights, vehicle, start_s, end_s)
-    from groundstation.analysis.analyse import analyse
+    from groundstation import api
 
     line = ProgressLine()
-    done = analyse(
+    done = api.analyse(
         loaded,
         result_folder(flights[0], logs),
-        exclude=[seconds_pair(pair) for pair in exclude],
+        exclude=left_out,
         references=load_flights(reference, vehicle),
         held_out=load_flights(held_out, vehicle),
         progress=line.fraction,
@@ -203,20 +197,12 @@ def predict(
 ) -> Result:
     """Simulate open loop from every sample of FLIGHT with MODEL (identification.toml), and say how far off it is."""
     loaded = load_flights((flight,), vehicle, start_s, end_s)[0]
-    from groundstation.diagnosis.effect import library, wrench_of
-    from groundstation.identification.preparation import flight_states
-    from groundstation.model.prediction import model_from_document
-    from groundstation.model.prediction import predict as run
+    from groundstation import api
     from groundstation.reporting.exports import read_model
-    from groundstation.vehicle import vehicle_from_dict
 
     line = ProgressLine()
     document = read_model(model, loaded.vehicle if vehicle is not None else None)
-    declared = vehicle_from_dict(document["vehicle"], str(model))
-    effects = document.get("effects", {})
-    wrench = wrench_of(effects, declared) if any(name in library() for name in effects) else None
-    states = flight_states(loaded, own=state == "own")
-    found = run(model_from_document(document, declared, wrench), states, horizon_s=horizon, progress=line.fraction)
+    found = api.predict(document, loaded, horizon_s=horizon, own_state=state == "own", progress=line.fraction)
     line.end()
     if save is not None:
         from groundstation.recording.csvfile import write_csv

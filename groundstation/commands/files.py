@@ -1,19 +1,16 @@
-"""``groundstation export``, ``convert`` and ``flights``."""
+"""``groundstation export`` and ``convert``."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import click
 
-from groundstation.commands.common import Result, example, json_option, load_vehicle_option, logs_option
+from groundstation.commands.common import Result, example, json_option
 from groundstation.errors import BadInput
 from groundstation.writing import write_whole
 
-MOVED = 3.0
-"""Combined standard deviations from which a change from flight to flight is worth a word."""
 ANY = click.Path(path_type=Path)
 
 
@@ -36,29 +33,6 @@ def convert(source: Path, target: Path, vehicle: str | None) -> Result:
     return Result(document, "\n".join([f"written: {target}", *(f"not held: {text}" for text in lost)]))
 
 
-@click.command(epilog=example("groundstation flights --logs logs"))
-@logs_option
-@json_option
-def flights(logs: Path) -> Result:
-    """List what lies in the logs, and how parameters moved from flight to flight."""
-    from groundstation.recording import catalogue
-
-    rows = catalogue(logs)
-    text = (
-        "\n".join(_flight_line(row) for row in rows) or f"no flights in {logs}; make one with `groundstation rehearse`"
-    )
-    return Result({"schema": "groundstation.flights/1", "flights": rows}, text)
-
-
-def _flight_line(row: Mapping[str, Any]) -> str:
-    """One flight: when, what, how it ended, its mass, and what moved by more than chance allows."""
-    mass = row["parameters"].get("mass_kg")
-    told = f"mass {mass['value']:.4g} kg" if mass else row["reason"]
-    moved = [f"{name} {change:+.1f}" for name, change in (row.get("moved") or {}).items() if abs(change) > MOVED]
-    tail = f"; moved (in standard deviations): {', '.join(moved)}" if moved else ""
-    return f"{row['date'][:19]}  {row['flight']:<36} {row['state']:<10} {row['verdict'] or '-':<12} {told}{tail}"
-
-
 @click.command(epilog=example("groundstation export identification.toml --format mjcf --output vehicle.xml"))
 @click.argument("model", type=ANY)
 @click.option(
@@ -69,9 +43,9 @@ def _flight_line(row: Mapping[str, Any]) -> str:
 @json_option
 def export(model: Path, form: str, output: Path | None, vehicle: str | None) -> Result:
     """Write an identified MODEL (identification.toml) in the format of a simulator or autopilot."""
-    from groundstation.reporting.exports import export as run
+    from groundstation import api
 
-    text = run(model, form, load_vehicle_option(vehicle))
+    text = api.export(model, form, vehicle=vehicle)
     document: dict[str, Any] = {"schema": "groundstation.export/1", "format": form}
     if output is None:
         return Result({**document, "content": text}, text.rstrip("\n"))

@@ -129,7 +129,7 @@ def simulation_errors(evidence: Evidence, baseline: Chosen, chosen: Chosen, spli
                 recorded.plan,
                 sets,
                 mocap_minus_imu_s=clock.mocap_minus_imu_s if clock is not None else 0.0,
-                exclude=((-np.inf, judged[0]), (judged[-1], np.inf)),
+                exclude=((-np.inf, judged[0]), (judged[-1], np.inf), *flight.prepared.excluded_s),
                 wrenches=wrenches,
             )
             parts += 1

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.attribution import Entry, Named, Selection, candidates
-from groundstation.diagnosis.augmented import is_among
+from groundstation.diagnosis.augmented import is_among, known_candidates
 from groundstation.diagnosis.comparison import (
     as_declared,
     base_parameters,
@@ -37,9 +37,10 @@ from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.pipeline import fit_dynamics, options_for
 from groundstation.identification.prediction_error import Fitted
-from groundstation.identification.preparation import Prepared, prepare
+from groundstation.identification.preparation import Prepared, prepare_all
 from groundstation.identification.record_model import Options
 from groundstation.identification.results import Estimate
+from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -52,28 +53,24 @@ BASELINE = ("com_offset", "constant_wrench", "rotor_drag", "climb_inflow", "thru
 
 def diagnose(
     flights: Sequence[FlightData],
+    options: AnalysisOptions = DEFAULT_OPTIONS,
     *,
-    references: Sequence[FlightData] = (),
-    held_out: Sequence[FlightData] = (),
-    augmented: tuple[Candidate, ...] = (),
     progress: Progress = lambda fraction, text: None,
 ) -> Diagnosis:
     """Trace the residual of one or several flights of a vehicle to effects its declaration lacks.
 
     Args:
         flights: under suspicion; pooled.
-        references: healthy flights of the same vehicle; findings are then what differs from them.
-        held_out: flights that no estimate sees; the error before and after is then reported on them.
-        augmented: effects that an earlier flight found (:func:`.augmented.known_candidates`); findings are what is beside them.
+        options: stretches to leave out, healthy flights to compare with, flights to judge by, effects that are known.
         progress: told the fraction done and what is being done.
     """
     name = " + ".join(flight.name for flight in flights)
     vehicle = flights[0].vehicle
+    references, augmented = options.references, known_candidates(options.known_effects)
     try:
         progress(0.05, "bringing the streams onto one clock")
-        suspects = [prepare(flight) for flight in flights]
-        healthy = [prepare(flight) for flight in references]
-        unseen = [prepare(flight) for flight in held_out]
+        suspects = prepare_all(flights, options.exclude)
+        healthy, unseen = prepare_all(references), prepare_all(options.held_out)
         kinematic = kinematic_findings(suspects[0])
         suspects, healthy, unseen = ([turned(item, kinematic) for item in each] for each in (suspects, healthy, unseen))
         if healthy and trim_applies(suspects, healthy):
@@ -81,15 +78,15 @@ def diagnose(
         bend = exponent_error(suspects[0])
         suspects, healthy, unseen = ([recurved(item, bend) for item in each] for each in (suspects, healthy, unseen))
         progress(0.25, "base fit")
-        start, options = base_fit([*suspects, *healthy])
+        start, free = base_fit([*suspects, *healthy])
         suspects, healthy, unseen = ([for_evidence(item) for item in each] for each in (suspects, healthy, unseen))
-        evidence, baseline, named, solution = _select(start, options, suspects, healthy, augmented, (), progress)
+        evidence, baseline, named, solution = _select(start, free, suspects, healthy, augmented, (), progress)
         if named:
             # An effect swells the noise it is judged against, and bends the base it is judged about: what was found is kept out of
             # the noise, the base moves to the joint estimate, and all is judged anew.
             known = tuple(n.candidate for n in named)
             about = evidence.flights[0].moved(start, solution)
-            evidence, baseline, named, solution = _select(about, options, suspects, healthy, augmented, known, progress)
+            evidence, baseline, named, solution = _select(about, free, suspects, healthy, augmented, known, progress)
         chosen = [*baseline, *((n.candidate, n.columns) for n in named)]
         progress(0.9, "what is left")
         left = dependences(evidence, chosen)

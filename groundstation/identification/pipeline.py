@@ -23,12 +23,13 @@ from groundstation.identification.identifiability import (
 )
 from groundstation.identification.instrumental import instrumental
 from groundstation.identification.prediction_error import Fitted, fit, fit_from_declared, output_error
-from groundstation.identification.preparation import Prepared, damping_terms, prepare
+from groundstation.identification.preparation import Prepared, damping_terms, prepare_all
 from groundstation.identification.record_model import BodyWrench, DynamicRecord, Options, Parameters, RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification, MethodResult
 from groundstation.identification.validation import validate
 from groundstation.model.disturbance import TurningDisturbance, pooled, three, turning
 from groundstation.model.rotors import wrench_matrix
+from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -184,22 +185,25 @@ def curve_terms(prepared: Prepared, p: Parameters) -> list[BodyWrench]:
 
 def identify(
     flights: Sequence[FlightData],
+    options: AnalysisOptions = DEFAULT_OPTIONS,
     *,
-    exclude: Sequence[tuple[float, float]] = (),
     progress: Progress = lambda fraction, text: None,
 ) -> Identification:
     """Identify one vehicle from one or several of its flights.
 
     Args:
         flights: recordings of the same vehicle; they are pooled.
-        exclude: segments (start, end) to leave out, seconds on the IMU's clock.
+        options: stretches to leave out.
         progress: told the fraction done and what is being done.
 
     Raises:
+        BadInput: an option that only a diagnosis can use, or a stretch outside the flights.
         Refused: too short, clocks that cannot be aligned, or a motion that reveals too little; with the remedy.
     """
     progress(0.05, "bringing the streams onto one clock")
-    prepared = [prepare(flight, exclude=exclude) for flight in flights]
+    options.require_only("identify", "exclude")
+    exclude = options.exclude
+    prepared = prepare_all(flights, exclude)
     fitted = fit_dynamics(prepared, progress)
     best = fitted.best
     vehicle = prepared[0].record.vehicle

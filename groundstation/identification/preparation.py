@@ -63,6 +63,7 @@ class Prepared:
         voltage_v, charge_as: battery at the record's stamps; NaN if unknown.
         source: "imu", "poses" or "state": where rates and accelerations come from.
         window_s: start and end of what is used, on the record's clock.
+        excluded_s: stretches (start, end) that the user left out, on the record's clock.
     """
 
     flight: FlightData
@@ -81,6 +82,7 @@ class Prepared:
     source: str
     window_s: tuple[float, float]
     notes: tuple[str, ...]
+    excluded_s: tuple[tuple[float, float], ...] = ()
 
     def signals(self, up_s: float, down_s: float, delay_s: float, slope: float = 0.0) -> Signals:
         """What forces can depend on, at the record's stamps, for a given lag and delay."""
@@ -170,7 +172,24 @@ def prepare(flight: FlightData, *, exclude: Sequence[tuple[float, float]] = ()) 
         source=motion.source,
         window_s=(float(t[keep][0]), float(t[keep][-1])),
         notes=tuple(notes),
+        excluded_s=tuple(exclude),
     )
+
+
+def prepare_all(flights: Sequence[FlightData], exclude: Sequence[tuple[float, float]] = ()) -> list[Prepared]:
+    """:func:`prepare` each flight.
+
+    Raises:
+        BadInput: a stretch to leave out lies in none of the flights.
+    """
+    prepared = [prepare(flight, exclude=exclude) for flight in flights]
+    for first, last in exclude:
+        if not any(np.any((p.record.t_s >= first) & (p.record.t_s <= last)) for p in prepared):
+            spans = " and ".join(f"{p.record.t_s[0]:.2f} to {p.record.t_s[-1]:.2f} s" for p in prepared)
+            raise BadInput(
+                f"there is nothing to leave out from {first:g} to {last:g} s: stamps run from {spans}; give times within them."
+            )
+    return prepared
 
 
 def flight_states(flight: FlightData, *, own: bool = False) -> FlightStates:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.foreign import Decoded
-from groundstation.errors import BadInput
 from groundstation.flightdata import (
     BATTERY_COLUMNS,
     IMU_COLUMNS,
@@ -18,47 +15,33 @@ from groundstation.flightdata import (
     SETPOINT_COLUMNS,
     STATE_COLUMNS,
     Stream,
-    motor_columns,
 )
 from groundstation.frames import quat_from_euler
-from groundstation.recording.autopilot import (
-    MOTORS_SLOW_HZ,
-    QUAD_X,
-    motor_order,
-    slow_note,
-    wanted_input,
-    z_up,
-    z_up_quaternion,
-)
+from groundstation.recording.autopilot import present, slow_note, z_up, z_up_quaternion
+from groundstation.recording.dataflash_motors import Tables, read_motors
+from groundstation.recording.dataflashfile import DataFlashFile, decode_dataflash
 from groundstation.recording.derive import slerp
-from groundstation.recording.foreign import read_tables
 from groundstation.recording.recorded import Recording
+from groundstation.recording.tables import Table
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-Tables = dict[str, dict[str, Array]]
 
-_FIELDS: dict[str, tuple[str, ...]] = {
-    "IMU": ("I", "GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
-    "RCOU": tuple(f"C{i}" for i in range(1, 15)),
-    "ESC": ("Instance", "RPM"),
-    "XKF1": ("C", "PN", "PE", "PD", "VN", "VE", "VD"),
-    "XKQ": ("C", "Q1", "Q2", "Q3", "Q4"),
-    "ATT": ("Roll", "Pitch", "Yaw"),
-    "GYR": ("I", "SampleUS", "GyrX", "GyrY", "GyrZ"),
-    "ACC": ("I", "SampleUS", "AccX", "AccY", "AccZ"),
-    "VISP": ("RTimeUS", "PX", "PY", "PZ", "R", "P", "Y"),
-    "SIM": ("Q1", "Q2", "Q3", "Q4"),
-    "SIM2": ("PN", "PE", "PD"),
-    "BAT": ("Inst", "Volt", "Curr"),
-    "GUIP": ("pX", "pY", "pZ"),
-    "PARM": ("Name", "Value"),
+NAMES: Mapping[str, tuple[tuple[str, str | None], ...]] = {
+    "imu": (("IMU", "I"), ("IMU", None)),  # 4.1 on with an instance; before IMU, IMU2, IMU3
+    "gyr": (("GYR", "I"), ("GYR1", None)),
+    "acc": (("ACC", "I"), ("ACC1", None)),
+    "position": (("XKF1", "C"), ("XKF1", None), ("NKF1", "C"), ("NKF1", None)),  # EKF3, EKF2; 4.1 on with a core
+    "attitude": (("XKQ", "C"), ("XKQ1", None), ("NKQ", "C"), ("NKQ1", None)),
+    "battery": (("BAT", "Inst"), ("BAT", "Instance"), ("BAT", None), ("CURR", None)),  # 4.1, 4.0, 3.5 and before
 }
-_FIRST_MOTOR_FUNCTION = 33
-_MOTOR_REMEDY = (
-    "ArduPilot writes RCOU at 10 Hz whatever the setting: record SERVO_OUTPUT_RAW over the link at full rate, or use "
-    'ESC telemetry (a vehicle file with input = "rotor_speed").'
+"""What is read, and under which message and instance field, from the newest version to the oldest."""
+_READ = (
+    *("FMT", "PARM", "MSG", "RCOU", "RCO2", "ESC", "VISP", "SIM", "SIM2", "GUIP"),
+    *(message for choices in NAMES.values() for message, _ in choices),
+    *(f"ESC{i}" for i in range(1, 13)),
 )
+_GYRO, _ACCEL = ("GyrX", "GyrY", "GyrZ"), ("AccX", "AccY", "AccZ")
 _IMU_REMEDY = (
     "set LOG_BITMASK to include fast attitude and fast (raw) IMU, and INS_LOG_BAT_OPT as docs/formats.md says."
 )
@@ -67,166 +50,140 @@ _IMU_REMEDY = (
 def read_dataflash(path: Path, vehicle: Vehicle) -> Recording:
     """Read the messages that identification needs.
 
-    GYR and ACC where raw logging was on, else IMU (first instance of each), RCOU as commands or ESC as speeds, XKF1 and XKQ as the vehicle's own state, VISP (or in
-    simulation SIM and SIM2) for motion capture, BAT, GUIP as setpoints.
+    GYR and ACC where raw logging was on, else IMU (first instance of each), RCOU as commands or ESC as speeds, the filter's
+    position and attitude as the vehicle's own state, VISP (or in simulation SIM and SIM2) for motion capture, BAT, GUIP as
+    setpoints.
 
     Raises:
-        BadInput: it is damaged at the start, or holds no motor outputs.
+        BadInput: it is damaged at the start, holds no motor outputs, or those of another vehicle.
     """
-    return recording_of_dataflash(path, read_tables("dataflash", path, _FIELDS), vehicle)
-
-
-def recording_of_dataflash(path: Path, log: Decoded, vehicle: Vehicle) -> Recording:
-    """The streams in a log's tables.
-
-    Raises:
-        BadInput: it holds no motor outputs.
-    """
-    tables, parameters, lost = _tables(path, log)
-    notes = [*lost]
+    log = decode_dataflash(np.memmap(path, np.uint8, mode="r"))
+    tables = {name: table for name, table in log.tables.items() if len(table) > 1}
+    lost = _losses(path, log)
     streams: dict[str, Stream] = {}
-    streams["motors"], said = _motors(tables, parameters, vehicle, str(path))
-    notes += said
-    imu, said = _imu(tables)
-    notes += said
-    if imu is not None:
-        streams["imu"] = imu
-    for name, read in (("mocap", _mocap), ("state", _state)):
-        stream, said = read(tables)
+    streams["motors"], said = read_motors(tables, log.settings, vehicle, str(path))
+    notes = [*lost, *said]
+    for name, read in _OTHERS.items():
+        stream, said = present(name, lambda read=read: read(tables))
         notes += said
         if stream is not None and len(stream):
             streams[name] = stream
-    if "BAT" in tables and np.any(tables["BAT"]["Volt"] > 0.0):
-        battery = _instance(tables["BAT"], "Inst", 0)
-        streams["battery"] = Stream(battery["t_s"], _stack(battery, "Volt", "Curr"), BATTERY_COLUMNS)
-    if "GUIP" in tables:
-        guided = tables["GUIP"]
-        values = np.column_stack([z_up(_stack(guided, "pX", "pY", "pZ")), np.full(len(guided["t_s"]), np.nan)])
-        streams["setpoint"] = Stream(guided["t_s"], values, SETPOINT_COLUMNS)
+    firmware = next((text for text in log.texts if text.startswith(("Ardu", "Blimp"))), "")
     return Recording(
         name=path.stem,
         streams=streams,
-        metadata={"format": "ArduPilot DataFlash"},
+        metadata={"format": "ArduPilot DataFlash", **({"ver_sw": firmware} if firmware else {})},
         notes=tuple(notes),
-        left_out=(
-            *lost,
-            f"messages of the log other than {', '.join(_FIELDS)}.",
-        ),
+        left_out=(*lost, *_left_out(log.tables)),
     )
 
 
-def _tables(path: Path, log: Decoded) -> tuple[Tables, dict[str, float], list[str]]:
-    """Columns of each message type with ``t_s``, the parameters, and a note on damage."""
-    skipped = sum(map(int, re.findall(r"Skipped (\d+) bad bytes", log.complaints)))
-    notes = [f"{path.name}: {skipped} damaged bytes were skipped."] if skipped else []
-    tables = {name: {"t_s": columns["TimeUS"] / 1e6, **columns} for name, columns in log.tables.items()}
-    return tables, log.parameters, notes
+def _losses(path: Path, log: DataFlashFile) -> list[str]:
+    """What a copy lost."""
+    notes = [f"{path.name}: {log.damaged} damaged bytes were skipped."] if log.damaged else []
+    if log.missing:
+        notes.append(
+            f"{path.name}: the log is cut off in the middle of a record ({log.missing} bytes of it are missing); it was read "
+            "up to there."
+        )
+    return notes
 
 
-def _stack(table: dict[str, Array], *names: str) -> Array:
-    return np.column_stack([table[name] for name in names])
+def _left_out(tables: Tables) -> list[str]:
+    return [
+        f"{name}: {len(table)} records at {table.rate_hz():.0f} Hz are not read."
+        for name, table in sorted(tables.items())
+        if name not in _READ
+    ]
 
 
-def _instance(table: dict[str, Array], key: str, wanted: int) -> dict[str, Array]:
-    mask = table[key] == wanted
-    return {name: column[mask] for name, column in table.items()}
+def _named(tables: Tables, what: str) -> Table | None:
+    """The first instance of what is wanted, under whichever name the version gave it."""
+    for message, instance in NAMES[what]:
+        table = tables.get(message)
+        if table is None or (instance is not None and instance not in table):
+            continue
+        if instance is None:
+            return table
+        numbers = table.raw(instance)
+        return table.select(numbers == numbers.min())
+    return None
 
 
 def _imu(tables: Tables) -> tuple[Stream | None, list[str]]:
-    if {"GYR", "ACC"} <= set(tables):
-        gyro, accel = _instance(tables["GYR"], "I", 0), _instance(tables["ACC"], "I", 0)
-        t_s, t_accel = gyro["SampleUS"] / 1e6, accel["SampleUS"] / 1e6
+    gyro, accel = _named(tables, "gyr"), _named(tables, "acc")
+    if gyro is not None and accel is not None:
+        t_s, t_accel = gyro.column("SampleUS") / 1e6, accel.column("SampleUS") / 1e6
         inside = (t_s >= t_accel[0]) & (t_s <= t_accel[-1])
         t_s = t_s[inside]
-        force = [np.interp(t_s, t_accel, column) for column in z_up(_stack(accel, "AccX", "AccY", "AccZ")).T]
-        values = np.hstack([z_up(_stack(gyro, "GyrX", "GyrY", "GyrZ"))[inside], np.column_stack(force)])
+        force = [np.interp(t_s, t_accel, column) for column in z_up(accel.columns(*_ACCEL)).T]
+        values = np.hstack([z_up(gyro.columns(*_GYRO))[inside], np.column_stack(force)])
         return Stream(t_s, values, IMU_COLUMNS), ["imu: raw (GYR and ACC), accelerations at the gyro's stamps."]
-    if "IMU" not in tables:
+    imu = _named(tables, "imu")
+    if imu is None:
         return None, [f"imu: not in the log; {_IMU_REMEDY}"]
-    imu = _instance(tables["IMU"], "I", 0)
-    values = np.hstack([z_up(_stack(imu, "GyrX", "GyrY", "GyrZ")), z_up(_stack(imu, "AccX", "AccY", "AccZ"))])
-    stream = Stream(imu["t_s"], values, IMU_COLUMNS)
+    values = np.hstack([z_up(imu.columns(*_GYRO)), z_up(imu.columns(*_ACCEL))])
+    stream = Stream(imu.seconds(), values, IMU_COLUMNS)
     return stream, slow_note("imu", stream, 100.0, _IMU_REMEDY)
 
 
-def _motors(tables: Tables, parameters: dict[str, float], vehicle: Vehicle, source: str) -> tuple[Stream, list[str]]:
-    count = vehicle.rotors.count
-    spinning = "ESC" in tables and bool(np.any(tables["ESC"]["RPM"] != 0.0))
-    kind = wanted_input(vehicle, {"command": "RCOU" in tables, "rotor_speed": spinning}, source)
-    if count == len(QUAD_X):
-        order, notes = motor_order(vehicle, np.array(QUAD_X))
-    else:
-        order, notes = list(range(count)), ["motors: not a quadrotor; motor i is taken for rotor i."]
-    if kind == "rotor_speed":
-        stream = _speeds(tables["ESC"], order, source)
-        notes.append("motors: ESC telemetry; speeds of the other rotors are interpolated to the stamps of the first.")
-        return stream, notes + slow_note("motors", stream, MOTORS_SLOW_HZ, "raise the ESC telemetry rate.")
-    outputs = tables["RCOU"]
-    low, high = parameters.get("MOT_PWM_MIN", 1000.0), parameters.get("MOT_PWM_MAX", 2000.0)
-    values = np.column_stack([outputs[f"C{channel}"] for channel in _channels(parameters, count)])
-    command = np.clip((values - low) / (high - low), 0.0, 1.0)[:, order]
-    stream = Stream(outputs["t_s"], command, motor_columns("command", count))
-    return stream, notes + slow_note("motors", stream, MOTORS_SLOW_HZ, _MOTOR_REMEDY)
+def _battery(tables: Tables) -> tuple[Stream | None, list[str]]:
+    table = _named(tables, "battery")
+    if table is None:
+        return None, []
+    values = table.columns("Volt", "Curr")
+    if not np.any(values[:, 0] > 0.0):
+        return None, [f"battery: {table.name} tells no voltage; it is left out."]
+    return Stream(table.seconds(), values, BATTERY_COLUMNS), []
 
 
-def _channels(parameters: dict[str, float], count: int) -> Iterable[int]:
-    """Output channel of each motor, from 1, by SERVOn_FUNCTION (33: motor 1, and so on)."""
-    by_function = {int(parameters.get(f"SERVO{channel}_FUNCTION", 0)): channel for channel in range(14, 0, -1)}
-    return [by_function.get(_FIRST_MOTOR_FUNCTION + motor, motor + 1) for motor in range(count)]
-
-
-def _speeds(escs: dict[str, Array], order: list[int], source: str) -> Stream:
-    by_motor = [_instance(escs, "Instance", motor) for motor in range(len(order))]
-    if any(len(motor["t_s"]) < 2 for motor in by_motor):
-        raise BadInput(
-            f"{source}: ESC telemetry covers {sum(len(m['t_s']) > 1 for m in by_motor)} of {len(order)} rotors."
-        )
-    begin, end = max(m["t_s"][0] for m in by_motor), min(m["t_s"][-1] for m in by_motor)
-    t_s = by_motor[0]["t_s"]
-    t_s = t_s[(t_s >= begin) & (t_s <= end)]
-    rpm = np.column_stack([np.interp(t_s, by_motor[motor]["t_s"], by_motor[motor]["RPM"]) for motor in order])
-    return Stream(t_s, np.abs(rpm) * (2.0 * np.pi / 60.0), motor_columns("rotor_speed", len(order)))
+def _setpoint(tables: Tables) -> tuple[Stream | None, list[str]]:
+    table = tables.get("GUIP")
+    if table is None:
+        return None, []
+    values = np.column_stack([z_up(table.columns("pX", "pY", "pZ")), np.full(len(table), np.nan)])
+    return Stream(table.seconds(), values, SETPOINT_COLUMNS), []
 
 
 def _mocap(tables: Tables) -> tuple[Stream | None, list[str]]:
-    if "VISP" in tables:
-        pose = tables["VISP"]
-        attitude = z_up_quaternion(quat_from_euler(*np.radians(_stack(pose, "R", "P", "Y")).T))
-        values = np.hstack([z_up(_stack(pose, "PX", "PY", "PZ")), attitude])
+    pose = tables.get("VISP")
+    if pose is not None:
+        attitude = z_up_quaternion(quat_from_euler(*np.radians(pose.columns("R", "P", "Y")).T))
+        values = np.hstack([z_up(pose.columns("PX", "PY", "PZ")), attitude])
         # Spaced by the sender's clock, which stamped the exposure, and set to the vehicle's as they arrived.
-        remote = pose["RTimeUS"] / 1e6
-        return Stream(remote + np.median(pose["t_s"] - remote), values, MOCAP_COLUMNS, pose["t_s"]), [
+        remote, t_s = pose.column("RTimeUS") / 1e6, pose.seconds()
+        return Stream(remote + np.median(t_s - remote), values, MOCAP_COLUMNS, t_s), [
             "mocap: VISP, as the vehicle received it, spaced by the sender's stamps."
         ]
-    if "SIM" not in tables or "SIM2" not in tables:
+    attitude, position = tables.get("SIM"), tables.get("SIM2")
+    if attitude is None or position is None:
         return None, []
-    attitude, position = tables["SIM"], tables["SIM2"]
-    q = z_up_quaternion(_stack(attitude, "Q1", "Q2", "Q3", "Q4"))
-    xyz = z_up(_stack(position, "PN", "PE", "PD"))
-    t_s = attitude["t_s"]
-    inside = (t_s >= position["t_s"][0]) & (t_s <= position["t_s"][-1])
-    xyz = np.column_stack([np.interp(t_s[inside], position["t_s"], column) for column in xyz.T])
+    q = z_up_quaternion(attitude.columns("Q1", "Q2", "Q3", "Q4"))
+    t_s, t_position = attitude.seconds(), position.seconds()
+    inside = (t_s >= t_position[0]) & (t_s <= t_position[-1])
+    xyz = z_up(position.columns("PN", "PE", "PD"))
+    xyz = np.column_stack([np.interp(t_s[inside], t_position, column) for column in xyz.T])
     stream = Stream(t_s[inside], np.hstack([xyz, q[inside]]), MOCAP_COLUMNS)
     return stream, ["mocap: the simulator's ground truth stands in for it, position at the stamps of attitude."]
 
 
 def _state(tables: Tables) -> tuple[Stream | None, list[str]]:
-    if not {"XKF1", "XKQ", "IMU"} <= set(tables):
+    position, attitude, imu = (_named(tables, what) for what in ("position", "attitude", "imu"))
+    if position is None or attitude is None or imu is None:
         return None, []
-    position, attitude = _instance(tables["XKF1"], "C", 0), _instance(tables["XKQ"], "C", 0)
-    imu = _instance(tables["IMU"], "I", 0)
-    begin = max(attitude["t_s"][0], imu["t_s"][0])
-    end = min(attitude["t_s"][-1], imu["t_s"][-1])
-    t_s = position["t_s"]
-    inside = (t_s >= begin) & (t_s <= end)
+    t_attitude, t_imu, t_s = attitude.seconds(), imu.seconds(), position.seconds()
+    inside = (t_s >= max(t_attitude[0], t_imu[0])) & (t_s <= min(t_attitude[-1], t_imu[-1]))
     t_s = t_s[inside]
-    q = slerp(attitude["t_s"], z_up_quaternion(_stack(attitude, "Q1", "Q2", "Q3", "Q4")), t_s)
-    gyro = z_up(_stack(imu, "GyrX", "GyrY", "GyrZ"))
-    rates = np.column_stack([np.interp(t_s, imu["t_s"], column) for column in gyro.T])
+    q = slerp(t_attitude, z_up_quaternion(attitude.columns("Q1", "Q2", "Q3", "Q4")), t_s)
+    rates = np.column_stack([np.interp(t_s, t_imu, column) for column in z_up(imu.columns(*_GYRO)).T])
     values = [
-        z_up(_stack(position, "PN", "PE", "PD"))[inside],
-        z_up(_stack(position, "VN", "VE", "VD"))[inside],
+        z_up(position.columns("PN", "PE", "PD"))[inside],
+        z_up(position.columns("VN", "VE", "VD"))[inside],
         q,
         rates,
     ]
-    return Stream(t_s, np.hstack(values), STATE_COLUMNS), ["state: XKF1 and XKQ; body rates from the gyro."]
+    stream = Stream(t_s, np.hstack(values), STATE_COLUMNS)
+    return stream, [f"state: {position.name} and {attitude.name}; body rates from the gyro."]
+
+
+_OTHERS = {"imu": _imu, "mocap": _mocap, "state": _state, "battery": _battery, "setpoint": _setpoint}

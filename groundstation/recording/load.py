@@ -20,6 +20,7 @@ from groundstation.recording.mcapfile import read_mcap
 from groundstation.recording.merge import merge_onboard, onboard_log_of
 from groundstation.recording.recorded import VEHICLE_FILE, Recording, vehicle_file
 from groundstation.recording.repair import repair
+from groundstation.recording.tables import MissingField
 from groundstation.vehicle import Vehicle
 
 _KNOWN = "an MCAP recording, a flight bundle (folder), a PX4 ULog, an ArduPilot DataFlash log or a Crazyflie usd log"
@@ -97,6 +98,8 @@ def _foreign(path: Path, head: bytes, vehicle: Vehicle | None) -> Recording:
         raise BadInput(f"{path}: carries no vehicle; give its file with --vehicle FILE.")
     try:
         return read(path, vehicle)
+    except MissingField as error:
+        raise BadInput(f"{path}: {error}; it is of a version that is not known here, or was not logged.") from None
     except FAULTS as error:
         raise BadInput(f"{path}: is damaged ({one_line(error)}); copy the log from the vehicle again.") from None
 

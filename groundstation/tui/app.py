@@ -171,11 +171,9 @@ class GroundStation(App[int]):
             self._preparing = False
 
     def _new_plan(self, setup: Setup) -> Plan:
-        from groundstation.paths import find_config
-        from groundstation.planning import plan_excitation
-        from groundstation.vehicle import load_vehicle
+        from groundstation import api
 
-        return plan_excitation(load_vehicle(find_config("vehicles", setup.vehicle)))
+        return api.plan_excitation(setup.vehicle)
 
     def notify(self, message: str, **options: Any) -> None:
         """A word to the operator; what a terminal would act on is left out of it."""

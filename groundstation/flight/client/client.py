@@ -96,6 +96,7 @@ def start_core(
     start: bool = False,
     analyse: bool = True,
     listen: tuple[str, ...] = (),
+    take_over: str = "",
     secrets: Secrets | None = None,
 ) -> tuple[Child, Access]:
     """Start the core of one flight in a session of its own.
@@ -107,6 +108,7 @@ def start_core(
         drone: module and arguments of the process that stands for the vehicle.
         start: fly as soon as the checks pass, without an operator's ``start``.
         analyse: identify, diagnose and report after landing.
+        take_over: ``land`` or ``hold`` a vehicle found in flight; the folder is an interrupted flight's then.
         listen: endpoints beyond the loopback one, for clients on other machines.
         secrets: of the roles; new ones by default.
 
@@ -125,6 +127,8 @@ def start_core(
         arguments += ["--listen", extra]
     if start:
         arguments.append("--start")
+    if take_over:
+        arguments += ["--take-over", take_over]
     if not analyse:
         arguments.append("--no-analysis")
     command = module_command("groundstation.flight.core.process", *map(str, arguments), "--", *drone)
@@ -146,6 +150,17 @@ def running_cores(
         except ConnectionError:
             continue
     return found
+
+
+def interrupted_flight(logs: Path, vehicle: str) -> Path | None:
+    """The newest flight of a vehicle that has no outcome and no core that answers; None without one."""
+    alive = {folder for folder, _ in running_cores(logs)}
+    for folder in sorted(logs.glob(f"*-{vehicle}*"), reverse=True):
+        log = folder / JOURNAL
+        entries = read_journal(log) if log.is_file() and not log.is_symlink() else []
+        if entries and folder not in alive:
+            return None if entries[-1]["kind"] == "outcome" else folder
+    return None
 
 
 def outcome(folder: Path) -> tuple[int, str]:

@@ -32,17 +32,18 @@ from groundstation.flight.children import Child, module_command, start_child
 from groundstation.flight.core.ground_check import check_ground
 from groundstation.flight.core.lease import OperatorLease
 from groundstation.flight.core.overview import FlightView
+from groundstation.flight.core.pacing import Pace
 from groundstation.flight.core.recorder import Recorder, open_recording, sound
 from groundstation.flight.core.worker import AnalysisWorker, Progress
 from groundstation.flight.journal import ENDPOINT_FILE, WATCH_FILE, Journal
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, Lease
+from groundstation.recording.keeper import Keeper
 from groundstation.texts import shown
 from groundstation.trajectory import Plan, flight_path, load_plan
 from groundstation.vehicle import Vehicle, load_vehicle
 
 DRONE = "vehicle"
-CREDIT_AHEAD_S = 1.0
 CREDIT_EVERY_S = 0.2
 STATUS_EVERY_S = 0.1
 START_UP_S = 90.0
@@ -50,11 +51,18 @@ START_UP_S = 90.0
 SILENCE_S = 10.0
 LOCK_STEP_SLACK = 20.0
 DRONE_PATIENCE_S = 10.0
+LINK_MODULE = "groundstation.flight.link.process"
+SUCCESSORS = 3
+"""Links started in the place of one that ended in flight, before the vehicle is left to its own failsafe."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What one flight needs to know. ``drone`` is the module and arguments of the vehicle's process."""
+    """What one flight needs to know.
+
+    ``drone`` is the module and arguments of the vehicle's process; ``take_over`` what it does with a vehicle in flight: the
+    folder is then an interrupted flight's, and is continued.
+    """
 
     folder: Path
     plan: Path
@@ -63,6 +71,7 @@ class Settings:
     drone: tuple[str, ...]
     start: bool = False
     analyse: bool = True
+    take_over: str = ""
     secrets: Secrets = field(default_factory=new_secrets, repr=False)
 
 
@@ -85,14 +94,18 @@ class FlightCore:
         self.view = FlightView(settings.folder, self.vehicle)
         self.description = bus.Description()
         self.recorder: Recorder | None = None
+        self.pace = Pace(lock_step=False)  # until the vehicle has said what it is
         self.lease = OperatorLease()
-        self.digested_s = 0.0
+        self.digested_s = self.moment_s = 0.0
         self._first_s: float | None = None
         self.heard_s = clock()
         self.finished = False
         self._credit_sent = (-1.0, -1e9)
         self._status_sent = -1e9
         self._malformed = 0
+        self._abort_taken = False
+        self._successors = 0
+        self._keeper: Keeper | None = None
         self._orders = ThreadPoolExecutor(2, thread_name_prefix="orders")
         self._drone: Child | None = None
         self._worker: AnalysisWorker | None = None
@@ -113,7 +126,7 @@ class FlightCore:
             self._status = bus.Publisher(session, bus.CORE_STATUS)
             self._handles = [
                 bus.subscribe(session, keys.samples, decode_batch, self._from_bus(self._on_batch)),
-                bus.subscribe(session, keys.status, bus.decoder_of(bus.DroneStatus), self._from_bus(self._on_status)),
+                bus.subscribe(session, keys.status, bus.decoder_of(bus.DroneStatus), self._from_bus(self._on_word)),
                 bus.serve(session, bus.CORE_COMMAND, CoreCommand, self._on_command),
                 bus.serve(session, bus.CORE_ABORT, CoreCommand, self._on_abort),
                 bus.serve(session, bus.CORE_LEASE, Lease, self.lease.request),
@@ -121,17 +134,21 @@ class FlightCore:
                 bus.watch_alive(session, CLIENT_ALIVE.format(client="*"), self.lease.client_alive),
             ]
             try:
-                self._drone = start_child(
-                    module_command(*self.settings.drone, "--drone", DRONE, "--connect", self.settings.listen[0]),
-                    self.settings.folder / "vehicle.log",
-                    environment=hand_over(Login("drone", secrets["drone"])),
-                )
+                self._start_drone(self.settings.take_over)
                 while not self.finished:
                     self._turn()
                 self._publish_status(force=True)
             finally:
                 self._shut_down()
         return self.state.exit_status if self.state.exit_status is not None else 1
+
+    def _start_drone(self, take_over: str = "") -> None:
+        more = ("--take-over", take_over) if take_over else ()
+        self._drone = start_child(
+            module_command(*self.settings.drone, *more, "--drone", DRONE, "--connect", self.settings.listen[0]),
+            self.settings.folder / "vehicle.log",
+            environment=hand_over(Login("drone", self.settings.secrets["drone"])),
+        )
 
     def _turn(self) -> None:
         """Handle what came, or what time brought."""
@@ -164,12 +181,11 @@ class FlightCore:
 
     def _tell(self, kind: str, text: str, **figures: Any) -> None:
         """One line in the flight's log, one event in the recording, one sentence for the clients."""
-        host_s = self.digested_s
-        self.journal.write(kind, text, host_s=host_s, **{k: v for k, v in figures.items() if v != ""})
+        self.journal.write(kind, text, host_s=self.moment_s, **{k: v for k, v in figures.items() if v != ""})
         reason = figures.get("reason")
         self.view.notes.append(f"{text}: {reason}" if reason else text)
         if self.recorder is not None:
-            self.recorder.note(host_s, kind, self.view.notes[-1])
+            self.recorder.note(self.moment_s, kind, self.view.notes[-1])
 
     # From the vehicle -------------------------------------------------------------------------------------------------
 
@@ -178,7 +194,8 @@ class FlightCore:
             if is_alive:
                 self._order(self._describe)
             else:
-                self._event(seq.VehicleLost("the vehicle's process vanished from the bus"))
+                if not self._can_land_it():  # a link's end shows in its process, and another is started
+                    self._event(seq.VehicleLost("the vehicle's process vanished from the bus"))
 
         self.inbox.put(handle)
 
@@ -190,7 +207,7 @@ class FlightCore:
         if self.recorder is not None or self.state.final:
             return  # the vehicle's process came back; its flight goes on, or is over
         self.heard_s = self.clock()
-        self.description = description
+        self.description, self.pace = description, Pace(lock_step=not description.real_time)
         sink = open_recording(self.settings.folder, self.settings.plan, self.settings.vehicle, description)
         self.recorder = Recorder(
             sink,
@@ -198,15 +215,26 @@ class FlightCore:
             on_failure=lambda reason: self.inbox.put(lambda: self._event(seq.AbortRequested(reason))),
             motor_kind=description.motor_kind,
         )
+        self._keeper = Keeper(sink.path, sink.sync, lambda reason: self.inbox.put(lambda: self._unkept(reason)))
         if not description.real_time:
             # Deadlines run on the wall's clock; a simulation slower than real time is no fault.
             self.state = replace(self.state, deadlines=seq.Deadlines(slack=LOCK_STEP_SLACK))
-        self._event(seq.PlanChosen(flight_path(self.plan, (0.0, 0.0, 0.0, 0.0)).duration_s))
+        duration_s = flight_path(self.plan, (0.0, 0.0, 0.0, 0.0)).duration_s
+        if self.settings.take_over:
+            self._event(seq.TakenOver(f"found in flight and taken over ({self.settings.take_over})", duration_s))
+        else:
+            self._event(seq.PlanChosen(duration_s))
+
+    def _unkept(self, reason: str) -> None:
+        """What is recorded now would be lost: there is no use in flying on."""
+        if self.state.phase not in (seq.Phase.LANDED, seq.Phase.IDENTIFYING):
+            self._event(seq.AbortRequested(f"the recording is not kept: {reason}"))
 
     def _digested(self, host_s: float) -> None:
         self.digested_s = max(self.digested_s, host_s)
+        self.moment_s = self.digested_s
         self._first_s = host_s if self._first_s is None else self._first_s
-        if self.state.phase is seq.Phase.UPLOADED:
+        if self.state.phase is seq.Phase.UPLOADED and self.pace.stands(self.digested_s):
             self._check()
 
     def _on_batch(self, batch: Batch) -> None:
@@ -214,13 +242,23 @@ class FlightCore:
         if not sound(batch, self.vehicle.rotors.count):
             self._malformed += 1
             return
-        if self.recorder is not None and self.state.phase not in (seq.Phase.LANDED, seq.Phase.IDENTIFYING):
+        over = self.state.phase in (seq.Phase.LANDED, seq.Phase.IDENTIFYING)
+        if self.pace.recorded(batch) and self.recorder is not None and not over:
             self.recorder.put(batch)
         self.view.see(batch.samples, self.state.phase)
+        for status in self.pace.due():
+            self._on_status(status)
+
+    def _on_word(self, word: bus.DroneStatus) -> None:
+        self.heard_s = self.clock()
+        self.pace.told(word)
+        for status in self.pace.due():
+            self._on_status(status)
 
     def _on_status(self, status: bus.DroneStatus) -> None:
-        self.heard_s = self.clock()
+        self.moment_s = status.host_s
         before, self.view.drone = self.view.drone, status
+        self._stands(status)
         if before is not None and status.phase == before.phase:
             return
         if self.recorder is not None:
@@ -234,11 +272,23 @@ class FlightCore:
         elif status.phase == "landing":
             self._event(seq.VehicleLanding(self._early(status)))
         elif status.phase == "landed":
-            self._event(seq.VehicleLanded())
+            self._event(seq.VehicleLanded(self._early(status)))
         elif status.phase == "crashed":
             self._event(
-                seq.VehicleLost(f"the vehicle crashed: {status.text}" if status.text else "the vehicle crashed")
+                seq.VehicleLost(
+                    f"the vehicle crashed: {status.text}" if status.text else "the vehicle crashed", down=True
+                )
             )
+
+    def _stands(self, status: bus.DroneStatus) -> None:
+        """An abort was taken, and the vehicle shows that it neither flies nor is armed."""
+        if self._abort_taken and status.phase in ("idle", "uploaded") and not status.armed:
+            self._event(seq.VehicleStands())
+
+    def _abort_answered(self) -> None:
+        self._abort_taken = True
+        if self.view.drone is not None:
+            self._stands(self.view.drone)
 
     def _note_window(self, status: bus.DroneStatus) -> None:
         if self.recorder is not None and status.window_s is not None:
@@ -295,6 +345,8 @@ class FlightCore:
                 self.finished = True
 
     def _close_recording(self) -> None:
+        if self._keeper is not None:
+            self._keeper.close()
         if self.recorder is not None:
             self.recorder.close()
             self.journal.write(
@@ -331,23 +383,32 @@ class FlightCore:
                 self.inbox.put(lambda: self._event(seq.StartRefused(reason)))
             elif name == "kill":
                 self.abort(f"the vehicle refused to stop its rotors: {reason}")
+        elif name == "abort":
+            self.inbox.put(self._abort_answered)
         return answer.ok
 
     def _start(self) -> None:
-        if self._command("arm"):
-            self._command("start")
+        """Arm and start, unless the flight is aborted meanwhile; an order that left before the abort is taken back."""
+        for name in ("arm", "start"):
+            if self.state.aborting or not self._command(name):
+                break
+        if self.state.aborting:
+            self._command("abort")
 
     def _check(self) -> None:
         """Called as data come in, until it can say yes or no."""
         if self.recorder is None or self._first_s is None:
+            self.pace.look()
             return
         streams = self.recorder.streams(self.digested_s)
-        answer = check_ground(streams, self.view.battery_v, self.vehicle, self.digested_s - self._first_s)
+        volts = self.view.battery_v
+        answer = check_ground(streams, volts, self.vehicle, self.digested_s - self._first_s)
         if answer is None:
+            self.pace.look()
             return
         rates = {name: round(stream.rate_hz, 1) for name, stream in streams.items()}
         told = "streams and battery are as they should be" if answer.ok else "not ready to fly"
-        self._tell("checks", told, reason=answer.reason, rates_hz=rates, battery_v=self.view.battery_v)
+        self._tell("checks", told, reason=answer.reason, rates_hz=rates, battery_v=volts)
         self._event(answer)
         if self.settings.start:
             self._event(seq.StartRequested())
@@ -381,14 +442,34 @@ class FlightCore:
         if not done and self._drone is not None and (status := self._drone.poll()) is not None:
             detail = self._drone.last_words()
             text = f"the vehicle's process ended with status {status}" + (f": {detail}" if detail else "")
-            self._event(seq.VehicleLost(text))
+            self._lost(text)
             return
         patience = START_UP_S if self.recorder is None else SILENCE_S
-        if not done and self.clock() - self.heard_s > patience:
-            self._event(seq.VehicleLost(f"nothing was heard from the vehicle for {patience:g} s"))
+        owed = self.recorder is None or self.pace.owes(self.state.phase, self.digested_s)
+        if not done and owed and self.clock() - self.heard_s > patience:
+            self._lost(f"nothing was heard from the vehicle's process for {patience:g} s")
+
+    def _can_land_it(self) -> bool:
+        """Whether another link may be started in the place of one that ended or hangs."""
+        linked = self.settings.drone[0] == LINK_MODULE
+        return linked and self.state.started and not self.state.final and self._successors < SUCCESSORS
+
+    def _lost(self, reason: str) -> None:
+        """A link is started again and takes over by landing; another vehicle's process is lost."""
+        if not self._can_land_it():
+            self._event(seq.VehicleLost(reason))
+            return
+        if self._drone is not None:
+            self._drone.kill()  # one that hangs holds the port
+            self._drone.wait()
+        self._successors += 1
+        self._tell("vehicle", "another link is started, and lands the vehicle", reason=reason)
+        self._event(seq.LinkDied(f"{reason}; another link landed it"))
+        self.heard_s = self.clock()
+        self._start_drone("land")
 
     def _send_credit(self) -> None:
-        now, credit = self.clock(), self.digested_s + CREDIT_AHEAD_S
+        now, credit = self.clock(), self.pace.credit_s(self.state.phase, self.digested_s)
         sent, at = self._credit_sent
         if self.recorder is not None and (credit >= sent + 0.1 or now - at > CREDIT_EVERY_S):
             self._credit.put(bus.Credit(credit))
@@ -433,6 +514,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--listen", action="append", required=True, help="zenoh endpoint, e.g. tcp/127.0.0.1:7450")
     parser.add_argument("--start", action="store_true", help="fly as soon as the checks pass; else wait for a client")
     parser.add_argument("--no-analysis", action="store_true", help="end after landing")
+    parser.add_argument("--take-over", default="", help="land or hold a vehicle found in flight; continues the folder")
     parser.add_argument("drone", nargs="+", help="module and arguments of the vehicle's process")
     options = parser.parse_args(arguments)
     settings = Settings(
@@ -443,6 +525,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         tuple(options.drone),
         options.start,
         not options.no_analysis,
+        options.take_over,
         own_secrets(),
     )
     try:

@@ -21,12 +21,18 @@ class Flights(StationScreen):
     MODE = "flights"
     HELP_TEXT = """\
 Enter shows a flight on Identify and Diagnose; e opens its report in the browser. m marks a flight, and m on a second one
-compares the two. t sorts by the next column, / filters: only flights whose line holds what is typed are shown."""
+compares the two. t sorts by the next column, / filters: only flights whose line holds what is typed are shown. d shows how the
+vehicle's parameters moved over its flights. g edits the flight's tags, n its note. b identifies, diagnoses and reports every
+recording here that has no results yet."""
     BINDINGS: ClassVar = [
         Binding("m", "mark", "Mark / compare"),
         Binding("t", "sort", "Sort"),
         Binding("slash", "filter", "Filter"),
         Binding("e", "report", "Report"),
+        Binding("d", "trend", "Trend"),
+        Binding("g", "annotate('tags')", "Tags"),
+        Binding("n", "annotate('note')", "Note"),
+        Binding("b", "batch", "Analyse all"),
     ]
 
     def __init__(self) -> None:
@@ -35,10 +41,14 @@ compares the two. t sorts by the next column, / filters: only flights whose line
         self._shown: list[dict[str, Any]] = []
         self._marked: dict[str, Any] | None = None
         self._sort = 0
+        self._annotated = ""
 
     def body(self) -> Iterable:
         """Filter, table, comparison."""
         yield Input(placeholder="/ filter", id="filter", compact=True)
+        annotation = Input(id="annotation", compact=True)
+        annotation.display = False
+        yield annotation
         yield DataTable(id="catalogue", cursor_type="row")
         yield Static("", id="flights-text", markup=False)
         yield DataTable(id="comparison", show_cursor=False)
@@ -48,9 +58,9 @@ compares the two. t sorts by the next column, / filters: only flights whose line
         self.run_worker(self._read, thread=True, exclusive=True, group="catalogue")
 
     def _read(self) -> None:
-        from groundstation.recording import catalogue
+        from groundstation.fleet.catalogue import Catalogue
 
-        rows = catalogue(self.station.logs)
+        rows = Catalogue(self.station.logs).rows()
         self.station.call_from_thread(self._fill, rows)
 
     def _fill(self, rows: list[dict[str, Any]]) -> None:
@@ -74,13 +84,82 @@ compares the two. t sorts by the next column, / filters: only flights whose line
         )
         self.say("#flights-text", f"sorted by {COLUMNS[self._sort]}" if told else nothing)
 
-    def on_input_changed(self) -> None:
+    def on_input_changed(self, event: Input.Changed) -> None:
         """Filter as one types."""
-        self._list()
+        if event.input.id == "filter":
+            self._list()
 
-    def on_input_submitted(self) -> None:
-        """Back to the table."""
+    def on_input_submitted(self, event: Input.Submitted) -> None:
+        """Keep an annotation; back to the table."""
+        if event.input.id == "annotation":
+            self._keep_annotation(event.value)
         self.query_one("#catalogue", DataTable).focus()
+
+    def action_annotate(self, what: str) -> None:
+        """Type the tags (words) or the note of the flight under the cursor; enter keeps them."""
+        row = self._current()
+        if row is None:
+            return
+        self._annotated = what
+        field = self.query_one("#annotation", Input)
+        field.placeholder = "tags, separated by spaces; Enter keeps them" if what == "tags" else "note; Enter keeps it"
+        field.value = " ".join(row["tags"] or ()) if what == "tags" else row["note"] or ""
+        field.display = True
+        field.focus()
+
+    def _keep_annotation(self, text: str) -> None:
+        from groundstation.fleet.rows import set_notes
+
+        self.query_one("#annotation", Input).display = False
+        row = self._current()
+        if row is None:
+            return
+        if self._annotated == "tags":
+            before, now = tuple(row["tags"] or ()), tuple(text.split())
+            set_notes(Path(row["folder"]), add=now, remove=tuple(tag for tag in before if tag not in now))
+        else:
+            set_notes(Path(row["folder"]), note=text.strip())
+        self.on_screen_resume()
+
+    def action_trend(self) -> None:
+        """How the parameters of the vehicle under the cursor moved over its flights."""
+        if (row := self._current()) and row["vehicle"]:
+            self.say("#flights-text", f"looking at all flights of {row['vehicle']} …")
+            self.run_worker(lambda: self._trend(row["vehicle"]), thread=True, exclusive=True, group="trend")
+
+    def _trend(self, vehicle: str) -> None:
+        from groundstation.fleet.catalogue import Catalogue
+        from groundstation.fleet.report import trend_lines
+
+        lines = trend_lines(Catalogue(self.station.logs), vehicle)
+        self.station.call_from_thread(self.say, "#flights-text", "\n".join(lines))
+
+    def action_batch(self) -> None:
+        """Identify, diagnose and report what has no results yet, in processes of their own."""
+        self.run_worker(self._batch, thread=True, group="batch", exclusive=True)
+
+    def _batch(self) -> None:
+        from groundstation.errors import BadInput
+        from groundstation.fleet import batch
+
+        def say(text: str) -> None:
+            self.station.call_from_thread(self.say, "#flights-text", text)
+
+        folders = [row["folder"] for row in self._rows if row["state"] == "recorded"]
+        sources = [str(path) for folder in folders if (path := Path(folder) / "flight.mcap").is_file()]
+        if not sources:
+            say("every recording here has results")
+            return
+        wanted = batch.tasks(sources, str(self.station.logs), None, batch.STEPS)
+        say(f"analysing {len(wanted)} recordings …")
+        bad = []
+        try:
+            for number, result in enumerate(batch.results(wanted, workers=1), 1):
+                bad += [f"{result.source}: {result.sentence}"] if result.state in ("bad", "failed") else []
+                say("\n".join([f"analysed {number} of {len(wanted)}", *bad]))
+        except BadInput as error:
+            say(str(error))
+        self.station.call_from_thread(self.on_screen_resume)
 
     def on_data_table_row_selected(self) -> None:
         """Show the flight on Identify."""

@@ -1,0 +1,205 @@
+"""``groundstation flights`` and ``batch``: what lies in the logs, how it moves, and work on many recordings."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from groundstation.commands.common import ProgressLine, Result, example, json_option, logs_option
+from groundstation.errors import BadInput
+
+MOVED = 3.0
+"""Combined standard deviations from which a change from flight to flight is worth a word."""
+SORTS = ("date", "flight", "vehicle", "state", "verdict", "mass")
+
+
+@click.command(epilog=example("groundstation flights --vehicle x500 --since 2025-01-01 --trend"))
+@click.argument("chosen", nargs=-1, metavar="[FLIGHT]...")
+@click.option("--vehicle", default=None, help="Only flights of this vehicle.")
+@click.option("--since", default=None, metavar="DATE", help="Only flights from this date on (2025-01-31).")
+@click.option("--finding", default=None, metavar="EFFECT", help="Only flights with this finding, e.g. rotor_drag.")
+@click.option("--tag", default=None, help="Only flights with this tag.")
+@click.option("--sort", type=click.Choice(SORTS), default="date", show_default=True, help="Order of the list.")
+@click.option("--trend", is_flag=True, help="How parameters moved over each vehicle's flights, with control limits.")
+@click.option("--compare", nargs=2, default=None, metavar="A B", help="Two tags, or two flights, against each other.")
+@click.option("--report", type=click.Path(path_type=Path, dir_okay=False), help="Write a fleet report (HTML) here.")
+@click.option(
+    "--sql",
+    default=None,
+    metavar="SELECT",
+    help="Ask with SQL; tables: flights, parameters, findings, quality, inputs.",
+)
+@click.option(
+    "--export", "target", type=click.Path(path_type=Path, dir_okay=False), help="All parameters as .parquet or .csv."
+)
+@click.option("--add-tag", multiple=True, metavar="TAG", help="Tag the named FLIGHTs (repeatable).")
+@click.option("--remove-tag", multiple=True, metavar="TAG", help="Take a tag off the named FLIGHTs (repeatable).")
+@click.option("--note", default=None, help="Note a sentence beside the named FLIGHTs.")
+@click.option("--rebuild", is_flag=True, help="Read every flight again.")
+@logs_option
+@json_option
+def flights(
+    chosen: tuple[str, ...], vehicle: str | None, since: str | None, finding: str | None, tag: str | None, sort: str,
+    trend: bool, compare: tuple[str, str] | None, report: Path | None, sql: str | None, target: Path | None,
+    add_tag: tuple[str, ...], remove_tag: tuple[str, ...], note: str | None, rebuild: bool, logs: Path,
+) -> Result:  # fmt: skip
+    """List what lies in the logs, and how parameters moved from flight to flight.
+
+    FLIGHT names a flight (its name or its folder in the logs); without one all are listed.
+    """
+    from groundstation.fleet.catalogue import Catalogue, Filter
+
+    if (add_tag or remove_tag or note is not None) and not chosen:
+        raise BadInput(
+            "name the flights to tag or note, e.g. `groundstation flights 2025-01-31T12-00-00-x500 --add-tag payload`."
+        )
+    catalogue = Catalogue(logs, rebuild=rebuild)
+    if add_tag or remove_tag or note is not None:
+        _annotate(catalogue, chosen, add_tag, remove_tag, note)
+        catalogue = Catalogue(logs)
+    head = [catalogue.note] if catalogue.note else []
+    if sql is not None:
+        return _asked(catalogue, sql)
+    if target is not None:
+        catalogue.export(target)
+        return Result({"schema": "groundstation.flights/1", "written": str(target)}, f"written: {target}")
+    if trend or compare or report is not None:
+        return _fleet(catalogue, vehicle, trend, compare, report)
+    rows = catalogue.rows(Filter(vehicle, since, finding, tag))
+    if chosen:
+        rows = [row for row in rows if _is_named(row, chosen)]
+    key = {"mass": _mass}.get(sort, lambda row: str(row[sort] or ""))
+    rows.sort(key=lambda row: (key(row), row["date"], row["flight"]))
+    empty = f"no flights in {logs}; make one with `groundstation rehearse`"
+    text = "\n".join([*head, *(_flight_line(row) for row in rows)] or [empty])
+    return Result({"schema": "groundstation.flights/1", "flights": rows}, text)
+
+
+def _is_named(row: Mapping[str, Any], chosen: tuple[str, ...]) -> bool:
+    names = {row["flight"], row["folder"], Path(row["folder"]).name}
+    return any(name.rstrip("/") in names for name in chosen)
+
+
+def _mass(row: Mapping[str, Any]) -> str:
+    mass = row["parameters"].get("mass_kg")
+    return f"{mass['value']:020.9f}" if mass else ""
+
+
+def _annotate(
+    catalogue: Any, chosen: tuple[str, ...], add: tuple[str, ...], remove: tuple[str, ...], note: str | None
+) -> None:
+    from groundstation.fleet.rows import set_notes
+
+    rows = catalogue.rows()
+    for name in chosen:
+        named = [row for row in rows if _is_named(row, (name,))]
+        if not named:
+            raise BadInput(f"'{name}' is no flight in {catalogue.logs}; `groundstation flights` lists them.")
+        for row in named:
+            set_notes(Path(row["folder"]), add=add, remove=remove, note=note)
+
+
+def _asked(catalogue: Any, sql: str) -> Result:
+    columns, rows = catalogue.sql(sql)
+    document = {"schema": "groundstation.query/1", "columns": columns, "rows": [list(map(_plain, row)) for row in rows]}
+    widths = [max([len(c), *(len(str(row[i])) for row in rows)]) for i, c in enumerate(columns)]
+    lines = [
+        "  ".join(str(cell).ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in (columns, *rows)
+    ]
+    return Result(document, "\n".join(lines))
+
+
+def _plain(value: Any) -> Any:
+    return value if value is None or isinstance(value, (bool, int, float, str, list, dict)) else str(value)
+
+
+def _fleet(
+    catalogue: Any, vehicle: str | None, trend: bool, pair: tuple[str, str] | None, report: Path | None
+) -> Result:
+    from groundstation.fleet.report import compare, comparison_lines, trend_document, trend_lines, write_fleet_report
+
+    vehicles = [vehicle] if vehicle else catalogue.vehicles()
+    lines: list[str] = []
+    document: dict[str, Any] = {"schema": "groundstation.fleet/1"}
+    if trend:
+        lines += [line for each in vehicles for line in trend_lines(catalogue, each)]
+        document["vehicles"] = [trend_document(catalogue, each) for each in vehicles]
+    if pair:
+        found = compare(catalogue, *pair)
+        lines += comparison_lines(found, *pair)
+        document["difference"] = {n: {"size": d.size, "std": d.std, "p": p} for n, (d, p) in found.items()}
+    if report is not None:
+        write_fleet_report(report, catalogue, pair)
+        lines.append(f"written: {report}")
+        document["report"] = str(report)
+    return Result(document, "\n".join(lines))
+
+
+def _flight_line(row: Mapping[str, Any]) -> str:
+    """One flight: when, what, how it ended, its mass, and what moved by more than chance allows."""
+    mass = row["parameters"].get("mass_kg")
+    told = f"mass {mass['value']:.4g} kg" if mass else row["reason"]
+    moved = [f"{name} {change:+.1f}" for name, change in (row.get("moved") or {}).items() if abs(change) > MOVED]
+    tail = f"; moved (in standard deviations): {', '.join(moved)}" if moved else ""
+    tags = f" [{', '.join(row['tags'])}]" if row["tags"] else ""
+    return f"{row['date'][:19]}  {row['flight']:<36} {row['state']:<10} {row['verdict'] or '-':<12} {told}{tags}{tail}"
+
+
+@click.command(epilog=example("groundstation batch 'logs/**' other/*.ulg --vehicle x500 --do identify,diagnose"))
+@click.argument("patterns", nargs=-1, required=True, metavar="RECORDINGS...")
+@click.option("--do", default="identify,diagnose,report", show_default=True, help="Steps, separated by commas.")
+@click.option("--vehicle", default=None, help="Vehicle file or shipped name, for recordings that carry none.")
+@click.option(
+    "--workers", type=click.IntRange(1, 256), default=None, help="Processes on this machine.  [default: one a core]"
+)
+@click.option("--memory-gb", type=click.FloatRange(0.5), default=None, help="Memory that one process may take.")
+@click.option(
+    "--scheduler", default=None, metavar="ADDRESS", help="Dask scheduler to run on, e.g. tcp://127.0.0.1:8786."
+)
+@click.option(
+    "--output",
+    default="logs",
+    show_default=True,
+    help="Folder, or URL of one, for results of recordings that are no MCAP.",
+)
+@click.option(
+    "--table", type=click.Path(path_type=Path, dir_okay=False), help="Write all parameters as .parquet or .csv."
+)
+@json_option
+def batch(
+    patterns: tuple[str, ...], do: str, vehicle: str | None, workers: int | None, memory_gb: float | None,
+    scheduler: str | None, output: str, table: Path | None,
+) -> Result:  # fmt: skip
+    """Identify, diagnose and report many RECORDINGS (paths, patterns with **, URLs), in parallel; run again to go on.
+
+    What is done and unchanged is not done again. A recording that fails does not stop the others.
+    """
+    from groundstation.fleet import batch as work
+    from groundstation.paths import find_config
+
+    steps = tuple(step.strip() for step in do.split(",") if step.strip())
+    if unknown := [step for step in steps if step not in work.STEPS] or ([] if steps else ["nothing"]):
+        raise BadInput(f"--do: {unknown[0]} is no step; there are {', '.join(work.STEPS)}.")
+    found = work.find(patterns)
+    declared = None if vehicle is None else find_config("vehicles", vehicle)
+    wanted = work.tasks(found, output, declared, steps)
+    count = workers or os.cpu_count() or 1
+    line = ProgressLine()
+    done = []
+    memory = None if memory_gb is None else int(memory_gb * 1e9)
+    for result in work.results(wanted, workers=count, scheduler=scheduler, memory_bytes=memory):
+        done.append(result)
+        line.fraction(len(done) / len(wanted), f"{len(done)} of {len(wanted)}: {result.source}")
+    line.end()
+    if table is not None:
+        work.write_table(table, done)
+    counts = {state: sum(r.state == state for r in done) for state in ("done", "refused", "bad", "failed")}
+    before = sum(not r.fresh for r in done)
+    lines = [f"{r.state}: {r.source}: {r.sentence}" for r in sorted(done, key=lambda r: r.source) if r.sentence]
+    total = ", ".join(f"{n} {state}" for state, n in counts.items() if n) or "nothing to do"
+    lines.append(f"{len(done)} recordings: {total}" + (f" ({before} were done before)" if before else ""))
+    return Result({**work.document(done), "counts": counts}, "\n".join(lines), 1 if counts["failed"] else 0)
