@@ -141,7 +141,7 @@ def _results(folder: Path) -> object:
 
     rows = []
     for flight in sorted({path.parent for path in folder.rglob("*.json")}):
-        rows.append(row_of(flight, folder))
+        rows.append(row_of(flight, 0))
         results = read_results(flight)
         if results.identification:
             text.method_table(results.identification, results.declared, 4)

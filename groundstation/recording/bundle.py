@@ -14,7 +14,7 @@ import numpy as np
 from groundstation.errors import BadInput
 from groundstation.flightdata import Array, FlightData, Stream, motor_columns
 from groundstation.outside import inside, read_bytes, read_json
-from groundstation.recording.csvfile import Columns, parse_csv, write_csv
+from groundstation.recording.csvfile import Columns, header, parse_csv, write_csv
 from groundstation.recording.recorded import (
     COLUMNS,
     LOG_COLUMNS,
@@ -158,8 +158,7 @@ def _motor_columns(data: bytes, vehicle: Vehicle | None, source: str) -> tuple[s
     Raises:
         BadInput: the file has others, or those of another number of rotors.
     """
-    header = data.split(b"\n", 1)[0].decode("utf-8-sig", "replace").strip().split(",")
-    present = [name.strip().strip('"') for name in header]
+    present = list(header(data))
     assert vehicle is not None  # noqa: S101 - read_bundle has refused a bundle without
     kind, count = vehicle.rotors.input, vehicle.rotors.count
     wanted = motor_columns(kind, count)
