@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import re
-import unicodedata
 
 NAME_CHARS = 100
 _ALLOWED = re.compile(r"[\w .+,=@()\[\]~-]+")
-_INVISIBLE = frozenset({"Cc", "Cf", "Co", "Cs", "Zl", "Zp"})
-"""Unicode categories that a terminal acts on or does not draw: controls, format (bidirectional overrides), separators."""
 
 
 def shown(text: object, *, limit: int = 2000, lines: bool = False) -> str:
@@ -24,9 +21,7 @@ def shown(text: object, *, limit: int = 2000, lines: bool = False) -> str:
         return whole
     kept = "\n\t" if lines else ""
     clean = "".join(
-        char if char in kept else " " if char in "\n\r\t" else char
-        for char in whole[: limit + 1]
-        if char in kept or char in "\n\r\t" or unicodedata.category(char) not in _INVISIBLE
+        char if char.isprintable() or char in kept else " " if char.isspace() else "" for char in whole[: limit + 1]
     )
     return clean if len(whole) <= limit else f"{clean[: limit - 3]}..."
 
