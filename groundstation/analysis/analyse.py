@@ -42,10 +42,13 @@ class Analysis:
     files: Mapping[str, Path]
 
 
-def parameter_table(identification: Identification, declared: Mapping[str, float]) -> Table:
-    """Rows nominal, estimate, low, high of mass and tensor by the best method; NaN where the flight does not tell."""
-    best = identification.methods.get(identification.best)
-    return _rows(best.parameters if best else {}, declared)
+def parameter_table(
+    identification: Identification, declared: Mapping[str, float], diagnosis: Diagnosis | None = None
+) -> Table:
+    """Rows nominal, estimate, low, high of mass and tensor as every place shows them; NaN where the flight does not tell."""
+    from groundstation.reporting.canonical import canonical
+
+    return _rows(canonical(identification, diagnosis).parameters, declared)
 
 
 def _rows(parameters: Mapping[str, Estimate], declared: Mapping[str, float]) -> Table:
@@ -190,6 +193,13 @@ def with_next_flight(folder: Path, diagnosis: Diagnosis, vehicle: Vehicle) -> tu
     return replace(diagnosis, next_flight=text), path
 
 
+def identification_document(identification: Identification, diagnosis: Diagnosis | None = None) -> dict[str, Any]:
+    """The document of an identification with the one estimate that every place shows, as ``estimate``."""
+    from groundstation.reporting.canonical import canonical
+
+    return {**identification.to_dict(), "estimate": canonical(identification, diagnosis).to_dict()}
+
+
 def write_identification(
     folder: Path, identification: Identification, vehicle: Vehicle, diagnosis: Diagnosis | None = None
 ) -> dict[str, Path]:
@@ -197,7 +207,9 @@ def write_identification(
     from groundstation.reporting.exports import model_document, write_model
 
     return {
-        "identification": write_json(folder / "identification.json", identification.to_dict()),
+        "identification": write_json(
+            folder / "identification.json", identification_document(identification, diagnosis)
+        ),
         "model": write_model(folder / "identification.toml", model_document(identification, vehicle, diagnosis)),
     }
 
@@ -236,7 +248,7 @@ def main(folder: Path) -> int:
         flight = load_flight(folder / "flight.mcap")
         first_look(flight)
         analysis = analyse([flight], folder, progress=_say)
-        table = parameter_table(analysis.identification, flight.vehicle.parameters())
+        table = parameter_table(analysis.identification, flight.vehicle.parameters(), analysis.diagnosis)
         _say(1.0, f"identified by {analysis.identification.best}", table)
         return 0
     except Refused as error:

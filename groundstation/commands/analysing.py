@@ -80,7 +80,7 @@ def identify(
 
     go_on(loaded, accepted)
     from groundstation import api
-    from groundstation.analysis.analyse import write_identification
+    from groundstation.analysis.analyse import identification_document, write_identification
     from groundstation.flight.client.rehearse import result_table
 
     line = ProgressLine()
@@ -89,7 +89,7 @@ def identify(
     folder = result_folder(flights[0], logs)
     folder.mkdir(parents=True, exist_ok=True)
     files = write_identification(folder, found, loaded[0].vehicle)
-    document = found.to_dict()
+    document = identification_document(found)
     truth = loaded[0].truth.parameters() if loaded[0].truth is not None else {}
     lines = [
         *first_of_all(document),
