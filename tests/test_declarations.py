@@ -14,7 +14,8 @@ from benchmarks.flown import flight_data
 from groundstation.cli import main
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
-from groundstation.identification.declarations import check_declarations, go_on
+from groundstation.identification.declarations import check_declarations, go_on, lag_doubts
+from groundstation.identification.results import Estimate
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
 from groundstation.recording.bundle import write_bundle
@@ -87,6 +88,15 @@ def test_a_real_firmwares_log_under_another_vehicles_mass_is_asked_about() -> No
     other = sih_vehicle().model_copy(update={"mass_kg": 2.15})
     with pytest.raises(Refused, match=r"Is this the right vehicle\?"):
         go_on([load_flight(PX4_LOG, vehicle=other)])
+
+
+@pytest.mark.parametrize(("lag_s", "asked"), [(0.05, False), (0.054, False), (0.07, True)])
+def test_a_declared_lag_15_percent_off_is_asked_about(lag_s: float, asked: bool) -> None:
+    vehicle = sih_vehicle()
+    rotors = vehicle.rotors.model_copy(update={"lag": vehicle.rotors.lag.model_copy(update={"up_s": 0.05})})
+    said = lag_doubts({"rotor_lag_up_s": Estimate.normal(lag_s, 0.002)}, vehicle.model_copy(update={"rotors": rotors}))
+    assert bool(said) == asked
+    assert all("Is this the right vehicle?" in text for text in said)
 
 
 MEASURED = [

@@ -12,7 +12,7 @@ from groundstation.errors import GroundStationError, NotIdentifiable
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored
 from groundstation.identification.consistency import nearest_rigid_body, physically_consistent
-from groundstation.identification.declarations import check_declarations, said_first
+from groundstation.identification.declarations import check_declarations, lag_doubts, said_first
 from groundstation.identification.identifiability import (
     angular_acceleration,
     never_moved,
@@ -241,6 +241,7 @@ def identify(
         )
     _, constants = anchored(vehicle, best.names, best.values, best.covariance)
     model = {**constants, **_model(best, prepared[0])}
+    warnings[:0] = lag_doubts(model, vehicle)
     impossible = outside(vehicle, methods[name].parameters, model)
     hidden |= impossible
     warnings += [f"{key}: {text}." for key, text in impossible.items()]

@@ -9,10 +9,10 @@ from groundstation.flightdata import FlightData
 from groundstation.identification.declarations.check import Check
 from groundstation.identification.declarations.frames import frame_checks
 from groundstation.identification.declarations.rotors import rotor_checks
-from groundstation.identification.declarations.scale import scale_checks
+from groundstation.identification.declarations.scale import lag_doubts, scale_checks
 from groundstation.identification.declarations.signals import flown
 
-__all__ = ["Check", "check_declarations", "go_on", "said_first"]
+__all__ = ["Check", "check_declarations", "go_on", "lag_doubts", "said_first"]
 
 
 def check_declarations(flight: FlightData) -> tuple[Check, ...]:

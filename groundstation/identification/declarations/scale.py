@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from groundstation.identification.declarations.check import Check
 from groundstation.identification.declarations.signals import Flown
+from groundstation.identification.results import Estimate
 from groundstation.vehicle import Vehicle
 
 PARTS = 6
@@ -61,3 +64,19 @@ def _unit(speed: float) -> str:
         if 0.93 < speed / factor < 1.07:
             return f"; rotor speeds in {name} would do that"
     return ""
+
+
+def lag_doubts(found: Mapping[str, Estimate], vehicle: Vehicle) -> list[str]:
+    """Sentences about declared lags of the rotors that are plainly not this vehicle's."""
+    said = []
+    for name, key in (("rotor_lag_up_s", "up_s"), ("rotor_lag_down_s", "down_s")):
+        declared, estimate = getattr(vehicle.rotors.lag, key), found.get(name)
+        if estimate is None or declared <= 0.0:
+            continue
+        away = abs(estimate.value - declared)
+        if away > (DOUBTFUL - 1.0) * declared and away > 3.0 * estimate.std:
+            said.append(
+                f"Is this the right vehicle? Its rotors lag by {1e3 * estimate.value:.0f} +- {1e3 * estimate.std:.0f} ms ({key}), "
+                f"where {1e3 * declared:.0f} ms are declared. Write: [rotors.lag] {key} = {estimate.value:.4g}"
+            )
+    return said
