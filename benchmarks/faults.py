@@ -123,7 +123,12 @@ def table(results: list[dict[str, Any]]) -> str:
             continue
         times = ["—" if r[k] is None else f"{r[k]:.2f} s" for k in ("noticed_s", "mode_s", "ground_s", "disarmed_s")]
         status = r["reason"] if r["status"] is None else str(r["status"])
-        lines.append(f"| {r['fault']} | {r['autopilot']} | {' | '.join(times)} | {r['by']} | {status} |")
+        by = (
+            r["by"]
+            if r["setpoints_through"] is None
+            else f"{r['by']} ({r['setpoints_through']} setpoints in {HARMLESS_S:.0f} s)"
+        )
+        lines.append(f"| {r['fault']} | {r['autopilot']} | {' | '.join(times)} | {by} | {status} |")
     return "\n".join(lines)
 
 

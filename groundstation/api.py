@@ -124,13 +124,16 @@ def load_flight(
     vehicle: Vehicle | str | Path | None = None,
     start_s: float | None = None,
     end_s: float | None = None,
+    everything: bool = False,
 ) -> FlightData:
-    """Read a flight: MCAP recording, bundle folder, PX4 ULog, ArduPilot DataFlash or Crazyflie usd log.
+    """Read a flight: MCAP recording, bundle folder, PX4 ULog, ArduPilot DataFlash, blackbox, ROS 2 bag or Crazyflie usd log.
 
     Args:
         path: the recording, or the folder of a flight.
         vehicle: replaces the vehicle declared in the recording; needed for a log that carries none.
-        start_s, end_s: use this part of the flight, seconds.
+        start_s: use the flight from this time on, s.
+        end_s: use the flight up to this time, s.
+        everything: use all of a flight of more than ten minutes, of which else the most informative stretch is used.
 
     Returns:
         Streams ``imu``, ``motors``, ``mocap``, ``battery``, ``setpoint``, ``state`` (None where it was not recorded). Each has
@@ -139,7 +142,7 @@ def load_flight(
     from groundstation.recording import load_flight
 
     declared = None if vehicle is None else load_vehicle(vehicle)
-    return load_flight(path, vehicle=declared, start_s=start_s, end_s=end_s)
+    return load_flight(path, vehicle=declared, start_s=start_s, end_s=end_s, everything=everything)
 
 
 def plan_excitation(

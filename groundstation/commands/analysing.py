@@ -31,6 +31,7 @@ def flight_options(function: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--vehicle", default=None, help="Vehicle file or shipped name; overrides the recorded one."),
         click.option("--from", "start_s", type=float, default=None, help="Use the flights from this time on, s."),
         click.option("--to", "end_s", type=float, default=None, help="Use the flights up to this time, s."),
+        click.option("--all", "everything", is_flag=True, help="Use all of a flight of more than ten minutes."),
         click.option("--exclude", multiple=True, metavar="START:END", help="Leave a stretch out, s (repeatable)."),
         logs_option,
         json_option,
@@ -47,30 +48,30 @@ def identify(
     vehicle: str | None,
     start_s: float | None,
     end_s: float | None,
+    everything: bool,
     exclude: tuple[str, ...],
     logs: Path,
 ) -> Result:
     """Estimate mass, inertia and the rest from one flight, or from several together, with intervals.
 
-    FLIGHTS are MCAP recordings, bundle folders, PX4 ULog, ArduPilot DataFlash or Crazyflie usd logs.
+    FLIGHTS are MCAP recordings, bundle folders, PX4 ULog, ArduPilot DataFlash, blackbox, ROS 2 bags or Crazyflie usd logs.
     """
     left_out = tuple(seconds_pair(pair) for pair in exclude)
-    loaded = load_flights(flights, vehicle, start_s, end_s)
+    loaded = load_flights(flights, vehicle, start_s, end_s, everything)
     from groundstation import api
     from groundstation.analysis.analyse import write_identification
     from groundstation.flight.client.rehearse import result_table
 
     line = ProgressLine()
-    found = api.identify(loaded, exclude=left_out, progress=line.fraction)
-    line.end()
+    with line.ticking("identifying"):
+        found = api.identify(loaded, exclude=left_out, progress=line.fraction)
     folder = result_folder(flights[0], logs)
     folder.mkdir(parents=True, exist_ok=True)
     files = write_identification(folder, found, loaded[0].vehicle)
     document = found.to_dict()
     truth = loaded[0].truth.parameters() if loaded[0].truth is not None else {}
     lines = [
-        *loaded[0].notes,
-        *found.quality,
+        *dict.fromkeys(found.quality),
         *(f"warning: {text}" for text in found.warnings),
         f"best: {found.best}" + (f" ({found.best_reason})" if found.best_reason else ""),
         result_table(document, loaded[0].vehicle.parameters(), truth),
@@ -93,6 +94,7 @@ def diagnose(
     vehicle: str | None,
     start_s: float | None,
     end_s: float | None,
+    everything: bool,
     exclude: tuple[str, ...],
     logs: Path,
     reference: tuple[Path, ...],
@@ -101,7 +103,7 @@ def diagnose(
 ) -> Result:
     """Find what the declared vehicle lacks: trace the residual to effects, with the error before and after."""
     left_out = tuple(seconds_pair(pair) for pair in exclude)
-    loaded = load_flights(flights, vehicle, start_s, end_s)
+    loaded = load_flights(flights, vehicle, start_s, end_s, everything)
     references, judges = load_flights(reference, vehicle), load_flights(held_out, vehicle)
     from groundstation import api
     from groundstation.analysis.analyse import with_next_flight
@@ -110,10 +112,10 @@ def diagnose(
 
     known = None if model is None else read_model(model, loaded[0].vehicle if vehicle is not None else None)
     line = ProgressLine()
-    found = api.diagnose(
-        loaded, exclude=left_out, references=references, held_out=judges, model=known, progress=line.fraction
-    )
-    line.end()
+    with line.ticking("diagnosing"):
+        found = api.diagnose(
+            loaded, exclude=left_out, references=references, held_out=judges, model=known, progress=line.fraction
+        )
     folder = result_folder(flights[0], logs)
     folder.mkdir(parents=True, exist_ok=True)
     found, plan = with_next_flight(folder, found, loaded[0].vehicle)
@@ -133,9 +135,10 @@ def diagnose(
     return Result(found.to_dict(), "\n".join(lines), Refused.exit_status if found.verdict == "refused" else 0)
 
 
-def _arguments(flights: tuple[Path, ...], options: Mapping[str, object]) -> str:
+def _arguments(flights: tuple[Path, ...], options: Mapping[str, object], everything: bool) -> str:
     """Flights and options as they were given, quoted for a shell."""
     given = [str(part) for name, value in options.items() if value is not None for part in (name, value)]
+    given += ["--all"] if everything else []
     return shlex.join([*map(str, flights), *given])
 
 
@@ -148,6 +151,7 @@ def report(
     vehicle: str | None,
     start_s: float | None,
     end_s: float | None,
+    everything: bool,
     exclude: tuple[str, ...],
     logs: Path,
     reference: tuple[Path, ...],
@@ -155,20 +159,21 @@ def report(
 ) -> Result:
     """Identify and diagnose, and write the HTML report."""
     left_out = tuple(seconds_pair(pair) for pair in exclude)
-    loaded = load_flights(flights, vehicle, start_s, end_s)
+    loaded = load_flights(flights, vehicle, start_s, end_s, everything)
     from groundstation import api
 
     line = ProgressLine()
-    done = api.analyse(
-        loaded,
-        result_folder(flights[0], logs),
-        exclude=left_out,
-        references=load_flights(reference, vehicle),
-        held_out=load_flights(held_out, vehicle),
-        progress=line.fraction,
-        source=_arguments(flights, {"--vehicle": vehicle, "--from": start_s, "--to": end_s}),
-    )
-    line.end()
+    before, judges = load_flights(reference, vehicle), load_flights(held_out, vehicle)
+    with line.ticking("analysing"):
+        done = api.analyse(
+            loaded,
+            result_folder(flights[0], logs),
+            exclude=left_out,
+            references=before,
+            held_out=judges,
+            progress=line.fraction,
+            source=_arguments(flights, {"--vehicle": vehicle, "--from": start_s, "--to": end_s}, everything),
+        )
     files = {name: str(path) for name, path in done.files.items()}
     document = {"schema": "groundstation.report/1", "flight": done.identification.flight, "files": files}
     return Result(document, "\n".join(f"{name:<16} {path}" for name, path in files.items()))

@@ -36,11 +36,17 @@ MAVLINK_VEHICLE = "x500"
 @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
 @click.pass_context
 def sim(ctx: click.Context, arguments: tuple[str, ...]) -> None:
-    """Start the simulated drone, on zenoh or (--mavlink) as an autopilot; it takes the arguments below."""
+    """Start the simulated drone as a process that another program flies.
+
+    With --mavlink it is an autopilot on UDP, for `preflight` and `fly`. Without it, it waits for a core on the bus; `rehearse` starts
+    one by itself and needs no `sim`. The arguments follow.
+    """
     from groundstation.flight.children import module_command
 
     rest = [argument for argument in arguments if argument != "--mavlink"]
     mavlink = len(rest) < len(arguments)
+    if not arguments or "-h" in rest:
+        rest = ["--help"]
     if "--help" in rest:
         click.echo(f"{ctx.get_help()}\n")
     elif mavlink and "--vehicle" not in rest:
@@ -201,6 +207,11 @@ def link_options(function: Callable[..., Any]) -> Callable[..., Any]:
         ),
         click.option(
             "--plan", "plan_file", type=click.Path(path_type=Path, dir_okay=False), help="Plan; else a new one."
+        ),
+        click.option(
+            "--system",
+            type=click.IntRange(1, 255),
+            help="The vehicle's MAVLink system id, where several are on the link.",
         ),
         click.option("--force", multiple=True, metavar="NAME", help="Fly although this check fails; recorded."),
         click.option(

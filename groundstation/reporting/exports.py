@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 from groundstation.errors import BadInput
 from groundstation.identification.results import Estimate, Identification
-from groundstation.reporting import simulators
+from groundstation.reporting import robotics, simulators
 from groundstation.reporting.identified import Identified, identified_from_document
 from groundstation.reporting.scenario import to_scenario
 from groundstation.vehicle import Vehicle, vehicle_to_dict
@@ -154,6 +154,13 @@ FORMATS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "mjcf": _simulator(simulators.to_mjcf),
     "rotorpy": _simulator(simulators.to_rotorpy),
     "scenario": _simulator(to_scenario),
+    "ardupilot-sitl": _simulator(robotics.to_ardupilot_sitl),
+    "pybullet": _simulator(robotics.to_pybullet),
+    "crazyflow": _simulator(robotics.to_crazyflow),
+    "agilicious": _simulator(robotics.to_agilicious),
+    "webots": _simulator(robotics.to_webots),
+    "matlab": _simulator(robotics.to_matlab),
+    "ros2": _simulator(robotics.to_ros2),
 }
 """Writers by the name of the format."""
 

@@ -57,6 +57,7 @@ def linked_vehicle(
     force: tuple[str, ...] = (),
     set_parameters: bool = False,
     key_file: Path | None = None,
+    system: int | None = None,
 ) -> tuple[str, ...]:
     """Module and arguments of the link process to a MAVLink vehicle; its raw log goes beside the recording."""
     arguments = ["--link", link, "--vehicle", str(vehicle), "--station", station, "--raw-log", str(folder / "raw.tlog")]
@@ -65,6 +66,8 @@ def linked_vehicle(
         arguments += ["--force", name]
     if set_parameters:
         arguments.append("--set-parameters")
+    if system is not None:
+        arguments += ["--system", str(system)]
     if key_file is not None:
         arguments += ["--key-file", str(key_file)]
     return ("groundstation.flight.link.process", *arguments)

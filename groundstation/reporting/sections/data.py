@@ -41,7 +41,7 @@ def add_data(page: Page, flight: FlightData, identification: Identification | No
         {name: figures.stretches(stream.t_s) for name, stream in streams.items()},
         identification.excluded_s if identification else (),
     )
-    sentences = [*live, *(identification.quality if identification else ()), *flight.notes]
+    sentences = list(dict.fromkeys([*live, *(identification.quality if identification else ()), *flight.notes]))
     page.section(
         "data",
         "Data",
