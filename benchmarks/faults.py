@@ -92,7 +92,8 @@ def measure(profile: str, name: str) -> dict[str, Any]:
             (e["monotonic_s"] for e in flight.journal() if e["monotonic_s"] > begun and e["kind"] == "phase"), None
         )
         noticed = min((t for t in (ordered, landing) if t is not None), default=None)
-        by_station = mode is not None and ordered is not None and ordered <= mode + 0.15
+        passed = next((s["at_s"] for s in seen if s["mode_orders_passed"] > before["mode_orders_passed"]), None)
+        by_station = mode is not None and passed is not None and passed <= mode + 0.15
         new = "another link" in reason
         by = "flown through; ended by the operator" if through else (
             ("a new link" if new else "the station") if by_station else "the vehicle's failsafe"

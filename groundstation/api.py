@@ -18,7 +18,7 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from groundstation.errors import BadInput, GroundStationError, NotIdentifiable, Refused
 
@@ -216,6 +216,7 @@ def identify(
     flights: FlightData | Sequence[FlightData],
     *,
     exclude: Sequence[tuple[float, float]] = (),
+    predictive: bool = True,
     progress: Progress = _quiet,
 ) -> Identification:
     """Mass, inertia tensor, lag and thrust constants with 95 % intervals.
@@ -223,6 +224,7 @@ def identify(
     Args:
         flights: one flight, or several of the same vehicle, which are pooled.
         exclude: parts (start, end) to leave out, seconds on the IMU's clock.
+        predictive: also fit the model that predicts best (``prediction``), which takes some seconds.
         progress: told the fraction done and what is being done.
 
     Returns:
@@ -232,7 +234,7 @@ def identify(
     from groundstation.identification.pipeline import identify
     from groundstation.options import AnalysisOptions
 
-    return identify(_listed(flights), AnalysisOptions(exclude=tuple(exclude)), progress=progress)
+    return identify(_listed(flights), AnalysisOptions(exclude=tuple(exclude)), predictive=predictive, progress=progress)
 
 
 def diagnose(
@@ -297,6 +299,7 @@ def predict(
     *,
     horizon_s: float = 0.5,
     own_state: bool = False,
+    use: Literal["prediction", "physical"] = "prediction",
     progress: Progress = _quiet,
 ) -> Prediction:
     """Simulate ahead from every sample of a flight with its recorded inputs, and say how far off the model is.
@@ -306,6 +309,7 @@ def predict(
         flight: another flight of the vehicle.
         horizon_s: how far ahead, 0.01 to 10 s.
         own_state: start from and judge by the vehicle's own estimate instead of the smoothed state.
+        use: the model's ``prediction`` part, where it has one, or its physical one.
         progress: told the fraction done and what is being done.
 
     Returns:
@@ -314,6 +318,7 @@ def predict(
         position and velocity (k, 3), quaternion (k, 4), rate (k, 3).
     """
     from groundstation.diagnosis.effect import library, wrench_of
+    from groundstation.identification.predictive_choice import chosen_name, chosen_predictor
     from groundstation.identification.preparation import flight_states
     from groundstation.model.prediction import model_from_document, predict
     from groundstation.reporting.exports import read_model
@@ -324,7 +329,11 @@ def predict(
     effects = document.get("effects", {})
     wrench = wrench_of(effects, declared) if any(name.partition("/")[0] in library() for name in effects) else None
     states = flight_states(flight, own=own_state)
-    return predict(model_from_document(document, declared, wrench), states, horizon_s=horizon_s, progress=progress)
+    physical = model_from_document(document, declared, wrench)
+    read = document if use == "prediction" else {}
+    name = chosen_name(read)
+    predictor = chosen_predictor(read, physical)
+    return predict(predictor, states, horizon_s=horizon_s, predictor=name, progress=progress)
 
 
 def plan_next_flight(

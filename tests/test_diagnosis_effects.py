@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from groundstation.diagnosis import effect as effects_module
-from groundstation.diagnosis.attribution import MATERIAL, candidates
+from groundstation.diagnosis.attribution import candidates
 from groundstation.diagnosis.effect import (
     Effect,
     FittedEffect,
@@ -22,6 +22,7 @@ from groundstation.diagnosis.effect import (
     wrench_of,
 )
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
+from groundstation.diagnosis.rivals import MATERIAL
 from groundstation.frames import quat_rotate
 from groundstation.identification.record_model import initial_parameters
 from groundstation.identification.results import Estimate

@@ -88,6 +88,8 @@ def assignments(pairs: tuple[str, ...]) -> dict[str, float]:
     return out
 
 
+_LARGE = 20_000_000
+"""Bytes of a log that takes seconds to read, which is said before."""
 _QUIET_S = 1.5
 """Nobody waits two seconds without a word."""
 
@@ -212,7 +214,10 @@ def load_flights(
     declared = load_vehicle_option(vehicle)
     flights: list[FlightData] = []
     for path in paths:
-        with ProgressLine().ticking(f"reading {path.name}"):
+        line = ProgressLine()
+        if path.is_file() and path.stat().st_size > _LARGE:
+            line.say(f"reading {path.name} ({path.stat().st_size / 1e6:.0f} MB)")
+        with line.ticking(f"reading {path.name}"):
             flights.append(api.load_flight(path, vehicle=declared, start_s=start_s, end_s=end_s, everything=everything))
     return flights
 

@@ -170,29 +170,9 @@ def _flight_result(flown: FlightResult) -> Result:
         diagnosis = json.loads(files["diagnosis.json"].read_text(encoding="utf-8"))
         document["diagnosis"] = diagnosis
         lines += ["", f"diagnosis: {diagnosis['verdict']}", *(f"  {f['evidence']}" for f in diagnosis["findings"])]
-        lines += _with_findings(document.get("identification", {}), diagnosis)
     if flown.exit_status:
         lines.append(flown.reason)
     return Result(document, "\n".join(lines), flown.exit_status)
-
-
-def _with_findings(identification: dict[str, Any], diagnosis: dict[str, Any]) -> list[str]:
-    """Mass and moments as the model that is kept has them, where the findings move one by more than the intervals say."""
-    from groundstation.identification.results import Estimate
-    from groundstation.reporting.units import half_width, label, quantity
-
-    own = identification.get("methods", {}).get(identification.get("best"), {}).get("parameters", {})
-    shown = [
-        n for n in ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2") if n in own and n in diagnosis["parameters_after"]
-    ]
-    before, after = (
-        {n: Estimate.normal(source[n]["value"], source[n]["std"]) for n in shown}
-        for source in (own, diagnosis["parameters_after"])
-    )
-    apart = any(abs(after[n].value - before[n].value) > half_width(after[n]) + half_width(before[n]) for n in shown)
-    if not diagnosis["findings"] or not apart:
-        return []
-    return ["  With this put in: " + ", ".join(f"{label(n)} {quantity(n, after[n])}" for n in shown)]
 
 
 def link_options(function: Callable[..., Any]) -> Callable[..., Any]:
