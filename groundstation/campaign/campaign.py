@@ -15,8 +15,10 @@ from typing import Any, Protocol
 from groundstation.campaign.deciding import Decision, first_plan, flights_needed, next_plan
 from groundstation.campaign.judging import Errors, at_floor, prediction_errors, without_effects
 from groundstation.campaign.targets import reached
+from groundstation.documents import read_diagnosis
 from groundstation.errors import BadInput, Refused
 from groundstation.flightdata import FlightData
+from groundstation.outside import read_json
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import Vehicle, vehicle_from_dict, vehicle_to_dict
 from groundstation.writing import write_whole
@@ -122,8 +124,10 @@ def load_campaign(folder: Path) -> Campaign:
     Raises:
         BadInput: there is none, or its file is damaged.
     """
+    if not (folder / FILE).is_file():
+        raise BadInput(f"{folder}: holds no campaign; name the folder that `groundstation campaign` made.")
+    document = read_json(folder / FILE, "a campaign")
     try:
-        document = json.loads((folder / FILE).read_text(encoding="utf-8"))
         if document["schema"] != SCHEMA:
             raise BadInput(f"{folder / FILE}: has schema {document['schema']!r}; {SCHEMA} is expected.")
         rounds = tuple(
@@ -134,11 +138,7 @@ def load_campaign(folder: Path) -> Campaign:
             folder, vehicle_from_dict(document["vehicle"], str(folder / FILE)), document["targets"], int(document["at_most"]),
             int(document["seed"]), tuple(_infinite(r) for r in rounds), document["pending"], document["outcome"], document["sentence"],
         )  # fmt: skip
-    except OSError as error:
-        raise BadInput(
-            f"{folder}: holds no campaign ({error.strerror}); name the folder that `groundstation campaign` made."
-        ) from None
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise BadInput(
             f"{folder / FILE}: is damaged ({error}); begin a new campaign with --from and its flights."
         ) from None
@@ -180,7 +180,7 @@ def _decision(campaign: Campaign, limits: Mapping[str, float]) -> Decision:
     if not campaign.rounds:
         return first_plan(campaign.vehicle, **options)
     last = campaign.rounds[-1]
-    diagnosis = json.loads((campaign.folder / f"diagnosis-{len(campaign.rounds)}.json").read_text(encoding="utf-8"))
+    diagnosis = read_diagnosis(campaign.folder / f"diagnosis-{len(campaign.rounds)}.json")
     return next_plan(campaign.vehicle, diagnosis, last.estimates, last.reached, **options)
 
 
