@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from groundstation.campaign.deciding import Decision, first_plan, flights_needed, next_plan
 from groundstation.campaign.judging import Errors, at_floor, prediction_errors, without_effects
@@ -28,9 +28,23 @@ FILE = "campaign.json"
 PLAN_S = 6.0
 """Seconds of search for each plan."""
 
-Fly = Callable[[Path], Path]
-"""Fly a plan file; returns the flight's folder, which holds ``flight.mcap``."""
 Say = Callable[[str], None]
+
+
+class Flyer(Protocol):
+    """What flies."""
+
+    def place(self) -> Path:
+        """A new folder's name for a flight; the campaign writes it down before anything flies."""
+        ...
+
+    def fly(self, plan: Path, folder: Path) -> None:
+        """Fly a plan file, recorded as ``flight.mcap`` in a folder that is made."""
+        ...
+
+    def was_flown(self, folder: Path) -> bool:
+        """Whether the flight in a folder ended as planned, although this program did not see it."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +86,7 @@ class Campaign:
     """A campaign as it stands; immutable, each step gives the next.
 
     Attributes:
-        pending: a decision that is not yet flown, or flown and not yet worked through: {"why", "plan", "folder"}.
+        pending: a decision that is not yet worked through: {"why", "plan"}, and "folder" from the moment it may fly.
         outcome: "" while it goes on, "settled", "exhausted" or "refused"; ``sentence`` says why.
     """
 
@@ -130,19 +144,21 @@ def load_campaign(folder: Path) -> Campaign:
         ) from None
 
 
-def run(campaign: Campaign, fly: Fly, *, say: Say = lambda text: None, **limits: float) -> Campaign:
+def run(campaign: Campaign, flyer: Flyer, *, say: Say = lambda text: None, **limits: float) -> Campaign:
     """Carry a campaign on until it ends.
 
     Args:
-        fly: flies a plan; what it raises leaves the campaign as it was before that flight.
+        flyer: flies a plan; what it raises leaves the campaign as it was before that flight.
     """
     while not campaign.outcome:
         if not campaign.pending:
             campaign = _decide(campaign, say, limits).save()
-        if not campaign.pending.get("folder"):
-            flown = fly(Path(campaign.pending["plan"]))
-            campaign = replace(campaign, pending={**campaign.pending, "folder": str(flown)}).save()
-        campaign = take_in(campaign, Path(campaign.pending["folder"]), campaign.pending["why"], say=say)
+        folder = Path(campaign.pending["folder"]) if campaign.pending.get("folder") else None
+        if folder is None or not flyer.was_flown(folder):
+            folder = flyer.place()
+            campaign = replace(campaign, pending={**campaign.pending, "folder": str(folder)}).save()
+            flyer.fly(Path(campaign.pending["plan"]), folder)
+        campaign = take_in(campaign, folder, campaign.pending["why"], say=say)
         campaign = replace(campaign, pending={}).save()
     return campaign
 
