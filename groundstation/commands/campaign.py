@@ -141,7 +141,11 @@ class _Flyer:
         else:
             simulated = self._how["yes_simulated"]
             drone = linked_vehicle(
-                folder, self._vehicle, link=str(self._how["link"]), station=self._how["station"], set_parameters=simulated
+                folder,
+                self._vehicle,
+                link=str(self._how["link"]),
+                station=self._how["station"],
+                set_parameters=simulated,
             )
         fly(
             folder, plan=kept, vehicle=self._vehicle, drone=drone, say=self._line.say, confirm=self._confirmed,
