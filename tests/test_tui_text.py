@@ -129,7 +129,9 @@ def test_distance_to_each_limit():
     guard = {"tracking_m": 1.2, "tilt_rad": np.radians(40.0), "empty_v": 10.5}
     lines = margin_lines(now, limits, guard).splitlines()
     assert [float(line[17:].split()[0]) for line in lines] == pytest.approx([0.1, -0.2, 0.5, 0.3, 2.0, 1.0, 37.0, 0.5])
-    assert [line for line in lines if "PAST IT" in line] == ["to wall, y         -0.20 m PAST IT"]
+    assert not [line for line in lines if "PAST IT" in line], "the plan's own limit is no alarm"
+    past = margin_lines(now, limits, guard | {"tilt_rad": 0.01}).splitlines()
+    assert [line.split()[1] for line in past if "PAST IT" in line] == ["guard:"]
     assert max(map(len, lines)) <= 34, "the column of a narrow terminal"
 
 

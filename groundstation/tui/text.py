@@ -107,11 +107,11 @@ def margin_lines(status: CoreStatus, limits: Mapping[str, float], guard: Mapping
     roll, pitch, _ = status.euler_rad
     tilt = math.acos(max(-1.0, min(1.0, math.cos(roll) * math.cos(pitch))))
     plans = {
-        "x_max_m": ("wall, x", lambda top: top - abs(x), "m"),
-        "y_max_m": ("wall, y", lambda top: top - abs(y), "m"),
-        "z_max_m": ("ceiling", lambda top: top - z, "m"),
-        "z_min_m": ("floor", lambda low: z - low, "m"),
-        "tilt_max_rad": ("tilt", lambda top: math.degrees(top - max(abs(roll), abs(pitch))), "°"),
+        "x_max_m": ("plan: wall, x", lambda top: top - abs(x), "m"),
+        "y_max_m": ("plan: wall, y", lambda top: top - abs(y), "m"),
+        "z_max_m": ("plan: ceiling", lambda top: top - z, "m"),
+        "z_min_m": ("plan: floor", lambda low: z - low, "m"),
+        "tilt_max_rad": ("plan: tilt", lambda top: math.degrees(top - max(abs(roll), abs(pitch))), "°"),
     }
     guards = {
         "tracking_m": ("guard: plan", lambda top: top - status.tracking_error_m, "m"),
@@ -123,7 +123,9 @@ def margin_lines(status: CoreStatus, limits: Mapping[str, float], guard: Mapping
         for name, (text, left, unit) in room.items():
             if name in known:
                 value = left(known[name])
-                past = value < -NEAR[unit] and z > 0.3
+                past = (
+                    room is guards and value < -NEAR[unit] and z > 0.3
+                )  # a plan's limit is no alarm: the guard lands at its own
                 lines.append(f"to {text:<14}{value:+7.2f} {unit}{' PAST IT' if past else ''}")
     return "\n".join(lines) or "the plan states no limits"
 
