@@ -23,8 +23,8 @@ from groundstation.diagnosis.effect import (
 )
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
 from groundstation.frames import quat_rotate
-from groundstation.identification.record_model import initial_parameters
 from groundstation.identification.results import Estimate
+from groundstation.model.parameters import declared_parameters
 from groundstation.model.signals import Signals
 from groundstation.paths import find_config
 from groundstation.vehicle import load_vehicle
@@ -353,9 +353,9 @@ def test_the_json_form_has_the_contracts_keys_and_only_plain_values():
 
 def test_measured_speeds_have_their_lag_behind_them_and_commanded_ones_ahead():
     assert VEHICLE.rotors.lag.up_s > 0.0
-    assert initial_parameters(VEHICLE, lag_s=0.0).lag_up_s == 0.0
+    assert declared_parameters(VEHICLE, lag_s=0.0).lag_up_s == 0.0
     commanded = VEHICLE.model_copy(update={"rotors": VEHICLE.rotors.model_copy(update={"speed_source": "command"})})
-    assert initial_parameters(commanded, lag_s=0.0).lag_down_s == VEHICLE.rotors.lag.down_s
+    assert declared_parameters(commanded, lag_s=0.0).lag_down_s == VEHICLE.rotors.lag.down_s
 
 
 def test_a_toy_effect_can_stand_for_the_library():

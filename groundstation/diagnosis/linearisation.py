@@ -19,7 +19,8 @@ from groundstation.identification.identifiability import unsettled
 from groundstation.identification.pipeline import DynamicFit
 from groundstation.identification.prediction_error import Fitted, fit
 from groundstation.identification.preparation import Prepared
-from groundstation.identification.record_model import BodyWrench, Parameters, RecordModel
+from groundstation.identification.record_model import BodyWrench, RecordModel
+from groundstation.model.parameters import Parameters
 
 Array = NDArray[np.float64]
 

@@ -38,8 +38,8 @@ from groundstation.flightdata import FlightData
 from groundstation.identification.pipeline import fit_dynamics, options_for
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared, prepare_all
-from groundstation.identification.record_model import Options
 from groundstation.identification.results import Estimate
+from groundstation.model.parameters import FitOptions
 from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
 from groundstation.vehicle import Vehicle
 
@@ -180,7 +180,7 @@ def _by_trim(name: str, suspects: Sequence[Prepared], healthy: Sequence[Prepared
     )
 
 
-def base_fit(prepared: Sequence[Prepared]) -> tuple[Fitted, Options]:
+def base_fit(prepared: Sequence[Prepared]) -> tuple[Fitted, FitOptions]:
     """The fit that the evidence is linear about. What divides a lag from a dead time lies above the evidence's rate: it keeps its own there."""
     free = options_for(prepared[0])
     fitted = fit_dynamics(prepared if free.lag else [for_evidence(item) for item in prepared])
@@ -196,7 +196,7 @@ def for_evidence(prepared: Prepared) -> Prepared:
 
 def _select(
     about: Fitted,
-    options: Options,
+    options: FitOptions,
     suspects: Sequence[Prepared],
     healthy: Sequence[Prepared],
     augmented: tuple[Candidate, ...],

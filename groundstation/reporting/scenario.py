@@ -77,11 +77,11 @@ def _body_drag(v: Values, model: Identified) -> Held:
 
 
 def _flapping(v: Values, model: Identified) -> Held:
-    return Held("flapping_moment", {"moment_n_s": v["k_nm_s_m"]}, "its moment also falls with rotor speed there")
+    return Held("flapping_moment", {"k_nm_s_m": v["k_nm_s_m"]}, "its moment also falls with rotor speed there")
 
 
 def _damping(v: Values, model: Identified) -> Held:
-    return Held("angular_damping", {"linear_nm_s": [v[f"damping_{axis}_nms"] for axis in "xyz"]})
+    return Held("angular_damping", {"damping_nms": [v[f"damping_{axis}_nms"] for axis in "xyz"]})
 
 
 def _translational_lift(v: Values, model: Identified) -> Held:
