@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 FIND_PYTHON = for p in $(PYTHON) python3.11 python3.12 python3.13 python3.14 python3; do \
   "$$p" -c 'import sys, ensurepip, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { command -v "$$p"; break; }; done
 
-.PHONY: help setup rehearse test lint study blind bench faults firmware-test reproduce clean
+.PHONY: help setup rehearse test lint study blind bench campaign faults firmware-test reproduce clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -46,6 +46,9 @@ blind: $(READY)  ## diagnosis of effects it was not told about
 
 bench: $(READY)  ## speed of planner, simulator, estimators, recorder, start-up; evenness of setpoints
 	@for each in startup simulator planner estimators recorder setpoint_jitter; do OMP_NUM_THREADS=1 $(PY) -m benchmarks.$$each || exit; done
+
+campaign: $(READY)  ## flight after flight in simulation until three hidden effects are found and the targets are met
+	@$(VENV)/bin/groundstation campaign --vehicle qball2-commanded --scenario hidden $(ARGS)
 
 faults: $(READY)  ## every fault of a link or process, and how soon it is safe
 	@$(PY) -m benchmarks.faults $(ARGS)

@@ -30,6 +30,7 @@ COMMANDS = {
     "convert": "files",
     "flights": "fleet",
     "batch": "fleet",
+    "campaign": "campaign",
     "doctor": "station",
     "reproduce": "station",
 }

@@ -37,6 +37,12 @@ class NotIdentifiable(Refused):
     """This motion does not reveal the named parameters."""
 
 
+class LinkLost(GroundStationError):
+    """A flight ended without the vehicle having been seen on the ground: it may still be flying."""
+
+    exit_status = 5
+
+
 class FlightAborted(GroundStationError):
     """A flight was aborted and ended safely."""
 

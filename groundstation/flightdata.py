@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.tabular import Record, Tabular
 from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle
 
@@ -33,7 +35,7 @@ def motor_columns(kind: str, count: int) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class Stream:
+class Stream(Tabular):
     """Samples of one device.
 
     Attributes:
@@ -60,13 +62,28 @@ class Stream:
         """One column by name, shape (k,)."""
         return self.values[:, self.columns.index(name)]
 
+    def records(self) -> list[Record]:
+        """One row per sample: time and each column."""
+        return [
+            dict(zip(("t_s", *self.columns), row, strict=True))
+            for row in np.column_stack([self.t_s, self.values]).tolist()
+        ]
+
+    def __str__(self) -> str:
+        """A summary: a stream has too many rows to show."""
+        return f"{len(self)} samples at {self.rate_hz():.0f} Hz: {', '.join(self.columns)}"
+
+    def _repr_html_(self) -> str:
+        """The summary."""
+        return f"<p>{html.escape(str(self))}</p>"
+
     def rate_hz(self) -> float:
         """Median sample rate; 0 for fewer than two samples."""
         return float(1.0 / np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.0
 
 
 @dataclass(frozen=True, slots=True)
-class FlightData:
+class FlightData(Tabular):
     """One flight. Streams that were not recorded are None; ``extras`` carries columns and files nobody here reads.
 
     Attributes:
@@ -93,6 +110,23 @@ class FlightData:
     truth: Vehicle | None = None
     metadata: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    def records(self) -> list[Record]:
+        """One row per stream: samples, rate and time on its own clock."""
+        return [
+            {
+                "stream": name,
+                "samples": float(len(stream)),
+                "rate_hz": stream.rate_hz(),
+                "from_s": float(stream.t_s[0]) if len(stream) else None,
+                "to_s": float(stream.t_s[-1]) if len(stream) else None,
+                "columns": ", ".join(stream.columns),
+            }
+            for name, stream in self.streams().items()
+        ]
+
+    def _title(self) -> str:
+        return f"{self.name}: {self.vehicle.name}"
 
     def streams(self) -> dict[str, Stream]:
         """The recorded streams by file name in a bundle ("imu", "motors", ...), extras excluded."""

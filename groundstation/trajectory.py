@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from groundstation.errors import BadInput
+from groundstation.tabular import Record, Tabular
 
 Array = NDArray[np.float64]
 CHANNELS = ("x", "y", "z", "yaw")
@@ -250,7 +251,7 @@ RENAMED_PARAMETERS = {
 """Names in plan files of earlier versions -> the names that estimates have."""
 
 
-class Plan(_Model):
+class Plan(_Model, Tabular):
     """An excitation to fly: what is in a plan file. ``limits`` are those it was made to keep (names of ``[limits]``)."""
 
     schema_version: str = Field(default="groundstation.plan/1", alias="schema")
@@ -271,6 +272,19 @@ class Plan(_Model):
         if not isinstance(value, dict):
             return value
         return {RENAMED_PARAMETERS.get(name, name): std for name, std in value.items()}
+
+    def to_dict(self) -> dict[str, object]:
+        """The plan file's document."""
+        return plan_to_dict(self)
+
+    def records(self) -> list[Record]:
+        """One row per parameter: the standard deviation to expect of a flight of this plan."""
+        return [{"parameter": name, "predicted_std": std} for name, std in self.predicted_std.items()]
+
+    def _title(self) -> str:
+        duration = self.periods * 2.0 * np.pi / self.base_frequency_rad_s
+        condition = "" if self.condition_number is None else f", cond(W) {self.condition_number:.2f}"
+        return f"plan for {self.vehicle}: {duration:.1f} s{condition}"
 
     def series(self) -> FourierSeries:
         """The excitation trajectory."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -277,7 +277,7 @@ def _fault(error: dict) -> str:
     return f"{place}: {text[0].lower() + text[1:] if text else 'is wrong'}"
 
 
-def vehicle_from_dict(document: dict, source: str = "vehicle.toml") -> Vehicle:
+def vehicle_from_dict(document: dict[str, Any], source: str = "vehicle.toml") -> Vehicle:
     """Validate a parsed ``vehicle.toml``.
 
     Raises:

@@ -268,7 +268,9 @@ def _with_new_names(document: dict) -> dict:
     if not isinstance(effects, dict):
         return document
     renamed = {
-        name: {RENAMED.get(name, {}).get(key, key): v for key, v in values.items()} if isinstance(values, dict) else values
+        name: {RENAMED.get(name, {}).get(key, key): v for key, v in values.items()}
+        if isinstance(values, dict)
+        else values
         for name, values in effects.items()
     }
     return {**document, "effects": renamed}

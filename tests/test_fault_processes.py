@@ -67,8 +67,9 @@ class Flight:
     """One flight of the emulated PX4 by a core and a link process."""
 
     def __init__(self, folder: Path):
-        self.folder = folder / "flight"
-        plan, station = folder / "plan.toml", folder / "station.toml"
+        self.folder = folder / "2026-11-29T12-00-00-x500"
+        plan, station = self.folder / "plan.toml", folder / "station.toml"
+        self.folder.mkdir()
         plan.write_text(
             tomli_w.dumps(small_plan(periods=20.0).model_dump(mode="json", by_alias=True, exclude_none=True))
         )
@@ -81,9 +82,8 @@ class Flight:
         for link in links:
             command += ["--link", link]
         self.autopilot = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-        link = linked_vehicle(
-            self.folder, vehicle, link=f"udpin://127.0.0.1:{port}", station=str(station), set_parameters=True
-        )
+        self.url = f"udpin://127.0.0.1:{port}"
+        link = linked_vehicle(self.folder, vehicle, link=self.url, station=str(station), set_parameters=True)
         self.core, _ = start_core(self.folder, plan=plan, vehicle=vehicle, drone=link, start=True, analyse=False)
 
     def journal(self) -> list[str]:
@@ -152,11 +152,33 @@ def test_whoever_dies_the_vehicle_lands_and_the_recording_opens(flight, who, num
     assert time.monotonic() - begun < 20.0
     if who == "link":
         assert flight.core.wait(DEADLINE_S) == 4
-        assert "vehicle's process" in outcome(flight.folder)[1]
+        assert "another link landed it" in outcome(flight.folder)[1]
     elif number == signal.SIGSTOP:
         os.kill(pids["core"], signal.SIGCONT)
         assert flight.core.wait(DEADLINE_S) == 4
+    assert_recorded(flight)
+
+
+def assert_recorded(flight: Flight) -> None:
     recording = read_recording(flight.folder / "flight.mcap")
     assert len(recording.streams["imu"]) > 500
     raw = list(entries((flight.folder / "raw.tlog").read_bytes()))
     assert len(raw) > 1000
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_station_restarted_in_the_air_refuses_silently_then_takes_over_and_goes_on_with_the_folder(flight):
+    flight.excite()
+    for pid in flight.pids().values():
+        os.kill(pid, signal.SIGSTOP)  # the link first holds the port: it must be gone
+    for pid in flight.pids().values():
+        os.kill(pid, signal.SIGKILL)
+    flight.core.wait(DEADLINE_S)
+    command = [sys.executable, "-P", "-m", "groundstation.cli", "fly", "--link", flight.url, "--vehicle", "x500"]
+    command += ["--logs", str(flight.folder.parent), "--yes-simulated", "--take-over", "land"]
+    taken = subprocess.run(command, capture_output=True, text=True, timeout=2 * DEADLINE_S, stdin=subprocess.DEVNULL)
+    assert taken.returncode == 4, taken.stderr
+    assert "going on with" in taken.stderr and "taken over" in taken.stderr
+    flight.witness.until(lambda: flight.witness.armed is False, "the vehicle to disarm")
+    assert len(read_recording(flight.folder / "flight-2.mcap").streams["imu"]) > 0
+    assert_recorded(flight)

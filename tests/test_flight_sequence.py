@@ -20,6 +20,7 @@ GOOD = (
     seq.VehicleLanding(),
     seq.VehicleLanded(),
 )
+STARTED = 4
 REASONS = st.sampled_from(["", "low battery", "operator"])
 EVENTS = st.one_of(
     st.builds(seq.PlanChosen, st.floats(1.0, 100.0)),
@@ -33,6 +34,8 @@ EVENTS = st.one_of(
     st.builds(seq.VehicleLanding, REASONS),
     st.just(seq.VehicleLanded()),
     st.builds(seq.VehicleLost, st.just("link gone")),
+    st.builds(seq.LinkDied, st.just("link killed")),
+    st.just(seq.VehicleStands()),
     st.builds(seq.StartRefused, st.just("not armable")),
     st.builds(seq.AnalysisFinished, st.sampled_from([0, 1, 2, 3])),
     st.just(seq.Tick()),
@@ -93,13 +96,49 @@ def test_silence_also_ends_the_flight(reached):
         now += 10_000.0
         state, _ = run([seq.Tick()], state, now)
     assert state.phase is Phase.ABORTED
-    assert state.exit_status == 4
+    assert state.exit_status == (5 if reached >= STARTED else 4)
 
 
 @pytest.mark.parametrize("reached", range(1, len(GOOD)))
 def test_a_lost_vehicle_closes_the_recording(reached):
     state, done = run([*GOOD[:reached], seq.VehicleLost("process ended")])
     assert (state.phase, done.count(Do.CLOSE_RECORDING)) == (Phase.ABORTED, 1)
+
+
+@pytest.mark.parametrize("reached", range(1, len(GOOD)))
+@pytest.mark.parametrize("down", [True, False])
+def test_a_lost_vehicle_that_was_started_and_not_seen_down_may_still_fly(reached, down):
+    state, _ = run([*GOOD[:reached], seq.VehicleLost("process ended", down)])
+    flies = reached >= STARTED and not down
+    assert state.exit_status == (5 if flies else 4)
+    assert ("may still be flying" in state.reason) is flies
+
+
+def test_a_landing_that_was_heard_of_only_at_its_end_is_no_complete_flight():
+    state, _ = run([*GOOD[:6], seq.VehicleLanded("the core is gone")])
+    assert (state.phase, state.exit_status, state.reason) == (Phase.ABORTED, 4, "the core is gone")
+
+
+def test_an_abort_at_arming_ends_once_the_vehicle_shows_that_it_stands():
+    state, done = run([*GOOD[:STARTED], seq.AbortRequested("Ctrl-C"), seq.VehicleStands()])
+    assert (state.phase, state.exit_status, done[-1]) == (Phase.ABORTED, 4, Do.FINISH)
+    assert "did not take off" in state.reason
+    state, _ = run([*GOOD[:STARTED], seq.VehicleStands()])
+    assert state.phase is Phase.CHECKED, "it stands until it was armed"
+
+
+@pytest.mark.parametrize("reached", range(STARTED, len(GOOD) - 1))
+def test_a_link_that_dies_in_flight_is_waited_for_until_its_successor_has_landed_it(reached):
+    state, done = run([*GOOD[:reached], seq.LinkDied("killed")])
+    assert state.phase is Phase.LANDING and Do.CLOSE_RECORDING not in done
+    state, _ = run([seq.VehicleLanded()], state, 20.0)
+    assert (state.phase, state.exit_status, state.reason) == (Phase.ABORTED, 4, "killed")
+
+
+def test_a_vehicle_found_in_flight_is_waited_for_and_its_flight_is_an_aborted_one():
+    state, done = run([seq.TakenOver("found in flight", 30.0), seq.VehicleLanded()])
+    assert (state.phase, state.exit_status) == (Phase.ABORTED, 4)
+    assert Do.START not in done and done[-2:] == [Do.CLOSE_RECORDING, Do.FINISH]
 
 
 def test_excitation_before_the_climb_was_seen_is_a_fault():

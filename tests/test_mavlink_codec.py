@@ -18,11 +18,14 @@ from drivers.mavlink.geometry import flip, flip_quaternion, quaternion_of, rotat
 from drivers.mavlink.signing import Signing, signing_stamp
 from drivers.mavlink.telemetry import Telemetry
 from drivers.samples import Battery, Event, Imu, Motors, State
+from groundstation.errors import BadInput
+from groundstation.flight.link.signing_memory import SigningMemory
 from groundstation.frames import quat_from_euler, quat_rotate
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 RECORDED = {"px4-sih/offboard.tlog": 43687, "arducopter/guided.tlog": 17218}
 KEY = bytes(range(32))
+NOW = signing_stamp(1.8e9)
 
 
 def recorded(name: str) -> list[tuple[float, bytes]]:
@@ -113,7 +116,7 @@ def test_signed_frames_are_accepted_once():
     frame = sender.encode(heartbeat())
     assert len(receiver.decode(frame)) == 1
     assert receiver.decode(frame) == []
-    assert receiver.signing.rejected == {"unsigned": 0, "forged": 0, "replayed": 1}
+    assert receiver.signing.rejected["replayed"] == 1 and sum(receiver.signing.rejected.values()) == 1
 
 
 def test_unsigned_and_wrongly_signed_frames_are_refused_and_radio_status_is_not():
@@ -299,3 +302,41 @@ def test_recorded_flights_are_seen_whole_by_the_telemetry():
         assert fast.any(axis=1).all()
         assert np.median(moved[fast] / flown[fast]) == pytest.approx(1.0, abs=0.2), name
         assert abs(np.mean([s.accel_m_s2[2] for s in imus]) - 9.8) < 0.1, name
+
+
+def signed_by(key: bytes, stamp: int, system: int = 1) -> bytes:
+    return MavlinkCodec(system, 1, signing=Signing(key, stamp)).encode(heartbeat())
+
+
+def test_a_stamp_at_the_end_of_its_48_bits_is_refused_and_ends_nothing():
+    receiver = MavlinkCodec(signing=Signing(KEY, NOW))
+    last = MavlinkCodec(1, 1, signing=Signing(KEY, NOW))
+    last.signing.stamp = (1 << 48) - 1
+    assert receiver.decode(last.encode(heartbeat())) == []
+    assert receiver.signing.rejected["ahead"] == 1
+    receiver.encode(heartbeat())
+    receiver.signing.advance(1 << 60)
+    assert receiver.encode(heartbeat()) and receiver.encode(heartbeat())
+
+
+def test_a_vehicle_a_year_ahead_is_followed_and_locks_no_other_out():
+    receiver, year = MavlinkCodec(signing=Signing(KEY, NOW)), 3_155_760_000_000
+    assert len(receiver.decode(signed_by(KEY, NOW + year))) == 1
+    assert receiver.signing.stamp > NOW + year, "it takes nothing older"
+    assert len(receiver.decode(signed_by(KEY, NOW, system=2))) == 1
+
+
+def test_a_restarted_station_takes_no_frame_that_was_recorded_before(tmp_path):
+    memory = SigningMemory(tmp_path / "signing.json", KEY, 1.8e9)
+    first = MavlinkCodec(signing=memory.signing)
+    recorded = signed_by(KEY, memory.signing.stamp - 1000)
+    assert len(first.decode(recorded)) == 1
+    sent = memory.signing.stamp
+    memory.write()
+    again = SigningMemory(tmp_path / "signing.json", KEY, 1.8e9 + 5.0)
+    assert MavlinkCodec(signing=again.signing).decode(recorded) == []
+    assert again.signing.rejected["replayed"] == 1
+    assert again.signing.stamp > sent, "no stamp is used twice"
+    (tmp_path / "signing.json").write_text("[1")
+    with pytest.raises(BadInput, match="cannot be read"):
+        SigningMemory(tmp_path / "signing.json", KEY, 1.8e9)

@@ -96,7 +96,10 @@ def test_a_new_parameter_is_an_entry_and_its_sensitivity(
     force = prepared.record.force_m_s2.copy()
     force[:, 2] += planted * (prepared.record.t_s - prepared.record.t_s[0])
     found = fit_dynamics([replace(prepared, record=replace(prepared.record, force_m_s2=force))]).best
-    assert abs(found.value(name) - planted) < 4.0 * found.std(name) + 0.01 * planted, (found.value(name), found.std(name))
+    assert abs(found.value(name) - planted) < 4.0 * found.std(name) + 0.01 * planted, (
+        found.value(name),
+        found.std(name),
+    )
     assert found.std(name) < 0.2 * planted
 
 

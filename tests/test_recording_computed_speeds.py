@@ -37,6 +37,23 @@ def test_a_fixed_multiple_of_the_command_is_no_measurement(gain_rpm):
     assert gain is not None and gain / RPM == pytest.approx(gain_rpm, rel=1e-4)
 
 
+@pytest.mark.parametrize("late", [0.1, 0.3, 0.4])
+@pytest.mark.parametrize("lost", [0.0, 0.2])
+def test_a_late_and_lossy_line_hides_no_computed_speed(late, lost):
+    """A share of the speeds is that of the command before or after, as on a busy machine; some messages never come."""
+    seed = 12
+    print("seed", seed)
+    rng = np.random.default_rng(seed)
+    u = commands(digits=6)
+    at = np.arange(len(u)) + np.where(rng.random(len(u)) < late, rng.choice([-3, -2, -1, 1, 2], len(u)), 0)
+    w = speeds(u.t_s + rng.normal(0.0, 2e-4, len(u)), 628.3185 * u.values[np.clip(at, 0, len(u) - 1)])
+    came = rng.random(len(u)) >= lost
+    w = Stream(w.t_s[came], w.values[came], w.columns)
+    came = rng.random(len(u)) >= lost
+    gain = computed_gain(w, Stream(u.t_s[came], u.values[came], u.columns))
+    assert gain == pytest.approx(628.3185, rel=1e-4)
+
+
 @pytest.mark.parametrize("lag_s", [0.005, 0.0125, 0.07])
 def test_a_rotor_that_lags_is_measured(lag_s):
     u = commands()

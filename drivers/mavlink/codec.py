@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from drivers.mavlink.dialect import Message, mavlink
+from drivers.mavlink.dialect import MESSAGES, Message, mavlink
 from drivers.mavlink.framing import Frame, Framer
+from drivers.mavlink.gate import refusal
 from drivers.mavlink.signing import Signing
 
 STATION_SYSTEM = 245
@@ -14,15 +15,27 @@ STATION_COMPONENT = mavlink.MAV_COMP_ID_MISSIONPLANNER
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A frame and what it says; ``message`` is None for ids nobody here knows, which pass and break nothing."""
+    """A frame and what it says; ``message`` is None for ids nobody here knows, which pass and break nothing.
+
+    ``refused``: it says something impossible (:mod:`drivers.mavlink.gate`); kept as bytes, and never believed.
+    """
 
     frame: Frame
     message: Message | None
+    refused: bool = False
 
     @property
     def name(self) -> str:
         """The message's name, "UNKNOWN_<id>" without one."""
         return f"UNKNOWN_{self.frame.message_id}" if self.message is None else self.message.get_type()
+
+
+@dataclass(slots=True)
+class Refusal:
+    """Messages of one name that were not believed: why the first was not, and how many."""
+
+    why: str
+    count: int = 0
 
 
 @dataclass(slots=True)
@@ -59,6 +72,7 @@ class MavlinkCodec:
     Attributes:
         counters: per (system, component) heard.
         framer: counts bytes that belonged to no frame.
+        refused: messages with a right checksum that say something impossible, by name.
     """
 
     def __init__(
@@ -67,6 +81,7 @@ class MavlinkCodec:
         self.signing = signing
         self.framer = Framer()
         self.counters: dict[tuple[int, int], Counters] = {}
+        self.refused: dict[str, Refusal] = {}
         self._packer = mavlink.MAVLink(None, system, component)
         self._packer.signing.sign_outgoing = False
         self._decoder = mavlink.MAVLink(None)
@@ -84,6 +99,11 @@ class MavlinkCodec:
         self._packer.seq = (self._packer.seq + 1) % 256
         return raw
 
+    def refusal_of(self, frame: Frame) -> str:
+        """Why a frame that was refused was, as "ATTITUDE: roll is inf" (of the first of its name)."""
+        name = MESSAGES[frame.message_id].msgname
+        return f"{name}: {self.refused[name].why}"
+
     def _open(self, frame: Frame) -> Received | None:
         if self.signing is not None and not self.signing.accepts(frame):
             return None
@@ -91,10 +111,15 @@ class MavlinkCodec:
         if not frame.known:
             return Received(frame, None)
         try:
-            return Received(frame, self._decoder.decode(bytearray(frame.raw)))
-        except mavlink.MAVError:  # right checksum, impossible content
-            self.framer.corrupt += 1
-            return None
+            message = self._decoder.decode(bytearray(frame.raw))
+            why = refusal(message)
+        except Exception as error:  # generated code and foreign bytes: whatever it is, it must not reach who flies
+            message, why = None, f"cannot be decoded ({type(error).__name__})"
+        if not why:
+            return Received(frame, message)
+        name = MESSAGES[frame.message_id].msgname
+        self.refused.setdefault(name, Refusal(why)).count += 1
+        return Received(frame, None, refused=True)
 
 
 def _without_signature(message: Message, packer: mavlink.MAVLink) -> bytes:

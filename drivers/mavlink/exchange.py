@@ -65,7 +65,7 @@ class Conversation(Generic[T]):
         for message in messages:
             if self.done:
                 return out
-            if self._ask is not None and self._ask.fits(message):
+            if self._ask is not None and self._fits(message):
                 self._advance(message, now_s, out)
         while not self.done and self._ask is not None and now_s >= self._due_s:
             if self._tries >= self._ask.tries:
@@ -78,6 +78,15 @@ class Conversation(Generic[T]):
         """Stop here; nothing more is sent."""
         self._steps.close()
         self.done = True
+
+    def _fits(self, message: Message) -> bool:
+        """Whether it is the answer; a question that cannot be put to a message ends the conversation, not its owner."""
+        assert self._ask is not None  # noqa: S101 - `step` asked
+        try:
+            return self._ask.fits(message)
+        except Exception as error:
+            self.done, self.error = True, error
+            return False
 
     def _advance(self, answer: Message | None, now_s: float, out: list[Message]) -> None:
         try:

@@ -19,6 +19,7 @@ _MILLI_G = 9.80665e-3
 _RPM = 2.0 * pi / 60.0
 _WRAP_S = 2**32 * 1e-6
 _BODY_FRAMES = (mavlink.MAV_FRAME_BODY_FRD, mavlink.MAV_FRAME_BODY_NED)
+_OPEN_TEXTS = 8
 _IMU_NAMES = ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU")
 
 
@@ -219,14 +220,18 @@ class Telemetry:
     def _statustext(self, m: Message) -> list[Sample]:
         """A text; long ones come in numbered parts that end with one shorter than 50 characters."""
         text = m.text if isinstance(m.text, str) else bytes(m.text).decode(errors="replace")
-        text = text.rstrip("\t\n ") if len(text.encode()) < 50 else text
+        full = len(text.encode()) >= 50
+        text = "".join(c if c.isprintable() or c in "\t\n" else "\N{REPLACEMENT CHARACTER}" for c in text)
+        text = text if full else text.rstrip("\t\n ")
         if not m.id and m.chunk_seq:
             return []  # PX4 gives its first long text the number 0, which means a whole one: the beginning was told
         if not m.id:
             return [Event(self._newest_s, "statustext", f"{_severity(m.severity)}: {text}")]
+        if m.id not in self._texts and len(self._texts) >= _OPEN_TEXTS:
+            del self._texts[next(iter(self._texts))]  # the oldest never ended
         parts = self._texts.setdefault(m.id, {})
         parts[m.chunk_seq] = text
-        if len(text.encode()) >= 50:
+        if full:
             return []
         whole = "".join(parts.get(i, "…") for i in range(m.chunk_seq + 1))
         del self._texts[m.id]

@@ -1,4 +1,4 @@
-"""Ways to a vehicle: serial, UDP in and out, TCP, and memory for tests. Non-blocking; the link's loop waits for them.
+"""Ways to a vehicle: serial, UDP in and out, and TCP. Non-blocking; the link's loop waits for them.
 
 A link is named by a URL: ``serial:///dev/ttyACM0:921600``, ``udpin://127.0.0.1:14540``, ``udpout://127.0.0.1:14550``,
 ``tcp://127.0.0.1:5760``. Whatever goes wrong underneath shows as silence and a sentence in ``trouble``; the transport
@@ -12,14 +12,14 @@ import re
 import select
 import socket
 import time
-from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 Peer = str
 """Where bytes came from: an address, or a constant on links that have one other end."""
 
 _REOPEN_S = 0.5
+_MOST_DATAGRAMS = 500  # of one read, some milliseconds: a flood must not keep us from everything else
 _RECEIVE_BUFFER = 4 << 20  # a log download comes in bursts of 256 KB, more than a default buffer holds
 
 
@@ -48,7 +48,11 @@ class Line(Protocol):
 
 
 class Transport(Line, Protocol):
-    """A line whose owner can sleep on it."""
+    """A line whose owner can sleep on it, and say who is answered."""
+
+    def answer(self, peer: Peer) -> None:
+        """From now on write to this peer and to no other; where there is one other end, it is meant anyway."""
+        ...
 
     def wait(self, timeout_s: float) -> None:
         """Sleep until something arrives or time is up."""
@@ -58,15 +62,16 @@ class Transport(Line, Protocol):
 class UdpTransport:
     """UDP: ``listen`` waits for a vehicle to speak and answers it there; otherwise we speak first.
 
-    Only the first peer heard is answered, until it has been silent for ``forget_s``: a second sender on the port (another
-    simulator, a stray tool) must not receive this vehicle's setpoints.
+    Only the first peer heard is answered, until it has been silent for ``forget_s`` or :meth:`answer` says who is: from
+    then on nobody else is, however long that one is silent. A second sender on the port (another simulator, a stray tool)
+    must not receive this vehicle's setpoints.
     """
 
     datagrams = True
 
     def __init__(self, host: str, port: int, *, listen: bool, forget_s: float = 5.0):
         self.trouble = ""
-        self._target = None if listen else (host, port)
+        self._target = None if listen else (socket.gethostbyname(host), port)
         self._fixed = not listen
         self._heard_s = -1e9
         self._forget_s = forget_s
@@ -83,7 +88,8 @@ class UdpTransport:
     def read(self) -> list[tuple[Peer, bytes]]:
         """All datagrams waiting."""
         got: list[tuple[Peer, bytes]] = []
-        while len(got) < 2000:
+        size = 0
+        while len(got) < _MOST_DATAGRAMS and size < _RECEIVE_BUFFER:
             try:
                 data, address = self._socket.recvfrom(65536)
             except BlockingIOError:
@@ -97,8 +103,15 @@ class UdpTransport:
             if address == self._target:
                 self._heard_s = now
                 self.trouble = ""
+            size += len(data)
             got.append((f"{address[0]}:{address[1]}", data))
         return got
+
+    def answer(self, peer: Peer) -> None:
+        """Write to nobody else."""
+        if not self._fixed or peer != f"{self._target[0]}:{self._target[1]}":  # type: ignore[index] - fixed has one
+            host, _, port = peer.rpartition(":")
+            self._target, self._fixed = (host, int(port)), True
 
     def write(self, data: bytes) -> None:
         """One datagram to the vehicle, if there is one yet."""
@@ -156,6 +169,9 @@ class StreamTransport:
             self._flush()
         except OSError as error:
             self._lost(error)
+
+    def answer(self, peer: Peer) -> None:
+        """There is one other end."""
 
     def wait(self, timeout_s: float) -> None:
         """Until bytes are there."""
@@ -245,32 +261,6 @@ class TcpTransport(StreamTransport):
                 del self._pending[: self._handle.send(self._pending)]
         except BlockingIOError:
             pass
-
-
-@dataclass(slots=True)
-class MemoryTransport:
-    """Two queues, for tests on virtual time: what is put into ``inbox`` is read, what is written lands in ``outbox``."""
-
-    datagrams: bool = True
-    trouble: str = ""
-    inbox: deque[tuple[Peer, bytes]] = field(default_factory=deque)
-    outbox: deque[bytes] = field(default_factory=deque)
-
-    def read(self) -> list[tuple[Peer, bytes]]:
-        """Everything put in."""
-        got = list(self.inbox)
-        self.inbox.clear()
-        return got
-
-    def write(self, data: bytes) -> None:
-        """Keep it."""
-        self.outbox.append(data)
-
-    def wait(self, timeout_s: float) -> None:
-        """Virtual time does not wait."""
-
-    def close(self) -> None:
-        """Nothing to give back."""
 
 
 _URL = re.compile(r"^(?P<kind>udpin|udpout|tcp|serial)://(?P<place>.+?)(?::(?P<number>\d+))?$")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -57,13 +56,12 @@ def identify(
     """
     left_out = tuple(seconds_pair(pair) for pair in exclude)
     loaded = load_flights(flights, vehicle, start_s, end_s)
+    from groundstation import api
     from groundstation.analysis.analyse import write_identification
     from groundstation.flight.client.rehearse import result_table
-    from groundstation.identification.pipeline import identify as run
-    from groundstation.options import AnalysisOptions
 
     line = ProgressLine()
-    found = run(loaded, AnalysisOptions(exclude=left_out), progress=line.fraction)
+    found = api.identify(loaded, exclude=left_out, progress=line.fraction)
     line.end()
     folder = result_folder(flights[0], logs)
     folder.mkdir(parents=True, exist_ok=True)
@@ -105,24 +103,16 @@ def diagnose(
     left_out = tuple(seconds_pair(pair) for pair in exclude)
     loaded = load_flights(flights, vehicle, start_s, end_s)
     references, judges = load_flights(reference, vehicle), load_flights(held_out, vehicle)
+    from groundstation import api
     from groundstation.analysis.analyse import with_next_flight
     from groundstation.analysis.documents import write_json
-    from groundstation.diagnosis import diagnose as run
-    from groundstation.options import AnalysisOptions
     from groundstation.reporting.exports import read_model
-    from groundstation.reporting.identified import identified_from_document
 
-    known: Mapping[str, Any] = {}
-    if model is not None:
-        document = read_model(model, loaded[0].vehicle if vehicle is not None else None)
-        known = document["effects"]
-        loaded, references, judges = (
-            [replace(flight, vehicle=identified_from_document(document).vehicle) for flight in group]
-            for group in (loaded, references, judges)
-        )
+    known = None if model is None else read_model(model, loaded[0].vehicle if vehicle is not None else None)
     line = ProgressLine()
-    options = AnalysisOptions(left_out, tuple(references), tuple(judges), known)
-    found = run(loaded, options, progress=line.fraction)
+    found = api.diagnose(
+        loaded, exclude=left_out, references=references, held_out=judges, model=known, progress=line.fraction
+    )
     line.end()
     folder = result_folder(flights[0], logs)
     folder.mkdir(parents=True, exist_ok=True)
@@ -166,15 +156,15 @@ def report(
     """Identify and diagnose, and write the HTML report."""
     left_out = tuple(seconds_pair(pair) for pair in exclude)
     loaded = load_flights(flights, vehicle, start_s, end_s)
-    from groundstation.analysis.analyse import analyse
-    from groundstation.options import AnalysisOptions
+    from groundstation import api
 
-    options = AnalysisOptions(left_out, tuple(load_flights(reference, vehicle)), tuple(load_flights(held_out, vehicle)))
     line = ProgressLine()
-    done = analyse(
+    done = api.analyse(
         loaded,
         result_folder(flights[0], logs),
-        options,
+        exclude=left_out,
+        references=load_flights(reference, vehicle),
+        held_out=load_flights(held_out, vehicle),
         progress=line.fraction,
         source=_arguments(flights, {"--vehicle": vehicle, "--from": start_s, "--to": end_s}),
     )
@@ -207,20 +197,12 @@ def predict(
 ) -> Result:
     """Simulate open loop from every sample of FLIGHT with MODEL (identification.toml), and say how far off it is."""
     loaded = load_flights((flight,), vehicle, start_s, end_s)[0]
-    from groundstation.diagnosis.effect import library, wrench_of
-    from groundstation.identification.preparation import flight_states
-    from groundstation.model.prediction import model_from_document
-    from groundstation.model.prediction import predict as run
+    from groundstation import api
     from groundstation.reporting.exports import read_model
-    from groundstation.vehicle import vehicle_from_dict
 
     line = ProgressLine()
     document = read_model(model, loaded.vehicle if vehicle is not None else None)
-    declared = vehicle_from_dict(document["vehicle"], str(model))
-    effects = document.get("effects", {})
-    wrench = wrench_of(effects, declared) if any(name in library() for name in effects) else None
-    states = flight_states(loaded, own=state == "own")
-    found = run(model_from_document(document, declared, wrench), states, horizon_s=horizon, progress=line.fraction)
+    found = api.predict(document, loaded, horizon_s=horizon, own_state=state == "own", progress=line.fraction)
     line.end()
     if save is not None:
         from groundstation.recording.csvfile import write_csv

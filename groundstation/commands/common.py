@@ -125,20 +125,19 @@ class ProgressLine:
 
 def load_vehicle_option(value: str | None) -> Vehicle | None:
     """The vehicle named on the command line: a file, or one that ships."""
-    from groundstation.paths import find_config
-    from groundstation.vehicle import load_vehicle
+    from groundstation import api
 
-    return None if value is None else load_vehicle(find_config("vehicles", value))
+    return None if value is None else api.load_vehicle(value)
 
 
 def load_flights(
     paths: tuple[Path, ...], vehicle: str | None, start_s: float | None = None, end_s: float | None = None
 ) -> list[FlightData]:
     """Read flights of any format, with the vehicle of the command line over the recorded one."""
-    from groundstation.recording import load_flight
+    from groundstation import api
 
     declared = load_vehicle_option(vehicle)
-    return [load_flight(path, vehicle=declared, start_s=start_s, end_s=end_s) for path in paths]
+    return [api.load_flight(path, vehicle=declared, start_s=start_s, end_s=end_s) for path in paths]
 
 
 def result_folder(path: Path, logs: Path) -> Path:

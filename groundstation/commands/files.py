@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from groundstation.commands.common import Result, example, json_option, load_vehicle_option
+from groundstation.commands.common import Result, example, json_option
 from groundstation.errors import BadInput
 from groundstation.writing import write_whole
 
@@ -43,9 +43,9 @@ def convert(source: Path, target: Path, vehicle: str | None) -> Result:
 @json_option
 def export(model: Path, form: str, output: Path | None, vehicle: str | None) -> Result:
     """Write an identified MODEL (identification.toml) in the format of a simulator or autopilot."""
-    from groundstation.reporting.exports import export as run
+    from groundstation import api
 
-    text = run(model, form, load_vehicle_option(vehicle))
+    text = api.export(model, form, vehicle=vehicle)
     document: dict[str, Any] = {"schema": "groundstation.export/1", "format": form}
     if output is None:
         return Result({**document, "content": text}, text.rstrip("\n"))

@@ -14,6 +14,7 @@ from groundstation.commands.common import ProgressLine, Result, example, json_op
 from groundstation.errors import BadInput, Refused
 
 if TYPE_CHECKING:
+    from groundstation.flight.client.interrupts import Interrupts
     from groundstation.flight.client.rehearse import FlightResult
 
 LOG_S = 120.0
@@ -62,8 +63,28 @@ def sim(ctx: click.Context, arguments: tuple[str, ...]) -> None:
 def rehearse(vehicle: str, scenario: str, plan_file: Path | None, seed: int, real_time: bool, logs: Path) -> Result:
     """Fly the whole loop in simulation: plan, upload over zenoh, fly, record, identify, diagnose, report.
 
-    Ctrl-C aborts: the simulated drone lands. Killing this program does not end the flight.
+    Ctrl-C aborts: before arming nothing is armed, afterwards the simulated drone lands. Killing this program does not end
+    the flight.
     """
+    from groundstation.flight.client.interrupts import Interrupts
+
+    line = ProgressLine()
+    with Interrupts() as stop:
+        flown = _rehearsed(vehicle, scenario, plan_file, seed, real_time, logs, line, stop)
+    line.end()
+    return _flight_result(flown)
+
+
+def _rehearsed(
+    vehicle: str,
+    scenario: str,
+    plan_file: Path | None,
+    seed: int,
+    real_time: bool,
+    logs: Path,
+    line: ProgressLine,
+    stop: Interrupts,
+) -> FlightResult:
     from groundstation.flight.client.client import new_flight_folder
     from groundstation.flight.client.rehearse import fly as fly_plan
     from groundstation.flight.client.rehearse import simulated_drone
@@ -74,7 +95,6 @@ def rehearse(vehicle: str, scenario: str, plan_file: Path | None, seed: int, rea
     vehicle_file = find_config("vehicles", vehicle).resolve()
     scenario_file = find_config("scenarios", scenario).resolve()
     declared = load_vehicle(vehicle_file)
-    line = ProgressLine()
     if plan_file is not None:
         chosen = load_plan(plan_file)
         if chosen.vehicle != declared.name:
@@ -83,12 +103,11 @@ def rehearse(vehicle: str, scenario: str, plan_file: Path | None, seed: int, rea
             )
     else:
         chosen = _new_plan(declared, line)
+    stop.check()
     folder = new_flight_folder(logs.resolve(), declared.name)
     plan_path = _keep_plan(chosen, folder)
     drone = simulated_drone(vehicle_file, scenario_file, seed, real_time=real_time)
-    flown = fly_plan(folder, plan=plan_path, vehicle=vehicle_file, drone=drone, say=line.say)
-    line.end()
-    return _flight_result(flown)
+    return fly_plan(folder, plan=plan_path, vehicle=vehicle_file, drone=drone, say=line.say, stop=stop)
 
 
 def _plan_for_link(declared: Any, line: ProgressLine) -> Any:
@@ -123,8 +142,8 @@ def _flight_result(flown: FlightResult) -> Result:
     """Where everything is, and the table."""
     import json
 
+    from groundstation import api
     from groundstation.flight.client.rehearse import result_table
-    from groundstation.recording import load_flight
 
     files = flown.files()
     document: dict[str, Any] = {
@@ -137,7 +156,7 @@ def _flight_result(flown: FlightResult) -> Result:
     lines = [f"{name:<20} {path}" for name, path in files.items()]
     if "identification.json" in files:
         identification = json.loads(files["identification.json"].read_text(encoding="utf-8"))
-        flight = load_flight(files["flight.mcap"])
+        flight = api.load_flight(files["flight.mcap"])
         truth = flight.truth.parameters() if flight.truth is not None else {}
         document |= {"identification": identification, "truth": truth}
         lines += ["", result_table(identification, flight.vehicle.parameters(), truth)]
@@ -238,32 +257,73 @@ def preflight(vehicle: str, plan_file: Path | None, logs: Path, **link: Any) -> 
 @click.command(epilog=example("groundstation fly --link udpin://127.0.0.1:14540 --vehicle x500 --yes-simulated"))
 @link_options
 @click.option("--yes-simulated", is_flag=True, help="What flies is a simulation: do not ask before arming.")
-def fly(vehicle: str, plan_file: Path | None, logs: Path, yes_simulated: bool, **link: Any) -> Result:
+@click.option(
+    "--take-over",
+    type=click.Choice(["land", "hold"]),
+    help="A vehicle is in flight, and its station ended: land it, or hold it for a minute and land; its folder goes on.",
+)
+def fly(
+    vehicle: str, plan_file: Path | None, logs: Path, yes_simulated: bool, take_over: str | None, **link: Any
+) -> Result:
     """Check, upload and fly on a MAVLink link, record, and after landing identify, diagnose and report.
 
-    Ctrl-C aborts: the vehicle lands. Killing this program does not end the flight.
+    Ctrl-C aborts: before arming nothing is armed, afterwards the vehicle lands. Killing this program does not end the
+    flight. A vehicle that is in flight already is refused, and gets no heartbeat that would hold its failsafe off.
     """
+    from groundstation.flight.client.interrupts import Interrupts
     from groundstation.flight.client.rehearse import fly as fly_plan
 
     if not yes_simulated and not sys.stdin.isatty():
         raise BadInput("a real vehicle is armed only by somebody at a terminal; a simulated one with --yes-simulated.")
     line = ProgressLine()
     link["set_parameters"] |= yes_simulated  # asked for on a real vehicle, a matter of course on a simulated one
-    flight = _link_flight(vehicle, plan_file, logs, line, **link)
-    flown = fly_plan(**flight, say=line.say, confirm=lambda: yes_simulated or _typed_confirmation(line))
-    _fetch_log(link["link"], flight["vehicle"], flown, line)
+    with Interrupts() as stop:
+        if take_over is not None:
+            flight = _interrupted(vehicle, logs, line, **link)
+            return _flight_result(fly_plan(**flight, say=line.say, stop=stop, take_over=take_over))
+        flight = _link_flight(vehicle, plan_file, logs, line, **link)
+        stop.check()
+        flown = fly_plan(**flight, say=line.say, confirm=lambda: yes_simulated or _typed_confirmation(line), stop=stop)
+    _fetch_log(link["link"], flight["vehicle"], flown, line, link["key_file"])
     line.end()
     return _flight_result(flown)
 
 
-def _fetch_log(url: str, vehicle: Path, flown: FlightResult, line: ProgressLine) -> None:
+def _interrupted(vehicle: str, logs: Path, line: ProgressLine, **link: Any) -> dict[str, Any]:
+    """Folder, plan, vehicle and link process of a flight that its station left in the air."""
+    from groundstation.flight.client.client import interrupted_flight, new_flight_folder
+    from groundstation.flight.client.rehearse import linked_vehicle
+    from groundstation.paths import find_config
+    from groundstation.vehicle import load_vehicle
+
+    vehicle_file = find_config("vehicles", vehicle).resolve()
+    name = load_vehicle(vehicle_file).name
+    folder = interrupted_flight(logs.resolve(), name)
+    if folder is None or not (folder / "plan.toml").is_file():
+        line.say(f"no interrupted flight of {name} in {logs}; recording into a folder of its own")
+        folder, plan = new_flight_folder(logs.resolve(), name), find_config("plans", "paper_table2").resolve()
+        folder.mkdir(parents=True)
+    else:
+        line.say(f"going on with {folder}")
+        plan = folder / "plan.toml"
+    return {
+        "folder": folder,
+        "plan": plan,
+        "vehicle": vehicle_file,
+        "drone": linked_vehicle(folder, vehicle_file, **link),
+    }
+
+
+def _fetch_log(url: str, vehicle: Path, flown: FlightResult, line: ProgressLine, key_file: Path | None) -> None:
     """The onboard log beside the recording; without it, what came over the link is all there is, and that is said."""
     from groundstation.errors import GroundStationError
     from groundstation.flight.link.onboard_log import fetch_onboard_log
     from groundstation.vehicle import load_vehicle
 
     try:
-        path = fetch_onboard_log(url, load_vehicle(vehicle), flown.folder, line.fraction, timeout_s=LOG_S)
+        path = fetch_onboard_log(
+            url, load_vehicle(vehicle), flown.folder, line.fraction, timeout_s=LOG_S, key_file=key_file
+        )
         line.say(f"onboard log: {path}; `groundstation identify {path} --vehicle {vehicle}` uses its rates")
     except (GroundStationError, ConnectionError, ValueError) as error:
         line.say(f"no onboard log ({error}); identified from what came over the link")

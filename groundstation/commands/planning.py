@@ -84,15 +84,12 @@ def plan(
             raise BadInput("--discriminate chooses criterion and frequencies itself; leave those options out.")
         bounds = limits_in_si(limits) | known_limits(assignments(more_limits))
         return _discriminating(discriminate, vehicle, duration_s, seed, time_budget_s, output, bounds)
-    from groundstation.paths import find_config
-    from groundstation.planning import paper_problem, plan_document, plan_excitation
-    from groundstation.vehicle import load_vehicle
+    from groundstation import api
+    from groundstation.planning import paper_problem, plan_document
 
     if paper and vehicle not in (None, "qball2"):
         raise BadInput("--paper is the QBall 2's problem; leave out --vehicle, or plan without --paper.")
-    problem: dict[str, Any] = (
-        paper_problem() if paper else {"vehicle": load_vehicle(find_config("vehicles", vehicle or "qball2"))}
-    )
+    problem: dict[str, Any] = paper_problem() if paper else {"vehicle": api.load_vehicle(vehicle or "qball2")}
     base = None if base_frequency_deg_s is None else math.radians(base_frequency_deg_s)
     given = {
         "criterion": criterion,
@@ -110,7 +107,7 @@ def plan(
         table = compare_families(seed=seed, time_budget_s=time_budget_s, progress=line.fraction, **problem)
         line.end()
         return Result(table.to_dict(), table.to_text())
-    found = plan_excitation(seed=seed, time_budget_s=time_budget_s, progress=line.fraction, **problem)
+    found = api.plan_excitation(seed=seed, time_budget_s=time_budget_s, progress=line.fraction, **problem)
     line.end()
     if output is not None:
         _write(found, output)
@@ -127,15 +124,16 @@ def _discriminating(
     limits: dict[str, float],
 ) -> Result:
     """The flight that settles a diagnosis."""
-    from groundstation.diagnosis.next_flight import DURATION_S, TRIAL_S, odds_sentence, plan_next
+    from groundstation import api
+    from groundstation.diagnosis.next_flight import TRIAL_S, odds_sentence
     from groundstation.planning import plan_document
 
     document = read_diagnosis(path)
     line = ProgressLine()
-    found = plan_next(
+    found = api.plan_next_flight(
         document,
         _vehicle_of(path, document, vehicle),
-        duration_s=duration_s or DURATION_S,
+        duration_s=duration_s,
         trials=max(int(time_budget_s / TRIAL_S), 4),
         seed=seed,
         progress=line.fraction,

@@ -163,11 +163,20 @@ class SensorEffect(EffectInfo):
     readings: tuple[Reading, ...]
 
 
+_REGISTERED: dict[str, EffectInfo] = {}
+
+
+def register(effect: EffectInfo) -> None:
+    """Add an effect to the catalogue of this process, or replace the one of its identifier; a file in ``effects/`` stays."""
+    _REGISTERED[effect.identifier] = effect
+    library.cache_clear()
+
+
 def catalogue() -> Mapping[str, EffectInfo]:
-    """All effects by identifier, from the files in ``effects/``."""
+    """All effects by identifier, from the files in ``effects/`` and by :func:`register`."""
     package = importlib.import_module("groundstation.diagnosis.effects")
     modules = [importlib.import_module(f"{package.__name__}.{m.name}") for m in pkgutil.iter_modules(package.__path__)]
-    return {module.EFFECT.identifier: module.EFFECT for module in modules}
+    return {module.EFFECT.identifier: module.EFFECT for module in modules} | _REGISTERED
 
 
 @cache

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.identification.results import Estimate
+from groundstation.tabular import Record, Tabular
 
 Verdict = Literal["explained", "unexplained", "clean", "refused"]
 
@@ -62,7 +63,7 @@ class Unexplained:
 
 
 @dataclass(frozen=True, slots=True)
-class Diagnosis:
+class Diagnosis(Tabular):
     """The result of ``diagnose``.
 
     Attributes:
@@ -87,6 +88,25 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     candidates: tuple[Mapping[str, Any], ...] = ()
     residual: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+
+    def records(self) -> list[Record]:
+        """One row per parameter of each finding, with its 95 % interval and the finding's confidence."""
+        return [
+            {
+                "effect": finding.effect if finding.rotor is None else f"{finding.effect}, rotor {finding.rotor}",
+                "parameter": name,
+                "value": e.value,
+                "std": e.std,
+                "low": e.ci95[0],
+                "high": e.ci95[1],
+                "confidence": finding.confidence,
+            }
+            for finding in self.findings
+            for name, e in finding.parameters.items()
+        ]
+
+    def _title(self) -> str:
+        return f"{self.flight}: {self.verdict}" + (f". {self.reason}" if self.reason else "")
 
     def to_dict(self) -> dict[str, Any]:
         """The document ``diagnose --json`` prints (flight-bundle.md)."""

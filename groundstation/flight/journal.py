@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +14,7 @@ ENDPOINT_FILE = "core.endpoint"
 
 
 class Journal:
-    """Appends to a file and flushes each line, so that a crash loses none.
+    """Appends to a file and flushes each line, so that a crash loses none. A disk that takes nothing ends no flight.
 
     Args:
         path: the file; its folder is made.
@@ -28,12 +29,14 @@ class Journal:
     def write(self, kind: str, text: str, **figures: Any) -> None:
         """One line: ``monotonic_s``, ``kind``, ``text`` and the figures it rests on."""
         line = {"monotonic_s": round(self._clock(), 6), "kind": kind, "text": text, **figures}
-        self._file.write(json.dumps(line, default=str) + "\n")
-        self._file.flush()
+        with contextlib.suppress(OSError):  # the recording on the same disk fails as well, and that is told
+            self._file.write(json.dumps(line, default=str) + "\n")
+            self._file.flush()
 
     def close(self) -> None:
         """Close the file."""
-        self._file.close()
+        with contextlib.suppress(OSError):
+            self._file.close()
 
 
 def read_journal(path: Path) -> list[dict[str, Any]]:

@@ -8,6 +8,7 @@ Rules that hold whatever arrives, in whatever order (tests/test_flight_sequence.
 * the vehicle is asked to arm only in ``checked``, and ``exciting`` is reached only from ``airborne``;
 * an abort on the ground ends in ``aborted`` at once; once the vehicle was told to start, it goes through ``landing``;
 * every state that waits for somebody else has a deadline, so silence also ends the flight;
+* the status says 4 only of a vehicle that was seen on the ground, or never left it; of any other 5: it may still be flying;
 * ``done`` and ``aborted`` are final, and the recording is closed exactly once on the way to them.
 """
 
@@ -16,7 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from groundstation.errors import FlightAborted, Refused
+from groundstation.errors import FlightAborted, LinkLost, Refused
 
 
 class Phase(StrEnum):
@@ -125,14 +126,37 @@ class VehicleLanding:
 
 @dataclass(frozen=True, slots=True)
 class VehicleLanded:
-    """The vehicle stands on the ground, disarmed."""
+    """The vehicle stands on the ground, disarmed; with a reason when it came down early, and its landing was not heard of."""
+
+    abort_reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleStands:
+    """The vehicle stands disarmed, although it was told to start: what was asked of it at arming is over."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkDied:
+    """The vehicle's process ended or hung in flight; another was started, which lands the vehicle."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class TakenOver:
+    """This core found a vehicle in flight and is to bring it down; its plan takes ``duration_s``."""
+
+    reason: str
+    duration_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleLost:
-    """The vehicle's process or link is gone for good."""
+    """The vehicle's process or link is gone for good; ``down``: with the vehicle on the ground, e.g. crashed."""
 
     reason: str
+    down: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,6 +191,9 @@ Event = (
     | VehicleLanding
     | VehicleLanded
     | VehicleLost
+    | VehicleStands
+    | LinkDied
+    | TakenOver
     | StartRefused
     | AnalysisFinished
     | Tick
@@ -215,6 +242,9 @@ class Sequence:
         return self.phase in FINAL
 
 
+MAY_FLY = "the link died; the vehicle may still be flying: go and look, with the remote control at hand"
+"""What is said of a vehicle that nobody saw on the ground."""
+
 Result = tuple[Sequence, tuple[Action, ...]]
 
 
@@ -225,7 +255,13 @@ def step(state: Sequence, event: Event, now_s: float) -> Result:
     if isinstance(event, AbortRequested):
         return _abort(state, event.reason, now_s, rotors_off=event.rotors_off)
     if isinstance(event, VehicleLost):
-        return _lost(state, event.reason, now_s)
+        return _lost(state, event, now_s)
+    if isinstance(event, LinkDied):
+        if not state.started:
+            return _lost(state, VehicleLost(event.reason), now_s)
+        return _led_down(state, event.reason, now_s)
+    if isinstance(event, TakenOver):
+        return _led_down(replace(state, plan_s=event.duration_s), event.reason, now_s)
     if isinstance(event, Tick):
         overdue = _overdue(state, now_s)
         return (state, ()) if overdue is None else overdue
@@ -265,10 +301,21 @@ def _abort(state: Sequence, reason: str, now_s: float, *, rotors_off: bool = Fal
     return _enter(state, Phase.LANDING, now_s, stop, aborting=reason)
 
 
-def _lost(state: Sequence, reason: str, now_s: float) -> Result:
+def _lost(state: Sequence, event: VehicleLost, now_s: float) -> Result:
     if state.phase in (Phase.LANDED, Phase.IDENTIFYING):
         return state, ()
-    return _aborted(state, state.aborting or reason, now_s)
+    reason = "; ".join(filter(None, (state.aborting, event.reason)))
+    if state.started and not event.down:
+        return _aborted(state, f"{reason}; {MAY_FLY}", now_s, status=LinkLost.exit_status)
+    return _aborted(state, reason, now_s)
+
+
+def _led_down(state: Sequence, reason: str, now_s: float) -> Result:
+    """Somebody else brings it down already: wait for the ground."""
+    if state.phase in (Phase.LANDED, Phase.IDENTIFYING):
+        return state, ()
+    since_s = state.since_s if state.phase is Phase.LANDING else now_s
+    return replace(state, phase=Phase.LANDING, since_s=since_s, started=True, aborting=state.aborting or reason), ()
 
 
 def _overdue(state: Sequence, now_s: float) -> Result | None:
@@ -288,8 +335,8 @@ def _overdue(state: Sequence, now_s: float) -> Result | None:
                 state, f"the flight was still {state.phase} after {allowed:.0f} s, longer than its plan", now_s
             )
     if state.phase is Phase.LANDING and wait > limits.slack * state.plan_s + limits.landing_s:
-        reason = f"{state.aborting or 'the plan had ended'}; the landing was not confirmed, go and look"
-        return _aborted(state, reason, now_s, Action(Do.LAND, reason))
+        reason = f"{state.aborting or 'the plan had ended'}; the landing was not confirmed: {MAY_FLY}"
+        return _aborted(state, reason, now_s, Action(Do.LAND, reason), status=LinkLost.exit_status)
     if state.phase is Phase.IDENTIFYING and wait > limits.analysis_s:
         return _finish(state, 1, f"the analysis did not end within {limits.analysis_s:g} s", now_s)
     return None
@@ -351,7 +398,7 @@ def _coming_down(state: Sequence, event: Event, now_s: float) -> Result:
         return _enter(state, Phase.LANDING, now_s, aborting=state.aborting or event.abort_reason)
     if isinstance(event, VehicleLanded):
         aborting = state.aborting or (
-            "" if state.phase is Phase.EXCITING else "the vehicle landed before the excitation"
+            event.abort_reason if state.phase is Phase.EXCITING else "the vehicle landed before the excitation"
         )
         return _landed(replace(state, aborting=aborting), now_s)
     return state, ()
@@ -362,6 +409,8 @@ def _landing(state: Sequence, event: Event, now_s: float) -> Result:
         return replace(state, aborting=event.abort_reason), ()
     if isinstance(event, VehicleLanded):
         return _landed(state, now_s)
+    if isinstance(event, VehicleStands) and state.aborting:
+        return _aborted(state, f"{state.aborting}; the vehicle is disarmed and did not take off", now_s)
     return state, ()
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.model.disturbance import TurningDisturbance
+from groundstation.tabular import Record, Tabular
 
 Array = NDArray[np.float64]
 
@@ -108,7 +109,7 @@ class Validation:
 
 
 @dataclass(frozen=True, slots=True)
-class Identification:
+class Identification(Tabular):
     """The result of ``identify``.
 
     Attributes:
@@ -140,6 +141,20 @@ class Identification:
     validation: tuple[Validation, ...] = ()
     revealed: tuple[Revealed, ...] = ()
     disturbance: TurningDisturbance | None = None
+
+    def records(self) -> list[Record]:
+        """One row per parameter: the best method's estimate with its 95 % interval; None where the flight does not tell."""
+        best = self.methods.get(self.best)
+        found = {**(best.parameters if best else {}), **self.model}
+        rows: list[Record] = [
+            {"parameter": name, "value": e.value, "std": e.std, "low": e.ci95[0], "high": e.ci95[1]}
+            for name, e in found.items()
+        ]
+        nothing = {"value": None, "std": None, "low": None, "high": None}
+        return rows + [{"parameter": name, **nothing} for name in self.not_identifiable if name not in found]
+
+    def _title(self) -> str:
+        return f"{self.flight}: {self.vehicle}, identified by {self.best}, 95 % intervals"
 
     def to_dict(self) -> dict[str, Any]:
         """The document ``identify --json`` prints (flight-bundle.md)."""

@@ -34,6 +34,7 @@ from groundstation.model.rotors import (
     wrench_matrix,
 )
 from groundstation.model.signals import Signals
+from groundstation.tabular import Record, Tabular
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -159,7 +160,7 @@ class FlightStates:
 
 
 @dataclass(frozen=True, slots=True)
-class Prediction:
+class Prediction(Tabular):
     """Errors of each predictor at each horizon, and the model's predicted states at the last one."""
 
     horizon_s: float
@@ -178,6 +179,21 @@ class Prediction:
                 k: {h: {q: dict(v) for q, v in e.items()} for h, e in by.items()} for k, by in self.error.items()
             },
         }
+
+    def records(self) -> list[Record]:
+        """One row per horizon and quantity: RMS error of each predictor."""
+        return [
+            {
+                "quantity": quantity,
+                "horizon_s": float(horizon),
+                **{name: by[horizon][quantity]["rms"] for name, by in self.error.items()},
+            }
+            for horizon, quantities in self.error["model"].items()
+            for quantity in quantities
+        ]
+
+    def _title(self) -> str:
+        return f"RMS error of open-loop prediction over {self.windows} windows"
 
     def to_text(self) -> str:
         """A table of RMS errors at each horizon."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,8 @@ from groundstation.planning.limits import envelope
 from groundstation.planning.plan import FREQUENCY_MAX_HZ, describe
 from groundstation.planning.problem import Problem
 from groundstation.planning.signals import fill, resting, roomy_start
-from groundstation.trajectory import FourierSeries, Plan, RigidMotion, rigid_motion
+from groundstation.tabular import Record, Tabular
+from groundstation.trajectory import FourierSeries, Plan, RigidMotion, plan_to_dict, rigid_motion
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -48,7 +50,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, slots=True)
-class Separation:
+class Separation(Tabular):
     """What the chosen flight should settle.
 
     Attributes:
@@ -60,6 +62,15 @@ class Separation:
     plan: Plan
     log_odds: dict[tuple[str, str], float]
     channels: dict[str, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The plan, the expected log odds of each pair, and the channels that tell the hardest pair apart."""
+        odds = [{"pair": list(pair), "log_odds": value} for pair, value in self.log_odds.items()]
+        return {**plan_to_dict(self.plan), "expected_log_odds": odds, "channels": dict(self.channels)}
+
+    def records(self) -> list[Record]:
+        """One row per pair of explanations."""
+        return [{"pair": " or ".join(pair), "log_odds": value} for pair, value in self.log_odds.items()]
 
     @property
     def probability(self) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -26,7 +27,8 @@ _FLUSH_S = 1.0
 class McapRecorder:
     """Writes samples as they come. Safe to use from several threads.
 
-    What was recorded more than a second of host time ago is on its way to the disk, whatever happens to the process. A
+    What was recorded more than a second of host time ago is on its way to the disk, whatever happens to the process;
+    :mod:`~groundstation.recording.keeper` writes it through, so that it survives the machine's end, too. A
     full disk does not raise: recording ends, ``failure`` says so, and ``lost`` counts the samples that are missing.
 
     Args:
@@ -125,10 +127,16 @@ class McapRecorder:
             encoder.text(text)
         self._do(1, partial(self._message, channel, device_s, host_s, encoder.bytes()))
 
+    def sync(self) -> None:
+        """Write what was flushed through to the disk. Waits for the disk, and holds up no :meth:`add`."""
+        if not self._file.closed:
+            os.fsync(self._file.fileno())
+
     def close(self) -> None:
         """Write the index and close the file. Without it the file opens as well, only slower."""
         if not self._file.closed:
             self._do(0, self._writer.finish)
+            self._do(0, self.sync)
             self._file.close()
 
     def __enter__(self) -> McapRecorder:

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import math
-import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import tomli_w
-
-from groundstation.errors import BadInput
-from groundstation.flight.children import module_command
+from groundstation.flight.client.simulate import simulate
 from groundstation.flightdata import FlightData
 from groundstation.paths import find_config
-from groundstation.recording import load_flight
-from groundstation.trajectory import ChannelCoefficients, Coefficients, Plan, load_plan, plan_to_dict
-from groundstation.vehicle import load_vehicle, vehicle_to_dict
+from groundstation.trajectory import ChannelCoefficients, Coefficients, Plan, load_plan
+from groundstation.vehicle import load_vehicle, vehicle_from_dict, vehicle_to_dict
 
 PERIODS = 5.0
 """The paper flies 0 s < t < 50 s."""
@@ -98,22 +93,7 @@ def fly(plan: Plan, truth: Truth, seed: int, folder: Path) -> FlightData:
     folder.mkdir(parents=True, exist_ok=True)
     declared = vehicle_to_dict(load_vehicle(find_config("vehicles", "qball2")))
     declared["rotors"]["speed_source"] = "command"
-    documents: dict[str, dict[str, Any]] = {
-        "vehicle": declared,
-        "plan": plan_to_dict(plan),
-        "scenario": _scenario(truth),
-    }
-    paths = {name: folder / f"{name}.toml" for name in documents}
-    for name, document in documents.items():
-        paths[name].write_text(tomli_w.dumps(document), encoding="utf-8")
-    bundle = folder / "flight"
-    options = [part for name, path in paths.items() for part in (f"--{name}", str(path))]
-    command = module_command("sim.batch", *options, "--seed", str(seed), "--out", str(bundle))
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        words = done.stderr.strip().splitlines()
-        raise BadInput(f"the simulated flight failed ({words[-1] if words else f'status {done.returncode}'}).")
-    return load_flight(bundle)
+    return simulate(vehicle_from_dict(declared), plan, _scenario(truth), seed, folder / "flight")
 
 
 def _scenario(truth: Truth) -> dict[str, Any]:

@@ -170,11 +170,9 @@ class GroundStation(App[int]):
             self._preparing = False
 
     def _new_plan(self, setup: Setup) -> Plan:
-        from groundstation.paths import find_config
-        from groundstation.planning import plan_excitation
-        from groundstation.vehicle import load_vehicle
+        from groundstation import api
 
-        return plan_excitation(load_vehicle(find_config("vehicles", setup.vehicle)))
+        return api.plan_excitation(setup.vehicle)
 
     def _fail(self, sentence: str) -> None:
         self.trouble = sentence

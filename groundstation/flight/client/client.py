@@ -93,6 +93,7 @@ def start_core(
     start: bool = False,
     analyse: bool = True,
     listen: tuple[str, ...] = (),
+    take_over: str = "",
 ) -> tuple[Child, str]:
     """Start the core of one flight in a session of its own.
 
@@ -103,6 +104,7 @@ def start_core(
         drone: module and arguments of the process that stands for the vehicle.
         start: fly as soon as the checks pass, without an operator's ``start``.
         analyse: identify, diagnose and report after landing.
+        take_over: ``land`` or ``hold`` a vehicle found in flight; the folder is an interrupted flight's then.
         listen: endpoints beyond the loopback one, for clients on other machines.
 
     Returns:
@@ -116,6 +118,8 @@ def start_core(
         arguments += ["--listen", extra]
     if start:
         arguments.append("--start")
+    if take_over:
+        arguments += ["--take-over", take_over]
     if not analyse:
         arguments.append("--no-analysis")
     command = module_command("groundstation.flight.core.process", *map(str, arguments), "--", *drone)
@@ -133,6 +137,17 @@ def running_cores(logs: Path, timeout_s: float = 1.0) -> list[tuple[Path, str]]:
         except ConnectionError:
             continue
     return found
+
+
+def interrupted_flight(logs: Path, vehicle: str) -> Path | None:
+    """The newest flight of a vehicle that has no outcome and no core that answers; None without one."""
+    alive = {folder for folder, _ in running_cores(logs)}
+    for folder in sorted(logs.glob(f"*-{vehicle}*"), reverse=True):
+        log = folder / JOURNAL
+        entries = read_journal(log) if log.is_file() and not log.is_symlink() else []
+        if entries and folder not in alive:
+            return None if entries[-1]["kind"] == "outcome" else folder
+    return None
 
 
 def outcome(folder: Path) -> tuple[int, str]:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-import signal
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from groundstation.errors import BadInput, FlightAborted, Refused
+from groundstation.errors import BadInput, FlightAborted, LinkLost, Refused
 from groundstation.flight.children import Child
 from groundstation.flight.client.client import CoreClient, connect, outcome, start_core
+from groundstation.flight.client.interrupts import Interrupts
+from groundstation.flight.link.parameter_journal import left_changed
 from groundstation.flight.messages import WAY, CoreStatus
 from groundstation.flight.sequence import FINAL, IN_FLIGHT, Phase
 from groundstation.identification.results import Estimate
@@ -117,6 +117,9 @@ def fly(
     drone: tuple[str, ...],
     say: Say,
     confirm: Callable[[], bool] = lambda: True,
+    analyse: bool = True,
+    stop: Interrupts | None = None,
+    take_over: str = "",
 ) -> FlightResult:
     """Fly a plan through a core and follow it to the report. Ctrl-C is an abort; twice is still an abort.
 
@@ -127,27 +130,78 @@ def fly(
         drone: module and arguments of the vehicle's process.
         say: takes lines of progress.
         confirm: asked once everything is checked; the flight is given up when it says no.
+        analyse: identify, diagnose and report after landing.
+        stop: has taken signals since the command began; one that came before now starts nothing.
+        take_over: ``land`` or ``hold`` a vehicle found in flight, instead of flying a plan.
 
     Raises:
-        FlightAborted: the flight was aborted and the vehicle is down.
+        FlightAborted: the flight was aborted and the vehicle is down, or nothing was armed.
+        LinkLost: it ended, and nobody saw the vehicle on the ground.
         Refused: the vehicle or the checks refused to fly.
     """
-    core, endpoint = start_core(folder, plan=plan, vehicle=vehicle, drone=drone)
+    if stop is None:
+        with Interrupts() as stop:
+            return fly(
+                folder,
+                plan=plan,
+                vehicle=vehicle,
+                drone=drone,
+                say=say,
+                confirm=confirm,
+                analyse=analyse,
+                stop=stop,
+                take_over=take_over,
+            )
+    stop.check()
+    with stop.ordering(lambda: None):  # what comes until the client is connected is ordered then
+        core, endpoint = start_core(
+            folder, plan=plan, vehicle=vehicle, drone=drone, analyse=analyse, take_over=take_over
+        )
 
-    def body(client: CoreClient) -> None:
-        with _interrupts(client, say):
-            follow(client, lambda: core.poll() is not None, say, confirm)
+        def body(client: CoreClient) -> None:
+            with stop.ordering(lambda: _abort(client, say)):
+                follow(client, lambda: core.poll() is not None, say, confirm, stop)
 
-    _as_client(core, endpoint, body)
+        _as_client(core, endpoint, body)
     status, reason = outcome(folder)
     if status == FlightAborted.exit_status:
         raise FlightAborted(f"aborted: {reason}. The recording is {folder / 'flight.mcap'}")
+    if status == LinkLost.exit_status:
+        raise LinkLost(f"{reason}. The recording is {folder / 'flight.mcap'}{_still_changed(folder)}")
     if status == Refused.exit_status and not (folder / "report.html").is_file():
         raise Refused(reason)
     return FlightResult(folder, status, reason)
 
 
-def follow(client: CoreClient, ended: Callable[[], bool], say: Say, confirm: Callable[[], bool] = lambda: True) -> None:
+def _still_changed(folder: Path) -> str:
+    """What the flight changed on the vehicle and could not restore, with the values before."""
+    changed = left_changed(folder.parent / "parameters.journal")
+    return "" if not changed else f". Changed on the vehicle and not restored: {changed}; the next flight restores it"
+
+
+def _abort(client: CoreClient, say: Say) -> None:
+    say("abort: asking the vehicle to land")
+    try:
+        client.command("abort")
+    except ConnectionError as error:
+        say(str(error))
+
+
+def _confirmed(confirm: Callable[[], bool], stop: Interrupts) -> bool:
+    """Whether the operator wants it to fly, and has not asked for the end meanwhile."""
+    if stop.asked:
+        return False
+    try:
+        with stop.raising():
+            said = confirm()
+    except KeyboardInterrupt:
+        return False
+    return said and not stop.asked
+
+
+def follow(
+    client: CoreClient, ended: Callable[[], bool], say: Say, confirm: Callable[[], bool], stop: Interrupts
+) -> None:
     """Start the flight once it is checked, and say what happens until the core is gone."""
     asked, shown, last = False, False, ""
     way = ""
@@ -156,7 +210,7 @@ def follow(client: CoreClient, ended: Callable[[], bool], say: Say, confirm: Cal
         if status is None:
             continue
         if status.phase == Phase.CHECKED and not asked:
-            asked = client.command("start" if confirm() else "abort").ok
+            asked = client.command("start" if _confirmed(confirm, stop) else "abort").ok
         if not way and (way := next((note for note in status.notes if note.startswith(WAY)), "")):
             say(way)
         if status.table and not shown:
@@ -168,30 +222,6 @@ def follow(client: CoreClient, ended: Callable[[], bool], say: Say, confirm: Cal
             last = line
         if status.phase in FINAL:
             return
-
-
-class _interrupts:
-    """While active, SIGINT and SIGTERM ask the core for an abort instead of ending this process."""
-
-    def __init__(self, client: CoreClient, say: Say):
-        self._client, self._say = client, say
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> None:
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self._before[number] = signal.signal(number, self._abort)
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _abort(self, *_: object) -> None:
-        self._say("abort: asking the vehicle to land")
-        try:
-            self._client.command("abort")
-        except ConnectionError as error:
-            self._say(str(error))
 
 
 def table_line(table: Mapping[str, tuple[float, float, float, float]]) -> str:

@@ -37,6 +37,7 @@ from groundstation.flight.core.worker import AnalysisWorker, Progress
 from groundstation.flight.journal import ENDPOINT_FILE, Journal
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, Lease
+from groundstation.recording.keeper import Keeper
 from groundstation.trajectory import Plan, flight_path, load_plan
 from groundstation.vehicle import Vehicle, load_vehicle
 
@@ -48,11 +49,18 @@ START_UP_S = 90.0
 SILENCE_S = 10.0
 LOCK_STEP_SLACK = 20.0
 DRONE_PATIENCE_S = 10.0
+LINK_MODULE = "groundstation.flight.link.process"
+SUCCESSORS = 3
+"""Links started in the place of one that ended in flight, before the vehicle is left to its own failsafe."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What one flight needs to know. ``drone`` is the module and arguments of the vehicle's process."""
+    """What one flight needs to know.
+
+    ``drone`` is the module and arguments of the vehicle's process; ``take_over`` what it does with a vehicle in flight: the
+    folder is then an interrupted flight's, and is continued.
+    """
 
     folder: Path
     plan: Path
@@ -61,6 +69,7 @@ class Settings:
     drone: tuple[str, ...]
     start: bool = False
     analyse: bool = True
+    take_over: str = ""
 
 
 class FlightCore:
@@ -91,6 +100,9 @@ class FlightCore:
         self._credit_sent = (-1.0, -1e9)
         self._status_sent = -1e9
         self._malformed = 0
+        self._abort_taken = False
+        self._successors = 0
+        self._keeper: Keeper | None = None
         self._orders = ThreadPoolExecutor(2, thread_name_prefix="orders")
         self._drone: Child | None = None
         self._worker: AnalysisWorker | None = None
@@ -114,16 +126,20 @@ class FlightCore:
                 bus.watch_alive(session, CLIENT_ALIVE.format(client="*"), self.lease.client_alive),
             ]
             try:
-                self._drone = start_child(
-                    module_command(*self.settings.drone, "--drone", DRONE, "--connect", self.settings.listen[0]),
-                    self.settings.folder / "vehicle.log",
-                )
+                self._start_drone(self.settings.take_over)
                 while not self.finished:
                     self._turn()
                 self._publish_status(force=True)
             finally:
                 self._shut_down()
         return self.state.exit_status if self.state.exit_status is not None else 1
+
+    def _start_drone(self, take_over: str = "") -> None:
+        more = ("--take-over", take_over) if take_over else ()
+        self._drone = start_child(
+            module_command(*self.settings.drone, *more, "--drone", DRONE, "--connect", self.settings.listen[0]),
+            self.settings.folder / "vehicle.log",
+        )
 
     def _turn(self) -> None:
         """Handle what came, or what time brought."""
@@ -169,7 +185,8 @@ class FlightCore:
             if is_alive:
                 self._order(self._describe)
             else:
-                self._event(seq.VehicleLost("the vehicle's process vanished from the bus"))
+                if not self._can_land_it():  # a link's end shows in its process, and another is started
+                    self._event(seq.VehicleLost("the vehicle's process vanished from the bus"))
 
         self.inbox.put(handle)
 
@@ -189,10 +206,20 @@ class FlightCore:
             on_failure=lambda reason: self.inbox.put(lambda: self._event(seq.AbortRequested(reason))),
             motor_kind=description.motor_kind,
         )
+        self._keeper = Keeper(sink.path, sink.sync, lambda reason: self.inbox.put(lambda: self._unkept(reason)))
         if not description.real_time:
             # Deadlines run on the wall's clock; a simulation slower than real time is no fault.
             self.state = replace(self.state, deadlines=seq.Deadlines(slack=LOCK_STEP_SLACK))
-        self._event(seq.PlanChosen(flight_path(self.plan, (0.0, 0.0, 0.0, 0.0)).duration_s))
+        duration_s = flight_path(self.plan, (0.0, 0.0, 0.0, 0.0)).duration_s
+        if self.settings.take_over:
+            self._event(seq.TakenOver(f"found in flight and taken over ({self.settings.take_over})", duration_s))
+        else:
+            self._event(seq.PlanChosen(duration_s))
+
+    def _unkept(self, reason: str) -> None:
+        """What is recorded now would be lost: there is no use in flying on."""
+        if self.state.phase not in (seq.Phase.LANDED, seq.Phase.IDENTIFYING):
+            self._event(seq.AbortRequested(f"the recording is not kept: {reason}"))
 
     def _digested(self, host_s: float) -> None:
         self.digested_s = max(self.digested_s, host_s)
@@ -222,6 +249,7 @@ class FlightCore:
     def _on_status(self, status: bus.DroneStatus) -> None:
         self.moment_s = status.host_s
         before, self.view.drone = self.view.drone, status
+        self._stands(status)
         if before is not None and status.phase == before.phase:
             return
         if self.recorder is not None:
@@ -235,11 +263,23 @@ class FlightCore:
         elif status.phase == "landing":
             self._event(seq.VehicleLanding(self._early(status)))
         elif status.phase == "landed":
-            self._event(seq.VehicleLanded())
+            self._event(seq.VehicleLanded(self._early(status)))
         elif status.phase == "crashed":
             self._event(
-                seq.VehicleLost(f"the vehicle crashed: {status.text}" if status.text else "the vehicle crashed")
+                seq.VehicleLost(
+                    f"the vehicle crashed: {status.text}" if status.text else "the vehicle crashed", down=True
+                )
             )
+
+    def _stands(self, status: bus.DroneStatus) -> None:
+        """An abort was taken, and the vehicle shows that it neither flies nor is armed."""
+        if self._abort_taken and status.phase in ("idle", "uploaded") and not status.armed:
+            self._event(seq.VehicleStands())
+
+    def _abort_answered(self) -> None:
+        self._abort_taken = True
+        if self.view.drone is not None:
+            self._stands(self.view.drone)
 
     def _note_window(self, status: bus.DroneStatus) -> None:
         if self.recorder is not None and status.window_s is not None:
@@ -292,6 +332,8 @@ class FlightCore:
                 self.finished = True
 
     def _close_recording(self) -> None:
+        if self._keeper is not None:
+            self._keeper.close()
         if self.recorder is not None:
             self.recorder.close()
             self.journal.write(
@@ -328,11 +370,17 @@ class FlightCore:
                 self.inbox.put(lambda: self._event(seq.StartRefused(reason)))
             elif name == "kill":
                 self.abort(f"the vehicle refused to stop its rotors: {reason}")
+        elif name == "abort":
+            self.inbox.put(self._abort_answered)
         return answer.ok
 
     def _start(self) -> None:
-        if self._command("arm"):
-            self._command("start")
+        """Arm and start, unless the flight is aborted meanwhile; an order that left before the abort is taken back."""
+        for name in ("arm", "start"):
+            if self.state.aborting or not self._command(name):
+                break
+        if self.state.aborting:
+            self._command("abort")
 
     def _check(self) -> None:
         """Called as data come in, until it can say yes or no."""
@@ -381,12 +429,31 @@ class FlightCore:
         if not done and self._drone is not None and (status := self._drone.poll()) is not None:
             detail = self._drone.last_words()
             text = f"the vehicle's process ended with status {status}" + (f": {detail}" if detail else "")
-            self._event(seq.VehicleLost(text))
+            self._lost(text)
             return
         patience = START_UP_S if self.recorder is None else SILENCE_S
         owed = self.recorder is None or self.pace.owes(self.state.phase, self.digested_s)
         if not done and owed and self.clock() - self.heard_s > patience:
-            self._event(seq.VehicleLost(f"nothing was heard from the vehicle for {patience:g} s"))
+            self._lost(f"nothing was heard from the vehicle's process for {patience:g} s")
+
+    def _can_land_it(self) -> bool:
+        """Whether another link may be started in the place of one that ended or hangs."""
+        linked = self.settings.drone[0] == LINK_MODULE
+        return linked and self.state.started and not self.state.final and self._successors < SUCCESSORS
+
+    def _lost(self, reason: str) -> None:
+        """A link is started again and takes over by landing; another vehicle's process is lost."""
+        if not self._can_land_it():
+            self._event(seq.VehicleLost(reason))
+            return
+        if self._drone is not None:
+            self._drone.kill()  # one that hangs holds the port
+            self._drone.wait()
+        self._successors += 1
+        self._tell("vehicle", "another link is started, and lands the vehicle", reason=reason)
+        self._event(seq.LinkDied(f"{reason}; another link landed it"))
+        self.heard_s = self.clock()
+        self._start_drone("land")
 
     def _send_credit(self) -> None:
         now, credit = self.clock(), self.pace.credit_s(self.state.phase, self.digested_s)
@@ -433,6 +500,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--listen", action="append", required=True, help="zenoh endpoint, e.g. tcp/127.0.0.1:7450")
     parser.add_argument("--start", action="store_true", help="fly as soon as the checks pass; else wait for a client")
     parser.add_argument("--no-analysis", action="store_true", help="end after landing")
+    parser.add_argument("--take-over", default="", help="land or hold a vehicle found in flight; continues the folder")
     parser.add_argument("drone", nargs="+", help="module and arguments of the vehicle's process")
     options = parser.parse_args(arguments)
     settings = Settings(
@@ -443,6 +511,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         tuple(options.drone),
         options.start,
         not options.no_analysis,
+        options.take_over,
     )
     try:
         core = FlightCore(settings)

@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from drivers.bus import Description, DroneStatus
 from drivers.samples import Batch, Event, Motors, Raw, Sample
 from groundstation.flight.messages import StreamStatus
 from groundstation.recording.computed_speeds import COMMANDS
+
+if TYPE_CHECKING:
+    from groundstation.recording.recorder import McapRecorder
 
 RATE_WINDOW_S = 1.0
 
@@ -169,7 +172,7 @@ class Recorder:
         return isinstance(sample, Motors) and sample.kind == "command" != self._motor_kind
 
 
-def open_recording(folder: Path, plan: Path, vehicle: Path, description: Description) -> Sink:
+def open_recording(folder: Path, plan: Path, vehicle: Path, description: Description) -> McapRecorder:
     """``flight.mcap`` of a flight, with what has to be known to read it: vehicle, plan, truth if simulated, versions."""
     from groundstation.recording.recorder import McapRecorder
 
@@ -185,4 +188,7 @@ def open_recording(folder: Path, plan: Path, vehicle: Path, description: Descrip
     attachments = {"plan.toml": plan.read_bytes(), "vehicle.toml": vehicle.read_bytes()}
     if description.truth_toml:
         attachments["truth.toml"] = description.truth_toml.encode()
-    return McapRecorder(folder / "flight.mcap", metadata, attachments)
+    path, number = folder / "flight.mcap", 2
+    while path.exists():  # an interrupted flight's folder is continued beside what was recorded
+        path, number = folder / f"flight-{number}.mcap", number + 1
+    return McapRecorder(path, metadata, attachments)

@@ -1,7 +1,9 @@
 """The link without I/O: bytes and orders in, bytes, samples and answers out, on the time it is given.
 
 One :class:`LinkCore` serves one vehicle. Its :meth:`~LinkCore.step` is called whenever bytes arrive, and at least as often
-as setpoints are due; guard and setpoints come first in it and wait for nothing.
+as setpoints are due; guard and setpoints come first in it and wait for nothing. What the vehicle or strangers send cannot
+end it: work is bounded (:mod:`~groundstation.flight.link.inlet`), fields pass a gate, and a handler that fails is counted,
+told and skipped.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from drivers.mavlink.codec import MavlinkCodec, Received
 from drivers.mavlink.dialect import Message, mavlink
@@ -22,11 +24,13 @@ from drivers.mavlink.transports import Peer
 from drivers.samples import Event, Pose, Raw, Sample, Setpoint, State
 from groundstation.errors import BadInput
 from groundstation.flight.link.guard import Guard, Verdict
-from groundstation.flight.link.pilot import GUARDED, Answered, Phase, Pilot
+from groundstation.flight.link.identity import speaker
+from groundstation.flight.link.inlet import SILENT_S, Arrival, Complaints, Inlet, says_who_it_is
+from groundstation.flight.link.pilot import GUARDED, IN_AIR, Answered, Phase, Pilot
 from groundstation.flight.link.preflight import Check, Situation, failures, run_checks
 from groundstation.flight.link.prepare import Preparation
 from groundstation.flight.link.profiles import profile_for
-from groundstation.flight.link.upload import Way, send_coefficients
+from groundstation.flight.link.sending import PlanSending
 from groundstation.flight.link.view import Meter, VehicleView
 from groundstation.flight.link.watch import Disagreement, observe
 from groundstation.flight.station import Station
@@ -38,6 +42,12 @@ T = TypeVar("T")
 HEARTBEAT_EVERY_S = 1.0
 TIMESYNC_EVERY_S, TIMESYNC_SLOW_S = 0.1, 0.5
 CARRIED = 200
+LATE_S = 0.1
+LOAD_EVERY_S = 5.0
+
+
+TakeOver = Literal["", "land", "hold", "leave"]
+TAKEN_OVER_HOLD_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +61,9 @@ class Options:
         bytes_per_s: what the line carries; None where that is no limit.
         keep_raw: raw frames become samples too.
         quiet: ask for no messages and read no parameters: for fetching files alone.
+        take_over: what is done with a vehicle that is found in flight: ``land``, ``hold`` (a minute, then land), or ``leave``
+            it to its own failsafe; empty refuses it. Without ``land`` or ``hold`` such a vehicle gets no heartbeat of ours,
+            which would hold its failsafe off.
     """
 
     system: int | None = None
@@ -59,6 +72,7 @@ class Options:
     bytes_per_s: float | None = None
     keep_raw: bool = True
     quiet: bool = False
+    take_over: TakeOver = ""
 
 
 @dataclass(slots=True)
@@ -68,16 +82,6 @@ class Output:
     send: list[bytes] = field(default_factory=list)
     samples: list[tuple[Sample, float]] = field(default_factory=list)
     changed: list[tuple[str, float, float]] = field(default_factory=list)
-
-
-@dataclass(slots=True)
-class _Sending:
-    """A plan on its way on board."""
-
-    plan: Plan
-    way: Way
-    talk: Conversation[None]
-    answer: Answered
 
 
 class LinkCore:
@@ -96,6 +100,8 @@ class LinkCore:
         ready: streams asked for and measured, parameters read.
         trouble: why it is not; one sentence.
         checks: of the last upload.
+        datagrams: the line's frames never continue in the next read.
+        found_flying: it was armed when it was first heard, and does not say that it stands on the ground.
     """
 
     def __init__(
@@ -110,15 +116,17 @@ class LinkCore:
         self.trouble = "no autopilot heard yet"
         self.checks: list[Check] = []
         self.preparation: Preparation | None = None
+        self.datagrams = True
         self._left_changed = restore or {}
         self.free_bytes = free_bytes
         self.verdict: Verdict | None = None
-        self._signing = signing
-        self._codecs: dict[Peer, MavlinkCodec] = {}
+        self._inlet = Inlet(signing)
+        self._complaints = Complaints()
         self._sender = MavlinkCodec(signing=signing)
-        self._peer: Peer | None = None
+        self._stepped_s = self._load_told_s = -inf
         self._telemetry: Telemetry | None = None
         self._guard: Guard | None = None
+        self.found_flying = False
         self._restoring: Conversation[None] | None = None
         self._talks: list[Conversation] = []
         self._events: list[Event] = []
@@ -126,7 +134,7 @@ class LinkCore:
         self._sync_sent: dict[int, float] = {}
         self._core_s: float | None = None
         self._abort = ""
-        self._sending: _Sending | None = None
+        self._sending: PlanSending | None = None
         self._phase = Phase.IDLE
         self._carried: deque[tuple[State, Pose]] = deque(maxlen=CARRIED)
         self._disagreement = Disagreement()
@@ -154,32 +162,8 @@ class LinkCore:
         if reason := failures(self.checks):
             return Answered(False, reason)
         assert self.preparation is not None  # noqa: S101 - ready
-        return self._send_plan(plan, self.preparation.way, now_s)
-
-    def _told(self, answered: Answered, way: Way, now_s: float) -> Answered:
-        """The answer, with the way as its sentence when the plan was taken."""
-        self.note(now_s, "upload", str(way))
-        return Answered(True, str(way)) if answered.ok else answered
-
-    def _send_plan(self, plan: Plan, way: Way, now_s: float) -> Answered:
-        """Give the plan to whoever will fly it: the script on board, or the pilot here with setpoints."""
-        assert self.pilot is not None  # noqa: S101 - `upload` asked
-        if way.kind == "setpoints":
-            return self._told(self.pilot.upload(plan), way, now_s)
-        talk = self.converse(send_coefficients(self.pilot.profile, way.folder, plan.series()))
-        self._sending = _Sending(plan, way, talk, Answered())
-        return self._sending.answer
-
-    def _plan_sent(self, now_s: float) -> None:
-        """Once the coefficients are on board, or are refused."""
-        assert self._sending is not None and self.pilot is not None  # noqa: S101 - `_converse` asked
-        sending, self._sending = self._sending, None
-        if sending.talk.error is None:
-            taken = self._told(self.pilot.upload(sending.plan, onboard=True), sending.way, now_s)
-        else:
-            why = f"the coefficients were not taken: {sending.talk.error}"
-            taken = self._send_plan(sending.plan, Way("setpoints", why), now_s)
-        sending.answer.ok, sending.answer.reason = taken.ok, taken.reason
+        self._sending = PlanSending(self.pilot, plan, lambda text: self.note(now_s, "upload", text))
+        return self._sending.begin(self.preparation.way, self.converse)
 
     def check(self, plan: Plan | None, now_s: float) -> list[Check]:
         """Run every check as of now; the answers also go into the recording.
@@ -233,10 +217,13 @@ class LinkCore:
 
     # One step ---------------------------------------------------------------------------------------------------------
 
-    def step(self, now_s: float, incoming: Iterable[tuple[Peer, bytes]], *, datagrams: bool = True) -> Output:
+    def step(self, now_s: float, incoming: Iterable[tuple[Peer, bytes]]) -> Output:
         """Take in what came, decide, and give what leaves."""
         out = Output()
-        messages = self._receive(now_s, incoming, datagrams, out)
+        on_time, self._stepped_s = now_s - self._stepped_s < LATE_S, now_s
+        if on_time:  # after a stall what waits in the port is heard first, within its bounds
+            self._guard_flight(now_s, out)
+        messages = self._receive(now_s, incoming, out)
         if self.view is not None and self.pilot is not None:
             self._guard_flight(now_s, out)
             self._lead(now_s, messages, out)
@@ -250,6 +237,16 @@ class LinkCore:
     def next_s(self) -> float:
         """When :meth:`step` is due again though nothing arrives."""
         return self._setpoint_due_s if self.pilot is not None and self.pilot.phase in GUARDED else -inf
+
+    @property
+    def waiting(self) -> bool:
+        """Something arrived that :meth:`step` has not come to yet."""
+        return self._inlet.waiting
+
+    @property
+    def peer(self) -> Peer | None:
+        """Where the vehicle is; None before it is known."""
+        return self._inlet.peer
 
     @property
     def target_system(self) -> int | None:
@@ -276,55 +273,103 @@ class LinkCore:
     def lost_frames(self) -> tuple[int, int]:
         """Frames received and lost on the way here, by the vehicle's sequence numbers."""
         counters = [
-            c for codec in self._codecs.values() for k, c in codec.counters.items() if k[0] == self.target_system
+            c for codec in self._inlet.codecs.values() for k, c in codec.counters.items() if k[0] == self.target_system
         ]
         return sum(c.received for c in counters), sum(c.lost for c in counters)
 
     # Receiving --------------------------------------------------------------------------------------------------------
 
-    def _receive(
-        self, now_s: float, incoming: Iterable[tuple[Peer, bytes]], datagrams: bool, out: Output
-    ) -> list[Message]:
+    def _receive(self, now_s: float, incoming: Iterable[tuple[Peer, bytes]], out: Output) -> list[Message]:
+        silent = now_s - self._inlet.heard_s > SILENT_S
+        self._inlet.put(now_s, incoming, others=silent)
         messages: list[Message] = []
-        for peer, data in incoming:
-            codec = self._codecs.get(peer)
-            if codec is None:
-                codec = self._codecs[peer] = MavlinkCodec(signing=self._signing)
-            for received in codec.decode(data, datagram=datagrams):
-                if self.view is None:
-                    self._discover(received, peer, now_s, out)
-                if peer != self._peer or received.frame.system != self.target_system:
-                    continue
-                self._take(received, now_s, out)
-                if received.message is not None:
-                    messages.append(received.message)
+        for arrival in self._inlet.take(datagrams=self.datagrams):
+            try:
+                if self._belongs(arrival, silent, out):
+                    self._take(arrival.received, arrival.received_s, out)
+                    if arrival.received.message is not None:
+                        messages.append(arrival.received.message)
+            except Exception as error:  # whatever it is, who flies goes on
+                what = f"{arrival.received.name} could not be taken in ({type(error).__name__}: {error}); skipped"
+                self._complain(what, now_s, out)
+        if now_s - self._load_told_s >= LOAD_EVERY_S and self._inlet.load.datagrams:
+            self._load_told_s = now_s
+            self._tell(out, now_s, "link", f"strangers on the port, not listened to: {self._inlet.take_load()}")
         return messages
+
+    def _belongs(self, arrival: Arrival, silent: bool, out: Output) -> bool:
+        """Whether it is the vehicle's autopilot that says it, from where the vehicle is."""
+        received, now_s = arrival.received, arrival.received_s
+        if self.view is None:
+            self._discover(received, arrival.peer, now_s, out)
+        if self.view is None or self.pilot is None:
+            return False
+        in_flight = self.pilot.phase in IN_AIR
+        found = speaker(arrival, self.view.profile, self.peer, self.clock.fit(), silent=silent, in_flight=in_flight)
+        if found.said:
+            self._complain(found.said, now_s, out)
+        if found.who == "moved":
+            self._inlet.bind(arrival.peer, now_s)
+        elif found.who == "beside" and self.options.keep_raw:
+            out.samples.append((Raw(now_s, "in", received.frame.raw), now_s))
+        if received.refused and found.who in ("vehicle", "moved"):
+            codec = self._inlet.codecs[arrival.peer]
+            self._complain(f"{codec.refusal_of(received.frame)}; not believed", now_s, out)
+        return found.who in ("vehicle", "moved")
+
+    def _complain(self, what: str, now_s: float, out: Output) -> None:
+        """Count it, and tell it seldom."""
+        if self._complaints.count(what):
+            self._tell(out, now_s, "link", f"{what} ({self._complaints.counts.get(what, 0)} so far)")
 
     def _discover(self, received: Received, peer: Peer, now_s: float, out: Output) -> None:
         """The first heartbeat of an autopilot decides who flies here."""
         m = received.message
-        if received.name != "HEARTBEAT" or m is None or m.autopilot == mavlink.MAV_AUTOPILOT_INVALID:
-            return
-        if self.options.system not in (None, received.frame.system):
+        if not says_who_it_is(received) or m is None or self.options.system not in (None, received.frame.system):
             return
         try:
             profile = profile_for(m.autopilot, received.frame.system, received.frame.component)
         except BadInput as error:
             self.trouble = str(error)
             return
-        self._peer = peer
+        self._inlet.bind(peer, now_s)
         self.view = VehicleView(profile)
         self.pilot = Pilot(profile, self.station.policy, self.view)
         self._telemetry = Telemetry(
             self.vehicle.rotors.count, system=profile.system, imu=profile.imu, pwm_us=profile.pwm_us
         )
-        if not self.options.quiet:
+        self.found_flying = not self.options.quiet and bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        if self.options.take_over:
+            self._take_over(now_s, armed=self.found_flying)
+        elif not self.options.quiet and not self.found_flying:
+            self._prepare()
+        self.trouble = "asking the vehicle for its messages and parameters"
+        self._tell(out, now_s, "link", f"{profile.name} heard as system {profile.system} from {peer}")
+
+    def _take_over(self, now_s: float, *, armed: bool) -> None:
+        """Bring down what another link or station left in the air; what it does is known from its first heartbeat on."""
+        assert self.pilot is not None and self.view is not None  # noqa: S101 - discovered
+        self.preparation = Preparation(self.view, self.station, False, self.options.bytes_per_s, self._left_changed)
+        self.converse(self.preparation.listen())
+        self.ready = True
+        if not armed:
+            self.pilot.phase = Phase.LANDED
+        elif self.options.take_over != "leave":
+            self._guard = Guard(self.station.guard, self.station.box, self.vehicle.battery.empty_v)
+            hold_s = TAKEN_OVER_HOLD_S if self.options.take_over == "hold" else 0.0
+            self.pilot.take_over(now_s, "taken over in flight by a new link", hold_s=hold_s)
+
+    def prepare_on_ground(self) -> None:
+        """It was armed when it was found, and stands on the ground: go on as with any other."""
+        self.found_flying = False
+        self._prepare()
+
+    def _prepare(self) -> None:
+        if self.view is not None:
             self.preparation = Preparation(
                 self.view, self.station, self.options.set_parameters, self.options.bytes_per_s, self._left_changed
             )
             self.converse(self.preparation.steps())
-        self.trouble = "asking the vehicle for its messages and parameters"
-        self._tell(out, now_s, "link", f"{profile.name} heard as system {profile.system} from {peer}")
 
     def _take(self, received: Received, now_s: float, out: Output) -> None:
         assert self.view is not None and self._telemetry is not None  # noqa: S101 - discovered before
@@ -355,8 +400,7 @@ class LinkCore:
     # Guarding and leading ---------------------------------------------------------------------------------------------
 
     def _guard_flight(self, now_s: float, out: Output) -> None:
-        assert self.pilot is not None and self.view is not None  # noqa: S101
-        if self.pilot.phase not in GUARDED or self._guard is None:
+        if self.pilot is None or self.pilot.phase not in GUARDED or self._guard is None:
             return
         seen = observe(now_s, self.pilot, self.station, self._disagreement, self._core_s, self._abort)
         verdict = self._guard.step(now_s, seen)
@@ -401,8 +445,8 @@ class LinkCore:
                 self._send(message, now_s, out)
             if talk.done:
                 self._talks.remove(talk)
-        if self._sending is not None and self._sending.talk.done:
-            self._plan_sent(now_s)
+        if self._sending is not None and self._sending.sent():
+            self._sending = None
         if self.preparation is not None:
             out.changed = self.preparation.take_changes()
             if self.preparation.done and not self.ready:
@@ -411,7 +455,8 @@ class LinkCore:
     # Sending ----------------------------------------------------------------------------------------------------------
 
     def _keep_alive(self, now_s: float, out: Output) -> None:
-        if now_s - self._heartbeat_s >= HEARTBEAT_EVERY_S:
+        silent = self.found_flying and self.options.take_over not in ("land", "hold")
+        if now_s - self._heartbeat_s >= HEARTBEAT_EVERY_S and not silent:
             self._heartbeat_s = now_s
             self._send(
                 mavlink.MAVLink_heartbeat_message(

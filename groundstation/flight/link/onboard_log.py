@@ -24,6 +24,7 @@ from groundstation.flight.link.link_core import LinkCore, Options
 from groundstation.flight.link.prepare import acknowledges_interval
 from groundstation.flight.link.process import bandwidth_of
 from groundstation.flight.link.profiles import Profile
+from groundstation.flight.link.signing_memory import signing_memory
 from groundstation.flight.station import load_station
 from groundstation.paths import find_config
 from groundstation.vehicle import Vehicle, load_vehicle
@@ -52,6 +53,7 @@ def fetch_onboard_log(
     *,
     number: int | None = None,
     timeout_s: float = 600.0,
+    key_file: Path | None = None,
     clock: Callable[[], float] = time.monotonic,
 ) -> Path:
     """Fetch the newest onboard log (or one by number) into ``folder/onboard.ulg`` or ``.bin``.
@@ -62,13 +64,18 @@ def fetch_onboard_log(
     """
     transport = open_transport(url)
     options = Options(bytes_per_s=bandwidth_of(url), keep_raw=False, quiet=True)
-    core = LinkCore(vehicle, load_station(), options)
+    memory = None if key_file is None else signing_memory(key_file, folder.parent / "signing.json")
+    core = LinkCore(vehicle, load_station(), options, None if memory is None else memory.signing)
+    core.datagrams = transport.datagrams
     deadline = clock() + timeout_s
 
     def turn() -> None:
-        transport.wait(STEP_S)
-        for data in core.step(clock(), transport.read(), datagrams=transport.datagrams).send:
+        if not core.waiting:
+            transport.wait(STEP_S)
+        for data in core.step(clock(), transport.read()).send:
             transport.write(data)
+        if core.peer is not None:
+            transport.answer(core.peer)
 
     def run(steps: Generator[Any, Any, Any]) -> Any:
         talk: Conversation[Any] = core.converse(steps)
@@ -120,6 +127,8 @@ def fetch_onboard_log(
         return path
     finally:
         transport.close()
+        if memory is not None:
+            memory.write()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -128,12 +137,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--link", required=True)
     parser.add_argument("--vehicle", required=True)
     parser.add_argument("--folder", type=Path, required=True, help="where it goes, e.g. beside the flight's recording")
+    parser.add_argument("--key-file", type=Path, help="32-byte signing key, as for the flight")
     parser.add_argument("--number", type=int, help="of the log; default the newest")
     options = parser.parse_args(arguments)
     try:
         vehicle = load_vehicle(find_config("vehicles", options.vehicle))
         path = fetch_onboard_log(
-            options.link, vehicle, options.folder, lambda _f, text: print(text, file=sys.stderr), number=options.number
+            options.link,
+            vehicle,
+            options.folder,
+            lambda _f, text: print(text, file=sys.stderr),
+            number=options.number,
+            key_file=options.key_file,
         )
     except GroundStationError as error:
         print(error, file=sys.stderr)

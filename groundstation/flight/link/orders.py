@@ -47,6 +47,16 @@ class Orders:
     def disarm(self) -> Steps[str]:
         return (yield from self._confirmed(self.profile.disarm(), "disarming", lambda: self.view.armed is False))
 
+    def stand_down(self) -> Steps[str]:
+        """Disarm whatever was asked before, and see that it stays so: an order to arm may still be on its way."""
+        for _ in range(6):
+            yield Ask((self.profile.disarm(),), _nothing, 0.4, 1)
+            if self.view.armed is False:
+                yield Ask((), _nothing, 0.4, 1)
+                if self.view.armed is False:
+                    return ""
+        return "the vehicle does not disarm"
+
     def follow(self) -> Steps[str]:
         """Setpoints flow already; wait until there are enough of them, then ask for the mode that follows them."""
         yield Ask((), _nothing, STREAM_FIRST_S, 1)

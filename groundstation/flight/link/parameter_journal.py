@@ -55,3 +55,12 @@ class ParameterJournal:
             return
         self._path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(self._path, json.dumps({"restore": self._values}))
+
+
+def left_changed(path: Path) -> str:
+    """What flights changed and did not restore, as "NAME (1 before), ..."; empty when nothing, or when it cannot be read."""
+    try:
+        pending = ParameterJournal(path).pending()
+    except BadInput as error:
+        return str(error)
+    return ", ".join(f"{name} ({value:g} before)" for values in pending.values() for name, value in values.items())

@@ -33,6 +33,7 @@ from groundstation.flight.station import Policy
 from groundstation.trajectory import Plan, Sequence, flight_path
 
 AGAIN_S = 0.5
+_ABORTED = "the flight was aborted; upload a plan again to"
 
 
 class Phase(StrEnum):
@@ -100,6 +101,8 @@ class Pilot:
         self._script: OnboardExcitation | None = None
         self._handed_over = False
         self._led = False
+        self._aborted = False
+        self._hold_s = policy.hold_s
 
     # Orders -----------------------------------------------------------------------------------------------------------
 
@@ -108,6 +111,7 @@ class Pilot:
         if self.phase in IN_AIR or self.view.armed:
             return Answered(False, f"a plan is taken only on the ground and disarmed; the flight is {self.phase}.")
         self.plan, self.reason, self.excitation_s = plan, "", (None, None)
+        self._aborted = False
         self._script = OnboardExcitation(self.profile) if onboard else None
         self._handed_over = False
         self.phase = Phase.UPLOADED
@@ -130,11 +134,15 @@ class Pilot:
         return Answered(False, f"'{name}' is no order a vehicle knows.")
 
     def _arm(self, now_s: float) -> Answered:
+        if self._aborted:
+            return Answered(False, f"{_ABORTED} arm.")
         if self.phase is not Phase.UPLOADED:
             return Answered(False, f"arming needs an uploaded plan; the flight is {self.phase}.")
         return self._begin(self._orders.arm(), now_s)
 
     def _start(self, now_s: float) -> Answered:
+        if self._aborted:
+            return Answered(False, f"{_ABORTED} start.")
         if self.phase is not Phase.ARMED or not self.view.armed or self.plan is None or self.view.state is None:
             return Answered(False, f"starting needs an armed vehicle with a position; the flight is {self.phase}.")
         state = self.view.state
@@ -149,15 +157,27 @@ class Pilot:
         return self._begin(self._orders.follow(), now_s)
 
     def _order_landing(self, name: str, now_s: float, reason: str) -> Answered:
-        if self.phase in (Phase.IDLE, Phase.UPLOADED, Phase.LANDED):
+        if self.phase in (Phase.IDLE, Phase.LANDED):
             return Answered(True)
-        if self.phase is Phase.ARMED:
-            return self._order_disarm(now_s)
+        if self.phase in (Phase.UPLOADED, Phase.ARMED):
+            return self._stand_down(now_s, reason or f"the operator asked to {name}")
         if self.view.in_pilots_hands and name == "abort":
             return Answered(False, f"the pilot flies it in {self.view.mode}; say 'land' to take it back and land it.")
         if self.phase is not Phase.LANDING:
             self.land(now_s, reason or f"the operator asked to {name}")
         return Answered(True)
+
+    def _stand_down(self, now_s: float, reason: str) -> Answered:
+        """Before the start: nothing arms or starts any more until a plan is uploaded again."""
+        asked = self._talk is not None or self.view.armed
+        self.reason, self._aborted = reason, True
+        self._cancel_talk()
+        return self._begin(self._orders.stand_down(), now_s) if asked else Answered(True)
+
+    def take_over(self, now_s: float, reason: str, *, hold_s: float = 0.0) -> None:
+        """Bring down a vehicle that somebody else started; ``hold_s``: hold it so long before."""
+        self.reason, self._hold_s = reason, hold_s
+        self._enter(Phase.HOLDING if hold_s > 0.0 else Phase.LANDING, now_s)
 
     def _order_disarm(self, now_s: float) -> Answered:
         if self.phase in IN_AIR and self.view.on_ground is not True:
@@ -358,7 +378,7 @@ class Pilot:
         return float(self.plan.series().derivatives([0.0], 0)[0, 0, 2])
 
     def _keep_holding(self, now_s: float, out: list[Message]) -> None:
-        if now_s - self._since_s > self.policy.hold_s:
+        if now_s - self._since_s > self._hold_s:
             self.land(now_s)
         elif now_s >= self._again_s and self.view.mode != self.profile.hold_mode:
             self._again_s = now_s + AGAIN_S

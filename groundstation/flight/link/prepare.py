@@ -80,6 +80,14 @@ class Preparation:
         yield from self._measure()
         self.done = True
 
+    def listen(self) -> Steps[None]:
+        """For a vehicle found in flight: who it is, its messages, and what is to be restored once it is down."""
+        yield Ask(
+            (self.view.profile.command(mavlink.MAV_CMD_REQUEST_MESSAGE, 148.0),), _named("AUTOPILOT_VERSION"), 0.7, 3
+        )
+        self.changed = dict(self._left.get(self.view.key, {}))
+        yield from self._streams()
+
     def restore(self) -> Steps[None]:
         """Write back what was there before."""
         for name, value in list(self.changed.items()):

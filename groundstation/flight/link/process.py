@@ -12,6 +12,7 @@ vehicle is landed, parameters are restored, and the process ends.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import gc
 import os
 import queue
@@ -27,7 +28,6 @@ import msgspec
 
 from drivers import bus
 from drivers.mavlink import tlog
-from drivers.mavlink.signing import Signing, signing_stamp
 from drivers.mavlink.transports import Transport, open_transport
 from drivers.samples import Batch, Motors, Raw, Sample, encode_batch
 from groundstation.errors import BadInput, GroundStationError, Refused
@@ -36,13 +36,20 @@ from groundstation.flight.link.link_core import LinkCore, Options, Output
 from groundstation.flight.link.parameter_journal import ParameterJournal
 from groundstation.flight.link.pilot import IN_AIR, Answered, Phase
 from groundstation.flight.link.pose_source import PoseSource
+from groundstation.flight.link.signing_memory import SigningMemory, signing_memory
 from groundstation.flight.station import load_station
 from groundstation.trajectory import plan_from_dict
 from groundstation.vehicle import Vehicle, load_vehicle
 
 HEARD_S = 45.0
 READY_S = 45.0
+LANDED_STATE_S = 1.5
+SYNC_LOG_S = 1.0
+REMEMBER_S = 1.0
+IN_FLIGHT = "the vehicle is armed and in flight"
 IDLE_WAIT_S = 0.02
+CATCH_UP_S = 0.1
+"""So long an order waits for what arrived before it to be taken in."""
 PUBLISH_EVERY_S = 0.02
 STATUS_EVERY_S = 0.1
 ORDER_S = 4.6
@@ -79,6 +86,7 @@ class LinkProcess:
         vehicle: as declared.
         raw_log: where frames of both directions go, as a telemetry log; None keeps none.
         journal: remembers changed parameters through a crash.
+        memory: of the stamps of a signed link; None for an unsigned one.
         clock: monotonic seconds.
     """
 
@@ -91,8 +99,10 @@ class LinkProcess:
         raw_log: Path | None,
         journal: ParameterJournal,
         clock: Callable[[], float] = time.monotonic,
+        memory: SigningMemory | None = None,
     ):
         self.core, self.transport, self.vehicle, self.clock = core, transport, vehicle, clock
+        core.datagrams = transport.datagrams
         self._keys = bus.DroneKeys(drone)
         self._drone = drone
         self._journal = journal
@@ -108,7 +118,9 @@ class LinkProcess:
         self._motor_kind: str | None = None
         self._notes: tuple[str, ...] = ()
         self._log = raw_log.open("ab", buffering=0) if raw_log is not None else None
-        self._log_failed = False
+        self._log_synced_s = 0.0
+        self._memory, self._remembered_s = memory, -1e9
+        self._told_failures: set[str] = set()
         self._logger = Writer("raw log", self._write_log) if self._log is not None else None
         mocap = core.station.mocap
         self._poses = PoseSource(mocap) if mocap.system != "none" else None
@@ -135,6 +147,9 @@ class LinkProcess:
             handles = [credit, core_alive]
             try:
                 self._until(lambda: self.core.view is not None or bool(self._stop_reason), self.clock() + HEARD_S)
+                if self.core.found_flying and not self.core.ready:
+                    self._until(lambda: self.core.view.on_ground is not None, self.clock() + LANDED_STATE_S)  # type: ignore[union-attr]
+                    self._refuse_in_flight()
                 if self.core.view is not None:
                     self._until(lambda: self.core.ready or bool(self._stop_reason), self.clock() + READY_S)
                 if self._stop_reason and not self.core.ready:
@@ -162,6 +177,25 @@ class LinkProcess:
                     self._poses.close()
                 del handles
         return 0
+
+    def _refuse_in_flight(self) -> None:
+        """Say what flies there and what can be done; on the ground, go on.
+
+        Raises:
+            Refused: it flies. No heartbeat has left since it was heard, so that its own failsafe acts.
+        """
+        view = self.core.view
+        assert view is not None  # noqa: S101 - found
+        if view.on_ground is True:
+            self.core.prepare_on_ground()
+            return
+        height = "" if view.state is None else f", {view.state.position_m[2]:.1f} m up"
+        raise Refused(
+            f"{IN_FLIGHT} ({view.mode or 'mode not told'}{height}); it gets no heartbeat from here, so that its own "
+            "failsafe acts where it has one for a lost station.",
+            "To bring it down: the same command with --take-over land, or --take-over hold (a minute, then it lands); the "
+            "interrupted flight's folder is continued. The remote control goes before either.",
+        )
 
     def stop(self, reason: str) -> None:
         """Ask for the end from a signal handler; in the air the vehicle is landed first."""
@@ -201,16 +235,21 @@ class LinkProcess:
     def turn(self) -> None:
         """Wait, step, write."""
         due = self.core.next_s - self.clock()
-        self.transport.wait(min(IDLE_WAIT_S, due) if due > -1e6 else IDLE_WAIT_S)
+        if not self.core.waiting:
+            self.transport.wait(min(IDLE_WAIT_S, due) if due > -1e6 else IDLE_WAIT_S)
         now = self.clock()
         if self._stop_reason and self.core.pilot is not None and self.core.pilot.phase in IN_AIR:
             self.core.order("abort", now, self._stop_reason)
         for pose, received_s in self._poses.read() if self._poses is not None else ():
             self._emit(self.core.pose(pose, received_s))
-        self._emit(self.core.step(now, self.transport.read(), datagrams=self.transport.datagrams))
+        self._emit(self.core.step(now, self.transport.read()))
+        if self.core.peer is not None:
+            self.transport.answer(self.core.peer)
         if (
             not self._inbox.empty()
         ):  # after what arrived, so that an order is not judged by the knowledge before a stall
+            while self.core.waiting and self.clock() - now < CATCH_UP_S:
+                self._emit(self.core.step(self.clock(), ()))
             while not self._inbox.empty():
                 self._inbox.get_nowait()()
             self._emit(self.core.step(self.clock(), ()))
@@ -221,19 +260,28 @@ class LinkProcess:
 
     def _emit(self, out: Output) -> None:
         for name, before, after in out.changed:  # on disk before the vehicle hears of it
-            self._journal.note(self.core.view.key if self.core.view else "", name, before, after)
+            try:
+                self._journal.note(self.core.view.key if self.core.view else "", name, before, after)
+            except OSError as error:
+                self._tell_failure(f"{name} ({before:g} before) is not noted for restoring", str(error))
         for data in out.send:
             self.transport.write(data)
         for sample, host_s in out.samples:
             if isinstance(sample, Raw) and self._logger is not None:
                 self._logger.put((time.time(), sample.data))
-                if self._logger.failure and not self._log_failed:
-                    self._log_failed = True
-                    self.core.note(self.clock(), "link", f"the raw log is not written any more: {self._logger.failure}")
+                self._tell_failure("the raw log is not written any more", self._logger.failure)
             if not isinstance(sample, Motors) or (
                 self.core.ready and self.motor_kind() in (sample.kind, "rotor_speed")
             ):
                 self._batch.append((sample, host_s))
+
+    def _tell_failure(self, what: str, why: str) -> None:
+        """Once, in the recording and in this process's log: the recording may be what does not get it."""
+        if why and what not in self._told_failures:
+            self._told_failures.add(what)
+            self.core.note(self.clock(), "link", f"{what}: {why}")
+            with contextlib.suppress(OSError):  # its log may be on the disk that is full
+                print(f"{what}: {why}", file=sys.stderr, flush=True)
 
     def _finished(self) -> bool:
         phase = self.core.pilot.phase if self.core.pilot is not None else Phase.IDLE
@@ -310,6 +358,10 @@ class LinkProcess:
 
     def _publish(self, *, force: bool = False) -> None:
         now = self.clock()
+        if self._memory is not None and now - self._remembered_s >= REMEMBER_S:
+            self._remembered_s = now
+            self._publisher.put(self._memory.write)
+        self._tell_failure("samples or status could not be published", self._publisher.failure)
         if self._batch and (force or now - self._sent_s >= PUBLISH_EVERY_S):
             samples, times = zip(*self._batch, strict=True)
             batch = Batch(self._sequence, times, samples)
@@ -360,6 +412,9 @@ class LinkProcess:
     def _write_log(self, item: object) -> None:
         assert self._log is not None and isinstance(item, tuple)  # noqa: S101 - this thread's own queue
         self._log.write(tlog.record(*item))
+        if item[0] - self._log_synced_s > SYNC_LOG_S:
+            self._log_synced_s = item[0]
+            os.fsync(self._log.fileno())
 
 
 def bandwidth_of(url: str) -> float | None:
@@ -386,20 +441,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--bytes-per-s", type=float, help="what the link carries, e.g. a radio behind USB")
     parser.add_argument("--raw-log", type=Path, help="telemetry log of every frame")
     parser.add_argument("--journal", type=Path, help="where changed parameters are remembered through a crash")
+    parser.add_argument("--take-over", choices=("", "land", "hold", "leave"), default="", help="of a vehicle in flight")
     parser.add_argument("--key-file", type=Path, help="32-byte signing key; signs and verifies every frame")
     options = parser.parse_args(arguments)
     try:
         vehicle, station = load_vehicle(options.vehicle), load_station(options.station)
         journal = ParameterJournal(options.journal)
-        signing = _signing(options.key_file)
+        memory = _signing(options.key_file, options.journal)
+        signing = memory.signing if memory is not None else None
         settings = Options(
             options.system,
             tuple(options.force),
             options.set_parameters,
             options.bytes_per_s or bandwidth_of(options.link),
+            take_over=options.take_over,
         )
         core = LinkCore(vehicle, station, settings, signing, journal.pending(), _free_bytes(options.raw_log))
-        process = LinkProcess(core, open_transport(options.link), options.drone, vehicle, options.raw_log, journal)
+        process = LinkProcess(
+            core, open_transport(options.link), options.drone, vehicle, options.raw_log, journal, memory=memory
+        )
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: process.stop("the link was asked to stop"))
         return process.run(options.connect)
@@ -415,13 +475,11 @@ def _free_bytes(raw_log: Path | None) -> Callable[[], int | None]:
     return lambda: None if raw_log is None else shutil.disk_usage(raw_log.parent).free
 
 
-def _signing(path: Path | None) -> Signing | None:
+def _signing(path: Path | None, journal: Path | None) -> SigningMemory | None:
     if path is None:
         return None
-    try:
-        return Signing(path.read_bytes(), signing_stamp(time.time()))
-    except (OSError, ValueError) as error:
-        raise BadInput(f"{path}: is no signing key ({error}); it holds exactly 32 bytes.") from None
+    memory = None if journal is None else journal.with_name("signing.json")
+    return signing_memory(path, memory)
 
 
 if __name__ == "__main__":

@@ -101,10 +101,11 @@ class VehicleView:
 
     def message(self, received: Received, now_s: float) -> None:
         """Take note of a message of the vehicle."""
-        if received.frame.system != self.profile.system:
+        if (received.frame.system, received.frame.component) != (self.profile.system, self.profile.component):
             return
         self.heard_s = now_s
-        self.meters.setdefault(received.name, Meter()).add(now_s)
+        name = received.name if received.message is not None else "UNKNOWN"  # their ids are without number
+        self.meters.setdefault(name, Meter()).add(now_s)
         m = received.message
         if m is None:
             return

@@ -137,11 +137,10 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
             self.notify(f"written: {path}", markup=False)
 
     def _problem(self) -> dict:
-        from groundstation.paths import find_config
-        from groundstation.vehicle import load_vehicle
+        from groundstation import api
 
         problem: dict = {
-            "vehicle": load_vehicle(find_config("vehicles", str(self.query_one("#plan-vehicle", Select).value))),
+            "vehicle": api.load_vehicle(str(self.query_one("#plan-vehicle", Select).value)),
             "criterion": self.query_one("#criterion", Select).value,
             "time_budget_s": float(self.query_one("#budget", Input).value),
         }
@@ -162,10 +161,10 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
             self._trial, self._tried = series, self._tried + 1
 
         try:
-            from groundstation.planning import plan_excitation
+            from groundstation import api
 
             self._tell(0.0, f"searching a plan for {problem['vehicle'].name}; c stops with the best so far")
-            plan = plan_excitation(**problem, progress=self._tell, watch=watch)
+            plan = api.plan_excitation(**problem, progress=self._tell, watch=watch)
         except GroundStationError as error:
             self._tell(0.0, str(error))
         else:

@@ -1,0 +1,196 @@
+"""Campaigns over vehicles with one to three hidden effects: does each end by itself with all of them named, and nothing else?
+
+    python -m benchmarks.campaigns --campaigns 60 --workers 2 --json docs/results/campaigns.json
+
+Every campaign draws its vehicle, effects, true mass and inertia, disturbance and seeds from a master seed that is new each run and
+printed. It may fly five times. Beside it stand its first flight alone, and the seconds that the paper's trajectory, repeated, would take
+to the same worst interval: one 40 s flight of it is flown and identified, and variances are scaled by the number of flights.
+A size counts as right when each parameter of the finding that the scenario states lies within three standard deviations.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import secrets
+import tempfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import many
+from benchmarks.flown import flight_data
+from benchmarks.hidden import COMMANDED, INVENTED, Random, declared, sizes, world
+from benchmarks.tally import wilson
+from groundstation.campaign.campaign import Campaign, run
+from groundstation.campaign.targets import parse_targets, reached
+from groundstation.diagnosis import diagnose
+from groundstation.errors import GroundStationError
+from groundstation.identification.results import MASS_AND_TENSOR
+from groundstation.paths import find_config
+from groundstation.recording import write_mcap
+from groundstation.trajectory import load_plan
+from groundstation.vehicle import load_vehicle
+from sim.flight import simulate
+
+VEHICLES = ("qball2", "x500", "qball2-commanded")
+TARGETS = "ixx,iyy,izz:2%,mass:0.5%"
+AT_MOST = 5
+PAPER_S = 40.0
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One campaign: what was hidden, what was named after one flight and at the end, how it ended, and what it cost."""
+
+    vehicle: str
+    hidden: tuple[str, ...]
+    first: tuple[str, ...]
+    named: tuple[str, ...]
+    outcome: str
+    flights: int
+    seconds: float
+    paper_seconds: float
+    z: Mapping[str, float]
+    """Mass and moments: error over standard deviation."""
+    errors: tuple[Mapping[str, Any], ...]
+    """Of each unseen flight: velocity and rate errors declared, before and after."""
+
+
+def draw(master: int, count: int) -> list[tuple[int, str, tuple[str, ...]]]:
+    """(seed, vehicle, hidden effects) of each campaign. Wind is felt through drag alone, so it comes with it or not at all."""
+    random = np.random.default_rng(master)
+    out = []
+    for _ in range(count):
+        vehicle = str(random.choice(VEHICLES))
+        known = [
+            name
+            for name in sizes(load_vehicle(find_config("vehicles", vehicle)))
+            if name not in (*INVENTED, "wind") and (name not in COMMANDED or vehicle.endswith("commanded"))
+        ]
+        names = tuple(map(str, random.choice(known, int(random.integers(1, 4)), replace=False)))
+        out.append((int(random.integers(2**31)), vehicle, names))
+    return out
+
+
+def campaign(item: tuple[int, str, tuple[str, ...]]) -> Outcome:
+    """Hide, fly until it ends, count."""
+    seed, name, names = item
+    random: Random = np.random.default_rng(seed)
+    vehicle = declared(name, ())
+    hidden = {effect: sizes(vehicle)[effect](random) for effect in names}
+    scenario = world(random, hidden, vehicle)
+    with tempfile.TemporaryDirectory() as folder:
+        flown: list[Any] = []
+
+        def fly(plan: Path) -> Path:
+            place = Path(folder) / plan.stem
+            place.mkdir()
+            simulated = simulate(vehicle, load_plan(plan), scenario, int(random.integers(2**31)))
+            flown.append(simulated)
+            write_mcap(flight_data(simulated, plan.stem), place / "flight.mcap")
+            return place
+
+        done = run(Campaign(Path(folder) / "campaign", vehicle, parse_targets(TARGETS), AT_MOST, seed % 1000), fly)
+    truth = flown[0].truth.parameters()
+    last = done.rounds[-1]
+    z = {
+        n: (last.estimates[n]["value"] - truth[n]) / last.estimates[n]["std"]
+        for n in MASS_AND_TENSOR
+        if n in last.estimates and last.estimates[n]["std"] > 0
+    }
+    errors = [
+        {kind: {q: e[q] for q in ("velocity_m_s", "body_rate_rad_s")} for kind, e in r.judged.items()}
+        for r in done.rounds
+        if r.judged
+    ]
+    return Outcome(
+        name, names, done.rounds[0].names(), last.names(), done.outcome, len(done.rounds), sum(r.seconds for r in done.rounds),
+        _paper_seconds(vehicle, scenario, last.reached, int(random.integers(2**31))), z, tuple(errors),
+    )  # fmt: skip
+
+
+def _paper_seconds(vehicle: Any, scenario: Any, goal: Mapping[str, float], seed: int) -> float:
+    """Seconds of the paper's trajectory to the campaign's worst interval (or the target, where the campaign went below)."""
+    try:
+        simulated = simulate(vehicle, load_plan(find_config("plans", "paper_table2")), scenario, seed)
+        diagnosis = diagnose([flight_data(simulated, "paper")])
+        found = {n: e.to_dict() for n, e in diagnosis.parameters_after.items()}
+        worst = max(reached(found, parse_targets(TARGETS)).values())
+        return PAPER_S * max(1.0, (worst / max(max(goal.values()), 1.0)) ** 2)
+    except GroundStationError:
+        return float("nan")
+
+
+def is_right(outcome: Outcome) -> tuple[bool, bool]:
+    """All named, and nothing false."""
+    names = {n.split()[0] for n in outcome.named}
+    return set(outcome.hidden) <= names, names <= set(outcome.hidden)
+
+
+def table(found: list[Outcome], lost: int, master: int) -> str:
+    """Markdown."""
+    both = sum(all(is_right(o)) for o in found)
+    first = sum({n.split()[0] for n in o.first} == set(o.hidden) for o in found)
+    settled = [o for o in found if o.outcome == "settled"]
+    z = np.array([v for o in found for v in o.z.values()])
+    gain = np.array([o.paper_seconds / o.seconds for o in settled if np.isfinite(o.paper_seconds)])
+
+    def share(count: int, of: int) -> str:
+        low, high = wilson(count, of)
+        return f"{count} of {of} ({100 * count / max(of, 1):.0f} %, {100 * low:.0f}-{100 * high:.0f})"
+
+    rows = [
+        ("campaigns (master seed)", f"{len(found)} ({master}); {lost} could not be flown"),
+        ("all named and none false, at the end", share(both, len(found))),
+        ("the same after the first flight alone", share(first, len(found))),
+        ("all named", share(sum(is_right(o)[0] for o in found), len(found))),
+        ("none false", share(sum(is_right(o)[1] for o in found), len(found))),
+        ("ended by themselves, settled", share(len(settled), len(found))),
+        ("mass and tensor within 3 standard deviations", share(int(np.sum(np.abs(z) <= 3.0)), len(z))),
+        ("flights, median", f"{np.median([o.flights for o in found]):.0f}"),
+        ("seconds of excitation, median", f"{np.median([o.seconds for o in found]):.0f}"),
+        (
+            "paper's trajectory repeated to the same worst interval, over these seconds, median",
+            f"{np.median(gain):.1f}" if len(gain) else "-",
+        ),
+    ]
+    return "\n".join(["| what | figure |", "|---|---|", *(f"| {a} | {b} |" for a, b in rows)])
+
+
+def main() -> None:
+    """Draw, fly, count, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--campaigns", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=None, help="master seed (default: a fresh one, printed)")
+    parser.add_argument("--json", type=Path, default=None, help="keep the outcomes here")
+    many.add_options(parser)
+    arguments = parser.parse_args()
+    master = secrets.randbits(32) if arguments.seed is None else arguments.seed
+    print("master seed", master, flush=True)
+    found: list[Outcome] = []
+    lost = 0
+    for each in many.outcomes(campaign, draw(master, arguments.campaigns), arguments):
+        if each.value is None:
+            lost += 1
+            continue
+        found.append(each.value)
+        o = each.value
+        print(
+            f"{each.index + 1}: {o.vehicle} hid {' + '.join(o.hidden)}: {o.outcome} after {o.flights}, named {', '.join(o.named) or 'nothing'}",
+            flush=True,
+        )
+        if arguments.json is not None:
+            arguments.json.parent.mkdir(parents=True, exist_ok=True)
+            arguments.json.write_text(
+                json.dumps({"seed": master, "lost": lost, "campaigns": [asdict(o) for o in found]}, indent=1) + "\n"
+            )
+    if found:
+        print(table(found, lost, master))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,301 @@
+"""The campaign: fly, judge the model on the new flight, put the flight in, find what is missing, decide what is next, or stop.
+
+Everything that is decided is written to ``campaign.json`` before it is acted on, whole or not at all. A campaign that was killed goes on from
+there: a flight that was flown is not flown again, and a round that was not finished is done again from its recording.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from groundstation.campaign.deciding import Decision, first_plan, flights_needed, next_plan
+from groundstation.campaign.judging import Errors, at_floor, prediction_errors, without_effects
+from groundstation.campaign.targets import reached
+from groundstation.errors import BadInput, Refused
+from groundstation.flightdata import FlightData
+from groundstation.trajectory import load_plan
+from groundstation.vehicle import Vehicle, vehicle_from_dict, vehicle_to_dict
+from groundstation.writing import write_whole
+
+SCHEMA = "groundstation.campaign/1"
+FILE = "campaign.json"
+PLAN_S = 6.0
+"""Seconds of search for each plan."""
+
+Fly = Callable[[Path], Path]
+"""Fly a plan file; returns the flight's folder, which holds ``flight.mcap``."""
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Round:
+    """One flight and what it changed.
+
+    Attributes:
+        folder: of the flight.
+        why: it was flown.
+        seconds: of excitation.
+        judged: errors on this flight before it was used: of the "declared" vehicle, of the rigid body ("before") and of the model
+            with its effects ("after") as the flights before had left them; empty for the first.
+        seen: errors of this round's model on the flights it was made of, their mean.
+        verdict: of the diagnosis over all flights so far.
+        findings: documents of what it found.
+        estimates: canonical parameters now: name -> {"value", "std"}.
+        reached: half widths over targets; 1 or less is met.
+        not_settled: why the campaign did not end here; empty where it did.
+    """
+
+    folder: str
+    why: str
+    seconds: float
+    judged: Mapping[str, Errors] = field(default_factory=dict)
+    seen: Errors = field(default_factory=dict)
+    verdict: str = ""
+    findings: tuple[Mapping[str, Any], ...] = ()
+    estimates: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    reached: Mapping[str, float] = field(default_factory=dict)
+    not_settled: tuple[str, ...] = ()
+
+    def names(self) -> tuple[str, ...]:
+        """What was found, with rotors: "weak_rotor 2"."""
+        return tuple(f"{f['effect']} {f['rotor']}" if f.get("rotor") else str(f["effect"]) for f in self.findings)
+
+
+@dataclass(frozen=True, slots=True)
+class Campaign:
+    """A campaign as it stands; immutable, each step gives the next.
+
+    Attributes:
+        pending: a decision that is not yet flown, or flown and not yet worked through: {"why", "plan", "folder"}.
+        outcome: "" while it goes on, "settled", "exhausted" or "refused"; ``sentence`` says why.
+    """
+
+    folder: Path
+    vehicle: Vehicle
+    targets: Mapping[str, float]
+    at_most: int
+    seed: int
+    rounds: tuple[Round, ...] = ()
+    pending: Mapping[str, str] = field(default_factory=dict)
+    outcome: str = ""
+    sentence: str = ""
+
+    def save(self) -> Campaign:
+        """Write it down; returns itself."""
+        document = {
+            "schema": SCHEMA,
+            "vehicle": vehicle_to_dict(self.vehicle),
+            "targets": dict(self.targets),
+            "at_most": self.at_most,
+            "seed": self.seed,
+            "rounds": [asdict(r) for r in self.rounds],
+            "pending": dict(self.pending),
+            "outcome": self.outcome,
+            "sentence": self.sentence,
+        }
+        self.folder.mkdir(parents=True, exist_ok=True)
+        write_whole(self.folder / FILE, json.dumps(_finite(document), indent=1, ensure_ascii=False) + "\n")
+        return self
+
+
+def load_campaign(folder: Path) -> Campaign:
+    """A campaign that was begun.
+
+    Raises:
+        BadInput: there is none, or its file is damaged.
+    """
+    try:
+        document = json.loads((folder / FILE).read_text(encoding="utf-8"))
+        if document["schema"] != SCHEMA:
+            raise BadInput(f"{folder / FILE}: has schema {document['schema']!r}; {SCHEMA} is expected.")
+        rounds = tuple(
+            Round(**{**r, "findings": tuple(r["findings"]), "not_settled": tuple(r["not_settled"])})
+            for r in document["rounds"]
+        )
+        return Campaign(
+            folder, vehicle_from_dict(document["vehicle"], str(folder / FILE)), document["targets"], int(document["at_most"]),
+            int(document["seed"]), tuple(_infinite(r) for r in rounds), document["pending"], document["outcome"], document["sentence"],
+        )  # fmt: skip
+    except OSError as error:
+        raise BadInput(
+            f"{folder}: holds no campaign ({error.strerror}); name the folder that `groundstation campaign` made."
+        ) from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise BadInput(
+            f"{folder / FILE}: is damaged ({error}); begin a new campaign with --from and its flights."
+        ) from None
+
+
+def run(campaign: Campaign, fly: Fly, *, say: Say = lambda text: None, **limits: float) -> Campaign:
+    """Carry a campaign on until it ends.
+
+    Args:
+        fly: flies a plan; what it raises leaves the campaign as it was before that flight.
+    """
+    while not campaign.outcome:
+        if not campaign.pending:
+            campaign = _decide(campaign, say, limits).save()
+        if not campaign.pending.get("folder"):
+            flown = fly(Path(campaign.pending["plan"]))
+            campaign = replace(campaign, pending={**campaign.pending, "folder": str(flown)}).save()
+        campaign = take_in(campaign, Path(campaign.pending["folder"]), campaign.pending["why"], say=say)
+        campaign = replace(campaign, pending={}).save()
+    return campaign
+
+
+def _decide(campaign: Campaign, say: Say, limits: Mapping[str, float]) -> Campaign:
+    from groundstation.analysis.plans import write_plan
+
+    number = len(campaign.rounds) + 1
+    decision = _decision(campaign, limits)
+    say(f"flight {number}: {decision.why}")
+    path = campaign.folder / f"plan-{number}.toml"
+    campaign.folder.mkdir(parents=True, exist_ok=True)
+    write_plan(decision.plan, path)
+    return replace(campaign, pending={"why": decision.why, "plan": str(path)})
+
+
+def _decision(campaign: Campaign, limits: Mapping[str, float]) -> Decision:
+    options: dict[str, Any] = {"seed": campaign.seed + len(campaign.rounds), "time_budget_s": PLAN_S, **limits}
+    if not campaign.rounds:
+        return first_plan(campaign.vehicle, **options)
+    last = campaign.rounds[-1]
+    diagnosis = json.loads((campaign.folder / f"diagnosis-{len(campaign.rounds)}.json").read_text(encoding="utf-8"))
+    return next_plan(campaign.vehicle, diagnosis, last.estimates, last.reached, **options)
+
+
+def take_in(campaign: Campaign, folder: Path, why: str, *, say: Say = lambda text: None) -> Campaign:
+    """Judge the model on a flight, then put the flight in.
+
+    Raises:
+        BadInput: the flight cannot be read.
+    """
+    from groundstation.analysis.documents import write_json
+    from groundstation.diagnosis import diagnose
+    from groundstation.identification.pipeline import identify
+    from groundstation.recording import load_flight
+    from groundstation.reporting.exports import model_document, write_model
+
+    number = len(campaign.rounds) + 1
+    flight = load_flight(folder, vehicle=campaign.vehicle)
+    judged = _judge(campaign, flight, say)
+    flights = [*(load_flight(Path(r.folder), vehicle=campaign.vehicle) for r in campaign.rounds), flight]
+    say(f"flight {number}: identifying and diagnosing {number} flight{'s' if number > 1 else ''} together")
+    try:
+        found = identify(flights)
+        diagnosis = diagnose(flights)
+    except Refused as error:
+        return _next(campaign, Round(str(folder), why, _seconds(flight), judged, not_settled=(str(error),)))
+    model = model_document(found, campaign.vehicle, diagnosis)
+    rigid = without_effects(model, {n: e.to_dict() for n, e in diagnosis.parameters_before.items()})
+    write_model(campaign.folder / f"model-{number}.toml", model)
+    write_model(campaign.folder / f"rigid-{number}.toml", rigid)
+    write_json(campaign.folder / f"diagnosis-{number}.json", diagnosis.to_dict())
+    seen = _mean([prediction_errors(model, each) for each in flights])
+    estimates = {**model["model"], **model["parameters"]}
+    done = Round(
+        str(folder), why, _seconds(flight), judged, seen, diagnosis.verdict,
+        tuple(f.to_dict() for f in diagnosis.findings), estimates, reached(estimates, campaign.targets),
+    )  # fmt: skip
+    return _next(campaign, replace(done, not_settled=tuple(_open(campaign, done))))
+
+
+def _judge(campaign: Campaign, flight: FlightData, say: Say) -> dict[str, Errors]:
+    """Errors on a flight that the campaign's model has not seen."""
+    from groundstation.reporting.exports import read_model
+
+    number = len(campaign.rounds)
+    model = campaign.folder / f"model-{number}.toml"
+    if not model.is_file():
+        return {}
+    say(f"flight {number + 1}: judging the model of {number} flight{'s' if number > 1 else ''} on it")
+    after, before = read_model(model), read_model(campaign.folder / f"rigid-{number}.toml")
+    declared = {**without_effects(after, {}), "parameters": _declared(campaign.vehicle), "model": {}}
+    declared.pop("disturbance", None)
+    documents = {"declared": declared, "before": before, "after": after}
+    return {name: prediction_errors(document, flight) for name, document in documents.items()}
+
+
+def _declared(vehicle: Vehicle) -> dict[str, dict[str, float]]:
+    return {name: {"value": value, "std": 0.0} for name, value in vehicle.parameters().items()}
+
+
+def _open(campaign: Campaign, done: Round) -> list[str]:
+    """What still stands against ending here, a sentence each."""
+    out = []
+    if done.verdict not in ("clean", "explained"):
+        out.append(f"the verdict over all flights is {done.verdict}")
+    rivals = [f"{f['effect']} or {', '.join(f['alternatives'])}" for f in done.findings if f["alternatives"]]
+    if rivals:
+        out.append(f"left open: {'; '.join(rivals)}")
+    missed = [f"{name} ({share:.1f} times its target)" for name, share in done.reached.items() if share > 1.0]
+    if missed:
+        out.append(f"not sharp enough: {', '.join(missed)}")
+    if not done.judged:
+        out.append("no flight has judged the model yet")
+        return out
+    if done.names() != campaign.rounds[-1].names() and set(done.names()) != set(campaign.rounds[-1].names()):
+        out.append("this flight changed what is found, so the new model is not judged yet")
+    elif not at_floor(done.judged["after"], campaign.rounds[-1].seen):
+        out.append("on the unseen flight the model's error was above that on its own flights")
+    return out
+
+
+def _next(campaign: Campaign, done: Round) -> Campaign:
+    """The campaign with a round more, ended where nothing is left or nothing more may be flown."""
+    rounds = (*campaign.rounds, done)
+    if not done.not_settled:
+        return replace(campaign, rounds=rounds, outcome="settled", sentence=_settled(rounds))
+    if len(rounds) < campaign.at_most:
+        return replace(campaign, rounds=rounds)
+    return replace(campaign, rounds=rounds, outcome="exhausted", sentence=_exhausted(campaign, done))
+
+
+def _settled(rounds: Sequence[Round]) -> str:
+    names = ", ".join(rounds[-1].names()) or "nothing"
+    return f"settled after {len(rounds)} flights ({sum(r.seconds for r in rounds):.0f} s of excitation): found {names}; targets met."
+
+
+def _exhausted(campaign: Campaign, done: Round) -> str:
+    """What was not reached, and how many flights it would still take by the last plan."""
+    text = f"not settled after {len(campaign.rounds) + 1} flights: {'; '.join(done.not_settled)}."
+    try:
+        plan = load_plan(Path(done.folder) / "plan.toml")
+    except BadInput:
+        return text
+    needed = flights_needed(campaign.vehicle, done.estimates, campaign.targets, plan)
+    far = {name: count for name, count in needed.items() if count > 0.0}
+    if far:
+        text += (
+            " Flights like the last that it would still take: "
+            + ", ".join(f"{n} {c:.1f}" for n, c in far.items())
+            + "."
+        )
+    return text
+
+
+def _seconds(flight: FlightData) -> float:
+    """Of excitation, by the plan; of the recording's motors without one."""
+    if flight.plan is not None:
+        return float(flight.plan.series().duration_s)
+    motors = flight.motors
+    return 0.0 if motors is None or not len(motors) else float(motors.t_s[-1] - motors.t_s[0])
+
+
+def _mean(errors: Sequence[Errors]) -> Errors:
+    return {name: sum(e[name] for e in errors) / len(errors) for name in errors[0]}
+
+
+def _finite(value: Any) -> Any:
+    from groundstation.analysis.documents import finite
+
+    return finite(value)
+
+
+def _infinite(done: Round) -> Round:
+    """JSON has no infinity: a target that is not revealed was written as null."""
+    return replace(done, reached={n: float("inf") if v is None else v for n, v in done.reached.items()})

@@ -1,0 +1,125 @@
+"""What to fly next: the flight that separates what is left open, else the one that sharpens what is least known now."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from groundstation.campaign.targets import HALF_95
+from groundstation.errors import BadInput, GroundStationError
+from groundstation.planning import plan_excitation
+from groundstation.planning.information import DEFAULT_NOISE, Noise, predicted_std
+from groundstation.reporting.units import label
+from groundstation.trajectory import Plan
+from groundstation.vehicle import Inertia, Vehicle
+
+DURATION_S = 40.0
+PLANNABLE = ("rotor_drag", "angular_damping", "com_offset", "flapping_moment", "motor_lag")
+"""Effects that a plan weighs beside mass and inertia, where they were found."""
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """The next flight and the sentence that says why."""
+
+    plan: Plan
+    why: str
+    separates: bool = False
+
+
+def first_plan(vehicle: Vehicle, *, seed: int, time_budget_s: float, **limits: float) -> Decision:
+    """The best flight for mass and inertia of the declared vehicle (A-optimal)."""
+    plan = plan_excitation(
+        vehicle, criterion="A", duration_s=DURATION_S, seed=seed, time_budget_s=time_budget_s, **_any(limits)
+    )
+    return Decision(plan, "first flight: the one that reveals mass and inertia best, by what is declared")
+
+
+def next_plan(
+    vehicle: Vehicle,
+    diagnosis: Mapping[str, Any],
+    estimates: Mapping[str, Any],
+    reached: Mapping[str, float],
+    *,
+    seed: int,
+    time_budget_s: float,
+    **limits: float,
+) -> Decision:
+    """The next flight.
+
+    Args:
+        vehicle: as declared; the plan is made for the vehicle as it is estimated now.
+        diagnosis: of schema groundstation.diagnosis/1, over all flights so far.
+        estimates: canonical parameters now, name -> {"value", "std"}.
+        reached: of :func:`~groundstation.campaign.targets.reached`.
+    """
+    if any(finding["alternatives"] for finding in diagnosis.get("findings", ())):
+        from groundstation.diagnosis.next_flight import odds_sentence, plan_next
+
+        try:
+            found = plan_next(diagnosis, vehicle, seed=seed, **limits)
+            return Decision(found.plan, f"to separate what is left open: {odds_sentence(found)}", separates=True)
+        except GroundStationError:
+            pass  # no motion tells them apart; the flight then sharpens what can be
+    known = as_estimated(vehicle, estimates)
+    found = {f["effect"] for f in diagnosis.get("findings", ())}
+    effects = [name for name in PLANNABLE if name in found]
+    plan = plan_excitation(
+        known,
+        criterion="A",
+        duration_s=DURATION_S,
+        effects=effects,
+        seed=seed,
+        time_budget_s=time_budget_s,
+        **_any(limits),
+    )
+    worst = max(reached, key=lambda name: reached[name]) if reached else ""
+    open_ = [name for name, share in reached.items() if share > 1.0]
+    if open_:
+        why = f"to sharpen what is least known now: {label(worst)}, {reached[worst]:.1f} times its target"
+    else:
+        why = "to judge the model on a flight that no estimate has seen"
+    beside = f", with {', '.join(e.replace('_', ' ') for e in effects)} estimated beside it" if effects else ""
+    return Decision(plan, why + beside)
+
+
+def flights_needed(
+    vehicle: Vehicle, estimates: Mapping[str, Any], targets: Mapping[str, float], plan: Plan
+) -> dict[str, float]:
+    """Flights of a plan that each target would still take, by the plan's predicted information; 0 where it is met.
+
+    Variances add as information: with present variance v, the plan's own p and the target g, n solves
+    1/v + n/p = 1/g.
+    """
+    noise: Noise = DEFAULT_NOISE
+    predicted = predicted_std(plan.series(), as_estimated(vehicle, estimates), noise)
+    out = {}
+    for name, share in targets.items():
+        entry = estimates.get(name)
+        if name not in predicted:
+            continue
+        value = abs(entry["value"]) if entry else abs(vehicle.parameters().get(name, np.nan))
+        goal = (share * value / HALF_95) ** 2
+        now = entry["std"] ** 2 if entry else np.inf
+        out[name] = max(0.0, (1.0 / goal - 1.0 / now) * predicted[name] ** 2)
+    return out
+
+
+def as_estimated(vehicle: Vehicle, estimates: Mapping[str, Any]) -> Vehicle:
+    """The vehicle with mass and inertia as they are known now; as declared where they are unknown or of no rigid body."""
+    names = ("xx", "yy", "zz", "xy", "xz", "yz")
+    tensor = {n: float(estimates[f"i{n}_kg_m2"]["value"]) for n in names if f"i{n}_kg_m2" in estimates}
+    mass = float(estimates["mass_kg"]["value"]) if "mass_kg" in estimates else vehicle.mass_kg
+    declared = vehicle.inertia_kg_m2
+    try:
+        inertia = Inertia(**{n: tensor.get(n, getattr(declared, n)) for n in names})
+        return vehicle.model_copy(update={"mass_kg": mass, "inertia_kg_m2": inertia}) if mass > 0.0 else vehicle
+    except (ValueError, BadInput):
+        return vehicle
+
+
+def _any(limits: Mapping[str, float]) -> dict[str, Any]:
+    return dict(limits)

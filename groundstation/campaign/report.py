@@ -1,0 +1,180 @@
+"""The campaign's report: one page that shows the loop closing, and the same as lines for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from groundstation.campaign.campaign import Campaign, Round
+from groundstation.campaign.targets import HALF_95
+from groundstation.identification.results import Estimate
+from groundstation.reporting.markup import Child, element, fragment, sentence_list, table
+from groundstation.reporting.page import Page
+from groundstation.reporting.units import fixed, label, quantity, scale_for, significant, split_unit
+from groundstation.writing import write_whole
+
+QUANTITIES = ("position_m", "velocity_m_s", "attitude_rad", "body_rate_rad_s")
+
+
+def lines(campaign: Campaign) -> list[str]:
+    """Each round in two lines, then how it ended."""
+    out = []
+    for number, done in enumerate(campaign.rounds, 1):
+        out.append(f"flight {number} ({done.seconds:.0f} s): {done.why}")
+        out.append(f"  {done.verdict or 'refused'}: {', '.join(done.names()) or 'nothing found'}; {_error_line(done)}")
+        out += [f"  {text}" for text in done.not_settled]
+    out.append(campaign.sentence or "not finished")
+    return out
+
+
+def _error_line(done: Round) -> str:
+    """Rate and velocity errors on the unseen flight before and after the effects."""
+    if not done.judged:
+        return "no model to judge yet"
+    before, after = done.judged["before"], done.judged["after"]
+    parts = [
+        f"{label(n)} {significant(before[n])} → {significant(after[n])} {split_unit(n)[1]}"
+        for n in ("velocity_m_s", "body_rate_rad_s")
+    ]
+    return f"0.5 s ahead on this unseen flight, without and with the effects: {', '.join(parts)}"
+
+
+def write_campaign_report(path: Path, campaign: Campaign) -> Path:
+    """One HTML file without a network."""
+    page = Page(f"Campaign – {campaign.vehicle.name}")
+    head = fragment(
+        element("h1", f"Campaign: {campaign.vehicle.name}"),
+        element(
+            "p",
+            f"{len(campaign.rounds)} flights · {sum(r.seconds for r in campaign.rounds):.0f} s of excitation",
+            class_="sub",
+        ),
+    )
+    last = campaign.rounds[-1] if campaign.rounds else None
+    open_ = list(last.not_settled) if last is not None else []
+    page.section(
+        "verdict",
+        "How it ended",
+        element("p", campaign.sentence or "The campaign is not finished."),
+        sentence_list(open_) if open_ else None,
+    )
+    page.section(
+        "rounds", "Round by round", table("What each flight settled", _ROUND_HEADER, _round_rows(campaign.rounds))
+    )
+    judged = [(n, r) for n, r in enumerate(campaign.rounds, 1) if r.judged]
+    if judged:
+        page.section(
+            "errors", "Error on flights that no estimate had seen",
+            element("p", "RMS error half a second ahead on each flight, before that flight was used: by the declared vehicle, by the rigid body "
+                    "estimated from the flights before, and by the same with the effects found in them."),
+            table("Before and after the effects", _error_header(), _error_rows(judged)),
+            page.figure(_error_figure(judged), "Velocity and rate error on the unseen flight"),
+        )  # fmt: skip
+    if campaign.rounds:
+        page.section(
+            "intervals", "Parameters with their intervals",
+            table("Targets, flight by flight", ("parameter", *(f"flight {n}" for n in range(1, len(campaign.rounds) + 1))), _interval_rows(campaign)),
+            page.figure(_interval_figure(campaign), "Half widths of the 95 % intervals over their targets; below 1 the target is met"),
+        )  # fmt: skip
+    return write_whole(path, page.html(head, element("p", "Intervals are 95 %.")))
+
+
+_ROUND_HEADER = ("flight", "why it was flown", "found in all flights so far", "left open")
+
+
+def _round_rows(rounds: Sequence[Round]) -> list[Sequence[Child]]:
+    return [
+        (
+            f"{n} ({r.seconds:.0f} s)",
+            r.why,
+            "; ".join(str(f["evidence"]) for f in r.findings) or "nothing",
+            "; ".join(r.not_settled) or "nothing",
+        )
+        for n, r in enumerate(rounds, 1)
+    ]
+
+
+def _error_header() -> tuple[str, ...]:
+    return ("flight", *(f"{label(q)} ({split_unit(q)[1]}): declared → rigid → with effects" for q in QUANTITIES))
+
+
+def _error_rows(judged: Sequence[tuple[int, Round]]) -> list[Sequence[Child]]:
+    return [
+        (
+            str(n),
+            *(
+                " → ".join(significant(r.judged[kind].get(q, float("nan"))) for kind in ("declared", "before", "after"))
+                for q in QUANTITIES
+            ),
+        )
+        for n, r in judged
+    ]
+
+
+def _error_figure(judged: Sequence[tuple[int, Round]]) -> dict[str, Any]:
+    x = [f"flight {n}" for n, _ in judged]
+    data = [
+        {
+            "type": "bar",
+            "x": x,
+            "y": [r.judged[kind]["body_rate_rad_s"] for _, r in judged],
+            "name": name,
+            "marker": {"color": f"@{style}"},
+        }
+        for style, (kind, name) in enumerate(
+            (("declared", "declared"), ("before", "rigid body"), ("after", "with effects")), 1
+        )
+    ]
+    return {
+        "data": data,
+        "layout": {
+            "height": 280,
+            "barmode": "group",
+            "yaxis": {"title": {"text": "body rate error (rad/s)"}, "type": "log"},
+        },
+    }
+
+
+def _interval_rows(campaign: Campaign) -> list[Sequence[Child]]:
+    out: list[Sequence[Child]] = []
+    for name in campaign.targets:
+        cells = [_cell(name, r.estimates.get(name)) for r in campaign.rounds]
+        out.append((label(name), *cells))
+    return out
+
+
+def _cell(name: str, entry: Mapping[str, float] | None) -> Child:
+    if entry is None:
+        return "not revealed"
+    half = HALF_95 * entry["std"]
+    estimate = Estimate(entry["value"], entry["std"], (entry["value"] - half, entry["value"] + half))
+    return quantity(name, estimate) if scale_for(split_unit(name)[1], [entry["value"]]) else fixed(entry["value"], 4)
+
+
+def _interval_figure(campaign: Campaign) -> dict[str, Any]:
+    x = [f"flight {n}" for n in range(1, len(campaign.rounds) + 1)]
+    data = [
+        {"type": "scatter", "mode": "lines+markers", "x": x, "y": [_plotted(r.reached.get(name)) for r in campaign.rounds], "name": label(name),
+         "line": {"color": f"@{style}"}}
+        for style, name in enumerate(campaign.targets, 1)
+    ]  # fmt: skip
+    shapes = [
+        {
+            "type": "line",
+            "xref": "paper",
+            "x0": 0,
+            "x1": 1,
+            "y0": 1,
+            "y1": 1,
+            "line": {"color": "@muted", "dash": "dash", "width": 1},
+        }
+    ]
+    return {
+        "data": data,
+        "layout": {"height": 280, "shapes": shapes, "yaxis": {"type": "log", "title": {"text": "half width / target"}}},
+    }
+
+
+def _plotted(value: float | None) -> float | None:
+    return None if value is None or value == float("inf") else value

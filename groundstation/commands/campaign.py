@@ -1,0 +1,117 @@
+"""``groundstation campaign``: flight after flight until it is known."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+
+from groundstation.commands.common import ProgressLine, Result, example, json_option, logs_option
+from groundstation.errors import BadInput, Refused
+
+FOLDER = click.Path(path_type=Path, file_okay=False)
+
+
+@click.command(epilog=example("groundstation campaign --vehicle x500 --scenario hall --until ixx,iyy,izz:2%,mass:0.5%"))
+@click.option("--vehicle", default=None, help="Vehicle file, or the name of a shipped one.")
+@click.option("--scenario", default=None, help="Fly the simulated drone in this scenario (file or shipped name).")
+@click.option("--link", default=None, help="Fly on this MAVLink link; each flight is confirmed by typing FLY.")
+@click.option("--station", default="default", show_default=True, help="Station file for --link.")
+@click.option("--yes-simulated", is_flag=True, help="What flies on the link is a simulation: do not ask before arming.")
+@click.option("--until", default="ixx,iyy,izz:2%,mass:0.5%", show_default=True, help="95 % half widths to reach.")
+@click.option("--at-most", type=click.IntRange(1, 50), default=5, show_default=True, help="Flights.")
+@click.option("--seed", type=int, default=1, show_default=True, help="Of plans and simulated flights.")
+@click.option(
+    "--from", "given", multiple=True, type=click.Path(path_type=Path), help="Begin with this flight (repeatable)."
+)
+@click.option("--resume", type=FOLDER, default=None, help="Go on with the campaign in this folder.")
+@logs_option
+@json_option
+def campaign(
+    vehicle: str | None, scenario: str | None, link: str | None, station: str, yes_simulated: bool, until: str, at_most: int,
+    seed: int, given: tuple[Path, ...], resume: Path | None, logs: Path,
+) -> Result:  # fmt: skip
+    """Fly, judge the model on the new flight, find what is missing, plan what settles it, until the targets are met.
+
+    It ends when nothing is left open, the targets are met, and the model predicts a flight that no estimate has seen as well
+    as its own; or it says what was not reached. Killed at any moment, --resume goes on.
+    """
+    from groundstation.campaign.campaign import Campaign, load_campaign, run, take_in
+    from groundstation.campaign.report import lines, write_campaign_report
+    from groundstation.campaign.targets import parse_targets
+    from groundstation.paths import find_config
+    from groundstation.vehicle import load_vehicle
+
+    line = ProgressLine()
+    if resume is not None:
+        stand = load_campaign(resume)
+        vehicle_file = resume / "vehicle.toml"
+    else:
+        if vehicle is None:
+            raise BadInput("name the vehicle with --vehicle, or a campaign that was begun with --resume.")
+        source = find_config("vehicles", vehicle).resolve()
+        declared = load_vehicle(source)
+        folder = logs.resolve() / f"campaign-{time.strftime('%Y-%m-%dT%H-%M-%S')}-{declared.name}"
+        stand = Campaign(folder, declared, parse_targets(until), at_most, seed).save()
+        vehicle_file = folder / "vehicle.toml"
+        vehicle_file.write_bytes(source.read_bytes())
+        for flight in given:
+            stand = take_in(stand, flight, "given", say=line.say).save()
+    fly = _flyer(
+        stand,
+        vehicle_file,
+        logs.resolve(),
+        line,
+        scenario=scenario,
+        link=link,
+        station=station,
+        yes_simulated=yes_simulated,
+    )
+    stand = run(stand, fly, say=line.say)
+    line.end()
+    report = write_campaign_report(stand.folder / "report.html", stand)
+    document = {"schema": "groundstation.campaign/1", "folder": str(stand.folder), "outcome": stand.outcome, "sentence": stand.sentence,
+                "flights": [r.folder for r in stand.rounds], "estimates": dict(stand.rounds[-1].estimates) if stand.rounds else {}}  # fmt: skip
+    text = "\n".join([*lines(stand), f"report: {report}", f"model: {stand.folder / f'model-{len(stand.rounds)}.toml'}"])
+    return Result(document, text, 0 if stand.outcome == "settled" else Refused.exit_status)
+
+
+def _flyer(stand: Any, vehicle_file: Path, logs: Path, line: ProgressLine, **how: Any) -> Any:
+    """What flies a plan of this campaign: the simulated drone, or a vehicle on a link that somebody confirms each time."""
+    from groundstation.flight.client.client import new_flight_folder
+    from groundstation.flight.client.rehearse import fly, linked_vehicle, simulated_drone
+    from groundstation.paths import find_config
+
+    scenario, link = how["scenario"], how["link"]
+    if (scenario is None) == (link is None):
+        raise BadInput(
+            "say what flies: --scenario NAME for the simulated drone, or --link ADDRESS for a vehicle on MAVLink."
+        )
+    if link is not None and not how["yes_simulated"] and not sys.stdin.isatty():
+        raise BadInput("a real vehicle is armed only by somebody at a terminal; a simulated one with --yes-simulated.")
+
+    def confirmed() -> bool:
+        from groundstation.commands.flying import _typed_confirmation
+
+        return how["yes_simulated"] or _typed_confirmation(line)
+
+    def fly_plan(plan: Path) -> Path:
+        folder = new_flight_folder(logs, stand.vehicle.name)
+        folder.mkdir(parents=True)
+        kept = folder / "plan.toml"
+        kept.write_bytes(plan.read_bytes())
+        number = int(plan.stem.rpartition("-")[2])
+        if scenario is not None:
+            drone = simulated_drone(vehicle_file, find_config("scenarios", scenario).resolve(), stand.seed + number)
+            fly(folder, plan=kept, vehicle=vehicle_file, drone=drone, say=line.say, analyse=False)
+        else:
+            drone = linked_vehicle(
+                folder, vehicle_file, link=link, station=how["station"], set_parameters=how["yes_simulated"]
+            )
+            fly(folder, plan=kept, vehicle=vehicle_file, drone=drone, say=line.say, confirm=confirmed, analyse=False)
+        return folder
+
+    return fly_plan

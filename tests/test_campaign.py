@@ -1,0 +1,109 @@
+"""A campaign ends by itself with what was hidden, judges each model on a flight it has not seen, and survives being killed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmarks.flown import flight_data
+from groundstation.campaign import campaign as module
+from groundstation.campaign import deciding
+from groundstation.campaign.campaign import Campaign, load_campaign, run
+from groundstation.campaign.judging import at_floor
+from groundstation.campaign.report import lines, write_campaign_report
+from groundstation.campaign.targets import parse_targets, reached
+from groundstation.errors import BadInput
+from groundstation.paths import find_config
+from groundstation.recording import write_mcap
+from groundstation.trajectory import load_plan
+from groundstation.vehicle import load_vehicle
+from sim.flight import simulate
+from tests.flights import laboratory
+
+
+def test_targets_are_read_with_names_that_wait_for_their_percentage():
+    assert parse_targets("ixx, iyy:2%,mass:0.5%") == {"ixx_kg_m2": 0.02, "iyy_kg_m2": 0.02, "mass_kg": 0.005}
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "mass", "mass:", "mass:x%", "mass:0%", "mass:-1%", "mass:100%", "mass:nan%", "weight:1%", "mass:1%,ixx"],
+)
+def test_bad_targets_are_one_sentence(text):
+    with pytest.raises(BadInput, match=r"'.*'"):
+        parse_targets(text)
+
+
+def test_a_target_is_the_half_width_of_the_95_percent_interval():
+    estimates = {"mass_kg": {"value": 2.0, "std": 0.01 / 1.959964}, "ixx_kg_m2": {"value": 0.0, "std": 1.0}}
+    assert reached(estimates, {"mass_kg": 0.005, "ixx_kg_m2": 0.02, "izz_kg_m2": 0.02}) == pytest.approx(
+        {"mass_kg": 1.0, "ixx_kg_m2": float("inf"), "izz_kg_m2": float("inf")}
+    )
+
+
+def test_the_floor_is_the_error_on_the_models_own_flights():
+    assert at_floor({"velocity_m_s": 0.12}, {"velocity_m_s": 0.1})
+    assert not at_floor({"velocity_m_s": 0.13}, {"velocity_m_s": 0.1})
+    assert not at_floor({"velocity_m_s": float("nan")}, {"velocity_m_s": 0.1})
+    assert not at_floor({}, {})
+
+
+class Killed(BaseException):
+    """As SIGKILL would end the process."""
+
+
+class Hall:
+    """Flies plans in the simulator of this process, in a laboratory with rotor drag that nobody declared."""
+
+    def __init__(self, logs: Path, vehicle, die_at: tuple[int, ...] = ()):
+        self.logs, self.vehicle, self.die_at, self.flown = logs, vehicle, die_at, 0
+
+    def __call__(self, plan: Path) -> Path:
+        self.flown += 1
+        if self.flown in self.die_at:
+            raise Killed
+        folder = self.logs / plan.stem
+        scenario = laboratory(rotor_drag={"drag_kg_s": [0.4, 0.35]})
+        flight = flight_data(simulate(self.vehicle, load_plan(plan), scenario, 100 + self.flown), plan.stem)
+        folder.mkdir(parents=True)
+        (folder / "plan.toml").write_bytes(plan.read_bytes())
+        write_mcap(flight, folder / "flight.mcap")
+        return folder
+
+
+def test_a_campaign_settles_by_itself_and_goes_on_after_it_was_killed(tmp_path, monkeypatch):
+    monkeypatch.setattr(deciding, "DURATION_S", 20.0)
+    monkeypatch.setattr(module, "PLAN_S", 1.5)
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    hall = Hall(tmp_path / "logs", vehicle, die_at=(2,))
+    begun = Campaign(tmp_path / "campaign", vehicle, parse_targets("mass:1%,ixx,iyy:8%"), at_most=4, seed=3).save()
+    with pytest.raises(Killed):
+        run(begun, hall)
+    stood = load_campaign(tmp_path / "campaign")
+    assert len(stood.rounds) == 1
+    assert stood.pending["plan"].endswith("plan-2.toml")
+    done = run(stood, hall)
+    assert done.outcome == "settled", done.sentence
+    assert [Path(r.folder).name for r in done.rounds] == [f"plan-{n}" for n in range(1, len(done.rounds) + 1)]
+    last = done.rounds[-1]
+    assert last.names() == ("rotor_drag",)
+    assert (
+        last.judged["after"]["velocity_m_s"]
+        < last.judged["before"]["velocity_m_s"]
+        < last.judged["declared"]["velocity_m_s"]
+    )
+    assert load_campaign(tmp_path / "campaign") == done
+    assert any("settled after" in line for line in lines(done))
+    page = write_campaign_report(tmp_path / "report.html", done).read_text()
+    assert "Error on flights that no estimate had seen" in page
+
+
+def test_a_damaged_campaign_is_a_sentence(tmp_path):
+    with pytest.raises(BadInput, match="holds no campaign"):
+        load_campaign(tmp_path)
+    for text in ("", "{", "[]", '{"schema": "x"}', json.dumps({"schema": module.SCHEMA})):
+        (tmp_path / module.FILE).write_text(text)
+        with pytest.raises(BadInput):
+            load_campaign(tmp_path)
