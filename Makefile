@@ -50,7 +50,7 @@ bench: $(READY)  ## speed of planner, simulator, estimators, recorder, start-up;
 campaign: $(READY)  ## flight after flight in simulation until three hidden effects are found and the targets are met
 	@$(VENV)/bin/groundstation campaign --vehicle qball2-commanded --scenario hidden $(ARGS)
 
-faults: $(READY)  ## every fault of a link or process, and how soon it is safe
+faults: $(READY)  ## every fault of line, process and sender through a relay, and how soon it is safe
 	@$(PY) -m benchmarks.faults $(ARGS)
 
 firmware-test: $(READY)  ## real ArduCopter and PX4 on our physics: ARDUCOPTER=path PX4=path

@@ -1,282 +1,141 @@
-"""What each fault costs: when it is noticed, when the vehicle is down, and by whom. On virtual time; prints a table.
+"""Every fault of line, processes and senders, in flight, by real processes: noticed, mode, ground, disarmed, by whom, status.
 
-make faults
+make faults    (or: python -m benchmarks.faults [FAULT ...] [--profile px4])
+
+What the vehicle does is told by the relay between it and the station (benchmarks/relay.py), which knows MAVLink by itself.
+Twice as many faults on virtual time: python -m benchmarks.faults_virtual. Results: docs/results/faults.json.
 """
 
 from __future__ import annotations
 
-import math
-import sys
+import argparse
+import json
+import os
+import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-import msgspec
+from benchmarks.rig import Flight
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-
-from mavlink_vehicle import Rig, lossy, small_plan
-from test_link_process import process
-
-from drivers.bus import make_upload
-from drivers.samples import Batch, Pose, Vector3
-from groundstation.flight.core.recorder import Recorder
-from groundstation.flight.link.pilot import Phase
-from groundstation.recording.recorded import plan_file
-
-Break = Callable[[Rig], None]
-PATIENCE_S = 10.0
-"""Real time for another thread's work of microseconds."""
-WATCHED = {"mocap": {"system": "natnet"}, "policy": {"placement": "world"}}
-INDOORS = {
-    "px4": {"EKF2_EV_CTRL": (15.0, 6), "EKF2_HGT_REF": (3.0, 6), "EKF2_GPS_CTRL": (0.0, 6)},
-    "arducopter": {
-        "VISO_TYPE": (1.0, 9), "GPS1_TYPE": (0.0, 9),
-        **{f"EK3_SRC1_{what}": (6.0, 9) for what in ("POSXY", "POSZ", "YAW")},
-    },
-}  # fmt: skip
+OUT = Path("docs/results/faults.json")
+LIMIT_S = 40.0
+Break = Callable[[Flight], None]
 
 
-def cut(seconds: float) -> Break:
-    """Nothing passes in either direction for a while."""
+def process(who: tuple[str, ...], number: signal.Signals) -> Break:
+    """A signal to processes of the station."""
 
-    def apply(rig: Rig) -> None:
-        end = rig.now_s + seconds
-        rig.up = rig.down = lambda frames: [] if rig.now_s < end else frames
+    def apply(flight: Flight) -> None:
+        pids = flight.pids()
+        for name in who:
+            os.kill(pids[name], number)
 
     return apply
 
 
-def disturb(rig: Rig) -> None:
-    """A tenth of all frames lost, doubled, corrupted each, and some shuffled."""
-    rig.down, rig.up = lossy(0.1, 1), lossy(0.1, 2)
-
-
-def takeover(rig: Rig) -> None:
-    """The pilot's switch."""
-    rig.vehicle.set_mode("POSCTL" if rig.vehicle.kind == "px4" else "LOITER")
-    rig.vehicle.heartbeat()
-
-
-def silent(rig: Rig) -> None:
-    """The core hangs."""
-    rig.core_beats = False
-
-
-def killed(rig: Rig) -> None:
-    """The core's process is gone."""
-    silent(rig)
-    rig.core.core_lost()
-
-
-def stalled(rig: Rig) -> None:
-    """The link process stops for 0.9 s."""
-    end = rig.now_s + 0.9
-    rig.link_runs = False
-    rig.hooks.append(lambda: setattr(rig, "link_runs", rig.now_s >= end))
-
-
-def frozen(rig: Rig) -> None:
-    """The link process stops for good (SIGSTOP, or killed)."""
-    rig.link_runs = False
-
-
-def up_cut(rig: Rig) -> None:
-    """Only the way to the vehicle breaks."""
-    rig.up = lambda _frames: []
-
-
-def low(rig: Rig) -> None:
-    """Ten per cent left."""
-    rig.vehicle.battery = 10
-
-
-def jump(rig: Rig) -> None:
-    """The estimate moves by 0.8 m."""
-    rig.vehicle.offset = [0.0, 0.8, 0.0]
-
-
-def mute(rig: Rig) -> None:
-    """Positions stop, the rest goes on."""
-    rig.vehicle.intervals.pop(32)
-
-
-class Poses:
-    """Motion capture at 125 Hz that sees where the vehicle is, until something happens to it."""
-
-    def __init__(self, rig: Rig, change: Callable[[Vector3], Vector3] = lambda p: p):
-        self.rig, self.change, self.alive, self._count = rig, change, True, 0
-        rig.vehicle.parameters.update(INDOORS[rig.vehicle.kind])
-        rig.hooks.append(self._see)
-
-    def _see(self) -> None:
-        self._count += 1
-        if self.alive and self._count % 2 == 0:
-            north, east, down = self.rig.vehicle.position
-            seen = self.change((north + 1e-5 * (self._count % 7), -east, -down))
-            self.rig._to_vehicle += self.rig.core.pose(
-                Pose(self.rig.now_s, seen, (1.0, 0.0, 0.0, 0.0)), self.rig.now_s
-            ).send
-
-    def stop(self) -> None:
-        """No frame comes any more."""
-        self.alive = False
-
-    def freeze(self) -> None:
-        """The same pose again and again."""
-        north, east, down = self.rig.vehicle.position
-        self.change = lambda _p: (north, -east, -down)
-
-    def jump(self) -> None:
-        """Another body is taken for the vehicle's."""
-        self.change = lambda p: (p[0] + 0.7, p[1], p[2])
-
-
-class FullDisk:
-    """Where nothing can be written."""
-
-    failure = None
-
-    def add(self, *_: object) -> None:
-        """Fails, as the recorder's file does."""
-        self.failure = "no space left on device"
-
-
-def full(rig: Rig) -> None:
-    """The disk has no room left: the recorder fails, and the core aborts as it does."""
-    failed: list[str] = []
-    recorder = Recorder(FullDisk(), lambda _s: None, failed.append)
-    told = [len(rig.samples)]
-
-    def record() -> None:
-        new, told[0] = rig.samples[told[0] :], len(rig.samples)
-        due = recorder.recorded + len(new)
-        recorder.put(Batch(0, tuple(t for _, t in new), tuple(sample for sample, _ in new)))
-        end = time.monotonic() + PATIENCE_S
-        while recorder.recorded < due and not failed:
-            if time.monotonic() > end:
-                raise SystemExit(f"the recorder's thread has neither recorded nor failed for {PATIENCE_S:.0f} s")
-            time.sleep(0.0)  # its thread's turn
-        if failed:
-            rig.core.order("abort", rig.now_s, failed[0])
-
-    rig.hooks.append(record)
-
-
-def reboot(rig: Rig) -> None:
-    """The autopilot restarts in the air."""
-    rig.vehicle.reboot()
-
-
-def abort(rig: Rig) -> None:
-    """Ctrl-C."""
-    rig.core.order("abort", rig.now_s, "Ctrl-C")
+def relay(**order: Any) -> Break:
+    """An order to the relay."""
+    return lambda flight: flight.order(**order)
 
 
 FAULTS: dict[str, Break] = {
-    "link cut 0.2 s": cut(0.2),
-    "link cut 1 s": cut(1.0),
-    "link cut 5 s": cut(5.0),
-    "link cut for ever": cut(1e9),
-    "way to the vehicle cut for ever": up_cut,
-    "10 % loss, duplication, reordering, corruption": disturb,
-    "core hangs": silent,
-    "core killed": killed,
-    "link process stalls 0.9 s": stalled,
-    "link process stopped or killed": frozen,
-    "pilot changes the mode": takeover,
-    "autopilot restarts in the air": reboot,
-    "battery at 10 %": low,
-    "estimate jumps 0.8 m": jump,
-    "positions stop": mute,
-    "disk full": full,
-    "operator's abort": abort,
+    "line cut 6.5 s": relay(cut=6.5, way="both"),
+    "line cut for ever": relay(cut=1e9, way="both"),
+    "way to the vehicle cut for ever": relay(cut=1e9, way="up"),
+    "5 % lost, doubled, damaged, delayed": relay(loss=0.05),
+    "link killed": process(("link",), signal.SIGKILL),
+    "link stopped (hangs)": process(("link",), signal.SIGSTOP),
+    "core killed": process(("core",), signal.SIGKILL),
+    "core and link killed": process(("core", "link"), signal.SIGKILL),
+    "operator's abort (SIGTERM)": process(("core",), signal.SIGTERM),
+    "one ATTITUDE with infinite roll": relay(frames="infinite_attitude", per_s=1000, count=1),
+    "impossible frames as the autopilot, 500/s": relay(frames="impossible", per_s=500, seconds=5.0),
+    "component 197 claims 3 m away, 50/s": relay(frames="component", per_s=50, seconds=5.0),
+    "60 x 60 kB of garbage from a stranger": relay(stranger="garbage", per_s=60, count=60),
+    "stranger floods, 1000/s": relay(stranger="noise", per_s=1000, seconds=5.0),
 }
-POSES: dict[str, Callable[[Poses], None]] = {
-    "poses stop": Poses.stop,
-    "poses freeze": Poses.freeze,
-    "poses jump 0.7 m": Poses.jump,
-}
+HARMLESS_S = 8.0
+"""A fault that brings nobody down within this is flown through; the flight is then ended by an abort."""
 
 
-def swapped(kind: str) -> str:
-    """Why a motion capture with x and y swapped is not flown with, once the vehicle was carried along both."""
-    rig = Rig(kind, WATCHED)
-    Poses(rig, lambda p: (p[1], p[0], p[2]))
-    rig.prepare()
-    for axis in (0, 1, 0, 1):
-        for n in range(100):
-            rig.vehicle.position[axis] = 0.6 * math.sin(math.pi * n / 100) ** 2
-            rig.step()
-    rig.vehicle.position[:] = [0.0, 0.0, 0.0]
-    rig.wait(1.0)
-    return rig.upload().reason
+def measure(profile: str, name: str) -> dict[str, Any]:
+    """One flight with one fault."""
+    flight = Flight(profile)
+    try:
+        if not flight.excite():
+            return {"fault": name, "autopilot": profile, "failed": flight.ended(1.0)[1]}
+        before = flight.seen[-1]
+        begun = time.monotonic()
+        FAULTS[name](flight)
+        down = flight.until_down(HARMLESS_S)
+        changed = [s for s in flight.seen if s["at_s"] > begun and s["mode"] != before["mode"]]
+        through = down is None and not changed
+        if through:
+            os.kill(flight.core.pid, signal.SIGTERM)
+        down = down or flight.until_down(LIMIT_S)
+        status, reason = flight.ended()
+        seen = [s for s in flight.seen if s["at_s"] > begun]
+        ordered = next((s["at_s"] for s in seen if s["mode_orders"] > before["mode_orders"]), None)
+        mode = next((s["at_s"] for s in seen if s["mode"] != before["mode"]), None)
+        ground = next((s["at_s"] for s in seen if s["landed"] == 1), None)
+        landing = next(
+            (e["monotonic_s"] for e in flight.journal() if e["monotonic_s"] > begun and e["kind"] == "phase"), None
+        )
+        noticed = min((t for t in (ordered, landing) if t is not None), default=None)
+        by_station = mode is not None and ordered is not None and ordered <= mode + 0.15
+        new = "another link" in reason
+        by = "flown through; ended by the operator" if through else (
+            ("a new link" if new else "the station") if by_station else "the vehicle's failsafe"
+        )  # fmt: skip
+        setpoints = seen[-1]["setpoints"] - before["setpoints"] if through else None
+
+        def after(t: float | None) -> float | None:
+            return None if t is None or through else round(t - begun, 2)
+
+        return {
+            "fault": name, "autopilot": profile, "noticed_s": after(noticed), "mode_s": after(mode), "ground_s": after(ground),
+            "disarmed_s": after(down["at_s"] if down else None), "by": by, "status": status, "reason": reason,
+            "setpoints_through": setpoints, "stranger_got": seen[-1]["stranger_got"],
+        }  # fmt: skip
+    finally:
+        flight.close()
 
 
-def denied(kind: str) -> str:
-    """What comes back when the autopilot does not arm."""
-    rig = Rig(kind)
-    rig.vehicle.deny_arming = "Arm: Need Position Estimate"
-    rig.prepare()
-    rig.upload()
-    return rig.order("arm").reason
-
-
-def damaged(kind: str) -> str:
-    """What the link says of a plan that lost a byte on its way."""
-    rig = Rig(kind)
-    rig.prepare()
-    whole = make_upload(plan_file(small_plan()))
-    return process(rig)._on_upload(msgspec.structs.replace(whole, plan=whole.plan[:-1])).reason
-
-
-GROUND = {"poses' axes swapped": swapped, "arming denied": denied, "upload corrupted": damaged}
-
-
-def broken(kind: str, name: str) -> Rig:
-    """A vehicle in the middle of its excitation, with the fault from now on."""
-    rig = Rig(kind, WATCHED if name in POSES else None)
-    poses = Poses(rig) if name in POSES else None
-    rig.excite()
-    if poses is not None:
-        POSES[name](poses)
-    else:
-        FAULTS[name](rig)
-    return rig
-
-
-def measure(kind: str, name: str) -> tuple[str, str, str]:
-    """Noticed after, on the ground after, by whom."""
-    rig = broken(kind, name)
-    begun = rig.now_s
-    rig.run(lambda: rig.phase is not Phase.FOLLOWING or not rig.vehicle.armed, 30.0)
-    noticed = rig.now_s - begun
-    rig.wait(0.1)
-    by = rig.reason
-    if rig.phase is Phase.RELEASED and rig.vehicle.mode in (
-        rig.vehicle.modes.get("POSCTL"),
-        rig.vehicle.modes.get("LOITER"),
-    ):
-        return f"{noticed:.2f} s", "the pilot flies", "station lets go"
-    down = rig.run(lambda: rig.vehicle.height_m < 0.05, 40.0)
-    safe = f"{rig.now_s - begun:.1f} s" if down else "by its own GCS failsafe"
-    if not by:
-        completed = down and rig.phase is not Phase.FOLLOWING
-        return ("not needed", safe, "the plan's end") if completed else ("not seen", safe, "vehicle's failsafe")
-    who = "vehicle's failsafe; station lets go" if "let go" in by else f"link: {by.split(',')[0]}"
-    return f"{noticed:.2f} s", safe, "vehicle" if "disarmed" in by else who
+def table(results: list[dict[str, Any]]) -> str:
+    """The results as a table."""
+    lines = [
+        "| fault | autopilot | noticed | mode changed | on the ground | disarmed | by | exit status |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for r in results:
+        if "failed" in r:
+            lines.append(f"| {r['fault']} | {r['autopilot']} | not flown: {r['failed']} | | | | | |")
+            continue
+        times = ["—" if r[k] is None else f"{r[k]:.2f} s" for k in ("noticed_s", "mode_s", "ground_s", "disarmed_s")]
+        status = "no core left" if r["status"] is None else str(r["status"])
+        lines.append(f"| {r['fault']} | {r['autopilot']} | {' | '.join(times)} | {r['by']} | {status} |")
+    return "\n".join(lines)
 
 
 def main() -> None:
-    """Print the table."""
-    print("| fault | autopilot | noticed after | on the ground after | by |\n| --- | --- | --- | --- | --- |")
-    for name in (*FAULTS, *POSES):
-        for kind in ("px4", "arducopter"):
-            print(f"| {name} | {kind} | {' | '.join(measure(kind, name))} |", flush=True)
-    for name, refused in GROUND.items():
-        for kind in ("px4", "arducopter"):
-            why = refused(kind).split(";")[0]
-            print(f"| {name} | {kind} | before take-off | never left it | refused: {why} |", flush=True)
+    """Fly, and keep what was seen after each flight."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("faults", nargs="*", help="names or beginnings of them; all by default")
+    parser.add_argument("--profile", action="append", choices=("px4", "arducopter"))
+    parser.add_argument("--out", type=Path, default=OUT)
+    options = parser.parse_args()
+    profiles = options.profile or ["px4", "arducopter"]
+    wanted = [n for n in FAULTS if not options.faults or any(n.startswith(f) for f in options.faults)]
+    results: list[dict[str, Any]] = []
+    for name in wanted:
+        for profile in profiles:
+            results.append(measure(profile, name))
+            options.out.parent.mkdir(parents=True, exist_ok=True)
+            options.out.write_text(json.dumps(results, indent=1) + "\n")
+            print(table(results[-1:]).splitlines()[-1], flush=True)
+    print(table(results))
 
 
 if __name__ == "__main__":

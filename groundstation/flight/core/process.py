@@ -47,6 +47,9 @@ STATUS_EVERY_S = 0.1
 START_UP_S = 90.0
 """How long the vehicle's process may take to appear: the simulator's first start on a machine compiles it."""
 SILENCE_S = 10.0
+HANG_S = 3.0
+"""A link in flight says something fifty times a second; one that is silent so long has sent no setpoint either, and the
+vehicle's own failsafe has begun: another is started, to land it and to say so."""
 LOCK_STEP_SLACK = 20.0
 DRONE_PATIENCE_S = 10.0
 LINK_MODULE = "groundstation.flight.link.process"
@@ -431,7 +434,9 @@ class FlightCore:
             text = f"the vehicle's process ended with status {status}" + (f": {detail}" if detail else "")
             self._lost(text)
             return
-        patience = START_UP_S if self.recorder is None else SILENCE_S
+        patience = START_UP_S if self.recorder is None else HANG_S if self._can_land_it() else SILENCE_S
+        if self._successors and self.view.drone is None:
+            patience = START_UP_S  # one that was just started
         owed = self.recorder is None or self.pace.owes(self.state.phase, self.digested_s)
         if not done and owed and self.clock() - self.heard_s > patience:
             self._lost(f"nothing was heard from the vehicle's process for {patience:g} s")
@@ -452,7 +457,7 @@ class FlightCore:
         self._successors += 1
         self._tell("vehicle", "another link is started, and lands the vehicle", reason=reason)
         self._event(seq.LinkDied(f"{reason}; another link landed it"))
-        self.heard_s = self.clock()
+        self.heard_s, self.view.drone = self.clock(), None
         self._start_drone("land")
 
     def _send_credit(self) -> None:

@@ -1,0 +1,130 @@
+"""One flight of real processes with the relay between autopilot and station: for the fault table and the hostile frames."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from groundstation.errors import BadInput
+from groundstation.flight.client.client import outcome, start_core
+from groundstation.flight.client.rehearse import linked_vehicle
+from groundstation.flight.journal import NAME as JOURNAL
+from groundstation.flight.journal import read_journal
+from groundstation.paths import find_config
+from groundstation.trajectory import plan_from_dict
+
+START_S = 90.0
+PLAN = {
+    "schema": "groundstation.plan/1", "vehicle": "x500", "base_frequency_rad_s": 2.0944, "periods": 20.0,
+    "coefficients": {
+        "x": {"a": [0.3], "b": [0.0], "c": 0.0}, "y": {"a": [0.0], "b": [0.0]}, "z": {"a": [0.0], "b": [0.0], "c": 1.0},
+        "yaw": {"a": [0.0], "b": [0.0]},
+    },
+}  # fmt: skip
+
+
+def free_port() -> int:
+    """A UDP port nobody has."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as place:
+        place.bind(("127.0.0.1", 0))
+        return place.getsockname()[1]
+
+
+class Flight:
+    """Emulated autopilot, relay, core and link; started when made."""
+
+    def __init__(self, profile: str):
+        self.root = Path(tempfile.mkdtemp(prefix="rig-"))
+        self.folder = self.root / "2026-11-29T12-00-00-x500"
+        self.folder.mkdir()
+        plan, station = self.folder / "plan.toml", self.root / "station.toml"
+        plan.write_text(tomli_w.dumps(plan_from_dict(PLAN).model_dump(mode="json", by_alias=True, exclude_none=True)))
+        station.write_text("[policy]\nclimb_m_s = 1.0\nsettle_s = 1.0\n")
+        port = free_port()
+        relay = [sys.executable, str(Path(__file__).with_name("relay.py")), str(port)]
+        self.relay = subprocess.Popen(relay, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert self.relay.stdout is not None
+        vehicle_port = json.loads(self.relay.stdout.readline())["vehicle_port"]
+        self.seen: list[dict[str, Any]] = []
+        threading.Thread(target=self._listen, daemon=True).start()
+        emulator = [sys.executable, "-P", "-m", "sim.mavlink", "--profile", profile, "--vehicle", "x500"]
+        emulator += ["--link", f"udpout://127.0.0.1:{vehicle_port}"]
+        self.autopilot = subprocess.Popen(emulator, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+        vehicle = find_config("vehicles", "x500")
+        drone = linked_vehicle(
+            self.folder, vehicle, link=f"udpin://127.0.0.1:{port}", station=str(station), set_parameters=True
+        )
+        self.core, _ = start_core(self.folder, plan=plan, vehicle=vehicle, drone=drone, start=True, analyse=False)
+
+    def _listen(self) -> None:
+        assert self.relay.stdout is not None
+        for line in self.relay.stdout:
+            self.seen.append(json.loads(line))
+
+    def order(self, **order: Any) -> None:
+        """To the relay."""
+        assert self.relay.stdin is not None
+        self.relay.stdin.write(json.dumps(order) + "\n")
+        self.relay.stdin.flush()
+
+    def journal(self) -> list[dict[str, Any]]:
+        """What the core decided so far."""
+        log = self.folder / JOURNAL
+        return read_journal(log) if log.is_file() else []
+
+    def excite(self) -> bool:
+        """Wait for the excitation; whether it came."""
+        end = time.monotonic() + START_S
+        while time.monotonic() < end and self.core.poll() is None:
+            if any(entry["text"].endswith("-> exciting") for entry in self.journal()):
+                return True
+            time.sleep(0.05)
+        return False
+
+    def pids(self) -> dict[str, int]:
+        """Core and link."""
+        children = Path(f"/proc/{self.core.pid}/task/{self.core.pid}/children").read_text().split()
+        link = [int(p) for p in children if b"flight.link" in Path(f"/proc/{p}/cmdline").read_bytes()]
+        return {"core": self.core.pid, "link": link[0]}
+
+    def until_down(self, limit_s: float) -> dict[str, Any] | None:
+        """The first word of the vehicle that it is disarmed; None when none came in time."""
+        end = time.monotonic() + limit_s
+        while time.monotonic() < end:
+            if self.seen and self.seen[-1]["armed"] is False:
+                return next(s for s in self.seen[::-1] if s["armed"] is False)
+            time.sleep(0.02)
+        return None
+
+    def ended(self, limit_s: float = 60.0) -> tuple[int | None, str]:
+        """Exit status and sentence of the core; None when it has none."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.core.wait(limit_s)
+        try:
+            return outcome(self.folder)
+        except BadInput:
+            return None, "no core is left to say"
+
+    def close(self) -> None:
+        """End what was started here."""
+        with contextlib.suppress(OSError, IndexError):
+            for pid in self.pids().values():
+                os.kill(pid, signal.SIGKILL)
+        self.core.kill()
+        for process in (self.autopilot, self.relay):
+            process.kill()
+            process.wait()
+        shutil.rmtree(self.root, ignore_errors=True)
