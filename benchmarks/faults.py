@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import signal
 import time
 from collections.abc import Callable
@@ -40,6 +41,11 @@ def relay(**order: Any) -> Break:
     return lambda flight: flight.order(**order)
 
 
+def folder_removed(flight: Flight) -> None:
+    """Somebody tidies up."""
+    shutil.rmtree(flight.folder)
+
+
 FAULTS: dict[str, Break] = {
     "line cut 6.5 s": relay(cut=6.5, way="both"),
     "line cut for ever": relay(cut=1e9, way="both"),
@@ -50,13 +56,15 @@ FAULTS: dict[str, Break] = {
     "core killed": process(("core",), signal.SIGKILL),
     "core and link killed": process(("core", "link"), signal.SIGKILL),
     "operator's abort (SIGTERM)": process(("core",), signal.SIGTERM),
+    "flight's folder removed": folder_removed,
     "one ATTITUDE with infinite roll": relay(frames="infinite_attitude", per_s=1000, count=1),
     "impossible frames as the autopilot, 500/s": relay(frames="impossible", per_s=500, seconds=5.0),
     "component 197 claims 3 m away, 50/s": relay(frames="component", per_s=50, seconds=5.0),
     "60 x 60 kB of garbage from a stranger": relay(stranger="garbage", per_s=60, count=60),
     "stranger floods, 1000/s": relay(stranger="noise", per_s=1000, seconds=5.0),
 }
-HARMLESS_S = 8.0
+TRIES = 3
+HARMLESS_S = 7.0
 """A fault that brings nobody down within this is flown through; the flight is then ended by an abort."""
 
 
@@ -114,7 +122,7 @@ def table(results: list[dict[str, Any]]) -> str:
             lines.append(f"| {r['fault']} | {r['autopilot']} | not flown: {r['failed']} | | | | | |")
             continue
         times = ["—" if r[k] is None else f"{r[k]:.2f} s" for k in ("noticed_s", "mode_s", "ground_s", "disarmed_s")]
-        status = "no core left" if r["status"] is None else str(r["status"])
+        status = r["reason"] if r["status"] is None else str(r["status"])
         lines.append(f"| {r['fault']} | {r['autopilot']} | {' | '.join(times)} | {r['by']} | {status} |")
     return "\n".join(lines)
 
@@ -128,14 +136,25 @@ def main() -> None:
     options = parser.parse_args()
     profiles = options.profile or ["px4", "arducopter"]
     wanted = [n for n in FAULTS if not options.faults or any(n.startswith(f) for f in options.faults)]
-    results: list[dict[str, Any]] = []
+    kept = json.loads(options.out.read_text()) if options.faults and options.out.is_file() else []
+    results = {(r["fault"], r["autopilot"]): r for r in kept}
     for name in wanted:
         for profile in profiles:
-            results.append(measure(profile, name))
+            results[name, profile] = measured = flown(profile, name)
             options.out.parent.mkdir(parents=True, exist_ok=True)
-            options.out.write_text(json.dumps(results, indent=1) + "\n")
-            print(table(results[-1:]).splitlines()[-1], flush=True)
-    print(table(results))
+            order = sorted(results, key=lambda key: (list(FAULTS).index(key[0]), key[1] != "px4"))
+            options.out.write_text(json.dumps([results[key] for key in order], indent=1) + "\n")
+            print(table([measured]).splitlines()[-1], flush=True)
+
+
+def flown(profile: str, name: str) -> dict[str, Any]:
+    """A flight that reached its excitation; a busy machine may land one before, which says nothing of the fault."""
+    result: dict[str, Any] = {}
+    for _ in range(TRIES):
+        result = measure(profile, name)
+        if "failed" not in result:
+            break
+    return result
 
 
 if __name__ == "__main__":

@@ -109,10 +109,12 @@ class Flight:
             time.sleep(0.02)
         return None
 
-    def ended(self, limit_s: float = 60.0) -> tuple[int | None, str]:
+    def ended(self, limit_s: float = 15.0) -> tuple[int | None, str]:
         """Exit status and sentence of the core; None when it has none."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.core.wait(limit_s)
+        if self.core.poll() is None:
+            return None, "the core still waits for the vehicle"
         try:
             return outcome(self.folder)
         except BadInput:

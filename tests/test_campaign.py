@@ -95,7 +95,7 @@ def test_a_campaign_settles_by_itself_and_goes_on_after_it_was_killed(tmp_path, 
         < last.judged["declared"]["velocity_m_s"]
     )
     assert load_campaign(tmp_path / "campaign") == done
-    assert any("settled after" in line for line in lines(done))
+    assert any("Settled after" in line for line in lines(done))
     page = write_campaign_report(tmp_path / "report.html", done).read_text()
     assert "Error on flights that no estimate had seen" in page
 

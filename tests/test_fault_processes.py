@@ -182,3 +182,14 @@ def test_a_station_restarted_in_the_air_refuses_silently_then_takes_over_and_goe
     flight.witness.until(lambda: flight.witness.armed is False, "the vehicle to disarm")
     assert len(read_recording(flight.folder / "flight-2.mcap").streams["imu"]) > 0
     assert_recorded(flight)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_an_abort_while_it_arms_ends_in_seconds_with_the_vehicle_where_it_stood(flight):
+    flight.witness.until(lambda: any(text.endswith("-> checked") for text in flight.journal()), "the checks")
+    begun = time.monotonic()
+    flight.core.interrupt()
+    assert flight.core.wait(DEADLINE_S) == 4
+    assert time.monotonic() - begun < 20.0, "it waited 113 s for a landing"
+    assert "did not take off" in outcome(flight.folder)[1]
+    flight.witness.until(lambda: flight.witness.armed is False, "the vehicle to say so")

@@ -22,6 +22,10 @@ BOTH = pytest.mark.parametrize("kind", ["px4", "arducopter"])
 BAD = (math.inf, -math.inf, math.nan, 3e38, -3e38)
 
 
+FLYING = Rig("px4")
+FLYING.run(lambda: FLYING.core.view is not None, 3.0)
+
+
 def told(rig: Rig) -> list[str]:
     return [s.text for s, _ in rig.samples if isinstance(s, Event)]
 
@@ -94,6 +98,28 @@ def test_any_content_in_the_vehicles_name_ends_at_worst_in_a_landing(kind):
     rig.down = clean
     assert rig.finish() or rig.phase is Phase.RELEASED, "a frame of a pilot's mode makes the station let go"
     assert not any("could not be taken in" in text for text in told(rig)), "the gate is to catch it"
+
+
+def test_the_guard_and_its_orders_run_though_nothing_can_be_decoded_any_more():
+    rig = Rig("px4")
+    rig.excite()
+
+    def fails(*_args, **_options):
+        raise MemoryError("a fault of ours")
+
+    rig.core._inlet.codecs["vehicle"].decode = fails  # type: ignore[method-assign]
+    begun = rig.now_s
+    assert rig.run(lambda: rig.vehicle.mode == rig.vehicle.land, 2.0)
+    assert (rig.now_s - begun < 1.5 and "nothing from the vehicle" in rig.reason) or "no position" in rig.reason
+    assert any("what arrived could not be taken in" in text for text in told(rig))
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.lists(st.tuples(st.sampled_from(["vehicle", "10.0.0.9:1"]), st.binary(max_size=300)), max_size=20))
+def test_no_bytes_raise_through_a_step_of_the_link(datagrams):
+    core = FLYING.core
+    out = core.step(core._stepped_s + 0.01, datagrams)
+    assert isinstance(out.send, list)
 
 
 @settings(deadline=None, max_examples=60)

@@ -8,6 +8,8 @@ import pytest
 from mavlink_vehicle import Rig, small_plan
 
 from drivers.samples import Event
+from groundstation.errors import Refused
+from groundstation.flight.link.link_core import LinkCore
 from groundstation.flight.link.parameter_journal import ParameterJournal
 from groundstation.flight.link.process import LinkProcess
 
@@ -97,6 +99,37 @@ def test_an_order_after_a_stall_is_judged_by_what_arrived_during_it():
     link._later(lambda: answers.append(link.core.upload(small_plan(), link.clock())))
     link.turn()
     assert answers and answers[0].ok, answers[0].reason
+
+
+def test_a_vehicle_in_flight_is_refused_with_what_can_be_done_and_one_on_the_ground_is_not():
+    rig = Rig("px4")
+    rig.excite()
+    rig.core = LinkCore(rig.core.vehicle, rig.core.station, rig.core.options)
+    link = process(rig)
+    rig.run(lambda: rig.core.view is not None and rig.core.view.on_ground is not None, 3.0)
+    assert rig.core.found_flying
+    with pytest.raises(Refused, match=r"in flight.*--take-over land"):
+        link._refuse_in_flight()
+    rig.core.view.on_ground = True
+    link._refuse_in_flight()
+    assert not rig.core.found_flying
+
+
+def test_a_publisher_that_fails_is_told_once_in_the_recording_and_in_the_log(capfd):
+    rig = Rig("px4")
+    link = process(rig)
+    link._publisher.failure = "the session is closed"
+    told: list[str] = []
+    emit = link._emit
+
+    def watched(out) -> None:
+        told.extend(s.text for s, _ in out.samples if isinstance(s, Event))
+        emit(out)
+
+    link._emit = watched  # type: ignore[method-assign]
+    turns(link, lambda: False, 30)
+    assert sum("the session is closed" in text for text in told) == 1
+    assert capfd.readouterr().err.count("the session is closed") == 1
 
 
 def test_a_link_without_core_and_without_vehicle_ends_at_last_and_not_before():

@@ -84,6 +84,17 @@ def test_a_link_that_takes_over_lands_or_holds_from_the_first_heartbeat_on(kind,
     assert rig.run(lambda: rig.phase is Phase.LANDED, 3.0)
 
 
+@BOTH
+def test_a_link_that_takes_over_leaves_a_vehicle_to_the_pilot_who_has_it(kind):
+    rig = Rig(kind)
+    rig.excite()
+    rig.vehicle.set_mode("POSCTL" if kind == "px4" else "LOITER")
+    mode = rig.vehicle.mode
+    successor(rig, "land")
+    rig.wait(5.0)
+    assert rig.phase is Phase.RELEASED and rig.vehicle.mode == mode and rig.vehicle.armed
+
+
 def test_a_successor_restores_what_the_flight_had_changed_once_it_is_down():
     rig = Rig("px4")
     rig.excite()

@@ -168,3 +168,69 @@ def test_the_measured_crazypad_flights_are_read(crazyflie, name):
     velocity = np.gradient(flown.state.column("x_m"), flown.state.t_s)
     assert np.corrcoef(velocity[moving], flown.state.column("vx_m_s")[moving])[0, 1] > 0.9
     assert any("pitch was not logged" in note for note in flown.notes)
+
+
+def usd_events(events, version=2):
+    """A usd log of several events: name to (variables, rows of (time, values...)), written in order of time."""
+    out = bytearray(struct.pack("<BHH", 0xBC, version, len(events)))
+    records = []
+    for number, (name, (variables, rows)) in enumerate(events.items(), start=1):
+        out += struct.pack("<H", number) + name.encode() + b"\0" + struct.pack("<H", len(variables))
+        out += b"".join(f"{variable}({kind})".encode() + b"\0" for variable, kind in variables)
+        packer = struct.Struct("<HQ" + "".join(kind for _, kind in variables))
+        records += [(row[0], packer.pack(number, *row)) for row in rows]
+    out += b"".join(record for _, record in sorted(records, key=lambda item: item[0]))
+    return bytes(out) + struct.pack("<I", zlib.crc32(bytes(out)))
+
+
+@pytest.mark.parametrize(("name", "kind", "volts"), [("pm.vbat", "f", 3.6), ("pm.vbatMV", "H", 3600)])
+@pytest.mark.parametrize("apart", [False, True])
+def test_the_batterys_voltage_counts_by_name_and_unit_in_whichever_event(tmp_path, crazyflie, name, kind, volts, apart):
+    widths = [(f"pwm.m{i}_pwm", "H") for i in range(1, 5)]
+    still, sent = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0], [10000, 11000, 12000, 13000]
+    own = [] if apart else [(name, kind)]
+    rows = [(1000 * k, *still, 30000, 31000, 32000, 33000, *sent, *([] if apart else [volts])) for k in range(200)]
+    events = {"fixedFrequency": ([*IMU_VARIABLES, *widths, *own], rows)}
+    if apart:
+        events["battery"] = ([(name, kind)], [(100_000 * k, volts) for k in range(3)])
+    path = tmp_path / "log00"
+    path.write_bytes(usd_events(events))
+    recording = read_recording(path, crazyflie)
+    expected = np.array(sent) / 65535.0 * 3.6 / crazyflie.battery.full_v
+    assert np.allclose(recording.streams["motors"].values, expected, rtol=1e-6)
+    assert recording.streams["battery"].values[:, 0] == pytest.approx(3.6)
+    assert any("voltage applied" in note and name in note for note in recording.notes)
+
+
+def test_pwm_without_a_voltage_is_told_not_dropped(tmp_path, crazyflie):
+    widths = [(f"pwm.m{i}_pwm", "H") for i in range(1, 5)]
+    rows = [(1000 * k, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, *[30000] * 4, *[20000] * 4) for k in range(50)]
+    path = tmp_path / "log00"
+    path.write_bytes(usd_events({"fixedFrequency": ([*IMU_VARIABLES, *widths], rows)}))
+    assert any("not used: no voltage is logged" in note for note in read_recording(path, crazyflie).notes)
+
+
+def test_a_field_that_a_usd_log_lacks_is_named_and_events_apart_are_joined(tmp_path, crazyflie):
+    motors = [(1000 * k, 1, 2, 3, 4) for k in range(100)]
+    gyro = [(1000 * k + 300, 5.0, 6.0, 7.0) for k in range(100)]
+    events = {
+        "motors": ([(f"motor.m{i}", "H") for i in range(1, 5)], motors),
+        "gyro": ([(f"gyro.{axis}", "f") for axis in "xyz"], gyro),
+    }
+    path = tmp_path / "log00"
+    path.write_bytes(usd_events(events))
+    recording = read_recording(path, crazyflie)
+    assert "imu" not in recording.streams
+    assert any("imu: left out: the configuration of this log has no field acc.x" in n for n in recording.notes)
+    events["acc"] = ([(f"acc.{axis}", "f") for axis in "xyz"], [(2000 * k, 0.0, 0.0, 1.0) for k in range(60)])
+    path.write_bytes(usd_events(events))
+    recording = read_recording(path, crazyflie)
+    assert len(recording.streams["imu"]) == 100
+    assert np.allclose(recording.streams["imu"].values[:, 5], 9.80665)
+
+
+def test_a_usd_log_of_a_version_to_come_is_named(tmp_path, crazyflie):
+    path = tmp_path / "log00"
+    path.write_bytes(struct.pack("<BHH", 0xBC, 3, 1) + bytes(40))
+    with pytest.raises(BadInput, match="usd log of version 3"):
+        read_recording(path, crazyflie)

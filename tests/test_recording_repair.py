@@ -146,6 +146,12 @@ def test_poses_frozen_in_flight(made):
     assert np.allclose(flown.mocap.values, made.mocap.values[kept], atol=1e-9)
 
 
+def alone(flown, name):
+    """The flight with no motion but one stream's: what it cannot do without."""
+    others = {other: None for other in ("imu", "mocap", "state") if other != name and name in ("imu", "mocap", "state")}
+    return replace(flown, **others)
+
+
 def test_39_percent_frozen_poses_pass_and_60_percent_are_refused(made):
     def every(share):
         rng = np.random.default_rng(4)
@@ -160,7 +166,7 @@ def test_39_percent_frozen_poses_pass_and_60_percent_are_refused(made):
 
     assert counted(repair(planted(made, "mocap", every(0.39))), "mocap", "frozen poses") > 200
     with pytest.raises(BadInput, match=r"mocap: .*frozen.*refused"):
-        repair(planted(made, "mocap", every(0.6)))
+        repair(alone(planted(made, "mocap", every(0.6)), "mocap"))
 
 
 def test_a_noise_free_vehicle_at_rest_is_not_frozen(made):
@@ -221,8 +227,12 @@ def test_a_gap_is_reported_and_motion_across_it_is_no_jump(made):
 def test_a_stream_that_is_mostly_gaps_is_refused(made, name):
     stream = getattr(made, name)
     t = stream.t_s - stream.t_s[0]
+    broken = replace(made, **{name: stream.select((t < 1.0) | (t > 5.0))})
     with pytest.raises(BadInput, match=rf"{name}: .*gaps.*refused"):
-        repair(replace(made, **{name: stream.select((t < 1.0) | (t > 5.0))}))
+        repair(alone(broken, name))
+    flown = repair(broken)
+    assert getattr(flown, name) is None
+    assert "left out" in said(flown, name)[0]
 
 
 def test_impossible_rotor_speeds(made):
@@ -238,6 +248,34 @@ def test_impossible_rotor_speeds(made):
     assert counted(flown, "motors", "impossible values") == 5
     assert counted(flown, "motors", "spikes") == 1
     assert np.abs(flown.motors.values - made.motors.values).max() < 15.0
+
+
+def test_rotor_speeds_far_too_low_in_flight_are_counted_and_bridged_and_a_landing_is_not(made):
+    def change(values, times):
+        for first in range(100, 1100, 40):
+            values[first : first + 4, 1] *= 0.1
+        values[-300:] *= 0.05  # the last 1.2 s stand on the ground
+
+    flown = repair(planted(made, "motors", change))
+    assert counted(flown, "motors", "far too low in flight") == 100
+    assert np.abs(flown.motors.values[:-320] - made.motors.values[: len(flown.motors) - 320]).max() < 30.0
+    assert np.max(flown.motors.values[-200:]) < 60.0
+
+
+def test_half_of_every_rotors_values_far_too_low_are_told_and_refused(made):
+    def change(values, times):
+        values[np.random.default_rng(7).random(values.shape) < 0.5] *= 0.2
+
+    with pytest.raises(BadInput, match=r"motors: .*refused"):
+        repair(planted(made, "motors", change))
+
+
+def test_moments_of_low_speed_along_a_rotors_lag_are_flown(made):
+    def change(values, times):
+        values[200:300, 2] *= 1.0 - 0.8 * np.sin(np.linspace(0.0, np.pi, 100))
+
+    flown = repair(planted(made, "motors", change))
+    assert counted(flown, "motors", "far too low") == 0
 
 
 def test_one_rotor_that_reports_nothing_is_refused_by_its_column(made):
@@ -290,8 +328,13 @@ def test_past_half_a_stream_is_refused_by_name_and_just_below_it_is_not(made, na
 
         return change
 
-    with pytest.raises(BadInput, match=rf"^{name}: .*refused"):
-        repair(planted(made, name, spoil(0.55)))
+    broken = planted(made, name, spoil(0.55))
+    if name in ("battery", "setpoint"):
+        assert "left out" in said(repair(broken), name)[0]
+        assert getattr(repair(broken), name) is None
+    else:
+        with pytest.raises(BadInput, match=rf"^{name}: .*refused"):
+            repair(alone(broken, name))
     assert said(repair(planted(made, name, spoil(0.45))), name)
 
 
@@ -300,7 +343,7 @@ def test_all_stamps_alike_are_refused_by_name(made):
         times[:] = 1.0
 
     with pytest.raises(BadInput, match=r"imu: .*stamps"):
-        repair(planted(made, "imu", change))
+        repair(alone(planted(made, "imu", change), "imu"))
 
 
 @given(st.lists(st.floats(-10, 10), min_size=1, max_size=60))

@@ -268,3 +268,75 @@ def test_any_wiring_scale_frame_and_history_of_an_ardupilot_log_gives_the_same_m
     # Milliseconds round a change onto or before the sample beside it.
     off = np.abs(read.values - u).max(axis=1)
     assert np.sum(off > 2 * STEP) <= (2 if "clock" in old and later else 0)
+
+
+def test_older_names_of_px4_are_read_and_a_missing_field_is_named(tmp_path):
+    """1.12: odometry and setpoints as x y z; and a topic that lacks a field is left out by name, not called damaged."""
+    from sim.mavlink.ulog import ULogWriter
+
+    formats = {
+        "actuator_motors": "uint64_t timestamp;uint64_t timestamp_sample;float[12] control;",
+        "vehicle_visual_odometry": "uint64_t timestamp;float x;float y;float z;float[4] q;",
+        "trajectory_setpoint": "uint64_t timestamp;float x;float y;float z;float yaw;",
+        "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;float[3] accelerometer_m_s2;",
+    }
+    log = ULogWriter(0, formats, {}, [])
+    for k in range(100):
+        log.add("actuator_motors", 10000 * k, 0, 0.5, 0.6, 0.5, 0.6, *[float("nan")] * 8)
+        log.add("vehicle_visual_odometry", 10000 * k, 1.0, 2.0, -3.0, 1.0, 0.0, 0.0, 0.0)
+        log.add("trajectory_setpoint", 10000 * k, 1.0, 2.0, -3.0, 0.5)
+        log.add("sensor_combined", 10000 * k, 0.0, 0.0, 0.0, 0.0, 0.0, -9.8)
+    (tmp_path / "a.ulg").write_bytes(bytes(log.data))
+    recording = read_recording(tmp_path / "a.ulg", QUAD)
+    assert recording.streams["mocap"].values[0].tolist() == [1.0, -2.0, 3.0, 1.0, 0.0, 0.0, 0.0]
+    assert recording.streams["setpoint"].values[0].tolist() == [1.0, -2.0, 3.0, -0.5]
+    assert "imu" not in recording.streams
+    assert any("imu: left out: sensor_combined of this log has no field gyro_integral_dt" in n for n in recording.notes)
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"", "is empty"),
+        (bytes(600), "zeros alone"),
+        (b"\x1f\x8b\x08\x00" + bytes(40), "gzip; unpack it"),
+        (b"PK\x03\x04" + bytes(40), "zip archive; unpack it"),
+        (b"ULogEnc\x01" + bytes(40), "encrypted PX4 log"),
+        (b"FMT, 128, 89, FMT, BBnNZ, Type\nFMT, 1, 2\n", "turned into text"),
+        (b"time,roll,pitch\n1,2,3\n", "table in one file"),
+        (b"#ROSBAG V2.0\n", "ROS 1 bag"),
+        (b"<!DOCTYPE html><html>", "web page"),
+        ("Grüße vom Feld\n".encode(), "is a text file"),
+        (b"\x00\x05\xff\x10" * 20, "no known format"),
+    ],
+)
+def test_a_file_of_another_kind_is_named_for_what_it_is(tmp_path, data, said):
+    (tmp_path / "x.dat").write_bytes(data)
+    with pytest.raises(BadInput, match=said):
+        read_recording(tmp_path / "x.dat", QUAD)
+
+
+def test_a_cut_and_a_damaged_dataflash_log_are_told(tmp_path):
+    t, u = truth()
+    data = ArduLog().write(t, u)
+    (tmp_path / "a.bin").write_bytes(data[: len(data) - 20])
+    assert any(
+        "cut off in the middle of a record (20 bytes" in n for n in read_recording(tmp_path / "a.bin", QUAD).notes
+    )
+    hurt = data[: len(data) // 2] + b"\x17" * 100 + data[len(data) // 2 :]
+    (tmp_path / "a.bin").write_bytes(hurt)
+    recording = read_recording(tmp_path / "a.bin", QUAD)
+    assert any("damaged bytes were skipped" in n for n in recording.notes)
+    assert len(recording.streams["motors"]) >= len(t) - 3
+
+
+def test_what_is_not_read_is_listed_one_line_each(tmp_path):
+    log = Px4Log(limits=dict.fromkeys((1, 2, 3, 4), (1000.0, 2000.0)), decoys=(), esc_places=None)
+    t, u = truth()
+    data = log.write(t, u).replace(b"sensor_combined", b"sensor_combitwo")
+    (tmp_path / "a.ulg").write_bytes(data)
+    left = read_recording(tmp_path / "a.ulg", QUAD).left_out
+    assert [line for line in left if line.startswith("sensor_combitwo")] == [
+        "sensor_combitwo: 400 samples at 100 Hz are not read."
+    ]
+    assert len(left) == len(set(left))

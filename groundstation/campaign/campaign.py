@@ -256,13 +256,13 @@ def _next(campaign: Campaign, done: Round) -> Campaign:
 
 
 def _settled(rounds: Sequence[Round]) -> str:
-    names = ", ".join(rounds[-1].names()) or "nothing"
-    return f"settled after {len(rounds)} flights ({sum(r.seconds for r in rounds):.0f} s of excitation): found {names}; targets met."
+    names = ", ".join(rounds[-1].names()).replace("_", " ") or "nothing"
+    return f"Settled after {len(rounds)} flights ({sum(r.seconds for r in rounds):.0f} s of excitation): found {names}; targets met."
 
 
 def _exhausted(campaign: Campaign, done: Round) -> str:
     """What was not reached, and how many flights it would still take by the last plan."""
-    text = f"not settled after {len(campaign.rounds) + 1} flights: {'; '.join(done.not_settled)}."
+    text = f"Not settled after {len(campaign.rounds) + 1} flights: {'; '.join(done.not_settled)}."
     try:
         plan = load_plan(Path(done.folder) / "plan.toml")
     except BadInput:

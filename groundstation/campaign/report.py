@@ -9,7 +9,7 @@ from typing import Any
 from groundstation.campaign.campaign import Campaign, Round
 from groundstation.campaign.targets import HALF_95
 from groundstation.identification.results import Estimate
-from groundstation.reporting.markup import Child, element, fragment, sentence_list, table
+from groundstation.reporting.markup import Child, Markup, definition_list, element, fragment, sentence_list, table
 from groundstation.reporting.page import Page
 from groundstation.reporting.units import fixed, label, quantity, scale_for, significant, split_unit
 from groundstation.writing import write_whole
@@ -22,7 +22,9 @@ def lines(campaign: Campaign) -> list[str]:
     out = []
     for number, done in enumerate(campaign.rounds, 1):
         out.append(f"flight {number} ({done.seconds:.0f} s): {done.why}")
-        out.append(f"  {done.verdict or 'refused'}: {', '.join(done.names()) or 'nothing found'}; {_error_line(done)}")
+        out.append(
+            f"  {done.verdict or 'refused'}: {', '.join(done.names()).replace('_', ' ') or 'nothing found'}; {_error_line(done)}"
+        )
         out += [f"  {text}" for text in done.not_settled]
     out.append(campaign.sentence or "not finished")
     return out
@@ -59,9 +61,7 @@ def write_campaign_report(path: Path, campaign: Campaign) -> Path:
         element("p", campaign.sentence or "The campaign is not finished."),
         sentence_list(open_) if open_ else None,
     )
-    page.section(
-        "rounds", "Round by round", table("What each flight settled", _ROUND_HEADER, _round_rows(campaign.rounds))
-    )
+    page.section("rounds", "Round by round", *(_round(n, r) for n, r in enumerate(campaign.rounds, 1)))
     judged = [(n, r) for n, r in enumerate(campaign.rounds, 1) if r.judged]
     if judged:
         page.section(
@@ -69,7 +69,7 @@ def write_campaign_report(path: Path, campaign: Campaign) -> Path:
             element("p", "RMS error half a second ahead on each flight, before that flight was used: by the declared vehicle, by the rigid body "
                     "estimated from the flights before, and by the same with the effects found in them."),
             table("Before and after the effects", _error_header(), _error_rows(judged)),
-            page.figure(_error_figure(judged), "Velocity and rate error on the unseen flight"),
+            page.figure(_error_figure(judged), "Error of the body rate on each unseen flight, half a second ahead"),
         )  # fmt: skip
     if campaign.rounds:
         page.section(
@@ -80,19 +80,16 @@ def write_campaign_report(path: Path, campaign: Campaign) -> Path:
     return write_whole(path, page.html(head, element("p", "Intervals are 95 %.")))
 
 
-_ROUND_HEADER = ("flight", "why it was flown", "found in all flights so far", "left open")
-
-
-def _round_rows(rounds: Sequence[Round]) -> list[Sequence[Child]]:
-    return [
-        (
-            f"{n} ({r.seconds:.0f} s)",
-            r.why,
-            "; ".join(str(f["evidence"]) for f in r.findings) or "nothing",
-            "; ".join(r.not_settled) or "nothing",
-        )
-        for n, r in enumerate(rounds, 1)
+def _round(number: int, done: Round) -> Markup:
+    """One round as terms with what they stand for: its sentences are too long for a table."""
+    found = sentence_list(str(f["evidence"]) for f in done.findings) if done.findings else "nothing"
+    pairs: list[tuple[Child, Child]] = [
+        (f"Flight {number}", f"{done.seconds:.0f} s of excitation"),
+        ("Why it was flown", done.why[:1].upper() + done.why[1:] + "."),
+        ("Found in all flights so far", found),
+        ("Left open", sentence_list(done.not_settled) if done.not_settled else "nothing"),
     ]
+    return definition_list(pairs)
 
 
 def _error_header() -> tuple[str, ...]:
@@ -131,7 +128,7 @@ def _error_figure(judged: Sequence[tuple[int, Round]]) -> dict[str, Any]:
         "layout": {
             "height": 280,
             "barmode": "group",
-            "yaxis": {"title": {"text": "body rate error (rad/s)"}, "type": "log"},
+            "yaxis": {"title": {"text": "body rate error (rad/s)"}},
         },
     }
 

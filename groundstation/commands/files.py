@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from groundstation.commands.common import Result, example, json_option
+from groundstation.commands.common import Result, example, json_option, load_vehicle_option
 from groundstation.errors import BadInput
 from groundstation.writing import write_whole
 
@@ -16,14 +16,23 @@ ANY = click.Path(path_type=Path)
 
 @click.command(epilog=example("groundstation convert flight.mcap bundle/"))
 @click.argument("source", type=ANY)
-@click.argument("target", type=ANY)
+@click.argument("target", type=ANY, required=False)
 @click.option("--vehicle", default=None, help="Vehicle file or shipped name, for a log that carries none.")
+@click.option("--map", "mapped", type=ANY, help="Map file: which columns of any log are which stream.")
+@click.option("--map-template", "template", is_flag=True, help="Print a map file for SOURCE, to be filled in.")
 @json_option
-def convert(source: Path, target: Path, vehicle: str | None) -> Result:
-    """Convert between MCAP recordings and flight bundles; every sample and time stamp is kept."""
+def convert(source: Path, target: Path | None, vehicle: str | None, mapped: Path | None, template: bool) -> Result:
+    """Convert between MCAP recordings and flight bundles, and logs into them; every sample and time stamp is kept."""
+    if template:
+        from groundstation.recording.mapping import template as write
+
+        text = write(source, load_vehicle_option(vehicle))
+        return Result({"schema": "groundstation.map_template/1", "source": str(source), "map": text}, text.rstrip())
+    if target is None:
+        raise BadInput("convert needs a TARGET: an MCAP file (.mcap) or a folder for a flight bundle.")
     from groundstation.recording import convert as run
 
-    lost = run(source, target, vehicle=vehicle)
+    lost = run(source, target, vehicle=vehicle, mapped=mapped)
     document = {
         "schema": "groundstation.convert/1",
         "source": str(source),

@@ -283,7 +283,16 @@ def fly(
             return _flight_result(fly_plan(**flight, say=line.say, stop=stop, take_over=take_over))
         flight = _link_flight(vehicle, plan_file, logs, line, **link)
         stop.check()
-        flown = fly_plan(**flight, say=line.say, confirm=lambda: yes_simulated or _typed_confirmation(line), stop=stop)
+        try:
+            flown = fly_plan(
+                **flight, say=line.say, confirm=lambda: yes_simulated or _typed_confirmation(line), stop=stop
+            )
+        except Refused as error:
+            how = _offered(str(error), line)
+            if not how:
+                raise
+            flight = _interrupted(vehicle, logs, line, **link)
+            return _flight_result(fly_plan(**flight, say=line.say, stop=stop, take_over=how))
     _fetch_log(link["link"], flight["vehicle"], flown, line, link["key_file"])
     line.end()
     return _flight_result(flown)
@@ -327,6 +336,17 @@ def _fetch_log(url: str, vehicle: Path, flown: FlightResult, line: ProgressLine,
         line.say(f"onboard log: {path}; `groundstation identify {path} --vehicle {vehicle}` uses its rates")
     except (GroundStationError, ConnectionError, ValueError) as error:
         line.say(f"no onboard log ({error}); identified from what came over the link")
+
+
+def _offered(refusal: str, line: ProgressLine) -> str:
+    """What the operator at a terminal wants done with a vehicle that is in flight; empty leaves it to its own failsafe."""
+    from groundstation.flight.messages import IN_FLIGHT
+
+    if not refusal.startswith(IN_FLIGHT) or not sys.stdin.isatty():
+        return ""
+    line.end()
+    print(f"{refusal}\nType LAND or HOLD to take it over, anything else to leave it to its failsafe: ", file=sys.stderr)
+    return {"LAND": "land", "HOLD": "hold"}.get(sys.stdin.readline().strip(), "")
 
 
 def _typed_confirmation(line: ProgressLine) -> bool:

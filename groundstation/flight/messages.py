@@ -12,6 +12,9 @@ CLIENT_ALIVE = "gs/client/{client}/alive"
 WAY = "the trajectory is flown "
 """Begins the sentence in which a link says how it flies the trajectory, and why so."""
 
+IN_FLIGHT = "the vehicle is armed and in flight"
+"""Begins the sentence in which a link refuses a vehicle that somebody left in the air."""
+
 CommandName = Literal["start", "land", "abort", "kill"]
 """``start``, ``land`` and ``kill`` (rotors off, it falls) belong to the holder of the lease; ``abort`` to everyone."""
 

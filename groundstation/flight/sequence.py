@@ -153,10 +153,17 @@ class TakenOver:
 
 @dataclass(frozen=True, slots=True)
 class VehicleLost:
-    """The vehicle's process or link is gone for good; ``down``: with the vehicle on the ground, e.g. crashed."""
+    """The vehicle's process or link is gone for good.
+
+    Attributes:
+        reason: in one sentence.
+        down: with the vehicle on the ground, e.g. crashed.
+        refused: it said no, and ended.
+    """
 
     reason: str
     down: bool = False
+    refused: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -307,6 +314,8 @@ def _lost(state: Sequence, event: VehicleLost, now_s: float) -> Result:
     reason = "; ".join(filter(None, (state.aborting, event.reason)))
     if state.started and not event.down:
         return _aborted(state, f"{reason}; {MAY_FLY}", now_s, status=LinkLost.exit_status)
+    if event.refused and not state.started:
+        return _aborted(state, reason, now_s, status=Refused.exit_status)
     return _aborted(state, reason, now_s)
 
 

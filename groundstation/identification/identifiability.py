@@ -1,4 +1,4 @@
-"""What a motion revealed: parameters that get no number, with what would show them, and flights that are refused for their own reason."""
+"""What a motion revealed: parameters that get no number, with what would show them, and why a flight shows only a part."""
 
 from __future__ import annotations
 
@@ -142,36 +142,39 @@ def unphysical(fit: Fitted, prepared: Sequence[Prepared]) -> dict[str, str]:
     return {name: REMEDY[name] for name in MASS_AND_TENSOR if name != "mass_kg" and "xyz"[axis] in name[1:3]}
 
 
-def refuse_if_empty(fit: Fitted, hidden: Mapping[str, str], prepared: Sequence[Prepared]) -> None:
-    """Refuse a flight that shows at most one moment of inertia, for its own reason.
+def partial_answer(fit: Fitted, hidden: Mapping[str, str], prepared: Sequence[Prepared]) -> str | None:
+    """Why a flight shows at most one moment of inertia, for a warning beside what it does show; None where it shows more.
 
-    Not refused, for their mass or thrust curve: a flight whose thrust changed much, and one that flew a plan about two axes or
-    more and only drowned in the disturbance.
+    Raises:
+        NotIdentifiable: it is a hover, or shows neither mass nor any moment.
     """
     moments = [name for name in ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2") if name not in hidden]
     if len(moments) >= 2:
-        return
+        return None
     first = prepared[0]
     record = first.record
     thrust = first.signals(fit.parameters.lag_up_s, fit.parameters.lag_down_s, 0.0).thrust_n[record.keep].sum(axis=1)
-    if record.vehicle.rotors.input != "wrench" and np.std(thrust) > 0.1 * np.mean(thrust):
-        return
+    heaves = record.vehicle.rotors.input != "wrench" and np.std(thrust) > 0.1 * np.mean(thrust)
     turned = record.rate_rad_s if first.planned is None else first.planned.rate_rad_s
     line = _one_axis(turned[record.keep])
     rate = float(np.std(record.rate_rad_s[record.keep], axis=0).max())
     asked = first.flight.plan is not None or first.flight.setpoint is not None
-    if rate < STILL_RAD_S or (asked and first.planned is None and line is None):
+    hover = not heaves and (rate < STILL_RAD_S or (asked and first.planned is None and line is None))
+    if hover:
         reason = f"this flight is a hover: the largest body rate is {rate:.3f} rad/s RMS, and inertia shows only when the body turns."
-    elif line is not None:
+    elif line is not None and moments:
         reason = f"this flight turns about one axis only ({line}), so it shows at most one moment of inertia."
-    elif first.planned is not None and "mass_kg" not in hidden:
-        return
     else:
         reason = "the motion is too weak against the disturbance of this flight: no two moments of inertia stand out."
-    listed = tuple(name for name in MASS_AND_TENSOR if name in hidden)
-    raise NotIdentifiable(
-        reason, "Fly an excitation in x, y, z and yaw, larger or faster (`groundstation plan`).", listed
-    )
+    remedy = "Fly an excitation in x, y, z and yaw, larger or faster (`groundstation plan`)."
+    if hover or not (moments or heaves or "mass_kg" not in hidden):
+        if "mass_kg" not in hidden:
+            reason += (
+                f" Its mass, by the declared thrust, is {fit.value('mass_kg'):.4g} +- {fit.std('mass_kg'):.2g} kg."
+            )
+        listed = tuple(name for name in MASS_AND_TENSOR if name in hidden)
+        raise NotIdentifiable(reason, remedy, listed)
+    return f"{reason} What it does show is given. {remedy}"
 
 
 def _one_axis(rate: Array) -> str | None:

@@ -15,7 +15,7 @@ from groundstation.identification.consistency import nearest_rigid_body, physica
 from groundstation.identification.identifiability import (
     angular_acceleration,
     never_moved,
-    refuse_if_empty,
+    partial_answer,
     revealed,
     unphysical,
     unrevealed,
@@ -214,13 +214,13 @@ def identify(
         hidden |= unphysical(best, prepared)
     else:
         hidden |= unsettled(fitted.instrumental, fitted.filter_error)
-    refuse_if_empty(best, hidden, prepared)
+    partial = partial_answer(best, hidden, prepared)
     methods = dict(_seed_methods(prepared, exclude, progress))
     progress(0.85, "output error")
     oe = output_error(fitted.models, best.parameters, fitted.options)
     found = {"OE": oe, "FE": fitted.filter_error} | ({} if fitted.instrumental is None else {"IV": fitted.instrumental})
     methods |= {name: _result(fitted, fit, hidden, _METHOD_NOTES[name]) for name, fit in found.items()}
-    name, reason, warnings = fitted.best_name, _reason(fitted), []
+    name, reason, warnings = fitted.best_name, _reason(fitted), [] if partial is None else [partial]
     trouble = physically_consistent(methods[name].parameters)
     if trouble:
         best, away = nearest_rigid_body(best, [term.name for term in fitted.models[0].extra])

@@ -23,29 +23,32 @@ from groundstation.frames import (
     quat_rotate,
     quat_rotate_inverse,
 )
+from groundstation.identification.alignment import arrival_difference, motor_offset, with_one_stamp
 from groundstation.identification.clock import coarse_offset, rates_from_attitude
 from groundstation.identification.instruments import FlownMotion, planned_motion
-from groundstation.identification.processing import clean, excitation_window
+from groundstation.identification.processing import clean, flown_stretches
 from groundstation.identification.reconstruction import Compatibility, body_motion, reconstruct
 from groundstation.identification.record_model import BodyWrench, DynamicRecord, PlannedMotion
 from groundstation.identification.results import Clock
+from groundstation.identification.stretches import GAP_S, Stretch, gaps, runs_of, told, within
 from groundstation.model.prediction import FlightStates
 from groundstation.model.rotors import (
-    MotorInput,
     cumulative,
     declared_thrust,
     hover_value,
     interpolate_columns,
     motor_input,
-    wrench_matrix,
 )
 from groundstation.model.signals import Signals
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 FIT_RATE_HZ = 150.0
 MEASURED_RATE_HZ = 30.0
 SHORTEST_S = 4.0
+SETTLING_S = 0.3
+"""After which rotors behind a lag have forgotten what nobody recorded: five of the slowest lags."""
 UNKNOWN_ACCEL_BIAS_M_S2 = 0.1
 """Standard deviation of an accelerometer bias nobody measured: 10 mg, a consumer MEMS sensor's turn-on bias."""
 
@@ -63,6 +66,7 @@ class Prepared:
         voltage_v, charge_as: battery at the record's stamps; NaN if unknown.
         source: "imu", "poses" or "state": where rates and accelerations come from.
         window_s: start and end of what is used, on the record's clock.
+        stretches: the runs without a hole that it consists of.
         excluded_s: stretches (start, end) that the user left out, on the record's clock.
     """
 
@@ -82,6 +86,7 @@ class Prepared:
     source: str
     window_s: tuple[float, float]
     notes: tuple[str, ...]
+    stretches: tuple[Stretch, ...] = ()
     excluded_s: tuple[tuple[float, float], ...] = ()
 
     def signals(self, up_s: float, down_s: float, delay_s: float, slope: float = 0.0) -> Signals:
@@ -122,21 +127,31 @@ def prepare(flight: FlightData, *, exclude: Sequence[tuple[float, float]] = ()) 
     motors = clean(flight.motors)
     vehicle = flight.vehicle
     measured = vehicle.rotors.input == "rotor_speed" and vehicle.rotors.speed_source == "telemetry"
-    start_s, end_s = flight.window_s if flight.window_s is not None else excitation_window(flight)
-    if end_s - start_s < SHORTEST_S:
+    stretches = flown_stretches(flight, 0.0)
+    flown_s = sum(end - start for start, end in stretches)
+    if flown_s < SHORTEST_S:
         raise NotIdentifiable(
-            f"the flight is too short: {end_s - start_s:.1f} s in the air, {SHORTEST_S:.0f} s is the least.",
+            f"the flight is too short: {flown_s:.1f} s in the air, {SHORTEST_S:.0f} s is the least.",
             "Fly the excitation for 20 s or more.",
         )
     inputs = motor_input(motors.t_s, motors.values, measured=measured, hover=hover_value(vehicle))
     motion = _motion(flight, notes)
-    offset = _motor_offset(flight, motion, inputs)
+    if motion.source == "imu" and motion.compatibility is None:
+        flight = replace(flight, mocap=None)
+    offset, said = motor_offset(flight, motion, inputs)
+    notes += said
     if offset != 0.0:
-        notes.append(f"The motors' stamps run {offset * 1e3:+.0f} ms against the IMU's; they were shifted by that.")
         inputs = replace(inputs, start_s=inputs.start_s - offset)
-        start_s, end_s = start_s - offset, end_s - offset
     t = motion.t_s
-    keep = (t >= max(start_s, inputs.start_s + 0.3)) & (t < min(end_s, inputs.t_s[-1] - 0.1))
+    on_motors = t + offset
+    settled = SETTLING_S if not measured else 0.0
+    lost = gaps(motors.t_s)
+    keep = within(on_motors, stretches) & ~within(on_motors, lost, (0.0, settled))
+    keep &= (t >= inputs.start_s + SETTLING_S) & (t < inputs.t_s[-1] - 0.1)
+    if motion.source != "imu":
+        # Differences across a gap, and those of their differences, tell nothing of the motion beside it.
+        step = float(np.median(np.diff(t)))
+        keep &= ~within(t, gaps(t), (2.5 * step, 2.5 * step))
     for first, last in exclude:
         keep &= (t < first) | (t > last)
     if keep.sum() < SHORTEST_S * motion.rate_hz:
@@ -144,6 +159,9 @@ def prepare(flight: FlightData, *, exclude: Sequence[tuple[float, float]] = ()) 
             f"the streams share {keep.sum() / motion.rate_hz:.1f} s of flight, {SHORTEST_S:.0f} s is the least.",
             "Record IMU and motors over the whole flight, or leave out less.",
         )
+    used = runs_of(t, keep)
+    notes += _share_note(flight, motors, t, keep, used, lost)
+    start_s = stretches[0][0] - offset
     record = DynamicRecord(
         vehicle=vehicle,
         t_s=t,
@@ -172,6 +190,7 @@ def prepare(flight: FlightData, *, exclude: Sequence[tuple[float, float]] = ()) 
         source=motion.source,
         window_s=(float(t[keep][0]), float(t[keep][-1])),
         notes=tuple(notes),
+        stretches=used,
         excluded_s=tuple(exclude),
     )
 
@@ -190,6 +209,22 @@ def prepare_all(flights: Sequence[FlightData], exclude: Sequence[tuple[float, fl
                 f"there is nothing to leave out from {first:g} to {last:g} s: stamps run from {spans}; give times within them."
             )
     return prepared
+
+
+def _share_note(
+    flight: FlightData, motors: Stream, t: Array, keep: Mask, used: Sequence[Stretch], lost: Sequence[Stretch]
+) -> list[str]:
+    """The share of the recording that is used, where that is not all of a known excitation."""
+    if flight.window_s is not None and not lost:
+        return []
+    recorded = float(motors.t_s[-1] - motors.t_s[0])
+    step = np.diff(t, append=t[-1])
+    used_s = float(np.sum(step[keep & (step < GAP_S)]))
+    missing = sum(end - start for start, end in lost)
+    why = [f"{len(lost)} gaps of the motors' stream ({missing:.1f} s)"] if lost else []
+    if flight.window_s is None:
+        why.append("ground, and a second beside it")
+    return [told(used_s, recorded, len(used), why if used_s < 0.98 * recorded else ())]
 
 
 def flight_states(flight: FlightData, *, own: bool = False) -> FlightStates:
@@ -211,7 +246,9 @@ def flight_states(flight: FlightData, *, own: bool = False) -> FlightStates:
         x = state.values
         parts = (x[:, :3], x[:, 3:6], quat_continuous(x[:, 6:10]), x[:, 10:13])
         voltage = np.interp(state.t_s, record.t_s, prepared.voltage_v)
-        return FlightStates(state.t_s, *parts, *parts, record.motors, voltage, prepared.window_s, record.vehicle)
+        return FlightStates(
+            state.t_s, *parts, *parts, record.motors, voltage, prepared.window_s, record.vehicle, prepared.stretches
+        )
     return smoothed_states(prepared)
 
 
@@ -223,7 +260,7 @@ def smoothed_states(prepared: Prepared) -> FlightStates:
         record.t_s,
         prepared.causal_position_m, prepared.causal_velocity_m_s, causal, record.rate_rad_s,
         prepared.position_m, prepared.velocity_m_s, q, record.rate_rad_s,
-        record.motors, prepared.voltage_v, prepared.window_s, record.vehicle,
+        record.motors, prepared.voltage_v, prepared.window_s, record.vehicle, prepared.stretches,
     )  # fmt: skip
 
 
@@ -266,14 +303,14 @@ def _from_imu(flight: FlightData, imu: Stream, pose: Stream | None, state: Strea
     smooth = causal = unknown
     rate, force = gyro, accel
     bias_std = np.full(3, UNKNOWN_ACCEL_BIAS_M_S2)
+    if pose is not None and len(pose) >= 50:
+        pose, offset = _aligned(flight, imu, pose, notes)
     if pose is None or len(pose) < 50:
         notes.append(
             "There are no poses: attitude, velocity and the accelerometer's bias are unknown, so the mass is only as sure as "
             f"a bias of {UNKNOWN_ACCEL_BIAS_M_S2:.1f} m/s^2 leaves it, and drag, wind and ground effect cannot be told."
         )
     else:
-        expected = _arrival_difference(pose, imu)
-        offset, _ = coarse_offset(t, gyro, pose.t_s, pose.values[:, 3:7], expected_s=expected or 0.0)
         compatibility = reconstruct(
             t, gyro, accel, pose.t_s, pose.values[:, :3], pose.values[:, 3:7],
             offset_s=offset, gravity_m_s2=flight.vehicle.gravity_m_s2,
@@ -295,6 +332,20 @@ def _from_imu(flight: FlightData, imu: Stream, pose: Stream | None, state: Strea
     if np.any(lever != 0.0):
         force = force - _lever_arm(t, rate, lever)
     return _Motion(t, rate, force, smooth, "imu", imu.rate_hz(), causal, bias_std, compatibility, clock)
+
+
+def _aligned(flight: FlightData, imu: Stream, pose: Stream, notes: list[str]) -> tuple[Stream | None, float]:
+    """Poses with one stamp for both their halves, and their coarse offset; none where nothing aligns their clock with the IMU's."""
+    expected = arrival_difference(pose, imu)
+    t, gyro, accel = imu.t_s, imu.values[:, :3], imu.values[:, 3:6]
+    try:
+        offset, _ = coarse_offset(t, gyro, pose.t_s, pose.values[:, 3:7], expected_s=expected or 0.0)
+    except Refused as refusal:
+        notes.append(f"The poses are left out: {refusal}")
+        return None, 0.0
+    pose, said = with_one_stamp(pose, offset, t, accel, flight.vehicle.gravity_m_s2)
+    notes += said
+    return pose, offset
 
 
 def _lever_arm(t: Array, rate: Array, lever: Array) -> Array:
@@ -328,44 +379,6 @@ def _from_state(flight: FlightData, state: Stream) -> _Motion:
     force = quat_rotate_inverse(q, np.gradient(velocity, t, axis=0) + np.array([0.0, 0.0, flight.vehicle.gravity_m_s2]))
     motion = (q, x[:, :3], velocity)
     return _Motion(t, rate, force, motion, "state", state.rate_hz(), motion, np.full(3, 1e-3), None, None)
-
-
-def _arrival_difference(first: Stream, second: Stream) -> float | None:
-    """First clock minus second clock by arrival times, where both have them."""
-    if first.received_s is None or second.received_s is None:
-        return None
-    return float(np.min(second.received_s - second.t_s) - np.min(first.received_s - first.t_s))
-
-
-def _motor_offset(flight: FlightData, motion: _Motion, inputs: MotorInput) -> float:
-    """Motors' stamp minus IMU stamp, coarsely, when they plainly disagree (over 60 ms); else 0 and the fit's delay does it.
-
-    Angular acceleration against the torque the declared vehicle would make, correlated over shifts.
-    """
-    from scipy.signal import butter, correlate, sosfiltfilt
-
-    expected = _arrival_difference(flight.motors, flight.imu) if flight.imu is not None else None
-    centre = expected if expected is not None and abs(expected) > 0.5 else 0.0
-    step = 0.005
-    grid = np.arange(motion.t_s[0], motion.t_s[-1], step)
-    wrench = declared_thrust(flight.vehicle, inputs.value) @ wrench_matrix(flight.vehicle).T
-    low_pass = butter(2, [0.2, 8.0], btype="band", fs=1.0 / step, output="sos")
-    rate = np.stack([np.interp(grid, motion.t_s, c) for c in motion.rate.T], axis=-1)
-    measured = sosfiltfilt(low_pass, np.gradient(rate, step, axis=0), axis=0)
-    torque = interpolate_columns(grid + centre, inputs.start_s, inputs.step_s, wrench)[:, 1:]
-    predicted = sosfiltfilt(low_pass, torque @ np.linalg.inv(flight.vehicle.inertia_tensor()), axis=0)
-    scale = np.std(measured, axis=0) * np.std(predicted, axis=0) * len(grid) + 1e-12
-    score = np.sum([correlate(predicted[:, i], measured[:, i], method="fft") / scale[i] for i in range(2)], axis=0)
-    lags = (np.arange(2 * len(grid) - 1) - (len(grid) - 1)) * step
-    reach = np.abs(lags) < 10.0
-    best = int(np.argmax(np.where(reach, score, -np.inf)))
-    here = float(np.interp(0.0, lags, score))
-    shift = float(lags[best])
-    # Rotor lag and dead time make the torque lead by up to 0.15 s: that is the fit's to find, not a clock's fault.
-    unexpected = shift > 0.06 or shift < -0.2
-    if unexpected and score[best] > 0.4 and score[best] > 1.3 * here:
-        return centre + shift
-    return centre
 
 
 def _battery(flight: FlightData, t: Array) -> tuple[Array, Array]:

@@ -30,6 +30,7 @@ from groundstation.frames import (
     quat_rotate_inverse,
 )
 from groundstation.identification.filters import central_difference, zero_phase_low_pass
+from groundstation.identification.stretches import SHORTEST_S, airborne, gaps, within
 from groundstation.identification.wrench import declared_wrench
 from groundstation.vehicle import Vehicle
 
@@ -40,9 +41,6 @@ TRANSIENT_S = 10.0
 """Left out at the start, as in the paper (10 s < t < 50 s), but at most a fifth of the window."""
 MARGIN_S = 2.0
 """Processed beyond the window where there are data, so that filters have settled inside it."""
-SHORTEST_S = 2.0
-GAP_S = 0.1
-"""Interpolating positions over 0.1 s of a 0.5 Hz motion is 1.2 % off at worst; longer gaps are left out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +156,8 @@ def process_flight(
     imu = None if flight.imu is None else clean(flight.imu, exclude)
     state = None if flight.state is None else clean(flight.state, exclude)
     pose = _pose(flight, mocap_minus_imu_s, exclude)
-    window = excitation_window(flight, transient_s)
+    stretches = flown_stretches(flight, transient_s)
+    window = stretches[0][0], stretches[-1][1]
     stamps = [stream.t_s for stream in (motors, imu or state, pose) if stream is not None]
     grid = _grid(flight, imu or state, stamps, window, cutoff_hz, period_s)
     t = grid.t_s
@@ -174,9 +173,9 @@ def process_flight(
         rate_note.append("No poses: velocity and attitude are unknown; drag, wind and position effects cannot be seen.")
 
     guard = 0.5 / grid.cutoff_hz  # how far the low-pass carries what lies beyond an end
-    used = (t >= max(window[0], t[0] + guard)) & (t <= min(window[1], t[-1] - guard))
+    used = within(t, stretches) & (t >= t[0] + guard) & (t <= t[-1] - guard)
     for series in stamps:
-        used &= ~_in_gap(t, series)
+        used &= ~within(t, gaps(series))
     for first, last in exclude:
         used &= (t < first - guard) | (t > last + guard)
     left = np.count_nonzero(used) * grid.period_s
@@ -313,32 +312,34 @@ def default_cutoff_hz(flight: FlightData, imu: Stream | None, t_s: Array) -> flo
     return max(2.0, 10.0 * top)
 
 
-def excitation_window(flight: FlightData, transient_s: float | None = None) -> tuple[float, float]:
-    """Start and end of what is used: the known excitation, or the airborne part, less the transient.
-
-    Airborne is the longest stretch with more than half the thrust that the flight's upper quartile has, less one second
-    at each end (ground contact); no constant of the vehicle enters.
+def flown_stretches(flight: FlightData, transient_s: float | None = None) -> tuple[tuple[float, float], ...]:
+    """What is used of a flight: the known excitation less the transient, or every stretch in the air (:mod:`.stretches`).
 
     Raises:
         NotIdentifiable: the vehicle did not fly.
     """
     if flight.window_s is not None:
         start, end = flight.window_s
-        return start + (min(TRANSIENT_S, 0.2 * (end - start)) if transient_s is None else transient_s), end
+        return ((start + (min(TRANSIENT_S, 0.2 * (end - start)) if transient_s is None else transient_s), end),)
     motors = clean(flight.motors)
     t = motors.t_s
     thrust = declared_wrench(flight.vehicle, motors, flight.battery, t)[:, 0]
-    flying = thrust > 0.5 * np.quantile(thrust, 0.75)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flying, [False]]).astype(int)))
-    starts, ends = edges[::2], edges[1::2] - 1
-    if len(starts) == 0:
-        raise NotIdentifiable("The rotors never made thrust.", "Record a flight.")
-    longest = int(np.argmax(t[ends] - t[starts]))
-    start, end = t[starts[longest]], t[ends[longest]]
-    if end - start < SHORTEST_S + 2.0:
-        raise NotIdentifiable(f"The vehicle was in the air for {end - start:.1f} s only.", "Fly longer.")
-    whole = start == t[0] and end == t[-1]
-    return (float(start), float(end)) if whole else (float(start + 1.0), float(end - 1.0))
+    found = airborne(t, thrust)
+    if not found:
+        if not np.any(thrust > 0.0):
+            raise NotIdentifiable("The rotors never made thrust.", "Record a flight.")
+        raise NotIdentifiable(f"The vehicle was in the air for less than {SHORTEST_S + 2.0:.0f} s.", "Fly longer.")
+    return found
+
+
+def excitation_window(flight: FlightData, transient_s: float | None = None) -> tuple[float, float]:
+    """First start and last end of what is used of a flight.
+
+    Raises:
+        NotIdentifiable: the vehicle did not fly.
+    """
+    stretches = flown_stretches(flight, transient_s)
+    return stretches[0][0], stretches[-1][1]
 
 
 def interpolate(t_s: ArrayLike, stamps_s: Array, values: Array) -> Array:
@@ -416,13 +417,6 @@ def _pose(flight: FlightData, mocap_minus_imu_s: float, exclude: Segments) -> _P
         q = quat_continuous(quat_normalise(stream.values[:, 6:10]))
         return _Pose(stream.t_s, stream.values[:, :3], q, stream.values[:, 3:6], "state")
     return None
-
-
-def _in_gap(t_s: Array, stamps_s: Array) -> NDArray[np.bool_]:
-    """Which grid times lie between two stamps further apart than 0.1 s and than three usual steps."""
-    step = np.diff(stamps_s)
-    longest = max(GAP_S, 3.0 * float(np.median(step)))
-    return step[np.clip(np.searchsorted(stamps_s, t_s, side="right") - 1, 0, len(step) - 1)] > longest
 
 
 def _lever_arm(rate: Array, rate_derivative: Array, position_m: ArrayLike) -> Array:

@@ -142,7 +142,10 @@ def model_from_document(document: Mapping[str, Any], vehicle: Vehicle, wrench: W
 
 @dataclass(frozen=True, slots=True)
 class FlightStates:
-    """Where a flight was, at stamps t: starts (from the past alone) and references to judge by; NaN where unknown."""
+    """Where a flight was, at stamps t: starts (from the past alone) and references to judge by; NaN where unknown.
+
+    Windows lie within ``window_s``, and within one of its ``stretches`` where these are given.
+    """
 
     t_s: Array
     start_position_m: Array
@@ -157,6 +160,7 @@ class FlightStates:
     voltage_v: Array
     window_s: tuple[float, float]
     vehicle: Vehicle
+    stretches: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +232,9 @@ def predict(
     if not 0.01 <= horizon_s <= 10.0:
         raise BadInput(f"a horizon of {horizon_s} s cannot be predicted; give one between 0.01 and 10 s.")
     t = states.t_s
-    inside = (t >= states.window_s[0]) & (t <= states.window_s[1] - horizon_s - 0.02)
+    inside = np.zeros(len(t), dtype=bool)
+    for first, last in states.stretches or (states.window_s,):
+        inside |= (t >= first) & (t <= last - horizon_s - 0.02)
     index = np.flatnonzero(inside & np.isfinite(states.start_rate_rad_s).all(axis=1))
     if len(index) == 0:
         raise Refused(

@@ -22,6 +22,8 @@ _LOCAL = 20  # samples on each side, of which the noisier one sets the local noi
 _ACCELERATION = 50.0  # m/s^2, 5 g: the most a vehicle's velocity changes
 _ANGULAR_ACCELERATION = 300.0  # rad/s^2: above what the smallest racing quadrotors reach for more than an instant
 _REST_M_S, _REST_RAD_S = 0.02, 0.05  # a repeated pose that is left as slowly as this may be a vehicle at rest
+_ROTOR_LAG_S = 0.021  # of the quickest rotors that fly: half of it is a step of 10 ms
+_FALL_S = 1.0  # without thrust a vehicle falls 5 m: rotors that stand for longer stand on the ground
 _GROUND_M = 0.02  # a repeated pose this close to the lowest one may be a vehicle that has landed
 
 
@@ -112,6 +114,37 @@ def spikes(values: Array, floor: float) -> Mask:
     if len(values) < 5:
         return np.zeros(len(values), bool)
     return _beyond_noise(np.abs(values - _running_median5(values)), floor)
+
+
+def too_slow(t_s: Array, speeds: Array) -> Mask:
+    """Measured rotor speeds far below what carries a vehicle, reached in flight by a leap that no rotor makes, shape (k, n).
+
+    A rotor below a third of its usual speed gives a ninth of its thrust. A manoeuvre takes it there along its lag of 20 ms and
+    more; telemetry that failed leaps there and back, by over half its usual speed within a step of that lag's half. All rotors
+    together for a second or more stand on the ground.
+    """
+    low = np.zeros(speeds.shape, bool)
+    if not np.any(speeds > 0.0):
+        return low
+    usual = np.nanquantile(np.where(speeds > 0.0, speeds, np.nan), 0.75, axis=0)
+    slow = np.asarray(np.nan_to_num(speeds, nan=np.inf) < usual / 3.0)
+    grounded = np.zeros(len(t_s), bool)
+    for first, last in _runs(np.all(slow, axis=1)):
+        grounded[first : last + 1] = t_s[last] - t_s[first] >= _FALL_S
+    quick = np.diff(t_s, prepend=-np.inf) <= 0.5 * _ROTOR_LAG_S
+    leap = np.abs(np.diff(speeds, axis=0, prepend=np.nan)) > 0.5 * usual
+    for column in range(speeds.shape[1]):
+        for first, last in _runs(slow[:, column] & ~grounded):
+            there = first > 0 and quick[first] and leap[first, column]
+            back = last + 1 < len(t_s) and quick[last + 1] and leap[last + 1, column]
+            low[first : last + 1, column] = there and back
+    return low
+
+
+def _runs(mask: Mask) -> list[tuple[int, int]]:
+    """First and last index of each run of marked samples."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    return list(zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True))
 
 
 def curvature_floor(base: float, second_derivative: float, step_s: float) -> float:

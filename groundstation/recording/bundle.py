@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from groundstation.errors import BadInput
 from groundstation.flightdata import Array, FlightData, Stream, motor_columns
-from groundstation.recording.csvfile import Columns, parse_csv, write_csv
+from groundstation.recording.csvfile import Columns, header, parse_csv, write_csv
 from groundstation.recording.recorded import (
     COLUMNS,
     LOG_COLUMNS,
@@ -63,6 +64,7 @@ def read_bundle(folder: Path, vehicle: Vehicle | None = None) -> Recording:
         data = path.read_bytes()
         wanted = _motor_columns(data, declared, source) if name == "motors" else COLUMNS[name]
         columns = parse_csv(data, source, frozenset((*wanted, "t_s", "received_s")))
+        columns = _without_current(columns) if name == "battery" else columns
         streams[name], rest, words = _split(columns, wanted, source)
         if rest is not None:
             extras[name] = rest
@@ -113,8 +115,7 @@ def _motor_columns(data: bytes, vehicle: Vehicle | None, source: str) -> tuple[s
     Raises:
         BadInput: the file has others, or those of another number of rotors.
     """
-    header = data.split(b"\n", 1)[0].decode("utf-8-sig", "replace").strip().split(",")
-    present = [name.strip().strip('"') for name in header]
+    present = list(header(data))
     assert vehicle is not None  # noqa: S101 - read_bundle has refused a bundle without
     kind, count = vehicle.rotors.input, vehicle.rotors.count
     wanted = motor_columns(kind, count)
@@ -139,6 +140,14 @@ def _motor_columns(data: bytes, vehicle: Vehicle | None, source: str) -> tuple[s
                 f'set [rotors] input = "{other}".'
             )
     return wanted
+
+
+def _without_current(columns: Columns) -> Columns:
+    """A battery whose current nobody measured: the voltage alone tells its sag."""
+    if "current_a" in columns.names or "voltage_v" not in columns.numbers:
+        return columns
+    unknown = np.full(len(columns.numbers["voltage_v"]), np.nan)
+    return replace(columns, names=(*columns.names, "current_a"), numbers={**columns.numbers, "current_a": unknown})
 
 
 def _split(columns: Columns, wanted: tuple[str, ...], source: str) -> tuple[Stream, Stream | None, Texts | None]:

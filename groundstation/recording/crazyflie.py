@@ -25,15 +25,16 @@ from groundstation.flightdata import (
     motor_columns,
 )
 from groundstation.frames import quat_from_euler
-from groundstation.recording.autopilot import wanted_input
+from groundstation.recording.autopilot import check_count, present, wanted_input
 from groundstation.recording.derive import body_rates
 from groundstation.recording.recorded import Recording
+from groundstation.recording.tables import MissingField
 from groundstation.vehicle import Vehicle
 
 MAGIC = 0xBC
 _G = 9.80665
 _FULL_COMMAND = 65535.0
-_ROTORS = 4
+_VERSIONS, _NEWEST_THINKABLE = (1, 2), 99  # a file of another kind has a larger number here
 _TYPES = {
     **{"b": "<i1", "B": "<u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "l": "<i4", "L": "<u4"},
     **{"q": "<i8", "Q": "<u8", "e": "<f2", "f": "<f4", "d": "<f8"},
@@ -52,7 +53,7 @@ class UsdLog:
 
 def is_usd_log(head: bytes) -> bool:
     """Whether the first bytes of a file are those of a usd log."""
-    return len(head) >= 5 and head[0] == MAGIC and struct.unpack_from("<H", head, 1)[0] in (1, 2)
+    return len(head) >= 5 and head[0] == MAGIC and 1 <= struct.unpack_from("<H", head, 1)[0] <= _NEWEST_THINKABLE
 
 
 def decode_usd(data: bytes, source: str) -> UsdLog:
@@ -61,6 +62,12 @@ def decode_usd(data: bytes, source: str) -> UsdLog:
     Raises:
         BadInput: the header is not that of a usd log.
     """
+    version = struct.unpack_from("<H", data, 1)[0] if len(data) >= 5 else 0
+    if version > max(_VERSIONS):
+        raise BadInput(
+            f"{source}: is a usd log of version {version}; this program reads versions 1 and 2. Update it, or convert the log "
+            "with the Crazyflie firmware's own tools and `groundstation convert --map`."
+        )
     try:
         version, records, position = _header(data)
     except (struct.error, ValueError, TypeError, IndexError):
@@ -95,7 +102,7 @@ def decode_usd(data: bytes, source: str) -> UsdLog:
 
 def _header(data: bytes) -> tuple[int, dict[int, tuple[str, np.dtype]], int]:
     magic, version, types = struct.unpack_from("<BHH", data)
-    if magic != MAGIC or version not in (1, 2):
+    if magic != MAGIC or version not in _VERSIONS:
         raise ValueError("no usd log")
     position = 5
     stamp = ("_t", "<u4") if version == 1 else ("_t", "<u8")
@@ -134,26 +141,15 @@ def read_usd(data: bytes, source: str, name: str, vehicle: Vehicle) -> Recording
         BadInput: no usd log, or it lacks the motors.
     """
     log = decode_usd(data, source)
-    motor_event = next((e for e, c in log.columns.items() if "motor.m1" in c or "rpm.m1" in c), None)
-    if motor_event is None:
-        found = ", ".join(sorted({v for c in log.columns.values() for v in c})) or "nothing"
-        raise BadInput(f"{source}: holds no motor values (motor.m1 to motor.m4); it has {found}. Log them too.")
-    t_s, columns = log.t_s[motor_event], log.columns[motor_event]
-    motors, said = _motors(t_s, columns, vehicle, source)
-    streams = {"motors": motors}
+    variables = _Variables(log)
+    streams: dict[str, Stream] = {}
+    streams["motors"], said = _motors(variables, vehicle, source)
     notes = [*log.notes, *said]
-    for event, found in log.columns.items():
-        times = log.t_s[event]
-        if {"acc.x", "gyro.x"} <= set(found):
-            gyro = np.column_stack([found[f"gyro.{axis}"] for axis in "xyz"]) * (np.pi / 180.0)
-            accel = np.column_stack([found[f"acc.{axis}"] for axis in "xyz"]) * _G
-            streams["imu"] = Stream(times, np.hstack([gyro, accel]), IMU_COLUMNS)
-        if "pm.vbatMV" in found or "pm.vbat" in found:
-            volts = found["pm.vbatMV"] / 1000.0 if "pm.vbatMV" in found else found["pm.vbat"]
-            streams["battery"] = Stream(times, np.column_stack([volts, np.full(len(volts), np.nan)]), BATTERY_COLUMNS)
-        if {"stateEstimate.x", "stateEstimate.vx", "stateEstimate.yaw"} <= set(found):
-            streams["state"], said = _state(times, found)
-            notes.extend(said)
+    for name, read in (("imu", _imu), ("battery", _battery), ("state", _state)):
+        stream, said = present(name, lambda read=read: read(variables))
+        notes += said
+        if stream is not None:
+            streams[name] = stream
     extras = {
         f"usd_{event}": Stream(log.t_s[event], np.column_stack(list(found.values())), tuple(found))
         for event, found in log.columns.items()
@@ -169,32 +165,105 @@ def read_usd(data: bytes, source: str, name: str, vehicle: Vehicle) -> Recording
     )
 
 
-def _motors(t_s: Array, columns: dict[str, Array], vehicle: Vehicle, source: str) -> tuple[Stream, list[str]]:
+class _Variables:
+    """The log's variables by name, whichever event each is in."""
+
+    def __init__(self, log: UsdLog):
+        self._log = log
+        self._event = {name: event for event, columns in log.columns.items() for name in columns if len(log.t_s[event])}
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._event
+
+    def together(self, *names: str) -> tuple[Array, Array]:
+        """Stamps of the first, and columns there: those of another event interpolated to these stamps.
+
+        Raises:
+            MissingField: the log has none of that name.
+        """
+        missing = next((name for name in names if name not in self._event), None)
+        if missing is not None:
+            raise MissingField("the configuration", missing)
+        t_s = self._log.t_s[self._event[names[0]]]
+        columns = []
+        for name in names:
+            own = self._log.t_s[self._event[name]]
+            values = self._log.columns[self._event[name]][name]
+            columns.append(values if own is t_s else np.interp(t_s, own, values))
+        return t_s, np.column_stack(columns)
+
+    def everything(self) -> str:
+        """All names, for messages."""
+        return ", ".join(sorted(self._event)) or "nothing"
+
+
+def _axes(stem: str) -> tuple[str, ...]:
+    return tuple(f"{stem}.{axis}" for axis in "xyz")
+
+
+def _imu(variables: _Variables) -> tuple[Stream | None, list[str]]:
+    if not any(name in variables for name in (*_axes("gyro"), *_axes("acc"))):
+        return None, []
+    t_s, values = variables.together(*_axes("gyro"), *_axes("acc"))
+    return Stream(t_s, values * [*[np.pi / 180.0] * 3, *[_G] * 3], IMU_COLUMNS), []
+
+
+_BATTERY = (("pm.vbatMV", 1e-3), ("pm.vbat", 1.0))
+"""The battery's voltage by name and volts per unit; millivolts since firmware 2016."""
+
+
+def _battery(variables: _Variables) -> tuple[Stream | None, list[str]]:
+    for name, unit in _BATTERY:
+        if name in variables:
+            t_s, volts = variables.together(name)
+            return Stream(t_s, np.column_stack([volts[:, 0] * unit, np.full(len(t_s), np.nan)]), BATTERY_COLUMNS), []
+    return None, []
+
+
+def _motors(variables: _Variables, vehicle: Vehicle, source: str) -> tuple[Stream, list[str]]:
     """Commands as a fraction of full scale (65535), or the speeds of an rpm deck.
 
-    A firmware that compensates the battery takes motor.m1..m4 for thrusts and raises pwm.m1_pwm..m4_pwm as the voltage falls
+    A firmware that compensates the battery takes motor.m1 and on for thrusts and raises pwm.m1_pwm and on as the voltage falls
     (motors.c, motorsCompensateBatteryVoltage). Where both and the voltage are logged, the command is what the motors got:
     the share of the full battery's voltage.
     """
     prefixes = {"command": "motor", "rotor_speed": "rpm"}
-    names = {kind: [f"{prefix}.m{i}" for i in range(1, _ROTORS + 1)] for kind, prefix in prefixes.items()}
-    kind = wanted_input(vehicle, {kind: set(wanted) <= set(columns) for kind, wanted in names.items()}, source)
-    if vehicle.rotors.count != _ROTORS:
+    count = vehicle.rotors.count
+    logged = {kind: sum(f"{prefix}.m{i}" in variables for i in range(1, 17)) for kind, prefix in prefixes.items()}
+    if not any(logged.values()):
         raise BadInput(
-            f"{source}: has {_ROTORS} motors, the vehicle file {vehicle.rotors.count}; give the Crazyflie's."
+            f"{source}: holds no motor values (motor.m1 and on); it has {variables.everything()}. Log them too."
         )
-    scale = 1.0 / _FULL_COMMAND if kind == "command" else 2.0 * np.pi / 60.0
-    values = np.column_stack([columns[w] for w in names[kind]]) * scale
-    widths = [f"pwm.m{i}_pwm" for i in range(1, _ROTORS + 1)]
-    full = vehicle.battery.full_v
-    if kind != "command" or full is None or not {*widths, "pm.vbatMV"} <= set(columns):
-        return Stream(t_s, values, motor_columns(kind, _ROTORS)), []
-    applied = np.column_stack([columns[w] for w in widths]) / _FULL_COMMAND
-    note = f"motors: commands are the voltage applied (pwm and battery), as a share of the full battery's {full:g} V."
-    return Stream(t_s, applied * columns["pm.vbatMV"][:, None] / 1000.0 / full, motor_columns(kind, _ROTORS)), [note]
+    kind = wanted_input(vehicle, {kind: bool(number) for kind, number in logged.items()}, source)
+    check_count(vehicle, logged[kind], f"{prefixes[kind]}.m1 to m{logged[kind]}", source)
+    t_s, values = variables.together(*(f"{prefixes[kind]}.m{i}" for i in range(1, count + 1)))
+    columns = motor_columns(kind, count)
+    if kind == "rotor_speed":
+        return Stream(t_s, values * (2.0 * np.pi / 60.0), columns), []
+    plain = Stream(t_s, values / _FULL_COMMAND, columns)
+    widths = [f"pwm.m{i}_pwm" for i in range(1, count + 1)]
+    if not all(name in variables for name in widths):
+        return plain, []
+    battery, full = next((known for known in _BATTERY if known[0] in variables), None), vehicle.battery.full_v
+    if battery is None or full is None:
+        lacking = "no voltage is logged (pm.vbatMV)" if battery is None else "the vehicle file lacks [battery] full_v"
+        return plain, [
+            f"motors: pwm.m1_pwm and on, which a firmware that compensates the battery sends to the motors, are not used: {lacking}. "
+            "The commands are motor.m1 and on."
+        ]
+    _, sent = variables.together(f"{prefixes[kind]}.m1", *widths, battery[0])
+    applied = sent[:, 1:-1] / _FULL_COMMAND * sent[:, -1:] * battery[1] / full
+    note = (
+        f"motors: commands are the voltage applied (pwm and {battery[0]}), as a share of the full battery's {full:g} V."
+    )
+    return Stream(t_s, applied, columns), [note]
 
 
-def _state(t_s: Array, columns: dict[str, Array]) -> tuple[Stream, list[str]]:
+_STATE = tuple(f"stateEstimate.{name}" for name in ("x", "y", "z", "vx", "vy", "vz", "yaw"))
+_STATE_MORE = tuple(f"stateEstimate.{name}" for name in ("roll", "pitch", "ax", "ay", "az"))
+
+
+def _state(variables: _Variables) -> tuple[Stream | None, list[str]]:
     """The vehicle's own estimate; pitch, where it was not logged, from the specific force.
 
     With the world's acceleration a (gravity removed) and yaw psi, f = Rz(-psi) (a + g e_z) is the specific force in the
@@ -202,6 +271,11 @@ def _state(t_s: Array, columns: dict[str, Array]) -> tuple[Stream, list[str]]:
     Rz(-psi) R e_z = [sin(theta) cos(phi), -sin(phi), cos(theta) cos(phi)], so that tan(theta) = f_x / f_z whatever phi.
     Drag in the body's plane is what this neglects.
     """
+    if "stateEstimate.x" not in variables:
+        return None, []
+    wanted = (*_STATE, *(name for name in _STATE_MORE if name in variables))
+    t_s, values = variables.together(*wanted)
+    columns = dict(zip(wanted, values.T, strict=True))
 
     def get(name: str) -> Array:
         return columns[f"stateEstimate.{name}"]

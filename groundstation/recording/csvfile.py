@@ -45,6 +45,7 @@ def parse_csv(
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise BadInput(f"{source}: is not UTF-8 text (byte {error.start}); save it as plain CSV.") from None
+    text = with_commas(text, source)
     head, _, body = text.partition("\n")
     names = tuple(name.strip().strip('"') for name in head.strip().split(","))
     _check_header(names, source)
@@ -54,6 +55,43 @@ def parse_csv(
         if not len(matrix) or not np.any(np.abs(matrix[:, extras]) >= _EXACT_INTEGER):
             return Columns(names, {name: matrix[:, i] for i, name in enumerate(names)}, {})
     return _careful(body, names, source, required, texts)
+
+
+def header(data: bytes) -> tuple[str, ...]:
+    """The names in a file's first line, whatever separates them."""
+    first = data.split(b"\n", 1)[0].decode("utf-8-sig", "replace").strip()
+    return tuple(name.strip().strip('"') for name in first.split(_separator(first)))
+
+
+def _separator(first_line: str) -> str:
+    """Comma, unless the first line has none and splits by semicolons or tabs."""
+    return next((c for c in ",;\t" if c in first_line), ",")
+
+
+def with_commas(text: str, source: str) -> str:
+    """A table of semicolons or tabs, with decimal points or commas, as one of commas and points.
+
+    Safe because the first line decides: it has no comma, so that commas below it can only be decimal.
+
+    Raises:
+        BadInput: cells hold both points and commas, which may be thousands.
+    """
+    separator = _separator(text.partition("\n")[0])
+    if separator == ",":
+        return text
+    rows = [row for row in csv.reader(io.StringIO(text), delimiter=separator)]
+    for number, row in enumerate(rows[1:], start=2):
+        for index, cell in enumerate(row):
+            if "," in cell and _is_number(cell.replace(",", "").replace(".", "")):
+                if "." in cell or cell.count(",") > 1:
+                    raise BadInput(
+                        f"{source}: line {number}: '{cell[:40]}' may be thousands or decimals; write numbers as 1234.5, or save "
+                        "the table with commas between the cells."
+                    )
+                row[index] = cell.replace(",", ".")
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows(rows)
+    return out.getvalue()
 
 
 def _check_header(names: tuple[str, ...], source: str) -> None:

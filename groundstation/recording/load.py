@@ -15,15 +15,17 @@ from groundstation.recording.bundle import read_bundle
 from groundstation.recording.computed_speeds import without_computed_speeds
 from groundstation.recording.container import MAGIC as MCAP_MAGIC
 from groundstation.recording.crazyflie import is_usd_log, read_usd
-from groundstation.recording.mcapfile import read_mcap
+from groundstation.recording.kinds import READABLE, described
+from groundstation.recording.mcapfile import ForeignMcap, read_mcap
 from groundstation.recording.merge import merge_onboard, onboard_log_of
 from groundstation.recording.recorded import VEHICLE_FILE, Recording, vehicle_file
 from groundstation.recording.repair import repair
 from groundstation.recording.tables import MissingField
 from groundstation.vehicle import Vehicle
 
-_KNOWN = "an MCAP recording, a flight bundle (folder), a PX4 ULog, an ArduPilot DataFlash log or a Crazyflie usd log"
+_SQLITE_MAGIC = b"SQLite format 3\0"
 _ULOG_MAGIC = b"ULog\x01\x12\x35"
+_BLACKBOX_MAGIC = b"H Product:Blackbox"
 _DATAFLASH_MAGIC = b"\xa3\x95\x80"
 
 
@@ -45,16 +47,23 @@ def read_recording(path: str | Path, vehicle: Vehicle | None = None) -> Recordin
         BadInput: it is missing, of no known format, or malformed.
     """
     path = flight_file(path)
-    if path.is_dir():
+    if path.is_dir() and (path / "metadata.yaml").is_file():
+        recording = _bag(path, vehicle)
+    elif path.is_dir():
         recording = read_bundle(path, vehicle)
     else:
         try:
             with path.open("rb") as file:
-                head = file.read(16)
+                head = file.read(512)
         except OSError as error:
-            raise BadInput(f"{path}: cannot be read ({error.strerror}); give the path of {_KNOWN}.") from None
+            raise BadInput(f"{path}: cannot be read ({error.strerror}); give the path of {READABLE}.") from None
         if head.startswith(MCAP_MAGIC):
-            recording = read_mcap(path)
+            try:
+                recording = read_mcap(path)
+            except ForeignMcap:
+                recording = _bag(path, vehicle)
+        elif head.startswith(_SQLITE_MAGIC):
+            recording = _bag(path, vehicle)
         else:
             recording = _foreign(path, head, vehicle)
     if vehicle is not None:
@@ -78,6 +87,15 @@ def _with_its_own_input(recording: Recording, source: str) -> Recording:
     return replace(recording, files={**recording.files, VEHICLE_FILE: taken}, notes=(*recording.notes, note))
 
 
+def _bag(path: Path, vehicle: Vehicle | None) -> Recording:
+    """A ROS 2 bag."""
+    from groundstation.recording.rosbag import read_bag
+
+    if vehicle is None:
+        raise BadInput(f"{path}: carries no vehicle; give its file with --vehicle FILE.")
+    return read_bag(path, vehicle)
+
+
 def _foreign(path: Path, head: bytes, vehicle: Vehicle | None) -> Recording:
     """A log of an autopilot."""
     if is_usd_log(head):
@@ -86,8 +104,10 @@ def _foreign(path: Path, head: bytes, vehicle: Vehicle | None) -> Recording:
         from groundstation.recording.ulog import read_ulog as read
     elif head.startswith(_DATAFLASH_MAGIC):
         from groundstation.recording.dataflash import read_dataflash as read
+    elif head.startswith(_BLACKBOX_MAGIC):
+        from groundstation.recording.blackbox import read_blackbox as read
     else:
-        raise BadInput(f"{path}: is of no known format; give {_KNOWN}.")
+        raise BadInput(f"{path}: {described(head, path.stat().st_size)}.")
     if vehicle is None:
         raise BadInput(f"{path}: carries no vehicle; give its file with --vehicle FILE.")
     try:

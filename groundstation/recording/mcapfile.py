@@ -120,6 +120,10 @@ def _log(recorder: McapRecorder, log: Texts, name: str) -> Iterator[_Write]:
             yield key, lambda d=device_s, h=host_s, r=row: recorder.add_status(d, h, r[0], r[1] == "1", r[2])
 
 
+class ForeignMcap(BadInput):
+    """An MCAP file, but no recording of this program: perhaps a ROS 2 bag."""
+
+
 def read_mcap(path: Path) -> Recording:
     """Read a recording up to its end or to where it was cut off; a note says where that was.
 
@@ -132,7 +136,7 @@ def read_mcap(path: Path) -> Recording:
         raise BadInput(f"{path}: is no MCAP recording ({error}); give the path of a recorded flight.") from None
     about = contents.metadata.get(METADATA)
     if about is None:
-        raise BadInput(f"{path}: is an MCAP file of another program; convert its topics to a flight bundle first.")
+        raise ForeignMcap(f"{path}: is an MCAP file of another program.")
     if about.get("schema") != SCHEMA:
         raise BadInput(f"{path}: has schema {about.get('schema')}; this version reads {SCHEMA}. Update groundstation.")
     try:

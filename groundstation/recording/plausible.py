@@ -168,6 +168,9 @@ def check_motors(stream: Stream, vehicle: Vehicle) -> None:
         _check_speeds(stream, values, vehicle)
 
 
+_PER_RAD_S = 60.0 / (2.0 * np.pi)  # rpm
+
+
 def _check_speeds(stream: Stream, values: Array, vehicle: Vehicle) -> None:
     """Lift of all rotors at the middle rotor's median speed against the declared weight: rpm lift 91 times too much."""
     speeds = [np.median(column[column != 0.0]) for column in np.abs(values).T if np.any(column != 0.0)]
@@ -175,11 +178,20 @@ def _check_speeds(stream: Stream, values: Array, vehicle: Vehicle) -> None:
         return
     lift = float(np.sum(vehicle.thrust(np.full(len(values.T), np.median(speeds)))))
     ratio = lift / (vehicle.mass_kg * vehicle.gravity_m_s2)
-    if ratio > 25.0:
-        raise BadInput(
-            f"motors: {stream.columns[0]} ... {stream.columns[-1]} cannot be rotor speeds in rad/s: with the declared "
-            f"thrust coefficient they lift {ratio:.0f} times the vehicle's weight; are they in rpm? Divide by 9.549297."
+    if ratio <= 25.0:
+        return
+    excess = ratio**0.5  # a vehicle hovers at about its own weight, so the speeds are about this much too large
+    pairs = round(excess / _PER_RAD_S)
+    what = "are they in rpm? Divide by 9.549297."
+    if excess > 2.0 * _PER_RAD_S:
+        what = (
+            f"are they electrical rpm? Divide by 9.549297 and by the motor's pole pairs (about {pairs} would fit; half the "
+            "number of magnets, which is on the motor's data sheet)."
         )
+    raise BadInput(
+        f"motors: {stream.columns[0]} ... {stream.columns[-1]} cannot be rotor speeds in rad/s: with the declared "
+        f"thrust coefficient they lift {ratio:.0f} times the vehicle's weight; {what}"
+    )
 
 
 def check_positions(stream: Stream, name: str) -> None:

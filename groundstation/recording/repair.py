@@ -32,20 +32,58 @@ def repair(flight: FlightData) -> FlightData:
     vehicle = flight.vehicle
     streams: dict[str, Stream] = {}
     notes: list[str] = []
+    unusable: dict[str, _Unusable] = {}
+
+    def attempt(name: str, step: Callable[[Stream, str], tuple[Stream, list[str]]], stream: Stream) -> None:
+        try:
+            streams[name], said = step(stream, name)
+            notes.extend(said)
+        except _Unusable as error:
+            unusable[name] = error
+            streams.pop(name, None)
+
     for name, stream in flight.streams().items():
-        if not len(stream):
-            raise BadInput(
-                f"{name}: holds no samples; record them, or leave {name} out if the flight has other motion data."
-            )
-        if blemishes.runs_backwards(stream.t_s):
-            raise BadInput(f"{name}: time t_s runs backwards over the whole file; sort it or correct the clock.")
-        streams[name], said = _with_rising_stamps(stream, name)
-        notes += said
+        attempt(name, _with_stamps, stream)
+    _refuse_needed(unusable, streams)
     _check_units(streams, vehicle)
-    for name, stream in streams.items():
-        streams[name], said = _REPAIRS[name](stream, name, vehicle)
-        notes += said
-    return replace(flight, **streams, notes=(*flight.notes, *notes))
+    for name, stream in dict(streams).items():
+        attempt(name, lambda given, which: _REPAIRS[which](given, which, vehicle), stream)
+    _refuse_needed(unusable, streams)
+    left_out = {name: None for name in unusable}
+    told = [f"{error.what} It is left out; the flight goes by {_motion_of(streams)}." for error in unusable.values()]
+    return replace(flight, **streams, **left_out, notes=(*flight.notes, *told, *notes))
+
+
+class _Unusable(BadInput):
+    """A stream that holds too little to go by. A flight that does not need it goes on without."""
+
+    def __init__(self, what: str, remedy: str):
+        super().__init__(f"{what} {remedy}")
+        self.what = what
+
+
+def _motion_of(streams: Mapping[str, Stream]) -> str:
+    return ", ".join(name for name in ("imu", "mocap", "state") if name in streams)
+
+
+def _refuse_needed(unusable: Mapping[str, _Unusable], streams: Mapping[str, Stream]) -> None:
+    """Raise where what is left holds no motors or no motion."""
+    if "motors" in unusable:
+        raise unusable["motors"]
+    for name in ("imu", "mocap", "state"):
+        if name in unusable and not _motion_of(streams):
+            raise unusable[name]
+
+
+def _with_stamps(stream: Stream, name: str) -> tuple[Stream, list[str]]:
+    """Samples whose stamps increase."""
+    if not len(stream):
+        raise _Unusable(
+            f"{name}: holds no samples.", f"Record them, or leave {name} out if the flight has other motion data."
+        )
+    if blemishes.runs_backwards(stream.t_s):
+        raise BadInput(f"{name}: time t_s runs backwards over the whole file; sort it or correct the clock.")
+    return _with_rising_stamps(stream, name)
 
 
 def _with_rising_stamps(stream: Stream, name: str) -> tuple[Stream, list[str]]:
@@ -81,9 +119,9 @@ def _refuse_past_half(name: str, causes: Mapping[str, Mask], total: int) -> None
     bad = int(np.sum(np.any(list(causes.values()), axis=0)))
     if 2 * bad > total:
         worst = max(causes, key=lambda cause: int(causes[cause].sum()))
-        raise BadInput(
-            f"{name}: {bad} of {total} samples are unusable, most for {worst}; the stream is refused. "
-            f"Record it anew, or leave {name} out if the flight has other motion data."
+        raise _Unusable(
+            f"{name}: {bad} of {total} samples are unusable, most for {worst}; the stream is refused.",
+            f"Record it anew, or leave {name} out if the flight has other motion data.",
         )
 
 
@@ -109,9 +147,9 @@ def _said(name: str, causes: Mapping[str, Mask], stream: Stream, how: str) -> li
 def _refuse_mostly_gaps(name: str, stream: Stream) -> None:
     missing = sum(length for _, length in blemishes.gaps(stream.t_s))
     if len(stream) > 1 and 2.0 * missing > stream.t_s[-1] - stream.t_s[0]:
-        raise BadInput(
-            f"{name}: {missing:.1f} of {stream.t_s[-1] - stream.t_s[0]:.1f} s are gaps; the stream is refused. "
-            f"Record it anew, or leave {name} out if the flight has other motion data."
+        raise _Unusable(
+            f"{name}: {missing:.1f} of {stream.t_s[-1] - stream.t_s[0]:.1f} s are gaps; the stream is refused.",
+            f"Record it anew, or leave {name} out if the flight has other motion data.",
         )
 
 
@@ -237,17 +275,21 @@ def _repair_motors(stream: Stream, name: str, vehicle: Vehicle) -> tuple[Stream,
             spiked = _cell_spikes(shown, range(values.shape[1]), 0.125 * top)
     elif rotors.input == "command":
         impossible = ~nonfinite & ((values > 1.5) | (values < -0.1))
-    bad = nonfinite | impossible | spiked
+    low = np.zeros_like(nonfinite)
+    if measured:
+        low = blemishes.too_slow(stream.t_s, np.where(nonfinite | impossible | spiked, np.nan, values))
+    bad = nonfinite | impossible | spiked | low
     for column, share in zip(stream.columns, bad.mean(axis=0), strict=True):
         if share > 0.5:
             raise BadInput(
-                f"{name}: {share:.0%} of {column} is no number or no possible value; the stream is refused. "
+                f"{name}: {share:.0%} of {column} is no number, no possible value or far too low in flight; the stream is refused. "
                 "Mend that rotor's telemetry and fly again."
             )
     causes = {
         "not numbers": np.any(nonfinite, axis=1),
         "impossible values": np.any(impossible, axis=1),
         "spikes": np.any(spiked, axis=1),
+        "far too low in flight": np.any(low, axis=1),
     }
     _refuse_past_half(name, causes, len(stream))
     values, lost = _bridge(stream.t_s, values, bad, hold=not measured)

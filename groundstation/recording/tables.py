@@ -95,6 +95,14 @@ class Table:
         return self.columns(*names)
 
 
+def table_of(name: str, columns: Mapping[str, Array], clock: tuple[str, float]) -> Table:
+    """Columns that are in memory already as a table."""
+    matrix = np.ascontiguousarray(np.column_stack(list(columns.values())), dtype="<f8")
+    fields = {field: (8 * i, "<f8", 1.0) for i, field in enumerate(columns)}
+    where = np.arange(len(matrix), dtype=np.int64) * 8 * len(columns)
+    return Table(name, 0, fields, matrix.reshape(-1).view(np.uint8), where, clock)
+
+
 def gather(data: Bytes, where: NDArray[np.int64], kind: str) -> NDArray:
     """Values of a type that begin at these bytes, shape (k,)."""
     dtype = np.dtype(kind)

@@ -42,7 +42,7 @@ NAMES: Mapping[str, Mapping[str, tuple[tuple[str, ...], ...]]] = {
     },
 }
 """Per topic what is read, and the names of its fields from the newest version to the oldest."""
-_READ = (
+TOPICS = (
     *("sensor_combined", "vehicle_angular_velocity", "vehicle_acceleration"),
     *("actuator_motors", "actuator_outputs", "esc_status", "battery_status"),
     *("trajectory_setpoint", "vehicle_local_position_setpoint"),
@@ -81,11 +81,9 @@ def read_ulog(path: Path, vehicle: Vehicle) -> Recording:
     streams["motors"], said = read_motors(topics, log.settings, vehicle, str(path))
     notes = [*lost, *said]
     first = {name: topic for (name, instance), topic in sorted(topics.items(), reverse=True)}
-    for name, read in _OTHERS.items():
-        stream, said = present(name, lambda read=read: read(first, log.settings))
-        notes += said
-        if stream is not None and len(stream):
-            streams[name] = stream
+    others, said = other_streams(first, log.settings)
+    streams |= others
+    notes += said
     return Recording(
         name=path.stem,
         streams=streams,
@@ -93,6 +91,18 @@ def read_ulog(path: Path, vehicle: Vehicle) -> Recording:
         notes=tuple(notes),
         left_out=(*lost, *_left_out(topics)),
     )
+
+
+def other_streams(topics: Mapping[str, Table], settings: Settings) -> tuple[dict[str, Stream], list[str]]:
+    """All streams but the motors, as far as the topics give them, and what to say of them."""
+    streams: dict[str, Stream] = {}
+    notes: list[str] = []
+    for name, read in _OTHERS.items():
+        stream, said = present(name, lambda read=read: read(topics, settings))
+        notes += said
+        if stream is not None and len(stream):
+            streams[name] = stream
+    return streams, notes
 
 
 def _battery(topics: Mapping[str, Table], settings: Settings) -> tuple[Stream | None, list[str]]:
@@ -125,7 +135,7 @@ def _left_out(topics: Topics) -> list[str]:
     return [
         f"{name}{f' (instance {instance})' if instance else ''}: {len(topic)} samples at {_rate_hz(topic):.0f} Hz are not read."
         for (name, instance), topic in sorted(topics.items())
-        if name not in _READ
+        if name not in TOPICS
     ]
 
 

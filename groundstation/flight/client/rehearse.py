@@ -86,7 +86,8 @@ def check(folder: Path, *, plan: Path, vehicle: Path, drone: tuple[str, ...], sa
             if ready or status.phase in FINAL:
                 return
 
-    _as_client(core, endpoint, body)
+    with Interrupts() as stop, stop.ordering(core.interrupt):
+        _as_client(core, endpoint, body)
     return "" if ready else outcome(folder)[1]
 
 

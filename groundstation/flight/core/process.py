@@ -25,7 +25,7 @@ from typing import Any
 
 from drivers import bus
 from drivers.samples import Batch, decode_batch
-from groundstation.errors import BadInput, GroundStationError
+from groundstation.errors import BadInput, GroundStationError, Refused
 from groundstation.flight import sequence as seq
 from groundstation.flight.children import Child, module_command, start_child
 from groundstation.flight.core.ground_check import check_ground
@@ -103,7 +103,7 @@ class FlightCore:
         self._credit_sent = (-1.0, -1e9)
         self._status_sent = -1e9
         self._malformed = 0
-        self._abort_taken = False
+        self._abort_heard = False
         self._successors = 0
         self._keeper: Keeper | None = None
         self._orders = ThreadPoolExecutor(2, thread_name_prefix="orders")
@@ -275,12 +275,12 @@ class FlightCore:
             )
 
     def _stands(self, status: bus.DroneStatus) -> None:
-        """An abort was taken, and the vehicle shows that it neither flies nor is armed."""
-        if self._abort_taken and status.phase in ("idle", "uploaded") and not status.armed:
+        """An abort was answered, and the vehicle shows that it neither flies nor is armed."""
+        if self._abort_heard and status.phase in ("idle", "uploaded") and not status.armed:
             self._event(seq.VehicleStands())
 
     def _abort_answered(self) -> None:
-        self._abort_taken = True
+        self._abort_heard = True
         if self.view.drone is not None:
             self._stands(self.view.drone)
 
@@ -373,7 +373,7 @@ class FlightCore:
                 self.inbox.put(lambda: self._event(seq.StartRefused(reason)))
             elif name == "kill":
                 self.abort(f"the vehicle refused to stop its rotors: {reason}")
-        elif name == "abort":
+        if name == "abort":  # refused, too: there may be nothing to abort, which the status shows
             self.inbox.put(self._abort_answered)
         return answer.ok
 
@@ -432,7 +432,7 @@ class FlightCore:
         if not done and self._drone is not None and (status := self._drone.poll()) is not None:
             detail = self._drone.last_words()
             text = f"the vehicle's process ended with status {status}" + (f": {detail}" if detail else "")
-            self._lost(text)
+            self._lost(text, refused=detail if status == Refused.exit_status else "")
             return
         patience = START_UP_S if self.recorder is None else HANG_S if self._can_land_it() else SILENCE_S
         if self._successors and self.view.drone is None:
@@ -446,10 +446,10 @@ class FlightCore:
         linked = self.settings.drone[0] == LINK_MODULE
         return linked and self.state.started and not self.state.final and self._successors < SUCCESSORS
 
-    def _lost(self, reason: str) -> None:
+    def _lost(self, reason: str, *, refused: str = "") -> None:
         """A link is started again and takes over by landing; another vehicle's process is lost."""
         if not self._can_land_it():
-            self._event(seq.VehicleLost(reason))
+            self._event(seq.VehicleLost(refused or reason, refused=bool(refused)))
             return
         if self._drone is not None:
             self._drone.kill()  # one that hangs holds the port

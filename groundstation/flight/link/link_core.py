@@ -10,9 +10,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from math import inf
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 from drivers.mavlink.codec import MavlinkCodec, Received
 from drivers.mavlink.dialect import Message, mavlink
@@ -21,11 +20,12 @@ from drivers.mavlink.signing import Signing
 from drivers.mavlink.telemetry import Telemetry
 from drivers.mavlink.timesync import Timesync
 from drivers.mavlink.transports import Peer
-from drivers.samples import Event, Pose, Raw, Sample, Setpoint, State
+from drivers.samples import Event, Pose, Raw, Setpoint, State
 from groundstation.errors import BadInput
 from groundstation.flight.link.guard import Guard, Verdict
 from groundstation.flight.link.identity import speaker
 from groundstation.flight.link.inlet import SILENT_S, Arrival, Complaints, Inlet, says_who_it_is
+from groundstation.flight.link.options import PLAIN, TAKEN_OVER_HOLD_S, Options, Output
 from groundstation.flight.link.pilot import GUARDED, IN_AIR, Answered, Phase, Pilot
 from groundstation.flight.link.preflight import Check, Situation, failures, run_checks
 from groundstation.flight.link.prepare import Preparation
@@ -44,44 +44,6 @@ TIMESYNC_EVERY_S, TIMESYNC_SLOW_S = 0.1, 0.5
 CARRIED = 200
 LATE_S = 0.1
 LOAD_EVERY_S = 5.0
-
-
-TakeOver = Literal["", "land", "hold", "leave"]
-TAKEN_OVER_HOLD_S = 60.0
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """What one link is to do beside flying.
-
-    Attributes:
-        system: vehicle's system id; None takes the first autopilot heard.
-        force: preflight checks whose failure the operator answers for.
-        set_parameters: set the settable ones for the flight, and restore them afterwards.
-        bytes_per_s: what the line carries; None where that is no limit.
-        keep_raw: raw frames become samples too.
-        quiet: ask for no messages and read no parameters: for fetching files alone.
-        take_over: what is done with a vehicle that is found in flight: ``land``, ``hold`` (a minute, then land), or ``leave``
-            it to its own failsafe; empty refuses it. Without ``land`` or ``hold`` such a vehicle gets no heartbeat of ours,
-            which would hold its failsafe off.
-    """
-
-    system: int | None = None
-    force: tuple[str, ...] = ()
-    set_parameters: bool = False
-    bytes_per_s: float | None = None
-    keep_raw: bool = True
-    quiet: bool = False
-    take_over: TakeOver = ""
-
-
-@dataclass(slots=True)
-class Output:
-    """What one step gives: bytes to send, samples with the host time they came, parameters changed (name, before, now)."""
-
-    send: list[bytes] = field(default_factory=list)
-    samples: list[tuple[Sample, float]] = field(default_factory=list)
-    changed: list[tuple[str, float, float]] = field(default_factory=list)
 
 
 class LinkCore:
@@ -105,7 +67,7 @@ class LinkCore:
     """
 
     def __init__(
-        self, vehicle: Vehicle, station: Station, options: Options = Options(), signing: Signing | None = None,
+        self, vehicle: Vehicle, station: Station, options: Options = PLAIN, signing: Signing | None = None,
         restore: dict[str, dict[str, float]] | None = None, free_bytes: Callable[[], int | None] = lambda: None,
     ):  # fmt: skip
         self.vehicle, self.station, self.options = vehicle, station, options
@@ -283,15 +245,20 @@ class LinkCore:
         silent = now_s - self._inlet.heard_s > SILENT_S
         self._inlet.put(now_s, incoming, others=silent)
         messages: list[Message] = []
-        for arrival in self._inlet.take(datagrams=self.datagrams):
+        arrivals = self._inlet.take(datagrams=self.datagrams)
+        while True:
+            name = "what arrived"
             try:
+                arrival = next(arrivals)
+                name = arrival.received.name
                 if self._belongs(arrival, silent, out):
                     self._take(arrival.received, arrival.received_s, out)
                     if arrival.received.message is not None:
                         messages.append(arrival.received.message)
+            except StopIteration:
+                break
             except Exception as error:  # whatever it is, who flies goes on
-                what = f"{arrival.received.name} could not be taken in ({type(error).__name__}: {error}); skipped"
-                self._complain(what, now_s, out)
+                self._complain(f"{name} could not be taken in ({type(error).__name__}: {error}); skipped", now_s, out)
         if now_s - self._load_told_s >= LOAD_EVERY_S and self._inlet.load.datagrams:
             self._load_told_s = now_s
             self._tell(out, now_s, "link", f"strangers on the port, not listened to: {self._inlet.take_load()}")
@@ -354,7 +321,7 @@ class LinkCore:
         self.ready = True
         if not armed:
             self.pilot.phase = Phase.LANDED
-        elif self.options.take_over != "leave":
+        else:
             self._guard = Guard(self.station.guard, self.station.box, self.vehicle.battery.empty_v)
             hold_s = TAKEN_OVER_HOLD_S if self.options.take_over == "hold" else 0.0
             self.pilot.take_over(now_s, "taken over in flight by a new link", hold_s=hold_s)
@@ -455,7 +422,7 @@ class LinkCore:
     # Sending ----------------------------------------------------------------------------------------------------------
 
     def _keep_alive(self, now_s: float, out: Output) -> None:
-        silent = self.found_flying and self.options.take_over not in ("land", "hold")
+        silent = self.found_flying and not self.options.take_over
         if now_s - self._heartbeat_s >= HEARTBEAT_EVERY_S and not silent:
             self._heartbeat_s = now_s
             self._send(

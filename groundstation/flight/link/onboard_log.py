@@ -20,9 +20,9 @@ from drivers.mavlink.exchange import Ask, Conversation
 from drivers.mavlink.logs import LogEntry, LogError, Logs
 from drivers.mavlink.transports import open_transport
 from groundstation.errors import BadInput, GroundStationError, Refused
+from groundstation.flight.link.arguments import bandwidth_of
 from groundstation.flight.link.link_core import LinkCore, Options
 from groundstation.flight.link.prepare import acknowledges_interval
-from groundstation.flight.link.process import bandwidth_of
 from groundstation.flight.link.profiles import Profile
 from groundstation.flight.link.signing_memory import signing_memory
 from groundstation.flight.station import load_station

@@ -175,8 +175,8 @@ class Pilot:
         return self._begin(self._orders.stand_down(), now_s) if asked else Answered(True)
 
     def take_over(self, now_s: float, reason: str, *, hold_s: float = 0.0) -> None:
-        """Bring down a vehicle that somebody else started; ``hold_s``: hold it so long before."""
-        self.reason, self._hold_s = reason, hold_s
+        """Bring down a vehicle that somebody else started; ``hold_s``: hold it so long before. A pilot goes before it."""
+        self.reason, self._hold_s, self._led = reason, hold_s, True
         self._enter(Phase.HOLDING if hold_s > 0.0 else Phase.LANDING, now_s)
 
     def _order_disarm(self, now_s: float) -> Answered:

@@ -11,12 +11,10 @@ vehicle is landed, parameters are restored, and the process ends.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import gc
 import os
 import queue
-import shutil
 import signal
 import sys
 import time
@@ -31,12 +29,14 @@ from drivers.mavlink import tlog
 from drivers.mavlink.transports import Transport, open_transport
 from drivers.samples import Batch, Motors, Raw, Sample, encode_batch
 from groundstation.errors import BadInput, GroundStationError, Refused
+from groundstation.flight.link.arguments import bandwidth_of, free_bytes, parse, signing_of
 from groundstation.flight.link.background import Writer
 from groundstation.flight.link.link_core import LinkCore, Options, Output
 from groundstation.flight.link.parameter_journal import ParameterJournal
 from groundstation.flight.link.pilot import IN_AIR, Answered, Phase
 from groundstation.flight.link.pose_source import PoseSource
-from groundstation.flight.link.signing_memory import SigningMemory, signing_memory
+from groundstation.flight.link.signing_memory import SigningMemory
+from groundstation.flight.messages import IN_FLIGHT
 from groundstation.flight.station import load_station
 from groundstation.trajectory import plan_from_dict
 from groundstation.vehicle import Vehicle, load_vehicle
@@ -46,7 +46,6 @@ READY_S = 45.0
 LANDED_STATE_S = 1.5
 SYNC_LOG_S = 1.0
 REMEMBER_S = 1.0
-IN_FLIGHT = "the vehicle is armed and in flight"
 IDLE_WAIT_S = 0.02
 CATCH_UP_S = 0.1
 """So long an order waits for what arrived before it to be taken in."""
@@ -417,37 +416,13 @@ class LinkProcess:
             os.fsync(self._log.fileno())
 
 
-def bandwidth_of(url: str) -> float | None:
-    """Bytes a second of a serial line (10 bits a byte); None elsewhere."""
-    if not url.startswith("serial://"):
-        return None
-    number = url.rsplit(":", 1)[-1]
-    return (int(number) if number.isdigit() else 57600) / 10.0
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of the process."""
-    parser = argparse.ArgumentParser(prog="groundstation.flight.link.process", description=__doc__)
-    parser.add_argument("--link", required=True, help="serial:///dev/ttyACM0:921600, udpin://127.0.0.1:14540, ...")
-    parser.add_argument("--vehicle", type=Path, required=True)
-    parser.add_argument("--station", default="default")
-    parser.add_argument("--drone", required=True, help="name on the bus")
-    parser.add_argument("--connect", required=True, help="zenoh endpoint of the core")
-    parser.add_argument("--system", type=int, help="the vehicle's system id; default the first autopilot heard")
-    parser.add_argument("--force", action="append", default=[], metavar="NAME", help="fly although this check fails")
-    parser.add_argument(
-        "--set-parameters", action="store_true", help="set what the flight needs, restore it afterwards"
-    )
-    parser.add_argument("--bytes-per-s", type=float, help="what the link carries, e.g. a radio behind USB")
-    parser.add_argument("--raw-log", type=Path, help="telemetry log of every frame")
-    parser.add_argument("--journal", type=Path, help="where changed parameters are remembered through a crash")
-    parser.add_argument("--take-over", choices=("", "land", "hold", "leave"), default="", help="of a vehicle in flight")
-    parser.add_argument("--key-file", type=Path, help="32-byte signing key; signs and verifies every frame")
-    options = parser.parse_args(arguments)
+    options = parse(arguments)
     try:
         vehicle, station = load_vehicle(options.vehicle), load_station(options.station)
         journal = ParameterJournal(options.journal)
-        memory = _signing(options.key_file, options.journal)
+        memory = signing_of(options.key_file, options.journal)
         signing = memory.signing if memory is not None else None
         settings = Options(
             options.system,
@@ -456,7 +431,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             options.bytes_per_s or bandwidth_of(options.link),
             take_over=options.take_over,
         )
-        core = LinkCore(vehicle, station, settings, signing, journal.pending(), _free_bytes(options.raw_log))
+        core = LinkCore(vehicle, station, settings, signing, journal.pending(), free_bytes(options.raw_log))
         process = LinkProcess(
             core, open_transport(options.link), options.drone, vehicle, options.raw_log, journal, memory=memory
         )
@@ -469,17 +444,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ValueError, ConnectionError) as error:
         print(error, file=sys.stderr)
         return BadInput.exit_status
-
-
-def _free_bytes(raw_log: Path | None) -> Callable[[], int | None]:
-    return lambda: None if raw_log is None else shutil.disk_usage(raw_log.parent).free
-
-
-def _signing(path: Path | None, journal: Path | None) -> SigningMemory | None:
-    if path is None:
-        return None
-    memory = None if journal is None else journal.with_name("signing.json")
-    return signing_memory(path, memory)
 
 
 if __name__ == "__main__":

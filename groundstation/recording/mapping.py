@@ -1,0 +1,184 @@
+"""``convert --map``: which columns of any log are which stream, said by hand, with units and frames."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from groundstation.errors import BadInput
+from groundstation.flightdata import Stream, motor_columns
+from groundstation.recording.autopilot import z_up, z_up_quaternion
+from groundstation.recording.recorded import COLUMNS, Recording
+from groundstation.recording.sources import Source, sources_of
+from groundstation.recording.tables import MissingField, Table
+from groundstation.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_VECTORS = {
+    "imu": (("gyro_x_rad_s", "gyro_y_rad_s", "gyro_z_rad_s"), ("accel_x_m_s2", "accel_y_m_s2", "accel_z_m_s2")),
+    "mocap": (("x_m", "y_m", "z_m"),),
+    "setpoint": (("x_m", "y_m", "z_m"),),
+    "state": (("x_m", "y_m", "z_m"), ("vx_m_s", "vy_m_s", "vz_m_s"), ("wx_rad_s", "wy_rad_s", "wz_rad_s")),
+}
+_QUATERNION = ("qw", "qx", "qy", "qz")
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Column(_Section):
+    """A column and what makes it the contract's unit: (value + offset) * factor."""
+
+    column: str
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+class StreamMap(_Section):
+    """Where a stream is. ``where`` keeps the rows in which these columns have these values (an instance)."""
+
+    source: str = ""
+    time: str
+    time_unit: Literal["s", "ms", "us", "ns"] = "s"
+    frame: Literal["z-up", "FLU", "NED", "FRD", "y-up"] = "z-up"
+    where: Mapping[str, float] = {}
+    columns: Annotated[Mapping[str, str | Column], Field(min_length=1)]
+
+
+class LogMap(_Section):
+    """A map file."""
+
+    motors: StreamMap
+    imu: StreamMap | None = None
+    mocap: StreamMap | None = None
+    battery: StreamMap | None = None
+    setpoint: StreamMap | None = None
+    state: StreamMap | None = None
+
+
+def load_map(path: str | Path) -> LogMap:
+    """Read a map file.
+
+    Raises:
+        BadInput: it is missing, no TOML, or wrong; all faults at once.
+    """
+    try:
+        return LogMap.model_validate(tomllib.loads(Path(path).read_text(encoding="utf-8")))
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); write one with --map-template.") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise BadInput(f"{path}: is not valid TOML ({error}); correct that line.") from None
+    except ValidationError as error:
+        faults = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg'].lower()}" for e in error.errors())
+        raise BadInput(f"{path}: {faults}. Correct it; --map-template writes one with every key.") from None
+
+
+def read_mapped(path: Path, wanted: LogMap, vehicle: Vehicle) -> Recording:
+    """The log's streams as the map says.
+
+    Raises:
+        BadInput: a table or column is missing, or a stream lacks columns.
+    """
+    if wanted.imu is None and wanted.mocap is None and wanted.state is None:
+        raise BadInput(f"{path}: the map needs the motion too; give [imu], [mocap] or [state].")
+    sources = sources_of(path)
+    kind, count = vehicle.rotors.input, vehicle.rotors.count
+    streams: dict[str, Stream] = {}
+    for name in LogMap.model_fields:
+        section: StreamMap | None = getattr(wanted, name)
+        if section is not None:
+            columns = motor_columns(kind, count) if name == "motors" else COLUMNS[name]
+            streams[name] = _stream(path, name, section, sources, columns)
+    left = tuple(f"{name}: is not in the map." for name in sources if name not in {s.source for s in _sections(wanted)})
+    note = "every stream is what the map file says; units, frames and order were not read from the log."
+    return Recording(path.stem, streams, metadata={"format": "mapped log"}, notes=(note,), left_out=left)
+
+
+def _sections(wanted: LogMap) -> list[StreamMap]:
+    return [section for name in LogMap.model_fields if (section := getattr(wanted, name)) is not None]
+
+
+def _stream(
+    path: Path, name: str, section: StreamMap, sources: Mapping[str, Source], columns: tuple[str, ...]
+) -> Stream:
+    chosen = section.source or (next(iter(sources)) if len(sources) == 1 else "")
+    if chosen not in sources:
+        raise BadInput(f"{path}: has no table '{chosen}' for [{name}]; it has {', '.join(sources)}.")
+    optional = {"yaw_rad", "current_a"}
+    missing = [column for column in columns if column not in section.columns and column not in optional]
+    surplus = [column for column in section.columns if column not in columns]
+    if missing or surplus:
+        wrong = f"lacks {', '.join(missing)}" if missing else f"has {', '.join(surplus)}"
+        raise BadInput(f"the map's [{name}.columns] {wrong}; it must give {', '.join(columns)}.")
+    table = sources[chosen]()
+    try:
+        for column, value in section.where.items():
+            table = table.select(table.column(column) == value)
+        t_s = table.column(section.time) * _UNITS[section.time_unit]
+        values = np.column_stack([_values(table, section.columns.get(column)) for column in columns])
+    except MissingField as error:
+        raise BadInput(
+            f"{path}: {error}, which the map names for [{name}]; it has {', '.join(table.fields)}."
+        ) from None
+    if not len(t_s):
+        raise BadInput(f"{path}: table '{chosen}' has no rows for [{name}]; correct [{name}.where].")
+    return Stream(t_s, _turned(values, columns, section.frame, name), columns)
+
+
+def _values(table: Table, column: str | Column | None) -> Array:
+    if column is None:
+        return np.full(len(table), np.nan)
+    if isinstance(column, str):
+        return table.column(column)
+    return (table.column(column.column) + column.offset) * column.factor
+
+
+def _turned(values: Array, columns: tuple[str, ...], frame: str, name: str) -> Array:
+    """Vectors, quaternions and yaw in our frames: x ahead or north, z up."""
+    if frame in ("z-up", "FLU"):
+        return values
+    values = values.copy()
+    for vector in _VECTORS.get(name, ()):
+        at = [columns.index(column) for column in vector]
+        values[:, at] = (
+            z_up(values[:, at]) if frame in ("NED", "FRD") else values[:, [at[0], at[2], at[1]]] * [1, -1, 1]
+        )
+    if set(_QUATERNION) <= set(columns):
+        at = [columns.index(column) for column in _QUATERNION]
+        q = values[:, at]
+        values[:, at] = z_up_quaternion(q) if frame in ("NED", "FRD") else q[:, [0, 1, 3, 2]] * [1, 1, -1, 1]
+    if "yaw_rad" in columns and frame in ("NED", "FRD"):
+        values[:, columns.index("yaw_rad")] *= -1.0
+    return values
+
+
+def template(path: Path, vehicle: Vehicle | None = None) -> str:
+    """A map file for a log, with all of its tables and columns as comments."""
+    lines = [
+        f"# Which columns of {path.name} are which stream. Leave out the sections the log does not have.",
+        "# time_unit: s, ms, us or ns. frame: z-up (or FLU), NED (or FRD), y-up.",
+        "# A column is a name, or { column = NAME, factor = F, offset = O }: (value + O) * F in the unit of the key.",
+        "# where = { I = 0 } keeps the rows of one instance.",
+        "#",
+    ]
+    for name, source in sources_of(path).items():
+        table = source()
+        lines.append(f"# {name}: {len(table)} rows at {table.rate_hz():.0f} Hz: {', '.join(list(table.fields)[:60])}")
+    kind, count = (vehicle.rotors.input, vehicle.rotors.count) if vehicle else ("command", 4)
+    for name in LogMap.model_fields:
+        mark = "" if name == "motors" else "# "
+        columns = motor_columns(kind, count) if name == "motors" else COLUMNS[name]
+        lines += ["", f"{mark}[{name}]", f'{mark}source = ""', f'{mark}time = ""', f'{mark}time_unit = "us"']
+        if name in _VECTORS:
+            lines.append(f'{mark}frame = "z-up"')
+        lines += [f"{mark}[{name}.columns]", *(f'{mark}{column} = ""' for column in columns)]
+    return "\n".join(lines) + "\n"

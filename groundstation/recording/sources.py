@@ -1,0 +1,101 @@
+"""The tables of any log by name, for a map that says what their columns are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.errors import BadInput
+from groundstation.recording import dataflashfile, kinds, ulogfile
+from groundstation.recording.container import MAGIC as MCAP_MAGIC
+from groundstation.recording.crazyflie import decode_usd, is_usd_log
+from groundstation.recording.csvfile import parse_csv
+from groundstation.recording.tables import Table, table_of
+
+Array = NDArray[np.float64]
+Source = Callable[[], Table]
+
+
+def sources_of(path: Path) -> dict[str, Source]:
+    """Each table of a log; it is read when it is called for. A file of one table names it after itself, without a suffix.
+
+    Raises:
+        BadInput: the log is missing, or of no kind that has tables.
+    """
+    if path.is_dir():
+        return _bag(path)
+    try:
+        with path.open("rb") as file:
+            head = file.read(512)
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); give the path of a log.") from None
+    if head.startswith(ulogfile.MAGIC):
+        topics = ulogfile.decode_ulog(np.memmap(path, np.uint8, mode="r")).topics
+        return {f"{n}.{i}" if i else n: lambda t=table: t for (n, i), table in sorted(topics.items())}
+    if head.startswith(dataflashfile.MAGIC):
+        tables = dataflashfile.decode_dataflash(np.memmap(path, np.uint8, mode="r")).tables
+        return {name: lambda t=table: t for name, table in sorted(tables.items())}
+    if head.startswith((MCAP_MAGIC, b"SQLite format 3\0")):
+        return _bag(path)
+    if head.startswith(b"PAR1"):
+        return {path.stem: lambda: _parquet(path)}
+    if is_usd_log(head):
+        log = decode_usd(path.read_bytes(), str(path))
+        return {
+            event: lambda e=event: table_of(e, {"t_s": log.t_s[e], **log.columns[e]}, ("t_s", 1.0)) for event in log.t_s
+        }
+    if head.startswith(b"H Product:Blackbox"):
+        return {"blackbox": lambda: _blackbox(path)}
+    if "table in one file" in kinds.described(head, path.stat().st_size):
+        return {path.stem: lambda: _csv(path)}
+    raise BadInput(f"{path}: {kinds.described(head, path.stat().st_size)}.")
+
+
+def _bag(path: Path) -> dict[str, Source]:
+    from groundstation.recording.rosbag import read_topic, topics_of
+
+    return {topic: lambda t=topic: read_topic(path, t) for topic in sorted(topics_of(path))}
+
+
+def _csv(path: Path) -> Table:
+    columns = parse_csv(path.read_bytes(), str(path)).numbers
+    return table_of(path.stem, columns, (next(iter(columns), ""), 1.0))
+
+
+def _blackbox(path: Path) -> Table:
+    from groundstation.recording.blackboxfile import decode_blackbox
+
+    log = max(decode_blackbox(path.read_bytes()), key=lambda log: len(log.rows))
+    return table_of("blackbox", dict(zip(log.names, log.rows.T.astype(float), strict=True)), ("time", 1e6))
+
+
+def _parquet(path: Path) -> Table:
+    try:
+        from pyarrow import (
+            ArrowInvalid,
+            parquet,  # pyright: ignore[reportMissingImports]
+        )
+    except ImportError:
+        raise BadInput(f"{path}: a Parquet file needs the package pyarrow; install it (pip install pyarrow).") from None
+    try:
+        table = parquet.read_table(path)
+    except (ArrowInvalid, OSError) as error:
+        raise BadInput(f"{path}: is a damaged Parquet file ({str(error)[:80]}); write it again.") from None
+    columns: Mapping[str, Array] = {
+        name: np.asarray(table.column(name).to_numpy(zero_copy_only=False), dtype=float)
+        for name in table.column_names
+        if table.schema.field(name).type in _numeric(table)
+    }
+    if not columns:
+        raise BadInput(f"{path}: has no columns of numbers; write the times as seconds, too.")
+    return table_of(path.stem, columns, (next(iter(columns)), 1.0))
+
+
+def _numeric(table: object) -> list[object]:
+    from pyarrow import types  # pyright: ignore[reportMissingImports]
+
+    kinds_of = {field.type for field in table.schema}  # type: ignore[attr-defined]
+    return [kind for kind in kinds_of if types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind)]

@@ -1,0 +1,167 @@
+"""ROS 2 bags of both stores: standard messages and PX4's, written by the rosbags library, come back in our frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from groundstation.errors import BadInput
+from groundstation.frames import quat_from_euler, quat_rotate
+from groundstation.recording import convert, read_recording
+from groundstation.recording.airframes import ARDUPILOT
+from groundstation.recording.recorded import vehicle_file
+from tests.test_recording_settings import like
+from tests.written_logs import truth
+
+rosbags = pytest.importorskip("rosbags")
+
+from rosbags.rosbag2 import StoragePlugin, Writer  # noqa: E402
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
+
+ACTUATORS = "std_msgs/Header header\nfloat64[] velocity\n"
+PX4_MOTORS = "uint64 timestamp\nuint64 timestamp_sample\nfloat32[12] control\n"
+PX4_IMU = "uint64 timestamp\nfloat32[3] gyro_rad\nuint32 gyro_integral_dt\nfloat32[3] accelerometer_m_s2\n"
+QUAD = like(ARDUPILOT[1, 1], "rotor_speed")
+EULER = (0.1, -0.2, 0.7)
+
+
+def types():
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in (
+        ("actuator_msgs/msg/Actuators", ACTUATORS),
+        ("px4_msgs/msg/ActuatorMotors", PX4_MOTORS),
+        ("px4_msgs/msg/SensorCombined", PX4_IMU),
+    ):
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+def bag(folder, plugin, topics):
+    """A bag of topics: name to (type, [(time, fields)])."""
+    store = types()
+    with Writer(folder, version=9, storage_plugin=plugin) as writer:
+        for topic, (kind, rows) in topics.items():
+            connection = writer.add_connection(topic, kind, typestore=store)
+            for time, message in rows:
+                writer.write(connection, round((time + 0.002) * 1e9), store.serialize_cdr(message(store, time), kind))
+    return folder
+
+
+def header(store, time):
+    stamp = store.types["builtin_interfaces/msg/Time"](int(time), round((time % 1.0) * 1e9))
+    return store.types["std_msgs/msg/Header"](stamp, "map")
+
+
+def standard():
+    t, u = truth()
+    q = quat_from_euler(*EULER)
+
+    def imu(s, time):
+        v, quaternion = s.types["geometry_msgs/msg/Vector3"], s.types["geometry_msgs/msg/Quaternion"]
+        cov = np.zeros(9)
+        return s.types["sensor_msgs/msg/Imu"](
+            header(s, time), quaternion(0.0, 0.0, 0.0, 1.0), cov, v(0.1, 0.2, 0.3), cov, v(0.0, 0.5, 9.8), cov
+        )
+
+    def pose_of(s):
+        point = s.types["geometry_msgs/msg/Point"](1.0, 2.0, 3.0)
+        return s.types["geometry_msgs/msg/Pose"](point, s.types["geometry_msgs/msg/Quaternion"](q[1], q[2], q[3], q[0]))
+
+    def pose(s, time):
+        return s.types["geometry_msgs/msg/PoseStamped"](header(s, time), pose_of(s))
+
+    def odometry(s, time):
+        v = s.types["geometry_msgs/msg/Vector3"]
+        twist = s.types["geometry_msgs/msg/Twist"](v(1.0, 0.0, 0.0), v(0.0, 0.0, 0.4))
+        cov = np.zeros(36)
+        return s.types["nav_msgs/msg/Odometry"](
+            header(s, time),
+            "base_link",
+            s.types["geometry_msgs/msg/PoseWithCovariance"](pose_of(s), cov),
+            s.types["geometry_msgs/msg/TwistWithCovariance"](twist, cov),
+        )
+
+    def motors(row):
+        return lambda s, time: s.types["actuator_msgs/msg/Actuators"](header(s, time), row)
+
+    speeds = 300.0 + 400.0 * u
+    return speeds, {
+        "/imu/data": ("sensor_msgs/msg/Imu", [(x, imu) for x in t]),
+        "/vrpn/qball2/pose": ("geometry_msgs/msg/PoseStamped", [(x, pose) for x in t[::2]]),
+        "/odom": ("nav_msgs/msg/Odometry", [(x, odometry) for x in t[::4]]),
+        "/motors": ("actuator_msgs/msg/Actuators", [(x, motors(row)) for x, row in zip(t, speeds, strict=True)]),
+    }
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_a_bag_of_standard_messages_is_read_from_either_store(tmp_path, plugin):
+    speeds, topics = standard()
+    recording = read_recording(bag(tmp_path / "bag", plugin, topics), QUAD)
+    s = recording.streams
+    assert np.allclose(s["motors"].values, speeds)
+    assert s["imu"].values[0].tolist() == [0.1, 0.2, 0.3, 0.0, 0.5, 9.8]
+    assert np.allclose(s["mocap"].values[0], [1.0, 2.0, 3.0, *quat_from_euler(*EULER)])
+    assert np.allclose(s["state"].values[0, 3:6], quat_rotate(quat_from_euler(*EULER), np.array([1.0, 0.0, 0.0])))
+    assert np.allclose(s["imu"].received_s - s["imu"].t_s, 0.002, atol=1e-6)
+    assert s["imu"].t_s == pytest.approx(truth()[0], abs=1e-9)
+
+
+def test_one_file_of_a_bag_is_enough_and_converts(tmp_path):
+    _, topics = standard()
+    bag(tmp_path / "bag", StoragePlugin.MCAP, topics)
+    (file,) = (tmp_path / "bag").glob("*.mcap")
+    (tmp_path / "quad.toml").write_bytes(vehicle_file(QUAD))
+    convert(file, tmp_path / "out", vehicle=tmp_path / "quad.toml")
+    assert len(read_recording(tmp_path / "out").streams["imu"]) == len(truth()[0])
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_messages_of_px4_go_the_way_of_its_logs(tmp_path, plugin):
+    t, u = truth()
+
+    def motors(row):
+        return lambda s, time: s.types["px4_msgs/msg/ActuatorMotors"](
+            round(time * 1e6), 0, np.array([*row, *[np.nan] * 8], np.float32)
+        )
+
+    def imu(s, time):
+        f = np.float32
+        return s.types["px4_msgs/msg/SensorCombined"](
+            round(time * 1e6), np.array([0.1, 0.2, 0.3], f), 0, np.array([0.0, 0.0, -9.8], f)
+        )
+
+    topics = {
+        "/fmu/out/actuator_motors": (
+            "px4_msgs/msg/ActuatorMotors",
+            [(x, motors(r)) for x, r in zip(t, u, strict=True)],
+        ),
+        "/fmu/out/sensor_combined": ("px4_msgs/msg/SensorCombined", [(x, imu) for x in t]),
+    }
+    recording = read_recording(bag(tmp_path / "bag", plugin, topics), like(ARDUPILOT[1, 1]))
+    assert np.allclose(recording.streams["motors"].values, u, atol=1e-6)
+    assert np.allclose(recording.streams["imu"].values[0], [0.1, -0.2, -0.3, 0.0, 0.0, 9.8])
+    assert any("THR_MDL_FAC is taken as 0" in note for note in recording.notes)
+
+
+def test_two_bodies_of_which_neither_is_named_are_refused_and_one_named_is_taken(tmp_path):
+    _, topics = standard()
+    topics["/vrpn/wand/pose"] = topics["/vrpn/qball2/pose"]
+    recording = read_recording(bag(tmp_path / "one", StoragePlugin.MCAP, topics), QUAD)
+    assert any("/vrpn/qball2/pose" in note for note in recording.notes)
+    topics["/vrpn/other/pose"] = topics.pop("/vrpn/qball2/pose")
+    with pytest.raises(BadInput, match="/vrpn/other/pose, /vrpn/wand/pose could each be the stream mocap"):
+        read_recording(bag(tmp_path / "two", StoragePlugin.MCAP, topics), QUAD)
+
+
+def test_a_bag_without_motors_or_a_damaged_one_is_refused(tmp_path):
+    _, topics = standard()
+    del topics["/motors"]
+    with pytest.raises(BadInput, match=r"holds no motor values.*actuator_msgs.*/imu/data"):
+        read_recording(bag(tmp_path / "bag", StoragePlugin.MCAP, topics), QUAD)
+    (file,) = (tmp_path / "bag").glob("*.mcap")
+    file.write_bytes(file.read_bytes()[:700])
+    with pytest.raises(BadInput):
+        read_recording(tmp_path / "bag", QUAD)
+    (tmp_path / "x.db3").write_bytes(b"SQLite format 3\0" + bytes(2000))
+    with pytest.raises(BadInput, match=r"x\.db3"):
+        read_recording(tmp_path / "x.db3", QUAD)
