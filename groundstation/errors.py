@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class GroundStationError(Exception):
-    """Base of every expected failure. ``exit_status`` is the process's exit status (flight-bundle contract)."""
+    """Base of every expected failure. ``exit_status`` is the process's exit status (docs/formats.md)."""
 
     exit_status = 2
 

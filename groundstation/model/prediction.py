@@ -174,7 +174,7 @@ class Prediction(Tabular):
     final: Mapping[str, Array]
 
     def to_dict(self) -> dict[str, Any]:
-        """The document ``predict --json`` prints (flight-bundle.md)."""
+        """The document ``predict --json`` prints (docs/formats.md)."""
         return {
             "schema": "groundstation.prediction/1",
             "horizon_s": self.horizon_s,

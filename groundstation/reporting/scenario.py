@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.effect import library
 from groundstation.paths import find_config
 from groundstation.reporting.identified import Identified
 from groundstation.reporting.simulators import hash_comment
@@ -267,8 +268,11 @@ def scenario_document(model: Identified) -> tuple[Table, list[str]]:
     for name, values in model.effects.items():
         identifier = name.partition("/")[0]
         mapper = MAPPERS.get(identifier)
+        effect = library().get(identifier)
         held = None if mapper is None else mapper(values, model)
-        if mapper is None:
+        if effect is not None and effect.scenario is not None:
+            effects |= dict([effect.scenario(values, model.vehicle)])
+        elif mapper is None:
             lost.append(f"{identifier}: the simulator has no form of it")
         elif held is not None and held.effect in effects:
             lost.append(f"{name}: the simulator holds one {held.effect} only, and has it already")
