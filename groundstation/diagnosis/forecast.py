@@ -180,7 +180,7 @@ def forecast(
 def window_starts(prepared: Prepared, judged_s: Array) -> NDArray[np.int64]:
     """At which stamps windows start that lie wholly in what is judged, without a break."""
     record, longest = prepared.record, HORIZONS_S[-1]
-    if judged_s[-1] - judged_s[0] <= longest:
+    if not len(judged_s) or judged_s[-1] - judged_s[0] <= longest:
         return np.zeros(0, dtype=np.int64)
     first = np.searchsorted(record.t_s, np.arange(judged_s[0], judged_s[-1] - longest, EVERY_S))
     last = np.minimum(np.searchsorted(record.t_s, record.t_s[first] + longest), len(record.t_s) - 1)
