@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 FIND_PYTHON = for p in $(PYTHON) python3.11 python3.12 python3.13 python3.14 python3; do \
   "$$p" -c 'import sys, ensurepip, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { command -v "$$p"; break; }; done
 
-.PHONY: help setup rehearse test lint study blind bench campaign faults firmware-test reproduce clean
+.PHONY: help setup rehearse test test-fast docs lint study blind bench campaign faults firmware-test reproduce clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -27,6 +27,13 @@ setup: $(READY)  ## the virtual environment alone
 rehearse: $(READY)  ## a whole flight in simulation, from plan to report
 	@$(VENV)/bin/groundstation rehearse $(ARGS)
 
+test-fast: $(READY)  ## the tests without processes, terminals, browsers and long flights: under a minute
+	@$(PY) -m pytest -q -n 2 -m "not slow" $(ARGS)
+
+docs: $(READY)  ## the documentation site in build/site; any warning is an error
+	@$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[docs]'
+	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --quiet $(ARGS)
+
 test: $(READY)  ## the whole test suite
 	@$(PY) -m pytest -n 2 $(ARGS)
 
@@ -44,8 +51,8 @@ study: $(READY)  ## many simulated flights: accuracy, coverage, scatter against 
 blind: $(READY)  ## diagnosis of effects it was not told about
 	@$(PY) -m benchmarks.blind $(ARGS)
 
-bench: $(READY)  ## speed of planner, simulator, estimators, recorder, start-up; evenness of setpoints
-	@for each in startup simulator planner estimators recorder setpoint_jitter; do OMP_NUM_THREADS=1 $(PY) -m benchmarks.$$each || exit; done
+bench: $(READY)  ## speed of planner, simulator, estimators, recorder, log readers, start-up; evenness of setpoints
+	@for each in startup simulator planner estimators recorder logs setpoint_jitter; do OMP_NUM_THREADS=1 $(PY) -m benchmarks.$$each || exit; done
 
 campaign: $(READY)  ## flight after flight in simulation until three hidden effects are found and the targets are met
 	@$(VENV)/bin/groundstation campaign --vehicle qball2-commanded --scenario hidden $(ARGS)

@@ -92,7 +92,8 @@ def measure(profile: str, name: str) -> dict[str, Any]:
             (e["monotonic_s"] for e in flight.journal() if e["monotonic_s"] > begun and e["kind"] == "phase"), None
         )
         noticed = min((t for t in (ordered, landing) if t is not None), default=None)
-        by_station = mode is not None and ordered is not None and ordered <= mode + 0.15
+        passed = next((s["at_s"] for s in seen if s["mode_orders_passed"] > before["mode_orders_passed"]), None)
+        by_station = mode is not None and passed is not None and passed <= mode + 0.15
         new = "another link" in reason
         by = "flown through; ended by the operator" if through else (
             ("a new link" if new else "the station") if by_station else "the vehicle's failsafe"
@@ -123,7 +124,12 @@ def table(results: list[dict[str, Any]]) -> str:
             continue
         times = ["—" if r[k] is None else f"{r[k]:.2f} s" for k in ("noticed_s", "mode_s", "ground_s", "disarmed_s")]
         status = r["reason"] if r["status"] is None else str(r["status"])
-        lines.append(f"| {r['fault']} | {r['autopilot']} | {' | '.join(times)} | {r['by']} | {status} |")
+        by = (
+            r["by"]
+            if r["setpoints_through"] is None
+            else f"{r['by']} ({r['setpoints_through']} setpoints in {HARMLESS_S:.0f} s)"
+        )
+        lines.append(f"| {r['fault']} | {r['autopilot']} | {' | '.join(times)} | {by} | {status} |")
     return "\n".join(lines)
 
 

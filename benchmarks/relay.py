@@ -147,7 +147,7 @@ class Relay:
         self.queue: list[tuple[float, socket.socket, bytes, tuple[str, int]]] = []
         self.inject: dict | None = None
         self.seen: dict[str, object] = {
-            "mode": None, "armed": None, "landed": None, "height": None, "mode_orders": 0, "setpoints": 0, "stranger_got": 0,
+            "mode": None, "armed": None, "landed": None, "height": None, "mode_orders": 0, "mode_orders_passed": 0, "setpoints": 0, "stranger_got": 0,
             "injected": 0, "injected_in_air": 0, "beats_up": 0, "longest_up_gap_s": 0.0,
         }  # fmt: skip
         self.up_s = self.told_s = 0.0
@@ -258,7 +258,8 @@ class Relay:
             elif number == HEARTBEAT:
                 self.seen["beats_up"] = int(self.seen["beats_up"]) + 1  # type: ignore[call-overload]
             elif number == COMMAND and struct.unpack("<H", payload[28:30])[0] in (176, 21):
-                self.seen["mode_orders"] = int(self.seen["mode_orders"]) + 1  # type: ignore[call-overload]
+                for name in ("mode_orders", "mode_orders_passed")[: 1 + (now >= self.cuts["up"])]:
+                    self.seen[name] = int(self.seen[name]) + 1  # type: ignore[call-overload]
 
     def tell(self, now: float) -> None:
         """One line."""

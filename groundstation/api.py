@@ -18,7 +18,7 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from groundstation.errors import BadInput, GroundStationError, NotIdentifiable, Refused
 
@@ -124,13 +124,16 @@ def load_flight(
     vehicle: Vehicle | str | Path | None = None,
     start_s: float | None = None,
     end_s: float | None = None,
+    everything: bool = False,
 ) -> FlightData:
-    """Read a flight: MCAP recording, bundle folder, PX4 ULog, ArduPilot DataFlash or Crazyflie usd log.
+    """Read a flight: MCAP recording, bundle folder, PX4 ULog, ArduPilot DataFlash, blackbox, ROS 2 bag or Crazyflie usd log.
 
     Args:
         path: the recording, or the folder of a flight.
         vehicle: replaces the vehicle declared in the recording; needed for a log that carries none.
-        start_s, end_s: use this part of the flight, seconds.
+        start_s: use the flight from this time on, s.
+        end_s: use the flight up to this time, s.
+        everything: use all of a flight of more than ten minutes, of which else the most informative stretch is used.
 
     Returns:
         Streams ``imu``, ``motors``, ``mocap``, ``battery``, ``setpoint``, ``state`` (None where it was not recorded). Each has
@@ -139,7 +142,7 @@ def load_flight(
     from groundstation.recording import load_flight
 
     declared = None if vehicle is None else load_vehicle(vehicle)
-    return load_flight(path, vehicle=declared, start_s=start_s, end_s=end_s)
+    return load_flight(path, vehicle=declared, start_s=start_s, end_s=end_s, everything=everything)
 
 
 def plan_excitation(
@@ -213,6 +216,7 @@ def identify(
     flights: FlightData | Sequence[FlightData],
     *,
     exclude: Sequence[tuple[float, float]] = (),
+    predictive: bool = True,
     progress: Progress = _quiet,
 ) -> Identification:
     """Mass, inertia tensor, lag and thrust constants with 95 % intervals.
@@ -220,6 +224,7 @@ def identify(
     Args:
         flights: one flight, or several of the same vehicle, which are pooled.
         exclude: parts (start, end) to leave out, seconds on the IMU's clock.
+        predictive: also fit the model that predicts best (``prediction``), which takes some seconds.
         progress: told the fraction done and what is being done.
 
     Returns:
@@ -229,7 +234,7 @@ def identify(
     from groundstation.identification.pipeline import identify
     from groundstation.options import AnalysisOptions
 
-    return identify(_listed(flights), AnalysisOptions(exclude=tuple(exclude)), progress=progress)
+    return identify(_listed(flights), AnalysisOptions(exclude=tuple(exclude)), predictive=predictive, progress=progress)
 
 
 def diagnose(
@@ -294,6 +299,7 @@ def predict(
     *,
     horizon_s: float = 0.5,
     own_state: bool = False,
+    use: Literal["prediction", "physical"] = "prediction",
     progress: Progress = _quiet,
 ) -> Prediction:
     """Simulate ahead from every sample of a flight with its recorded inputs, and say how far off the model is.
@@ -303,6 +309,7 @@ def predict(
         flight: another flight of the vehicle.
         horizon_s: how far ahead, 0.01 to 10 s.
         own_state: start from and judge by the vehicle's own estimate instead of the smoothed state.
+        use: the model's ``prediction`` part, where it has one, or its physical one.
         progress: told the fraction done and what is being done.
 
     Returns:
@@ -311,6 +318,7 @@ def predict(
         position and velocity (k, 3), quaternion (k, 4), rate (k, 3).
     """
     from groundstation.diagnosis.effect import library, wrench_of
+    from groundstation.identification.predictive_choice import chosen_name, chosen_predictor
     from groundstation.identification.preparation import flight_states
     from groundstation.model.prediction import model_from_document, predict
     from groundstation.reporting.exports import read_model
@@ -321,7 +329,11 @@ def predict(
     effects = document.get("effects", {})
     wrench = wrench_of(effects, declared) if any(name.partition("/")[0] in library() for name in effects) else None
     states = flight_states(flight, own=own_state)
-    return predict(model_from_document(document, declared, wrench), states, horizon_s=horizon_s, progress=progress)
+    physical = model_from_document(document, declared, wrench)
+    read = document if use == "prediction" else {}
+    name = chosen_name(read)
+    predictor = chosen_predictor(read, physical)
+    return predict(predictor, states, horizon_s=horizon_s, predictor=name, progress=progress)
 
 
 def plan_next_flight(

@@ -13,7 +13,7 @@ from typing import Any, TextIO
 import click
 
 from groundstation import __version__
-from groundstation.commands.common import Result
+from groundstation.commands.common import Result, suggestion
 from groundstation.errors import BadInput, GroundStationError, Refused
 
 COMMANDS = {
@@ -32,6 +32,7 @@ COMMANDS = {
     "batch": "fleet",
     "campaign": "campaign",
     "doctor": "station",
+    "completion": "station",
     "reproduce": "station",
 }
 """Command -> module of ``groundstation.commands`` that holds it."""
@@ -53,9 +54,17 @@ class LazyGroup(click.Group):
         module = importlib.import_module(f"groundstation.commands.{COMMANDS[cmd_name]}")
         return getattr(module, cmd_name)
 
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        """The command, or a fault that names the nearest ones."""
+        name = args[0] if args else ""
+        if name and name not in COMMANDS and not name.startswith("-"):
+            raise click.UsageError(f"there is no command '{name}'. {suggestion(name, COMMANDS)}")
+        return super().resolve_command(ctx, args)
+
 
 @click.group(
     cls=LazyGroup,
+    context_settings={"help_option_names": ["-h", "--help"]},
     invoke_without_command=True,
     epilog="\b\nExample:\n  groundstation rehearse          a whole flight in simulation, from plan to report",
 )

@@ -28,5 +28,9 @@ def find_config(kind: str, name_or_path: str | Path) -> Path:
     shipped = configs_dir() / kind / f"{Path(name_or_path).name.removesuffix('.toml')}.toml"
     if path.parent == Path() and shipped.is_file():
         return shipped
+    import difflib
+
     names = sorted(p.stem for p in (configs_dir() / kind).glob("*.toml"))
-    raise BadInput(f"{name_or_path}: no such file, and no shipped one of {kind}; there are {', '.join(names)}.")
+    near = difflib.get_close_matches(path.stem, names, n=1)
+    meant = f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}."
+    raise BadInput(f"{name_or_path}: no such file, and no shipped one of {kind}; {meant}")

@@ -12,7 +12,7 @@ from groundstation.vehicle import load_vehicle
 
 def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     """Parse the command line."""
-    parser = argparse.ArgumentParser(prog="python -P -m sim", description="A simulated drone on the bus.")
+    parser = argparse.ArgumentParser(prog="groundstation sim", description="A simulated drone on the bus.")
     parser.add_argument("--drone", default="drone1", help="its name on the bus")
     parser.add_argument(
         "--connect", required=True, metavar="ENDPOINT", help="where the core listens, tcp/127.0.0.1:PORT"

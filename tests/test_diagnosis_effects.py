@@ -11,7 +11,7 @@ import pytest
 
 from groundstation.diagnosis import effect as effects_module
 from groundstation.diagnosis import next_flight
-from groundstation.diagnosis.attribution import MATERIAL, candidates
+from groundstation.diagnosis.attribution import candidates
 from groundstation.diagnosis.effect import (
     Effect,
     FittedEffect,
@@ -23,6 +23,7 @@ from groundstation.diagnosis.effect import (
     wrench_of,
 )
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
+from groundstation.diagnosis.rivals import MATERIAL
 from groundstation.frames import quat_rotate
 from groundstation.identification.results import Estimate
 from groundstation.model.parameters import declared_parameters

@@ -148,6 +148,15 @@ def test_garbage_of_strangers_is_told_and_costs_no_setpoint(kind):
     assert any("strangers on the port" in text for text in told(rig))
 
 
+def test_a_crowd_that_spoke_first_keeps_no_vehicle_out():
+    rig = Rig("px4")
+    step = rig.core.step
+    crowd = [(f"10.0.0.9:{port}", b"\xfd\xfe" * 20) for port in range(200)]
+    rig.core.step = lambda now_s, incoming: step(now_s, [*crowd, *incoming])  # type: ignore[method-assign]
+    rig.prepare()
+    assert rig.core.peer == "vehicle" and len(rig.core._inlet.codecs) == 1
+
+
 @BOTH
 @pytest.mark.parametrize("noise", [b"\xfe" * 60_000, b"\xfd\x01\x00\x00\x00\x01\x01\x39\x30\x00" * 6_000])
 def test_garbage_from_the_vehicles_own_address_is_bounded_in_every_step(kind, noise):

@@ -10,7 +10,7 @@ from mavlink_vehicle import Rig, small_plan
 from drivers.samples import Event
 from groundstation.errors import Refused
 from groundstation.flight.link.link_core import LinkCore
-from groundstation.flight.link.parameter_journal import ParameterJournal
+from groundstation.flight.link.parameter_journal import ParameterJournal, left_changed
 from groundstation.flight.link.process import LinkProcess
 
 
@@ -141,3 +141,12 @@ def test_a_link_without_core_and_without_vehicle_ends_at_last_and_not_before():
     assert not link._finished(), "a vehicle in the air may be heard again"
     rig.now_s += 15.0
     assert link._finished()
+
+
+def test_what_a_flight_left_changed_is_named(tmp_path):
+    path = tmp_path / "parameters.journal"
+    assert left_changed(path) == ""
+    ParameterJournal(path).note("px4-1", "NAV_DLL_ACT", 1.0, 3.0)
+    assert left_changed(path) == "NAV_DLL_ACT (1 before)"
+    path.write_text("{")
+    assert "restore them by hand" in left_changed(path)

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from groundstation.errors import BadInput
 from groundstation.frames import quat_rotate
@@ -234,3 +236,38 @@ def test_a_usd_log_of_a_version_to_come_is_named(tmp_path, crazyflie):
     path.write_bytes(struct.pack("<BHH", 0xBC, 3, 1) + bytes(40))
     with pytest.raises(BadInput, match="usd log of version 3"):
         read_recording(path, crazyflie)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(
+    split=st.lists(st.integers(0, 2), min_size=10, max_size=10),
+    order=st.permutations(range(10)),
+    millivolts=st.booleans(),
+    version=st.just(2),
+)
+def test_any_split_of_the_variables_into_events_gives_the_same_streams(
+    tmp_path_factory, crazyflie, split, order, millivolts, version
+):
+    """IMU, motors and pwm in up to three events of one clock, the variables in any order, the voltage in either unit."""
+    t = np.arange(0, 200_000, 1000)
+    wave = np.sin(np.arange(10)[:, None] + t / 3e4)
+    names = [*(f"acc.{a}" for a in "xyz"), *(f"gyro.{a}" for a in "xyz"), *(f"motor.m{i}" for i in range(1, 5))]
+    columns = {name: (30000 + 9000 * w).round() if "motor" in name else w for name, w in zip(names, wave, strict=True)}
+    columns |= {f"pwm.m{i}_pwm": np.full(len(t), 20000.0 + i) for i in range(1, 5)}
+    columns |= {"pm.vbatMV": np.full(len(t), 3700.0)} if millivolts else {"pm.vbat": np.full(len(t), 3.7)}
+    events = {}
+    for number in range(3):
+        mine = [names[i] for i in order if split[i] == number]
+        mine += [name for name in columns if name not in names] if number == 0 else []
+        if mine:
+            kinds = [(name, "f" if name.startswith(("acc", "gyro")) or name == "pm.vbat" else "H") for name in mine]
+            cast = {"f": float, "H": int}
+            rows = [(int(x), *(cast[k](columns[n][i]) for n, k in kinds)) for i, x in enumerate(t)]
+            events[f"event{number}"] = (kinds, rows)
+    path = tmp_path_factory.mktemp("usd") / "log00"
+    path.write_bytes(usd_events(events, version))
+    streams = read_recording(path, crazyflie).streams
+    applied = (20000.0 + np.arange(1, 5)) / 65535.0 * 3.7 / crazyflie.battery.full_v
+    assert np.allclose(streams["motors"].values, applied, rtol=1e-6)
+    assert np.allclose(streams["imu"].values[:, 3:], wave[:3].T * 9.80665, atol=1e-5)
+    assert np.allclose(streams["imu"].values[:, :3], np.radians(wave[3:6].T), atol=1e-6)

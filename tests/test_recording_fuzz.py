@@ -13,7 +13,9 @@ from groundstation.recording import load_flight, write_bundle, write_mcap
 from groundstation.recording.csvfile import parse_csv
 from tests.recording_flight import flight
 from tests.test_recording_autopilots import quad, write_dataflash, write_ulog
+from tests.test_recording_blackbox import flown
 from tests.test_recording_crazyflie import IMU_VARIABLES, usd
+from tests.written_logs import Px4Log, truth
 
 
 @pytest.fixture(scope="module")
@@ -27,10 +29,14 @@ def files(tmp_path_factory):
         "ulg": write_ulog(folder / "a.ulg", made).read_bytes(),
         "bin": write_dataflash(folder / "a.bin", made).read_bytes(),
         "usd": (folder / "log00").read_bytes(),
+        "bbl": flown(folder, truth()[1]).read_bytes(),
+        "outputs.ulg": Px4Log(limits=dict.fromkeys((1, 2, 3, 4), (1000.0, 2000.0)), esc_places=(1, 0, 3, 2)).write(
+            *truth()
+        ),
     }
 
 
-@pytest.mark.parametrize("kind", ["mcap", "ulg", "bin", "usd"])
+@pytest.mark.parametrize("kind", ["mcap", "ulg", "bin", "usd", "bbl", "outputs.ulg"])
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damaged_bytes_anywhere(tmp_path_factory, files, kind, data):

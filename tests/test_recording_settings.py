@@ -340,3 +340,17 @@ def test_what_is_not_read_is_listed_one_line_each(tmp_path):
         "sensor_combitwo: 400 samples at 100 Hz are not read."
     ]
     assert len(left) == len(set(left))
+
+
+@pytest.mark.parametrize(
+    ("pairs", "said"), [(1, r"in rpm\? Divide by 9\.549297\."), (7, r"electrical rpm.*about 7 would fit")]
+)
+def test_electrical_rpm_is_told_from_rpm_by_how_much_too_fast_it_is(pairs, said):
+    from groundstation.flightdata import Stream, motor_columns
+    from groundstation.recording.plausible import check_motors
+
+    vehicle = qball()
+    hover = float(vehicle.motor_for_thrust(vehicle.mass_kg * vehicle.gravity_m_s2 / 4.0))
+    values = np.full((50, 4), hover * 60.0 / (2.0 * np.pi) * pairs)
+    with pytest.raises(BadInput, match=said):
+        check_motors(Stream(np.arange(50.0), values, motor_columns("rotor_speed", 4)), vehicle)

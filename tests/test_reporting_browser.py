@@ -98,3 +98,39 @@ def test_even_markup_that_slipped_in_could_fetch_nothing(tmp_path):
     _, console, hosts = opened(report, tmp_path)
     assert hosts == []
     assert sum("Content Security Policy" in line for line in console) == 2
+
+
+SHOWN = """(async () => {
+  while (!document.querySelector(".copies")) await new Promise((r) => setTimeout(r, 50));
+  const copied = [];
+  Object.defineProperty(navigator, "clipboard", { value: { writeText: async (text) => { copied.push(text); } } });
+  const buttons = [...document.querySelector(".copies").querySelectorAll("button")];
+  buttons.forEach((button) => button.click());
+  const fold = document.querySelector("#reproduce details.fold");
+  fold.open = false;
+  location.hash = "reproduce";
+  await new Promise((r) => setTimeout(r, 200));
+  return { copied, unfolded: fold.open, first: document.querySelector("#verdict details.fold") === null };
+})()"""
+
+
+async def test_tables_copy_and_sections_fold(tmp_path):
+    from tests import browser
+
+    report = write_report(tmp_path / "report.html", fixture.flight(), fixture.identification(), fixture.diagnosis())
+    async with browser.page(tmp_path / "profile") as page:
+        await page.open(report.as_uri())
+        await page.value_of(
+            "new Promise((r) => document.readyState === 'complete' ? r() : addEventListener('load', r))"
+        )
+        shown = await page.value_of(SHOWN)
+    tsv, latex = shown["copied"]
+    assert "\t" in tsv and len({line.count("\t") for line in tsv.strip().splitlines()}) == 1
+    assert latex.startswith("\\begin{tabular}{lr") and latex.count("\\hline") == 3 and "±" not in latex
+    assert shown["unfolded"] and shown["first"]
+
+
+def test_each_figure_offers_svg_png_and_csv(page):
+    dom, figures = page[0], drawn(page[0])[1]
+    for kind in ("SVG", "PNG", "CSV"):
+        assert dom.count(f'data-title="Save as {kind}"') >= figures - 1  # the path in three dimensions needs WebGL

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 import tomllib
 import xml.etree.ElementTree as ET
 from dataclasses import replace
@@ -12,9 +13,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 
 from groundstation.diagnosis.results import Diagnosis, Finding
-from groundstation.errors import BadInput, Refused
+from groundstation.errors import BadInput
 from groundstation.frames import skew
 from groundstation.identification.results import Estimate, Identification
 from groundstation.paths import find_config
@@ -50,7 +52,8 @@ def planted(tensor: np.ndarray = TENSOR) -> Identification:
         "input_delay_s": Estimate.normal(0.002, 0.001),
         **{f"com_offset_{a}_m": Estimate.normal(v, 1e-4) for a, v in zip("xyz", OFFSET, strict=True)},
     }
-    return replace(base, methods={"PE": replace(base.methods["PE"], parameters=parameters)}, model=model)
+    methods = {"PE": replace(base.methods["PE"], parameters=parameters)}
+    return replace(base, methods=methods, model=model, not_identifiable={})
 
 
 def drag() -> Diagnosis:
@@ -340,11 +343,23 @@ def test_what_was_not_identified_keeps_its_declared_value_and_says_so():
     assert ET.fromstring(text).find("link/inertial/inertia").get("ixy") == "0"  # noqa: S314
 
 
-@pytest.mark.parametrize("format_name", ["mjcf", "sdf", "urdf"])
-def test_a_tensor_of_no_rigid_body_is_refused_where_it_would_not_load(format_name):
+def test_what_the_flight_did_not_reveal_is_as_declared():
+    model = document() | {"not_identifiable": ["com_offset_z_m", "ixy_kg_m2"]}
+    rows = {row["name"]: row for row in csv.DictReader(io.StringIO(export(model, "csv")))}
+    assert (rows["com_offset_z_m"]["value"], rows["com_offset_z_m"]["source"]) == ("0.0", "declared")
+    assert (rows["ixy_kg_m2"]["value"], rows["ixy_kg_m2"]["source"]) == ("0.0", "declared")
+
+
+@pytest.mark.parametrize("format_name", ["mjcf", "sdf", "urdf", "pybullet", "webots"])
+def test_a_tensor_of_no_rigid_body_becomes_the_nearest_one_where_it_would_not_load(format_name):
     impossible = np.diag([0.0120, 0.0121, 0.0830])  # the seed paper's Table 3, LS
-    with pytest.raises(Refused, match="no rigid body"):
-        export(document(tensor=impossible), format_name)
+    text = export(document(tensor=impossible), format_name)
+    assert "belongs to no rigid body" in text and "nearest one" in text
+    if format_name == "mjcf":
+        mujoco = pytest.importorskip("mujoco")
+        moments = np.sort(mujoco.MjModel.from_xml_string(text).body_inertia[1])
+        shift = (0.0830 - 0.0120 - 0.0121) / 3.0
+        np.testing.assert_allclose(moments, [0.0120 + shift, 0.0121 + shift, 0.0830 - shift], rtol=1e-5)
     assert "SIH_IZZ\t0.083\t" in export(document(tensor=impossible), "px4-sih")
 
 
@@ -352,7 +367,11 @@ def test_a_thrust_curve_exports_where_it_can():
     curve = x_frame(input="command", thrust_curve=[0.0, 5.0, 2.0], thrust_coefficient_n_s2=None, speed_max_rad_s=None)
     model = document(vehicle_from_dict(vehicle_to_dict(curve)))
     assert "No motor model" in export(model, "sdf")
-    assert "SIH_T_MAX\t7\t" in export(model, "px4-sih")
+    share = (-5.0 + np.sqrt(25.0 + 8.0 * MASS * 9.80665 / 4.0)) / 4.0  # 5 u + 2 u^2 = weight per rotor
+    text = export(model, "px4-sih")
+    full = float(next(line for line in text.splitlines() if "SIH_T_MAX\t" in line).split("\t")[3])
+    assert full * share == pytest.approx(MASS * 9.80665 / 4.0, rel=1e-6)
+    assert f"{100.0 * (full / 7.0 - 1.0):+.0f} %" in text
     with pytest.raises(BadInput, match="drives rotors by speed"):
         export(model, "rotorpy")
 
@@ -362,9 +381,15 @@ def test_hostile_names_break_no_format(format_name):
     named = x_frame().model_copy(update={"name": '--"""<a>&\n]]> \\'})
     model = {**model_document(planted(), named), "flight": '-->"""\n"\\ <b>'}
     text = export(model, format_name)
-    if format_name in {"mjcf", "sdf", "urdf"}:
+    if format_name in {"mjcf", "sdf", "urdf", "pybullet"}:
         ET.fromstring(text)  # noqa: S314
-    elif format_name in {"toml", "vehicle", "scenario"}:
+    elif format_name in {"ros2", "agilicious"}:
+        assert isinstance(yaml.safe_load(text), dict)
+    elif format_name == "ardupilot-sitl":
+        json.loads(re.sub("#.*", "", text))
+    elif format_name in {"matlab", "webots"}:
+        assert all("<a>" not in line for line in text.splitlines() if line[:1] not in "%#")
+    elif format_name in {"toml", "vehicle", "scenario", "crazyflow"}:
         tomllib.loads(text)
     elif format_name == "json":
         json.loads(text)
@@ -397,3 +422,83 @@ def test_bad_model_files_get_one_sentence(tmp_path, content, name, message):
 def test_an_unknown_format_lists_the_known_ones():
     with pytest.raises(BadInput, match=r"mjcf, rotorpy"):
         export(document(), "blender")
+
+
+def test_rotorpy_never_divides_by_a_lag_of_zero():
+    """Multirotor divides by tau_m; a vehicle without lag must fly there."""
+    multirotor = pytest.importorskip("rotorpy.vehicles.multirotor")
+    model = document()
+    model["model"] |= {f"rotor_lag_{side}_s": {"value": 0.0, "std": 0.0} for side in ("up", "down")}
+    text = export(model, "rotorpy")
+    names: dict = {}
+    exec(text, names)  # noqa: S102
+    assert names["quad_params"]["tau_m"] == 1e-3 and "no lag was found" in text
+    body = multirotor.Multirotor(names["quad_params"])
+    state = {"x": np.zeros(3), "v": np.zeros(3), "q": np.array([0, 0, 0, 1.0]), "w": np.zeros(3), "wind": np.zeros(3)}
+    after = body.step(state | {"rotor_speeds": np.full(4, 400.0)}, {"cmd_motor_speeds": np.full(4, 500.0)}, 0.01)
+    np.testing.assert_allclose(after["rotor_speeds"], 500.0, rtol=1e-2)
+
+
+def test_pybullet_loads_mass_centre_and_tensor(tmp_path):
+    """Bullet's own reader; principal moments, as it keeps no products."""
+    pybullet = pytest.importorskip("pybullet")
+    path = tmp_path / "vehicle.urdf"
+    path.write_text(export(document(), "pybullet"), encoding="utf-8")
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        body = pybullet.loadURDF(str(path), flags=pybullet.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client)
+        info = pybullet.getDynamicsInfo(body, -1, physicsClientId=client)
+        assert pybullet.getNumJoints(body, physicsClientId=client) == 5
+    finally:
+        pybullet.disconnect(client)
+    assert info[0] == pytest.approx(MASS)
+    np.testing.assert_allclose(np.sort(info[2]), np.linalg.eigvalsh(TENSOR), rtol=1e-5)
+    np.testing.assert_allclose(info[3], OFFSET, atol=1e-9)
+    properties = ET.fromstring(export(document(), "pybullet")).find("properties")  # noqa: S314
+    speed, vehicle = 4000.0, x_frame()
+    thrust = float(properties.get("kf")) * speed**2
+    assert thrust == pytest.approx(float(vehicle.thrust(speed * np.pi / 30.0)), rel=1e-6)
+    assert float(properties.get("km")) / float(properties.get("kf")) == pytest.approx(vehicle.rotors.torque_to_thrust_m)
+
+
+def test_ardupilot_gives_hover_and_full_thrust_as_its_frame_code_computes_them():
+    """SIM_Frame.cpp: full thrust is hover thrust / hoverThrOut; at command u it is that times (1 - e) u + e u^2."""
+    frame = json.loads(re.sub("#.*", "", export(document(), "ardupilot-sitl")))
+    vehicle = x_frame()
+    hover, top = MASS * 9.80665 / 4.0, vehicle.rotor_thrust_max_n()
+    assert hover / frame["hoverThrOut"] == pytest.approx(top)
+    command, expo = 0.6, frame["propExpo"]
+    shaped = top * ((1.0 - expo) * command + expo * command**2)
+    assert shaped == pytest.approx(float(vehicle.thrust(command * vehicle.rotors.speed_max_rad_s)))
+    np.testing.assert_allclose(frame["moment_inertia"], np.diag(TENSOR))
+    np.testing.assert_allclose(frame["motor1_position"], [0.16, 0.18, -0.01])
+
+
+def test_crazyflow_and_agilicious_give_each_rotor_its_torque():
+    """Torques by the readers' own mixing: crazyflow's signs times L, Agilicious' positions."""
+    vehicle = x_frame(position_m=[[0.17, -0.17, 0.0], [-0.17, 0.17, 0.0], [0.17, 0.17, 0.0], [-0.17, -0.17, 0.0]])
+    model = model_document(replace(planted(), model={}), vehicle)
+    (table,) = tomllib.loads(export(model, "crazyflow")).values()
+    np.testing.assert_allclose(table["J"], TENSOR)
+    thrust = np.array([1.0, 2.0, 3.0, 4.0])
+    mixing = np.array(table["mixing_matrix"])
+    ratio = table["rpm2torque"][2] / table["rpm2thrust"][2]
+    torque = [table["L"] * mixing[0] @ thrust, table["L"] * mixing[1] @ thrust, ratio * mixing[2] @ thrust]
+    np.testing.assert_allclose(torque, (vehicle.allocation() @ thrust)[1:], rtol=1e-6, atol=1e-12)
+    quad = yaml.safe_load(export(model, "agilicious"))
+    np.testing.assert_allclose(quad["tbm_fl"], [0.17, 0.17, 0.0])
+    np.testing.assert_allclose(quad["tbm_br"], [-0.17, -0.17, 0.0])
+    assert quad["thrust_map"][0] * quad["motor_omega_max"] ** 2 == pytest.approx(quad["thrust_max"])
+
+
+def test_ros2_parameters_are_floats_and_carry_the_spread():
+    values = yaml.safe_load(export(document(), "ros2"))["/**"]["ros__parameters"]["vehicle"]
+    assert values["mass_kg"] == pytest.approx(MASS) and values["std"]["mass_kg"] == pytest.approx(0.002)
+    assert all(isinstance(v, float) for v in [*values["rotor_spin"], values.get("rotor_lag_up_s", 0.0)])
+
+
+def test_a_model_has_a_frame_that_one_sees_and_that_weighs_nothing():
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(export(document(), "mjcf"))
+    assert model.ngeom == 8 and model.body_mass.sum() == pytest.approx(MASS)
+    assert len(ET.fromstring(export(document(), "urdf")).findall("link/visual")) == 8  # noqa: S314

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.analysis.documents import finite, refusal, write_json
+from groundstation.diagnosis.published import published
 from groundstation.diagnosis.results import Diagnosis
 from groundstation.errors import GroundStationError, NotIdentifiable, Refused
 from groundstation.flightdata import FlightData
@@ -41,10 +42,13 @@ class Analysis:
     files: Mapping[str, Path]
 
 
-def parameter_table(identification: Identification, declared: Mapping[str, float]) -> Table:
-    """Rows nominal, estimate, low, high of mass and tensor by the best method; NaN where the flight does not tell."""
-    best = identification.methods.get(identification.best)
-    return _rows(best.parameters if best else {}, declared)
+def parameter_table(
+    identification: Identification, declared: Mapping[str, float], diagnosis: Diagnosis | None = None
+) -> Table:
+    """Rows nominal, estimate, low, high of mass and tensor as every place shows them; NaN where the flight does not tell."""
+    from groundstation.reporting.canonical import canonical
+
+    return _rows(canonical(identification, diagnosis).parameters, declared)
 
 
 def _rows(parameters: Mapping[str, Estimate], declared: Mapping[str, float]) -> Table:
@@ -104,13 +108,16 @@ def analyse(
     folder.mkdir(parents=True, exist_ok=True)
     try:
         identifying = AnalysisOptions(exclude=options.exclude)
-        identification = identify(flights, identifying, progress=lambda f, text: progress(0.05 + 0.5 * f, text))
+        identification = identify(
+            flights, identifying, predictive=True, progress=lambda f, text: progress(0.05 + 0.5 * f, text)
+        )
     except Refused as error:
         write_report(folder / "report.html", flights[0], error, source=source)
         raise
     write_identification(folder, identification, flights[0].vehicle)
     write_json(folder / "evolution.json", evolution(flights[0]))
     diagnosis = _diagnose(flights, options, lambda f, text: progress(0.55 + 0.35 * f, text))
+    diagnosis = published(diagnosis, identification.not_identifiable)
     diagnosis, plan = with_next_flight(folder, diagnosis, flights[0].vehicle)
     identification = with_augmented_loop(flights[0], identification, diagnosis, options)
     files = write_identification(folder, identification, flights[0].vehicle, diagnosis)
@@ -186,6 +193,13 @@ def with_next_flight(folder: Path, diagnosis: Diagnosis, vehicle: Vehicle) -> tu
     return replace(diagnosis, next_flight=text), path
 
 
+def identification_document(identification: Identification, diagnosis: Diagnosis | None = None) -> dict[str, Any]:
+    """The document of an identification with the one estimate that every place shows, as ``estimate``."""
+    from groundstation.reporting.canonical import canonical
+
+    return {**identification.to_dict(), "estimate": canonical(identification, diagnosis).to_dict()}
+
+
 def write_identification(
     folder: Path, identification: Identification, vehicle: Vehicle, diagnosis: Diagnosis | None = None
 ) -> dict[str, Path]:
@@ -193,7 +207,9 @@ def write_identification(
     from groundstation.reporting.exports import model_document, write_model
 
     return {
-        "identification": write_json(folder / "identification.json", identification.to_dict()),
+        "identification": write_json(
+            folder / "identification.json", identification_document(identification, diagnosis)
+        ),
         "model": write_model(folder / "identification.toml", model_document(identification, vehicle, diagnosis)),
     }
 
@@ -232,7 +248,7 @@ def main(folder: Path) -> int:
         flight = load_flight(folder / "flight.mcap")
         first_look(flight)
         analysis = analyse([flight], folder, progress=_say)
-        table = parameter_table(analysis.identification, flight.vehicle.parameters())
+        table = parameter_table(analysis.identification, flight.vehicle.parameters(), analysis.diagnosis)
         _say(1.0, f"identified by {analysis.identification.best}", table)
         return 0
     except Refused as error:

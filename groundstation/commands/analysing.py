@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 
@@ -31,13 +31,31 @@ def flight_options(function: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--vehicle", default=None, help="Vehicle file or shipped name; overrides the recorded one."),
         click.option("--from", "start_s", type=float, default=None, help="Use the flights from this time on, s."),
         click.option("--to", "end_s", type=float, default=None, help="Use the flights up to this time, s."),
+        click.option("--all", "everything", is_flag=True, help="Use all of a flight of more than ten minutes."),
         click.option("--exclude", multiple=True, metavar="START:END", help="Leave a stretch out, s (repeatable)."),
+        click.option(
+            "--accept-declaration",
+            "accepted",
+            multiple=True,
+            metavar="NAME",
+            help="Go on although the data contradict this declaration (repeatable; docs/declarations.md).",
+        ),
         logs_option,
         json_option,
     )
     for option in reversed(options):
         function = option(function)
     return function
+
+
+def first_of_all(document: Mapping[str, Any]) -> list[str]:
+    """What the declaration checks say, before every number."""
+    checks = document["declarations"]
+    loud = [text for text in document["warnings"] if text.startswith("declaration ")]
+    for verdict in ("cannot tell", "agrees"):
+        names = ", ".join(check["name"] for check in checks if check["verdict"] == verdict)
+        loud += [f"declarations, {verdict}: {names}"] if names else []
+    return loud
 
 
 @click.command(epilog=example("groundstation identify flight.mcap --exclude 12.0:13.5 --json"))
@@ -47,31 +65,37 @@ def identify(
     vehicle: str | None,
     start_s: float | None,
     end_s: float | None,
+    everything: bool,
     exclude: tuple[str, ...],
+    accepted: tuple[str, ...],
     logs: Path,
 ) -> Result:
     """Estimate mass, inertia and the rest from one flight, or from several together, with intervals.
 
-    FLIGHTS are MCAP recordings, bundle folders, PX4 ULog, ArduPilot DataFlash or Crazyflie usd logs.
+    FLIGHTS are MCAP recordings, bundle folders, PX4 ULog, ArduPilot DataFlash, blackbox, ROS 2 bags or Crazyflie usd logs.
     """
     left_out = tuple(seconds_pair(pair) for pair in exclude)
-    loaded = load_flights(flights, vehicle, start_s, end_s)
+    loaded = load_flights(flights, vehicle, start_s, end_s, everything)
+    from groundstation.identification.declarations import go_on
+
+    go_on(loaded, accepted)
     from groundstation import api
-    from groundstation.analysis.analyse import write_identification
+    from groundstation.analysis.analyse import identification_document, write_identification
     from groundstation.flight.client.rehearse import result_table
 
     line = ProgressLine()
-    found = api.identify(loaded, exclude=left_out, progress=line.fraction)
-    line.end()
+    with line.ticking("identifying"):
+        found = api.identify(loaded, exclude=left_out, progress=line.fraction)
     folder = result_folder(flights[0], logs)
     folder.mkdir(parents=True, exist_ok=True)
     files = write_identification(folder, found, loaded[0].vehicle)
-    document = found.to_dict()
+    document = identification_document(found)
     truth = loaded[0].truth.parameters() if loaded[0].truth is not None else {}
     lines = [
-        *loaded[0].notes,
-        *found.quality,
-        *(f"warning: {text}" for text in found.warnings),
+        *first_of_all(document),
+        *([f"prediction: {found.prediction['summary']}"] if found.prediction else []),
+        *dict.fromkeys(found.quality),
+        *(f"warning: {text}" for text in found.warnings if not text.startswith("declaration ")),
         f"best: {found.best}" + (f" ({found.best_reason})" if found.best_reason else ""),
         result_table(document, loaded[0].vehicle.parameters(), truth),
         *(f"not revealed: {name}: {remedy}" for name, remedy in found.not_identifiable.items()),
@@ -93,7 +117,9 @@ def diagnose(
     vehicle: str | None,
     start_s: float | None,
     end_s: float | None,
+    everything: bool,
     exclude: tuple[str, ...],
+    accepted: tuple[str, ...],
     logs: Path,
     reference: tuple[Path, ...],
     held_out: tuple[Path, ...],
@@ -101,41 +127,58 @@ def diagnose(
 ) -> Result:
     """Find what the declared vehicle lacks: trace the residual to effects, with the error before and after."""
     left_out = tuple(seconds_pair(pair) for pair in exclude)
-    loaded = load_flights(flights, vehicle, start_s, end_s)
+    loaded = load_flights(flights, vehicle, start_s, end_s, everything)
+    from groundstation.identification.declarations import go_on
+
+    go_on(loaded, accepted)
     references, judges = load_flights(reference, vehicle), load_flights(held_out, vehicle)
     from groundstation import api
-    from groundstation.analysis.analyse import with_next_flight
+    from groundstation.analysis.analyse import with_next_flight, write_identification
     from groundstation.analysis.documents import write_json
+    from groundstation.diagnosis.published import published
     from groundstation.reporting.exports import read_model
 
     known = None if model is None else read_model(model, loaded[0].vehicle if vehicle is not None else None)
     line = ProgressLine()
-    found = api.diagnose(
-        loaded, exclude=left_out, references=references, held_out=judges, model=known, progress=line.fraction
-    )
-    line.end()
+    with line.ticking("diagnosing"):
+        found = api.diagnose(
+            loaded, exclude=left_out, references=references, held_out=judges, model=known, progress=line.fraction
+        )
+        try:
+            base, refused = api.identify(loaded, exclude=left_out, progress=line.fraction), ""
+        except Refused as error:
+            base, refused = None, f"no model file: {error}"
     folder = result_folder(flights[0], logs)
     folder.mkdir(parents=True, exist_ok=True)
+    if base is not None:
+        found = published(found, base.not_identifiable)
+        files = write_identification(folder, base, loaded[0].vehicle, found)
+    else:
+        files = {}
     found, plan = with_next_flight(folder, found, loaded[0].vehicle)
     written = write_json(folder / "diagnosis.json", found.to_dict())
     lines = [
+        *first_of_all(found.to_dict()),
         f"verdict: {found.verdict}" + (f" ({found.reason})" if found.reason else ""),
         *(f"{finding.effect} ({finding.confidence:.0%}): {finding.evidence}" for finding in found.findings),
         *(
             f"unexplained: {item.share:.0%} of {item.channel}, varies with {', '.join(item.depends_on) or 'nothing known'}"
             for item in found.unexplained
         ),
-        *(f"warning: {text}" for text in found.warnings),
+        *(f"warning: {text}" for text in found.warnings if not text.startswith("declaration ")),
         *([f"next flight: {found.next_flight}"] if found.next_flight else []),
+        *([refused] if refused else []),
         f"written: {written}",
+        *(f"written: {path}" for path in files.values()),
         *([f"written: {plan}"] if plan is not None else []),
     ]
     return Result(found.to_dict(), "\n".join(lines), Refused.exit_status if found.verdict == "refused" else 0)
 
 
-def _arguments(flights: tuple[Path, ...], options: Mapping[str, object]) -> str:
+def _arguments(flights: tuple[Path, ...], options: Mapping[str, object], everything: bool) -> str:
     """Flights and options as they were given, quoted for a shell."""
     given = [str(part) for name, value in options.items() if value is not None for part in (name, value)]
+    given += ["--all"] if everything else []
     return shlex.join([*map(str, flights), *given])
 
 
@@ -148,30 +191,43 @@ def report(
     vehicle: str | None,
     start_s: float | None,
     end_s: float | None,
+    everything: bool,
     exclude: tuple[str, ...],
+    accepted: tuple[str, ...],
     logs: Path,
     reference: tuple[Path, ...],
     held_out: tuple[Path, ...],
 ) -> Result:
     """Identify and diagnose, and write the HTML report."""
     left_out = tuple(seconds_pair(pair) for pair in exclude)
-    loaded = load_flights(flights, vehicle, start_s, end_s)
+    loaded = load_flights(flights, vehicle, start_s, end_s, everything)
+    from groundstation.identification.declarations import go_on
+
+    go_on(loaded, accepted)
     from groundstation import api
 
     line = ProgressLine()
-    done = api.analyse(
-        loaded,
-        result_folder(flights[0], logs),
-        exclude=left_out,
-        references=load_flights(reference, vehicle),
-        held_out=load_flights(held_out, vehicle),
-        progress=line.fraction,
-        source=_arguments(flights, {"--vehicle": vehicle, "--from": start_s, "--to": end_s}),
-    )
-    line.end()
+    before, judges = load_flights(reference, vehicle), load_flights(held_out, vehicle)
+    with line.ticking("analysing"):
+        done = api.analyse(
+            loaded,
+            result_folder(flights[0], logs),
+            exclude=left_out,
+            references=before,
+            held_out=judges,
+            progress=line.fraction,
+            source=_arguments(flights, {"--vehicle": vehicle, "--from": start_s, "--to": end_s}, everything),
+        )
     files = {name: str(path) for name, path in done.files.items()}
-    document = {"schema": "groundstation.report/1", "flight": done.identification.flight, "files": files}
-    return Result(document, "\n".join(f"{name:<16} {path}" for name, path in files.items()))
+    first = done.identification.to_dict()
+    document = {
+        "schema": "groundstation.report/1",
+        "flight": done.identification.flight,
+        "declarations": first["declarations"],
+        "files": files,
+    }
+    lines = [*first_of_all(first), *(f"{name:<16} {path}" for name, path in files.items())]
+    return Result(document, "\n".join(lines))
 
 
 @click.command(epilog=example("groundstation predict identification.toml other.mcap --horizon 0.5 --json"))
@@ -180,6 +236,8 @@ def report(
 @click.option("--horizon", type=float, default=0.5, show_default=True, help="Seconds to predict.")
 @click.option("--state", type=click.Choice(["smoothed", "own"]), default="smoothed", show_default=True,
               help="Start from and judge by the smoothed state, or the vehicle's own estimate.")  # fmt: skip
+@click.option("--use", type=click.Choice(["prediction", "physical"]), default="prediction", show_default=True,
+              help="The model that predicts best, or the physical one; without a [prediction] section it is the physical one.")  # fmt: skip
 @click.option("--save", type=click.Path(path_type=Path, dir_okay=False), default=None, help="CSV of predicted states.")
 @click.option("--vehicle", default=None, help="Vehicle file or shipped name; overrides the recorded one.")
 @click.option("--from", "start_s", type=float, default=None, help="Use the flight from this time on, s.")
@@ -190,6 +248,7 @@ def predict(
     flight: Path,
     horizon: float,
     state: str,
+    use: str,
     save: Path | None,
     vehicle: str | None,
     start_s: float | None,
@@ -202,7 +261,8 @@ def predict(
 
     line = ProgressLine()
     document = read_model(model, loaded.vehicle if vehicle is not None else None)
-    found = api.predict(document, loaded, horizon_s=horizon, own_state=state == "own", progress=line.fraction)
+    kind: Literal["prediction", "physical"] = "physical" if use == "physical" else "prediction"
+    found = api.predict(document, loaded, horizon_s=horizon, own_state=state == "own", use=kind, progress=line.fraction)
     line.end()
     if save is not None:
         from groundstation.recording.csvfile import write_csv

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import difflib
+import shutil
 import sys
+import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -84,8 +88,36 @@ def assignments(pairs: tuple[str, ...]) -> dict[str, float]:
     return out
 
 
+_LARGE = 20_000_000
+"""Bytes of a log that takes seconds to read, which is said before."""
+_QUIET_S = 1.5
+"""Nobody waits two seconds without a word."""
+
+
+def suggestion(given: str, known: Iterable[str]) -> str:
+    """What was probably meant, else all there is, as a sentence."""
+    near = difflib.get_close_matches(given.lower(), list(known), n=2, cutoff=0.55)
+    return f"Did you mean {' or '.join(near)}?" if near else f"There are {', '.join(known)}."
+
+
+class Choice(click.Choice[str]):
+    """A choice whose fault names the nearest value; ``others`` are names that people use for one of them."""
+
+    def __init__(self, choices: Sequence[str], others: Mapping[str, str] | None = None):
+        super().__init__(choices)
+        self._others = dict(others or {})
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """The value, or a fault with a suggestion."""
+        if value in self.choices:
+            return value
+        meant = self._others.get(value.lower())
+        hint = f"Did you mean {meant}?" if meant else suggestion(value, self.choices)
+        self.fail(f"'{value}' is not one of them. {hint}", param, ctx)
+
+
 class ProgressLine:
-    """Progress on standard error: one line rewritten on a terminal, a line now and then elsewhere."""
+    """Progress on standard error: on a terminal one line that is rewritten and fits, with the time left; else a line now and then."""
 
     def __init__(self, every_s: float = 1.0, clock: Callable[[], float] = time.monotonic):
         self._terminal = sys.stderr.isatty()
@@ -94,10 +126,24 @@ class ProgressLine:
         self._last_s = -1e9
         self._width = 0
         self._word = ""
+        self._began: float | None = None
+        self._last_text = ""
 
     def fraction(self, fraction: float, text: str) -> None:
         """Progress of a computation."""
-        self._show(f"{100 * fraction:3.0f} %  {text}", force=fraction >= 1.0)
+        self._last_text = text
+        self._show(f"{100 * fraction:3.0f} %  {self._left(fraction)}{text}", force=fraction >= 1.0)
+
+    def _left(self, fraction: float) -> str:
+        """Time left, once a second and a twentieth of the work are behind; it assumes that the work goes on as it went."""
+        now = self._clock()
+        if self._began is None:
+            self._began = now
+        spent = now - self._began
+        if fraction >= 1.0 or fraction < 0.05 or spent < 1.0:
+            return ""
+        left = spent * (1.0 - fraction) / fraction
+        return f"{left:.0f} s left  " if left < 100.0 else f"{left / 60.0:.0f} min left  "
 
     def say(self, text: str) -> None:
         """A line of a flight's progress; one that begins with another word than the last always shows."""
@@ -111,10 +157,35 @@ class ProgressLine:
             return
         self._last_s = now
         if self._terminal:
-            print(f"\r{text[:200].ljust(self._width)}", end="", file=sys.stderr, flush=True)
-            self._width = len(text)
+            shown = text[: max(shutil.get_terminal_size().columns - 1, 20)]
+            print(f"\r{shown.ljust(self._width)}", end="", file=sys.stderr, flush=True)
+            self._width = len(shown)
         else:
             print(text, file=sys.stderr, flush=True)
+
+    @contextmanager
+    def ticking(self, text: str) -> Iterator[None]:
+        """Say how long something takes that tells nothing of itself, whenever the line was quiet for a second and a half."""
+        done, begun = threading.Event(), self._clock()
+
+        def tick() -> None:
+            while not done.wait(0.25):
+                self.quiet(text, begun)
+
+        thread = threading.Thread(target=tick, name="progress", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()
+            self.end()
+
+    def quiet(self, text: str, begun_s: float) -> None:
+        """Say how long it has been going on, where the line was quiet for too long."""
+        now = self._clock()
+        if now - max(self._last_s, begun_s) >= _QUIET_S:
+            self._show(f"{self._last_text or text}: {now - begun_s:.0f} s", force=True)
 
     def end(self) -> None:
         """Leave the line."""
@@ -131,13 +202,24 @@ def load_vehicle_option(value: str | None) -> Vehicle | None:
 
 
 def load_flights(
-    paths: tuple[Path, ...], vehicle: str | None, start_s: float | None = None, end_s: float | None = None
+    paths: tuple[Path, ...],
+    vehicle: str | None,
+    start_s: float | None = None,
+    end_s: float | None = None,
+    everything: bool = False,
 ) -> list[FlightData]:
-    """Read flights of any format, with the vehicle of the command line over the recorded one."""
+    """Read flights of any format, with the vehicle of the command line over the recorded one; progress meanwhile."""
     from groundstation import api
 
     declared = load_vehicle_option(vehicle)
-    return [api.load_flight(path, vehicle=declared, start_s=start_s, end_s=end_s) for path in paths]
+    flights: list[FlightData] = []
+    for path in paths:
+        line = ProgressLine()
+        if path.is_file() and path.stat().st_size > _LARGE:
+            line.say(f"reading {path.name} ({path.stat().st_size / 1e6:.0f} MB)")
+        with line.ticking(f"reading {path.name}"):
+            flights.append(api.load_flight(path, vehicle=declared, start_s=start_s, end_s=end_s, everything=everything))
+    return flights
 
 
 def result_folder(path: Path, logs: Path) -> Path:

@@ -7,11 +7,28 @@ from typing import Any
 
 import click
 
-from groundstation.commands.common import Result, example, json_option, load_vehicle_option
+from groundstation.commands.common import Choice, Result, example, json_option, load_vehicle_option
 from groundstation.errors import BadInput
 from groundstation.writing import write_whole
 
 ANY = click.Path(path_type=Path)
+FORMAT_NAMES = (
+    *("toml", "json", "csv", "vehicle", "scenario", "px4-sih", "sdf", "urdf", "mjcf", "rotorpy"),
+    *("ardupilot-sitl", "pybullet", "crazyflow", "agilicious", "webots", "matlab", "ros2"),
+)
+"""Keys of :data:`groundstation.reporting.exports.FORMATS`, which are heavy to import; a test holds the two together."""
+OTHER_NAMES = {
+    "mujoco": "mjcf",
+    "gazebo": "sdf",
+    "px4": "px4-sih",
+    "ros": "ros2",
+    "ardupilot": "ardupilot-sitl",
+    "gym-pybullet-drones": "pybullet",
+    "crazyflie": "crazyflow",
+    "flightmare": "agilicious",
+    "simulink": "matlab",
+}
+"""What people call a format by its reader."""
 
 
 @click.command(epilog=example("groundstation convert flight.mcap bundle/"))
@@ -44,9 +61,7 @@ def convert(source: Path, target: Path | None, vehicle: str | None, mapped: Path
 
 @click.command(epilog=example("groundstation export identification.toml --format mjcf --output vehicle.xml"))
 @click.argument("model", type=ANY)
-@click.option(
-    "--format", "form", required=True, help="toml, json, csv, vehicle, px4-sih, sdf, urdf, mjcf, rotorpy or scenario."
-)
+@click.option("--format", "form", required=True, type=Choice(FORMAT_NAMES, OTHER_NAMES), help="What reads it.")
 @click.option("--output", type=click.Path(path_type=Path, dir_okay=False), help="File to write; else standard output.")
 @click.option("--vehicle", default=None, help="Vehicle file or shipped name; overrides the model's.")
 @json_option

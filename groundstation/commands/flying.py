@@ -36,11 +36,17 @@ MAVLINK_VEHICLE = "x500"
 @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
 @click.pass_context
 def sim(ctx: click.Context, arguments: tuple[str, ...]) -> None:
-    """Start the simulated drone, on zenoh or (--mavlink) as an autopilot; it takes the arguments below."""
+    """Start the simulated drone as a process that another program flies.
+
+    With --mavlink it is an autopilot on UDP, for `preflight` and `fly`. Without it, it waits for a core on the bus; `rehearse` starts
+    one by itself and needs no `sim`. The arguments follow.
+    """
     from groundstation.flight.children import module_command
 
     rest = [argument for argument in arguments if argument != "--mavlink"]
     mavlink = len(rest) < len(arguments)
+    if not arguments or "-h" in rest:
+        rest = ["--help"]
     if "--help" in rest:
         click.echo(f"{ctx.get_help()}\n")
     elif mavlink and "--vehicle" not in rest:
@@ -164,29 +170,9 @@ def _flight_result(flown: FlightResult) -> Result:
         diagnosis = json.loads(files["diagnosis.json"].read_text(encoding="utf-8"))
         document["diagnosis"] = diagnosis
         lines += ["", f"diagnosis: {diagnosis['verdict']}", *(f"  {f['evidence']}" for f in diagnosis["findings"])]
-        lines += _with_findings(document.get("identification", {}), diagnosis)
     if flown.exit_status:
         lines.append(flown.reason)
     return Result(document, "\n".join(lines), flown.exit_status)
-
-
-def _with_findings(identification: dict[str, Any], diagnosis: dict[str, Any]) -> list[str]:
-    """Mass and moments as the model that is kept has them, where the findings move one by more than the intervals say."""
-    from groundstation.identification.results import Estimate
-    from groundstation.reporting.units import half_width, label, quantity
-
-    own = identification.get("methods", {}).get(identification.get("best"), {}).get("parameters", {})
-    shown = [
-        n for n in ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2") if n in own and n in diagnosis["parameters_after"]
-    ]
-    before, after = (
-        {n: Estimate.normal(source[n]["value"], source[n]["std"]) for n in shown}
-        for source in (own, diagnosis["parameters_after"])
-    )
-    apart = any(abs(after[n].value - before[n].value) > half_width(after[n]) + half_width(before[n]) for n in shown)
-    if not diagnosis["findings"] or not apart:
-        return []
-    return ["  With this put in: " + ", ".join(f"{label(n)} {quantity(n, after[n])}" for n in shown)]
 
 
 def link_options(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -201,6 +187,11 @@ def link_options(function: Callable[..., Any]) -> Callable[..., Any]:
         ),
         click.option(
             "--plan", "plan_file", type=click.Path(path_type=Path, dir_okay=False), help="Plan; else a new one."
+        ),
+        click.option(
+            "--system",
+            type=click.IntRange(1, 255),
+            help="The vehicle's MAVLink system id, where several are on the link.",
         ),
         click.option("--force", multiple=True, metavar="NAME", help="Fly although this check fails; recorded."),
         click.option(

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from groundstation.commands.common import ProgressLine, Result, example, json_option, logs_option
+from groundstation.commands.common import Choice, ProgressLine, Result, example, json_option, logs_option
+from groundstation.errors import BadInput
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -194,3 +195,33 @@ def reproduce(keep: Path | None) -> Result:
     document, text = run(keep, line.fraction)
     line.end()
     return Result(document, text)
+
+
+SHELLS = {
+    "bash": "~/.local/share/bash-completion/completions/groundstation",
+    "zsh": "~/.zfunc/_groundstation",
+    "fish": "~/.config/fish/completions/groundstation.fish",
+}
+"""Shell -> the file that it reads completions from."""
+
+
+@click.command(
+    epilog=example("groundstation completion bash > ~/.local/share/bash-completion/completions/groundstation")
+)
+@click.argument("shell", type=Choice(tuple(SHELLS)))
+@click.pass_context
+def completion(ctx: click.Context, shell: str) -> Result:
+    r"""Print a completion script for bash, zsh or fish; write it where the shell looks for it, and open a new shell.
+
+    \b
+    bash  ~/.local/share/bash-completion/completions/groundstation
+    zsh   ~/.zfunc/_groundstation   (with `fpath+=~/.zfunc; autoload -U compinit; compinit` in ~/.zshrc)
+    fish  ~/.config/fish/completions/groundstation.fish
+    """
+    from click.shell_completion import get_completion_class
+
+    completer = get_completion_class(shell)
+    if completer is None:
+        raise BadInput(f"{shell}: no completion; there are {', '.join(SHELLS)}.")
+    script = completer(ctx.find_root().command, {}, "groundstation", "_GROUNDSTATION_COMPLETE").source()
+    return Result({"schema": "groundstation.completion/1", "shell": shell, "script": script}, script)

@@ -12,20 +12,26 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.discrepancy import FORM, Discrepancy, allowance
 from groundstation.diagnosis.effect import Effect, library
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, Solution
+from groundstation.diagnosis.rivals import (
+    INSEPARABLE,
+    INSTANTS,
+    Entry,
+    Kind,
+    kind_of,
+    material,
+    plausible,
+    posterior,
+    preferred,
+)
 from groundstation.diagnosis.whitening import orthonormal
 from groundstation.identification.record_model import CHANNELS
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-Entry = tuple[Candidate, Columns]
 
 CHANCE = 1e-5
 """Chance that noise alone would name an effect, shared by its variants; fixed before any study was run."""
-INSEPARABLE = 9.0
-"""Two explanations whose evidence differs by less than this (three standard deviations) are not told apart."""
-MATERIAL = 5e-4
-"""Least RMS of an effect that is a finding, as a share of weight (forces) or of weight times arm (torques)."""
 MOST = 6
 CLOSER = 4
 """How often an instant, a length or a curve is looked at more closely."""
@@ -62,27 +68,6 @@ def candidates(vehicle: Vehicle, signals: Signals, effects: Iterable[Effect] | N
     ]
 
 
-def material(evidence: Evidence, columns: Columns, values: Array) -> bool:
-    """Whether an effect of these values is large enough to matter to anyone."""
-    vehicle = evidence.flights[0].prepared.record.vehicle
-    weight = vehicle.mass_kg * vehicle.gravity_m_s2
-    size = np.abs(columns.wrench_rms @ np.abs(values))
-    scale = np.array([weight] * 3 + [weight * vehicle.arm_m()] * 3)
-    return bool(np.any(size / scale > MATERIAL))
-
-
-def plausible(candidate: Candidate, values: Array, covariance: Array) -> bool:
-    """Values within the physical range, two standard deviations allowed."""
-    std = np.sqrt(np.diag(covariance))
-    ranges = [p.plausible for p in candidate.effect.parameters]
-    return all(low - 2.0 * s <= v <= high + 2.0 * s for v, s, (low, high) in zip(values, std, ranges, strict=True))
-
-
-def posterior(rivals: Sequence[float]) -> float:
-    """Share of an explanation among rivals (chance is one) whose evidence stands this far from its own, as chi squared."""
-    return float(1.0 / (1.0 + np.sum(np.exp(0.5 * np.clip(rivals, -200.0, 0.0)))))
-
-
 class Selection:
     """Forward selection over columns computed once.
 
@@ -115,6 +100,8 @@ class Selection:
         self.lag = self.discrepancy.of_lag(evidence.solve(self.baseline))
         self.variants = Counter(c.identifier for c, _ in self.pool) if variants is None else variants
         self._thresholds: dict[tuple[int, int], float] = {}
+        self._alone: dict[frozenset[int], Array] = {}
+        self._beaten: list[tuple[set[Kind], float]] = []
 
     def _threshold(self, candidate: Candidate, columns: Columns, members: Sequence[int] | None = None) -> float:
         """Wald statistic of all parameters (or some) that noise passes with probability CHANCE in any of an effect's variants."""
@@ -124,12 +111,19 @@ class Selection:
             self._thresholds[key] = self.evidence.threshold(columns, chance, members)
         return self._thresholds[key]
 
+    def _cost(self, entry: Entry) -> float:
+        """What an entry has to explain in a contest: what chance gives it, and what an instant gives that was looked for.
+
+        The search for an instant is one more parameter, which costs the logarithm of the number of rows (Schwarz 1978), about as
+        much as INSEPARABLE: a rotor that was weak all along is not one that failed early for less.
+        """
+        return self._threshold(*entry) + (INSEPARABLE if INSTANTS.intersection(entry[0].settings) else 0.0)
+
     def _margins(self, chosen: Sequence[Entry], members: Sequence[int] | None = None) -> list[float]:
         """Margin of each member (or of some) over chance and over the others' form errors; -inf if implausible or immaterial."""
         solution = self.evidence.solve([*self.baseline, *chosen])
         offset = sum(len(c.effect.parameters) for c, _ in self.baseline)
         energies = self.discrepancy.energies(chosen, solution, offset)
-        total = energies.sum(axis=0) + self.lag
         out = []
         for index, (candidate, columns) in enumerate(chosen):
             first, offset = offset, offset + len(candidate.effect.parameters)
@@ -143,11 +137,25 @@ class Selection:
             ):
                 out.append(-np.inf)
                 continue
-            others = total - energies[index]
+            others = self._without(chosen, index)
             telling = candidate.effect.telling()
             least = self._threshold(candidate, columns, telling) + allowance(energies[index], others)
             out.append(solution.wald(first, telling) - least)
         return out
+
+    def _without(self, chosen: Sequence[Entry], index: int) -> Array:
+        """Energy by channel, shape (6,), of lag and the other members as they are estimated without one.
+
+        What their formulas may leave to it is theirs where it is not there: beside it, two that are alike nearly cancel, and their
+        energies mean nothing.
+        """
+        rest = [*chosen[:index], *chosen[index + 1 :]]
+        key = frozenset(columns.number for _, columns in rest)
+        if key not in self._alone:
+            solution = self.evidence.solve([*self.baseline, *rest])
+            first = sum(len(c.effect.parameters) for c, _ in self.baseline)
+            self._alone[key] = self.discrepancy.energies(rest, solution, first).sum(axis=0) + self.lag
+        return self._alone[key]
 
     def _is_founded(self, candidate: Candidate, chosen: Sequence[Entry]) -> bool:
         """Whether one of the effects that it rests on is there, or it rests on none."""
@@ -165,8 +173,72 @@ class Selection:
         return found
 
     def choose(self) -> list[Entry]:
+        """The set that explains most beyond chance: of the one that forward selection ends in, and those from other starts.
+
+        Forward selection takes what explains most by itself. Two faults together can look most like a third, and no exchange of one
+        member leads out of that corner. So a selection begins at every rotor and every other effect that shows by itself, too, and
+        the sets contest all places together, through the same instruments.
+        """
+        found = self._selected([])
+        if not found:
+            return found
+        rivals = self._from_other_starts(found)
+        best = preferred([found, *rivals], *self._scores([found, *rivals]))
+        if best > 0:
+            polished = self._selected(self._polished(rivals[best - 1]))
+            if polished:
+                rivals = [found, *rivals]
+                found = polished
+        scores, misfit = self._scores([found, *rivals])
+        own = {kind_of(entry) for entry in found}
+        beaten = [({kind_of(e) for e in rival}, score) for rival, score in zip(rivals, scores[1:], strict=True)]
+        # A set that is one exchange away contests that place, and is counted there.
+        self._beaten = [(kinds, (score - scores[0]) / misfit) for kinds, score in beaten if len(kinds ^ own) > 2]
+        return found
+
+    def _scores(self, sets: Sequence[Sequence[Entry]]) -> tuple[list[float], float]:
+        """What each set explains beyond what chance could give each of its members; and the misfit of the best."""
+        result = self.evidence.contest([[*self.baseline, *chosen] for chosen in sets])
+        costs = [sum(map(self._cost, chosen)) for chosen in sets]
+        return [fall - cost for fall, cost in zip(result.falls, costs, strict=True)], result.misfit
+
+    def _from_other_starts(self, found: Sequence[Entry]) -> list[list[Entry]]:
+        """The sets that plain forward selection ends in from each kind of candidate that ``found`` does without."""
+        best: dict[Kind, tuple[float, Entry]] = {}
+        for entry in self.pool:
+            (margin,) = self._margins([entry], [0])
+            if margin > best.get(kind_of(entry), (-np.inf, entry))[0]:
+                best[kind_of(entry)] = margin, entry
+        within = {kind_of(entry) for entry in found}
+        starts = [entry for kind, (margin, entry) in best.items() if kind not in within and (margin > 0.0 or kind[1])]
+        seen, out = {frozenset(within)}, []
+        for start in starts:
+            grown = self._grown(start)
+            kinds = frozenset(kind_of(entry) for entry in grown)
+            if grown and kinds not in seen and min(self._margins(grown)) > 0.0:
+                seen.add(kinds)
+                out.append(grown)
+        return out
+
+    def _grown(self, start: Entry) -> list[Entry]:
+        """Forward selection from one candidate, without rivals for a place."""
+        chosen = [start]
+        while len(chosen) < MOST and (entry := self._best_addition(chosen, set())) is not None:
+            before = [c for c, _ in chosen]
+            chosen = self._pruned([*chosen, entry])
+            if [c for c, _ in chosen] == before:
+                break
+        return chosen
+
+    def _polished(self, chosen: list[Entry]) -> list[Entry]:
+        """The same, looked at closely; what does not lessen the error on blocks no estimate saw is left out."""
+        for index in range(len(chosen)):
+            chosen = self._refined(chosen, index)
+        chosen = self._pruned(self._contested(chosen))
+        return [e for i, e in enumerate(chosen) if self._holds([*chosen[:i], *chosen[i + 1 :]], e)]
+
+    def _selected(self, chosen: list[Entry]) -> list[Entry]:
         """Select, prune, and let rivals contest each place."""
-        chosen: list[Entry] = []
         refuted: set[str] = set()
         for _ in range(2 * MOST):
             entry = self._best_addition(chosen, refuted) if len(chosen) < MOST else None
@@ -201,7 +273,8 @@ class Selection:
         named = []
         for index, (entry, margin) in enumerate(zip(chosen, margins, strict=True)):
             rest = [*chosen[:index], *chosen[index + 1 :]]
-            alternatives, confidence = self._told_from(self._contest(chosen, index), margin)
+            contest, misfit = self._contest(chosen, index)
+            alternatives, confidence = self._told_from(contest, margin, misfit)
             gain = self.held_out_gain(rest, entry)
             named.append(Named(*entry, margin, gain, alternatives, confidence))
         named.sort(key=lambda n: -n.gain)
@@ -233,7 +306,7 @@ class Selection:
                 if columns is not None:
                     entries.append((finer, columns))
             sets = [[*self.baseline, *chosen[:index], entry, *chosen[index + 1 :]] for entry in entries]
-            best = entries[int(np.argmax(self.evidence.contest(sets)))] if len(entries) > 1 else current
+            best = entries[int(np.argmax(self.evidence.contest(sets).falls))] if len(entries) > 1 else current
             trial = [*chosen[:index], best, *chosen[index + 1 :]]
             if best is current or self._margins(trial, [index])[0] <= 0.0:
                 break
@@ -252,45 +325,55 @@ class Selection:
     def _contested(self, chosen: list[Entry]) -> list[Entry]:
         """Give each place to whoever serves the set best through instruments common to all who ask for it."""
         for index in range(len(chosen)):
-            contest = self._contest(chosen, index)
+            contest, _ = self._contest(chosen, index)
             entry = max(contest, key=lambda item: item[1])[0]
             if entry is not chosen[index]:
                 chosen = self._refined([*chosen[:index], entry, *chosen[index + 1 :]], index)
         return chosen
 
-    def _contest(self, chosen: list[Entry], index: int) -> list[tuple[Entry, float]]:
-        """The member at ``index`` and its strongest rivals, with what each explains beyond chance, the member first.
+    def _contest(self, chosen: list[Entry], index: int) -> tuple[list[tuple[Entry, float]], float]:
+        """The member at ``index`` and its strongest rivals, with what each explains beyond chance, the member first; and the misfit.
 
+        A rival is another effect, or the same one of another rotor.
         A Wald statistic is through an effect's own instruments; two of them do not compare. Here all pass the same ones.
         """
-        others = {c.identifier for c, _ in chosen}
-        best: dict[str, tuple[float, Entry]] = {}
+        others, own = {c.identifier for i, (c, _) in enumerate(chosen) if i != index}, kind_of(chosen[index])
+        best: dict[Kind, tuple[float, Entry]] = {}
         for entry in self.pool:
-            if entry[0].identifier in others:
+            kind = kind_of(entry)
+            if kind == own or kind[0] in others:
                 continue
             trial = [*chosen[:index], entry, *chosen[index + 1 :]]
             (margin,) = self._margins(trial, [index])
-            if margin > best.get(entry[0].identifier, (0.0, entry))[0]:
-                best[entry[0].identifier] = margin, entry
+            if margin > best.get(kind, (0.0, entry))[0]:
+                best[kind] = margin, entry
         rivals = [entry for _, entry in sorted(best.values(), key=lambda item: -item[0])[:RIVALS]]
         sets = [[*self.baseline, *chosen[:index], entry, *chosen[index + 1 :]] for entry in (chosen[index], *rivals)]
         rest = [*self.baseline, *chosen[:index], *chosen[index + 1 :]]
-        falls = self.evidence.contest([rest, *sets])
+        result = self.evidence.contest([rest, *sets])
+        falls = result.falls
         return [
-            (entry, fall - falls[0] - self._threshold(*entry))
+            (entry, fall - falls[0] - self._cost(entry))
             for entry, fall in zip((chosen[index], *rivals), falls[1:], strict=True)
-        ]
+        ], result.misfit
 
-    @staticmethod
-    def _told_from(contest: list[tuple[Entry, float]], margin: float) -> tuple[tuple[str, ...], float]:
-        """Alternatives to the first of a contest, and its posterior share among all of it and nothing.
+    def _told_from(
+        self, contest: list[tuple[Entry, float]], margin: float, misfit: float
+    ) -> tuple[tuple[str, ...], float]:
+        """Alternatives to the first of a contest, and its posterior share among all of it, whole sets without it, and nothing.
 
-        Differences that form errors can make count for no more than INSEPARABLE.
+        Differences that form errors can make count for no more than INSEPARABLE. Where even the best set leaves more than noise, all
+        differences count for as much less (quasi-likelihood: McCullagh and Nelder 1989, section 9).
         """
-        (_, own), *rivals = contest
+        (entry, own), *rivals = contest
         close = max(INSEPARABLE, FORM**2 * own)
-        alternatives = tuple(entry[0].identifier for entry, score in rivals if score > own - close)
-        return alternatives, posterior([(score - own) * INSEPARABLE / close for _, score in rivals] + [-margin])
+        kind = kind_of(entry)
+        near = [kind_of(rival) for rival, score in rivals if score > own - close * misfit]
+        scale = INSEPARABLE / close
+        differences = [(score - own) / misfit * scale for _, score in rivals]
+        sets = [difference * scale for kinds, difference in self._beaten if kind not in kinds]
+        alternatives = tuple(dict.fromkeys(name for name, _ in near if name != kind[0]))
+        return alternatives, posterior([*differences, *sets, -margin / misfit])
 
     def held_out_gain(self, chosen: Sequence[Entry], entry: Entry) -> float:
         """Fall of the whitened squared residual on blocks no estimate saw, guard gaps left out, when ``entry`` is added."""

@@ -88,6 +88,19 @@ class Solution:
         return float(values @ np.linalg.solve(covariance, values))
 
 
+@dataclass(frozen=True, slots=True)
+class Contest:
+    """Sets of explanations, compared through instruments common to all.
+
+    Attributes:
+        falls: of the instrumented squared residual, that each set brings to the base alone.
+        misfit: what the best of them leaves, per degree of freedom; one where noise alone is left, and never less.
+    """
+
+    falls: list[float]
+    misfit: float
+
+
 class FlightEvidence:
     """One flight, whitened about a base fit.
 
@@ -349,7 +362,7 @@ class Evidence:
             self._products[key] = pair
         return pair
 
-    def contest(self, sets: Sequence[Sequence[tuple[Candidate, Columns]]]) -> list[float]:
+    def contest(self, sets: Sequence[Sequence[tuple[Candidate, Columns]]]) -> Contest:
         r"""Fall of the instrumented squared residual :math:`|P_Z W^{1/2} (y - A \theta)|^2` that each set brings to the base alone.
 
         Z is common to all: the base's instruments and those of every member of any set, channel by channel, so that the falls
@@ -372,8 +385,11 @@ class Evidence:
             theta = np.linalg.solve(a.T @ a + prior, a.T @ y)
             return float(np.sum((y - a @ theta) ** 2) + theta @ prior @ theta)
 
-        alone = left(())
-        return [alone - left(chosen) for chosen in sets]
+        alone, remaining = left(()), [left(chosen) for chosen in sets]
+        best = int(np.argmin(remaining))
+        used = base.shape[1] + sum(columns.sensitivity.shape[1] for _, columns in sets[best])
+        misfit = max(1.0, remaining[best] / max(basis.shape[1] - used, 1))
+        return Contest([alone - other for other in remaining], misfit)
 
     def remainder(self, chosen: Sequence[tuple[Candidate, Columns]], solution: Solution) -> Array:
         """Whitened residual after a solution."""

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.attribution import INSEPARABLE, posterior
 from groundstation.diagnosis.effect import ROTATION, Reading, SensorEffect, catalogue
 from groundstation.diagnosis.results import Finding
+from groundstation.diagnosis.rivals import INSEPARABLE, posterior
 from groundstation.frames import quat_exp, quat_multiply, quat_rotate
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.reconstruction import Compatibility

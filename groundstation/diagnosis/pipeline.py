@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.attribution import Entry, Named, Selection, candidates
+from groundstation.diagnosis.adoption import why_not
+from groundstation.diagnosis.attribution import Named, Selection, candidates
 from groundstation.diagnosis.augmented import is_among, known_candidates
 from groundstation.diagnosis.comparison import (
     as_declared,
@@ -28,6 +29,7 @@ from groundstation.diagnosis.linearisation import linearisation
 from groundstation.diagnosis.next_flight import rival_entries
 from groundstation.diagnosis.proposal import with_proposals
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
+from groundstation.diagnosis.rivals import Entry
 from groundstation.diagnosis.scale import scale_findings
 from groundstation.diagnosis.screen import dependences, unexplained
 from groundstation.diagnosis.timing import lag_findings
@@ -35,6 +37,7 @@ from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
+from groundstation.identification.declarations import check_declarations, said_first
 from groundstation.identification.pipeline import fit_dynamics, options_for
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared, prepare_all
@@ -62,6 +65,17 @@ def diagnose(
         options: stretches to leave out, healthy flights to compare with, flights to judge by, effects that are known.
         progress: told the fraction done and what is being done.
     """
+    checks = check_declarations(flights[0])
+    found = _diagnose(flights, options, progress)
+    return replace(
+        found,
+        declarations=tuple(check.to_dict() for check in checks),
+        warnings=(*said_first(checks), *found.warnings),
+    )
+
+
+def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress: Progress) -> Diagnosis:
+    """What :func:`diagnose` finds, the declarations taken as they are."""
     name = " + ".join(flight.name for flight in flights)
     vehicle = flights[0].vehicle
     references, augmented = options.references, known_candidates(options.known_effects)
@@ -111,7 +125,8 @@ def diagnose(
     error = held_out_errors(evidence, baseline, chosen, splits)
     progress(0.95, "predicting what no estimate saw")
     ahead, notes = forecast(evidence, baseline, chosen, splits, halves)
-    verdict = "unexplained" if remaining else "explained" if findings else "clean"
+    worse = why_not(ahead) if findings else ""
+    verdict = "unexplained" if remaining or worse else "explained" if findings else "clean"
     progress(1.0, "done")
     return Diagnosis(
         flight=name,
@@ -123,9 +138,10 @@ def diagnose(
         parameters_before=before,
         parameters_after=after,
         next_flight=_next_flight(findings, remaining),
-        reason=_reason(verdict, findings, remaining),
+        reason=" ".join(filter(None, (worse, _reason(verdict, findings, remaining)))),
         warnings=tuple(_warnings(suspects, references)),
         notes=notes,
+        adopted=not worse,
         candidates=(
             *(
                 {
@@ -290,6 +306,8 @@ def _reason(verdict: str, findings: Sequence[Finding], remaining: Sequence[Unexp
         return "No effect beats chance; what is left is this flight's own disturbance and sensor noise."
     if verdict == "explained":
         return f"{len(findings)} effect{'s' if len(findings) > 1 else ''} found; the rest is disturbance and noise."
+    if not remaining:
+        return ""
     channels = ", ".join(item.channel for item in remaining)
     return f"A residual remains in {channels} that depends on the motion and that no known effect removes."
 

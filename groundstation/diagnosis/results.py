@@ -69,6 +69,7 @@ class Diagnosis(Tabular):
     Attributes:
         error: {"held_out": {"before": {channel: rms}, "after": {...}, "nominal": {...},
             "prediction_0.1_s_before": {quantity: rms}, ..., "simulation_before": {signal: rms}, "simulation_after": {...}}}.
+        adopted: whether the findings are put into the estimate; not where they make the prediction worse.
         notes: what these errors are of, and which of them are left out, and why.
         residual: time series that the report draws: "t_s", each channel before, and "channel/after" with the findings.
         candidates: for each effect tried, its held-out gain and why it was kept or dropped.
@@ -85,8 +86,10 @@ class Diagnosis(Tabular):
     next_flight: str = ""
     reason: str = ""
     warnings: tuple[str, ...] = ()
+    declarations: tuple[Mapping[str, Any], ...] = ()
     notes: tuple[str, ...] = ()
     candidates: tuple[Mapping[str, Any], ...] = ()
+    adopted: bool = True
     residual: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
 
     def records(self) -> list[Record]:
@@ -122,7 +125,9 @@ class Diagnosis(Tabular):
             "parameters_after": {k: v.to_dict() for k, v in self.parameters_after.items()},
             "next_flight": self.next_flight,
             "reason": self.reason,
+            "declarations": [dict(check) for check in self.declarations],
             "warnings": list(self.warnings),
             "notes": list(self.notes),
+            "adopted": self.adopted,
             "candidates": [dict(c) for c in self.candidates],
         }

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from groundstation.diagnosis.attribution import posterior
 from groundstation.diagnosis.effects.thrust_scale import EFFECT
 from groundstation.diagnosis.results import Finding
+from groundstation.diagnosis.rivals import posterior
 from groundstation.diagnosis.timing import CERTAIN
 from groundstation.identification.results import Estimate
 from groundstation.vehicle import Vehicle

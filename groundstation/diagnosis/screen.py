@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.attribution import MATERIAL
 from groundstation.diagnosis.discrepancy import FORM, Discrepancy
 from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, from_thrust
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
 from groundstation.diagnosis.results import Unexplained
+from groundstation.diagnosis.rivals import MATERIAL
 from groundstation.frames import euler_from_quat
 from groundstation.identification.record_model import CHANNELS
 from groundstation.model.signals import Signals
@@ -132,7 +132,7 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
             if margin <= 0.0:
                 continue
             part = candidate.effect.wrench(first.signals, vehicle, {})[:, _WRENCH_ROW[channel], :]
-            size = _own_size(part @ solution.part(offset, count)[0], explained[:, _WRENCH_ROW[channel], :], kept)
+            size = _own_size(part, *solution.part(offset, count), explained[:, _WRENCH_ROW[channel], :], kept)
             scale = weight * (vehicle.arm_m() if channel < 3 else 1.0)
             if size < MATERIAL * scale:
                 continue
@@ -141,10 +141,17 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
     return sorted(found, key=lambda d: -d.margin)
 
 
-def _own_size(part: Array, explained: Array, kept: NDArray[np.bool_]) -> float:
-    """Standard deviation of what a dependence adds to what a constant, thrust and the named effects could give."""
+def _own_size(part: Array, values: Array, covariance: Array, explained: Array, kept: NDArray[np.bool_]) -> float:
+    """Standard deviation of what a dependence adds to what a constant, thrust and the named effects could give.
+
+    Noise in its coefficients makes a size of its own, trace(G cov), which is taken out: what matters to nobody is not made large by a
+    basis that is known badly.
+    """
     columns = explained[kept] / (np.linalg.norm(explained[kept], axis=0) + 1e-30)
-    return float(np.std(part[kept] - columns @ np.linalg.lstsq(columns, part[kept], rcond=1e-8)[0]))
+    own = part[kept] - columns @ np.linalg.lstsq(columns, part[kept], rcond=1e-8)[0]
+    own = own - own.mean(axis=0)
+    gram = own.T @ own / len(own)
+    return float(np.sqrt(max(values @ gram @ values - np.trace(gram @ covariance), 0.0)))
 
 
 def disturbance_std(evidence: Evidence, channel: int) -> float:

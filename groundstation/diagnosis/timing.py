@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.attribution import INSEPARABLE, posterior
 from groundstation.diagnosis.effect import is_commanded
 from groundstation.diagnosis.effects.input_delay import EFFECT as DELAY
 from groundstation.diagnosis.effects.motor_lag import EFFECT as LAG
 from groundstation.diagnosis.evidence import Evidence, Solution
 from groundstation.diagnosis.results import Finding
+from groundstation.diagnosis.rivals import INSEPARABLE, posterior
 from groundstation.identification.results import Estimate
 
 Array = NDArray[np.float64]

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.attribution import INSEPARABLE, posterior
 from groundstation.diagnosis.results import Finding
+from groundstation.diagnosis.rivals import INSEPARABLE, posterior
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.results import Estimate
 from groundstation.model.rotors import wrench_matrix

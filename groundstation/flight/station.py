@@ -118,6 +118,7 @@ class Station(_Section):
 
     schema_version: str = Field(default="groundstation.station/1", alias="schema")
     name: str = "default"
+    system: Annotated[int, Field(ge=1, le=255)] | None = None  # the vehicle's MAVLink system id; None: the first heard
     box: Box = Box()
     guard: GuardLimits = GuardLimits()
     policy: Policy = Policy()

@@ -23,12 +23,19 @@ def rates_from_attitude(t_s: Array, quaternion: Array) -> tuple[Array, Array]:
 
 
 def coarse_offset(
-    t_gyro: Array, gyro: Array, t_pose: Array, quaternion: Array, *, expected_s: float = 0.0
+    t_gyro: Array,
+    gyro: Array,
+    t_pose: Array,
+    quaternion: Array,
+    *,
+    expected_s: float = 0.0,
+    source: str = "motion capture",
 ) -> tuple[float, float]:
     """Pose stamp minus gyro stamp of one instant, to a few milliseconds, by correlating smoothed rates.
 
     Args:
         expected_s: centre of the search, e.g. from arrival times; the search goes as far as half of each record overlaps.
+        source: of the attitudes, for the refusal.
 
     Returns:
         Offset in seconds and the correlation coefficient there.
@@ -70,7 +77,7 @@ def coarse_offset(
     best = int(np.argmax(score))
     if coefficient[best] < 0.3:
         raise Refused(
-            f"the clocks of motion capture and IMU cannot be aligned: their rates correlate by {coefficient[best]:.2f} at best.",
+            f"the clocks of {source} and IMU cannot be aligned: their rates correlate by {coefficient[best]:.2f} at best.",
             "Fly with rotation about at least one axis, and check that both streams are of the same vehicle.",
         )
     if 0 < best < len(total) - 1:

@@ -12,6 +12,7 @@ from groundstation.errors import GroundStationError, NotIdentifiable
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored
 from groundstation.identification.consistency import nearest_rigid_body, physically_consistent
+from groundstation.identification.declarations import check_declarations, lag_doubts, said_first
 from groundstation.identification.identifiability import (
     angular_acceleration,
     never_moved,
@@ -22,7 +23,9 @@ from groundstation.identification.identifiability import (
     unsettled,
 )
 from groundstation.identification.instrumental import instrumental
+from groundstation.identification.physical_limits import outside
 from groundstation.identification.prediction_error import Fitted, fit, fit_from_declared, output_error
+from groundstation.identification.predictive_choice import physical_model, prediction_section
 from groundstation.identification.preparation import Prepared, damping_terms, prepare_all
 from groundstation.identification.record_model import BodyWrench, DynamicRecord, RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification, MethodResult
@@ -188,6 +191,7 @@ def identify(
     flights: Sequence[FlightData],
     options: AnalysisOptions = DEFAULT_OPTIONS,
     *,
+    predictive: bool = False,
     progress: Progress = lambda fraction, text: None,
 ) -> Identification:
     """Identify one vehicle from one or several of its flights.
@@ -195,6 +199,7 @@ def identify(
     Args:
         flights: recordings of the same vehicle; they are pooled.
         options: stretches to leave out.
+        predictive: fit and choose a prediction model beside the physical one, too.
         progress: told the fraction done and what is being done.
 
     Raises:
@@ -204,6 +209,7 @@ def identify(
     progress(0.05, "bringing the streams onto one clock")
     options.require_only("identify", "exclude")
     exclude = options.exclude
+    checks = check_declarations(flights[0])
     prepared = prepare_all(flights, exclude)
     fitted = fit_dynamics(prepared, progress)
     best = fitted.best
@@ -220,7 +226,8 @@ def identify(
     oe = output_error(fitted.models, best.parameters, fitted.options)
     found = {"OE": oe, "FE": fitted.filter_error} | ({} if fitted.instrumental is None else {"IV": fitted.instrumental})
     methods |= {name: _result(fitted, fit, hidden, _METHOD_NOTES[name]) for name, fit in found.items()}
-    name, reason, warnings = fitted.best_name, _reason(fitted), [] if partial is None else [partial]
+    name, reason = fitted.best_name, _reason(fitted)
+    warnings = [*said_first(checks), *([] if partial is None else [partial])]
     trouble = physically_consistent(methods[name].parameters)
     if trouble:
         best, away = nearest_rigid_body(best, [term.name for term in fitted.models[0].extra])
@@ -235,6 +242,12 @@ def identify(
         )
     _, constants = anchored(vehicle, best.names, best.values, best.covariance)
     model = {**constants, **_model(best, prepared[0])}
+    warnings[:0] = lag_doubts(model, vehicle)
+    impossible = outside(vehicle, methods[name].parameters, model)
+    hidden |= impossible
+    warnings += [f"{key}: {text}." for key, text in impossible.items()]
+    methods = {key: method.without(impossible) for key, method in methods.items()}
+    model = {key: estimate for key, estimate in model.items() if key not in impossible}
     if vehicle.identification.anchor == "mass" and vehicle.rotors.input != "wrench":
         hidden["torque_to_thrust_m"] = (
             "a measured reaction torque: yaw torque and yaw inertia scale together, weighing does not fix them"
@@ -248,6 +261,11 @@ def identify(
         mocap_minus_imu_s=0.0 if first.clock is None else first.clock.mocap_minus_imu_s,
         exclude=exclude,
     )
+    disturbance, prediction = _disturbance(fitted.models, best, fitted.options), {}
+    if predictive:
+        progress(0.96, "prediction model")
+        physical = physical_model(vehicle, methods[name].parameters, model, disturbance)
+        prediction = prediction_section(prepared, physical)
     progress(1.0, "done")
     return Identification(
         flight=" + ".join(flight.name for flight in flights),
@@ -259,6 +277,7 @@ def identify(
         best_reason=reason,
         clock=first.clock,
         not_identifiable=hidden,
+        declarations=tuple(check.to_dict() for check in checks),
         warnings=tuple(warnings),
         bound={key: value.std for key, value in bounds.items() if key not in hidden},
         window_s=first.window_s,
@@ -266,7 +285,8 @@ def identify(
         quality=tuple(note for item in prepared for note in (*item.flight.notes, *item.notes)),
         validation=validation,
         revealed=tuple(combinations),
-        disturbance=_disturbance(fitted.models, best, fitted.options),
+        disturbance=disturbance,
+        prediction=prediction,
     )
 
 
@@ -301,6 +321,12 @@ def _reason(fitted: DynamicFit) -> str:
         if size < DISAGREES
         else f"FE differs by {size:.1f} standard deviations in {worst}: feedback or noisy rotor speeds bias it"
     )
+    flights = [item.flight for item in fitted.prepared]
+    if any(flight.plan is None and flight.setpoint is None for flight in flights):
+        return (
+            "IV: neither plan nor setpoints are recorded, and the smoothed path flown is the instrument: noisy rotor speeds do not "
+            f"bias it, but it is not immune to feedback from disturbances; {verdict}."
+        )
     return f"IV: the plan is known, so it is immune to feedback from disturbances; {verdict}."
 
 

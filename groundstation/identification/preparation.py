@@ -238,18 +238,25 @@ def flight_states(flight: FlightData, *, own: bool = False) -> FlightStates:
         BadInput: ``own`` was asked of a flight without a state stream.
     """
     prepared = prepare(flight)
-    record = prepared.record
-    if own:
-        if flight.state is None or len(flight.state) < 50:
-            raise BadInput(f"{flight.name}: there is no state.csv to start from; leave out --state own.")
-        state = clean(flight.state)
-        x = state.values
-        parts = (x[:, :3], x[:, 3:6], quat_continuous(x[:, 6:10]), x[:, 10:13])
-        voltage = np.interp(state.t_s, record.t_s, prepared.voltage_v)
-        return FlightStates(
-            state.t_s, *parts, *parts, record.motors, voltage, prepared.window_s, record.vehicle, prepared.stretches
-        )
-    return smoothed_states(prepared)
+    return own_states(prepared) if own else smoothed_states(prepared)
+
+
+def own_states(prepared: Prepared) -> FlightStates:
+    """Starts and references from the vehicle's own estimate.
+
+    Raises:
+        BadInput: there is none.
+    """
+    flight, record = prepared.flight, prepared.record
+    if flight.state is None or len(flight.state) < 50:
+        raise BadInput(f"{flight.name}: there is no state.csv to start from; leave out --state own.")
+    state = clean(flight.state)
+    x = state.values
+    parts = (x[:, :3], x[:, 3:6], quat_continuous(x[:, 6:10]), x[:, 10:13])
+    voltage = np.interp(state.t_s, record.t_s, prepared.voltage_v)
+    return FlightStates(
+        state.t_s, *parts, *parts, record.motors, voltage, prepared.window_s, record.vehicle, prepared.stretches
+    )
 
 
 def smoothed_states(prepared: Prepared) -> FlightStates:
@@ -339,7 +346,8 @@ def _aligned(flight: FlightData, imu: Stream, pose: Stream, notes: list[str]) ->
     expected = arrival_difference(pose, imu)
     t, gyro, accel = imu.t_s, imu.values[:, :3], imu.values[:, 3:6]
     try:
-        offset, _ = coarse_offset(t, gyro, pose.t_s, pose.values[:, 3:7], expected_s=expected or 0.0)
+        source = "motion capture" if flight.mocap is not None else "the vehicle's own attitude"
+        offset, _ = coarse_offset(t, gyro, pose.t_s, pose.values[:, 3:7], expected_s=expected or 0.0, source=source)
     except Refused as refusal:
         notes.append(f"The poses are left out: {refusal}")
         return None, 0.0

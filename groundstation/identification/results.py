@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,10 @@ class MethodResult:
     rms_output_error: Mapping[str, float] = field(default_factory=dict)
     evolution: Evolution | None = None
     note: str = ""
+
+    def without(self, names: Collection[str]) -> MethodResult:
+        """The same without some of its parameters."""
+        return replace(self, parameters={key: value for key, value in self.parameters.items() if key not in names})
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form of docs/formats.md."""
@@ -121,6 +125,7 @@ class Identification(Tabular):
         window_s: the part of the flight that was used, on the IMU's clock (motors' without IMU).
         revealed: which combinations of mass and tensor the motion acted on, and how strongly, before any fit.
         disturbance: what turned the vehicle beside the model; None where it was not estimated.
+        prediction: the ``[prediction]`` section of a model file; empty where it was not asked for or the flights are too short.
         quality: repairs and data-compatibility findings, one sentence each.
     """
 
@@ -141,6 +146,8 @@ class Identification(Tabular):
     validation: tuple[Validation, ...] = ()
     revealed: tuple[Revealed, ...] = ()
     disturbance: TurningDisturbance | None = None
+    declarations: tuple[Mapping[str, Any], ...] = ()
+    prediction: Mapping[str, Any] = field(default_factory=dict)
 
     def records(self) -> list[Record]:
         """One row per parameter: the best method's estimate with its 95 % interval; None where the flight does not tell."""
@@ -178,7 +185,9 @@ class Identification(Tabular):
             },
             "not_identifiable": list(self.not_identifiable),
             "remedies": dict(self.not_identifiable),
+            "prediction": dict(self.prediction),
             "revealed": [each.to_dict() for each in self.revealed],
+            "declarations": [dict(check) for check in self.declarations],
             "warnings": list(self.warnings),
             "bound": dict(self.bound),
             "window_s": list(self.window_s),

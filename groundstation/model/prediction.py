@@ -25,7 +25,8 @@ from groundstation.frames import (
     quat_rotate_inverse,
 )
 from groundstation.model.disturbance import Carried, TurningDisturbance, carried, fading, gains
-from groundstation.model.parameters import FREE, Parameters, declared_parameters
+from groundstation.model.parameters import FREE, RIGID_BODY, Parameters, declared_parameters
+from groundstation.model.predictive import PredictiveModel, simulate
 from groundstation.model.rotors import (
     MotorInput,
     cumulative,
@@ -112,6 +113,8 @@ def model_from_document(document: Mapping[str, Any], vehicle: Vehicle, wrench: W
     for name in ("motor_lag", "input_delay"):
         values |= {key: float(entry["value"]) for key, entry in effects.get(name, {}).items()}
     p = _parameters(vehicle, values, offsets=wrench is None)
+    if not all(name in values for name in RIGID_BODY[1:]):
+        p = replace(p, tensor=nearest_mixture(p.tensor, vehicle.inertia_tensor()))
     if np.linalg.eigvalsh(p.tensor)[0] <= 0.0:
         raise BadInput("the model's inertia tensor is not positive definite; identify on a flight that reveals it.")
     scale = 1.0
@@ -138,6 +141,18 @@ def model_from_document(document: Mapping[str, Any], vehicle: Vehicle, wrench: W
         wrench=wrench,
         disturbance=TurningDisturbance.from_dict(document["disturbance"]) if "disturbance" in document else None,
     )
+
+
+def nearest_mixture(tensor: Array, declared: Array) -> Array:
+    """A tensor that is partly measured, with as much of the declared one as makes a rigid body of it, shape (3, 3).
+
+    Moments must be positive and obey the triangle inequality: the second moment of mass tr(J)/2 1 - J is positive definite.
+    """
+    for share in np.linspace(0.0, 1.0, 21):
+        mixed = (1.0 - share) * tensor + share * declared
+        if np.linalg.eigvalsh(0.5 * np.trace(mixed) * np.eye(3) - mixed)[0] > 0.0:
+            return np.asarray(mixed, dtype=float)
+    return declared
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +187,7 @@ class Prediction(Tabular):
     error: Mapping[str, Mapping[str, Mapping[str, Mapping[str, float]]]]
     start_s: Array
     final: Mapping[str, Array]
+    predictor: str = "the physical model"
 
     def to_dict(self) -> dict[str, Any]:
         """The document ``predict --json`` prints (docs/formats.md)."""
@@ -179,10 +195,22 @@ class Prediction(Tabular):
             "schema": "groundstation.prediction/1",
             "horizon_s": self.horizon_s,
             "windows": self.windows,
+            "predictor": self.predictor,
+            "worse_than_constant_velocity": [f"{q} at {h} s" for h, q in self.worse()],
             "error": {
                 k: {h: {q: dict(v) for q, v in e.items()} for h, e in by.items()} for k, by in self.error.items()
             },
         }
+
+    def worse(self) -> list[tuple[str, str]]:
+        """Horizons and quantities in which the model errs more (by 2 %, more than rounding) than constant velocity does."""
+        still = self.error["constant_velocity"]
+        return [
+            (h, q)
+            for h, by in self.error["model"].items()
+            for q, e in by.items()
+            if q in still[h] and e["mean_norm"] > 1.02 * still[h][q]["mean_norm"] + 1e-12
+        ]
 
     def records(self) -> list[Record]:
         """One row per horizon and quantity: RMS error of each predictor."""
@@ -201,7 +229,11 @@ class Prediction(Tabular):
 
     def to_text(self) -> str:
         """A table of RMS errors at each horizon."""
-        lines = [f"{self.windows} windows, RMS error of the open-loop prediction"]
+        worse = ", ".join(f"{q} at {h} s" for h, q in self.worse())
+        lines = [
+            *([f"WORSE than constant velocity in this flight: {worse}"] if worse else []),
+            f"{self.windows} windows, RMS error of the open-loop prediction by {self.predictor}",
+        ]
         for horizon in self.error["model"]:
             lines.append(f"  after {horizon} s")
             for quantity in self.error["model"][horizon]:
@@ -217,13 +249,21 @@ class Prediction(Tabular):
 
 
 def predict(
-    model: VehicleModel,
+    model: VehicleModel | PredictiveModel | None,
     states: FlightStates,
     *,
     horizon_s: float = 0.5,
+    predictor: str = "the physical model",
     progress: Callable[[float, str], None] = lambda fraction, text: None,
 ) -> Prediction:
     """Simulate ahead from every window's start with the identified, the declared and the constant-velocity model.
+
+    Args:
+        model: physical or predictive; None is constant velocity itself.
+        states: of the flight.
+        horizon_s: how far.
+        predictor: what the model is called.
+        progress: told the fraction done.
 
     Raises:
         BadInput: the horizon is not between 0.01 s and 10 s.
@@ -246,15 +286,45 @@ def predict(
     error: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
     final: dict[str, Array] = {}
     predictors = {"model": model, "nominal": declared_model(states.vehicle), "constant_velocity": None}
-    for number, (name, predictor) in enumerate(predictors.items()):
+    for number, (name, each) in enumerate(predictors.items()):
         progress(number / 3.0, f"predicting with {name}")
-        path = (
-            _constant(states, index, horizons) if predictor is None else _simulate(predictor, states, index, horizons)
-        )
+        path = _path(each, states, index, horizons)
+        lost = ~np.isfinite(path[horizons[-1]]["rate"]).all(axis=1)
+        if name == "model" and 0.0 < lost.mean() <= 0.5:  # a few windows: constant velocity stands in, and that is said
+            still = _constant(states, index, horizons)
+            path = {h: {k: np.where(lost[:, None], still[h][k], x) for k, x in path[h].items()} for h in horizons}
+            predictor += f" (constant velocity in {lost.sum()} of {len(lost)} windows, where it runs away)"
         error[name] = {f"{h:g}": _errors(states, t[index] + h, path[h]) for h in horizons}
         if name == "model":
             final = path[horizons[-1]]
-    return Prediction(horizon_s, len(index), error, t[index], final)
+            _refuse_what_ran_away(error[name], final, states)
+    return Prediction(horizon_s, len(index), error, t[index], final, predictor)
+
+
+def _refuse_what_ran_away(
+    error: Mapping[str, Mapping[str, Mapping[str, float]]], final: Mapping[str, Array], states: FlightStates
+) -> None:
+    """A prediction without a number for what is known is a refusal, not an empty field."""
+    for horizon, quantities in error.items():
+        told = QUANTITIES if np.isfinite(states.quaternion).all(axis=1).any() else QUANTITIES[3:]
+        missing = [q for q in told if q not in quantities or not np.isfinite(quantities[q]["mean_norm"])]
+        lost = np.mean(~np.isfinite(final["rate"]).all(axis=1))
+        if missing or lost > 0.0:
+            raise Refused(
+                f"the model runs away: {horizon} s ahead it has no finite {missing[0] if missing else 'body rate'} in this flight.",
+                "Predict with the [prediction] section (`--use prediction`), or identify again from livelier flights.",
+            )
+
+
+def _path(
+    model: VehicleModel | PredictiveModel | None, states: FlightStates, index: NDArray[np.int64], horizons: list[float]
+) -> dict[float, dict[str, Array]]:
+    """The states that any kind of model predicts."""
+    if model is None:
+        return _constant(states, index, horizons)
+    if isinstance(model, PredictiveModel):
+        return simulate(model, states, index, horizons)
+    return _simulate(model, states, index, horizons)
 
 
 def error_norms(

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 MAGIC = b"H Product:Blackbox"
 _KINDS = "IPSGH"
-_LONGEST_HEADER = 200_000
+_LONGEST_HEADER, _MOST_FIELDS = 200_000, 512
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +88,8 @@ def _log(data: bytes) -> BlackboxLog | None:
     names = _listed(headers, "Field I name")
     if not names:
         return None
+    if len(names) > _MOST_FIELDS:
+        raise ValueError(f"{len(names)} fields in a frame")
     most = max(len(_listed(headers, f"Field {kind} name")) for kind in _KINDS)
     encoding, predictor = (np.zeros((len(_KINDS), most), np.int64) for _ in range(2))
     counts = np.zeros(len(_KINDS), np.int64)

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 _I, _P, _S, _G, _H = range(5)
+_MOST_PER_BYTE, _LEAST_BOUND = 64, 1 << 24  # of memory per byte of the file; real logs make about 15
 _MARKS = np.full(256, -1, np.int64)
 for _number, _mark in enumerate(b"IPSGHE"):
     _MARKS[_mark] = _number
@@ -283,9 +284,15 @@ def decode(data, start, encoding, predictor, is_signed, counts, constants, inter
 
 
 def decode_frames(data, start, encoding, predictor, is_signed, counts, constants, interval, motor):
-    """The main frames, shape (k, fields); bytes skipped as damaged; whether the log ended as it should."""
+    """The main frames, shape (k, fields); bytes skipped as damaged; whether the log ended as it should.
+
+    Raises:
+        ValueError: fields that take no bytes would make more samples of the file than a flight controller can log.
+    """
     setting = (data, start, encoding, predictor, is_signed, counts, constants, interval, motor, _MARKS)
     number, damaged, ended = decode(*setting, np.empty((0, counts[_I]), np.int64))
+    if 8 * number * int(counts[_I]) > _MOST_PER_BYTE * len(data) + _LEAST_BOUND:
+        raise ValueError(f"{number} frames of {int(counts[_I])} fields in {len(data)} bytes")
     rows = np.empty((number, counts[_I]), np.int64)
     decode(*setting, rows)
     return rows, int(damaged), bool(ended)

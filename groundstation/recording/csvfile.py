@@ -79,7 +79,11 @@ def with_commas(text: str, source: str) -> str:
     separator = _separator(text.partition("\n")[0])
     if separator == ",":
         return text
-    rows = [row for row in csv.reader(io.StringIO(text), delimiter=separator)]
+    reader = csv.reader(io.StringIO(text), delimiter=separator)
+    try:
+        rows = list(reader)
+    except csv.Error as error:
+        raise BadInput(f"{source}: line {reader.line_num + 1} is not CSV ({error}); correct it.") from None
     for number, row in enumerate(rows[1:], start=2):
         for index, cell in enumerate(row):
             if "," in cell and _is_number(cell.replace(",", "").replace(".", "")):

@@ -21,6 +21,7 @@ from groundstation.recording.merge import merge_onboard, onboard_log_of
 from groundstation.recording.recorded import VEHICLE_FILE, Recording, vehicle_file
 from groundstation.recording.repair import repair
 from groundstation.recording.tables import MissingField
+from groundstation.recording.thinning import informative_stretch
 from groundstation.vehicle import Vehicle
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
@@ -123,7 +124,12 @@ def _read_usd(path: Path, vehicle: Vehicle) -> Recording:
 
 
 def load_flight(
-    path: str | Path, *, vehicle: Vehicle | None = None, start_s: float | None = None, end_s: float | None = None
+    path: str | Path,
+    *,
+    vehicle: Vehicle | None = None,
+    start_s: float | None = None,
+    end_s: float | None = None,
+    everything: bool = False,
 ) -> FlightData:
     """Read a flight of any format, check it, and repair its blemishes; ``notes`` tells what was repaired or lost.
 
@@ -134,6 +140,7 @@ def load_flight(
         vehicle: overrides the one the recording carries; a log that carries none needs it.
         start_s: start of the part to use, on the motors' clock.
         end_s: its end.
+        everything: use all of a long flight, too, of which else the most informative stretch is used, with a note.
 
     Raises:
         BadInput: it is missing, of no known format, malformed, or a stream is beyond repair.
@@ -166,7 +173,24 @@ def load_flight(
     )
     if start_s is not None or end_s is not None:
         flight = _cut(flight, start_s, end_s)
+    elif not everything and flight.window_s is None:
+        flight = _thinned(flight)
     return repair(flight)
+
+
+def _thinned(flight: FlightData) -> FlightData:
+    """A long flight cut to what tells most of the vehicle, with a note; any other as it is."""
+    stretch = informative_stretch(flight.imu, flight.motors)
+    if stretch is None:
+        return flight
+    start, end = stretch
+    whole = flight.motors.t_s[-1] - flight.motors.t_s[0]
+    note = (
+        f"flight: of {whole:.0f} s those from {start:.1f} to {end:.1f} s are used, in which the vehicle turns and climbs most; "
+        "choose others with --from and --to, or use all with --all."
+    )
+    cut = _cut(flight, start, end)
+    return replace(cut, window_s=None, notes=(*cut.notes, note))
 
 
 def _with_onboard_log(path: Path, recording: Recording, vehicle: Vehicle) -> Recording:

@@ -20,7 +20,23 @@ _DEGREES = 180.0 / np.pi
 _SUSPICIOUS = 12.0  # between 1 and 57.3: a wrong nominal vehicle or noise does not come near it from below
 _WINDOW_S = 0.1
 _LAGS_S = (0.0, 0.03, 0.06, 0.09, 0.12)  # of rotors and drivers
+_LONGEST_STEP_S = 0.45  # of a stream that tells motion: slower ones show none; milliseconds make 0.5 of a 2 kHz stream
+_TIME_UNITS = (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9))
 _FASTEST_RAD_S = 100.0  # 5700 degrees/s: beyond the range of the gyros that fly (2000 to 4000 degrees/s)
+
+
+def check_times(stream: Stream, name: str) -> None:
+    """Raise where a stream that samples motion has steps no such stream has: its stamps count another unit than seconds."""
+    if len(stream) < 100:
+        return
+    step = float(np.median(np.diff(stream.t_s)))
+    if step < _LONGEST_STEP_S:
+        return
+    unit, factor = next((unit for unit in _TIME_UNITS if step / unit[1] < _LONGEST_STEP_S), _TIME_UNITS[-1])
+    raise BadInput(
+        f"{name}: t_s cannot be in seconds: its median step is {step:.4g}, where motion is sampled every 0.0002 to 0.2 s; "
+        f"is it in {unit}? Divide by {factor:.0e}."
+    )
 
 
 def check_quaternions(stream: Stream, name: str) -> None:

@@ -100,6 +100,11 @@ def _commands(topics: Topics, settings: Settings, source: str) -> _Commands | No
     if topic is not None:
         return _from_motors(topic, settings)
     outputs = [topics[key] for key in sorted(topics) if key[0] == "actuator_outputs"]
+    kind = int(settings.value("MAV_TYPE", np.inf, 0.0))
+    if outputs and (kind == 1 or 19 <= kind <= 25):
+        raise BadInput(
+            f"{source}: is the log of a {'plane' if kind == 1 else 'VTOL plane'} (MAV_TYPE {kind}), not of a multicopter."
+        )
     return _from_outputs(outputs, settings, source) if outputs else None
 
 
@@ -190,12 +195,19 @@ def _from_outputs(outputs: list[Table], settings: Settings, source: str) -> _Com
     )
 
 
+_MOTORS_OF_TYPE = {2: 4, 13: 6, 14: 8, 15: 3}  # MAV_TYPE: quad, hexa, octo, tri
+
+
 def _unnamed(values: Array, settings: Settings) -> _Wiring:
-    """Before output functions: the outputs in order, as many as the airframe has or, unknown, as ever move."""
+    """Before output functions: the outputs in order, as many as the airframe or the type of vehicle has motors.
+
+    Where the log tells neither, as many as ever move.
+    """
     known = PX4_AUTOSTART.get(int(settings.value("SYS_AUTOSTART", np.inf, 0.0)) // 1000)
+    kind = int(settings.value("MAV_TYPE", np.inf, 0.0))
     moving = np.flatnonzero(np.ptp(values, axis=0) > 0.0)
-    count = known.count if known else (int(moving[-1]) + 1 if len(moving) else 0)
-    return _Wiring("", tuple(range(1, count + 1)))
+    count = int(moving[-1]) + 1 if len(moving) else 0
+    return _Wiring("", tuple(range(1, (known.count if known else _MOTORS_OF_TYPE.get(kind, count)) + 1)))
 
 
 def _scaled(sent: Array, t_s: Array, wiring: _Wiring, settings: Settings) -> tuple[Array, str, tuple[str, ...]] | str:

@@ -98,6 +98,9 @@ def _with_rising_stamps(stream: Stream, name: str) -> tuple[Stream, list[str]]:
 
 
 def _check_units(streams: Mapping[str, Stream], vehicle: Vehicle) -> None:
+    for name in ("imu", "mocap", "state", "motors"):
+        if name in streams:
+            plausible.check_times(streams[name], name)
     for name in ("mocap", "state"):
         if name in streams:
             plausible.check_quaternions(streams[name], name)

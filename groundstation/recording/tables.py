@@ -58,7 +58,8 @@ class Table:
 
     def column(self, name: str) -> Array:
         """A column as doubles in its own unit, shape (k,)."""
-        values = self.raw(name).astype(float)
+        with np.errstate(invalid="ignore"):  # damaged bytes may be any NaN
+            values = self.raw(name).astype(float)
         factor = self.fields[name][2]
         return values if factor == 1.0 else values * factor
 

@@ -8,6 +8,7 @@ A *model document* is a plain dictionary that carries everything a prediction ne
      "model": {"rotor_lag_up_s": {"value": 0.045, "std": 0.001}},
      "effects": {"rotor_drag": {"d_x_kg_s": {"value": 0.3, "std": 0.01}}},
      "disturbance": {"acceleration_rad_s2": [1.2, 1.3, 0.4], ...},  # what turns it besides (model/disturbance.py)
+     "prediction": {"kind": "fitted", ...},          # what predicts best (model/predictive.py); exports take the physical part
      "not_identifiable": ["com_offset_z_m"]}
 
 An effect that is found more than once (two weak rotors) has the later ones under "weak_rotor/2" and so on. Settings of an effect
@@ -24,7 +25,8 @@ from typing import TYPE_CHECKING, Any
 
 from groundstation.errors import BadInput
 from groundstation.identification.results import Estimate, Identification
-from groundstation.reporting import simulators
+from groundstation.reporting import robotics, simulators
+from groundstation.reporting.canonical import canonical, estimate_in
 from groundstation.reporting.identified import Identified, identified_from_document
 from groundstation.reporting.scenario import to_scenario
 from groundstation.vehicle import Vehicle, vehicle_to_dict
@@ -39,12 +41,12 @@ SCHEMA = "groundstation.model/1"
 def model_document(
     identification: Identification, vehicle: Vehicle, diagnosis: Diagnosis | None = None
 ) -> dict[str, Any]:
-    """The model document of an identification. With findings, mass and tensor are those re-estimated with them."""
-    best = identification.methods.get(identification.best)
-    parameters = dict(best.parameters) if best is not None else {}
+    """The model document of an identification: the one estimate, and the effects whose findings were adopted."""
+    estimate = canonical(identification, diagnosis)
+    model = {name: e for name, e in estimate.parameters.items() if name in identification.model}
+    parameters = {name: e for name, e in estimate.parameters.items() if name not in model}
     effects: dict[str, dict[str, dict[str, float]]] = {}
-    if diagnosis is not None and diagnosis.findings:
-        parameters |= diagnosis.parameters_after
+    if diagnosis is not None and diagnosis.findings and diagnosis.adopted:
         for finding in diagnosis.findings:
             again = sum(name.partition("/")[0] == finding.effect for name in effects)
             entry = effects[f"{finding.effect}/{again + 1}" if again else finding.effect] = _values(finding.parameters)
@@ -53,13 +55,14 @@ def model_document(
     return {
         "schema": SCHEMA,
         "flight": identification.flight,
-        "method": identification.best,
+        "method": estimate.source,
         "anchor": identification.anchor,
         "vehicle": vehicle_to_dict(vehicle),
         "parameters": _values(parameters),
-        "model": _values(identification.model),
+        "model": _values(model),
         "effects": effects,
         **({} if identification.disturbance is None else {"disturbance": identification.disturbance.to_dict()}),
+        **({"prediction": dict(identification.prediction)} if identification.prediction else {}),
         "not_identifiable": list(identification.not_identifiable),
     }
 
@@ -79,18 +82,22 @@ def model_from_identification_json(document: Mapping[str, Any], vehicle: Vehicle
     if best not in methods:
         raise BadInput(f"{source}: its best method '{best}' is not among {', '.join(methods) or 'no methods'}.")
 
+    source_name, found = estimate_in(document)
+    model = document.get("model", {})
+
     def values(estimates: Mapping[str, Any]) -> dict[str, dict[str, float]]:
         return {name: {"value": e["value"], "std": e["std"]} for name, e in estimates.items()}
 
     return {
         "schema": SCHEMA,
         "flight": document.get("flight", ""),
-        "method": best,
+        "method": source_name,
         "anchor": document.get("anchor", "thrust"),
         "vehicle": vehicle_to_dict(vehicle),
-        "parameters": values(methods[best]["parameters"]),
-        "model": values(document.get("model", {})),
+        "parameters": values({name: e for name, e in found.items() if name not in model}),
+        "model": values({name: e for name, e in found.items() if name in model}),
         "effects": {},
+        **({"prediction": document["prediction"]} if document.get("prediction") else {}),
         "not_identifiable": list(document.get("not_identifiable", [])),
     }
 
@@ -154,6 +161,13 @@ FORMATS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "mjcf": _simulator(simulators.to_mjcf),
     "rotorpy": _simulator(simulators.to_rotorpy),
     "scenario": _simulator(to_scenario),
+    "ardupilot-sitl": _simulator(robotics.to_ardupilot_sitl),
+    "pybullet": _simulator(robotics.to_pybullet),
+    "crazyflow": _simulator(robotics.to_crazyflow),
+    "agilicious": _simulator(robotics.to_agilicious),
+    "webots": _simulator(robotics.to_webots),
+    "matlab": _simulator(robotics.to_matlab),
+    "ros2": _simulator(robotics.to_ros2),
 }
 """Writers by the name of the format."""
 

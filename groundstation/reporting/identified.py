@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.errors import BadInput, Refused
+from groundstation.errors import BadInput
 from groundstation.identification.results import MASS_AND_TENSOR
-from groundstation.vehicle import Vehicle, vehicle_from_dict, vehicle_to_dict
+from groundstation.vehicle import INERTIA_NAMES, Vehicle, vehicle_from_dict, vehicle_to_dict
 
 Array = NDArray[np.float64]
 
@@ -37,6 +37,7 @@ class Identified:
         delay_s: pure delay from command to thrust.
         effects: every effect that was found, with its parameters.
         std: standard deviation of each identified parameter; what is not in here was declared.
+        adjusted: what was changed so that a reader takes it, as a sentence for the file's head.
     """
 
     vehicle: Vehicle
@@ -51,12 +52,15 @@ class Identified:
     delay_s: float
     effects: Mapping[str, Mapping[str, float]]
     std: Mapping[str, float]
+    adjusted: str = ""
 
     def provenance(self, held: Collection[str] = ()) -> list[str]:
         """Sentences for a file's head: where the numbers come from, and which effects the format does not hold."""
         declared = [name for name in MASS_AND_TENSOR if name not in self.std]
         lost = sorted({name.partition("/")[0] for name in self.effects} - IN_THE_VEHICLE - OF_THE_SENSORS - set(held))
         sentences = [f"Identified from flight {self.flight or 'unnamed'} by {self.method or 'no method'}."]
+        if self.adjusted:
+            sentences.append(self.adjusted)
         if declared:
             sentences.append(f"Not identified, declared values kept: {', '.join(declared)}.")
         if lost:
@@ -77,21 +81,29 @@ class Identified:
         n = self.vehicle.rotors.count
         return float(n * np.sqrt(self.vehicle.mass_kg * self.vehicle.gravity_m_s2 / (n * k)))
 
-    def require_rigid(self, reader: str) -> None:
-        """Refuse a tensor that belongs to no rigid body (principal moments against the triangle inequality).
 
-        Raises:
-            Refused: with the moments.
-        """
-        moments = np.linalg.eigvalsh(self.vehicle.inertia_tensor())
-        if moments[2] > (moments[0] + moments[1]) * (1.0 + 1e-9):
-            text = ", ".join(f"{m:.4g}" for m in moments)
-            raise Refused(
-                f"The identified tensor belongs to no rigid body (principal moments {text} kg m^2: the largest exceeds "
-                f"the sum of the others), and {reader} would not load it.",
-                "Identify with a method that keeps to real bodies, or export another format.",
-                ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2"),
-            )
+def as_rigid_body(model: Identified) -> Identified:
+    """The same where its tensor is a rigid body's, else with the nearest one, which the file's head then says.
+
+    A rigid body's principal moments keep the triangle inequality, I3 <= I1 + I2 (Wensing, Kim and Slotine, RA-L 2018, eq. 8). The
+    nearest tensor in the Frobenius norm keeps the axes and moves each moment by a third of the excess.
+    """
+    moments, axes = np.linalg.eigh(model.vehicle.inertia_tensor())
+    excess = float(moments[2] - moments[0] - moments[1])
+    if excess <= 1e-9 * moments[2]:
+        return model
+    shift = excess / 3.0 * (1.0 + 1e-6)  # readers test the inequality in their own arithmetic
+    tensor = axes @ np.diag(moments + shift * np.array([1.0, 1.0, -1.0])) @ axes.T
+    document = vehicle_to_dict(model.vehicle)
+    document["vehicle"]["inertia_kg_m2"] = {
+        a + b: float(tensor["xyz".index(a), "xyz".index(b)]) for a, b in INERTIA_NAMES
+    }
+    text = ", ".join(f"{m:.4g}" for m in moments)
+    note = (
+        f"The estimate belongs to no rigid body (principal moments {text} kg m^2); this is the nearest one, "
+        f"each moment {shift:.2g} kg m^2 away."
+    )
+    return replace(model, vehicle=vehicle_from_dict(document, "the nearest rigid body"), adjusted=note)
 
 
 def identified_from_document(document: Mapping[str, Any]) -> Identified:
@@ -108,6 +120,8 @@ def identified_from_document(document: Mapping[str, Any]) -> Identified:
         raise BadInput(f"the model document lacks {error}; write it again with `groundstation identify`.") from None
     for values in found.values():
         flat |= values
+    for name in document.get("not_identifiable", ()):
+        flat.pop(name, None)  # what the flight did not reveal stays as declared
     value = {name: pair[0] for name, pair in flat.items()}
     effects = {name: {key: pair[0] for key, pair in values.items()} for name, values in found.items()}
     drag = effects.get("rotor_drag", {})

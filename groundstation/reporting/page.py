@@ -27,7 +27,14 @@ class Page:
 
     def section(self, anchor: str, heading: str, *content: Child) -> None:
         """Add a section with a heading that the table of contents points at."""
-        body = element("section", element("h2", heading), *content, id=anchor)
+        if self.sections:  # the first one, the verdict, is always seen
+            body = element(
+                "section",
+                element("details", element("summary", element("h2", heading)), *content, open="", class_="fold"),
+                id=anchor,
+            )
+        else:
+            body = element("section", element("h2", heading), *content, id=anchor)
         self.sections.append((anchor, heading, body))
 
     def figure(self, figure: dict[str, Any], caption: Child, *, class_: str | None = None) -> Markup:

@@ -31,6 +31,7 @@ def report_html(
     *,
     live: Sequence[str] = (),
     source: str | None = None,
+    recording: Path | None = None,
 ) -> str:
     """The report as HTML text.
 
@@ -40,6 +41,7 @@ def report_html(
         diagnosis: what the declared vehicle lacks, where that was asked.
         live: what was noticed while flying (lost messages, guard actions), one sentence each.
         source: the recording (and options) in the commands that reproduce the report; by default the flight's name.
+        recording: the file it was read from, whose hash the report states.
     """
     page = Page(f"{flight.name} – flight report")
     result = None if isinstance(identification, Refused) else identification
@@ -53,7 +55,7 @@ def report_html(
     add_residuals(page, diagnosis)
     add_data(page, flight, result, live)
     add_warnings(page, [*(result.warnings if result else ()), *(diagnosis.warnings if diagnosis else ())])
-    add_reproduction(page, flight, result, source or flight.metadata.get("source", flight.name))
+    add_reproduction(page, flight, result, source or flight.metadata.get("source", flight.name), recording)
     return page.html(_header(flight), _footer())
 
 
@@ -71,7 +73,9 @@ def write_report(
     recording = path.with_name("flight.mcap")
     if source is None and recording.is_file():
         source = shlex.quote(str(recording))
-    return write_whole(path, report_html(flight, identification, diagnosis, live=live, source=source))
+    return write_whole(
+        path, report_html(flight, identification, diagnosis, live=live, source=source, recording=recording)
+    )
 
 
 def _header(flight: FlightData) -> str:

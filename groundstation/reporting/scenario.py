@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import library
 from groundstation.paths import find_config
-from groundstation.reporting.identified import Identified
+from groundstation.reporting.identified import Identified, as_rigid_body
 from groundstation.reporting.simulators import hash_comment
 
 Array = NDArray[np.float64]
@@ -314,14 +314,14 @@ def _scales(model: Identified) -> dict[str, Table]:
 def to_scenario(model: Identified) -> str:
     """A scenario file; its head says where the numbers are from and what got lost.
 
-    Raises:
-        Refused: the tensor belongs to no rigid body.
+    A tensor that belongs to no rigid body becomes the nearest one; the head says so.
     """
     import tomli_w
 
-    model.require_rigid("the simulated drone")
+    model = as_rigid_body(model)
     document, lost = scenario_document(model)
     head = [f"Identified from flight {model.flight or 'unnamed'}: what it lacked is switched on here."]
     head.append("Rehearse it with the vehicle as it was declared; sensors and disturbance are the laboratory's.")
+    head += [model.adjusted] if model.adjusted else []
     head += [f"Lost: {text}." for text in lost]
     return hash_comment(head) + tomli_w.dumps(document)

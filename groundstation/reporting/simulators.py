@@ -11,31 +11,31 @@ import csv
 import io
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from groundstation.errors import BadInput
-from groundstation.reporting.identified import Identified
+from groundstation.reporting.identified import Identified, as_rigid_body
 from groundstation.reporting.units import split_unit
-from groundstation.vehicle import INERTIA_NAMES, vehicle_to_dict
+from groundstation.vehicle import INERTIA_NAMES, Vehicle, vehicle_to_dict
 
 
-def _number(value: float) -> str:
+def number(value: float) -> str:
     return f"{float(value):.9g}"
 
 
-def _numbers(values: object) -> str:
-    return " ".join(_number(v) for v in np.ravel(np.asarray(values, dtype=float)))
+def numbers(values: object) -> str:
+    return " ".join(number(v) for v in np.ravel(np.asarray(values, dtype=float)))
 
 
-def _identifier(name: str) -> str:
+def identifier(name: str) -> str:
     """A name that every simulator takes."""
     return re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "vehicle"
 
 
-def _comment(sentences: list[str]) -> Any:
+def comment(sentences: list[str]) -> Any:
     """An XML comment; "--" may not stand in one."""
     return ET.Comment(" " + re.sub(r"-{2,}", "-", " ".join(sentences)).rstrip("-") + " ")
 
@@ -45,12 +45,12 @@ def hash_comment(sentences: Iterable[str]) -> str:
     return "".join(f"# {line}\n" for sentence in sentences for line in sentence.splitlines())
 
 
-def _xml(root: ET.Element) -> str:
+def xml_text(root: ET.Element) -> str:
     ET.indent(root)
     return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _child(parent: ET.Element, tag: str, text: str | None = None, **attributes: str) -> ET.Element:
+def child(parent: ET.Element, tag: str, text: str | None = None, **attributes: str) -> ET.Element:
     node = ET.SubElement(parent, tag, attributes)
     node.text = text
     return node
@@ -105,11 +105,20 @@ def sih_order(model: Identified) -> tuple[int, int, int, int]:
     return (order[0], order[1], order[2], order[3])
 
 
+def hover_motor_share(vehicle: Vehicle) -> float:
+    """The motor command at hover as a share of the full one: of the top speed where speeds are the input, else of the command."""
+    motor = float(vehicle.motor_for_thrust(vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.rotors.count))
+    if vehicle.rotors.input == "rotor_speed":
+        return motor / (vehicle.rotors.speed_max_rad_s or motor)
+    return motor
+
+
 def to_px4_sih(model: Identified) -> str:
     """A parameter file (tab separated, as ground stations load it) for PX4's simulation in hardware.
 
     SIH works in FRD: with x kept and y, z turned round, I_xy and I_xz change sign and I_yz does not. Its thrust is linear in
-    the command, T = SIH_T_MAX u, so full throttle is matched; drag is one number, the mean of x and y.
+    the command, T = SIH_T_MAX u. Hover is matched, as a vehicle flies there; the head gives the error at full throttle. Drag is one
+    number, the mean of x and y.
     """
     order = sih_order(model)
     vehicle = model.vehicle
@@ -117,66 +126,89 @@ def to_px4_sih(model: Identified) -> str:
     top = vehicle.rotor_thrust_max_n()
     if not np.isfinite(top):
         raise BadInput("px4-sih needs the rotors' top thrust: declare speed_max_rad_s, a thrust_curve or thrust_max_n.")
+    hover = vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.rotors.count
+    share = hover_motor_share(vehicle)
+    full = hover / share
     tensor = dict(zip(INERTIA_NAMES, (getattr(vehicle.inertia_kg_m2, a) for a in INERTIA_NAMES), strict=True))
     flipped = {name: -value if name in {"xy", "xz"} else value for name, value in tensor.items()}
     values = {
         "SIH_MASS": vehicle.mass_kg,
         **{f"SIH_I{name.upper()}": value for name, value in flipped.items()},
-        "SIH_T_MAX": top,
-        "SIH_Q_MAX": top * vehicle.rotors.torque_to_thrust_m,
+        "SIH_T_MAX": full,
+        "SIH_Q_MAX": full * vehicle.rotors.torque_to_thrust_m,
         "SIH_L_ROLL": float(np.mean(np.abs(position[:, 1]))),
         "SIH_L_PITCH": float(np.mean(np.abs(position[:, 0]))),
         "SIH_KDV": max(0.0, float(np.mean(model.rotor_drag_kg_s))),
         "SIH_KDW": max(0.0, float(np.mean(model.damping_nms))),
         "SIH_T_TAU": model.mean_lag_s(),
     }
-    offset = " ".join(_number(v) for v in model.com_offset_m)
+    offset = " ".join(number(v) for v in model.com_offset_m)
     notes = [
         *model.provenance({"rotor_drag", "angular_damping"}),
         "Axes are FRD: I_xy and I_xz have the sign opposite to FLU. SI units.",
-        "SIH thrust is linear in the command; SIH_T_MAX is the thrust of one rotor at full command.",
+        f"SIH thrust is linear in the command. SIH_T_MAX matches hover, at {share:.3f} of full command; at full command a rotor of this "
+        f"vehicle gives {top:.4g} N, and SIH {100.0 * (full / top - 1.0):+.0f} % of that off.",
         f"PX4 motors 1 to 4 are rotors {', '.join(str(i + 1) for i in order)} of the vehicle file.",
         f"SIH has its centre of mass at the origin (here it is at {offset} m, FLU) and one lag, the mean of up and down.",
     ]
-    lines = [f"1\t1\t{name}\t{_number(value)}\t9" for name, value in values.items()]
+    lines = [f"1\t1\t{name}\t{number(value)}\t9" for name, value in values.items()]
     return hash_comment(notes) + "#\n# Vehicle-Id Component-Id Name Value Type\n" + "\n".join(lines) + "\n"
 
 
-def _inertial(parent: ET.Element, mass: float, centre: np.ndarray, tensor: np.ndarray, *, urdf: bool) -> None:
+def add_inertial(parent: ET.Element, mass: float, centre: np.ndarray, tensor: np.ndarray, *, urdf: bool) -> None:
     """``<inertial>`` of SDF or URDF: both take the tensor's entries about the centre of mass."""
-    node = _child(parent, "inertial")
+    node = child(parent, "inertial")
     entries = {f"i{a}{b}": tensor["xyz".index(a), "xyz".index(b)] for a, b in INERTIA_NAMES}
     if urdf:
-        _child(node, "origin", xyz=_numbers(centre), rpy="0 0 0")
-        _child(node, "mass", value=_number(mass))
-        _child(node, "inertia", **{name: _number(value) for name, value in entries.items()})
+        child(node, "origin", xyz=numbers(centre), rpy="0 0 0")
+        child(node, "mass", value=number(mass))
+        child(node, "inertia", **{name: number(value) for name, value in entries.items()})
         return
-    _child(node, "pose", f"{_numbers(centre)} 0 0 0")
-    _child(node, "mass", _number(mass))
-    inertia = _child(node, "inertia")
+    child(node, "pose", f"{numbers(centre)} 0 0 0")
+    child(node, "mass", number(mass))
+    inertia = child(node, "inertia")
     for name, value in entries.items():
-        _child(inertia, name, _number(value))
+        child(inertia, name, number(value))
 
 
 def to_urdf(model: Identified) -> str:
     """Inertial properties of one link, and a massless frame per rotor."""
-    model.require_rigid("a URDF reader")
+    model = as_rigid_body(model)
     vehicle = model.vehicle
-    root = ET.Element("robot", name=_identifier(vehicle.name))
+    root = ET.Element("robot", name=identifier(vehicle.name))
     root.append(
-        _comment(
+        comment(
             [*model.provenance({"com_offset"}), "SI units; x forward, y left, z up; products are the tensor's entries."]
         )
     )
-    link = _child(root, "link", name="base_link")
-    _inertial(link, vehicle.mass_kg, model.com_offset_m, vehicle.inertia_tensor(), urdf=True)
+    link = child(root, "link", name="base_link")
+    add_inertial(link, vehicle.mass_kg, model.com_offset_m, vehicle.inertia_tensor(), urdf=True)
+    add_urdf_frame(link, vehicle)
     for i, position in enumerate(vehicle.rotors.position_m, start=1):
-        _child(root, "link", name=f"rotor_{i}")
-        joint = _child(root, "joint", name=f"rotor_{i}_joint", type="fixed")
-        _child(joint, "parent", link="base_link")
-        _child(joint, "child", link=f"rotor_{i}")
-        _child(joint, "origin", xyz=_numbers(position), rpy="0 0 0")
-    return _xml(root)
+        child(root, "link", name=f"rotor_{i}")
+        joint = child(root, "joint", name=f"rotor_{i}_joint", type="fixed")
+        child(joint, "parent", link="base_link")
+        child(joint, "child", link=f"rotor_{i}")
+        child(joint, "origin", xyz=numbers(position), rpy="0 0 0")
+    return xml_text(root)
+
+
+def _arm(position: Sequence[float]) -> tuple[float, float, float]:
+    """Length, middle height share and heading of an arm from the origin to a rotor: (length, elevation, azimuth)."""
+    x, y, z = (float(v) for v in position)
+    return float(np.sqrt(x * x + y * y + z * z)), float(np.arctan2(z, np.hypot(x, y))), float(np.arctan2(y, x))
+
+
+def add_urdf_frame(link: ET.Element, vehicle: Vehicle) -> None:
+    """What one sees: an arm to each rotor and a disc on it. It has no mass and does not collide."""
+    for position in vehicle.rotors.position_m:
+        length, elevation, azimuth = _arm(position)
+        arm = child(link, "visual")
+        child(arm, "origin", xyz=numbers(0.5 * np.asarray(position)), rpy=numbers([0.0, -elevation, azimuth]))
+        child(child(arm, "geometry"), "box", size=numbers([length, 0.08 * length, 0.04 * length]))
+        disc = child(link, "visual")
+        child(disc, "origin", xyz=numbers(position), rpy="0 0 0")
+        child(child(disc, "geometry"), "cylinder", radius=number(vehicle.rotors.radius_m), length=number(0.02 * length))
 
 
 ROTOR_MASS_FRACTION = 1e-4
@@ -193,7 +225,7 @@ def to_sdf(model: Identified) -> str:
 
     What the rotor links weigh is taken off the base, so that all links together have the identified mass, centre and tensor.
     """
-    model.require_rigid("Gazebo")
+    model = as_rigid_body(model)
     vehicle, rotors = model.vehicle, model.vehicle.rotors
     positions = np.asarray(rotors.position_m, dtype=float)
     each = ROTOR_MASS_FRACTION * vehicle.mass_kg
@@ -205,41 +237,41 @@ def to_sdf(model: Identified) -> str:
     base_tensor = about_origin - _parallel_axis(base_mass, centre)
 
     root = ET.Element("sdf", version="1.9")
-    body = _child(root, "model", name=_identifier(vehicle.name))
+    body = child(root, "model", name=identifier(vehicle.name))
     notes = [
         *model.provenance({"com_offset", "rotor_drag", "weak_rotor"}),
         "SI units; x forward, y left, z up; products are the tensor's entries about the centre of mass.",
     ]
     notes.append("motorConstant: N s^2 (T = k Omega^2); momentConstant: m (Q = c T); time constants: s.")
-    body.append(_comment(notes))
-    base = _child(body, "link", name="base_link")
-    _inertial(base, base_mass, centre, base_tensor, urdf=False)
+    body.append(comment(notes))
+    base = child(body, "link", name="base_link")
+    add_inertial(base, base_mass, centre, base_tensor, urdf=False)
     for i, position in enumerate(positions):
-        link = _child(body, "link", name=f"rotor_{i}")
-        _child(link, "pose", f"{_numbers(position)} 0 0 0")
-        _inertial(link, each, np.zeros(3), disc, urdf=False)
-        joint = _child(body, "joint", name=f"rotor_{i}_joint", type="revolute")
-        _child(joint, "parent", "base_link")
-        _child(joint, "child", f"rotor_{i}")
-        axis = _child(joint, "axis")
-        _child(axis, "xyz", "0 0 1")
-        limit = _child(axis, "limit")
-        _child(limit, "lower", "-1e16")
-        _child(limit, "upper", "1e16")
+        link = child(body, "link", name=f"rotor_{i}")
+        child(link, "pose", f"{numbers(position)} 0 0 0")
+        add_inertial(link, each, np.zeros(3), disc, urdf=False)
+        joint = child(body, "joint", name=f"rotor_{i}_joint", type="revolute")
+        child(joint, "parent", "base_link")
+        child(joint, "child", f"rotor_{i}")
+        axis = child(joint, "axis")
+        child(axis, "xyz", "0 0 1")
+        limit = child(axis, "limit")
+        child(limit, "lower", "-1e16")
+        child(limit, "upper", "1e16")
     if rotors.thrust_coefficient_n_s2 is None or rotors.speed_max_rad_s is None:
         body.append(
-            _comment(["No motor model: it needs thrust_coefficient_n_s2 and speed_max_rad_s, which are not known."])
+            comment(["No motor model: it needs thrust_coefficient_n_s2 and speed_max_rad_s, which are not known."])
         )
-        return _xml(root)
+        return xml_text(root)
     for i in range(len(positions)):
         _motor_plugin(body, model, i)
-    return _xml(root)
+    return xml_text(root)
 
 
 def _motor_plugin(body: ET.Element, model: Identified, index: int) -> None:
     rotors = model.vehicle.rotors
     speed_sum = model.hover_speed_sum_rad_s() or 1.0
-    plugin = _child(
+    plugin = child(
         body,
         "plugin",
         filename="gz-sim-multicopter-motor-model-system",
@@ -249,36 +281,36 @@ def _motor_plugin(body: ET.Element, model: Identified, index: int) -> None:
         "jointName": f"rotor_{index}_joint",
         "linkName": f"rotor_{index}",
         "turningDirection": "ccw" if rotors.spin[index] > 0 else "cw",
-        "timeConstantUp": _number(rotors.lag.up_s),
-        "timeConstantDown": _number(rotors.lag.down_s),
-        "maxRotVelocity": _number(rotors.speed_max_rad_s or 0.0),
-        "motorConstant": _number(model.rotor_effectiveness[index] * (rotors.thrust_coefficient_n_s2 or 0.0)),
-        "momentConstant": _number(rotors.torque_to_thrust_m),
+        "timeConstantUp": number(rotors.lag.up_s),
+        "timeConstantDown": number(rotors.lag.down_s),
+        "maxRotVelocity": number(rotors.speed_max_rad_s or 0.0),
+        "motorConstant": number(model.rotor_effectiveness[index] * (rotors.thrust_coefficient_n_s2 or 0.0)),
+        "momentConstant": number(rotors.torque_to_thrust_m),
         "commandSubTopic": "command/motor_speed",
         "motorNumber": str(index),
         "actuator_number": str(index),
-        "rotorDragCoefficient": _number(float(np.mean(model.rotor_drag_kg_s)) / speed_sum),
+        "rotorDragCoefficient": number(float(np.mean(model.rotor_drag_kg_s)) / speed_sum),
         "rollingMomentCoefficient": "0",
         "rotorVelocitySlowdownSim": "10",
         "motorType": "velocity",
     }
     for tag, text in settings.items():
-        _child(plugin, tag, text)
+        child(plugin, tag, text)
 
 
 def to_mjcf(model: Identified) -> str:
     """A MuJoCo model: a free body with one site and one actuator per rotor; the control is the rotor's thrust in newton."""
-    model.require_rigid("MuJoCo")
+    model = as_rigid_body(model)
     vehicle, rotors = model.vehicle, model.vehicle.rotors
     tensor = vehicle.inertia_kg_m2
-    root = ET.Element("mujoco", model=_identifier(vehicle.name))
+    root = ET.Element("mujoco", model=identifier(vehicle.name))
     curve = (
-        f"T = {_number(rotors.thrust_coefficient_n_s2)} Omega^2"
+        f"T = {number(rotors.thrust_coefficient_n_s2)} Omega^2"
         if rotors.thrust_coefficient_n_s2
         else "T from the thrust curve"
     )
     root.append(
-        _comment(
+        comment(
             [
                 *model.provenance({"com_offset", "weak_rotor"}),
                 "SI units; x forward, y left, z up; fullinertia is xx yy zz xy xz yz, entries of the tensor about the centre of mass.",
@@ -286,36 +318,50 @@ def to_mjcf(model: Identified) -> str:
             ]
         )
     )
-    _child(root, "compiler", angle="radian", autolimits="true")
-    _child(root, "option", gravity=f"0 0 {_number(-vehicle.gravity_m_s2)}", timestep="0.001", integrator="RK4")
-    body = _child(_child(root, "worldbody"), "body", name="base")
-    _child(body, "freejoint", name="root")
+    child(root, "compiler", angle="radian", autolimits="true")
+    child(root, "option", gravity=f"0 0 {number(-vehicle.gravity_m_s2)}", timestep="0.001", integrator="RK4")
+    body = child(child(root, "worldbody"), "body", name="base")
+    child(body, "freejoint", name="root")
     entries = [getattr(tensor, name) for name in ("xx", "yy", "zz", "xy", "xz", "yz")]
-    _child(
-        body, "inertial", pos=_numbers(model.com_offset_m), mass=_number(vehicle.mass_kg), fullinertia=_numbers(entries)
-    )
+    child(body, "inertial", pos=numbers(model.com_offset_m), mass=number(vehicle.mass_kg), fullinertia=numbers(entries))
     for i, position in enumerate(rotors.position_m, start=1):
-        _child(body, "site", name=f"rotor{i}", pos=_numbers(position))
-    _child(body, "site", name="imu", pos=_numbers(vehicle.imu.position_m))
-    actuators = _child(root, "actuator")
+        child(body, "site", name=f"rotor{i}", pos=numbers(position))
+    for position in rotors.position_m:
+        look = {"mass": "0", "contype": "0", "conaffinity": "0", "group": "1"}
+        width = 0.04 * float(np.linalg.norm(position))
+        child(
+            body,
+            "geom",
+            type="capsule",
+            fromto=f"0 0 0 {numbers(position)}",
+            size=number(width),
+            rgba="0.3 0.3 0.35 1",
+            **look,
+        )
+        size = numbers([rotors.radius_m, 0.25 * width])
+        child(body, "geom", type="cylinder", pos=numbers(position), size=size, rgba="0.2 0.5 0.8 0.4", **look)
+    child(body, "site", name="imu", pos=numbers(vehicle.imu.position_m))
+    actuators = child(root, "actuator")
     lag, top = model.mean_lag_s(), vehicle.rotor_thrust_max_n()
     for i, (spin, share) in enumerate(zip(rotors.spin, model.rotor_effectiveness, strict=True), start=1):
         attributes = {
             "name": f"rotor{i}",
             "site": f"rotor{i}",
-            "gear": f"0 0 {_number(share)} 0 0 {_number(-spin * rotors.torque_to_thrust_m * share)}",
+            "gear": f"0 0 {number(share)} 0 0 {number(-spin * rotors.torque_to_thrust_m * share)}",
         }
         if np.isfinite(top):
-            attributes["ctrlrange"] = f"0 {_number(top)}"
+            attributes["ctrlrange"] = f"0 {number(top)}"
         if lag > 0.0:
-            attributes |= {"dyntype": "filterexact", "dynprm": _number(lag)}
-        _child(actuators, "general", **attributes)
-    sensors = _child(root, "sensor")
-    _child(sensors, "gyro", name="gyro", site="imu")
-    _child(sensors, "accelerometer", name="accelerometer", site="imu")
-    return _xml(root)
+            attributes |= {"dyntype": "filterexact", "dynprm": number(lag)}
+        child(actuators, "general", **attributes)
+    sensors = child(root, "sensor")
+    child(sensors, "gyro", name="gyro", site="imu")
+    child(sensors, "accelerometer", name="accelerometer", site="imu")
+    return xml_text(root)
 
 
+LEAST_LAG_S = 1e-3
+"""RotorPy divides by the lag; a vehicle without one gets a lag that its rotors, at 100 Hz and less, do not show."""
 _ROTORPY_HOLDS = ("com_offset", "rotor_drag", "climb_inflow", "body_drag", "translational_lift", "flapping_moment")
 
 
@@ -338,7 +384,12 @@ def to_rotorpy(model: Identified) -> str:
     lines = [
         '"""' + " ".join(_safe(s) for s in model.provenance(_ROTORPY_HOLDS)),
         "",
-        "SI units; x forward, y left, z up.",
+        "SI units; x forward, y left, z up."
+        + (
+            ""
+            if model.mean_lag_s() >= LEAST_LAG_S
+            else f" tau_m is {LEAST_LAG_S} s, the least that RotorPy takes; no lag was found."
+        ),
         '"""',
         "",
     ]
@@ -357,7 +408,7 @@ def to_rotorpy(model: Identified) -> str:
         "k_z": model.climb_damping_kg_s / speed_sum,
         "k_h": lift * weight / rotors.count,
         "k_flap": -model.effects.get("flapping_moment", {}).get("k_nm_s_m", 0.0) / speed_sum,
-        "tau_m": model.mean_lag_s(),
+        "tau_m": max(model.mean_lag_s(), LEAST_LAG_S),
         "rotor_speed_min": 0.0,
         "rotor_speed_max": rotors.speed_max_rad_s,
         "motor_noise_std": 0.0,

@@ -9,6 +9,7 @@ from typing import Any
 from groundstation.flight.messages import CoreStatus
 from groundstation.flight.sequence import Phase
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
+from groundstation.reporting.canonical import estimate_in
 from groundstation.reporting.units import (
     decimals,
     fixed,
@@ -160,13 +161,14 @@ def _against_nominal(name: str, nominal: float, estimate: Estimate | None) -> Ro
 
 
 def method_table(document: Mapping[str, Any], declared: Mapping[str, float], most: int) -> tuple[Row, list[Row]]:
-    """Header and rows of mass and tensor by method, the best of them first and at most so many, with 95 % half widths."""
-    best = document["best"]
-    names = [best, *(name for name in document["methods"] if name != best)][:most]
-    header = ("parameter", "unit", "nominal", *(f"{name} (best)" if name == best else name for name in names))
+    """Header and rows of mass and tensor: the one estimate, then the methods, at most so many columns, with 95 % half widths."""
+    source, estimate = estimate_in(document)
+    methods = {**document["methods"], source: {"parameters": estimate}}
+    names = [source, *(name for name in methods if name != source)][:most]
+    header = ("parameter", "unit", "nominal", *(f"{name} (estimate)" if name == source else name for name in names))
     rows = []
     for parameter in MASS_AND_TENSOR:
-        found = [_document_estimate(document["methods"].get(name, {}), parameter) for name in names]
+        found = [_document_estimate(methods.get(name, {}), parameter) for name in names]
         nominal = declared.get(parameter, math.nan)
         known = [abs(e.value) for e in found if e] + [abs(nominal)]
         scale = scale_for(split_unit(parameter)[1], [v for v in known if math.isfinite(v)])
@@ -213,8 +215,13 @@ def _change(signal: str, before: float | None, after: float | None) -> Row:
     known = [v for v in (before, after) if v is not None]
     scale = scale_for(split_unit(signal)[1], known)
     texts = ["–" if v is None else f"{significant(v * scale.factor)} {scale.unit}" for v in (before, after)]
-    ratio = percent(after / before - 1.0, 0) if before and after is not None else ""
+    ratio = "" if not before or after is None else _ratio_text(after / before)
     return (*texts, ratio)
+
+
+def _ratio_text(ratio: float) -> str:
+    """A change in percent; as a multiple where it grew so much that a percentage of a small base would say nothing."""
+    return percent(ratio - 1.0, 0) if ratio < 2.0 else f"{significant(ratio, 2)} × worse"
 
 
 def error_rows(diagnosis: Mapping[str, Any]) -> list[Row]:

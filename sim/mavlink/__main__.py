@@ -19,7 +19,7 @@ DRIFT = {"px4": -0.012, "arducopter": 0.0}
 def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -P -m sim.mavlink",
+        prog="groundstation sim --mavlink",
         description="A simulated vehicle that speaks MAVLink as PX4 or ArduCopter do.",
         epilog="example: python -P -m sim.mavlink --profile px4 --vehicle x500 --scenario clean --seed 1",
     )

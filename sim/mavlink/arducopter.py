@@ -109,11 +109,19 @@ class ArduCopter(Autopilot):
         self._station_failsafe = False
         self._scripts: ScriptHost | None = None
         super().__init__(*args, **options)  # type: ignore[arg-type]
+        self._declare_frame()
         self._startup = [(t, text) for t, text in STARTUP if t > self.time_s]
         self._origin_set = self.time_s > ORIGIN_S
         self._using_announced = self.time_s > self.ESTIMATOR.gps_ready_s
         while self._prearm_s < self.time_s:
             self._prearm_s += self.PREARM_EVERY_S
+
+    def _declare_frame(self) -> None:
+        """An X frame of as many motors as fly, on as many outputs."""
+        count = self.vehicle.rotors.count
+        self.parameters["FRAME_CLASS"], self.parameters["FRAME_TYPE"] = {4: 1, 6: 2, 8: 3}.get(count, 0), 1
+        for output in range(min(count, 8)):
+            self.parameters[f"SERVO{output + 1}_FUNCTION"] = 33 + output
 
     def enable_scripting(self) -> None:
         """As a build with scripting, switched on: its parameters are there, and scripts run."""

@@ -119,7 +119,16 @@ class Px4(Autopilot):
         self.angular_acceleration_frd: Vector = (0.0, 0.0, 0.0)
         self.last_vision: tuple[int, Vector, tuple[float, float, float, float]] | None = None
         super().__init__(*args, **options)  # type: ignore[arg-type]
+        self._declare_rotors()
         self.parameter_changed(self.parameters.all[0])
+
+    def _declare_rotors(self) -> None:
+        """The control allocator's geometry, in FRD, is that of the vehicle that flies."""
+        rotors = self.vehicle.rotors
+        self.parameters["CA_ROTOR_COUNT"] = rotors.count
+        for i, ((x, y, z), spin) in enumerate(zip(rotors.position_m, rotors.spin, strict=True)):
+            for name, value in (("PX", x), ("PY", -y), ("PZ", -z), ("KM", 0.05 * spin)):
+                self.parameters[f"CA_ROTOR{i}_{name}"] = value
 
     # -- what it is -------------------------------------------------------------------------------------------------
 

@@ -16,6 +16,7 @@ from groundstation.flight.link.parameter_journal import left_changed
 from groundstation.flight.messages import WAY, CoreStatus
 from groundstation.flight.sequence import FINAL, IN_FLIGHT, Phase
 from groundstation.identification.results import Estimate
+from groundstation.reporting.canonical import estimate_in
 from groundstation.reporting.units import decimals, fixed, half_width, label, scale_for, split_unit
 
 Say = Callable[[str], None]
@@ -57,6 +58,7 @@ def linked_vehicle(
     force: tuple[str, ...] = (),
     set_parameters: bool = False,
     key_file: Path | None = None,
+    system: int | None = None,
 ) -> tuple[str, ...]:
     """Module and arguments of the link process to a MAVLink vehicle; its raw log goes beside the recording."""
     arguments = ["--link", link, "--vehicle", str(vehicle), "--station", station, "--raw-log", str(folder / "raw.tlog")]
@@ -65,6 +67,8 @@ def linked_vehicle(
         arguments += ["--force", name]
     if set_parameters:
         arguments.append("--set-parameters")
+    if system is not None:
+        arguments += ["--system", str(system)]
     if key_file is not None:
         arguments += ["--key-file", str(key_file)]
     return ("groundstation.flight.link.process", *arguments)
@@ -247,17 +251,16 @@ def progress_line(status: CoreStatus) -> str:
 
 
 def result_table(identification: Mapping[str, Any], declared: Mapping[str, float], truth: Mapping[str, float]) -> str:
-    """Parameters as a table: nominal, true (in simulation), estimated by the best method, 95 % interval.
+    """Parameters as a table: nominal, true (in simulation), the estimate that every place shows, 95 % interval.
 
     Args:
         identification: the document of ``identification.json``.
         declared: ``Vehicle.parameters()`` of what was declared.
         truth: that of the true vehicle; empty for a measured flight.
     """
-    best = identification["best"]
-    found = {**identification["model"], **identification["methods"].get(best, {}).get("parameters", {})}
+    source, found = estimate_in(identification)
     hidden = set(identification["not_identifiable"])
-    rows: list[tuple[str, ...]] = [("parameter", "unit", "nominal", "true", f"estimated ({best})", "95 % interval")]
+    rows: list[tuple[str, ...]] = [("parameter", "unit", "nominal", "true", f"estimated ({source})", "95 % interval")]
     for name, nominal in declared.items():
         if name in found or name in hidden:
             rows.append(_row(name, found.get(name), nominal, truth.get(name, math.nan)))

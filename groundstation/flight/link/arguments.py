@@ -20,7 +20,9 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--station", default="default")
     parser.add_argument("--drone", required=True, help="name on the bus")
     parser.add_argument("--connect", required=True, help="zenoh endpoint of the core")
-    parser.add_argument("--system", type=int, help="the vehicle's system id; default the first autopilot heard")
+    parser.add_argument(
+        "--system", type=int, help="the vehicle's system id; default the station file's, else the first heard"
+    )
     parser.add_argument("--force", action="append", default=[], metavar="NAME", help="fly although this check fails")
     parser.add_argument(
         "--set-parameters", action="store_true", help="set what the flight needs, restore it afterwards"

@@ -32,7 +32,7 @@ MOST_WAITING = 4 << 20
 STRANGERS_BYTES = 2 * PIECE
 """Of strangers, a step, while the vehicle is looked for."""
 STRANGERS = 8
-"""Addresses that are listened to while the vehicle is looked for; more are noise."""
+"""Strangers whose state is kept at a time, and whose addresses are told."""
 SILENT_S = 1.0
 """So long the bound address must be silent before another is listened to in flight."""
 CLOCK_S = 0.5
@@ -127,12 +127,9 @@ class Inlet:
                 self.heard_s = now_s
             elif self.peer is not None:
                 self.load.add(peer, len(data))
-                if not others or len(data) > room or not self._listens(peer):
+                if not others or len(data) > room:
                     continue
                 room -= len(data)
-            elif not self._listens(peer):
-                self.load.add(peer, len(data))
-                continue
             self._queue(now_s, peer, data)
 
     def take(self, *, datagrams: bool) -> Iterator[Arrival]:
@@ -158,10 +155,10 @@ class Inlet:
         load, self.load = self.load, Load()
         return load
 
-    def _listens(self, peer: Peer) -> bool:
-        return peer in self.codecs or len(self.codecs) < STRANGERS
-
     def _codec(self, peer: Peer) -> MavlinkCodec:
+        """Of an address; of too many strangers the first is forgotten, so that no crowd keeps the vehicle out."""
+        if peer not in self.codecs and len(self.codecs) > STRANGERS:
+            del self.codecs[next(known for known in self.codecs if known != self.peer)]
         return self.codecs.setdefault(peer, MavlinkCodec(signing=self._signing))
 
     def _queue(self, now_s: float, peer: Peer, data: bytes) -> None:

@@ -30,6 +30,7 @@ from groundstation.flight.link.pilot import GUARDED, IN_AIR, Answered, Phase, Pi
 from groundstation.flight.link.preflight import Check, Situation, failures, run_checks
 from groundstation.flight.link.prepare import Preparation
 from groundstation.flight.link.profiles import profile_for
+from groundstation.flight.link.roster import Roster
 from groundstation.flight.link.sending import PlanSending
 from groundstation.flight.link.view import Meter, VehicleView
 from groundstation.flight.link.watch import Disagreement, observe
@@ -61,6 +62,7 @@ class LinkCore:
         view, pilot: None until an autopilot was heard.
         ready: streams asked for and measured, parameters read.
         trouble: why it is not; one sentence.
+        roster: autopilots heard on the link.
         checks: of the last upload.
         datagrams: the line's frames never continue in the next read.
         found_flying: it was armed when it was first heard, and does not say that it stands on the ground.
@@ -75,7 +77,8 @@ class LinkCore:
         self.view: VehicleView | None = None
         self.pilot: Pilot | None = None
         self.ready = False
-        self.trouble = "no autopilot heard yet"
+        self.roster = Roster(options.system)
+        self.trouble = self.roster.trouble()
         self.checks: list[Check] = []
         self.preparation: Preparation | None = None
         self.datagrams = True
@@ -267,6 +270,11 @@ class LinkCore:
     def _belongs(self, arrival: Arrival, silent: bool, out: Output) -> bool:
         """Whether it is the vehicle's autopilot that says it, from where the vehicle is."""
         received, now_s = arrival.received, arrival.received_s
+        if received.message is not None and says_who_it_is(received):
+            said = self.roster.hears(received.frame.system, received.message.autopilot)
+            if said:
+                self._tell(out, now_s, "link", said)
+            self.trouble = self.trouble if self.view is not None else self.roster.trouble() or self.trouble
         if self.view is None:
             self._discover(received, arrival.peer, now_s, out)
         if self.view is None or self.pilot is None:

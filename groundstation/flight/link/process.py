@@ -425,7 +425,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         memory = signing_of(options.key_file, options.journal)
         signing = memory.signing if memory is not None else None
         settings = Options(
-            options.system,
+            options.system or station.system,
             tuple(options.force),
             options.set_parameters,
             options.bytes_per_s or bandwidth_of(options.link),

@@ -41,6 +41,74 @@
     return resolve({ data: figure.data, layout }, style);
   };
 
+  const save = (name, blob) => {
+    const link = document.createElement("a");
+    link.download = name;
+    link.href = URL.createObjectURL(blob);
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  };
+  const stem = (place) => `${document.title.split(" ")[0]}-${place.id}`;
+  // What is drawn, as a table: name, x, y (z) of every trace.
+  const asCsv = (figure) => {
+    const quoted = (v) => v === null || v === undefined ? "" : /[",\n]/.test(String(v)) ? `"${String(v).replace(/"/g, '""')}"` : String(v);
+    const rows = [["trace", "x", "y", "z"]];
+    for (const trace of figure.data) {
+      const n = Math.max((trace.x || []).length, (trace.y || []).length);
+      for (let i = 0; i < n; i++) rows.push([trace.name, trace.x && trace.x[i], trace.y && trace.y[i], trace.z && trace.z[i]]);
+    }
+    return rows.map((row) => row.map(quoted).join(",")).join("\n") + "\n";
+  };
+  const DOWN = { width: 24, height: 24, path: "M11 3h2v9h4l-5 5-5-5h4zM4 19h16v2H4z" };
+  const saver = (format, figures) => ({
+    name: `save ${format.toUpperCase()}`, title: `Save as ${format.toUpperCase()}`, icon: DOWN,
+    click: async (place) => {
+      if (format === "csv") return save(`${stem(place)}.csv`, new Blob([asCsv(figures[place.id])], { type: "text/csv" }));
+      const size = { width: place.clientWidth, height: place.clientHeight, scale: format === "png" ? 3 : 1 };
+      const url = await Plotly.toImage(place, { format, ...size });
+      const [head, data] = url.split(/,(.*)/s);
+      const bytes = head.includes("base64") ? Uint8Array.from(atob(data), (c) => c.charCodeAt(0)) : decodeURIComponent(data);
+      save(`${stem(place)}.${format}`, new Blob([bytes], { type: format === "svg" ? "image/svg+xml" : "image/png" }));
+    },
+  });
+
+  // Tables are copied as tab-separated values, for a spreadsheet, and as LaTeX, for a paper.
+  const cells = (table) => [...table.rows].map((row) => [...row.cells].map((cell) => cell.innerText.trim().replace(/\s*\n\s*/g, " ")));
+  const asLatex = (table) => {
+    const escaped = (t) => t.replace(/\\/g, "\\textbackslash{}").replace(/[&%$#_{}]/g, "\\$&").replace(/±/g, "$\\pm$").replace(/−/g, "$-$").replace(/²/g, "$^2$").replace(/³/g, "$^3$").replace(/⁻/g, "$^-$").replace(/°/g, "$^\\circ$");
+    const [head, ...rows] = cells(table).map((row) => row.map(escaped).join(" & ") + " \\\\");
+    return ["\\begin{tabular}{l" + "r".repeat(table.rows[0].cells.length - 1) + "}", "\\hline", head, "\\hline", ...rows, "\\hline", "\\end{tabular}", ""].join("\n");
+  };
+  const asTsv = (table) => cells(table).map((row) => row.join("\t")).join("\n") + "\n";
+  document.querySelectorAll(".scroll").forEach((place) => {
+    const table = place.querySelector("table");
+    const line = document.createElement("div");
+    line.className = "copies";
+    for (const [name, write] of [["TSV", asTsv], ["LaTeX", asLatex]]) {
+      const button = document.createElement("button");
+      button.type = "button";
+      button.textContent = `copy as ${name}`;
+      button.addEventListener("click", async () => {
+        try {
+          await navigator.clipboard.writeText(write(table));
+          button.textContent = `copied as ${name}`;
+        } catch {
+          save(`table.${name === "TSV" ? "tsv" : "tex"}`, new Blob([write(table)], { type: "text/plain" }));
+        }
+        setTimeout(() => { button.textContent = `copy as ${name}`; }, 1500);
+      });
+      line.append(button);
+    }
+    place.append(line);
+  });
+  const unfold = () => {
+    const target = location.hash && document.getElementById(location.hash.slice(1));
+    const fold = target && target.querySelector("details.fold");
+    if (fold) fold.open = true;
+  };
+  addEventListener("hashchange", unfold);
+  unfold();
+
   const CONFIG = {
     responsive: true, displaylogo: false, displayModeBar: "hover", showSendToCloud: false, plotlyServerURL: "",
     modeBarButtonsToRemove: ["select2d", "lasso2d", "toImage", "autoScale2d", "tableRotation", "resetCameraLastSave3d"],
@@ -66,7 +134,7 @@
       } else {
         const { data, layout } = themed(figure);
         if (root.classList.contains("print")) layout.width = place.clientWidth;
-        await Plotly.react(place, data, layout, CONFIG);
+        await Plotly.react(place, data, layout, { ...CONFIG, modeBarButtonsToAdd: ["svg", "png", "csv"].map((f) => saver(f, figures)) });
       }
       drawn.add(place);
       root.dataset.drawn = `${drawn.size}/${places.length}`;

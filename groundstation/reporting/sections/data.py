@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import platform
 from collections.abc import Mapping, Sequence
 from importlib import metadata
+from pathlib import Path
 
 import numpy as np
 
@@ -15,6 +18,8 @@ from groundstation.reporting import figures
 from groundstation.reporting.markup import Markup, definition_list, element, fragment, sentence_list, table
 from groundstation.reporting.page import Page
 from groundstation.reporting.units import fixed, percent, readable, significant
+from groundstation.trajectory import plan_to_dict
+from groundstation.vehicle import vehicle_to_dict
 
 LINE = 80
 
@@ -41,7 +46,7 @@ def add_data(page: Page, flight: FlightData, identification: Identification | No
         {name: figures.stretches(stream.t_s) for name, stream in streams.items()},
         identification.excluded_s if identification else (),
     )
-    sentences = [*live, *(identification.quality if identification else ()), *flight.notes]
+    sentences = list(dict.fromkeys([*live, *(identification.quality if identification else ()), *flight.notes]))
     page.section(
         "data",
         "Data",
@@ -128,8 +133,10 @@ def _metadata(known: Mapping[str, str]) -> Markup:
     return fragment(definition_list(short), folded)
 
 
-def add_reproduction(page: Page, flight: FlightData, identification: Identification | None, source: str) -> None:
-    """Versions, what is known about the recording, and the commands that give the same numbers again."""
+def add_reproduction(
+    page: Page, flight: FlightData, identification: Identification | None, source: str, recording: Path | None = None
+) -> None:
+    """Versions, hashes of what went in, what is known about the recording, and the commands that give the same numbers again."""
     versions = [("groundstation", groundstation.__version__), ("Python", platform.python_version())]
     versions += [(name, metadata.version(name)) for name in ("numpy", "scipy")]
     options = "".join(f" --exclude {a:g}:{b:g}" for a, b in identification.excluded_s) if identification else ""
@@ -139,6 +146,21 @@ def add_reproduction(page: Page, flight: FlightData, identification: Identificat
         "Reproduce",
         element("pre", commands),
         element("h3", "Analysed with"),
-        definition_list(versions),
+        definition_list([*versions, *_hashes(flight, recording)]),
         [element("h3", "Recorded with"), _metadata(flight.metadata)] if flight.metadata else None,
     )
+
+
+def _hashes(flight: FlightData, recording: Path | None) -> list[tuple[str, str]]:
+    """SHA-256 of the recording, of the plan and of the vehicle as declared; the latter two of their JSON with sorted keys."""
+    found = []
+    if recording is not None and recording.is_file():
+        with recording.open("rb") as file:
+            found.append((f"SHA-256 of {recording.name}", hashlib.file_digest(file, "sha256").hexdigest()))
+    documents = {"vehicle": vehicle_to_dict(flight.vehicle)} | (
+        {"plan": plan_to_dict(flight.plan)} if flight.plan else {}
+    )
+    for name, document in documents.items():
+        text = json.dumps(document, sort_keys=True)
+        found.append((f"SHA-256 of the {name}", hashlib.sha256(text.encode()).hexdigest()))
+    return found

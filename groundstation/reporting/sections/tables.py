@@ -73,4 +73,5 @@ def _error_cell(value: float | None, base: float | None, scale: Scale) -> Markup
     if abs(gain) < UNCHANGED:
         return fragment(shown, element("small", "unchanged"))
     kind, arrow = ("better", "▾") if gain > 0.0 else ("worse", "▴")
-    return fragment(shown, element("small", f"{arrow} {percent(gain)}", class_=kind))
+    change = percent(gain) if gain > -1.0 else f"{significant(value / base, 2)} ×"
+    return fragment(shown, element("small", f"{arrow} {change}", class_=kind))

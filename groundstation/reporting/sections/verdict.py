@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from groundstation.errors import Refused
 from groundstation.identification.results import Estimate, Identification
 from groundstation.reporting import figures
+from groundstation.reporting.canonical import canonical
 from groundstation.reporting.markup import Markup, element, fragment, sentence_list, table
 from groundstation.reporting.page import Page
 from groundstation.reporting.sections.parameters import reason
@@ -107,23 +108,19 @@ def _missing(names: tuple[str, ...]) -> Markup | None:
 
 
 def _cards(identification: Identification, diagnosis: Diagnosis | None) -> Markup:
-    """Mass and principal entries of the best method; where something was found, with the findings put in, as the model that is kept has them."""
-    best = identification.methods.get(identification.best)
-    own = best.parameters if best else {}
-    kept = dict(own) | (dict(diagnosis.parameters_after) if diagnosis and diagnosis.findings else {})
-    shown = ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
-    present = [(n, kept[n], own[n]) for n in shown if n in kept and n in own]
-    present += [(n, e, e) for n, e in identification.model.items() if n.startswith("rotor_lag")][:1]
-    return element("div", [_card(*entry) for entry in present], class_="cards")
+    """Mass, moments and lag of the one estimate, and what it is to be read with."""
+    estimate = canonical(identification, diagnosis)
+    kept = estimate.parameters
+    shown = [name for name in ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2") if name in kept]
+    shown += [name for name in kept if name.startswith("rotor_lag")][:1]
+    note = element("p", f"Estimate: {estimate.source}. {estimate.note}".strip(), class_="note")
+    return fragment(element("div", [_card(name, kept[name]) for name in shown], class_="cards"), note)
 
 
-def _card(name: str, estimate: Estimate, left_out: Estimate) -> Markup:
-    """A number; below it what it was with the findings left out, where the two are apart by more than their intervals say."""
+def _card(name: str, estimate: Estimate) -> Markup:
     scale = scale_for(split_unit(name)[1], [estimate.value])
     number = element("b", interval_text(estimate, scale))
-    apart = abs(left_out.value - estimate.value) > half_width(left_out) + half_width(estimate)
-    before = element("span", f"{interval_text(left_out, scale)} with the findings left out") if apart else None
-    return element("div", element("span", label(name)), number, element("span", scale.unit), before, class_="card")
+    return element("div", element("span", label(name)), number, element("span", scale.unit), class_="card")
 
 
 def _identifiers(diagnosis: Diagnosis) -> set[str]:
@@ -191,6 +188,8 @@ def _before_after(page: Page, diagnosis: Diagnosis) -> Markup | None:
             parts.append(element("div", rms, figure, class_="pair"))
         parts += [part for part in (_prediction(stages),) if part is not None]
     parts += [element("p", note, class_="note") for note in diagnosis.notes]
+    if not diagnosis.adopted:
+        parts.insert(0, element("p", readable(diagnosis.reason), class_="worse"))
     return fragment(element("h3", "Error before and after"), parts) if parts else None
 
 
@@ -207,7 +206,10 @@ def _prediction(stages: Mapping[str, Mapping[str, float]]) -> Markup | None:
             values = [stages.get(f"{horizon}_{stage}", {}).get(error, math.nan) for stage in columns]
             scale = scale_for(split_unit(error)[1], values)
             nominal, _, after = (significant(scale.factor * value) for value in values)
-            ratio = element("small", f"ratio {significant(before / values[-1])}") if values[-1] > 0.0 else None
+            kind = "worse" if values[-1] > before else "better"
+            ratio = (
+                element("small", f"ratio {significant(before / values[-1])}", class_=kind) if values[-1] > 0.0 else None
+            )
             name_and_unit = fragment(f"{label(error)}, {ahead} s", element("small", scale.unit))
             rows.append((name_and_unit, nominal, significant(scale.factor * before), fragment(after, ratio)))
     caption = (
@@ -259,7 +261,7 @@ def _bias_share(name: str, before: Estimate, after: Estimate, trace: float) -> s
     """The shift as a share of the value; of products as a share of the tensor's trace."""
     product = name in {"ixy_kg_m2", "ixz_kg_m2", "iyz_kg_m2"}
     size = trace if product else abs(after.value)
-    if size == 0.0:
+    if size <= half_width(after):  # a share of what may as well be zero says nothing
         return "–"
     return percent((before.value - after.value) / size, 2) + (" of trace" if product else "")
 

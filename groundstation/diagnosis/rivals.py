@@ -1,0 +1,65 @@
+"""What may contest a place among findings, how large and how likely it has to be, and which of several sets to go on with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
+
+Array = NDArray[np.float64]
+Entry = tuple[Candidate, Columns]
+Kind = tuple[str, float | None]
+"""An effect, and of which rotor: what a finding names, whatever its instant or length."""
+
+INSEPARABLE = 9.0
+"""Two explanations whose evidence differs by less than this (three standard deviations) are not told apart."""
+MATERIAL = 5e-4
+"""Least RMS of an effect that is a finding, as a share of weight (forces) or of weight times arm (torques)."""
+INSTANTS = frozenset({"at_s", "from_s"})
+"""Settings that are instants."""
+
+
+def kind_of(entry: Entry) -> Kind:
+    """What a candidate would name."""
+    candidate, _ = entry
+    return candidate.identifier, candidate.settings.get("rotor")
+
+
+def preferred(sets: Sequence[Sequence[Entry]], scores: Sequence[float], misfit: float) -> int:
+    """Which set to go on with: the first, unless another explains clearly more, or as much with fewer instants that were looked for."""
+    best = int(np.argmax(scores))
+    if scores[best] - scores[0] > INSEPARABLE * misfit:
+        return best
+    instants = [sum(bool(INSTANTS.intersection(c.settings)) for c, _ in chosen) for chosen in sets]
+    simpler = [
+        index
+        for index, chosen in enumerate(sets)
+        if scores[index] > scores[0] - INSEPARABLE * misfit
+        and len(chosen) == len(sets[0])
+        and instants[index] < instants[0]
+    ]
+    return max(simpler, key=lambda index: scores[index], default=0)
+
+
+def material(evidence: Evidence, columns: Columns, values: Array) -> bool:
+    """Whether an effect of these values is large enough to matter to anyone."""
+    vehicle = evidence.flights[0].prepared.record.vehicle
+    weight = vehicle.mass_kg * vehicle.gravity_m_s2
+    size = np.abs(columns.wrench_rms @ np.abs(values))
+    scale = np.array([weight] * 3 + [weight * vehicle.arm_m()] * 3)
+    return bool(np.any(size / scale > MATERIAL))
+
+
+def plausible(candidate: Candidate, values: Array, covariance: Array) -> bool:
+    """Values within the physical range, two standard deviations allowed."""
+    std = np.sqrt(np.diag(covariance))
+    ranges = [p.plausible for p in candidate.effect.parameters]
+    return all(low - 2.0 * s <= v <= high + 2.0 * s for v, s, (low, high) in zip(values, std, ranges, strict=True))
+
+
+def posterior(rivals: Sequence[float]) -> float:
+    """Share of an explanation among rivals (chance is one) whose evidence stands this far from its own, as chi squared."""
+    return float(1.0 / (1.0 + np.sum(np.exp(0.5 * np.clip(rivals, -200.0, 0.0)))))

@@ -1,0 +1,139 @@
+"""What the declaration checks compare: a flight's own signals on one grid and in one band, nothing fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise, permutations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.flightdata import FlightData, Stream
+from groundstation.identification.processing import clean, flown_stretches
+from groundstation.identification.stretches import within
+from groundstation.identification.wrench import voltage_ratio
+
+Array = NDArray[np.float64]
+
+STEP_S = 0.01
+SHORTEST_S = 3.0
+"""Of a stream that a check can go by: the slowest manoeuvre in its band, once."""
+BAND_HZ = (0.3, 8.0)
+PARTS = 12
+
+
+def signed_permutations() -> list[Array]:
+    """The 48 ways to name and point three axes, the declared one first."""
+    found = []
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            matrix = np.zeros((3, 3))
+            for row, (column, sign) in enumerate(zip(order, signs, strict=True)):
+                matrix[row, column] = sign
+            found.append(matrix)
+    return found
+
+
+def in_words(matrix: Array) -> str:
+    """A signed permutation as (x, -y, -z)."""
+    parts = [("-" if row[np.argmax(np.abs(row))] < 0 else "") + "xyz"[int(np.argmax(np.abs(row)))] for row in matrix]
+    return f"({', '.join(parts)})"
+
+
+def passed(values: Array, band_hz: tuple[float, float] = BAND_HZ) -> Array:
+    """Columns in the band of manoeuvres, shape kept."""
+    from scipy.signal import butter, sosfiltfilt
+
+    sos = butter(2, band_hz, btype="band", fs=1.0 / STEP_S, output="sos")
+    return np.asarray(sosfiltfilt(sos, values, axis=0), dtype=float)
+
+
+def on_grid(grid: Array, t_s: Array, values: Array) -> Array:
+    """Linear interpolation of columns, (k, d)."""
+    return np.stack([np.interp(grid, t_s, column) for column in values.T], axis=-1)
+
+
+def long_enough(stream: Stream | None) -> Stream | None:
+    """A stream's good samples; None where they are too few or too short."""
+    kept = None if stream is None or len(stream) < 100 else clean(stream)
+    return kept if kept is not None and len(kept) >= 100 and kept.t_s[-1] - kept.t_s[0] >= SHORTEST_S else None
+
+
+def similarity(first: Array, second: Array) -> float:
+    """Correlation of all columns together, in [-1, 1]."""
+    size = float(np.sqrt(np.sum(first**2) * np.sum(second**2)))
+    return float(np.sum(first * second)) / size if size > 0.0 else 0.0
+
+
+def alike(first: Array, second: Array) -> float:
+    """Mean correlation of the columns, so that an axis that moves little has a say."""
+    size = np.std(first, axis=0) * np.std(second, axis=0) + 1e-12
+    return float(np.mean(np.mean((first - first.mean(axis=0)) * (second - second.mean(axis=0)), axis=0) / size))
+
+
+def apart(better: Array, declared: Array, measured: Array) -> float:
+    """Student's t over parts of equal motion of how much more alike ``better`` is to ``measured`` than ``declared`` is."""
+    moved = np.cumsum(np.sum(measured**2, axis=1))
+    bounds = np.searchsorted(moved, moved[-1] * np.arange(PARTS + 1) / PARTS)
+    gain = [
+        similarity(better[a:b], measured[a:b]) - similarity(declared[a:b], measured[a:b])
+        for a, b in pairwise(bounds)
+        if b - a > 10
+    ]
+    if len(gain) < 3:
+        return 0.0
+    return float(np.mean(gain) / (np.std(gain, ddof=1) / np.sqrt(len(gain)) + 1e-6))
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """The flying part of a flight on a grid of the motors' clock, which IMU and motors share.
+
+    Attributes:
+        t_s: (k,). used: in the air, (k,). rate, force: of the IMU, (k, 3); None without one.
+        thrust: of each rotor by the declared constants, (k, n); None for a wrench.
+    """
+
+    t_s: Array
+    used: NDArray[np.bool_]
+    rate: Array | None
+    force: Array | None
+    thrust: Array | None
+
+
+def flown(flight: FlightData) -> Flown:
+    """Signals of a flight; the clocks of IMU and motors are taken to agree but for their arrival times.
+
+    Raises:
+        NotIdentifiable: it did not fly.
+    """
+    from groundstation.identification.alignment import arrival_difference, one_clock
+
+    motors = clean(flight.motors)
+    stretches = flown_stretches(flight, 0.0)
+    imu = long_enough(flight.imu)
+    offset = 0.0
+    if imu is not None and not one_clock(flight):
+        offset = arrival_difference(flight.motors, imu) or 0.0
+        offset = offset if abs(offset) > 0.5 else 0.0
+    grid = np.arange(motors.t_s[0], motors.t_s[-1], STEP_S)
+    source = imu if imu is not None else _rates_of(flight)
+    rate = force = None
+    if source is not None:
+        rate = on_grid(grid - offset, source.t_s, source.values[:, :3])
+        force = on_grid(grid - offset, source.t_s, source.values[:, 3:6]) if imu is not None else None
+    thrust = None
+    if flight.vehicle.rotors.input != "wrench":
+        values = motors.values
+        if flight.vehicle.rotors.input == "command":
+            values = values * voltage_ratio(flight.vehicle, flight.battery, motors.t_s)[:, None]
+        thrust = on_grid(grid, motors.t_s, flight.vehicle.thrust(values))
+    return Flown(grid, within(grid, stretches), rate, force, thrust)
+
+
+def _rates_of(flight: FlightData) -> Stream | None:
+    """Rates of the vehicle's own state, where there is no IMU."""
+    state = long_enough(flight.state)
+    if state is None:
+        return None
+    return Stream(state.t_s, state.values[:, 10:13], ("x", "y", "z"))

@@ -1,0 +1,321 @@
+"""Fit of the prediction model to what lies 0.1 and 0.5 s ahead (multiple shooting), and the choice between it and simpler ones.
+
+Windows start all over the flights (Bock and Plitt 1984, multiple shooting, with every start given by the flight). The size of each
+error counts, not its square, in units of what a guess of constant velocity and rate misses in that flight, so one wild stretch does
+not decide. The choice is made on blocks of time, or whole flights, that the judged fit has not seen, by the rule of one standard
+error (Breiman et al. 1984, Classification and regression trees, 3.4.3): a simpler model stays unless a richer one is clearly better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.frames import quat_conjugate, quat_exp, quat_log, quat_multiply, quat_normalise
+from groundstation.model.prediction import QUANTITIES, FlightStates, VehicleModel, declared_model, error_norms
+from groundstation.model.predictive import (
+    NAMES,
+    NUMBERS,
+    WITHOUT_TORQUE,
+    Course,
+    PredictiveModel,
+    course,
+    run,
+    starting,
+)
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+HORIZONS_S = (0.01, 0.1, 0.5)
+"""What a fit looks at: half a second is what a planner needs, 0.1 s what a controller needs, 0.01 s holds the start to the measured state."""
+WEIGHTS = (0.2, 0.36, 1.0)
+"""Of the horizons: the shorter one is, the more of its error is noise of the measured state."""
+WINDOWS = 900
+"""Most windows of a fit, over all flights: ten times as many change no error by a percent, and take ten times as long."""
+FIT_STEP_S = 0.01
+SHRINK = 0.02
+"""Cost of one spread away from a number's start; the errors themselves cost about 5 together, one prediction of constant velocity 11."""
+EVALUATIONS = 14
+BLOCK_S = 4.0
+"""Blocks of a judgement: several times as long as a horizon, and many in a minute."""
+GUARD_S = 0.6
+"""Distance of a training window from a judged block: the longest horizon and some."""
+FOLDS = 3
+SHORTEST_S = 12.0
+"""Flight below which there is nothing to fit to and judge by at once: three blocks."""
+
+Candidate = tuple[str, PredictiveModel | VehicleModel | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Shooting:
+    """The windows of one flight: their starts, what is true at each horizon, and the size of an error."""
+
+    states: FlightStates
+    index: Index
+    truth: Array
+    scale: Array
+    flight: int
+    block: Index
+
+    def only(self, chosen: NDArray[np.bool_]) -> Shooting:
+        """Those of the windows."""
+        return Shooting(
+            self.states, self.index[chosen], self.truth[:, chosen], self.scale, self.flight, self.block[chosen]
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What was chosen, and the mean error of every candidate on unseen blocks.
+
+    Attributes:
+        kind: "fitted", "physical", "declared" or "constant_velocity".
+        model: the fitted one, whatever was chosen; None where no fit was possible.
+        errors: candidate -> horizon -> quantity -> mean norm.
+        score: candidate -> mean error in units of constant velocity's, and its standard error.
+        loses: where the chosen one is worse than constant velocity: (horizon, quantity).
+        reason: a sentence.
+    """
+
+    kind: str
+    model: PredictiveModel | None
+    errors: Mapping[str, Mapping[str, Mapping[str, float]]]
+    score: Mapping[str, tuple[float, float]]
+    loses: tuple[tuple[str, str], ...]
+    blocks: int
+    reason: str
+
+
+def shooting(states: FlightStates, flight: int, keep: NDArray[np.bool_], windows: int) -> Shooting | None:
+    """Windows of a flight, evenly over what is kept; None where fewer than 20 fit.
+
+    Args:
+        keep: which of the states' stamps may be used.
+        windows: about how many.
+    """
+    t = states.t_s
+    known = keep & np.isfinite(states.start_rate_rad_s).all(axis=1) & np.isfinite(states.rate_rad_s).all(axis=1)
+    if np.isfinite(states.start_quaternion).all(axis=1).mean() > 0.5:
+        parts = (states.start_quaternion, states.start_velocity_m_s, states.quaternion, states.velocity_m_s)
+        known &= np.all([np.isfinite(x).all(axis=1) for x in parts], axis=0)
+    bad = np.concatenate([[0], np.cumsum(~known)])
+    gap = np.concatenate([[0], np.cumsum(np.diff(t) > 0.1)])
+    last = np.searchsorted(t, t + HORIZONS_S[-1] + 0.01)
+    inside = last < len(t)
+    last = np.minimum(last, len(t) - 1)
+    good = np.flatnonzero(inside & (bad[last + 1] == bad[:-1]) & (gap[last] == gap) & (t > t[0] + 0.2))
+    if len(good) < 20:
+        return None
+    index = good[:: max(1, len(good) // windows)]
+    truth = np.stack([_at(states, t[index] + h) for h in HORIZONS_S])
+    still = _differences(_constant(states, index, HORIZONS_S), truth)
+    scale = np.linalg.norm(still, axis=-1).mean(axis=1)
+    block = np.floor((t[index] - t[0]) / BLOCK_S).astype(np.int64)
+    return Shooting(states, index, truth, np.maximum(scale, 1e-9), flight, block)
+
+
+def _at(states: FlightStates, at_s: Array) -> Array:
+    """What a flight is judged by at times, (k, 13)."""
+    nearest = np.clip(np.searchsorted(states.t_s, at_s - 0.5 * np.median(np.diff(states.t_s))), 0, len(states.t_s) - 1)
+
+    def columns(values: Array) -> Array:
+        return np.stack([np.interp(at_s, states.t_s, c) for c in values.T], axis=-1)
+
+    parts = (columns(states.position_m), columns(states.velocity_m_s), states.quaternion[nearest])
+    return np.concatenate([*parts, columns(states.rate_rad_s)], axis=1)
+
+
+def _constant(states: FlightStates, index: Index, horizons: Sequence[float]) -> Array:
+    p, v = states.start_position_m[index], states.start_velocity_m_s[index]
+    q, w = states.start_quaternion[index], states.start_rate_rad_s[index]
+    return np.stack([np.concatenate([p + h * v, v, quat_multiply(q, quat_exp(h * w)), w], axis=1) for h in horizons])
+
+
+def _differences(found: Array, truth: Array) -> Array:
+    """Position, velocity, attitude (rotation vector) and rate less the truth, (m, k, 4, 3); zero where nothing is known."""
+    turned = quat_log(quat_normalise(quat_multiply(quat_conjugate(truth[..., 6:10]), found[..., 6:10])))
+    parts = (found[..., :3] - truth[..., :3], found[..., 3:6] - truth[..., 3:6], turned)
+    return np.stack([*(np.nan_to_num(x) for x in parts), found[..., 10:] - truth[..., 10:]], axis=-2)
+
+
+def fitted(
+    shots: Sequence[Shooting], courses: Sequence[Course], start: PredictiveModel, free: Sequence[str]
+) -> PredictiveModel:
+    """The numbers ``free`` of the model by least squares over all windows, shrunk towards the start.
+
+    Args:
+        shots, courses: of each flight; courses are of the start's base.
+    """
+    from scipy.optimize import least_squares
+
+    at = np.array([NAMES.index(name) for name in free])
+    spread = np.array([NUMBERS[i].spread for i in at])
+    low, high = (np.array([getattr(NUMBERS[i], end) for i in at]) / spread for end in ("low", "high"))
+    origin = start.values[at] / spread
+    share = 1.0 / np.sqrt(len(shots))
+
+    def residual(x: Array) -> Array:
+        values = start.values.copy()
+        values[at] = x * spread
+        rows = [_weighted(shot, flown, values) * share for shot, flown in zip(shots, courses, strict=True)]
+        return np.concatenate([*rows, np.sqrt(SHRINK) * (x - origin)])
+
+    begin = np.clip(origin, low + 1e-6, high - 1e-6)
+    found = least_squares(residual, begin, bounds=(low, high), max_nfev=EVALUATIONS, diff_step=1e-3, ftol=1e-4)
+    return start.with_values(free, found.x * spread)
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def _weighted(shot: Shooting, flown: Course, values: Array) -> Array:
+    """Rows whose squares add up to the sizes of the errors, in units of constant velocity's."""
+    found = run(values, flown, shot.index, HORIZONS_S, FIT_STEP_S)
+    away = _differences(found, shot.truth) / shot.scale[:, None, :, None]
+    away = np.clip(np.nan_to_num(away, nan=1e3, posinf=1e3, neginf=-1e3), -1e3, 1e3)
+    size = np.sqrt(np.sum(away**2, axis=-1, keepdims=True) + 1e-4)
+    weight = np.sqrt(np.array(WEIGHTS) / away.shape[1])
+    return (away / np.sqrt(size) * weight[:, None, None, None]).ravel()
+
+
+def free_numbers(pose: bool, torque: bool) -> tuple[str, ...]:
+    """What a fit may move: velocity's numbers need poses, the smaller model leaves the torque alone."""
+    return tuple(n.name for n in NUMBERS if (pose or not n.pose) and (torque or n.name not in WITHOUT_TORQUE))
+
+
+def _fit(shots: Sequence[Shooting], model: VehicleModel, torque: bool) -> PredictiveModel:
+    start = starting(model)
+    if not torque:
+        start = start.with_values(WITHOUT_TORQUE[:3], np.zeros(3))
+    courses = [course(start.base, shot.states) for shot in shots]
+    return fitted(shots, courses, start, free_numbers(all(c.pose for c in courses), torque))
+
+
+def _folds(shots: Sequence[Shooting]) -> list[list[NDArray[np.bool_]]]:
+    """For each fold, which windows of each flight are judged: whole flights where there are enough, else blocks of time."""
+    if len(shots) >= FOLDS:
+        return [[np.full(len(s.index), s.flight % FOLDS == fold) for s in shots] for fold in range(FOLDS)]
+    return [[s.block % FOLDS == fold for s in shots] for fold in range(FOLDS)]
+
+
+def _unseen(shot: Shooting, judged: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Windows to train with: none that overlaps a judged one."""
+    if judged.all() or not judged.any():
+        return ~judged
+    t = shot.states.t_s[shot.index]
+    near = np.searchsorted(t[judged], t)
+    after = np.abs(t[judged][np.minimum(near, judged.sum() - 1)] - t)
+    before = np.abs(t[judged][np.maximum(near - 1, 0)] - t)
+    return ~judged & (np.minimum(after, before) > GUARD_S)
+
+
+def judged(shots: Sequence[Shooting], physical: VehicleModel, base: VehicleModel) -> Judgement:
+    """Fit and choose.
+
+    Args:
+        shots: windows of every flight.
+        physical: the identified model, a candidate itself.
+        base: what the fitted models' gains refer to.
+    """
+    norms: dict[str, list[Array]] = {}
+    where: list[tuple[int, Index]] = []
+    for fold in _folds(shots):
+        training = [s.only(_unseen(s, j)) for s, j in zip(shots, fold, strict=True)]
+        training = [s for s in training if len(s.index) >= 20]
+        testing = [s.only(j) for s, j in zip(shots, fold, strict=True) if j.any()]
+        if not training or not testing:
+            continue
+        models: dict[str, PredictiveModel | VehicleModel | None] = {
+            "constant_velocity": None,
+            "declared": declared_model(shots[0].states.vehicle),
+            "physical": physical,
+            "without_torque": _fit(training, base, torque=False),
+            "fitted": _fit(training, base, torque=True),
+        }
+        for shot in testing:
+            where.append((shot.flight, shot.block))
+            for name, model in models.items():
+                norms.setdefault(name, []).append(_sizes(model, shot))
+    return _chosen(norms, where, shots, base)
+
+
+def _sizes(model: PredictiveModel | VehicleModel | None, shot: Shooting) -> Array:
+    """Errors of each window, (horizons judged, k, 4)."""
+    if isinstance(model, VehicleModel):
+        found = error_norms(model, shot.states, shot.index, list(HORIZONS_S))
+        return np.stack([np.stack([found[h][q] for q in QUANTITIES], axis=-1) for h in HORIZONS_S])
+    path = (
+        _constant(shot.states, shot.index, HORIZONS_S)
+        if model is None
+        else run(model.values, course(model.base, shot.states), shot.index, HORIZONS_S)
+    )
+    return np.linalg.norm(_differences(path, shot.truth), axis=-1)
+
+
+def _blocks(sizes: Sequence[Array], where: Sequence[tuple[int, Index]], scale: Mapping[int, Array]) -> Array:
+    """Mean error of each block in units of constant velocity's in its flight."""
+    out = []
+    for norm, (flight, block) in zip(sizes, where, strict=True):
+        size = scale[flight][:, None]
+        each = np.minimum(np.nan_to_num(norm / size, nan=0.0, posinf=1e3), 1e3)[1:]  # the shortest horizon is noise
+        told = max(1, int((size[1:] > 1e-9).sum()))
+        total = each.sum(axis=(0, 2)) / told
+        out += [float(total[block == b].mean()) for b in np.unique(block)]
+    return np.array(out)
+
+
+SIMPLEST_FIRST = ("physical", "without_torque", "fitted")
+
+
+def _chosen(
+    norms: Mapping[str, Sequence[Array]],
+    where: Sequence[tuple[int, Index]],
+    shots: Sequence[Shooting],
+    base: VehicleModel,
+) -> Judgement:
+    scale = {s.flight: s.scale for s in shots}
+    blocks = {name: _blocks(sizes, where, scale) for name, sizes in norms.items()}
+    score = {
+        name: (float(values.mean()), float(values.std() / np.sqrt(max(1, len(values) - 1))))
+        for name, values in blocks.items()
+    }
+    errors = {name: _means(sizes) for name, sizes in norms.items()}
+    best = min(score, key=lambda name: score[name][0])
+    kind = best
+    for name in SIMPLEST_FIRST:
+        if best == "constant_velocity" or name == best:
+            break
+        difference = blocks[name] - blocks[best]
+        if difference.mean() <= difference.std() / np.sqrt(max(1, len(difference) - 1)):
+            kind = name
+            break
+    model = None
+    if kind in ("without_torque", "fitted"):
+        model = _fit(shots, base, torque=kind == "fitted")
+    loses = tuple(
+        (h, q)
+        for h, by in errors[kind].items()
+        for q, size in by.items()
+        if size > 1.02 * errors["constant_velocity"][h][q]
+    )
+    text = ", ".join(f"{name} {score[name][0]:.2f}" for name in sorted(score, key=lambda n: score[n][0]))
+    reason = (
+        f"mean error 0.1 and 0.5 s ahead on {len(blocks[kind])} blocks that no fit of it has seen, in units of constant "
+        f"velocity's: {text}; the simplest within one standard error of the best is taken."
+    )
+    return Judgement(kind, model, errors, score, loses, len(blocks[kind]), reason)
+
+
+def _means(sizes: Sequence[Array]) -> dict[str, dict[str, float]]:
+    every = np.concatenate(sizes, axis=1)
+    return {
+        f"{h:g}": {
+            q: float(np.mean(every[i, :, k][np.isfinite(every[i, :, k])]))
+            for k, q in enumerate(QUANTITIES)
+            if np.isfinite(every[i, :, k]).any() and every[i, :, k].any()
+        }
+        for i, h in enumerate(HORIZONS_S)
+    }

@@ -1,0 +1,82 @@
+"""The one estimate of a flight: what every place shows, with the findings put in. Estimates without them stand in the methods table alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import hypot, sqrt
+from typing import TYPE_CHECKING, Any
+
+from groundstation.identification.results import Estimate, Identification
+
+if TYPE_CHECKING:  # the diagnosis is heavy to import, and only its type is needed
+    from groundstation.diagnosis.results import Diagnosis
+
+FITTED = frozenset({"motor_lag", "input_delay"})
+"""Findings whose parameters are the model's own."""
+MOST_SHARE = 0.99
+HALF_95 = 1.959964
+
+
+@dataclass(frozen=True, slots=True)
+class Canonical:
+    """The estimate.
+
+    Attributes:
+        parameters: mass, tensor and the rest of the model.
+        source: the method, and "+ findings" where they are put in.
+        note: what the numbers ask to be read with, in a sentence; empty where there is nothing.
+    """
+
+    parameters: Mapping[str, Estimate]
+    source: str
+    note: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The block ``estimate`` of identification.json."""
+        values = {name: estimate.to_dict() for name, estimate in self.parameters.items()}
+        return {"source": self.source, "note": self.note, "parameters": values}
+
+
+def canonical(identification: Identification, diagnosis: Diagnosis | None = None) -> Canonical:
+    """The estimate of the best method; after a diagnosis, with its findings put in where they were adopted.
+
+    What the flight does not reveal stays hidden. Where a residual remains that nothing explains, the intervals are widened: by what the
+    residual adds to the noise they were made of (Birge 1932), and to hold the estimates with the findings and without.
+    """
+    best = identification.methods.get(identification.best)
+    own = dict(best.parameters if best else {}) | dict(identification.model)
+    if diagnosis is None or diagnosis.verdict == "refused":
+        return Canonical(own, identification.best)
+    found = dict(own)
+    source, notes = identification.best, []
+    if diagnosis.findings and diagnosis.adopted:
+        found |= {n: e for n, e in diagnosis.parameters_after.items() if n not in identification.not_identifiable}
+        for finding in diagnosis.findings:
+            if finding.effect in FITTED:
+                found |= {name: e for name, e in finding.parameters.items() if name in own}
+        source = f"{identification.best} + findings"
+    elif diagnosis.findings:
+        notes.append("The findings make the prediction worse and are not put in.")
+    if diagnosis.unexplained:
+        found = {name: _widened(estimate, own.get(name), diagnosis) for name, estimate in found.items()}
+        notes.append(
+            "A residual remains that nothing explains: the intervals are widened, and may still not hold the truth."
+        )
+    return Canonical(found, source, " ".join(notes))
+
+
+def _widened(estimate: Estimate, without: Estimate | None, diagnosis: Diagnosis) -> Estimate:
+    share = min(max(item.share for item in diagnosis.unexplained), MOST_SHARE)
+    moved = 0.0 if without is None else abs(estimate.value - without.value)
+    return Estimate.normal(estimate.value, hypot(estimate.std / sqrt(1.0 - share), moved / HALF_95))
+
+
+def estimate_in(document: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
+    """Source and parameters of the estimate in an identification's document; of one written before there was the block, its best method."""
+    block = document.get("estimate")
+    if block:
+        return str(block["source"]), block["parameters"]
+    best = document["best"]
+    own = document.get("methods", {}).get(best, {}).get("parameters", {})
+    return str(best), {**document.get("model", {}), **own}

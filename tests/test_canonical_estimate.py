@@ -1,0 +1,87 @@
+"""One flight, one answer: command line, documents, report, views, exports and prediction show the same digits."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import reporting_fixture as fixture
+
+from groundstation.analysis.analyse import identification_document, parameter_table, write_identification
+from groundstation.diagnosis.adoption import why_not
+from groundstation.diagnosis.results import Diagnosis, Unexplained
+from groundstation.fleet.rows import CANONICAL, _parameters
+from groundstation.flight.client.rehearse import result_table
+from groundstation.model.prediction import model_from_document
+from groundstation.reporting import write_report
+from groundstation.reporting.canonical import canonical
+from groundstation.reporting.exports import model_document, read_model
+from groundstation.reporting.identified import identified_from_document
+from groundstation.reporting.units import interval_text, label, scale_for, split_unit
+from groundstation.tui.text import method_table
+
+SHOWN = ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
+KINDS = ("with findings", "findings not adopted", "unexplained")
+
+
+def _diagnosis(kind: str) -> Diagnosis:
+    found = replace(fixture.diagnosis(), unexplained=(), verdict="explained")
+    if kind == "findings not adopted":
+        return replace(found, adopted=False)
+    if kind == "unexplained":
+        return replace(found, unexplained=(Unexplained("torque_z_nm", 0.75, ("pitch_rad",)),), verdict="unexplained")
+    return found
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_place_shows_the_same_digits(kind, tmp_path: Path):
+    flight, identification, diagnosis = fixture.flight(), fixture.identification(), _diagnosis(kind)
+    estimate = canonical(identification, diagnosis)
+    assert estimate.source == (
+        identification.best if kind == "findings not adopted" else f"{identification.best} + findings"
+    )
+    declared = flight.vehicle.parameters()
+    document = identification_document(identification, diagnosis)
+    files = write_identification(tmp_path, identification, flight.vehicle, diagnosis)
+    model = read_model(files["model"])
+    identified = identified_from_document(model)
+    rows = {row["name"]: row for row in _parameters(document, diagnosis.to_dict()) if row["method"] == CANONICAL}
+    progress = parameter_table(identification, declared, diagnosis)
+    text = result_table(document, declared, {})
+    header, table = method_table(document, declared, 2)
+    cells = {row[0]: row[3] for row in table}
+    report = write_report(tmp_path / "report.html", flight, identification, diagnosis).read_text()
+    assert estimate.source in text and header[3].startswith(estimate.source)
+    assert f"Estimate: {estimate.source}" in report
+    predicted = model_from_document(model, flight.vehicle)
+    assert predicted.mass_kg == estimate.parameters["mass_kg"].value
+    assert identified.vehicle.mass_kg == estimate.parameters["mass_kg"].value
+    for name in SHOWN:
+        own = estimate.parameters[name]
+        assert document["estimate"]["parameters"][name] == own.to_dict()
+        assert tomllib.loads(files["model"].read_text())["parameters"][name] == {"value": own.value, "std": own.std}
+        assert model_document(identification, flight.vehicle, diagnosis)["parameters"][name]["value"] == own.value
+        assert rows[name]["value"] == own.value and rows[name]["low"] == own.ci95[0]
+        assert progress[name][1:] == (own.value, *own.ci95)
+        shown = interval_text(own, scale_for(split_unit(name)[1], [own.value]))
+        assert shown in report
+        line = next(line for line in text.splitlines() if line.startswith(label(name)))
+        assert shown.split(" ")[0] in line, (shown, line)
+        assert cells[label(name)].split(" ")[0] in line
+
+
+def test_an_unexplained_residual_widens_every_interval():
+    identification = fixture.identification()
+    sure, doubtful = (canonical(identification, _diagnosis(kind)) for kind in (KINDS[0], KINDS[2]))
+    assert "widened" in doubtful.note and not sure.note
+    for name in SHOWN:
+        assert doubtful.parameters[name].value == sure.parameters[name].value
+        assert doubtful.parameters[name].std >= 1.99 * sure.parameters[name].std  # a share of 0.75 halves the weight
+
+
+def test_findings_that_predict_worse_are_said_and_those_that_do_not_are_not():
+    stages = {"prediction_0.5_s_before": {"body_rate_rad_s": 4.07}, "prediction_0.5_s_after": {"body_rate_rad_s": 9.91}}
+    assert "4.07 → 9.91 rad/s" in why_not(stages)
+    assert why_not({**stages, "prediction_0.5_s_after": {"body_rate_rad_s": 4.2}}) == ""
