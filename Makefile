@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 FIND_PYTHON = for p in $(PYTHON) python3.11 python3.12 python3.13 python3.14 python3; do \
   "$$p" -c 'import sys, ensurepip, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { command -v "$$p"; break; }; done
 
-.PHONY: help setup rehearse test test-fast docs lint study blind bench campaign faults firmware-test reproduce clean
+.PHONY: help fuzz setup rehearse test test-fast docs lint study blind bench campaign faults firmware-test reproduce clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -65,6 +65,9 @@ firmware-test: $(READY)  ## real ArduCopter and PX4 on our physics: ARDUCOPTER=p
 
 reproduce: $(READY)  ## the paper's tables beside ours
 	@$(VENV)/bin/groundstation reproduce $(ARGS)
+
+fuzz: $(READY)  ## mutated inputs over every reader: ARGS='--minutes 60', '--count 1000000'
+	@$(PY) -m benchmarks.fuzz $(ARGS)
 
 clean:  ## remove the virtual environment and caches, never a flight
 	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis dist build

@@ -76,6 +76,28 @@ def draw(master: int, count: int) -> list[tuple[int, str, tuple[str, ...]]]:
     return out
 
 
+class _Hall:
+    """Flies in this process."""
+
+    def __init__(self, folder: Path, vehicle: Any, scenario: Any, random: Random):
+        self._folder, self._vehicle, self._scenario, self._random = folder, vehicle, scenario, random
+        self._flown = 0
+        self.truth: Mapping[str, float] = {}
+
+    def place(self) -> Path:
+        return self._folder / f"flight-{self._flown + 1}"
+
+    def was_flown(self, folder: Path) -> bool:
+        return (folder / "flight.mcap").is_file()
+
+    def fly(self, plan: Path, folder: Path) -> None:
+        self._flown += 1
+        simulated = simulate(self._vehicle, load_plan(plan), self._scenario, int(self._random.integers(2**31)))
+        self.truth = simulated.truth.parameters()
+        folder.mkdir()
+        write_mcap(flight_data(simulated, folder.name), folder / "flight.mcap")
+
+
 def campaign(item: tuple[int, str, tuple[str, ...]]) -> Outcome:
     """Hide, fly until it ends, count."""
     seed, name, names = item
@@ -84,18 +106,9 @@ def campaign(item: tuple[int, str, tuple[str, ...]]) -> Outcome:
     hidden = {effect: sizes(vehicle)[effect](random) for effect in names}
     scenario = world(random, hidden, vehicle)
     with tempfile.TemporaryDirectory() as folder:
-        flown: list[Any] = []
-
-        def fly(plan: Path) -> Path:
-            place = Path(folder) / plan.stem
-            place.mkdir()
-            simulated = simulate(vehicle, load_plan(plan), scenario, int(random.integers(2**31)))
-            flown.append(simulated)
-            write_mcap(flight_data(simulated, plan.stem), place / "flight.mcap")
-            return place
-
-        done = run(Campaign(Path(folder) / "campaign", vehicle, parse_targets(TARGETS), AT_MOST, seed % 1000), fly)
-    truth = flown[0].truth.parameters()
+        hall = _Hall(Path(folder), vehicle, scenario, random)
+        done = run(Campaign(Path(folder) / "campaign", vehicle, parse_targets(TARGETS), AT_MOST, seed % 1000), hall)
+    truth = hall.truth
     last = done.rounds[-1]
     z = {
         n: (last.estimates[n]["value"] - truth[n]) / last.estimates[n]["std"]

@@ -13,7 +13,8 @@ Drone, keys under ``gs/<drone>/`` (:class:`DroneKeys`)::
     describe  queryable    on the drone    Describe -> Description: what flies here
     alive     liveliness   of the drone
 
-Core, keys under ``gs/core/``: ``status`` (publication), ``command`` and ``lease`` (queryables), ``alive`` (liveliness).
+Core, keys under ``gs/core/``: ``status`` (publication), ``command``, ``abort`` and ``lease`` (queryables), ``alive`` (liveliness).
+Who may send on which key: :mod:`drivers.access`.
 The payloads of those belong to the core; :func:`publish`, :func:`subscribe`, :func:`serve` and :func:`ask` carry any
 ``msgspec.Struct``.
 
@@ -38,14 +39,19 @@ handler: requests are answered ``ok = False`` with the reason, publications are 
 from __future__ import annotations
 
 import json
+import os
 import socket
+import tempfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import msgspec
+
+from drivers.access import Login, Secrets, rules
 
 if TYPE_CHECKING:
     import zenoh
@@ -58,6 +64,7 @@ LOCK_STEP_TIMEOUT_S = 30.0
 CORE_ALIVE = "gs/core/alive"
 CORE_STATUS = "gs/core/status"
 CORE_COMMAND = "gs/core/command"
+CORE_ABORT = "gs/core/abort"
 CORE_LEASE = "gs/core/lease"
 
 DronePhase = Literal["idle", "uploaded", "armed", "takeoff", "exciting", "landing", "landed", "crashed"]
@@ -226,7 +233,7 @@ def decode(data: bytes, kind: type[M]) -> M:
     """
     try:
         return msgspec.msgpack.decode(data, type=kind)
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, RecursionError) as error:
         raise ValueError(f"not a {kind.__name__}: {error}") from None
 
 
@@ -243,7 +250,12 @@ def loopback(port: int) -> str:
 
 
 def open_session(
-    *, listen: Sequence[str] = (), connect: Sequence[str] = (), connect_timeout_s: float = 5.0
+    *,
+    listen: Sequence[str] = (),
+    connect: Sequence[str] = (),
+    connect_timeout_s: float = 5.0,
+    login: Login | None = None,
+    admit: tuple[Secrets, str] | None = None,
 ) -> zenoh.Session:
     """Open a peer session that meets only the endpoints named.
 
@@ -251,6 +263,8 @@ def open_session(
         listen: endpoints to accept peers on; none by default (zenoh's own default is all interfaces).
         connect: endpoints to connect to; re-connected by zenoh when lost.
         connect_timeout_s: how long the first connection may take.
+        login: as whom to open the session.
+        admit: secrets of the roles and the vehicle's name: only sessions that log in are accepted, each for its role.
 
     Raises:
         ConnectionError: an endpoint cannot be opened or reached.
@@ -268,16 +282,59 @@ def open_session(
         "transport/link/tx/lease": 2000,
         "transport/link/tx/queue/size/data": 16,  # the most there can be: about a megabyte before anything is dropped
     }
+    if login is not None:
+        settings["transport/auth/usrpwd"] = {"user": login.role, "password": login.secret}
     config = zenoh.Config()
-    for key, value in settings.items():
-        config.insert_json5(key, json.dumps(value))
     try:
-        return zenoh.open(config)
+        with _admission(admit) as admission:
+            for key, value in {**settings, **admission}.items():
+                config.insert_json5(key, json.dumps(value))
+            return zenoh.open(config)
     except zenoh.ZError as error:
         places = ", ".join([*listen, *connect]) or "no endpoint"
         raise ConnectionError(
             f"the bus at {places} cannot be opened ({error}); is the port right and the core up?"
         ) from None
+
+
+PENDING = 4096
+"""Connections that may be in the making: idle ones cost a descriptor each and leave after ``ACCEPT_S``."""
+ACCEPT_S = 1.0
+SESSIONS = 64
+
+
+@contextmanager
+def _admission(admit: tuple[Secrets, str] | None) -> Iterator[dict[str, Any]]:
+    """Settings of a listener that admits sessions by role; the file that zenoh reads the secrets from is gone after it."""
+    if admit is None:
+        yield {}
+        return
+    flight, vehicle = admit
+    _allow_descriptors()
+    descriptor, name = tempfile.mkstemp(prefix="groundstation-")  # readable by its owner alone
+    try:
+        with os.fdopen(descriptor, "w", encoding="ascii") as file:
+            file.writelines(f"{role}:{secret}\n" for role, secret in flight.items())
+        yield {
+            "transport/auth/usrpwd": {"user": "core", "password": flight["core"], "dictionary_file": name},
+            "transport/unicast/accept_timeout": int(1000 * ACCEPT_S),
+            "transport/unicast/accept_pending": PENDING,
+            "transport/unicast/max_sessions": SESSIONS,
+            "access_control": rules(vehicle),
+        }
+    finally:
+        Path(name).unlink(missing_ok=True)
+
+
+def _allow_descriptors() -> None:
+    """As many open connections as the system allows this process, so that idle ones do not use them up."""
+    try:
+        import resource
+    except ImportError:  # a system without such a limit
+        return
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+    with suppress(OSError, ValueError):
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 class Publisher:

@@ -6,7 +6,7 @@ device's own time; the arrival time on the host is added where it arrives.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -89,7 +89,7 @@ class Batch(msgspec.Struct, frozen=True, array_like=True):
         until_s: host time up to which nothing is missing; of a lock-stepped vehicle, where its time stands.
     """
 
-    sequence: int
+    sequence: Annotated[int, msgspec.Meta(ge=0, le=2**53)]
     host_s: tuple[float, ...]
     samples: tuple[Sample, ...]
     until_s: float = 0.0
@@ -112,5 +112,5 @@ def decode_batch(data: bytes) -> Batch:
     """
     try:
         return _decoder.decode(data)
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, RecursionError) as error:
         raise ValueError(f"not a batch of samples: {error}") from None

@@ -15,6 +15,7 @@ import click
 from groundstation import __version__
 from groundstation.commands.common import Result, suggestion
 from groundstation.errors import BadInput, GroundStationError, Refused
+from groundstation.texts import shown
 
 COMMANDS = {
     "plan": "planning",
@@ -110,22 +111,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(result, Result):
             from groundstation.analysis.documents import finite
 
-            print(json.dumps(finite(result.document), ensure_ascii=False) if as_json else result.text, file=out)
+            print(_json(finite(result.document)) if as_json else shown(result.text, limit=_MOST, lines=True), file=out)
             return result.exit_status
         return result if isinstance(result, int) else 0
 
 
 def _fail(text: str, status: int, as_json: bool, out: TextIO, reason: Refused | None = None) -> int:
     """One sentence on standard error, and as JSON on standard output where that was asked for."""
-    print(text, file=sys.stderr)
+    print(shown(text), file=sys.stderr)
     if as_json:
         document: dict[str, Any] = {"error": text, "exit_status": status}
         if reason is not None:
             from groundstation.analysis.documents import refusal
 
             document |= refusal(reason)
-        print(json.dumps(document, ensure_ascii=False), file=out)
+        print(_json(document), file=out)
     return status
+
+
+_MOST = 10_000_000
+_C1 = {
+    code: f"\\u{code:04x}"
+    for code in (*range(0x7F, 0xA0), 0x2028, 0x2029, *range(0x202A, 0x202F), *range(0x2066, 0x206A))
+}
+"""What JSON lets stand in a text and a terminal acts on, as the escapes that mean the same."""
+
+
+def _json(document: Any) -> str:
+    return json.dumps(document, ensure_ascii=False).translate(_C1)
 
 
 @contextmanager

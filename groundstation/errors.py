@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from groundstation.texts import shown
+
+LONGEST = 4000
+"""Characters of a message. It may quote what others wrote, so it is a text that can be shown."""
+
 
 class GroundStationError(Exception):
     """Base of every expected failure. ``exit_status`` is the process's exit status (docs/formats.md)."""
 
     exit_status = 2
+
+    def __init__(self, text: str = ""):
+        super().__init__(shown(text, limit=LONGEST))
 
 
 class BadInput(GroundStationError):
@@ -28,8 +36,8 @@ class Refused(GroundStationError):
 
     def __init__(self, reason: str, remedy: str = "", not_identifiable: tuple[str, ...] = ()):
         super().__init__(f"{reason} {remedy}".strip())
-        self.reason = reason
-        self.remedy = remedy
+        self.reason = shown(reason, limit=LONGEST)
+        self.remedy = shown(remedy, limit=LONGEST)
         self.not_identifiable = not_identifiable
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from groundstation.errors import BadInput
+from groundstation.texts import file_name, shown
 
 
 def configs_dir() -> Path:
@@ -23,6 +24,8 @@ def find_config(kind: str, name_or_path: str | Path) -> Path:
         BadInput: neither; the sentence lists the shipped names.
     """
     path = Path(name_or_path)
+    if "\0" in str(path):
+        raise BadInput(f"{shown(path)}: no file has such a name.")
     if path.suffix == ".toml" and path.is_file():
         return path
     shipped = configs_dir() / kind / f"{Path(name_or_path).name.removesuffix('.toml')}.toml"
@@ -33,4 +36,15 @@ def find_config(kind: str, name_or_path: str | Path) -> Path:
     names = sorted(p.stem for p in (configs_dir() / kind).glob("*.toml"))
     near = difflib.get_close_matches(path.stem, names, n=1)
     meant = f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}."
-    raise BadInput(f"{name_or_path}: no such file, and no shipped one of {kind}; {meant}")
+    raise BadInput(f"{shown(name_or_path)}: no such file, and no shipped one of {kind}; {meant}")
+
+
+def shipped_config(kind: str, name: object) -> Path:
+    """A shipped file by a short name that came from outside: never a path.
+
+    Raises:
+        BadInput: no such file ships.
+    """
+    if not isinstance(name, str) or file_name(name) != name:
+        raise BadInput(f"'{shown(name, limit=60)}' is none of the shipped {kind}.")
+    return find_config(kind, name)

@@ -6,7 +6,6 @@ put body z along acceleration plus gravity; body rates and their derivatives fol
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Protocol
@@ -16,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from groundstation.errors import BadInput
+from groundstation.outside import read_toml
 from groundstation.tabular import Record, Tabular
 
 Array = NDArray[np.float64]
@@ -328,12 +328,7 @@ def load_plan(path: str | Path) -> Plan:
         BadInput: the file is missing, no TOML, or wrong.
     """
     path = Path(path)
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); give the path of a plan.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BadInput(f"{path}: is not valid TOML ({error}); correct that line.") from None
+    document = read_toml(path, "a plan")
     return plan_from_dict(document, str(path))
 
 

@@ -6,7 +6,6 @@ in one sentence. Nothing here is estimated; estimates live in ``groundstation.id
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from groundstation.errors import BadInput
+from groundstation.outside import read_toml
 
 Array = NDArray[np.float64]
 Vector3 = tuple[float, float, float]
@@ -299,12 +299,7 @@ def load_vehicle(path: str | Path) -> Vehicle:
         BadInput: the file is missing, no TOML, or wrong; all faults at once.
     """
     path = Path(path)
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); give the path of a vehicle file.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BadInput(f"{path}: is not valid TOML ({error}); correct that line.") from None
+    document = read_toml(path, "a vehicle file")
     return vehicle_from_dict(document, str(path))
 
 

@@ -6,8 +6,6 @@ Phases are :data:`drivers.bus.DronePhase`. Time advances only in :meth:`Drone.ad
 from __future__ import annotations
 
 import heapq
-import json
-import tomllib
 from collections.abc import Iterator
 
 import numpy as np
@@ -25,6 +23,7 @@ from drivers.bus import (
     checksum_holds,
 )
 from groundstation.errors import BadInput
+from groundstation.outside import parse_json, parse_toml
 from groundstation.trajectory import Plan, Sequence, flight_path, plan_from_dict
 from groundstation.vehicle import Vehicle, vehicle_to_dict
 from sim.feasibility import why_not
@@ -122,13 +121,8 @@ class Drone:
         if not checksum_holds(request):
             return Answer(False, "the checksum does not match: the plan was damaged on the way; upload it again.")
         try:
-            text = request.plan.decode()
-            document = tomllib.loads(text) if request.format == "toml" else json.loads(text)
-            if not isinstance(document, dict):
-                raise BadInput("the plan is no table of keys and values.")
-            plan = plan_from_dict(document, "uploaded plan")
-        except (UnicodeDecodeError, tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
-            return Answer(False, f"the plan is not valid {request.format.upper()} ({error}).")
+            parse = parse_toml if request.format == "toml" else parse_json
+            plan = plan_from_dict(parse(request.plan, "the uploaded plan"), "the uploaded plan")
         except BadInput as error:
             return Answer(False, str(error))
         path = self._path_from_here(plan)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import msgspec
 
 from drivers import bus
+from drivers.access import own_login
 from drivers.samples import Batch, encode_batch
 from groundstation.vehicle import Vehicle
 from sim.build import STEP_S
@@ -173,7 +174,7 @@ def serve_drone(name: str, endpoint: str, vehicle: Vehicle, scenario: Scenario, 
     """
     drone = Drone(name, vehicle, scenario, seed, real_time=real_time)
     Simulation(vehicle, scenario, seed).idle(1)  # the loop is compiled, or loaded, before anybody waits for it
-    session = bus.open_session(connect=[endpoint])
+    session = bus.open_session(connect=[endpoint], login=own_login())
     try:
         process = DroneProcess(drone, session)
         with bus.alive(session, process.keys.alive):

@@ -6,7 +6,6 @@ offsets and disturbance, so that a file says exactly what it adds.
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,6 +13,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
 
 from groundstation.errors import BadInput
+from groundstation.outside import read_toml
 from groundstation.vehicle import Inertia, RotorLag, Vehicle
 from sim.effects import Effects
 
@@ -299,10 +299,5 @@ def load_scenario(path: str | Path) -> Scenario:
         BadInput: the file is missing, no TOML, or wrong.
     """
     path = Path(path)
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); give the path of a scenario.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BadInput(f"{path}: is not valid TOML ({error}); correct that line.") from None
+    document = read_toml(path, "a scenario file")
     return scenario_from_dict({"name": path.stem, **document}, str(path))

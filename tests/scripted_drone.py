@@ -16,6 +16,7 @@ import sys
 from itertools import accumulate
 
 from drivers import bus
+from drivers.access import own_login
 from drivers.samples import Batch, Battery, Imu, Motors, Pose, encode_batch
 
 PHASES = (("takeoff", 2.0), ("exciting", 6.0), ("landing", 2.0))
@@ -26,7 +27,7 @@ REST = Imu(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.80665))
 class Drone:
     def __init__(self, options):
         self.fault, _, self.fault_phase = (options.fault or "none@never").partition("@")
-        self.session = bus.open_session(connect=[options.connect])
+        self.session = bus.open_session(connect=[options.connect], login=own_login())
         self.keys = bus.DroneKeys(options.drone)
         self.inbox = queue.SimpleQueue()
         self.phase, self.host_s, self.credit_s, self.start_s = "idle", 0.0, -1.0, 0.0

@@ -60,17 +60,21 @@ class Hall:
     def __init__(self, logs: Path, vehicle, die_at: tuple[int, ...] = ()):
         self.logs, self.vehicle, self.die_at, self.flown = logs, vehicle, die_at, 0
 
-    def __call__(self, plan: Path) -> Path:
+    def place(self) -> Path:
+        return self.logs / f"flight-{self.flown + 1}"
+
+    def was_flown(self, folder: Path) -> bool:
+        return (folder / "flight.mcap").is_file()
+
+    def fly(self, plan: Path, folder: Path) -> None:
         self.flown += 1
-        if self.flown in self.die_at:
-            raise Killed
-        folder = self.logs / plan.stem
         scenario = laboratory(rotor_drag={"drag_kg_s": [0.4, 0.35]})
         flight = flight_data(simulate(self.vehicle, load_plan(plan), scenario, 100 + self.flown), plan.stem)
         folder.mkdir(parents=True)
         (folder / "plan.toml").write_bytes(plan.read_bytes())
         write_mcap(flight, folder / "flight.mcap")
-        return folder
+        if self.flown in self.die_at:
+            raise Killed  # the vehicle flies its plan to the end, whoever watches
 
 
 def test_a_campaign_settles_by_itself_and_goes_on_after_it_was_killed(tmp_path, monkeypatch):
@@ -84,9 +88,11 @@ def test_a_campaign_settles_by_itself_and_goes_on_after_it_was_killed(tmp_path, 
     stood = load_campaign(tmp_path / "campaign")
     assert len(stood.rounds) == 1
     assert stood.pending["plan"].endswith("plan-2.toml")
+    assert hall.flown == 2
     done = run(stood, hall)
     assert done.outcome == "settled", done.sentence
-    assert [Path(r.folder).name for r in done.rounds] == [f"plan-{n}" for n in range(1, len(done.rounds) + 1)]
+    assert [Path(r.folder).name for r in done.rounds] == [f"flight-{n}" for n in range(1, len(done.rounds) + 1)]
+    assert hall.flown == len(done.rounds), "a flight that was flown is not flown again"
     last = done.rounds[-1]
     assert last.names() == ("rotor_drag",)
     assert (

@@ -51,7 +51,7 @@ def core(tmp_path, plan_file, monkeypatch):
     yield start
     for child, endpoint in started:
         child.kill()
-        kill_who_knows(endpoint)
+        kill_who_knows(endpoint.endpoint)
 
 
 def kill_who_knows(endpoint: str) -> None:

@@ -15,6 +15,7 @@ import pytest
 import tomli_w
 
 from drivers import bus
+from drivers.access import new_secrets
 from groundstation.flight.client.client import outcome, start_core
 from groundstation.flight.client.rehearse import simulated_drone
 from groundstation.flight.core.process import DRONE
@@ -119,7 +120,10 @@ def test_a_killed_core_leaves_an_open_recording_and_the_drone_lands_itself(plan_
     folder = plan_file.parent / "logs" / "flight"
     vehicle, scenario = find_config("vehicles", "qball2"), find_config("scenarios", "clean")
     drone = simulated_drone(vehicle, scenario, 1)
-    core, endpoint = start_core(folder, plan=plan_file, vehicle=vehicle, drone=drone, start=True, analyse=False)
+    secrets = new_secrets()
+    core, access = start_core(
+        folder, plan=plan_file, vehicle=vehicle, drone=drone, start=True, analyse=False, secrets=secrets
+    )
     end = time.monotonic() + DEADLINE_S
     while not ((log := folder / JOURNAL).is_file() and any("-> exciting" in e["text"] for e in read_journal(log))):
         assert time.monotonic() < end and core.poll() is None, (folder / "core.log").read_text()
@@ -127,7 +131,10 @@ def test_a_killed_core_leaves_an_open_recording_and_the_drone_lands_itself(plan_
     core.kill()
     core.wait()
     seen: queue.SimpleQueue[bus.DroneStatus] = queue.SimpleQueue()
-    with bus.open_session(listen=[endpoint]) as session, bus.alive(session, bus.CORE_ALIVE):
+    with (
+        bus.open_session(listen=[access.endpoint], admit=(secrets, DRONE)) as session,
+        bus.alive(session, bus.CORE_ALIVE),
+    ):
         keys = bus.DroneKeys(DRONE)
         handle = bus.subscribe(session, keys.status, bus.decoder_of(bus.DroneStatus), seen.put)
         # The drone connects again by itself. A new core's token and credit let it tell how it is; it came down without.

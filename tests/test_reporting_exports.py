@@ -405,7 +405,7 @@ def test_hostile_names_break_no_format(format_name):
     ("content", "name", "message"),
     [
         (None, "m.toml", "cannot be read"),
-        ("a = [", "m.toml", "neither valid JSON nor TOML"),
+        ("a = [", "m.toml", "is not valid TOML"),
         ("[]", "m.json", "schema None"),
         ('schema = "other/1"', "m.toml", "'other/1'"),
         ('schema = "groundstation.model/1"', "m.toml", "lacks 'vehicle'"),

@@ -13,8 +13,10 @@ from textual.pilot import Pilot
 from textual.widgets import DataTable, Input, Static
 
 from drivers import bus
+from drivers.access import Access
 from groundstation.analysis.plans import write_plan
 from groundstation.fleet.catalogue import Catalogue
+from groundstation.flight.client.access import write_access
 from groundstation.flight.core.lease import OperatorLease
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, CoreStatus, Lease, StreamStatus
 from groundstation.flight.sequence import Phase
@@ -38,6 +40,7 @@ class ScriptedCore:
         self.orders: list[CoreCommand] = []
         self.lease = OperatorLease()
         self.endpoint = bus.loopback(bus.free_port())
+        self.access = Access(self.endpoint)
 
     @contextmanager
     def running(self) -> Iterator[ScriptedCore]:
@@ -46,6 +49,7 @@ class ScriptedCore:
             self._status = bus.Publisher(session, bus.CORE_STATUS)
             self._handles = [
                 bus.serve(session, bus.CORE_COMMAND, CoreCommand, self._take),
+                bus.serve(session, bus.CORE_ABORT, CoreCommand, self._take),
                 bus.serve(session, bus.CORE_LEASE, Lease, self.lease.request),
                 bus.watch_alive(session, CLIENT_ALIVE.format(client="*"), self.lease.client_alive),
             ]
@@ -95,7 +99,7 @@ async def follow(
     app = pilot.app
     assert isinstance(app, GroundStation)
     if app.core is None:
-        app.follow(CoreWatch(core.endpoint, core.folder), simulated=simulated)
+        app.follow(CoreWatch(core.access, core.folder), simulated=simulated)
         await until(pilot, lambda: core.lease.holder, lambda: core.say(phase, **changes))
     watch = app.core
     assert watch is not None
@@ -358,14 +362,14 @@ async def test_nothing_in_the_logs_and_a_core_that_does_not_exist_are_sentences(
         await until(pilot, lambda: "no flights in" in text_of(app, "#flights-text"))
         await pilot.press("4", "5", "ctrl+g", "ctrl+o", "l", "question_mark", "escape")
         assert isinstance(app.screen, StationScreen)
-        app.follow(CoreWatch(bus.loopback(bus.free_port()), tmp_path / "gone"))
+        app.follow(CoreWatch(Access(bus.loopback(bus.free_port())), tmp_path / "gone"))
         await until(pilot, lambda: "no core answers" in text_of(app, "#flight-line"))
 
 
 async def test_a_flight_under_way_is_found(core: ScriptedCore, tmp_path: Path) -> None:
     folder = tmp_path / "logs" / "2025-01-01T00-00-00-qball2"
     folder.mkdir(parents=True)
-    (folder / "core.endpoint").write_text(core.endpoint, encoding="utf-8")
+    write_access(folder / "core.endpoint", core.access)
     app = station(tmp_path)
     async with app.run_test(size=(80, 24)) as pilot:
         await until(pilot, lambda: app.core is not None)

@@ -10,13 +10,15 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from groundstation.campaign.deciding import Decision, first_plan, flights_needed, next_plan
 from groundstation.campaign.judging import Errors, at_floor, prediction_errors, without_effects
 from groundstation.campaign.targets import reached
+from groundstation.documents import read_diagnosis
 from groundstation.errors import BadInput, Refused
 from groundstation.flightdata import FlightData
+from groundstation.outside import read_json
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import Vehicle, vehicle_from_dict, vehicle_to_dict
 from groundstation.writing import write_whole
@@ -26,9 +28,23 @@ FILE = "campaign.json"
 PLAN_S = 6.0
 """Seconds of search for each plan."""
 
-Fly = Callable[[Path], Path]
-"""Fly a plan file; returns the flight's folder, which holds ``flight.mcap``."""
 Say = Callable[[str], None]
+
+
+class Flyer(Protocol):
+    """What flies."""
+
+    def place(self) -> Path:
+        """A new folder's name for a flight; the campaign writes it down before anything flies."""
+        ...
+
+    def fly(self, plan: Path, folder: Path) -> None:
+        """Fly a plan file, recorded as ``flight.mcap`` in a folder that is made."""
+        ...
+
+    def was_flown(self, folder: Path) -> bool:
+        """Whether the flight in a folder ended as planned, although this program did not see it."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +86,7 @@ class Campaign:
     """A campaign as it stands; immutable, each step gives the next.
 
     Attributes:
-        pending: a decision that is not yet flown, or flown and not yet worked through: {"why", "plan", "folder"}.
+        pending: a decision that is not yet worked through: {"why", "plan"}, and "folder" from the moment it may fly.
         outcome: "" while it goes on, "settled", "exhausted" or "refused"; ``sentence`` says why.
     """
 
@@ -108,8 +124,10 @@ def load_campaign(folder: Path) -> Campaign:
     Raises:
         BadInput: there is none, or its file is damaged.
     """
+    if not (folder / FILE).is_file():
+        raise BadInput(f"{folder}: holds no campaign; name the folder that `groundstation campaign` made.")
+    document = read_json(folder / FILE, "a campaign")
     try:
-        document = json.loads((folder / FILE).read_text(encoding="utf-8"))
         if document["schema"] != SCHEMA:
             raise BadInput(f"{folder / FILE}: has schema {document['schema']!r}; {SCHEMA} is expected.")
         rounds = tuple(
@@ -120,29 +138,27 @@ def load_campaign(folder: Path) -> Campaign:
             folder, vehicle_from_dict(document["vehicle"], str(folder / FILE)), document["targets"], int(document["at_most"]),
             int(document["seed"]), tuple(_infinite(r) for r in rounds), document["pending"], document["outcome"], document["sentence"],
         )  # fmt: skip
-    except OSError as error:
-        raise BadInput(
-            f"{folder}: holds no campaign ({error.strerror}); name the folder that `groundstation campaign` made."
-        ) from None
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise BadInput(
             f"{folder / FILE}: is damaged ({error}); begin a new campaign with --from and its flights."
         ) from None
 
 
-def run(campaign: Campaign, fly: Fly, *, say: Say = lambda text: None, **limits: float) -> Campaign:
+def run(campaign: Campaign, flyer: Flyer, *, say: Say = lambda text: None, **limits: float) -> Campaign:
     """Carry a campaign on until it ends.
 
     Args:
-        fly: flies a plan; what it raises leaves the campaign as it was before that flight.
+        flyer: flies a plan; what it raises leaves the campaign as it was before that flight.
     """
     while not campaign.outcome:
         if not campaign.pending:
             campaign = _decide(campaign, say, limits).save()
-        if not campaign.pending.get("folder"):
-            flown = fly(Path(campaign.pending["plan"]))
-            campaign = replace(campaign, pending={**campaign.pending, "folder": str(flown)}).save()
-        campaign = take_in(campaign, Path(campaign.pending["folder"]), campaign.pending["why"], say=say)
+        folder = Path(campaign.pending["folder"]) if campaign.pending.get("folder") else None
+        if folder is None or not flyer.was_flown(folder):
+            folder = flyer.place()
+            campaign = replace(campaign, pending={**campaign.pending, "folder": str(folder)}).save()
+            flyer.fly(Path(campaign.pending["plan"]), folder)
+        campaign = take_in(campaign, folder, campaign.pending["why"], say=say)
         campaign = replace(campaign, pending={}).save()
     return campaign
 
@@ -164,7 +180,7 @@ def _decision(campaign: Campaign, limits: Mapping[str, float]) -> Decision:
     if not campaign.rounds:
         return first_plan(campaign.vehicle, **options)
     last = campaign.rounds[-1]
-    diagnosis = json.loads((campaign.folder / f"diagnosis-{len(campaign.rounds)}.json").read_text(encoding="utf-8"))
+    diagnosis = read_diagnosis(campaign.folder / f"diagnosis-{len(campaign.rounds)}.json")
     return next_plan(campaign.vehicle, diagnosis, last.estimates, last.reached, **options)
 
 

@@ -60,7 +60,8 @@ def next_plan(
         from groundstation.diagnosis.next_flight import odds_sentence, plan_next
 
         try:
-            found = plan_next(diagnosis, vehicle, seed=seed, **limits)
+            bounds = {name: value for name, value in limits.items() if name != "frequency_max_hz"}
+            found = plan_next(diagnosis, vehicle, seed=seed, **bounds)
             return Decision(found.plan, f"to separate what is left open: {odds_sentence(found)}", separates=True)
         except GroundStationError:
             pass  # no motion tells them apart; the flight then sharpens what can be

@@ -5,12 +5,17 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from groundstation.commands.common import ProgressLine, Result, example, json_option, logs_option
 from groundstation.errors import BadInput, Refused
+
+if TYPE_CHECKING:
+    from groundstation.campaign.campaign import Campaign
+    from groundstation.flight.client.interrupts import Interrupts
+    from groundstation.vehicle import Vehicle
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
@@ -42,6 +47,7 @@ def campaign(
     from groundstation.campaign.campaign import Campaign, load_campaign, run, take_in
     from groundstation.campaign.report import lines, write_campaign_report
     from groundstation.campaign.targets import parse_targets
+    from groundstation.flight.client.interrupts import Interrupts
     from groundstation.paths import find_config
     from groundstation.vehicle import load_vehicle
 
@@ -60,17 +66,10 @@ def campaign(
         vehicle_file.write_bytes(source.read_bytes())
         for flight in given:
             stand = take_in(stand, flight, "given", say=line.say).save()
-    fly = _flyer(
-        stand,
-        vehicle_file,
-        logs.resolve(),
-        line,
-        scenario=scenario,
-        link=link,
-        station=station,
-        yes_simulated=yes_simulated,
-    )
-    stand = run(stand, fly, say=line.say)
+    how = {"scenario": scenario, "link": link, "station": station, "yes_simulated": yes_simulated}
+    with Interrupts() as stop:
+        flyer = _Flyer(stand, vehicle_file, logs.resolve(), line, stop, **how)
+        stand = run(stand, flyer, say=line.say, **(_autopilot_limits(stand.vehicle) if link is not None else {}))
     line.end()
     report = write_campaign_report(stand.folder / "report.html", stand)
     document = {"schema": "groundstation.campaign/1", "folder": str(stand.folder), "outcome": stand.outcome, "sentence": stand.sentence,
@@ -79,39 +78,82 @@ def campaign(
     return Result(document, text, 0 if stand.outcome == "settled" else Refused.exit_status)
 
 
-def _flyer(stand: Any, vehicle_file: Path, logs: Path, line: ProgressLine, **how: Any) -> Any:
-    """What flies a plan of this campaign: the simulated drone, or a vehicle on a link that somebody confirms each time."""
-    from groundstation.flight.client.client import new_flight_folder
-    from groundstation.flight.client.rehearse import fly, linked_vehicle, simulated_drone
-    from groundstation.paths import find_config
+def _autopilot_limits(vehicle: Vehicle) -> dict[str, float]:
+    """Of plans for an autopilot whose tuning is not known."""
+    from groundstation.commands.flying import AUTOPILOT
 
-    scenario, link = how["scenario"], how["link"]
-    if (scenario is None) == (link is None):
-        raise BadInput(
-            "say what flies: --scenario NAME for the simulated drone, or --link ADDRESS for a vehicle on MAVLink."
+    asked = vehicle.limits.acceleration_max_m_s2 or AUTOPILOT["acceleration_max_m_s2"]
+    return {**AUTOPILOT, "acceleration_max_m_s2": min(asked, AUTOPILOT["acceleration_max_m_s2"])}
+
+
+class _Flyer:
+    """The simulated drone, or a vehicle on a link that somebody confirms each time."""
+
+    def __init__(
+        self, stand: Campaign, vehicle_file: Path, logs: Path, line: ProgressLine, stop: Interrupts, **how: Any
+    ):
+        scenario, link = how["scenario"], how["link"]
+        if (scenario is None) == (link is None):
+            raise BadInput(
+                "say what flies: --scenario NAME for the simulated drone, or --link ADDRESS for a vehicle on MAVLink."
+            )
+        if link is not None and not how["yes_simulated"] and not sys.stdin.isatty():
+            raise BadInput(
+                "a real vehicle is armed only by somebody at a terminal; a simulated one with --yes-simulated."
+            )
+        self._stand, self._vehicle, self._logs, self._line, self._stop, self._how = (
+            stand,
+            vehicle_file,
+            logs,
+            line,
+            stop,
+            how,
         )
-    if link is not None and not how["yes_simulated"] and not sys.stdin.isatty():
-        raise BadInput("a real vehicle is armed only by somebody at a terminal; a simulated one with --yes-simulated.")
 
-    def confirmed() -> bool:
-        from groundstation.commands.flying import _typed_confirmation
+    def place(self) -> Path:
+        """A folder's name for a new flight."""
+        from groundstation.flight.client.client import new_flight_folder
 
-        return how["yes_simulated"] or _typed_confirmation(line)
+        return new_flight_folder(self._logs, self._stand.vehicle.name)
 
-    def fly_plan(plan: Path) -> Path:
-        folder = new_flight_folder(logs, stand.vehicle.name)
+    def was_flown(self, folder: Path) -> bool:
+        """Whether the core of that folder ended its flight as planned."""
+        from groundstation.flight.client.client import outcome
+
+        try:
+            return (folder / "flight.mcap").is_file() and outcome(folder)[0] == 0
+        except BadInput:
+            return False
+
+    def fly(self, plan: Path, folder: Path) -> None:
+        """Fly a plan."""
+        from groundstation.flight.client.rehearse import fly, linked_vehicle, simulated_drone
+        from groundstation.paths import find_config
+
+        self._stop.check()
         folder.mkdir(parents=True)
         kept = folder / "plan.toml"
         kept.write_bytes(plan.read_bytes())
-        number = int(plan.stem.rpartition("-")[2])
-        if scenario is not None:
-            drone = simulated_drone(vehicle_file, find_config("scenarios", scenario).resolve(), stand.seed + number)
-            fly(folder, plan=kept, vehicle=vehicle_file, drone=drone, say=line.say, analyse=False)
+        if self._how["scenario"] is not None:
+            scenario = find_config("scenarios", self._how["scenario"]).resolve()
+            seed = self._stand.seed + int(plan.stem.rpartition("-")[2])
+            drone = simulated_drone(self._vehicle, scenario, seed)
         else:
+            simulated = self._how["yes_simulated"]
             drone = linked_vehicle(
-                folder, vehicle_file, link=link, station=how["station"], set_parameters=how["yes_simulated"]
+                folder,
+                self._vehicle,
+                link=str(self._how["link"]),
+                station=self._how["station"],
+                set_parameters=simulated,
             )
-            fly(folder, plan=kept, vehicle=vehicle_file, drone=drone, say=line.say, confirm=confirmed, analyse=False)
-        return folder
+        fly(
+            folder, plan=kept, vehicle=self._vehicle, drone=drone, say=self._line.say, confirm=self._confirmed,
+            analyse=False, stop=self._stop,
+        )  # fmt: skip
 
-    return fly_plan
+    def _confirmed(self) -> bool:
+        from groundstation.commands.flying import _typed_confirmation
+
+        asks = self._how["link"] is not None and not self._how["yes_simulated"]
+        return not asks or _typed_confirmation(self._line)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from groundstation.errors import BadInput
+from groundstation.texts import file_name, shown
 
 if TYPE_CHECKING:
     from groundstation.flightdata import FlightData
@@ -131,6 +132,7 @@ class ProgressLine:
 
     def fraction(self, fraction: float, text: str) -> None:
         """Progress of a computation."""
+        text = shown(text)
         self._last_text = text
         self._show(f"{100 * fraction:3.0f} %  {self._left(fraction)}{text}", force=fraction >= 1.0)
 
@@ -147,6 +149,7 @@ class ProgressLine:
 
     def say(self, text: str) -> None:
         """A line of a flight's progress; one that begins with another word than the last always shows."""
+        text = shown(text)
         word = text.split(maxsplit=1)[0] if text else ""
         self._show(text, force=word != self._word)
         self._word = word
@@ -229,4 +232,5 @@ def result_folder(path: Path, logs: Path) -> Path:
     path = flight_file(path)
     if path.suffix == ".mcap":
         return path.parent
-    return logs / (path.name if path.is_dir() else path.stem)
+    place = path.resolve()
+    return logs / file_name(place.name if place.is_dir() else place.stem)

@@ -126,6 +126,7 @@ def _discriminating(
     """The flight that settles a diagnosis."""
     from groundstation import api
     from groundstation.diagnosis.next_flight import TRIAL_S, odds_sentence
+    from groundstation.documents import read_diagnosis
     from groundstation.planning import plan_document
 
     document = read_diagnosis(path)
@@ -147,35 +148,18 @@ def _discriminating(
     return Result(answer, f"next flight: {odds_sentence(found)}\n{plan_text(found.plan, output)}")
 
 
-def read_diagnosis(path: Path) -> dict[str, Any]:
-    """The document in a ``diagnosis.json``.
-
-    Raises:
-        BadInput: missing, malformed, or of another schema.
-    """
-    import json
-
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); give the diagnosis.json of a flight.") from None
-    except ValueError as error:
-        raise BadInput(f"{path}: is not valid JSON ({error}); write it again with `diagnose`.") from None
-    if not isinstance(document, dict) or document.get("schema") != "groundstation.diagnosis/1":
-        raise BadInput(f"{path}: is no groundstation.diagnosis/1 document; write one with `diagnose`.")
-    return document
-
-
 def _vehicle_of(path: Path, document: dict[str, Any], given: str | None) -> Vehicle:
     """The vehicle as given, else as declared in the identification beside the diagnosis, else the shipped one of its name."""
-    from groundstation.paths import find_config
+    from groundstation.paths import find_config, shipped_config
     from groundstation.reporting.exports import read_model
     from groundstation.vehicle import load_vehicle, vehicle_from_dict
 
     model = path.with_name("identification.toml")
     if given is None and model.is_file():
         return vehicle_from_dict(read_model(model)["vehicle"], str(model))
-    return load_vehicle(find_config("vehicles", given or str(document.get("vehicle"))))
+    if given is None:
+        return load_vehicle(shipped_config("vehicles", document.get("vehicle")))
+    return load_vehicle(find_config("vehicles", given))
 
 
 def known_limits(values: dict[str, float]) -> dict[str, float]:

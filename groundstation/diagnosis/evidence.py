@@ -85,7 +85,10 @@ class Solution:
         """theta^T cov^-1 theta of some of the parameters from ``first``."""
         index = self.base + first + np.asarray(members)
         values, covariance = self.theta[index], self.covariance[np.ix_(index, index)]
-        return float(values @ np.linalg.solve(covariance, values))
+        try:
+            return float(values @ np.linalg.solve(covariance, values))
+        except np.linalg.LinAlgError:  # columns of which the flight holds nothing: their directions say nothing
+            return float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import Effect, Settings, library
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
-from groundstation.errors import Refused
+from groundstation.errors import BadInput, Refused
 from groundstation.frames import quat_from_euler
 from groundstation.model.rotors import wrench_matrix
 from groundstation.model.signals import Signals
@@ -110,8 +110,8 @@ def contenders(document: Mapping[str, Any]) -> tuple[list[Hypothesis], list[Hypo
             entry = sizes.get((name, finding["effect"]))
             if name in TIMING:
                 rivals.append(Hypothesis(name, {}, {"shift_s": _shift(finding["parameters"])}))
-            elif entry is not None:
-                rivals.append(Hypothesis(name, entry["settings"], entry["values"]))
+            elif entry is not None and name in library():
+                rivals.append(_rival(name, entry))
             elif name in library():
                 rivals.append(Hypothesis(name, {}, None))
         if rivals and (finding["effect"] in library() or finding["effect"] in TIMING):
@@ -122,6 +122,15 @@ def contenders(document: Mapping[str, Any]) -> tuple[list[Hypothesis], list[Hypo
         f"{names}: no motion tells them apart by the forces it takes.",
         document.get("next_flight") or "Measure what distinguishes them directly.",
     )
+
+
+def _rival(name: str, entry: Mapping[str, Any]) -> Hypothesis:
+    """An alternative with its size, where the document holds the whole of it."""
+    values, settings = entry.get("values"), entry.get("settings") or {}
+    numbers = all(isinstance(value, int | float) for value in settings.values())
+    if values is None or not numbers or not set(library()[name].names()) <= set(values):
+        return Hypothesis(name, {}, None)
+    return Hypothesis(name, settings, values)
 
 
 def _shift(parameters: Mapping[str, Mapping[str, float]]) -> float:
@@ -139,6 +148,11 @@ def _found(finding: Mapping[str, Any]) -> Hypothesis:
         return Hypothesis(finding["effect"], {}, {"shift_s": _shift(finding["parameters"])})
     names = library()[finding["effect"]].names()
     values = {name: float(entry["value"]) for name, entry in finding["parameters"].items()}
+    missing = [name for name in names if name not in values]
+    if missing:
+        raise BadInput(
+            f"the diagnosis lacks {', '.join(missing)} of {finding['effect']}; write it again with `diagnose`."
+        )
     settings = {n: v for n, v in values.items() if n not in names}
     if finding.get("rotor") is not None:
         settings["rotor"] = float(finding["rotor"])
@@ -298,6 +312,7 @@ def plan_next(
         BadInput: limits exclude hovering.
     """
     rivals, shared = contenders(document)
+    _check_rotors((*rivals, *shared), vehicle)
     timing = any(h.effect in TIMING for h in rivals)
     bounds: dict[str, Any] = dict(limits)
     return discriminate.plan_discrimination(
@@ -311,6 +326,17 @@ def plan_next(
         progress=progress,
         **bounds,
     )
+
+
+def _check_rotors(hypotheses: Sequence[Hypothesis], vehicle: Vehicle) -> None:
+    """Raise BadInput where a diagnosis names a rotor that the vehicle has not: it is another vehicle's."""
+    for hypothesis in hypotheses:
+        rotor = hypothesis.settings.get("rotor", 1.0)
+        if not 1 <= rotor <= vehicle.rotors.count:
+            raise BadInput(
+                f"the diagnosis names rotor {rotor:g} of {hypothesis.effect}, {vehicle.name} has "
+                f"{vehicle.rotors.count}; give this diagnosis' own vehicle with --vehicle."
+            )
 
 
 def odds_sentence(found: discriminate.Separation) -> str:

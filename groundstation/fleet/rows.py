@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.errors import BadInput
+from groundstation.outside import read_json
 from groundstation.writing import write_whole
 
 Row = dict[str, Any]
@@ -41,13 +42,13 @@ def row_of(folder: Path, fingerprint: int) -> Row:
         "best": _text(identification.get("best")),
         "source": _text(batch.get("source")) or _text(identification.get("source")),
         "version": _text(batch.get("version")) or _text(identification.get("version")),
-        "tags": [str(tag) for tag in notes.get("tags") or () if isinstance(tag, str)],
+        "tags": [str(tag) for tag in _list(notes, "tags") if isinstance(tag, str)],
         "note": _text(notes.get("note")) or "",
         "fingerprint": fingerprint,
         "parameters": list(_parameters(identification, diagnosis)),
         "findings": [_finding(f) for f in _list(diagnosis, "findings")],
         "quality": [str(text) for key in ("quality", "warnings") for text in _list(identification, key)],
-        "inputs": [{"name": str(k), "sha256": str(v)} for k, v in (batch.get("inputs") or {}).items()],
+        "inputs": [{"name": str(k), "sha256": str(v)} for k, v in _mapping(batch, "inputs").items()],
     }
 
 
@@ -88,10 +89,12 @@ def _parameters(identification: Row, diagnosis: Row) -> Any:
     for name, estimate in model.items():
         yield from _estimate(str(identification.get("best")), name, estimate)
     after = _mapping(diagnosis, "parameters_after") if diagnosis.get("findings") else {}
-    canonical = _mapping(identification, "estimate").get("parameters") or {**model, **best, **after}
+    canonical = _mapping(_mapping(identification, "estimate"), "parameters") or {**model, **best, **after}
     for name, estimate in canonical.items():
         yield from _estimate(CANONICAL, name, estimate)
     for finding in _list(diagnosis, "findings"):
+        if not isinstance(finding, Mapping):
+            continue
         rotor = f"_{finding['rotor']}" if isinstance(finding.get("rotor"), int) else ""
         for name, estimate in _mapping(finding, "parameters").items():
             yield from _estimate(CANONICAL, f"{finding.get('effect')}{rotor}.{name}", estimate)
@@ -115,14 +118,14 @@ def _finding(finding: Any) -> Row:
         "rotor": finding.get("rotor") if isinstance(finding.get("rotor"), int) else None,
         "confidence": finding.get("confidence") if isinstance(finding.get("confidence"), (int, float)) else None,
         "evidence": _text(finding.get("evidence")),
-        "alternatives": [str(each) for each in finding.get("alternatives") or ()],
+        "alternatives": [str(each) for each in _list(dict(finding), "alternatives")],
     }
 
 
 def _document(path: Path) -> Row:
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        document = read_json(path, "a result")
+    except BadInput:
         return {}
     return document if isinstance(document, dict) else {}
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO
 
@@ -89,11 +90,24 @@ class Child:
         return True
 
 
-def start_child(command: list[str], log: Path, *, piped: bool = False) -> Child:
-    """Start a command with its standard error in ``log``, its standard output too unless both ends are ``piped``."""
+def start_child(
+    command: list[str], log: Path, *, piped: bool = False, environment: Mapping[str, str] | None = None
+) -> Child:
+    """Start a command with its standard error in ``log``, its standard output too unless both ends are ``piped``.
+
+    ``environment`` is added to this process's own.
+    """
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("a", encoding="utf-8") as sink:
         output: int | IO[str] = subprocess.PIPE if piped else sink
         input_ = subprocess.PIPE if piped else subprocess.DEVNULL
-        process = subprocess.Popen(command, stdin=input_, stdout=output, stderr=sink, start_new_session=True, text=True)
+        process = subprocess.Popen(
+            command,
+            stdin=input_,
+            stdout=output,
+            stderr=sink,
+            start_new_session=True,
+            text=True,
+            env={**os.environ, **(environment or {})},
+        )
     return Child(process, log)

@@ -8,9 +8,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from groundstation.errors import BadInput
+from groundstation.outside import parse_json, read_bytes
+
 NAME = "flight.log.jsonl"
 ENDPOINT_FILE = "core.endpoint"
-"""Where the flight's core listens, for as long as it runs."""
+"""Where the flight's core listens and an operator's secret, for as long as it runs."""
+WATCH_FILE = "watch.endpoint"
+"""Beside it: what to give to somebody who may watch and abort."""
 
 
 class Journal:
@@ -39,12 +44,21 @@ class Journal:
             self._file.close()
 
 
+def _is_line(entry: dict[str, Any]) -> bool:
+    """Whether a document has what every line has."""
+    stamp = entry.get("monotonic_s")
+    return isinstance(stamp, int | float) and all(isinstance(entry.get(key), str) for key in ("kind", "text"))
+
+
 def read_journal(path: Path) -> list[dict[str, Any]]:
     """The lines of a log; a last line that was cut off is left out."""
     entries = []
-    for line in path.read_text(encoding="utf-8").splitlines():
+    for line in read_bytes(path, "a flight's log").decode("utf-8", "replace").split("\n"):
         try:
-            entries.append(json.loads(line))
-        except ValueError:
+            entry = parse_json(line, str(path))
+        except BadInput:
             break
+        if not isinstance(entry, dict) or not _is_line(entry):
+            break
+        entries.append(entry)
     return entries

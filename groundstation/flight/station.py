@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from groundstation.errors import BadInput
+from groundstation.outside import read_toml
 from groundstation.paths import find_config
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -145,8 +145,5 @@ def load_station(name_or_path: str | Path = "default") -> Station:
         BadInput: the file is missing, no TOML, or wrong.
     """
     path = find_config("stations", name_or_path)
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise BadInput(f"{path}: cannot be read as a station file ({error}); correct it.") from None
+    document = read_toml(path, "a station file")
     return station_from_dict(document, str(path))

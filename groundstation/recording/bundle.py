@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import math
+import os
+import shutil
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from groundstation.errors import BadInput
 from groundstation.flightdata import Array, FlightData, Stream, motor_columns
+from groundstation.outside import inside, read_bytes, read_json
 from groundstation.recording.csvfile import Columns, header, parse_csv, write_csv
 from groundstation.recording.recorded import (
     COLUMNS,
@@ -21,6 +25,7 @@ from groundstation.recording.recorded import (
     Texts,
     recording_of,
 )
+from groundstation.texts import holdable, shown
 from groundstation.vehicle import Vehicle
 from groundstation.writing import write_whole
 
@@ -39,17 +44,17 @@ def read_bundle(folder: Path, vehicle: Vehicle | None = None) -> Recording:
     Raises:
         BadInput: names file, line or column, what is wrong and what to do.
     """
-    files = {str(path.relative_to(folder)): path for path in sorted(folder.rglob("*")) if path.is_file()}
+    files = _files(folder)
     if "motors.csv" not in files:
         raise BadInput(f"{folder}: motors.csv is missing; a flight bundle needs it ({_NEEDS}).")
     if vehicle is None and VEHICLE_FILE not in files:
         raise BadInput(f"{folder}: vehicle.toml is missing; add it or give one with --vehicle FILE.")
     if not {"imu.csv", "mocap.csv", "state.csv"} & set(files):
         raise BadInput(f"{folder}: imu.csv, mocap.csv and state.csv are all missing; the motion must come from one.")
-    about = _about(files.pop(FLIGHT_FILE)) if _is_about(files.get(FLIGHT_FILE)) else {}
+    about = _about(files.pop(FLIGHT_FILE)) if _is_about(files.get(FLIGHT_FILE)) else _checked({}, "")
     taken = {f"{name}.csv" for name in STREAMS}
-    verbatim = {name: path.read_bytes() for name, path in files.items() if name not in taken}
-    shell = Recording(name=str(about.get("name", folder.name)), files=verbatim)
+    verbatim = {name: read_bytes(path, "a file of a bundle") for name, path in files.items() if name not in taken}
+    shell = Recording(name=about["name"] or folder.resolve().name, files=verbatim)
     declared = vehicle or shell.vehicle(str(folder))
 
     streams: dict[str, Stream] = {}
@@ -61,7 +66,7 @@ def read_bundle(folder: Path, vehicle: Vehicle | None = None) -> Recording:
         if path is None:
             continue
         source = f"{folder}/{path.name}"
-        data = path.read_bytes()
+        data = read_bytes(path, "a file of a bundle")
         wanted = _motor_columns(data, declared, source) if name == "motors" else COLUMNS[name]
         columns = parse_csv(data, source, frozenset((*wanted, "t_s", "received_s")))
         columns = _without_current(columns) if name == "battery" else columns
@@ -71,7 +76,9 @@ def read_bundle(folder: Path, vehicle: Vehicle | None = None) -> Recording:
         if words is not None:
             texts[name] = words
         notes.extend(columns.notes)
-    for name in about.get("extras", []):
+    for name in about["extras"]:
+        if f"{name}.csv" not in verbatim:
+            raise BadInput(f"{folder}: {shown(name, limit=60)}.csv is missing, which {FLIGHT_FILE} names; put it back.")
         columns = parse_csv(verbatim.pop(f"{name}.csv"), f"{folder}/{name}.csv")
         wanted = tuple(key for key in columns.numbers if key not in ("t_s", "received_s"))
         extras[name] = _split(columns, wanted, name)[0]
@@ -80,16 +87,15 @@ def read_bundle(folder: Path, vehicle: Vehicle | None = None) -> Recording:
         if log is not None:
             texts[name] = log
             verbatim.pop(f"{name}.csv")
-    window = about.get("window_s")
     return Recording(
         name=shell.name,
         streams=streams,
         extras=extras,
         texts=texts,
         files=verbatim,
-        metadata={str(key): str(value) for key, value in about.get("metadata", {}).items()},
-        window_s=None if window is None else (float(window[0]), float(window[1])),
-        notes=(*map(str, about.get("notes", ())), *notes),
+        metadata=about["metadata"],
+        window_s=about["window_s"],
+        notes=(*about["notes"], *notes),
         left_out=tuple(notes),
     )
 
@@ -97,16 +103,55 @@ def read_bundle(folder: Path, vehicle: Vehicle | None = None) -> Recording:
 _NEEDS = "vehicle.toml, motors.csv, and imu.csv, mocap.csv or state.csv"
 
 
+def _files(folder: Path) -> dict[str, Path]:
+    """The regular files of a bundle by their name in it.
+
+    Raises:
+        BadInput: one is a link: what it points to is not the bundle's.
+    """
+    files: dict[str, Path] = {}
+    for path in sorted(folder.rglob("*")):
+        if path.is_symlink():
+            raise BadInput(f"{path}: is a link; put the file itself into the bundle.")
+        if path.is_file():
+            files[path.relative_to(folder).as_posix()] = path
+    return files
+
+
 def _is_about(path: Path | None) -> bool:
-    return path is not None and f'"{_SCHEMA}"' in path.read_text(encoding="utf-8", errors="replace")
+    return path is not None and f'"{_SCHEMA}"'.encode() in read_bytes(path, "a bundle's own description")
 
 
 def _about(path: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise BadInput(f"{path}: is not valid JSON ({error}); correct it or remove the file.") from None
-    return document if isinstance(document, dict) else {}
+    return _checked(read_json(path, "a bundle's own description"), str(path))
+
+
+def _checked(document: Any, source: str) -> dict[str, Any]:
+    """The parts of ``flight.json``, each of its own type.
+
+    Raises:
+        BadInput: one is of another.
+    """
+    about = document if isinstance(document, dict) else {}
+    window, extras, notes = about.get("window_s"), about.get("extras", []), about.get("notes", [])
+    metadata = about.get("metadata", {})
+    lists = isinstance(extras, list) and isinstance(notes, list) and isinstance(metadata, dict)
+    pair = window is None or (
+        isinstance(window, list)
+        and len(window) == 2
+        and all(isinstance(t, int | float) and math.isfinite(t) for t in window)
+    )
+    if not lists or not pair or not all(isinstance(name, str) for name in extras):
+        raise BadInput(
+            f"{source}: extras and notes are lists of texts, metadata is a table, window_s two numbers; correct it."
+        )
+    return {
+        "name": str(about.get("name", "")),
+        "extras": list(dict.fromkeys(extras)),
+        "notes": tuple(map(str, notes)),
+        "metadata": {str(key): str(value) for key, value in metadata.items()},
+        "window_s": None if window is None else (float(window[0]), float(window[1])),
+    }
 
 
 def _motor_columns(data: bytes, vehicle: Vehicle | None, source: str) -> tuple[str, ...]:
@@ -176,38 +221,48 @@ def _log(data: bytes | None, wanted: tuple[str, ...], source: str) -> Texts | No
 
 
 def write_recording_as_bundle(recording: Recording, folder: Path) -> None:
-    """Write a recording as a bundle into a new or empty folder.
+    """Write a recording as a bundle into a new or empty folder: the whole of it, or nothing.
 
     Raises:
         BadInput: the folder holds something already, or cannot be written.
     """
+    place = folder.resolve()
+    beside = place.with_name(f".{place.name}.{os.getpid()}.new")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()):
+        if place.exists() and (not place.is_dir() or any(place.iterdir())):
             raise BadInput(f"{folder}: is not empty; name a new folder.")
-        _write(recording, folder)
+        beside.mkdir(parents=True)
+        _write(recording, beside)
+        beside.rename(place)
     except OSError as error:
         raise BadInput(f"{folder}: cannot be written ({error.strerror}); name a folder on a disk with room.") from None
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
 
 
 def unholdable(recording: Recording) -> tuple[str, ...]:
-    """What a bundle cannot hold: attachments whose names lead out of the folder or are those of its own files."""
-    return tuple(
-        f"attachment '{name}': its name is not one a bundle can give to an extra file."
-        for name in recording.files
-        if not _is_extra_file(name)
+    """What a bundle cannot hold: files and streams whose names lead out of the folder, or are those of its own files."""
+    own = [name for name in (*recording.extras, *recording.texts) if name not in (*STREAMS, *LOG_COLUMNS)]
+    return (
+        *(_unheld("attachment", name) for name in recording.files if not _is_extra_file(name)),
+        *(_unheld("stream", name) for name in dict.fromkeys(own) if not _is_extra_file(f"{name}.csv")),
     )
 
 
+def _unheld(what: str, name: str) -> str:
+    return f"{what} '{shown(name, limit=60)}': its name is not one a bundle can give to a file."
+
+
+_OWN = frozenset({*(f"{stream}.csv" for stream in (*STREAMS, *LOG_COLUMNS)), FLIGHT_FILE})
+
+
 def _is_extra_file(name: str) -> bool:
-    path = PurePosixPath(name)
-    own = {f"{stream}.csv" for stream in (*STREAMS, *LOG_COLUMNS)} | {FLIGHT_FILE}
-    return bool(name) and not path.is_absolute() and ".." not in path.parts and "\\" not in name and name not in own
+    return holdable(name) and name not in _OWN
 
 
 def _write(recording: Recording, folder: Path) -> None:
     for name in filter(_is_extra_file, recording.files):
-        data, path = recording.files[name], folder / name
+        data, path = recording.files[name], inside(folder, name)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)
     for name, stream in recording.streams.items():
@@ -221,11 +276,11 @@ def _write(recording: Recording, folder: Path) -> None:
             names += words.columns
             columns += list(zip(*words.rows, strict=True))
         write_csv(folder / f"{name}.csv", names, columns)
-    own = [name for name in recording.extras if name not in recording.streams]
+    own = [name for name in recording.extras if name not in recording.streams and _is_extra_file(f"{name}.csv")]
     for name in own:
         extra = recording.extras[name]
         names, columns = _with_times(extra.t_s, extra.received_s)
-        path = folder / f"{name}.csv"
+        path = inside(folder, f"{name}.csv")
         path.parent.mkdir(parents=True, exist_ok=True)
         write_csv(path, names + extra.columns, columns + list(extra.values.T))
     for name in LOG_COLUMNS:

@@ -10,6 +10,7 @@ import numpy as np
 
 from groundstation.errors import BadInput
 from groundstation.flightdata import FlightData, Stream, motor_columns
+from groundstation.outside import read_bytes, require_file
 from groundstation.recording.autopilot import one_line
 from groundstation.recording.bundle import read_bundle
 from groundstation.recording.computed_speeds import without_computed_speeds
@@ -28,6 +29,10 @@ _SQLITE_MAGIC = b"SQLite format 3\0"
 _ULOG_MAGIC = b"ULog\x01\x12\x35"
 _BLACKBOX_MAGIC = b"H Product:Blackbox"
 _DATAFLASH_MAGIC = b"\xa3\x95\x80"
+
+
+FAULTS = (LookupError, ValueError, TypeError, ArithmeticError, MemoryError, struct.error)
+"""What readers raise of fields that are missing, empty, torn or absurd."""
 
 
 def flight_file(path: str | Path) -> Path:
@@ -53,6 +58,7 @@ def read_recording(path: str | Path, vehicle: Vehicle | None = None) -> Recordin
     elif path.is_dir():
         recording = read_bundle(path, vehicle)
     else:
+        require_file(path, READABLE)
         try:
             with path.open("rb") as file:
                 head = file.read(512)
@@ -115,12 +121,12 @@ def _foreign(path: Path, head: bytes, vehicle: Vehicle | None) -> Recording:
         return read(path, vehicle)
     except MissingField as error:
         raise BadInput(f"{path}: {error}; it is of a version that is not known here, or was not logged.") from None
-    except (LookupError, ValueError, TypeError, struct.error) as error:  # fields that are missing, empty or torn
+    except FAULTS as error:
         raise BadInput(f"{path}: is damaged ({one_line(error)}); copy the log from the vehicle again.") from None
 
 
 def _read_usd(path: Path, vehicle: Vehicle) -> Recording:
-    return read_usd(path.read_bytes(), str(path), path.name, vehicle)
+    return read_usd(read_bytes(path, READABLE), str(path), path.name, vehicle)
 
 
 def load_flight(
@@ -151,6 +157,20 @@ def load_flight(
     if declared is None:
         raise BadInput(f"{path}: carries no vehicle; give its file with --vehicle FILE.")
     recording = _with_onboard_log(path, recording, declared)
+    flight = checked_flight(recording, declared, str(path))
+    if start_s is not None or end_s is not None:
+        flight = _cut(flight, start_s, end_s)
+    elif not everything and flight.window_s is None:
+        flight = _thinned(flight)
+    return repair(flight)
+
+
+def checked_flight(recording: Recording, declared: Vehicle, path: str) -> FlightData:
+    """A recording as a flight of a vehicle.
+
+    Raises:
+        BadInput: it holds no motor samples, or others than the vehicle has.
+    """
     if "motors" not in recording.streams:
         raise BadInput(f"{path}: holds no motor samples; without them nothing can be identified.")
     wanted = motor_columns(declared.rotors.input, declared.rotors.count)
@@ -160,22 +180,17 @@ def load_flight(
             f"{path}: the motors are recorded as {has[0]} to {has[-1]}, but the vehicle file asks for {wanted[0]} to "
             f"{wanted[-1]}; give the file of this vehicle, with its own [rotors] input."
         )
-    flight = FlightData(
+    return FlightData(
         name=recording.name,
         vehicle=declared,
         extras=recording.extras,
-        plan=recording.plan(str(path)),
+        plan=recording.plan(path),
         window_s=recording.window_s,
-        truth=recording.truth(str(path)),
+        truth=recording.truth(path),
         metadata=recording.metadata,
         notes=recording.notes,
         **recording.streams,
     )
-    if start_s is not None or end_s is not None:
-        flight = _cut(flight, start_s, end_s)
-    elif not everything and flight.window_s is None:
-        flight = _thinned(flight)
-    return repair(flight)
 
 
 def _thinned(flight: FlightData) -> FlightData:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import json
+import os
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 from drivers.samples import Battery, Event, Imu, Motors, Pose, Raw, Setpoint, State
 from groundstation.errors import BadInput
 from groundstation.flightdata import Array, FlightData, Stream, motor_columns
+from groundstation.outside import parse_json, read_bytes
 from groundstation.recording import cdr
 from groundstation.recording.container import Contents, ReadChannel, read_container
 from groundstation.recording.recorded import (
@@ -26,6 +28,7 @@ from groundstation.recording.recorded import (
 )
 from groundstation.recording.recorder import METADATA, SCHEMA, McapRecorder
 from groundstation.recording.schemas import EXACT_TYPE, ROW_TYPE, STREAM_OF_TYPE, TOPICS
+from groundstation.texts import shown
 
 _OWN_KEYS = ("schema", "groundstation", "flight", "window_start_s", "window_end_s", "notes")
 _EXTRA = "/extra/"
@@ -41,11 +44,25 @@ def write_mcap(flight: FlightData, path: str | Path) -> Path:
 
 
 def write_recording_as_mcap(recording: Recording, path: Path) -> Path:
-    """Write a recording in order of arrival (device time where that is not known).
+    """Write a recording in order of arrival (device time where that is not known): the whole of it, or nothing.
 
     Raises:
         BadInput: the file exists already or cannot be written.
     """
+    if path.exists():
+        raise BadInput(f"{path}: exists already; a recording is never written over. Name another file.")
+    beside = path.with_name(f".{path.name}.{os.getpid()}.new")
+    try:
+        _write(recording, beside)
+        beside.rename(path)
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be written ({error.strerror}); name a file on a disk with room.") from None
+    finally:
+        beside.unlink(missing_ok=True)
+    return path
+
+
+def _write(recording: Recording, path: Path) -> None:
     about = {**recording.metadata, "flight": recording.name}
     if recording.window_s is not None:
         about |= {"window_start_s": repr(recording.window_s[0]), "window_end_s": repr(recording.window_s[1])}
@@ -60,7 +77,6 @@ def write_recording_as_mcap(recording: Recording, path: Path) -> Path:
             write()
     if recorder.failure is not None:
         raise BadInput(recorder.failure)
-    return path
 
 
 _Write = tuple[float, Callable[[], None]]
@@ -131,7 +147,7 @@ def read_mcap(path: Path) -> Recording:
         BadInput: it is no recording of this program.
     """
     try:
-        contents = read_container(path.read_bytes())
+        contents = read_container(read_bytes(path, "a recorded flight"))
     except ValueError as error:
         raise BadInput(f"{path}: is no MCAP recording ({error}); give the path of a recorded flight.") from None
     about = contents.metadata.get(METADATA)
@@ -141,8 +157,8 @@ def read_mcap(path: Path) -> Recording:
         raise BadInput(f"{path}: has schema {about.get('schema')}; this version reads {SCHEMA}. Update groundstation.")
     try:
         return _recording(contents, about, path)
-    except (ValueError, LookupError, TypeError, struct.error) as error:
-        raise BadInput(f"{path}: is damaged ({error}); nothing can be read from it.") from None
+    except (ValueError, LookupError, TypeError, ArithmeticError, MemoryError, struct.error) as error:
+        raise BadInput(f"{path}: is damaged ({shown(error, limit=200)}); nothing can be read from it.") from None
 
 
 def _recording(contents: Contents, about: dict[str, str], path: Path) -> Recording:
@@ -180,9 +196,21 @@ def _recording(contents: Contents, about: dict[str, str], path: Path) -> Recordi
         files=contents.attachments,
         metadata={key: value for key, value in about.items() if key not in _OWN_KEYS},
         window_s=None if None in window else (float(window[0] or 0), float(window[1] or 0)),
-        notes=(*json.loads(about.get("notes", "[]")), *losses),
+        notes=(*_strings(about.get("notes", "[]"), "notes"), *losses),
         left_out=losses,
     )
+
+
+def _strings(text: str, what: str) -> tuple[str, ...]:
+    """A JSON list of texts, as metadata hold it.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    value = parse_json(text, what)
+    if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+        raise ValueError(f"{what} is no list of texts")
+    return tuple(value)
 
 
 def _losses(contents: Contents, path: Path) -> tuple[str, ...]:
@@ -261,8 +289,7 @@ def _times_of(channel: ReadChannel) -> tuple[Array, Array | None]:
 
 
 def _read_rows(channel: ReadChannel) -> tuple[Stream | None, Texts | None]:
-    numbers = tuple(json.loads(channel.metadata.get("numbers", "[]")))
-    words = tuple(json.loads(channel.metadata.get("texts", "[]")))
+    numbers, words = (_strings(channel.metadata.get(key, "[]"), channel.topic) for key in ("numbers", "texts"))
     values, rows = [], []
     for payload in channel.payload:
         decoder = cdr.Decoder(payload)

@@ -6,7 +6,6 @@ This is what the readers of all formats yield and the writers of both own format
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -26,6 +25,7 @@ from groundstation.flightdata import (
     Stream,
     motor_columns,
 )
+from groundstation.outside import parse_toml
 from groundstation.trajectory import Plan, plan_from_dict, plan_to_dict
 from groundstation.vehicle import Vehicle, vehicle_from_dict, vehicle_to_dict
 
@@ -102,20 +102,15 @@ class Recording:
     def plan(self, source: str) -> Plan | None:
         """The plan that was flown, where the recording carries one in this program's form."""
         try:
-            return plan_from_dict(_toml(self.files[PLAN_FILE], source), source) if PLAN_FILE in self.files else None
+            return (
+                plan_from_dict(parse_toml(self.files[PLAN_FILE], source), source) if PLAN_FILE in self.files else None
+            )
         except BadInput:
             return None  # as above
 
 
-def _toml(data: bytes, source: str) -> dict:
-    try:
-        return tomllib.loads(data.decode("utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BadInput(f"{source}: is not valid TOML ({error}); correct that line.") from None
-
-
 def _vehicle(data: bytes, source: str) -> Vehicle:
-    return vehicle_from_dict(_toml(data, source), source)
+    return vehicle_from_dict(parse_toml(data, source), source)
 
 
 def vehicle_file(vehicle: Vehicle) -> bytes:

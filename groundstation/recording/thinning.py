@@ -22,12 +22,14 @@ _BLOCK_S = 1.0
 
 
 def informative_stretch(imu: Stream | None, motors: Stream) -> tuple[float, float] | None:
-    """Start and end (on the motors' clock) of what to use of a long flight; None where it is short, or has no IMU.
+    """Start and end (on the motors' clock) of what to use of a long flight; None where it is short, or has no IMU, or its stamps stray.
 
     Blocks of a second in which the motors stand still count nothing, and no block more than the twentieth part of them
     exceeds: a landing, or a vehicle that is carried about, is no flight.
     """
-    if imu is None or len(motors) < 2 or motors.t_s[-1] - motors.t_s[0] <= LONG_S:
+    span_s = float(motors.t_s[-1] - motors.t_s[0]) if len(motors) > 1 else 0.0
+    # Less than a sample a second on average: a stamp that strayed makes the flight long, and repair deals with it.
+    if imu is None or not LONG_S < span_s <= _BLOCK_S * len(motors):
         return None
     edges = np.arange(motors.t_s[0], motors.t_s[-1], _BLOCK_S)
     told = _variation(imu, edges) * (_means(motors, edges) > 0.1 * np.nanmax(motors.values))

@@ -18,24 +18,34 @@ An effect that is found more than once (two weak rotors) has the later ones unde
 from __future__ import annotations
 
 import json
-import tomllib
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from groundstation.documents import (
+    IDENTIFICATION_SCHEMA,
+    MODEL_SCHEMA,
+    IdentificationDocument,
+    ModelDocument,
+    checked,
+    require_best,
+)
 from groundstation.errors import BadInput
 from groundstation.identification.results import Estimate, Identification
+from groundstation.outside import read_json, read_toml
 from groundstation.reporting import robotics, simulators
 from groundstation.reporting.canonical import canonical, estimate_in
 from groundstation.reporting.identified import Identified, identified_from_document
 from groundstation.reporting.scenario import to_scenario
+from groundstation.texts import shown
 from groundstation.vehicle import Vehicle, vehicle_to_dict
 from groundstation.writing import write_whole
 
 if TYPE_CHECKING:  # the diagnosis is heavy to import, and only its type is needed
     from groundstation.diagnosis.results import Diagnosis
 
-SCHEMA = "groundstation.model/1"
+SCHEMA = MODEL_SCHEMA
 
 
 def model_document(
@@ -77,11 +87,7 @@ def model_from_identification_json(document: Mapping[str, Any], vehicle: Vehicle
     Raises:
         BadInput: the best method is not among the methods.
     """
-    best = document.get("best")
-    methods = document.get("methods", {})
-    if best not in methods:
-        raise BadInput(f"{source}: its best method '{best}' is not among {', '.join(methods) or 'no methods'}.")
-
+    require_best(document, source)
     source_name, found = estimate_in(document)
     model = document.get("model", {})
 
@@ -113,21 +119,19 @@ def read_model(path: str | Path, vehicle: Vehicle | None = None) -> dict[str, An
         BadInput: missing, malformed, of another schema, or without a vehicle.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-        document = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); give an identification file.") from None
-    except ValueError as error:  # of JSON, of TOML and of the encoding
-        raise BadInput(f"{path}: is neither valid JSON nor TOML ({error}); write it again with `identify`.") from None
+    read = read_json if path.suffix == ".json" else read_toml
+    document = read(path, "an identification file")
     schema = document.get("schema") if isinstance(document, dict) else None
     if schema == SCHEMA:
-        return {**document, "vehicle": vehicle_to_dict(vehicle)} if vehicle is not None else document
-    if schema == "groundstation.identification/1":
+        found = checked(document, ModelDocument, str(path))
+        return {**found, "vehicle": vehicle_to_dict(vehicle)} if vehicle is not None else found
+    if schema == IDENTIFICATION_SCHEMA:
         if vehicle is None:
             raise BadInput(f"{path}: names its vehicle but does not carry it; give the vehicle file with --vehicle.")
-        return model_from_identification_json(document, vehicle, str(path))
-    raise BadInput(f"{path}: has schema {schema!r}; {SCHEMA} or groundstation.identification/1 is expected.")
+        return model_from_identification_json(checked(document, IdentificationDocument, str(path)), vehicle, str(path))
+    raise BadInput(
+        f"{path}: has schema {shown(repr(schema), limit=60)}; {SCHEMA} or {IDENTIFICATION_SCHEMA} is expected."
+    )
 
 
 def write_model(path: str | Path, document: Mapping[str, Any]) -> Path:
@@ -143,7 +147,16 @@ def _toml(document: Mapping[str, Any]) -> str:
 
 
 def _json(document: Mapping[str, Any]) -> str:
-    return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return json.dumps(_without_nan(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _without_nan(value: Any) -> Any:
+    """The same with null for a number that is none: JSON has no other word for it."""
+    if isinstance(value, Mapping):
+        return {key: _without_nan(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _simulator(write: Callable[[Identified], str]) -> Callable[[Mapping[str, Any]], str]:

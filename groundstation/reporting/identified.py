@@ -168,5 +168,8 @@ def _effectiveness(count: int, effects: Mapping[str, Mapping[str, float]]) -> Ar
     share = np.ones(count)
     for name, values in effects.items():
         if name.partition("/")[0] == "weak_rotor" and "rotor" in values:
-            share[int(values["rotor"]) - 1] -= values.get("loss", 0.0)
+            rotor = values["rotor"]
+            if not 1.0 <= rotor <= count:
+                raise BadInput(f"the model has a weak rotor {rotor:g} of {count}; write it again with `identify`.")
+            share[int(rotor) - 1] -= values.get("loss", 0.0)
     return share

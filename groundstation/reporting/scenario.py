@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import library
+from groundstation.errors import BadInput
 from groundstation.paths import find_config
 from groundstation.reporting.identified import Identified, as_rigid_body
 from groundstation.reporting.simulators import hash_comment
@@ -315,11 +316,19 @@ def to_scenario(model: Identified) -> str:
     """A scenario file; its head says where the numbers are from and what got lost.
 
     A tensor that belongs to no rigid body becomes the nearest one; the head says so.
+
+    Raises:
+        BadInput: an effect lacks one of its parameters.
     """
     import tomli_w
 
     model = as_rigid_body(model)
-    document, lost = scenario_document(model)
+    try:
+        document, lost = scenario_document(model)
+    except (KeyError, ValueError, OverflowError) as error:
+        raise BadInput(
+            f"the model's effects lack {error}, which a scenario needs; write it again with `report`."
+        ) from None
     head = [f"Identified from flight {model.flight or 'unnamed'}: what it lacked is switched on here."]
     head.append("Rehearse it with the vehicle as it was declared; sensors and disturbance are the laboratory's.")
     head += [model.adjusted] if model.adjusted else []

@@ -19,6 +19,7 @@ import numpy as np
 from groundstation.errors import BadInput
 from groundstation.reporting.identified import Identified, as_rigid_body
 from groundstation.reporting.units import split_unit
+from groundstation.texts import shown
 from groundstation.vehicle import INERTIA_NAMES, Vehicle, vehicle_to_dict
 
 
@@ -35,14 +36,17 @@ def identifier(name: str) -> str:
     return re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "vehicle"
 
 
+_COMMENT = 100_000
+
+
 def comment(sentences: list[str]) -> Any:
     """An XML comment; "--" may not stand in one."""
-    return ET.Comment(" " + re.sub(r"-{2,}", "-", " ".join(sentences)).rstrip("-") + " ")
+    return ET.Comment(" " + re.sub(r"-{2,}", "-", shown(" ".join(sentences), limit=_COMMENT)).rstrip("-") + " ")
 
 
 def hash_comment(sentences: Iterable[str]) -> str:
     """Lines that start with #, whatever breaks a sentence has."""
-    return "".join(f"# {line}\n" for sentence in sentences for line in sentence.splitlines())
+    return "".join(f"# {shown(line, limit=_COMMENT)}\n" for sentence in sentences for line in sentence.splitlines())
 
 
 def xml_text(root: ET.Element) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from textual.app import App
 from textual.binding import Binding
@@ -24,6 +24,7 @@ from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.journal import read_journal
 from groundstation.flight.messages import CommandName, CoreStatus
 from groundstation.flight.sequence import FINAL, IN_FLIGHT, Phase
+from groundstation.texts import shown
 from groundstation.trajectory import Plan
 from groundstation.tui.results import FlightResults, read_results
 from groundstation.tui.screens.base import StationScreen
@@ -133,7 +134,7 @@ class GroundStation(App[int]):
 
     def _find_flight(self) -> None:
         """On a thread: a flight begun by another client is followed."""
-        for folder, endpoint in running_cores(self.logs)[:1]:
+        for folder, endpoint in running_cores(self.logs, told=lambda text: self.call_from_thread(self._fail, text))[:1]:
             self.call_from_thread(self.follow, CoreWatch(endpoint, folder))
 
     def limits(self) -> tuple[Mapping[str, float], Mapping[str, float]]:
@@ -173,6 +174,10 @@ class GroundStation(App[int]):
         from groundstation import api
 
         return api.plan_excitation(setup.vehicle)
+
+    def notify(self, message: str, **options: Any) -> None:
+        """A word to the operator; what a terminal would act on is left out of it."""
+        super().notify(shown(message), **options)
 
     def _fail(self, sentence: str) -> None:
         self.trouble = sentence

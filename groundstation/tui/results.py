@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from groundstation.documents import read_diagnosis, read_identification
 from groundstation.errors import BadInput
+from groundstation.outside import read_json
 from groundstation.trajectory import Plan, load_plan
 
 
@@ -43,7 +44,10 @@ class FlightResults:
 def read_results(folder: Path) -> FlightResults:
     """Read what there is; a file that is damaged counts as absent."""
     names = ("identification.json", "diagnosis.json", "refused.json", "evolution.json")
-    identification, diagnosis, refused, evolution = (_document(folder / name) for name in names)
+    readers = (read_identification, read_diagnosis, _table, _table)
+    identification, diagnosis, refused, evolution = (
+        _document(read, folder / name) for read, name in zip(readers, names, strict=True)
+    )
     refusal = " ".join(str(refused[key]) for key in ("reason", "remedy") if refused.get(key))
     name = str(identification.get("vehicle") or "")
     try:
@@ -53,20 +57,24 @@ def read_results(folder: Path) -> FlightResults:
     return FlightResults(folder, identification, diagnosis, refusal, evolution, proposed, _declared(name))
 
 
-def _document(path: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
+def _table(path: Path) -> dict[str, Any]:
+    document = read_json(path, "a result")
     return document if isinstance(document, dict) else {}
+
+
+def _document(read: Callable[[Path], dict[str, Any]], path: Path) -> dict[str, Any]:
+    try:
+        return read(path)
+    except BadInput:
+        return {}
 
 
 def _declared(name: str) -> Mapping[str, float]:
     """Nominal parameters of a shipped vehicle."""
-    from groundstation.paths import find_config
+    from groundstation.paths import shipped_config
     from groundstation.vehicle import load_vehicle
 
     try:
-        return load_vehicle(find_config("vehicles", name)).parameters()
+        return load_vehicle(shipped_config("vehicles", name)).parameters()
     except BadInput:
         return {}

@@ -24,12 +24,23 @@ class LocalServer(Server):
     comes from the page that is served here under a name of this machine.
     """
 
+    async def _make_app(self) -> web.Application:
+        """As made by textual-serve, with the word to browsers that no page may frame this one."""
+        app = await super()._make_app()
+        app.on_response_prepare.append(_not_framed)
+        return app
+
     async def handle_websocket(self, request: web.Request) -> web.WebSocketResponse:
         """Start a client for a page of our own."""
         own = {f"{name}:{self.port}" for name in (HOST, "localhost")}
         if request.host not in own or urlsplit(request.headers.get("Origin", "")).netloc not in own:
             raise web.HTTPForbidden(text=f"open http://{HOST}:{self.port} itself")
         return await super().handle_websocket(request)
+
+
+async def _not_framed(_request: web.Request, response: web.StreamResponse) -> None:
+    response.headers["Content-Security-Policy"] = "frame-ancestors 'none'"
+    response.headers["X-Frame-Options"] = "DENY"
 
 
 def serve(port: int = PORT) -> int:

@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from drivers.access import Access
 from groundstation.errors import BadInput
 from groundstation.flight.children import Child
 from groundstation.flight.client.client import new_flight_folder, start_core
 from groundstation.flight.client.rehearse import linked_vehicle, simulated_drone
-from groundstation.paths import configs_dir, find_config
+from groundstation.paths import configs_dir, find_config, shipped_config
+from groundstation.texts import file_name
 from groundstation.trajectory import Plan, load_plan
 
 SIMULATOR = "simulator"
@@ -60,11 +62,11 @@ def plan_at_hand(setup: Setup, newest: Plan | None) -> Plan | None:
     """The newest plan where it was made for what flies, else the one that ships for it, if one does."""
     if newest is not None and newest.vehicle == setup.vehicle:
         return newest
-    path = configs_dir() / "plans" / f"{setup.vehicle}.toml"
+    path = configs_dir() / "plans" / f"{file_name(setup.vehicle)}.toml"
     return load_plan(path) if path.is_file() else None
 
 
-def begin_flight(setup: Setup, plan: Plan, logs: Path, *, analyse: bool = True) -> tuple[Child, str, Path]:
+def begin_flight(setup: Setup, plan: Plan, logs: Path, *, analyse: bool = True) -> tuple[Child, Access, Path]:
     """Start the core of a flight: its process, endpoint and folder. It waits for the operator's start.
 
     Raises:
@@ -93,7 +95,7 @@ def flight_limits(folder: Path, station: str | None) -> tuple[Mapping[str, float
     guard: dict[str, float] = {}
     try:
         plan = load_plan(folder / "plan.toml")
-        empty_v = load_vehicle(find_config("vehicles", plan.vehicle)).battery.empty_v
+        empty_v = load_vehicle(shipped_config("vehicles", plan.vehicle)).battery.empty_v
         if empty_v is not None:
             guard["empty_v"] = empty_v
         if station is not None:

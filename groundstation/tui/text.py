@@ -180,7 +180,10 @@ def method_table(document: Mapping[str, Any], declared: Mapping[str, float], mos
 
 def _document_estimate(method: Mapping[str, Any], parameter: str) -> Estimate | None:
     entry = method.get("parameters", {}).get(parameter)
-    return Estimate(entry["value"], entry["std"], tuple(entry["ci95"])) if entry else None
+    if not entry:
+        return None
+    normal = Estimate.normal(entry["value"], entry["std"])
+    return Estimate(normal.value, normal.std, tuple(entry.get("ci95", normal.ci95)))
 
 
 def identification_notes(document: Mapping[str, Any]) -> str:

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
+from drivers.access import Access
 from groundstation.flight.client.client import CoreClient, connect
 from groundstation.flight.messages import CommandName, CoreStatus
 from groundstation.flight.sequence import FINAL
@@ -24,7 +25,7 @@ class CoreWatch:
     """A client of a core. Its attributes may be read from any thread.
 
     Args:
-        endpoint: of the core.
+        endpoint: of the core, and as whom to connect.
         folder: of the flight.
         clock: monotonic seconds.
 
@@ -34,7 +35,7 @@ class CoreWatch:
         fault: why nothing more will come; empty while the core is followed, and after a flight that ended.
     """
 
-    def __init__(self, endpoint: str, folder: Path, clock: Callable[[], float] = time.monotonic):
+    def __init__(self, endpoint: Access, folder: Path, clock: Callable[[], float] = time.monotonic):
         self.endpoint, self.folder = endpoint, folder
         self.name, self.fault = "", ""
         self.newest: CoreStatus | None = None

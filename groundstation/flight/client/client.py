@@ -6,18 +6,20 @@ import os
 import queue
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers import bus
+from drivers.access import Access, Login, Secrets, hand_over, new_secrets
 from groundstation.errors import BadInput
 from groundstation.flight.children import Child, last_line, module_command, start_child
-from groundstation.flight.journal import ENDPOINT_FILE, read_journal
+from groundstation.flight.client.access import read_access, write_access
+from groundstation.flight.journal import ENDPOINT_FILE, WATCH_FILE, read_journal
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.messages import CLIENT_ALIVE, CommandName, CoreCommand, CoreStatus, Lease, LeaseAnswer
-from groundstation.writing import write_whole
+from groundstation.texts import file_name
 
 if TYPE_CHECKING:
     import zenoh
@@ -52,7 +54,8 @@ class CoreClient:
     def command(self, name: CommandName, timeout_s: float = 5.0) -> bus.Answer:
         """Give an order; ``abort`` is open to everyone."""
         request = CoreCommand(name, self.name)
-        return bus.ask(self._session, bus.CORE_COMMAND, request, bus.Answer, timeout_s)
+        key = bus.CORE_ABORT if name == "abort" else bus.CORE_COMMAND
+        return bus.ask(self._session, key, request, bus.Answer, timeout_s)
 
     def take_lease(self, *, force: bool = False) -> LeaseAnswer:
         """Become the operator, if nobody else is."""
@@ -65,11 +68,11 @@ class CoreClient:
 
 
 @contextmanager
-def connect(endpoint: str, *, name: str = "", timeout_s: float = CONNECT_TIMEOUT_S) -> Iterator[CoreClient]:
+def connect(access: Access, *, name: str = "", timeout_s: float = CONNECT_TIMEOUT_S) -> Iterator[CoreClient]:
     """Connect to a core's endpoint.
 
     Args:
-        endpoint: zenoh endpoint, e.g. ``tcp/127.0.0.1:7450``.
+        access: its endpoint, e.g. ``tcp/127.0.0.1:7450``, and as whom to connect.
         name: how this client calls itself; unique by default.
         timeout_s: how long the core may take to come up.
 
@@ -78,7 +81,7 @@ def connect(endpoint: str, *, name: str = "", timeout_s: float = CONNECT_TIMEOUT
     """
     name = name or f"client-{os.getpid()}-{uuid.uuid4().hex[:6]}"
     with (
-        bus.open_session(connect=[endpoint], connect_timeout_s=timeout_s) as session,
+        bus.open_session(connect=[access.endpoint], connect_timeout_s=timeout_s, login=access.login) as session,
         bus.alive(session, CLIENT_ALIVE.format(client=name)),
     ):
         yield CoreClient(session, name)
@@ -94,7 +97,8 @@ def start_core(
     analyse: bool = True,
     listen: tuple[str, ...] = (),
     take_over: str = "",
-) -> tuple[Child, str]:
+    secrets: Secrets | None = None,
+) -> tuple[Child, Access]:
     """Start the core of one flight in a session of its own.
 
     Args:
@@ -106,13 +110,18 @@ def start_core(
         analyse: identify, diagnose and report after landing.
         take_over: ``land`` or ``hold`` a vehicle found in flight; the folder is an interrupted flight's then.
         listen: endpoints beyond the loopback one, for clients on other machines.
+        secrets: of the roles; new ones by default.
 
     Returns:
-        The process and its loopback endpoint, which is also written to ``core.endpoint`` in the folder.
+        The process, and an operator's access to it, which is also in ``core.endpoint`` in the folder, for this user alone;
+        in ``watch.endpoint`` is that of those who may watch and abort.
     """
     folder.mkdir(parents=True, exist_ok=True)
     endpoint = bus.loopback(bus.free_port())
-    write_whole(folder / ENDPOINT_FILE, endpoint)
+    secrets = secrets or new_secrets()
+    access = Access(endpoint, Login("operate", secrets["operate"]))
+    write_access(folder / ENDPOINT_FILE, access)
+    write_access(folder / WATCH_FILE, Access(endpoint, Login("watch", secrets["watch"])))
     arguments = ["--folder", folder, "--plan", plan, "--vehicle", vehicle, "--listen", endpoint]
     for extra in listen:
         arguments += ["--listen", extra]
@@ -123,17 +132,21 @@ def start_core(
     if not analyse:
         arguments.append("--no-analysis")
     command = module_command("groundstation.flight.core.process", *map(str, arguments), "--", *drone)
-    return start_child(command, folder / "core.log"), endpoint
+    return start_child(command, folder / "core.log", environment=hand_over(flight=secrets)), access
 
 
-def running_cores(logs: Path, timeout_s: float = 1.0) -> list[tuple[Path, str]]:
-    """Flights in ``logs`` whose core answers now: (folder, endpoint), newest first."""
+def running_cores(
+    logs: Path, timeout_s: float = 1.0, told: Callable[[str], None] = lambda sentence: None
+) -> list[tuple[Path, Access]]:
+    """Flights in ``logs`` whose core answers now: (folder, access), newest first; ``told`` hears of files that are not ours."""
     found = []
     for file in sorted(logs.glob(f"*/{ENDPOINT_FILE}"), reverse=True):
-        endpoint = file.read_text(encoding="utf-8").strip()
         try:
-            with bus.open_session(connect=[endpoint], connect_timeout_s=timeout_s):
-                found.append((file.parent, endpoint))
+            access = read_access(file)
+            with bus.open_session(connect=[access.endpoint], connect_timeout_s=timeout_s, login=access.login):
+                found.append((file.parent, access))
+        except BadInput as error:
+            told(str(error))
         except ConnectionError:
             continue
     return found
@@ -158,7 +171,7 @@ def outcome(folder: Path) -> tuple[int, str]:
     """
     log = folder / JOURNAL
     entries = read_journal(log) if log.is_file() else []
-    if not entries or entries[-1]["kind"] != "outcome":
+    if not entries or entries[-1]["kind"] != "outcome" or not isinstance(entries[-1].get("exit_status"), int):
         said = last_line(folder / "core.log")
         why = f": {said}" if said else "; it was killed, and the recording opens as far as it goes"
         raise BadInput(f"{folder}: the core ended without an outcome{why}.")
@@ -167,7 +180,7 @@ def outcome(folder: Path) -> tuple[int, str]:
 
 def new_flight_folder(logs: Path, vehicle: str, now: time.struct_time | None = None) -> Path:
     """A folder name that sorts by time: ``logs/2025-01-31T12-00-00-qball2``; a suffix keeps it unique."""
-    stem = f"{time.strftime('%Y-%m-%dT%H-%M-%S', now or time.localtime())}-{vehicle}"
+    stem = f"{time.strftime('%Y-%m-%dT%H-%M-%S', now or time.localtime())}-{file_name(vehicle, 'vehicle')}"
     folder, number = logs / stem, 2
     while folder.exists():
         folder, number = logs / f"{stem}-{number}", number + 1

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from drivers.access import Access
 from groundstation.errors import BadInput, FlightAborted, LinkLost, Refused
 from groundstation.flight.children import Child
 from groundstation.flight.client.client import CoreClient, connect, outcome, start_core
@@ -95,7 +96,7 @@ def check(folder: Path, *, plan: Path, vehicle: Path, drone: tuple[str, ...], sa
     return "" if ready else outcome(folder)[1]
 
 
-def _as_client(core: Child, endpoint: str, body: Callable[[CoreClient], None]) -> None:
+def _as_client(core: Child, endpoint: Access, body: Callable[[CoreClient], None]) -> None:
     """Hold the lease while ``body`` runs, then wait for the core's end; a core that ends in between is no fault here.
 
     Raises:

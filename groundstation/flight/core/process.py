@@ -18,12 +18,13 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from drivers import bus
+from drivers.access import Login, Secrets, hand_over, new_secrets, own_secrets
 from drivers.samples import Batch, decode_batch
 from groundstation.errors import BadInput, GroundStationError, Refused
 from groundstation.flight import sequence as seq
@@ -32,12 +33,13 @@ from groundstation.flight.core.ground_check import check_ground
 from groundstation.flight.core.lease import OperatorLease
 from groundstation.flight.core.overview import FlightView
 from groundstation.flight.core.pacing import Pace
-from groundstation.flight.core.recorder import Recorder, open_recording
+from groundstation.flight.core.recorder import Recorder, open_recording, sound
 from groundstation.flight.core.worker import AnalysisWorker, Progress
-from groundstation.flight.journal import ENDPOINT_FILE, Journal
+from groundstation.flight.journal import ENDPOINT_FILE, WATCH_FILE, Journal
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, Lease
 from groundstation.recording.keeper import Keeper
+from groundstation.texts import shown
 from groundstation.trajectory import Plan, flight_path, load_plan
 from groundstation.vehicle import Vehicle, load_vehicle
 
@@ -73,6 +75,7 @@ class Settings:
     start: bool = False
     analyse: bool = True
     take_over: str = ""
+    secrets: Secrets = field(default_factory=new_secrets, repr=False)
 
 
 class FlightCore:
@@ -115,7 +118,11 @@ class FlightCore:
     def run(self) -> int:
         """Fly; returns the exit status."""
         self.settings.folder.mkdir(parents=True, exist_ok=True)
-        with bus.open_session(listen=self.settings.listen) as session, bus.alive(session, bus.CORE_ALIVE):
+        secrets = self.settings.secrets
+        with (
+            bus.open_session(listen=self.settings.listen, admit=(secrets, DRONE)) as session,
+            bus.alive(session, bus.CORE_ALIVE),
+        ):
             self.session = session
             self.keys = keys = bus.DroneKeys(DRONE)
             self._credit = bus.Publisher(session, keys.credit)
@@ -124,6 +131,7 @@ class FlightCore:
                 bus.subscribe(session, keys.samples, decode_batch, self._from_bus(self._on_batch)),
                 bus.subscribe(session, keys.status, bus.decoder_of(bus.DroneStatus), self._from_bus(self._on_word)),
                 bus.serve(session, bus.CORE_COMMAND, CoreCommand, self._on_command),
+                bus.serve(session, bus.CORE_ABORT, CoreCommand, self._on_abort),
                 bus.serve(session, bus.CORE_LEASE, Lease, self.lease.request),
                 bus.watch_alive(session, keys.alive, self._on_drone_alive),
                 bus.watch_alive(session, CLIENT_ALIVE.format(client="*"), self.lease.client_alive),
@@ -142,6 +150,7 @@ class FlightCore:
         self._drone = start_child(
             module_command(*self.settings.drone, *more, "--drone", DRONE, "--connect", self.settings.listen[0]),
             self.settings.folder / "vehicle.log",
+            environment=hand_over(Login("drone", self.settings.secrets["drone"])),
         )
 
     def _turn(self) -> None:
@@ -233,7 +242,7 @@ class FlightCore:
 
     def _on_batch(self, batch: Batch) -> None:
         self.heard_s = self.clock()
-        if len(batch.samples) != len(batch.host_s):
+        if not sound(batch, self.vehicle.rotors.count):
             self._malformed += 1
             return
         over = self.state.phase in (seq.Phase.LANDED, seq.Phase.IDENTIFYING)
@@ -298,6 +307,10 @@ class FlightCore:
 
     # From clients -----------------------------------------------------------------------------------------------------
 
+    def _on_abort(self, command: CoreCommand) -> bus.Answer:
+        """What is asked under the key that every role may use is an abort, whatever it says."""
+        return self._on_command(CoreCommand("abort", shown(command.client, limit=80)))
+
     def _on_command(self, command: CoreCommand) -> bus.Answer:
         if command.name != "abort" and (refusal := self.lease.refusal(command.client, command.name)):
             return bus.Answer(False, refusal)
@@ -306,8 +319,8 @@ class FlightCore:
         event = {
             "start": seq.StartRequested(),
             "land": seq.LandRequested(),
-            "abort": seq.AbortRequested(f"aborted by {command.client}"),
-            "kill": seq.AbortRequested(f"rotors stopped by {command.client}", rotors_off=True),
+            "abort": seq.AbortRequested(f"aborted by {shown(command.client, limit=80)}"),
+            "kill": seq.AbortRequested(f"rotors stopped by {shown(command.client, limit=80)}", rotors_off=True),
         }[command.name]
         self.inbox.put(lambda: self._event(event))
         return bus.Answer(True)
@@ -486,7 +499,8 @@ class FlightCore:
         # A link may still have to bring its vehicle down or restore its parameters: it is never killed.
         if self._drone is not None and not self._drone.leave(DRONE_PATIENCE_S):
             self._tell("vehicle", "the vehicle's process goes on by itself", pid=self._drone.pid)
-        (self.settings.folder / ENDPOINT_FILE).unlink(missing_ok=True)
+        for name in (ENDPOINT_FILE, WATCH_FILE):
+            (self.settings.folder / name).unlink(missing_ok=True)
         status = self.state.exit_status if self.state.exit_status is not None else 1
         self.journal.write("outcome", self.state.phase, exit_status=status, reason=self.state.reason)
         self.journal.close()
@@ -517,6 +531,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options.start,
         not options.no_analysis,
         options.take_over,
+        own_secrets(),
     )
     try:
         core = FlightCore(settings)

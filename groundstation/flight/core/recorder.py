@@ -82,6 +82,21 @@ class StreamMeter:
         return StreamStatus(self.count, rate, age, self.longest_gap_s, float(delays.mean()), float(delays.std()))
 
 
+LATEST_S = 1e11
+"""No clock of a device or a host, not even one that counts from 1970 in microseconds taken for seconds, is beyond it."""
+
+
+def sound(batch: Batch, rotors: int) -> bool:
+    """Whether a batch can be recorded and read again: its times are times, its motors those of the vehicle."""
+    if len(batch.samples) != len(batch.host_s) or not all(abs(host_s) < LATEST_S for host_s in batch.host_s):
+        return False
+    return all(
+        abs(sample.device_s) < LATEST_S
+        and (not isinstance(sample, Motors) or len(sample.values) == (4 if sample.kind == "wrench" else rotors))
+        for sample in batch.samples
+    )
+
+
 class Recorder:
     """Writes batches in the order in which they come.
 
@@ -155,7 +170,7 @@ class Recorder:
     def _write(self, batch: Batch) -> None:
         if self._expected is not None and batch.sequence > self._expected:
             self.lost_batches += batch.sequence - self._expected
-        self._expected = batch.sequence + 1
+        self._expected = max(self._expected or 0, batch.sequence + 1)
         for sample, host_s in zip(batch.samples, batch.host_s, strict=True):
             self._sink.add(sample, host_s, f"/{COMMANDS}" if self._beside(sample) else None)
         self.recorded += len(batch.samples)

@@ -18,13 +18,11 @@ import queue
 import signal
 import sys
 import time
-import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import msgspec
-
 from drivers import bus
+from drivers.access import own_login
 from drivers.mavlink import tlog
 from drivers.mavlink.transports import Transport, open_transport
 from drivers.samples import Batch, Motors, Raw, Sample, encode_batch
@@ -38,6 +36,7 @@ from groundstation.flight.link.pose_source import PoseSource
 from groundstation.flight.link.signing_memory import SigningMemory
 from groundstation.flight.messages import IN_FLIGHT
 from groundstation.flight.station import load_station
+from groundstation.outside import parse_json, parse_toml
 from groundstation.trajectory import plan_from_dict
 from groundstation.vehicle import Vehicle, load_vehicle
 
@@ -133,7 +132,7 @@ class LinkProcess:
         sys.setswitchinterval(SWITCH_S)
         gc.freeze()
         gc.disable()  # collections of a long run would delay setpoints; samples hold no cycles
-        with bus.open_session(connect=[endpoint]) as session:
+        with bus.open_session(connect=[endpoint], login=own_login()) as session:
             self._samples = bus.Publisher(session, self._keys.samples, lossless=True)
             self._status = bus.Publisher(session, self._keys.status)
             self._publisher = Writer("publisher", lambda item: item())  # type: ignore[operator]
@@ -316,11 +315,9 @@ class LinkProcess:
         if not bus.checksum_holds(upload):
             return bus.Answer(False, "the plan was damaged on its way (checksum); send it again")
         try:
-            document = (
-                tomllib.loads(upload.plan.decode()) if upload.format == "toml" else msgspec.json.decode(upload.plan)
-            )
-            plan = plan_from_dict(document, "the uploaded plan")
-        except (ValueError, GroundStationError) as error:
+            parse = parse_toml if upload.format == "toml" else parse_json
+            plan = plan_from_dict(parse(upload.plan, "the uploaded plan"), "the uploaded plan")
+        except GroundStationError as error:
             return bus.Answer(False, str(error))
         return self._ask(lambda: self.core.upload(plan, self.clock()))
 

@@ -14,6 +14,7 @@ from textual.screen import Screen
 from textual.widgets import DataTable, Footer, Static
 
 from groundstation.flight.messages import CoreStatus
+from groundstation.texts import shown
 from groundstation.tui.widgets.bars import FlightBar, Tabs
 
 if TYPE_CHECKING:
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 WIDE = 120
 """Columns from which things stand side by side."""
+MOST = 100_000
+"""Characters of one text."""
 
 
 class StationScreen(Screen[None]):
@@ -67,6 +70,7 @@ class StationScreen(Screen[None]):
 
     def say(self, selector: str, text: str) -> None:
         """Replace a text; one that is there already is not drawn again."""
+        text = shown(text, limit=MOST, lines=True)
         widget = self.query_one(selector, Static)
         if widget.content != text:
             widget.update(text)
@@ -78,7 +82,8 @@ def fill(table: DataTable, header: Sequence[str], rows: Iterable[Sequence[str]],
     The first ``words`` columns hold words and align left, the others hold numbers and align right.
     Where only cells differ, only those are replaced: the table does not flicker.
     """
-    rows = [tuple(row) for row in rows]
+    rows = [tuple(shown(cell) for cell in row) for row in rows]
+    header = tuple(shown(cell) for cell in header)
     same = [str(column.label) for column in table.ordered_columns] == list(header) and table.row_count == len(rows)
     if same:
         for index, row in enumerate(rows):

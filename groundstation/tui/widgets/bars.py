@@ -10,6 +10,7 @@ from textual.widgets import Button, Static
 
 from groundstation.flight.messages import CoreStatus
 from groundstation.flight.sequence import IN_FLIGHT
+from groundstation.texts import shown
 from groundstation.tui.text import PHASES
 
 if TYPE_CHECKING:
@@ -87,6 +88,7 @@ class FlightBar(Horizontal):
             fault=station.trouble or (watch.fault if watch else ""),
         )
         self.set_class(status is not None and status.phase in IN_FLIGHT, "airborne")
+        text = shown(text)
         line = self.query_one("#flight-line", Static)
         if line.content != text:
             line.update(text)

@@ -10,6 +10,7 @@ from textual.containers import Vertical, VerticalScroll
 from textual.screen import ModalScreen
 from textual.widgets import Input, Static
 
+from groundstation.texts import shown
 from groundstation.tui.widgets.bars import FlightBar
 
 
@@ -59,6 +60,10 @@ class TypedQuestion(ModalScreen[bool]):
         self.dismiss(False)
 
 
+MOST = 2_000_000
+"""Characters of a page: the log of a long flight."""
+
+
 class TextPage(ModalScreen[None]):
     """A text to read and close: the help, or a log."""
 
@@ -66,7 +71,7 @@ class TextPage(ModalScreen[None]):
 
     def __init__(self, title: str, text: str):
         super().__init__()
-        self._title, self._text = title, text
+        self._title, self._text = shown(title), shown(text, limit=MOST, lines=True)
 
     def compose(self) -> ComposeResult:
         """A frame with a text that scrolls."""
