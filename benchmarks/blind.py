@@ -3,9 +3,9 @@
 Every flight draws its vehicle, trajectory, true mass and inertia, disturbance, biases, stamp jitter and seed from a master seed
 that is new each run and printed. One effect is hidden in a *single*, two in a *pair*, none in a *clean* flight, and in an
 *invented* one something that no file of the library models. The diagnosis gets the recording and the declared vehicle, nothing
-else. Sizes are drawn over a range around what such a vehicle shows; what is too small to see is counted apart, as effects.md
+else. Sizes are drawn over a range around what such a vehicle shows; what is too small to see is counted apart, as docs/diagnosis.md
 defines it: *detectable* is an expected t of 6 in the flight's own coloured noise, taken from the joint estimate with the hidden effects
-told and kept out of the noise, and for kinematic effects and delays a size above those of effects.md. An invented force of a place is
+told and kept out of the noise, and for kinematic effects and delays a size above those of docs/diagnosis.md. An invented force of a place is
 told by the simulator's own formula; thrust with memory counts as detectable.
 """
 

@@ -69,8 +69,8 @@ def cases() -> list[Case]:
         Case("input delay 20 ms, low-pass 20 Hz", effect("input_delay", delay_s=0.02), cutoff_hz=20.0),
         Case("clock offset 50 ms", effect("clock_offset", offset_s=0.05)),
         Case("rotor drag 0.25 kg/s", effect("rotor_drag", drag_kg_s=(0.25, 0.25))),
-        Case("flapping moment 0.02 N m per m/s", effect("flapping_moment", moment_n_s=0.02)),
-        Case("angular damping 0.02 N m s", effect("angular_damping", linear_nm_s=(0.02, 0.02, 0.02))),
+        Case("flapping moment 0.02 N m per m/s", effect("flapping_moment", k_nm_s_m=0.02)),
+        Case("angular damping 0.02 N m s", effect("angular_damping", damping_nms=(0.02, 0.02, 0.02))),
         Case("centre of mass off by 5 mm in x and y", effect("com_offset", offset_m=(0.005, -0.005, 0.0))),
         Case(
             "the same by 4.5 mm, pair at 1/30 s",

@@ -18,7 +18,7 @@ from scipy.stats import norm
 
 HALF_95 = float(norm.ppf(0.975))
 DETECTABLE = 6.0
-"""Estimate over standard deviation that is expected of an effect that a flight can show (effects.md)."""
+"""Estimate over standard deviation that is expected of an effect that a flight can show (docs/diagnosis.md)."""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ LONGEST = 4000
 
 
 class GroundStationError(Exception):
-    """Base of every expected failure. ``exit_status`` is the process's exit status (flight-bundle contract)."""
+    """Base of every expected failure. ``exit_status`` is the process's exit status (docs/formats.md)."""
 
     exit_status = 2
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from groundstation.errors import BadInput
 from groundstation.outside import read_toml
@@ -240,6 +240,17 @@ class Coefficients(_Model):
         return self
 
 
+RENAMED_PARAMETERS = {
+    "com_x_m": "com_offset_x_m",
+    "com_y_m": "com_offset_y_m",
+    "damping_x_nm_s": "damping_x_nms",
+    "damping_y_nm_s": "damping_y_nms",
+    "damping_z_nm_s": "damping_z_nms",
+    "flapping_n_s": "k_nm_s_m",
+}
+"""Names in plan files of earlier versions -> the names that estimates have."""
+
+
 class Plan(_Model, Tabular):
     """An excitation to fly: what is in a plan file. ``limits`` are those it was made to keep (names of ``[limits]``)."""
 
@@ -254,6 +265,13 @@ class Plan(_Model, Tabular):
     limits: dict[str, float] = Field(default_factory=dict)
     predicted_std: dict[str, float] = Field(default_factory=dict)
     note: str = ""
+
+    @field_validator("predicted_std", mode="before")
+    @classmethod
+    def _names_of_old_files(cls, value: Any) -> Any:
+        if not isinstance(value, dict):
+            return value
+        return {RENAMED_PARAMETERS.get(name, name): std for name, std in value.items()}
 
     def to_dict(self) -> dict[str, object]:
         """The plan file's document."""

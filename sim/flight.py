@@ -29,7 +29,7 @@ class SimulatedFlight:
     """What was recorded, and what was true.
 
     Attributes:
-        streams: name to stamps, arrivals and values in flight-bundle column order; empty streams are left out.
+        streams: name to stamps, arrivals and values in docs/formats.md column order; empty streams are left out.
         vehicle: as declared.
         truth: as it was.
         window_s: start and end of the excitation on the motors' clock.

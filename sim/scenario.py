@@ -259,6 +259,23 @@ def true_vehicle(declared: Vehicle, scenario: Scenario) -> Vehicle:
     )
 
 
+RENAMED = {"angular_damping": {"linear_nm_s": "damping_nms"}, "flapping_moment": {"moment_n_s": "k_nm_s_m"}}
+"""Effect -> key in scenario files of earlier versions -> key now, the name that estimates have."""
+
+
+def _with_new_names(document: dict) -> dict:
+    effects = document.get("effects")
+    if not isinstance(effects, dict):
+        return document
+    renamed = {
+        name: {RENAMED.get(name, {}).get(key, key): v for key, v in values.items()}
+        if isinstance(values, dict)
+        else values
+        for name, values in effects.items()
+    }
+    return {**document, "effects": renamed}
+
+
 def scenario_from_dict(document: dict, source: str = "scenario") -> Scenario:
     """Validate a parsed scenario.
 
@@ -266,7 +283,7 @@ def scenario_from_dict(document: dict, source: str = "scenario") -> Scenario:
         BadInput: one sentence that names every fault and the file.
     """
     try:
-        return Scenario.model_validate(document)
+        return Scenario.model_validate(_with_new_names(document) if isinstance(document, dict) else document)
     except ValidationError as error:
         faults = "; ".join(
             f"{'.'.join(map(str, e['loc'])) or 'scenario'}: {e['msg'].removeprefix('Value error, ')}"

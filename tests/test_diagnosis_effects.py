@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from groundstation.diagnosis import effect as effects_module
+from groundstation.diagnosis import next_flight
 from groundstation.diagnosis.attribution import candidates
 from groundstation.diagnosis.effect import (
     Effect,
@@ -24,11 +25,13 @@ from groundstation.diagnosis.effect import (
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
 from groundstation.diagnosis.rivals import MATERIAL
 from groundstation.frames import quat_rotate
-from groundstation.identification.record_model import initial_parameters
 from groundstation.identification.results import Estimate
+from groundstation.model.parameters import declared_parameters
 from groundstation.model.signals import Signals
 from groundstation.paths import find_config
-from groundstation.vehicle import load_vehicle
+from groundstation.reporting.identified import identified_from_document
+from groundstation.reporting.scenario import scenario_document
+from groundstation.vehicle import load_vehicle, vehicle_to_dict
 
 VEHICLE = load_vehicle(find_config("vehicles", "x500"))
 HOVER_N = VEHICLE.mass_kg * VEHICLE.gravity_m_s2 / VEHICLE.rotors.count
@@ -327,6 +330,48 @@ def test_adding_an_effect_is_adding_one_file(tmp_path, monkeypatch):
     assert "toy_compass" not in library()
 
 
+CITIZEN = (
+    TOY.replace("toy_compass", "toy_citizen").rstrip()[:-1]
+    + """    instants=("at_s",),
+    of_one_rotor=True,
+    shared_by_healthy=99,
+    bends_base=99,
+    scenario=lambda values, vehicle: ("body_drag", {"area_m2": [0.1, 0.1, 0.1]}),
+)
+"""
+)
+
+
+def test_one_file_makes_an_effect_a_full_citizen(tmp_path, monkeypatch):
+    """Nothing outside the file names it: healthy flights, the base fit, a replay's instants, rotors and the scenario read its fields."""
+    package = importlib.import_module("groundstation.diagnosis.effects")
+    (tmp_path / "toy_citizen.py").write_text(CITIZEN, encoding="utf-8")
+    monkeypatch.setattr(package, "__path__", [*package.__path__, str(tmp_path)])
+    effects_module.library.cache_clear()
+    try:
+        own = library()["toy_citizen"]
+        assert effects_module.shared_by_healthy()[-1] is own
+        assert effects_module.bending()[-1] is own
+        assert own.of_one_rotor
+        kept = next_flight._on_plan(own, {"at_s": 90.0, "rotor": 3.0}, np.array([0.0, 10.0]))
+        assert kept == {"at_s": 8.0, "rotor": 3.0}
+        values = {name: {"value": 0.1, "std": 0.01} for name in own.names()}
+        document = {"vehicle": vehicle_to_dict(VEHICLE), "parameters": {}, "effects": {"toy_citizen": values}}
+        held, _ = scenario_document(identified_from_document(document))
+        assert held["effects"]["body_drag"] == {"area_m2": [0.1, 0.1, 0.1]}
+    finally:
+        monkeypatch.undo()
+        effects_module.library.cache_clear()
+
+
+def test_what_effects_say_of_themselves_is_what_their_settings_hold():
+    for effect in library().values():
+        for settings in effect.variants(_signals(), VEHICLE):
+            assert set(effect.instants) <= set(settings)
+            assert effect.of_one_rotor == ("rotor" in settings), effect.identifier
+            assert {"at_s", "from_s"} & set(settings) <= set(effect.instants), effect.identifier
+
+
 def test_a_model_document_adds_up_its_effects():
     signals = _signals(velocity_world_m_s=np.tile([1.0, 0.0, 0.0], (200, 1)))
     document = {
@@ -354,9 +399,9 @@ def test_the_json_form_has_the_contracts_keys_and_only_plain_values():
 
 def test_measured_speeds_have_their_lag_behind_them_and_commanded_ones_ahead():
     assert VEHICLE.rotors.lag.up_s > 0.0
-    assert initial_parameters(VEHICLE, lag_s=0.0).lag_up_s == 0.0
+    assert declared_parameters(VEHICLE, lag_s=0.0).lag_up_s == 0.0
     commanded = VEHICLE.model_copy(update={"rotors": VEHICLE.rotors.model_copy(update={"speed_source": "command"})})
-    assert initial_parameters(commanded, lag_s=0.0).lag_down_s == VEHICLE.rotors.lag.down_s
+    assert declared_parameters(commanded, lag_s=0.0).lag_down_s == VEHICLE.rotors.lag.down_s
 
 
 def test_a_toy_effect_can_stand_for_the_library():

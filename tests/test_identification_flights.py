@@ -18,8 +18,8 @@ from groundstation.identification.instrumental import _root_of_inverse
 from groundstation.identification.pipeline import DynamicFit, fit_dynamics, identify
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import flight_states, prepare
-from groundstation.identification.record_model import initial_parameters
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
+from groundstation.model.parameters import declared_parameters
 from groundstation.model.prediction import declared_model, model_from_document, predict
 from groundstation.paths import find_config
 from groundstation.reporting.exports import model_document
@@ -179,7 +179,7 @@ def test_a_tensor_of_no_rigid_body_is_named(tensor: tuple[float, ...], said: str
 
 def measured_body(tensor: tuple[float, ...], std: float) -> Fitted:
     """A fit that found a mass of 1 kg and a tensor, all equally uncertain and independent."""
-    p = replace(initial_parameters(qball(), lag_s=0.0), mass_kg=1.0)
+    p = replace(declared_parameters(qball(), lag_s=0.0), mass_kg=1.0)
     values = np.array([1.0, *tensor])
     covariance = std**2 * np.eye(7)
     return Fitted(p, MASS_AND_TENSOR, values, covariance, covariance, (), (), 0.0, np.zeros(6), 0, 0)

@@ -13,8 +13,9 @@ from groundstation.flightdata import FlightData
 from groundstation.identification.identifiability import never_moved, revealed
 from groundstation.identification.pipeline import identify
 from groundstation.identification.preparation import prepare
-from groundstation.identification.record_model import Options, RecordModel
+from groundstation.identification.record_model import RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Identification
+from groundstation.model.parameters import FitOptions
 from groundstation.paths import find_config
 from groundstation.trajectory import Coefficients, Plan, load_plan
 from groundstation.vehicle import load_vehicle
@@ -125,7 +126,7 @@ def test_singular_values_say_what_a_motion_acts_on_before_any_fit() -> None:
     """Yaw alone makes torque through Izz (and mass through the height it holds); what all of Izz makes is what the rotors made."""
     model = motion_of(channels(yaw=1.0))
     vehicle = model.record.vehicle
-    found = revealed([model], vehicle, Options(lag=False))
+    found = revealed([model], vehicle, FitOptions(lag=False))
     assert [each.share for each in found] == sorted((each.share for each in found), reverse=True)
     weights = np.array([list(each.combination.values()) for each in found])
     np.testing.assert_allclose(weights @ weights.T, np.eye(len(MASS_AND_TENSOR)), atol=1e-9)
@@ -140,6 +141,6 @@ def test_what_a_motion_never_moves_is_told_with_what_would() -> None:
     record = model.record
     even = replace(record.motors, value=np.repeat(record.motors.value.mean(axis=1, keepdims=True), 4, axis=1))
     still = RecordModel(replace(record, rate_rad_s=np.zeros_like(record.rate_rad_s), motors=even))
-    hidden = never_moved(revealed([still], record.vehicle, Options(lag=False)))
+    hidden = never_moved(revealed([still], record.vehicle, FitOptions(lag=False)))
     assert set(hidden) == set(MASS_AND_TENSOR) - {"mass_kg"}
     assert "roll" in hidden["ixx_kg_m2"]

@@ -152,7 +152,7 @@ def test_estimating_effects_too_never_sharpens_a_parameter(published, qball):
     effects = ("rotor_drag", "com_offset", "angular_damping", "motor_lag", "flapping_moment")
     together = predicted_std(published, qball, effects=effects)
     assert all(together[name] >= alone[name] * (1 - 1e-9) for name in alone)
-    assert set(together) - set(alone) >= {"d_x_kg_s", "com_x_m", "damping_z_nm_s", "rotor_lag_s", "flapping_n_s"}
+    assert set(together) - set(alone) >= {"d_x_kg_s", "com_offset_x_m", "damping_z_nms", "rotor_lag_s", "k_nm_s_m"}
 
 
 def test_lag_and_delay_are_told_apart_only_by_fast_motion(qball):

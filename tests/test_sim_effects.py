@@ -89,7 +89,7 @@ def test_the_induced_velocity_solves_glauerts_equation():
 
 
 def test_flapping_lifts_the_side_that_leads():
-    effect = {"flapping_moment": FlappingMoment(moment_n_s=0.03)}
+    effect = {"flapping_moment": FlappingMoment(k_nm_s_m=0.03)}
     forward = _torque(effect, velocity=(2.0, 0.0, 0.0))
     left = _torque(effect, velocity=(0.0, 2.0, 0.0))
     np.testing.assert_allclose(forward, [0.0, -0.06, 0.0], atol=1e-9)  # nose up is negative about y (left)

@@ -28,7 +28,7 @@ LOGS = Path("logs")
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What a command found: the JSON document, the same for people, and the exit status (flight-bundle contract)."""
+    """What a command found: the JSON document, the same for people, and the exit status (docs/formats.md)."""
 
     document: Mapping[str, Any]
     text: str

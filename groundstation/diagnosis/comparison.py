@@ -12,17 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.attribution import folds
-from groundstation.diagnosis.evidence import RIGID_BODY, Candidate, Columns, Evidence, FlightEvidence, Solution
+from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, Solution
 from groundstation.identification.anchoring import anchored
 from groundstation.identification.prediction_error import Fitted, output_error
 from groundstation.identification.preparation import Prepared
-from groundstation.identification.record_model import (
-    CHANNELS,
-    Parameters,
-    RecordModel,
-    initial_parameters,
-)
+from groundstation.identification.record_model import CHANNELS, RecordModel
 from groundstation.identification.results import Estimate
+from groundstation.model.parameters import RIGID_BODY, Parameters, declared_parameters
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -115,7 +111,7 @@ def as_declared(evidence: Evidence, vehicle: Vehicle, train: NDArray[np.bool_] |
             t = model.record.t_s
             keep = model.record.keep & ~((t >= left_out.min()) & (t <= left_out.max()))
             models[number] = RecordModel(replace(model.record, keep=keep), (), None)
-    return output_error(models, initial_parameters(vehicle, lag_s=0.0), options)
+    return output_error(models, declared_parameters(vehicle, lag_s=0.0), options)
 
 
 def plain_gain(evidence: Evidence, chosen: Chosen, plain: Fitted | None) -> float:
@@ -157,7 +153,7 @@ def held_out_errors(
     evidence: Evidence, baseline: Chosen, chosen: Chosen, splits: Sequence[Split]
 ) -> dict[str, dict[str, float]]:
     """RMS of the residual wrench per channel on data that no estimate saw: nominal, before, after."""
-    nominal = initial_parameters(evidence.flights[0].prepared.record.vehicle, lag_s=0.0)
+    nominal = declared_parameters(evidence.flights[0].prepared.record.vehicle, lag_s=0.0)
     stages: dict[str, list[Array]] = {"nominal": [], "before": [], "after": []}
     for split in splits:
         pairs = {

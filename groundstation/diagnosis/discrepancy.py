@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, Solution
 from groundstation.identification.record_model import CHANNELS
+from groundstation.model.parameters import FREE
 
 Array = NDArray[np.float64]
 
@@ -47,15 +48,14 @@ class Discrepancy:
     def of_lag(self, solution: Solution) -> Array:
         """Of rotor lag and dead time beyond what is declared, shape (6,): a first-order lag is a formula, too."""
         first = self._evidence.flights[0]
-        p, declared = first.parameters, first.prepared.record.vehicle.rotors.lag
-        found = {"rotor_lag_up_s": p.lag_up_s - declared.up_s, "rotor_lag_down_s": p.lag_down_s - declared.down_s}
-        found |= {"input_delay_s": p.delay_s, "rotor_lag_slope": p.lag_slope}
-        names = list(self._evidence.names)
-        if "rotor_lag_up_s" not in names:
+        vehicle, names = first.prepared.record.vehicle, self._evidence.names
+        timing = {e.name: e for e in FREE if e.timing and e.declared is not None and e.name in names}
+        if "rotor_lag_up_s" not in timing:
             return np.zeros(len(CHANNELS))
-        index = [names.index(name) for name in found]
+        index = [names.index(name) for name in timing]
+        found = [e.get(first.parameters) - e.declared(vehicle) for e in timing.values() if e.declared is not None]
         kept = [i for i in range(len(names)) if i not in index]
-        values = np.array(list(found.values())) + solution.theta[index]
+        values = np.array(found) + solution.theta[index]
         moved = self._evidence.z[:, index] @ values
         root = np.sqrt(self._evidence.weight)
         rest = self._evidence.z[:, kept] * root[:, None]

@@ -12,7 +12,7 @@ import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +77,13 @@ class Effect(EffectInfo):
         finer: settings around one that was found, to look closer.
         settled: settings as they follow from the values that were found (a load that was let go was on board before).
         applies: whether this vehicle's inputs can show it at all.
+        instants: settings that are instants of the flight, s; a replay at another length keeps them inside it.
+        of_one_rotor: its settings name a rotor, and a finding of it does.
+        shared_by_healthy: healthy flights of one vehicle have it, too, so that it is fitted to all flights and never a finding
+            beside them; the number is its place among those.
+        bends_base: a base fit that lacks it takes its torque for inertia, so that the fit is tried with it; the number is its place.
+        scenario: (values, vehicle) -> name and table of the simulator's form under ``[effects]``; None where
+            ``reporting/scenario.py`` refits it or the simulator has no such effect.
         rests_on: identifiers of which one has to be there for it to mean anything (wind needs drag to be felt).
     """
 
@@ -87,6 +94,11 @@ class Effect(EffectInfo):
     settled: Callable[[Settings, Array], Settings] = field(default=lambda settings, values: settings)
     applies: Callable[[Vehicle], bool] = field(default=lambda vehicle: True)
     rests_on: tuple[str, ...] = ()
+    instants: tuple[str, ...] = ()
+    of_one_rotor: bool = False
+    shared_by_healthy: int | None = None
+    bends_base: int | None = None
+    scenario: Callable[[Mapping[str, float], Vehicle], tuple[str, dict[str, Any]]] | None = None
 
     def telling(self) -> list[int]:
         """Which of the parameters tell the effect."""
@@ -256,3 +268,17 @@ def wrench_of(effects: Mapping[str, Mapping[str, Mapping[str, float]]], vehicle:
         return total
 
     return wrench
+
+
+def shared_by_healthy() -> list[Effect]:
+    """What healthy flights of one vehicle share, in the order of the joint estimate."""
+    found = [
+        (effect.shared_by_healthy, effect) for effect in library().values() if effect.shared_by_healthy is not None
+    ]
+    return [effect for _, effect in sorted(found, key=lambda pair: pair[0])]
+
+
+def bending() -> list[Effect]:
+    """Effects whose torque depends on the motion as inertia's does, in the order of the fit."""
+    found = [(effect.bends_base, effect) for effect in library().values() if effect.bends_base is not None]
+    return [effect for _, effect in sorted(found, key=lambda pair: pair[0])]

@@ -20,19 +20,24 @@ from groundstation.diagnosis.effect import Effect, Settings, library
 from groundstation.diagnosis.signals import planned_signals, thinned
 from groundstation.diagnosis.whitening import Whitening, orthonormal
 from groundstation.identification.instrumental import lag_split_precision
-from groundstation.identification.planned_model import planned_sensitivities
-from groundstation.identification.prediction_error import Fitted, current_values, moved
+from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared
-from groundstation.identification.record_model import BASIS, PAIRS, TENSOR, Options, RecordModel
+from groundstation.identification.record_model import RecordModel
+from groundstation.identification.sensitivities import planned_sensitivities
+from groundstation.model.parameters import (
+    BASIS,
+    PAIRS,
+    RIGID_BODY,
+    FitOptions,
+    PriorContext,
+    table,
+    values_of,
+    with_values,
+)
 
 Array = NDArray[np.float64]
 
 DRIFT_S = 6.0
-ACCEL_DELAY_S = 2e-3
-"""How far the delays of gyro and accelerometer (filters, sampling) usually differ."""
-DELAYS = ("rotor_lag", "input_delay", "accel_delay")
-"""Parameters that a plan's own columns instrument weakly: theirs is what all of a plan's columns tell of them, channel by channel."""
-RIGID_BODY = ("mass_kg", *TENSOR)
 VARIANTS = 4
 """How many settings of an effect are kept out of the noise before it is found; of those found, the very setting."""
 
@@ -112,7 +117,7 @@ class FlightEvidence:
         self,
         prepared: Prepared,
         fitted: Fitted,
-        options: Options,
+        options: FitOptions,
         known: Sequence[Candidate] = (),
         *,
         generic: bool = True,
@@ -127,16 +132,20 @@ class FlightEvidence:
         if np.isfinite(record.force_m_s2).all():
             channels += [3, 4, 5] if prepared.source == "imu" or np.isfinite(prepared.velocity_m_s).all() else [5]
         self.channels = tuple(channels)
-        self.options = Options(
-            lag=options.lag, symmetric_lag=False, delay=options.delay, com=False, yaw_trim=False, channels=self.channels
+        self.options = FitOptions(
+            lag=options.lag,
+            delay=options.delay,
+            accel_delay=True,
+            com=False,
+            yaw_trim=False,
+            channels=self.channels,
         )
         self.model = RecordModel(record, (), None if prepared.planned is None else replace(prepared.planned, extra=()))
         self.signals = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
         self.excited = thinned(self.signals, record.keep)
         self._share = record.keep / np.sum(record.keep)
         self._inverse = np.linalg.inv(self.parameters.tensor)
-        self.residual, sensitivity, names = self.model.evaluate(self.parameters, self.options)
-        self.sensitivity, self.names = _with_accelerometer_delay(sensitivity, names)
+        self.residual, self.sensitivity, self.names = self.model.evaluate(self.parameters, self.options)
         self.planned = planned_signals(prepared, self.parameters)
         self.whitening = Whitening(
             self.channels, self.model.dt, self.model.restart, self.residual, self._nuisance(generic)
@@ -147,8 +156,9 @@ class FlightEvidence:
             self.z = self.x
         else:
             wished = planned_sensitivities(self.model, self.parameters, self.options)
-            self.z = self.whitening.apply(_with_accelerometer_delay(wished, names)[0])
-            own = [index for index, name in enumerate(self.names) if name.startswith(DELAYS)]
+            self.z = self.whitening.apply(wished)
+            entries = table()
+            own = [index for index, name in enumerate(self.names) if entries[name].timing]
             self.z[:, own] = self.whitening.explained(self.x[:, own], self.z)
 
     def base_std(self, name: str) -> float:
@@ -161,13 +171,13 @@ class FlightEvidence:
 
     def moved(self, fitted: Fitted, solution: Solution) -> Fitted:
         """The base fit at a joint estimate, for the next linearisation; as it was where that is no rigid body (:func:`landed`)."""
-        names = [name for name in self.names if name != "accel_delay_s"]
-        values = current_values(self.parameters, names, ()) + solution.theta[[self.names.index(name) for name in names]]
+        names = list(self.names)
+        values = values_of(self.parameters, names) + solution.theta[: len(names)]
         found = landed(*self._rigid_step(solution))
         if found is None:
             return fitted
         values[[names.index(name) for name in RIGID_BODY]] = found[0]
-        p = moved(self.parameters, names, values, ())
+        p = with_values(self.parameters, names, values)
         return replace(fitted, parameters=replace(p, delay_s=max(p.delay_s, 0.0), force_bias_m_s2=np.zeros(3)))
 
     def rigid_body(self, solution: Solution) -> tuple[Array, Array]:
@@ -180,7 +190,7 @@ class FlightEvidence:
 
     def _rigid_step(self, solution: Solution) -> tuple[Array, Array]:
         index = [self.names.index(name) for name in RIGID_BODY]
-        return current_values(self.parameters, RIGID_BODY, ()), solution.theta[index]
+        return values_of(self.parameters, RIGID_BODY), solution.theta[index]
 
     def whitened_residual(self, residual: Array) -> Array:
         """Any residual (blocks, 6) of this flight, whitened as its own, (rows,)."""
@@ -263,22 +273,7 @@ class Evidence:
         self.y = np.concatenate([f.y for f in flights])
         self.x = np.concatenate([f.x for f in flights])
         self.z = np.concatenate([f.z for f in flights])
-        prior = np.zeros(len(self.names))
-        for index, name in enumerate(self.names):
-            if name.startswith("accel_bias"):
-                axis = "xyz".index(name.split("_")[2])
-                prior[index] = 1.0 / max(float(flights[0].prepared.record.force_bias_std[axis]), 1e-4) ** 2
-            elif name == "accel_delay_s":
-                prior[index] = 1.0 / ACCEL_DELAY_S**2
-            elif name == "rotor_lag_slope":
-                prior[index] = 1.0 / flights[0].base_std(name) ** 2
-            elif name.startswith(("rotor_lag", "input_delay")):
-                prior[index] = 1.0 / 0.15**2
-            elif name == "mass_kg":
-                prior[index] = 1.0 / (0.5 * flights[0].parameters.mass_kg) ** 2
-            else:
-                prior[index] = 1.0 / float(np.trace(flights[0].parameters.tensor)) ** 2
-        self.prior = np.diag(prior) + lag_split_precision(self.names)
+        self.prior = np.diag(_joint_precision(flights[0])) + lag_split_precision(self.names)
         self._base = Columns(self.x, self.z, np.zeros(6))
         self._output = Columns(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
         self._products: dict[tuple[int, int], tuple[Array, Array]] = {}
@@ -434,15 +429,9 @@ def landed(about: Array, step: Array) -> tuple[Array, Array] | None:
     return np.array([about[0] / lightness, *(turn @ tensor)[rows, columns]]), jacobian
 
 
-def _with_accelerometer_delay(sensitivity: Array, names: tuple[str, ...]) -> tuple[Array, tuple[str, ...]]:
-    """Let forces come later than torques by ``accel_delay_s``, beside the ``input_delay_s`` of both.
-
-    Gyro and accelerometer pass different filters, and held commands reach a rate through their integral, a force at once.
-    Without this a millisecond between the two looks like thrust lost to climbing, as jerk runs against velocity.
-    """
-    if "input_delay_s" not in names:
-        return sensitivity, names
-    index = names.index("input_delay_s")
-    later = sensitivity[:, :, index : index + 1].copy()
-    later[:, :3] = 0.0
-    return np.concatenate([sensitivity, later], axis=2), (*names, "accel_delay_s")
+def _joint_precision(flight: FlightEvidence) -> Array:
+    """Prior precision of the base's parameters, by the table."""
+    record = flight.prepared.record
+    context = PriorContext(record.vehicle, flight.parameters, record.force_bias_std, base_std=flight.base_std)
+    entries = table()
+    return np.array([1.0 / entries[name].joint_std(context) ** 2 for name in flight.names])

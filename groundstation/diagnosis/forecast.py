@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.comparison import Chosen, Split
 from groundstation.diagnosis.evidence import Evidence, Solution
 from groundstation.identification.preparation import Prepared, smoothed_states
-from groundstation.identification.record_model import BASIS, PAIRS, Parameters
 from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.identification.validation import closed_loop_validation
+from groundstation.model.parameters import BASIS, PAIRS, Parameters, table, values_of, with_values
 from groundstation.model.prediction import VehicleModel, declared_model, error_norms
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
@@ -36,7 +36,11 @@ def vehicle_model(evidence: Evidence, chosen: Chosen, solution: Solution) -> Veh
     """What a joint estimate makes of the vehicle, by the declared thrust (the anchor changes no motion)."""
     first = evidence.flights[0]
     p, vehicle = first.parameters, first.prepared.record.vehicle
-    moved = dict(zip(evidence.names, solution.theta[: solution.base], strict=True))
+    names = [name for name in evidence.names if table()[name].timing]
+    steps = solution.theta[[evidence.names.index(name) for name in names]]
+    values = values_of(p, names) + steps
+    at = with_values(p, names, values)
+    slopes = [value for name, value in zip(names, values, strict=True) if name == "rotor_lag_slope"]
     (mass, *entries), _ = first.rigid_body(solution)
     parts, offset = [], 0
     for candidate, _ in chosen:
@@ -54,10 +58,12 @@ def vehicle_model(evidence: Evidence, chosen: Chosen, solution: Solution) -> Veh
         vehicle=vehicle,
         mass_kg=float(mass),
         tensor=np.einsum("k,kij->ij", entries, BASIS),
-        lag_up_s=float(np.clip(p.lag_up_s + moved.get("rotor_lag_up_s", 0.0), 0.0, 0.5)),
-        lag_down_s=float(np.clip(p.lag_down_s + moved.get("rotor_lag_down_s", 0.0), 0.0, 0.5)),
-        lag_slope=p.lag_slope + moved.get("rotor_lag_slope", 0.0),
-        delay_s=p.delay_s + moved.get("input_delay_s", 0.0),
+        lag_up_s=at.lag_up_s,
+        lag_down_s=at.lag_down_s,
+        lag_slope=float(slopes[0])
+        if slopes
+        else at.lag_slope,  # as estimated: a part of a flight may go past its range
+        delay_s=at.delay_s,
         wrench=wrench if parts else None,
     )
 
@@ -174,7 +180,7 @@ def forecast(
 def window_starts(prepared: Prepared, judged_s: Array) -> NDArray[np.int64]:
     """At which stamps windows start that lie wholly in what is judged, without a break."""
     record, longest = prepared.record, HORIZONS_S[-1]
-    if judged_s[-1] - judged_s[0] <= longest:
+    if not len(judged_s) or judged_s[-1] - judged_s[0] <= longest:
         return np.zeros(0, dtype=np.int64)
     first = np.searchsorted(record.t_s, np.arange(judged_s[0], judged_s[-1] - longest, EVERY_S))
     last = np.minimum(np.searchsorted(record.t_s, record.t_s[first] + longest), len(record.t_s) - 1)

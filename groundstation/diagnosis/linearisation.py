@@ -14,17 +14,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.effect import Effect, library
+from groundstation.diagnosis.effect import Effect, bending
 from groundstation.identification.identifiability import unsettled
 from groundstation.identification.pipeline import DynamicFit
 from groundstation.identification.prediction_error import Fitted, fit
 from groundstation.identification.preparation import Prepared
-from groundstation.identification.record_model import BodyWrench, Parameters, RecordModel
+from groundstation.identification.record_model import BodyWrench, RecordModel
+from groundstation.model.parameters import Parameters
 
 Array = NDArray[np.float64]
 
-BENDING = ("rotor_gyroscopic", "flapping_moment")
-"""Effects whose torque goes with the motion, beside damping and an offset of mass, which are free in every base fit."""
 LIKELIER = 10.0
 """Fall of half the minus-log-likelihood per coefficient from which the base is taken to be bent; chance gives a half."""
 
@@ -35,7 +34,7 @@ def linearisation(fitted: DynamicFit) -> Fitted:
     if fitted.options.lag:
         return own if unsettled(fitted.best, own) else fitted.best
     vehicle = fitted.prepared[0].record.vehicle
-    effects = [library()[name] for name in BENDING if library()[name].applies(vehicle)]
+    effects = [effect for effect in bending() if effect.applies(vehicle)]
     models = [
         RecordModel(item.record, (*model.extra, *_terms(item, own.parameters, effects)), None, model.silent)
         for item, model in zip(fitted.prepared, fitted.models, strict=True)

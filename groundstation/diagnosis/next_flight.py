@@ -227,7 +227,8 @@ def candidate(hypothesis: Hypothesis, vehicle: Vehicle, shared: Sequence[Hypothe
     def common(t_s: Array, motion: RigidMotion, signals: Signals) -> Array:
         parts = [_base_columns(motion)]
         for other in shared:
-            parts.append(library()[other.effect].wrench(signals, vehicle, _on_plan(other.settings, t_s)))
+            effect = library()[other.effect]
+            parts.append(effect.wrench(signals, vehicle, _on_plan(effect, other.settings, t_s)))
         return np.concatenate(parts, axis=2)
 
     make = _timing if hypothesis.effect in TIMING else _forced
@@ -237,10 +238,10 @@ def candidate(hypothesis: Hypothesis, vehicle: Vehicle, shared: Sequence[Hypothe
 Common = Callable[[Array, RigidMotion, Signals], Array]
 
 
-def _on_plan(settings: Settings, t_s: Array) -> Settings:
+def _on_plan(effect: Effect, settings: Settings, t_s: Array) -> Settings:
     """Settings with their instants inside the plan: what happened in flight is taken to happen again."""
     span = float(t_s[-1] - t_s[0])
-    return {n: float(np.clip(v, 0.2 * span, 0.8 * span)) if n in ("at_s", "from_s") else v for n, v in settings.items()}
+    return {n: float(np.clip(v, 0.2 * span, 0.8 * span)) if n in effect.instants else v for n, v in settings.items()}
 
 
 def _forced(hypothesis: Hypothesis, vehicle: Vehicle, common: Common) -> discriminate.Candidate:
@@ -249,7 +250,7 @@ def _forced(hypothesis: Hypothesis, vehicle: Vehicle, common: Common) -> discrim
 
     def wrench(t_s: Array, motion: RigidMotion) -> Array:
         values = hypothesis.values or {}
-        columns = effect.wrench(signals_of(vehicle, t_s, motion), vehicle, _on_plan(hypothesis.settings, t_s))
+        columns = effect.wrench(signals_of(vehicle, t_s, motion), vehicle, _on_plan(effect, hypothesis.settings, t_s))
         return columns @ np.array([values[name] for name in effect.names()])
 
     def explanations(t_s: Array, motion: RigidMotion) -> list[tuple[Array, Array]]:

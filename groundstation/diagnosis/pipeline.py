@@ -21,7 +21,7 @@ from groundstation.diagnosis.comparison import (
     with_plain,
 )
 from groundstation.diagnosis.curve import exponent_error, recurved, with_exponent
-from groundstation.diagnosis.effect import catalogue, library
+from groundstation.diagnosis.effect import catalogue, library, shared_by_healthy
 from groundstation.diagnosis.evidence import Candidate, Evidence, FlightEvidence, Solution
 from groundstation.diagnosis.forecast import forecast
 from groundstation.diagnosis.kinematic import kinematic_findings, turned
@@ -41,8 +41,8 @@ from groundstation.identification.declarations import check_declarations, said_f
 from groundstation.identification.pipeline import fit_dynamics, options_for
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared, prepare_all
-from groundstation.identification.record_model import Options
 from groundstation.identification.results import Estimate
+from groundstation.model.parameters import FitOptions
 from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
 from groundstation.vehicle import Vehicle
 
@@ -50,8 +50,6 @@ Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 EVIDENCE_RATE_HZ = 50.0
-BASELINE = ("com_offset", "constant_wrench", "rotor_drag", "climb_inflow", "thrust_curve", "battery_sag")
-"""What healthy flights of one vehicle share, where reference flights are given."""
 
 
 def diagnose(
@@ -196,7 +194,7 @@ def _by_trim(name: str, suspects: Sequence[Prepared], healthy: Sequence[Prepared
     )
 
 
-def base_fit(prepared: Sequence[Prepared]) -> tuple[Fitted, Options]:
+def base_fit(prepared: Sequence[Prepared]) -> tuple[Fitted, FitOptions]:
     """The fit that the evidence is linear about. What divides a lag from a dead time lies above the evidence's rate: it keeps its own there."""
     free = options_for(prepared[0])
     fitted = fit_dynamics(prepared if free.lag else [for_evidence(item) for item in prepared])
@@ -212,7 +210,7 @@ def for_evidence(prepared: Prepared) -> Prepared:
 
 def _select(
     about: Fitted,
-    options: Options,
+    options: FitOptions,
     suspects: Sequence[Prepared],
     healthy: Sequence[Prepared],
     augmented: tuple[Candidate, ...],
@@ -255,7 +253,7 @@ def _pool(vehicle: Vehicle, first: FlightEvidence, *, references: bool) -> list[
 
 def _baseline(evidence: Evidence, vehicle: Vehicle, augmented: Sequence[Candidate], *, references: bool) -> list[Entry]:
     """What is there in any case: effects that are known, and where there are reference flights what those share."""
-    shared = [library()[name] for name in BASELINE] if references else []
+    shared = shared_by_healthy() if references else []
     members = [Candidate(effect, {}) for effect in shared if effect.applies(vehicle)]
     found = ((candidate, evidence.columns(candidate, everywhere=True)) for candidate in (*members, *augmented))
     return [(candidate, columns) for candidate, columns in found if columns is not None]
@@ -269,7 +267,7 @@ def _findings(named: Sequence[Named], solution: Solution, vehicle: Vehicle, offs
         values, covariance = solution.part(offset, count)
         offset += count
         std = np.sqrt(np.diag(covariance))
-        rotor = int(settings.pop("rotor")) if "rotor" in settings else None
+        rotor = int(settings.pop("rotor")) if effect.of_one_rotor else None
         parameters = {n: Estimate.normal(v, s) for n, v, s in zip(effect.names(), values, std, strict=True)}
         parameters |= {n: Estimate(v, 0.0, (v, v)) for n, v in settings.items()}
         words = {n: f"{e.value:.3g}" for n, e in parameters.items()} | {"rotor": str(rotor)}

@@ -17,7 +17,7 @@ Verdict = Literal["explained", "unexplained", "clean", "refused"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """An effect that the declared vehicle lacks (identifier of effects.md), with its parameters and evidence.
+    """An effect that the declared vehicle lacks (identifier of docs/diagnosis.md), with its parameters and evidence.
 
     ``gain`` is how far the whitened squared error falls with it: on blocks no estimate saw for forces and torques, in the
     comparison of the sensors for clocks and frames. Findings stand in its order.
@@ -32,7 +32,7 @@ class Finding:
     gain: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form of flight-bundle.md."""
+        """JSON form of docs/formats.md."""
         return {
             "effect": self.effect,
             "parameters": {name: estimate.to_dict() for name, estimate in self.parameters.items()},
@@ -53,7 +53,7 @@ class Unexplained:
     proposal: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form of flight-bundle.md."""
+        """JSON form of docs/formats.md."""
         return {
             "channel": self.channel,
             "share": self.share,
@@ -112,7 +112,7 @@ class Diagnosis(Tabular):
         return f"{self.flight}: {self.verdict}" + (f". {self.reason}" if self.reason else "")
 
     def to_dict(self) -> dict[str, Any]:
-        """The document ``diagnose --json`` prints (flight-bundle.md)."""
+        """The document ``diagnose --json`` prints (docs/formats.md)."""
         return {
             "schema": "groundstation.diagnosis/1",
             "flight": self.flight,

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from groundstation.frames import quat_normalise, quat_rotate
 from groundstation.identification.preparation import Prepared
-from groundstation.identification.record_model import Parameters
+from groundstation.model.parameters import Parameters
 from groundstation.model.rotors import wrench_matrix
 from groundstation.model.signals import Signals
 

@@ -175,7 +175,7 @@ class StartRefused:
 
 @dataclass(frozen=True, slots=True)
 class AnalysisFinished:
-    """The worker is done; ``exit_status`` as in flight-bundle.md."""
+    """The worker is done; ``exit_status`` as in docs/formats.md."""
 
     exit_status: int
     reason: str = ""

@@ -13,8 +13,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.identification.prediction_error import Fitted, moved
+from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
+from groundstation.model.parameters import with_values
 
 Array = NDArray[np.float64]
 
@@ -63,7 +64,7 @@ def nearest_rigid_body(fitted: Fitted, extra_names: Sequence[str]) -> tuple[Fitt
     found = least_squares(distance, _logarithms(measured), x_scale="jac", ftol=1e-12, xtol=1e-12, gtol=1e-12)
     gain = fitted.covariance[:, index] @ precision
     values = fitted.values + gain @ (_mass_and_tensor(found.x) - measured)
-    rigid = replace(fitted, values=values, parameters=moved(fitted.parameters, fitted.names, values, extra_names))
+    rigid = replace(fitted, values=values, parameters=with_values(fitted.parameters, fitted.names, values, extra_names))
     return rigid, float(np.linalg.norm(found.fun))
 
 

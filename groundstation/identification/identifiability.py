@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from groundstation.errors import NotIdentifiable
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared
-from groundstation.identification.record_model import Options, RecordModel, initial_parameters
+from groundstation.identification.record_model import RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Revealed
+from groundstation.model.parameters import FitOptions, declared_parameters
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -55,14 +56,14 @@ def angular_acceleration(prepared: Prepared) -> Array:
     return np.std(np.gradient(slow, record.t_s, axis=0)[record.keep], axis=0)
 
 
-def revealed(models: Sequence[RecordModel], vehicle: Vehicle, options: Options) -> list[Revealed]:
+def revealed(models: Sequence[RecordModel], vehicle: Vehicle, options: FitOptions) -> list[Revealed]:
     """Which combinations of mass and tensor the motion acts on, from singular values in scaled units, before any fit.
 
     The sensitivities of torque and vertical force at the declared vehicle, as shares of weight (times arm), to each parameter
     in units of its declared value (products: of the trace), less what lags, delays, offsets and biases could do in their place
     (Golub and Van Loan, Matrix Computations, 2.4; for rigid bodies Gautier and Khalil 1990). The largest first.
     """
-    start = initial_parameters(vehicle, lag_s=TYPICAL_LAG_S, extra=len(models[0].extra))
+    start = declared_parameters(vehicle, lag_s=TYPICAL_LAG_S, extra=len(models[0].extra))
     weight = vehicle.mass_kg * vehicle.gravity_m_s2
     trace = float(np.trace(start.tensor))
     parts, names = [], ()

@@ -12,29 +12,26 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.identification.planned_model import planned_sensitivities
 from groundstation.identification.prediction_error import (
     Fitted,
-    current_values,
     huber,
     inverted,
-    moved,
     noise_model,
     per_flight,
     priors,
     whiten,
 )
-from groundstation.identification.record_model import Options, Parameters, RecordModel
+from groundstation.identification.record_model import RecordModel
+from groundstation.identification.sensitivities import planned_sensitivities
+from groundstation.model.parameters import FitOptions, Parameters, table, values_of, with_values
 
 Array = NDArray[np.float64]
 
-HELD = "rotor_lag_slope"
-"""Stays as the prediction error estimate has it, with its interval there: a plan's own columns tell it weakly, and ran away with it."""
 ROUNDS = 3
 """How often the noise model is refitted to the residual."""
 
 
-def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options) -> Fitted:
+def instrumental(models: Sequence[RecordModel], start: Fitted, options: FitOptions) -> Fitted:
     r"""Refined instrumental variable estimate: solve Z^T W e(theta) = 0 with Z from the planned motion.
 
     A prediction error estimate is consistent in closed loop only when the controller saw no more than the record holds
@@ -51,9 +48,11 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
     colours, polynomials = per_flight(start.colours, channels), per_flight(start.whiteners, channels)
     p, names = start.parameters, start.names
     covariance, information = start.covariance, inverted(start.covariance)
-    held = [index for index, name in enumerate(names) if name == HELD]
+    entries = table()
+    held = [index for index, name in enumerate(names) if name in entries and entries[name].held is not None]
     split = lag_split_precision(names)
-    split[held, held] += 1.0 / 0.001**2
+    for index in held:
+        split[index, index] += 1.0 / (entries[names[index]].held or np.inf) ** 2
     evaluated = [model.evaluate(p, options) for model in models]
     iterations = 0
     for round_index in range(ROUNDS):
@@ -75,7 +74,7 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
         root = _root_of_inverse(information)
         freedom = [[_spent_freedom(z @ root) for z in columns] for columns in planned]
         for _ in range(10):
-            theta = current_values(p, names, extra_names)
+            theta = values_of(p, names, extra_names)
             zx, zz = precision.copy(), precision.copy()
             ze = (mean - theta) / std**2 + split @ (start.values - theta)
             for index, model in enumerate(models):
@@ -91,10 +90,10 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: Options)
             p = _bounded_move(p, names, theta, step, extra_names)
             evaluated = [model.evaluate(p, options) for model in models]
             iterations += 1
-            change = current_values(p, names, extra_names) - theta
+            change = values_of(p, names, extra_names) - theta
             if np.all(np.abs(change) < 0.02 * np.sqrt(np.diag(covariance))):
                 break
-    theta = current_values(p, names, extra_names)
+    theta = values_of(p, names, extra_names)
     rms = np.sqrt(np.mean(np.concatenate([e[0] for e in evaluated]) ** 2, axis=0))
     for index in held:
         covariance = _with_uncertain(covariance, zx, index, float(start.covariance[index, index]))
@@ -178,7 +177,7 @@ def _bounded_move(
     """The step, shortened until the tensor stays positive definite and the mass positive."""
     fraction = 1.0
     for _ in range(12):
-        trial = moved(p, names, theta + fraction * step, extra_names)
+        trial = with_values(p, names, theta + fraction * step, extra_names)
         if (
             trial.mass_kg > 0.2 * p.mass_kg
             and np.linalg.eigvalsh(trial.tensor)[0] > 0.05 * np.linalg.eigvalsh(p.tensor)[0]

@@ -27,10 +27,11 @@ from groundstation.identification.physical_limits import outside
 from groundstation.identification.prediction_error import Fitted, fit, fit_from_declared, output_error
 from groundstation.identification.predictive_choice import physical_model, prediction_section
 from groundstation.identification.preparation import Prepared, damping_terms, prepare_all
-from groundstation.identification.record_model import BodyWrench, DynamicRecord, Options, Parameters, RecordModel
+from groundstation.identification.record_model import BodyWrench, DynamicRecord, RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification, MethodResult
 from groundstation.identification.validation import validate
 from groundstation.model.disturbance import TurningDisturbance, pooled, three, turning
+from groundstation.model.parameters import FitOptions, Parameters
 from groundstation.model.rotors import wrench_matrix
 from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
 
@@ -49,7 +50,7 @@ class DynamicFit:
 
     prepared: tuple[Prepared, ...]
     models: tuple[RecordModel, ...]
-    options: Options
+    options: FitOptions
     filter_error: Fitted
     instrumental: Fitted | None
 
@@ -68,11 +69,11 @@ class DynamicFit:
         return self.filter_error if self.instrumental is None else self.instrumental
 
 
-def options_for(prepared: Prepared) -> Options:
+def options_for(prepared: Prepared) -> FitOptions:
     """What is free for this kind of input: measured speeds and wrenches have no lag to find."""
     rotors = prepared.record.vehicle.rotors
     channels = (0, 1, 2, 5) if np.isfinite(prepared.record.force_m_s2).all() else (0, 1, 2)
-    return Options(lag=not prepared.record.motors.measured and rotors.input != "wrench", channels=channels)
+    return FitOptions(lag=not prepared.record.motors.measured and rotors.input != "wrench", channels=channels)
 
 
 def _models_of(prepared: Sequence[Prepared]) -> tuple[RecordModel, ...]:
@@ -143,7 +144,7 @@ def _thrust_spread(prepared: Prepared, up_s: float, down_s: float) -> float:
 
 
 def _with_free_curve(
-    prepared: Sequence[Prepared], models: Sequence[RecordModel], options: Options, fitted: Fitted
+    prepared: Sequence[Prepared], models: Sequence[RecordModel], options: FitOptions, fitted: Fitted
 ) -> DynamicFit:
     """Fit again with the mass held and the curve's coefficients free, at the lag found, twice."""
     vehicle = prepared[0].record.vehicle
@@ -382,7 +383,7 @@ def _time(value: float, std: float) -> Estimate:
     return Estimate(max(value, 0.0), std, (low, max(low, value + 1.96 * std)))
 
 
-def _disturbance(models: Sequence[RecordModel], fit: Fitted, options: Options) -> TurningDisturbance:
+def _disturbance(models: Sequence[RecordModel], fit: Fitted, options: FitOptions) -> TurningDisturbance:
     """What turned the vehicle beside the model, by the noise model of each flight and axis."""
     parts, first = [], 0
     for model in models:
@@ -419,7 +420,7 @@ def _white_density(record: DynamicRecord) -> Array:
     return np.asarray(np.sqrt(np.mean(second**2, axis=0) / 6.0 * step), dtype=float)
 
 
-def _torque_rms(models: Sequence[RecordModel], fit: Fitted, options: Options) -> list[float]:
+def _torque_rms(models: Sequence[RecordModel], fit: Fitted, options: FitOptions) -> list[float]:
     """RMS of the torque residual at up to 10 Hz, from differences of the rate residual over 0.1 s."""
     rows = []
     for model in models:

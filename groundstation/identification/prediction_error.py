@@ -26,16 +26,15 @@ from groundstation.identification.noise import (
     innovations,
     whitening_polynomial,
 )
-from groundstation.identification.record_model import (
-    BASIS,
-    PAIRS,
-    TENSOR,
-    BodyWrench,
-    DynamicRecord,
-    Options,
+from groundstation.identification.record_model import BodyWrench, DynamicRecord, RecordModel
+from groundstation.model.parameters import (
+    FitOptions,
     Parameters,
-    RecordModel,
-    initial_parameters,
+    PriorContext,
+    declared_parameters,
+    table,
+    values_of,
+    with_values,
 )
 from groundstation.vehicle import Vehicle
 
@@ -72,70 +71,14 @@ class Fitted:
         return float(self.values[self.names.index(name)])
 
 
-def current_values(p: Parameters, names: Sequence[str], extra_names: Sequence[str]) -> Array:
-    table = {
-        "mass_kg": p.mass_kg,
-        **{name: p.tensor[i, j] for name, (i, j) in zip(TENSOR, PAIRS, strict=True)},
-        "input_delay_s": p.delay_s,
-        "rotor_lag_s": p.lag_up_s,
-        "rotor_lag_up_s": p.lag_up_s,
-        "rotor_lag_down_s": p.lag_down_s,
-        "rotor_lag_slope": p.lag_slope,
-        "com_offset_x_m": p.com_m[0],
-        "com_offset_y_m": p.com_m[1],
-        "yaw_trim_nm": p.yaw_trim_nm,
-        **{f"accel_bias_{a}_m_s2": b for a, b in zip("xyz", p.force_bias_m_s2, strict=True)},
-        **dict(zip(extra_names, p.extra, strict=True)),
-    }
-    return np.array([table[name] for name in names], dtype=float)
-
-
-def moved(p: Parameters, names: Sequence[str], values: Array, extra_names: Sequence[str]) -> Parameters:
-    v = dict(zip(names, values, strict=True))
-    tensor = sum(v[name] * basis for name, basis in zip(TENSOR, BASIS, strict=True))
-    up = v.get("rotor_lag_s", v.get("rotor_lag_up_s", p.lag_up_s))
-    down = v.get("rotor_lag_s", v.get("rotor_lag_down_s", p.lag_down_s))
-    return replace(
-        p,
-        mass_kg=v["mass_kg"],
-        tensor=np.asarray(tensor),
-        lag_up_s=float(np.clip(up, 0.0, 0.5)),
-        lag_down_s=float(np.clip(down, 0.0, 0.5)),
-        lag_slope=float(np.clip(v.get("rotor_lag_slope", p.lag_slope), -1.0, 1.0)),
-        delay_s=v.get("input_delay_s", p.delay_s),
-        com_m=np.array([v.get("com_offset_x_m", p.com_m[0]), v.get("com_offset_y_m", p.com_m[1]), p.com_m[2]]),
-        yaw_trim_nm=v.get("yaw_trim_nm", p.yaw_trim_nm),
-        force_bias_m_s2=np.array(
-            [v.get(f"accel_bias_{a}_m_s2", b) for a, b in zip("xyz", p.force_bias_m_s2, strict=True)]
-        ),
-        extra=np.array([v[name] for name in extra_names]),
-    )
-
-
 def priors(
-    record: DynamicRecord, p0: Parameters, names: Sequence[str], extra: Sequence[BodyWrench], options: Options
+    record: DynamicRecord, p0: Parameters, names: Sequence[str], extra: Sequence[BodyWrench], options: FitOptions
 ) -> tuple[Array, Array]:
     """Weak prior means and standard deviations that keep an unexcited direction finite; far wider than any claim."""
-    trace = float(np.trace(p0.tensor))
-    arm = record.vehicle.arm_m()
-    table = {
-        "mass_kg": (p0.mass_kg, p0.mass_kg if options.mass else 1e-6 * p0.mass_kg),
-        **{
-            name: (p0.tensor[i, j], p0.tensor[i, j] * 2.0 if i == j else 0.3 * trace)
-            for name, (i, j) in zip(TENSOR, PAIRS, strict=True)
-        },
-        "input_delay_s": (0.0, 0.05),
-        "rotor_lag_s": (0.05, 0.15),
-        "rotor_lag_up_s": (0.05, 0.15),
-        "rotor_lag_down_s": (0.05, 0.15),
-        "rotor_lag_slope": (0.0, 0.5),
-        "com_offset_x_m": (0.0, arm),
-        "com_offset_y_m": (0.0, arm),
-        "yaw_trim_nm": (0.0, p0.mass_kg * 10.0 * arm),
-        **{f"accel_bias_{a}_m_s2": (0.0, s) for a, s in zip("xyz", record.force_bias_std, strict=True)},
-        **{term.name: (term.prior, term.prior_std) for term in extra},
-    }
-    mean, std = zip(*(table[name] for name in names), strict=True)
+    context = PriorContext(record.vehicle, p0, record.force_bias_std, options.mass)
+    entries, terms = table(), {term.name: (term.prior, term.prior_std) for term in extra}
+    pairs = [terms[name] if name in terms else entries[name].prior(context) for name in names]
+    mean, std = zip(*pairs, strict=True)
     return np.array(mean, dtype=float), np.array(std, dtype=float)
 
 
@@ -174,7 +117,7 @@ def inverted(information: Array) -> Array:
 def fit(
     models: Sequence[RecordModel],
     start: Parameters,
-    options: Options,
+    options: FitOptions,
     colours: Sequence[Sequence[Colour]] | None = None,
     *,
     fixed: bool = False,
@@ -223,7 +166,7 @@ def fit(
         for _ in range(8):
             names = evaluated[0][2]
             mean, std = priors(records[0], start, names, models[0].extra, options)
-            theta = current_values(p, names, extra_names)
+            theta = values_of(p, names, extra_names)
             normal = np.diag(1.0 / std**2)
             gradient = (mean - theta) / std**2
             cost = 0.5 * float(np.sum(((theta - mean) / std) ** 2))
@@ -249,7 +192,7 @@ def fit(
             )  # of what a flight does not show, rounding may make it negative
             if taken == 0.0 or np.all(np.abs(taken * step) < 0.02 * np.sqrt(variance)):
                 break
-    theta = current_values(p, names, extra_names)
+    theta = values_of(p, names, extra_names)
     covariance = inverted(normal)
     rms = np.sqrt(np.mean(np.concatenate([e[0] for e in evaluated]) ** 2, axis=0))
     samples = sum(len(m.t_s) for m in models)
@@ -285,9 +228,9 @@ def _line_search(
     """Halve the step until the cost falls; keep the tensor positive definite and the mass positive."""
     fraction = 1.0
     for _ in range(10):
-        trial = moved(p, names, theta + fraction * step, extra_names)
+        trial = with_values(p, names, theta + fraction * step, extra_names)
         if trial.mass_kg > 0.0 and np.linalg.eigvalsh(trial.tensor)[0] > 0.02 * np.linalg.eigvalsh(p.tensor)[0]:
-            values = current_values(trial, names, extra_names)
+            values = values_of(trial, names, extra_names)
             total = 0.5 * float(np.sum(((values - mean) / std) ** 2))
             total += misfit(models, trial, channels, state, polynomials)
             if total <= cost + 1e-9 * abs(cost):
@@ -315,7 +258,7 @@ def misfit(
     return total
 
 
-def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: Options) -> Fitted:
+def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: FitOptions) -> Fitted:
     """Prediction error estimate from the declared vehicle: first one lag and no dead time from two starts, then all.
 
     What divides the total into lag and dead time are the commands' highest frequencies, a narrow band: each of its periods has a
@@ -323,9 +266,9 @@ def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: 
     """
     extra = len(models[0].extra)
     if not options.lag:
-        return fit(models, initial_parameters(vehicle, lag_s=0.0, extra=extra), options)
+        return fit(models, declared_parameters(vehicle, lag_s=0.0, extra=extra), options)
     first = replace(options, symmetric_lag=True, delay=False, colour_rounds=1, autoregression=0)
-    tried = [fit(models, initial_parameters(vehicle, lag_s=lag, extra=extra), first) for lag in (0.02, 0.08)]
+    tried = [fit(models, declared_parameters(vehicle, lag_s=lag, extra=extra), first) for lag in (0.02, 0.08)]
     best = min(tried, key=lambda found: found.cost)
     channels = [model.channels(options) for model in models]
     best = fit(models, divided_anew(models, best, options), options, per_flight(best.colours, channels))
@@ -339,7 +282,7 @@ DIVISION_S = 0.002
 """Between dead times that are tried."""
 
 
-def divided_anew(models: Sequence[RecordModel], found: Fitted, options: Options) -> Parameters:
+def divided_anew(models: Sequence[RecordModel], found: Fitted, options: FitOptions) -> Parameters:
     """The parameters found, or those whose dead time and lags, of the same sum, suit the residual better."""
     p, channels = found.parameters, [model.channels(options) for model in models]
     noise = per_flight(found.colours, channels), per_flight(found.whiteners, channels)
@@ -355,7 +298,7 @@ def divided_anew(models: Sequence[RecordModel], found: Fitted, options: Options)
 SHOOTING_S = 2.0
 
 
-def output_error(models: Sequence[RecordModel], start: Parameters, options: Options) -> Fitted:
+def output_error(models: Sequence[RecordModel], start: Parameters, options: FitOptions) -> Fitted:
     """Output error by multiple shooting: every SHOOTING_S the state starts anew, and the rest is taken for white noise.
 
     The classical estimate (Klein and Morelli, ch. 6), for comparison: what it takes for noise is mostly disturbance.

@@ -43,7 +43,7 @@ class Compatibility:
         kept: poses used, shape (poses,).
         quaternion: smoothed attitude of the body at the IMU's stamps, (k, 4); ``causal_quaternion`` is the filter's.
         position_m, velocity_m_s: of the IMU in the world, smoothed, (k, 3); ``causal_*`` likewise.
-        attitude_innovation, position_innovation: RMS over what the noise model expects (1 is right).
+        pose_noise: white noise of positions (m) and attitudes (rad), standard deviations.
     """
 
     names: tuple[str, ...]
@@ -140,116 +140,243 @@ def reconstruct(
         offset_s: coarse pose stamp minus IMU stamp.
         mocap_rotation_rad: declared rotation vector from the body to the marker frame.
     """
-    inside = (t_pose - offset_s > t_imu[0] + 0.05) & (t_pose - offset_s < t_imu[-1] - 0.05)
-    dt_imu = np.concatenate([[0.0], np.diff(t_imu)])
-    middle = 0.5 * (t_imu[0] + t_imu[-1])
-    alignment = quat_exp(mocap_rotation_rad)  # body from marker frame: R_marker = R_body exp(rotation)
-    bias, scale = np.zeros(3), np.zeros(3)
-    rotation = np.zeros(3)
-    offset, drift = offset_s, 0.0
-    kept = inside.copy()
-    colour = Colour(1.0, 1.0, 1.0, 1.0)
-    first = True
-    covariance_attitude = np.eye(len(_ATTITUDE))
-    filtered_q = smoothed_q = np.zeros((0, 4))
-    for _ in range(5):
-        tp, qm = t_pose[kept], quaternion[kept]
-        tk = tp - offset - drift * (tp - offset - middle)
-        body = quat_multiply(qm, quat_conjugate(quat_multiply(alignment, quat_exp(rotation))))
-        corrected = (gyro - bias) / (1.0 + scale)
-        rough = integrate_rates(np.array([1.0, 0.0, 0.0, 0.0]), dt_imu, corrected)
-        at_first = slerp(tk[:1], t_imu, rough)[0]
-        attitude = quat_multiply(quat_multiply(body[0], quat_conjugate(at_first)), rough)
-        world_from_body = matrix_from_quat(attitude)
-        at_poses = slerp(tk, t_imu, attitude)
-        error = quat_log(quat_multiply(body, quat_conjugate(at_poses)))
-        r_poses = matrix_from_quat(at_poses)
-        rate_world = np.einsum("nij,nj->ni", r_poses, _interpolate(tk, t_imu, corrected))
-        drifted = np.cumsum(world_from_body * dt_imu[:, None, None], axis=0).reshape(-1, 9)
-        scaled = np.cumsum(world_from_body * corrected[:, None, :] * dt_imu[:, None, None], axis=0).reshape(-1, 9)
-        columns = np.concatenate(
-            [
-                -rate_world[:, :, None],
-                (-rate_world * (tk - middle)[:, None])[:, :, None],
-                -_interpolate(tk, t_imu, drifted).reshape(-1, 3, 3),
-                r_poses,
-                -_interpolate(tk, t_imu, scaled).reshape(-1, 3, 3),
-            ],
-            axis=2,
+    recording = _Recording(
+        t_imu, gyro, accel, t_pose, position, quaternion, quat_exp(mocap_rotation_rad), 0.5 * (t_imu[0] + t_imu[-1])
+    )
+    attitude = align_attitude(recording, offset_s)
+    found = align_position(recording, attitude, gravity_m_s2)
+    errors = attitude.errors
+    names, theta, covariance = _combine(
+        np.array([errors.offset_s, errors.drift, *errors.gyro_bias, *errors.rotation, *errors.gyro_scale]),
+        attitude.covariance,
+        found.values,
+        found.covariance,
+        errors.offset_s,
+    )
+    std = np.sqrt(np.diag(covariance))
+    prior = np.concatenate([_ATTITUDE_PRIOR, _POSITION_PRIOR[2:]])
+    jitter_s, jitter_std_s = attitude.stamp_jitter_s
+    return Compatibility(
+        names=names,
+        values=dict(zip(names, map(float, theta), strict=True)) | {"stamp_jitter_s": jitter_s},
+        std=dict(zip(names, map(float, std), strict=True)) | {"stamp_jitter_s": jitter_std_s},
+        covariance=covariance,
+        revealed=tuple(n for n, s, p in zip(names, std, prior, strict=True) if s < 0.5 * p),
+        kept=attitude.kept,
+        quaternion=quat_normalise(attitude.smoothed),
+        position_m=found.smoothed[0],
+        velocity_m_s=found.smoothed[1],
+        causal_quaternion=quat_normalise(attitude.filtered),
+        causal_position_m=found.causal[0],
+        causal_velocity_m_s=found.causal[1],
+        pose_noise=(float(found.noise[0]), float(attitude.colour.sensor)),
+    )
+
+
+# Columns of the two linear fits, by what they stand for.
+_CLOCK = slice(0, 2)
+_GYRO_BIAS, _ROTATION, _GYRO_SCALE = slice(2, 5), slice(5, 8), slice(8, 11)
+_LEVER = slice(5, 8)
+
+
+@dataclass(frozen=True, slots=True)
+class _Recording:
+    """What is compared: IMU (k,) and (k, 3), poses (m,), (m, 3) and (m, 4), the marker body's declared rotation, the middle stamp."""
+
+    t_imu: Array
+    gyro: Array
+    accel: Array
+    t_pose: Array
+    position: Array
+    quaternion: Array
+    alignment: Array
+    middle_s: float
+
+    @property
+    def dt_imu(self) -> Array:
+        """Before each IMU sample, (k,)."""
+        return np.concatenate([[0.0], np.diff(self.t_imu)])
+
+
+@dataclass(frozen=True, slots=True)
+class _AttitudeErrors:
+    """Errors that the attitudes show: pose clock, gyro bias and scale (3,), rotation of the tracked frame (3,)."""
+
+    offset_s: float
+    drift: float
+    gyro_bias: Array
+    rotation: Array
+    gyro_scale: Array
+
+    def stamps(self, recording: _Recording, kept: Mask) -> Array:
+        """Of the poses that are kept, on the IMU's clock."""
+        t = recording.t_pose[kept]
+        return t - self.offset_s - self.drift * (t - self.offset_s - recording.middle_s)
+
+    def changed(self, step: Array) -> _AttitudeErrors:
+        """After a step of the fit, (11,)."""
+        return _AttitudeErrors(
+            offset_s=self.offset_s + step[0],
+            drift=self.drift + step[1],
+            gyro_bias=self.gyro_bias + step[_GYRO_BIAS],
+            rotation=quat_log(quat_multiply(quat_exp(step[_ROTATION]), quat_exp(self.rotation))),
+            gyro_scale=self.gyro_scale + step[_GYRO_SCALE],
         )
-        dt = np.concatenate([[0.0], np.diff(tk)])
-        count = len(tk)
-        stacked = np.concatenate([error.T.reshape(-1, 1), columns.transpose(1, 0, 2).reshape(3 * count, -1)], axis=1)
-        restart = np.zeros(3 * count, dtype=bool)
-        restart[::count] = True
-        dts = np.tile(dt, 3)
-        if first:
-            colour, first = _local_noise(stacked[:, 0], dts, restart), False
-        e, s = innovations(stacked, dts, restart, colour, integrated=True)
-        fit = _whitened_fit(e[:, 0], e[:, 1:], s, _ATTITUDE_PRIOR)
-        offset += fit.values[0]
-        drift += fit.values[1]
-        bias = bias + fit.values[2:5]
-        rotation = quat_log(quat_multiply(quat_exp(fit.values[5:8]), quat_exp(rotation)))
-        scale = scale + fit.values[8:11]
-        covariance_attitude = fit.covariance
-        bad = fit.outlier.reshape(3, count).any(axis=0)
-        corrected_error = (stacked[:, 0] - stacked[:, 1:] @ fit.values).reshape(3, count).T
-        kept_index = np.flatnonzero(kept)
-        kept = kept.copy()
-        kept[kept_index[bad]] = False
-        good = ~bad
-        dt_good = np.concatenate([[0.0], np.diff(tk[good])])
-        filtered, smoothed = local_level(corrected_error[good], dt_good, colour.process, colour.sensor)
-        filtered_q = quat_multiply(quat_exp(_interpolate(t_imu, tk[good], filtered)), attitude)
-        smoothed_q = quat_multiply(quat_exp(_interpolate(t_imu, tk[good], smoothed)), attitude)
-        colour = _local_noise((stacked[:, 0] - stacked[:, 1:] @ fit.values), dts, restart, colour)
-        done = bool(np.all(np.abs(fit.values) < 0.05 * np.sqrt(np.diag(fit.covariance))))
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeFit:
+    """The first act: attitudes against the integrated rates.
+
+    Attributes:
+        covariance: of the errors, (11, 11). kept: poses that are no outliers, (m,). colour: noise of the attitudes.
+        filtered, smoothed: attitude at the IMU's stamps, from the past alone and from all, (k, 4).
+        stamp_jitter_s: of the poses, and its standard deviation.
+    """
+
+    errors: _AttitudeErrors
+    covariance: Array
+    kept: Mask
+    colour: Colour
+    filtered: Array
+    smoothed: Array
+    stamp_jitter_s: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class PositionFit:
+    """The second act: positions against the specific force, integrated twice with the attitude of the first.
+
+    Attributes:
+        values, covariance: of the parameters in ``_POSITION``. noise: of the poses' filter.
+        causal, smoothed: position and velocity at the IMU's stamps, (k, 3) each.
+    """
+
+    values: Array
+    covariance: Array
+    noise: Array
+    causal: tuple[Array, Array]
+    smoothed: tuple[Array, Array]
+
+
+def _attitude_columns(
+    recording: _Recording, errors: _AttitudeErrors, tk: Array, attitude: Array, rates: Array
+) -> Array:
+    """What each error changes of the attitude at the poses' stamps, (n, 3, 11)."""
+    t_imu, dt_imu = recording.t_imu, recording.dt_imu
+    world_from_body = matrix_from_quat(attitude)
+    r_poses = matrix_from_quat(slerp(tk, t_imu, attitude))
+    rate_world = np.einsum("nij,nj->ni", r_poses, _interpolate(tk, t_imu, rates))
+    drifted = np.cumsum(world_from_body * dt_imu[:, None, None], axis=0).reshape(-1, 9)
+    scaled = np.cumsum(world_from_body * rates[:, None, :] * dt_imu[:, None, None], axis=0).reshape(-1, 9)
+    return np.concatenate(
+        [
+            -rate_world[:, :, None],
+            (-rate_world * (tk - recording.middle_s)[:, None])[:, :, None],
+            -_interpolate(tk, t_imu, drifted).reshape(-1, 3, 3),
+            r_poses,
+            -_interpolate(tk, t_imu, scaled).reshape(-1, 3, 3),
+        ],
+        axis=2,
+    )
+
+
+def _compared_attitudes(
+    recording: _Recording, errors: _AttitudeErrors, kept: Mask, tk: Array
+) -> tuple[Array, Array, Array]:
+    """Attitude by the rates (k, 4), its error against the poses (n, 3), and the columns of the errors (n, 3, 11)."""
+    t_imu = recording.t_imu
+    marker = quat_multiply(recording.alignment, quat_exp(errors.rotation))
+    body = quat_multiply(recording.quaternion[kept], quat_conjugate(marker))
+    rates = (recording.gyro - errors.gyro_bias) / (1.0 + errors.gyro_scale)
+    rough = integrate_rates(np.array([1.0, 0.0, 0.0, 0.0]), recording.dt_imu, rates)
+    at_first = slerp(tk[:1], t_imu, rough)[0]
+    attitude = quat_multiply(quat_multiply(body[0], quat_conjugate(at_first)), rough)
+    error = quat_log(quat_multiply(body, quat_conjugate(slerp(tk, t_imu, attitude))))
+    return attitude, error, _attitude_columns(recording, errors, tk, attitude, rates)
+
+
+def _attitude_step(
+    recording: _Recording, errors: _AttitudeErrors, kept: Mask, colour: Colour | None
+) -> tuple[AttitudeFit, bool]:
+    """One Gauss-Newton step, and whether it was within a twentieth of the standard deviations."""
+    tk = errors.stamps(recording, kept)
+    attitude, error, columns = _compared_attitudes(recording, errors, kept, tk)
+    dt = np.concatenate([[0.0], np.diff(tk)])
+    count = len(tk)
+    stacked = np.concatenate([error.T.reshape(-1, 1), columns.transpose(1, 0, 2).reshape(3 * count, -1)], axis=1)
+    restart = np.zeros(3 * count, dtype=bool)
+    restart[::count] = True
+    dts = np.tile(dt, 3)
+    if colour is None:
+        colour = _local_noise(stacked[:, 0], dts, restart)
+    e, s = innovations(stacked, dts, restart, colour, integrated=True)
+    fit = _whitened_fit(e[:, 0], e[:, 1:], s, _ATTITUDE_PRIOR)
+    bad = fit.outlier.reshape(3, count).any(axis=0)
+    remainder = stacked[:, 0] - stacked[:, 1:] @ fit.values
+    kept = kept.copy()
+    kept[np.flatnonzero(kept)[bad]] = False
+    good = ~bad
+    dt_good = np.concatenate([[0.0], np.diff(tk[good])])
+    filtered, smoothed = local_level(remainder.reshape(3, count).T[good], dt_good, colour.process, colour.sensor)
+    found = AttitudeFit(
+        errors=errors.changed(fit.values),
+        covariance=fit.covariance,
+        kept=kept,
+        colour=_local_noise(remainder, dts, restart, colour),
+        filtered=quat_multiply(quat_exp(_interpolate(recording.t_imu, tk[good], filtered)), attitude),
+        smoothed=quat_multiply(quat_exp(_interpolate(recording.t_imu, tk[good], smoothed)), attitude),
+        stamp_jitter_s=_stamp_jitter(e[:, 0] - e[:, 1:] @ fit.values, e[:, 1], s, fit.outlier),
+    )
+    return found, bool(np.all(np.abs(fit.values) < 0.05 * np.sqrt(np.diag(fit.covariance))))
+
+
+def align_attitude(recording: _Recording, offset_s: float) -> AttitudeFit:
+    """Clock, gyro and rotation of the tracked frame from attitudes and rates; up to five Gauss-Newton steps."""
+    shifted, t_imu = recording.t_pose - offset_s, recording.t_imu
+    kept = (shifted > t_imu[0] + 0.05) & (shifted < t_imu[-1] - 0.05)
+    errors = _AttitudeErrors(offset_s, 0.0, np.zeros(3), np.zeros(3), np.zeros(3))
+    found, done = _attitude_step(recording, errors, kept, None)
+    for _ in range(4):
         if done:
             break
-    jitter_s, jitter_std_s = _stamp_jitter(e[:, 0] - e[:, 1:] @ fit.values, e[:, 1], s, fit.outlier)
+        found, done = _attitude_step(recording, found.errors, found.kept, found.colour)
+    return found
 
-    # position: specific force integrated twice with the smoothed attitude
-    tp, pm = t_pose[kept], position[kept]
-    tk = tp - offset - drift * (tp - offset - middle)
-    dt = np.concatenate([[0.0], np.diff(tk)])
-    world_from_body = matrix_from_quat(smoothed_q)
-    force = np.einsum("nij,nj->ni", world_from_body, accel)
-    acceleration = force - np.array([0.0, 0.0, gravity_m_s2])
 
-    def twice(values: Array) -> tuple[Array, Array]:
-        mean = 0.5 * (values[1:] + values[:-1]) * dt_imu[1:, None]
-        speed = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(mean, axis=0)])
-        path = 0.5 * (speed[1:] + speed[:-1]) * dt_imu[1:, None]
-        return speed, np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(path, axis=0)])
+def _twice(values: Array, dt: Array) -> tuple[Array, Array]:
+    """Running integral and its running integral by the trapezoidal rule, shapes of ``values``."""
+    mean = 0.5 * (values[1:] + values[:-1]) * dt[1:, None]
+    speed = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(mean, axis=0)])
+    path = 0.5 * (speed[1:] + speed[:-1]) * dt[1:, None]
+    return speed, np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(path, axis=0)])
 
-    speed, path = twice(acceleration)
-    _, biased = twice(world_from_body.reshape(-1, 9))
-    error = pm - _interpolate(tk, t_imu, path)
-    count = len(tk)
-    noise = _position_noise(error, dt)
-    _, _, states, _, _ = position_filter(error, dt, noise)
-    # from the past alone: a velocity that knows this pose's noise would pull the clock towards it
-    expected = states[:-1, 1, :] + dt[1:, None] * states[:-1, 2, :]
-    velocity = _interpolate(tk, t_imu, speed) + np.concatenate([states[:1, 1, :], expected])
-    lever = matrix_from_quat(slerp(tk, t_imu, smoothed_q))
+
+def _position_columns(
+    recording: _Recording, attitude: AttitudeFit, tk: Array, velocity: Array, gravity_m_s2: float
+) -> Array:
+    """What each parameter in ``_POSITION`` changes of the positions, (n, 3, 10)."""
+    t_imu = recording.t_imu
+    _, biased = _twice(matrix_from_quat(attitude.smoothed).reshape(-1, 9), recording.dt_imu)
     elapsed = tk - tk[0]
-    tilt = np.zeros((count, 3, 2))
+    tilt = np.zeros((len(tk), 3, 2))
     tilt[:, 0, 1] = 0.5 * gravity_m_s2 * elapsed**2
     tilt[:, 1, 0] = -0.5 * gravity_m_s2 * elapsed**2
-    columns = np.concatenate(
+    return np.concatenate(
         [
             -velocity[:, :, None],
-            (-velocity * (tk - middle)[:, None])[:, :, None],
+            (-velocity * (tk - recording.middle_s)[:, None])[:, :, None],
             -_interpolate(tk, t_imu, biased).reshape(-1, 3, 3),
-            lever,
+            matrix_from_quat(slerp(tk, t_imu, attitude.smoothed)),
             tilt,
         ],
         axis=2,
     )
-    values = np.zeros(len(_POSITION))
-    covariance_position = np.eye(len(_POSITION))
-    residual = error
+
+
+def _fitted_position(error: Array, columns: Array, dt: Array, noise: Array) -> tuple[Array, Array, Array, Array]:
+    """Values, covariance, residual (n, 3) and noise after three rounds of fit and noise model."""
+    values, covariance, residual = np.zeros(len(_POSITION)), np.eye(len(_POSITION)), error
     for _ in range(3):
         noise = _position_noise(residual, dt, noise)
         tight = noise.copy()
@@ -261,40 +388,41 @@ def reconstruct(
         e = np.concatenate([p[0] for p in parts])
         s = np.concatenate([p[1] for p in parts])
         fit = _whitened_fit(e[:, 0], e[:, 1:], s, _POSITION_PRIOR)
-        values, covariance_position = fit.values, fit.covariance
+        values, covariance = fit.values, fit.covariance
         residual = error - columns @ values
+    return values, covariance, residual, noise
+
+
+def align_position(recording: _Recording, attitude: AttitudeFit, gravity_m_s2: float) -> PositionFit:
+    """Accelerometer bias, lever arm and tilt of the world from positions and specific force."""
+    t_imu = recording.t_imu
+    tk = attitude.errors.stamps(recording, attitude.kept)
+    dt = np.concatenate([[0.0], np.diff(tk)])
+    force = np.einsum("nij,nj->ni", matrix_from_quat(attitude.smoothed), recording.accel)
+    speed, path = _twice(force - np.array([0.0, 0.0, gravity_m_s2]), recording.dt_imu)
+    error = recording.position[attitude.kept] - _interpolate(tk, t_imu, path)
+    noise = _position_noise(error, dt)
+    _, _, states, _, _ = position_filter(error, dt, noise)
+    # from the past alone: a velocity that knows this pose's noise would pull the clock towards it
+    expected = states[:-1, 1, :] + dt[1:, None] * states[:-1, 2, :]
+    velocity = _interpolate(tk, t_imu, speed) + np.concatenate([states[:1, 1, :], expected])
+    columns = _position_columns(recording, attitude, tk, velocity, gravity_m_s2)
+    values, covariance, residual, noise = _fitted_position(error, columns, dt, noise)
     _, _, states, pf, pp = position_filter(residual, dt, noise)
     smooth = position_smoother(dt, states, pf, pp)
     named = columns.copy()
-    named[:, :, 0:2] = 0.0  # clock terms move stamps, not the vehicle
-    named[:, :, 5:8] = 0.0  # neither does the lever arm
-    named_position = named @ values
-    slope = np.gradient(named_position, tk, axis=0) if count > 2 else np.zeros_like(named_position)
-    causal_p = _interpolate(t_imu, tk, states[:, 0, :] + named_position) + path
-    causal_v = _interpolate(t_imu, tk, states[:, 1, :] + slope) + speed
-    smooth_p = _interpolate(t_imu, tk, smooth[:, 0, :] + named_position) + path
-    smooth_v = _interpolate(t_imu, tk, smooth[:, 1, :] + slope) + speed
+    named[:, :, _CLOCK] = 0.0  # clock terms move stamps, not the vehicle
+    named[:, :, _LEVER] = 0.0  # neither does the lever arm
+    shift = named @ values
+    slope = np.gradient(shift, tk, axis=0) if len(tk) > 2 else np.zeros_like(shift)
 
-    names, theta, covariance = _combine(
-        np.array([offset, drift, *bias, *rotation, *scale]), covariance_attitude, values, covariance_position, offset
-    )
-    std = np.sqrt(np.diag(covariance))
-    prior = np.concatenate([_ATTITUDE_PRIOR, _POSITION_PRIOR[2:]])
-    return Compatibility(
-        names=names,
-        values=dict(zip(names, map(float, theta), strict=True)) | {"stamp_jitter_s": jitter_s},
-        std=dict(zip(names, map(float, std), strict=True)) | {"stamp_jitter_s": jitter_std_s},
-        covariance=covariance,
-        revealed=tuple(n for n, s, p in zip(names, std, prior, strict=True) if s < 0.5 * p),
-        kept=kept,
-        quaternion=quat_normalise(smoothed_q),
-        position_m=smooth_p,
-        velocity_m_s=smooth_v,
-        causal_quaternion=quat_normalise(filtered_q),
-        causal_position_m=causal_p,
-        causal_velocity_m_s=causal_v,
-        pose_noise=(float(noise[0]), float(colour.sensor)),
-    )
+    def motion(found: Array) -> tuple[Array, Array]:
+        return (
+            _interpolate(t_imu, tk, found[:, 0, :] + shift) + path,
+            _interpolate(t_imu, tk, found[:, 1, :] + slope) + speed,
+        )
+
+    return PositionFit(values, covariance, noise, causal=motion(states), smoothed=motion(smooth))
 
 
 def _stamp_jitter(residual: Array, turning: Array, variance: Array, outlier: Mask) -> tuple[float, float]:

@@ -11,24 +11,20 @@ integrals, so those are averaged to the fit's rate once.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from groundstation.identification.sensitivities import Measured, measured_sensitivities, sensitivity_of, stacked
+from groundstation.model.parameters import BASIS, PAIRS, FitOptions, Parameters
 from groundstation.model.rotors import MotorInput, cumulative, declared_thrust, wrench_matrix
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-TENSOR = ("ixx_kg_m2", "ixy_kg_m2", "ixz_kg_m2", "iyy_kg_m2", "iyz_kg_m2", "izz_kg_m2")
-BASIS = np.zeros((6, 3, 3))
-for _index, (_i, _j) in enumerate([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]):
-    BASIS[_index, _i, _j] = BASIS[_index, _j, _i] = 1.0
-PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-"""Where the entries of TENSOR stand in the matrix."""
 CHANNELS = ("torque_x_nm", "torque_y_nm", "torque_z_nm", "force_x_n", "force_y_n", "force_z_n")
 
 
@@ -92,41 +88,9 @@ class BodyWrench:
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
-    """The state of the fit in physical units; ``extra`` holds the coefficients of the BodyWrench terms."""
+class Predicted:
+    """A record's outputs at given parameters: thrusts on the motors' grid, wrench and impulse in blocks, rates, forces."""
 
-    mass_kg: float
-    tensor: Array
-    lag_up_s: float
-    lag_down_s: float
-    delay_s: float
-    com_m: Array
-    yaw_trim_nm: float
-    force_bias_m_s2: Array
-    extra: Array = field(default_factory=lambda: np.zeros(0))
-    lag_slope: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """What the fit is free to change.
-
-    ``channels`` are the outputs used; ``lag``, ``delay``, ``com``, ``yaw_trim`` and ``mass`` free those parameters.
-    """
-
-    lag: bool = True
-    symmetric_lag: bool = False
-    delay: bool = True
-    com: bool = True
-    yaw_trim: bool = True
-    mass: bool = True
-    channels: tuple[int, ...] = (0, 1, 2, 5)
-    colour_rounds: int = 3
-    autoregression: int = 24
-
-
-@dataclass(frozen=True, slots=True)
-class _Prediction:
     on_grid: tuple[Array, Array]
     wrench: Array
     impulse: Array
@@ -141,6 +105,8 @@ class RecordModel:
         matrix: from rotors' thrusts to [F_z, tau], (4, n).
         t_s, dt, restart: blocks of averaged samples, shape (blocks,); ``restart`` marks the first of a segment.
         rate, force: measured, averaged, (blocks, 3).
+        elapsed_s: time since the record's start, (blocks,). gyroscopic: see :meth:`integrated_gyroscopic`.
+        extra_means: of each wrench term its running integral (blocks, 6) and mean force (blocks, 3).
         silent: channels in which this record only answers its disturbance, while another one tells more.
     """
 
@@ -163,12 +129,12 @@ class RecordModel:
         self.dt = np.concatenate([[nominal], np.maximum(np.diff(self.t_s), 1e-4)])[: len(self.t_s)]
         self.rate = self.average(record.rate_rad_s)
         self.force = self.average(record.force_m_s2)
-        self._elapsed = self.t_s - record.t_s[0]
-        self._gyroscopic = self.integrated_gyroscopic(record.rate_rad_s)
-        self._extra = tuple((self.integrated(e.value), self.average(e.value[:, :3])) for e in self.extra)
-        self._last: tuple[Parameters, _Prediction] | None = None
+        self.elapsed_s = self.t_s - record.t_s[0]
+        self.gyroscopic = self.integrated_gyroscopic(record.rate_rad_s)
+        self.extra_means = tuple((self.integrated(e.value), self.average(e.value[:, :3])) for e in self.extra)
+        self._last: tuple[Parameters, Predicted] | None = None
 
-    def channels(self, options: Options) -> tuple[int, ...]:
+    def channels(self, options: FitOptions) -> tuple[int, ...]:
         """Outputs of this record that a fit uses: those asked for, measured, and not silent."""
         known = [True] * 3 + [bool(np.isfinite(self.force[:, axis]).all()) for axis in range(3)]
         return tuple(c for c in options.channels if known[c] and c not in self.silent)
@@ -198,100 +164,63 @@ class RecordModel:
             total += values[column]
         return total / self._members.shape[1]
 
-    def _wrench(self, up_s: float, down_s: float, slope: float) -> tuple[Array, Array]:
+    def on_grid(self, up_s: float, down_s: float, slope: float) -> tuple[Array, Array]:
         """[F_z, tau] by the declared constants behind a lag and its running integral, on the motors' grid, (k, 4) each."""
         motors = self.record.motors
         wrench = declared_thrust(self.record.vehicle, motors.lagged(up_s, down_s, slope)) @ self.matrix.T
         held = not motors.measured and up_s <= 1e-6 and down_s <= 1e-6
         return wrench, cumulative(wrench, motors.step_s, held=held)
 
-    def _thrusts(self, on_grid: tuple[Array, Array], delay_s: float) -> tuple[Array, Array]:
+    def thrusts(self, on_grid: tuple[Array, Array], delay_s: float) -> tuple[Array, Array]:
         """The same later by a delay, averaged over the blocks, (blocks, 4) each."""
         motors = self.record.motors
         position = (self.record.t_s - delay_s - motors.start_s) / motors.step_s
         wrench, impulse = on_grid
         return _block_means(wrench, position, self._members), _block_means(impulse, position, self._members)
 
-    def _predict(self, p: Parameters) -> _Prediction:
+    def _predict(self, p: Parameters) -> Predicted:
         if self._last is not None and self._last[0] is p:
             return self._last[1]
-        on_grid = self._wrench(p.lag_up_s, p.lag_down_s, p.lag_slope)
-        wrench, impulse = self._thrusts(on_grid, p.delay_s)
-        torque = impulse[:, 1:] - self._gyroscopic @ np.array([p.tensor[i, j] for i, j in PAIRS])
+        on_grid = self.on_grid(p.lag_up_s, p.lag_down_s, p.lag_slope)
+        wrench, impulse = self.thrusts(on_grid, p.delay_s)
+        torque = impulse[:, 1:] - self.gyroscopic @ np.array([p.tensor[i, j] for i, j in PAIRS])
         torque[:, :2] += np.stack([-p.com_m[1], p.com_m[0]]) * impulse[:, :1]
-        torque[:, 2] += p.yaw_trim_nm * self._elapsed
+        torque[:, 2] += p.yaw_trim_nm * self.elapsed_s
         force = np.zeros((len(wrench), 3))
         force[:, 2] = wrench[:, 0]
-        for coefficient, (integral, push) in zip(p.extra, self._extra, strict=True):
+        for coefficient, (integral, push) in zip(p.extra, self.extra_means, strict=True):
             torque += coefficient * (integral[:, 3:] - np.cross(p.com_m, integral[:, :3]))
             force += coefficient * push
-        prediction = _Prediction(on_grid, wrench, impulse, torque @ np.linalg.inv(p.tensor).T, force)
+        prediction = Predicted(on_grid, wrench, impulse, torque @ np.linalg.inv(p.tensor).T, force)
+        prediction = self._with_linear(p, prediction)
         self._last = p, prediction
+        return prediction
+
+    def _with_linear(self, p: Parameters, prediction: Predicted) -> Predicted:
+        """With what parameters without physics of their own add: value times sensitivity."""
+        if not p.others:
+            return prediction
+        at = Measured(self, p, prediction)
+        for name, value in p.others.items():
+            rate, force = sensitivity_of(name)(at)
+            prediction = replace(
+                prediction, rate=prediction.rate + value * rate, force=prediction.force + value * p.mass_kg * force
+            )
         return prediction
 
     def residual(self, p: Parameters) -> Array:
         """Measured less predicted rates and specific forces at ``p``, (blocks, 6)."""
         return self._residual(p, self._predict(p))
 
-    def _residual(self, p: Parameters, prediction: _Prediction) -> Array:
+    def _residual(self, p: Parameters, prediction: Predicted) -> Array:
         force = prediction.force / p.mass_kg + p.force_bias_m_s2
         return np.concatenate([self.rate - prediction.rate, self.force - force], axis=1)
 
-    def evaluate(self, p: Parameters, options: Options) -> tuple[Array, Array, tuple[str, ...]]:
+    def evaluate(self, p: Parameters, options: FitOptions) -> tuple[Array, Array, tuple[str, ...]]:
         """Residuals (blocks, 6) and sensitivities d(prediction)/d(parameter) (blocks, 6, P) at ``p``, with names."""
-        inverse = np.asarray(np.linalg.inv(p.tensor), dtype=float)
         prediction = self._predict(p)
-        wrench, impulse = prediction.wrench, prediction.impulse
-        table: dict[str, tuple[Array, Array]] = {}
-        blank = np.zeros((len(wrench), 3))
-        table["mass_kg"] = blank, -prediction.force / p.mass_kg**2
-        for name, basis, column in zip(TENSOR, BASIS, np.moveaxis(self._gyroscopic, -1, 0), strict=True):
-            table[name] = -(prediction.rate @ basis.T + column) @ inverse.T, blank
-
-        def difference(on_grid: tuple[Array, Array], delay: float, step: float) -> tuple[Array, Array]:
-            moved = self._thrusts(on_grid, delay)
-            d_impulse = (moved[1] - impulse) / step
-            torque = d_impulse[:, 1:].copy()
-            torque[:, :2] += np.stack([-p.com_m[1], p.com_m[0]]) * d_impulse[:, :1]
-            force = blank.copy()
-            force[:, 2] = (moved[0] - wrench)[:, 0] / step / p.mass_kg
-            return torque @ inverse.T, force
-
-        up, down, slope, delay = p.lag_up_s, p.lag_down_s, p.lag_slope, p.delay_s
-        step = max(1e-3, 0.02 * max(up, down))
-        if options.delay:
-            table["input_delay_s"] = difference(prediction.on_grid, delay + 1e-3, 1e-3)
-        if options.lag and options.symmetric_lag:
-            table["rotor_lag_s"] = difference(self._wrench(up + step, down + step, slope), delay, step)
-        elif options.lag:
-            table["rotor_lag_up_s"] = difference(self._wrench(up + step, down, slope), delay, step)
-            table["rotor_lag_down_s"] = difference(self._wrench(up, down + step, slope), delay, step)
-            table["rotor_lag_slope"] = difference(self._wrench(up, down, slope + 0.05), delay, 0.05)
-        self.add_offsets(table, inverse, impulse[:, 0], options)
-        for term, (integral, push) in zip(self.extra, self._extra, strict=True):
-            torque = integral[:, 3:] - np.cross(p.com_m, integral[:, :3])
-            table[term.name] = torque @ inverse.T, push / p.mass_kg
-        return self._residual(p, prediction), stacked(table), tuple(table)
-
-    def add_offsets(
-        self, table: dict[str, tuple[Array, Array]], inverse: Array, impulse: Array, options: Options
-    ) -> None:
-        """Put in the sensitivities to centre of mass, yaw trim and accelerometer bias."""
-        blank = np.zeros((len(impulse), 3))
-
-        def along(axis: int, values: Array | float) -> Array:
-            out = blank.copy()
-            out[:, axis] = values
-            return out
-
-        if options.com:
-            table["com_offset_x_m"] = along(1, impulse) @ inverse.T, blank
-            table["com_offset_y_m"] = along(0, -impulse) @ inverse.T, blank
-        if options.yaw_trim:
-            table["yaw_trim_nm"] = along(2, self._elapsed) @ inverse.T, blank
-        for axis, letter in enumerate("xyz"):
-            if axis + 3 in options.channels:
-                table[f"accel_bias_{letter}_m_s2"] = blank, along(axis, 1.0)
+        found = measured_sensitivities(Measured(self, p, prediction), options)
+        return self._residual(p, prediction), stacked(found), tuple(found)
 
 
 @njit(cache=True)
@@ -346,25 +275,3 @@ def _blocks(record: DynamicRecord) -> tuple[NDArray[np.int64], Mask]:
             restarts += [True] + [False] * (count - 1)
     empty = np.zeros((0, record.block), dtype=np.int64)
     return (np.concatenate(members) if members else empty), np.array(restarts, dtype=bool)
-
-
-def stacked(table: dict[str, tuple[Array, Array]]) -> Array:
-    """Columns (rate, force) of each parameter side by side, (blocks, 6, P)."""
-    return np.stack([np.concatenate(pair, axis=1) for pair in table.values()], axis=-1)
-
-
-def initial_parameters(vehicle: Vehicle, *, lag_s: float, extra: int = 0) -> Parameters:
-    """The declared vehicle with a starting lag (where none is declared); speeds that were measured have their lag behind them."""
-    rotors = vehicle.rotors
-    measured = rotors.input == "rotor_speed" and rotors.speed_source == "telemetry"
-    return Parameters(
-        mass_kg=vehicle.mass_kg,
-        tensor=vehicle.inertia_tensor(),
-        lag_up_s=0.0 if measured else rotors.lag.up_s or lag_s,
-        lag_down_s=0.0 if measured else rotors.lag.down_s or lag_s,
-        delay_s=0.0,
-        com_m=np.zeros(3),
-        yaw_trim_nm=0.0,
-        force_bias_m_s2=np.zeros(3),
-        extra=np.zeros(extra),
-    )

@@ -35,10 +35,10 @@ from numpy.typing import NDArray
 
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored
-from groundstation.identification.record_model import TENSOR
 from groundstation.identification.regressors import inertia_columns, rate_products
 from groundstation.identification.results import Estimate
 from groundstation.identification.uncertainty import SMOOTHING_HZ, coloured_covariance
+from groundstation.model.parameters import TENSOR
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]

@@ -38,7 +38,7 @@ class Estimate:
         return cls(float(value), float(std), (float(value - 1.959964 * std), float(value + 1.959964 * std)))
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form of flight-bundle.md."""
+        """JSON form of docs/formats.md."""
         return {"value": self.value, "std": self.std, "ci95": list(self.ci95)}
 
 
@@ -65,7 +65,7 @@ class MethodResult:
         return replace(self, parameters={key: value for key, value in self.parameters.items() if key not in names})
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON form of flight-bundle.md."""
+        """JSON form of docs/formats.md."""
         return {
             "parameters": {name: estimate.to_dict() for name, estimate in self.parameters.items()},
             "condition_number": self.condition_number,
@@ -164,7 +164,7 @@ class Identification(Tabular):
         return f"{self.flight}: {self.vehicle}, identified by {self.best}, 95 % intervals"
 
     def to_dict(self) -> dict[str, Any]:
-        """The document ``identify --json`` prints (flight-bundle.md)."""
+        """The document ``identify --json`` prints (docs/formats.md)."""
         clock = self.clock
         return {
             "schema": "groundstation.identification/1",

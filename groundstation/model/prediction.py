@@ -8,7 +8,7 @@ identified model carries on (:mod:`.disturbance`).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from groundstation.frames import (
     quat_rotate_inverse,
 )
 from groundstation.model.disturbance import Carried, TurningDisturbance, carried, fading, gains
+from groundstation.model.parameters import FREE, RIGID_BODY, Parameters, declared_parameters
 from groundstation.model.predictive import PredictiveModel, simulate
 from groundstation.model.rotors import (
     MotorInput,
@@ -80,6 +81,21 @@ def declared_model(vehicle: Vehicle) -> VehicleModel:
     return VehicleModel(vehicle, vehicle.mass_kg, vehicle.inertia_tensor(), lag.up_s, lag.down_s)
 
 
+DAMPING = ("damping_x_nms", "damping_y_nms", "damping_z_nms")
+CLIMB_DAMPING = "damping_climb_kg_s"
+"""Of the fit's wrench terms: names in a model document."""
+
+
+def _parameters(vehicle: Vehicle, values: Mapping[str, float], *, offsets: bool) -> Parameters:
+    """The declared parameters with those that are named; without ``offsets`` the effects of a document say those."""
+    lag = vehicle.rotors.lag
+    p = replace(declared_parameters(vehicle), lag_up_s=lag.up_s, lag_down_s=lag.down_s)
+    for entry in FREE:
+        if entry.name in values and (offsets or not entry.offset):
+            p = entry.put(p, values[entry.name])
+    return p
+
+
 def model_from_document(document: Mapping[str, Any], vehicle: Vehicle, wrench: Wrench | None = None) -> VehicleModel:
     """The model in an ``identification.toml``; what it does not hold is as declared.
 
@@ -93,50 +109,35 @@ def model_from_document(document: Mapping[str, Any], vehicle: Vehicle, wrench: W
         for part in ("parameters", "model")
         for name, entry in document.get(part, {}).items()
     }
-    declared = vehicle.inertia_kg_m2
-
-    def entry(name: str) -> float:
-        own = values.get(f"i{name}_kg_m2")
-        return float(getattr(declared, name)) if own is None else own
-
-    tensor = np.array(
-        [
-            [entry("xx"), entry("xy"), entry("xz")],
-            [entry("xy"), entry("yy"), entry("yz")],
-            [entry("xz"), entry("yz"), entry("zz")],
-        ]
-    )
-    if not all(f"i{name}_kg_m2" in values for name in ("xx", "yy", "zz", "xy", "xz", "yz")):
-        tensor = nearest_mixture(tensor, vehicle.inertia_tensor())
-    if np.linalg.eigvalsh(tensor)[0] <= 0.0:
+    effects = document.get("effects", {})
+    for name in ("motor_lag", "input_delay"):
+        values |= {key: float(entry["value"]) for key, entry in effects.get(name, {}).items()}
+    p = _parameters(vehicle, values, offsets=wrench is None)
+    if not all(name in values for name in RIGID_BODY[1:]):
+        p = replace(p, tensor=nearest_mixture(p.tensor, vehicle.inertia_tensor()))
+    if np.linalg.eigvalsh(p.tensor)[0] <= 0.0:
         raise BadInput("the model's inertia tensor is not positive definite; identify on a flight that reveals it.")
-    lagged = {k: v["value"] for k, v in document.get("effects", {}).get("motor_lag", {}).items()} | {
-        k: v["value"] for k, v in document.get("effects", {}).get("input_delay", {}).items()
-    }
     scale = 1.0
     if "thrust_coefficient_n_s2" in values and vehicle.rotors.thrust_coefficient_n_s2:
         scale = values["thrust_coefficient_n_s2"] / vehicle.rotors.thrust_coefficient_n_s2
     elif "thrust_curve_c1_n" in values and vehicle.rotors.thrust_curve is not None:
         curve = tuple(values.get(f"thrust_curve_c{i}_n", c) for i, c in enumerate(vehicle.rotors.thrust_curve))
         vehicle = vehicle.model_copy(update={"rotors": vehicle.rotors.model_copy(update={"thrust_curve": curve})})
-    free = wrench is None
+    damping = {name: values.get(name, 0.0) if wrench is None else 0.0 for name in (*DAMPING, CLIMB_DAMPING)}
+    x, y, z = (damping[name] for name in DAMPING)
     return VehicleModel(
         vehicle=vehicle,
-        mass_kg=values.get("mass_kg", vehicle.mass_kg),
-        tensor=tensor,
-        lag_up_s=lagged.get("rotor_lag_up_s", values.get("rotor_lag_up_s", vehicle.rotors.lag.up_s)),
-        lag_down_s=lagged.get("rotor_lag_down_s", values.get("rotor_lag_down_s", vehicle.rotors.lag.down_s)),
-        lag_slope=lagged.get("rotor_lag_slope", values.get("rotor_lag_slope", 0.0)),
-        delay_s=lagged.get("input_delay_s", values.get("input_delay_s", 0.0)),
+        mass_kg=p.mass_kg,
+        tensor=p.tensor,
+        lag_up_s=p.lag_up_s,
+        lag_down_s=p.lag_down_s,
+        lag_slope=p.lag_slope,
+        delay_s=p.delay_s,
         thrust_scale=scale,
-        com_m=(values.get("com_offset_x_m", 0.0), values.get("com_offset_y_m", 0.0), 0.0) if free else (0.0, 0.0, 0.0),
-        yaw_trim_nm=values.get("yaw_trim_nm", 0.0) if free else 0.0,
-        damping_nms=(
-            (values.get("damping_x_nms", 0.0), values.get("damping_y_nms", 0.0), values.get("damping_z_nms", 0.0))
-            if free
-            else (0.0, 0.0, 0.0)
-        ),
-        climb_damping_kg_s=values.get("damping_climb_kg_s", 0.0) if free else 0.0,
+        com_m=(float(p.com_m[0]), float(p.com_m[1]), 0.0),
+        yaw_trim_nm=p.yaw_trim_nm,
+        damping_nms=(x, y, z),
+        climb_damping_kg_s=damping[CLIMB_DAMPING],
         wrench=wrench,
         disturbance=TurningDisturbance.from_dict(document["disturbance"]) if "disturbance" in document else None,
     )
@@ -189,7 +190,7 @@ class Prediction(Tabular):
     predictor: str = "the physical model"
 
     def to_dict(self) -> dict[str, Any]:
-        """The document ``predict --json`` prints (flight-bundle.md)."""
+        """The document ``predict --json`` prints (docs/formats.md)."""
         return {
             "schema": "groundstation.prediction/1",
             "horizon_s": self.horizon_s,

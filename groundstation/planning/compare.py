@@ -84,7 +84,7 @@ class Comparison:
             lines.append(
                 f"{e.family:<14} {e.top_frequency_hz:6.2f} {e.condition_number:8.2f} {e.mass_percent:7.3f} "
                 f"{e.inertia_percent:9.2f} {e.products_percent:10.2f} {1e3 * std.get('rotor_lag_s', math.nan):7.2f} "
-                f"{1e3 * max(std.get('com_x_m', 0.0), std.get('com_y_m', 0.0)):9.3f} "
+                f"{1e3 * max(std.get('com_offset_x_m', 0.0), std.get('com_offset_y_m', 0.0)):9.3f} "
                 f"{max(std.get('d_x_kg_s', 0.0), std.get('d_y_kg_s', 0.0)):9.4f}"
             )
         lines += [f"{e.family}: {e.text}" for e in self.entries if e.plan is not None]

@@ -9,7 +9,7 @@ System Identification, 2nd ed., ch. 13)
 
 The noise is what every flight has: a disturbance of the air with a memory of its own, and the gyro's noise, which reaches
 the torque equation through the derivative that turns rates into angular acceleration. Effects (identifiers of
-``docs/effects.md``) may be added as further parameters: then every standard deviation is the one with them estimated too.
+``docs/diagnosis.md``) may be added as further parameters: then every standard deviation is the one with them estimated too.
 """
 
 from __future__ import annotations
@@ -152,16 +152,16 @@ def effect_parameters(vehicle: Vehicle, effect: str) -> tuple[Parameter, ...]:
             Parameter(f"d_{'xy'[i]}_kg_s", 0.2 * vehicle.mass_kg, (Column(i, _unit(_VELOCITY + i)),)) for i in range(2)
         ),
         "com_offset": lambda: (
-            Parameter("com_x_m", 0.02 * arm, (Column(4, -heavy),)),
-            Parameter("com_y_m", 0.02 * arm, (Column(3, heavy),)),
+            Parameter("com_offset_x_m", 0.02 * arm, (Column(4, -heavy),)),
+            Parameter("com_offset_y_m", 0.02 * arm, (Column(3, heavy),)),
         ),
         "angular_damping": lambda: tuple(
-            Parameter(f"damping_{'xyz'[i]}_nm_s", 0.7 * float(moments[i]), (Column(3 + i, _unit(_RATE + i)),))
+            Parameter(f"damping_{'xyz'[i]}_nms", 0.7 * float(moments[i]), (Column(3 + i, _unit(_RATE + i)),))
             for i in range(3)
         ),
         "flapping_moment": lambda: (
             Parameter(
-                "flapping_n_s",
+                "k_nm_s_m",
                 0.01 * weight * arm,
                 (Column(3, -_unit(_VELOCITY + 1)), Column(4, _unit(_VELOCITY))),
             ),

@@ -64,7 +64,7 @@ class Recording:
 
     Attributes:
         name: of the flight.
-        streams: the streams of the flight-bundle contract, with its columns in its order.
+        streams: the streams of the docs/formats.md, with its columns in its order.
         extras: other columns of numbers, under the name of their stream (same times), and streams of other names.
         texts: other columns of texts under the name of their stream, and "events", "raw", "status".
         files: vehicle.toml, plan.toml, truth.toml where known, and every other file, verbatim.

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.effect import library
 from groundstation.errors import BadInput
 from groundstation.paths import find_config
 from groundstation.reporting.identified import Identified, as_rigid_body
@@ -78,11 +79,11 @@ def _body_drag(v: Values, model: Identified) -> Held:
 
 
 def _flapping(v: Values, model: Identified) -> Held:
-    return Held("flapping_moment", {"moment_n_s": v["k_nm_s_m"]}, "its moment also falls with rotor speed there")
+    return Held("flapping_moment", {"k_nm_s_m": v["k_nm_s_m"]}, "its moment also falls with rotor speed there")
 
 
 def _damping(v: Values, model: Identified) -> Held:
-    return Held("angular_damping", {"linear_nm_s": [v[f"damping_{axis}_nms"] for axis in "xyz"]})
+    return Held("angular_damping", {"damping_nms": [v[f"damping_{axis}_nms"] for axis in "xyz"]})
 
 
 def _translational_lift(v: Values, model: Identified) -> Held:
@@ -268,8 +269,11 @@ def scenario_document(model: Identified) -> tuple[Table, list[str]]:
     for name, values in model.effects.items():
         identifier = name.partition("/")[0]
         mapper = MAPPERS.get(identifier)
+        effect = library().get(identifier)
         held = None if mapper is None else mapper(values, model)
-        if mapper is None:
+        if effect is not None and effect.scenario is not None:
+            effects |= dict([effect.scenario(values, model.vehicle)])
+        elif mapper is None:
             lost.append(f"{identifier}: the simulator has no form of it")
         elif held is not None and held.effect in effects:
             lost.append(f"{name}: the simulator holds one {held.effect} only, and has it already")

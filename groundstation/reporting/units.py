@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 from groundstation.identification.results import Estimate
+from groundstation.model.parameters import table
 
 UNITS: Mapping[str, str] = {
     "kg_m2": "kg m²",
@@ -45,15 +46,15 @@ _PREFIXED = {"s", "m", "N", "N m", "rad", "rad/s", "V", "A"}
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 _LABELS: Mapping[str, str] = {
-    "mass": "mass",
-    "com_offset_x": "centre of mass x",
-    "com_offset_y": "centre of mass y",
     "com_offset_z": "centre of mass z",
     "torque_to_thrust": "torque to thrust",
     "x": "x",
     "y": "y",
     "z": "z",
 }
+
+
+_FITTED: Mapping[str, str] = {name: entry.label for name, entry in table().items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,10 +76,10 @@ def split_unit(name: str) -> tuple[str, str]:
 def label(name: str) -> str:
     """A parameter or signal in words: "ixx_kg_m2" is "Ixx", "rotor_lag_up_s" is "rotor lag up"."""
     stem, _ = split_unit(name)
+    if name in _FITTED:
+        return _FITTED[name]
     if stem in _LABELS:
         return _LABELS[stem]
-    if len(stem) == 3 and stem[0] == "i" and set(stem[1:]) <= set("xyz"):
-        return "I" + stem[1:]
     return stem.replace("_", " ")
 
 

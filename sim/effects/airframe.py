@@ -26,11 +26,11 @@ class AngularDamping(NamedTuple):
     """Moment against the body rate: linear from the rotors' inflow when their hubs rise and fall, quadratic from the arms.
 
     Attributes:
-        linear_nm_s: about body x, y, z.
+        damping_nms: about body x, y, z.
         quadratic_nm_s2: about body x, y, z.
     """
 
-    linear_nm_s: tuple[float, float, float] = (0.01, 0.01, 0.005)
+    damping_nms: tuple[float, float, float] = (0.01, 0.01, 0.005)
     quadratic_nm_s2: tuple[float, float, float] = (0.0, 0.0, 0.0)
     on: bool = True
 
@@ -60,7 +60,7 @@ def body_drag(p: BodyDrag, u: Vector, density: float) -> Vector:
 @compiled
 def angular_damping(p: AngularDamping, w: Vector) -> Vector:
     """Moment in the body."""
-    a, b = p.linear_nm_s, p.quadratic_nm_s2
+    a, b = p.damping_nms, p.quadratic_nm_s2
     return (
         -(a[0] + b[0] * abs(w[0])) * w[0],
         -(a[1] + b[1] * abs(w[1])) * w[1],

@@ -40,10 +40,10 @@ class FlappingMoment(NamedTuple):
     M = -k_beta a_1(mu) with a_1 proportional to mu = V/(Omega R) (Prouty 1990, ch. 7), so the moment goes with V/Omega.
 
     Attributes:
-        moment_n_s: moment per air speed of the whole vehicle in hover, N m per m/s.
+        k_nm_s_m: moment per air speed of the whole vehicle in hover, N m per m/s.
     """
 
-    moment_n_s: float = 0.02
+    k_nm_s_m: float = 0.02
     on: bool = True
 
 
@@ -131,5 +131,5 @@ def hub_drag(p: RotorDrag, u: Vector, speed_ratio: float, hover_inflow: float, r
 @compiled
 def hub_moment(p: FlappingMoment, u: Vector, speed_ratio: float, rotors: int) -> Vector:
     """Moment of one hub in the body: -M e_z x u, which lifts the side that leads."""
-    m = p.moment_n_s / (rotors * max(speed_ratio, 0.2))
+    m = p.k_nm_s_m / (rotors * max(speed_ratio, 0.2))
     return (m * u[1], -m * u[0], 0.0)

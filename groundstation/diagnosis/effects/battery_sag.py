@@ -28,4 +28,5 @@ EFFECT = Effect(
     confused_with=("payload_change", "ground_effect"),
     manoeuvre="hover at one height early and late, with hard climbs that pull the voltage down in between",
     applies=is_commanded,
+    shared_by_healthy=5,
 )

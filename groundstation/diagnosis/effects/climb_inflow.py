@@ -38,4 +38,5 @@ EFFECT = Effect(
     confused_with=("body_drag", "thrust_curve"),
     manoeuvre="climb and sink at several speeds, away from the floor",
     finer=lambda settings: tuple({"curvature_s_m": float(b)} for b in CURVATURES_S_M),
+    shared_by_healthy=3,
 )

@@ -38,4 +38,5 @@ EFFECT = Effect(
     sentence="The centre of mass lies {com_offset_x_m} m forward and {com_offset_y_m} m left of the declared origin.",
     confused_with=("weak_rotor", "constant_wrench"),
     manoeuvre="climb and sink hard: the torque of an offset grows with total thrust; yaw both ways to exclude a weak rotor",
+    shared_by_healthy=0,
 )

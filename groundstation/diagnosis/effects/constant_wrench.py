@@ -43,4 +43,5 @@ EFFECT = Effect(
     ),
     confused_with=("com_offset", "weak_rotor", "wind"),
     manoeuvre="climb and sink hard: a torque that stays the same while thrust changes is not a centre of mass",
+    shared_by_healthy=1,
 )

@@ -29,4 +29,5 @@ EFFECT = Effect(
     sentence="Flying forward lifts the nose with {k_nm_s_m} N m per m/s.",
     confused_with=("com_offset", "angular_damping"),
     manoeuvre="long straight legs at constant speed in four directions",
+    bends_base=1,
 )

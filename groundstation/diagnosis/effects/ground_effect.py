@@ -22,7 +22,7 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
 EFFECT = Effect(
     identifier="ground_effect",
     equation="T = T_0 (1 + k (R / z)^2)",
-    source="Sanchez-Cuevas, Heredia, Ollero 2017, eq. 4 (first term); form of effects.md",
+    source="Sanchez-Cuevas, Heredia, Ollero 2017, eq. 4 (first term)",
     parameters=(ParameterInfo("strength", lambda v: 3.0, (0.0, MOST)),),
     wrench=_wrench,
     sentence="Near the floor the rotors lift more: a fraction {strength} of thrust at one rotor radius, falling with height squared.",

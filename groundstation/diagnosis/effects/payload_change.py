@@ -45,4 +45,5 @@ EFFECT = Effect(
     variants=_variants,
     finer=partial(sharper, instant="at_s"),
     settled=_settled,
+    instants=("at_s",),
 )

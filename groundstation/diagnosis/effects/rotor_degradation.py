@@ -51,4 +51,6 @@ EFFECT = Effect(
     variants=_variants,
     finer=partial(sharper, instant="from_s"),
     applies=has_rotors,
+    instants=("from_s",),
+    of_one_rotor=True,
 )

@@ -36,4 +36,5 @@ EFFECT = Effect(
     variants=lambda signals, vehicle: ({}, {"isotropic": 1.0}),
     confused_with=("wind", "body_drag", "tether"),
     manoeuvre="fly back and forth at several speeds, both axes, and hover in between",
+    shared_by_healthy=2,
 )

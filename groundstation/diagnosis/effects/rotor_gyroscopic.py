@@ -36,4 +36,5 @@ EFFECT = Effect(
     confused_with=("motor_lag", "angular_damping"),
     manoeuvre="brisk yaw reversals: spin-up reaction leads the aerodynamic torque",
     applies=_speed_known,
+    bends_base=0,
 )

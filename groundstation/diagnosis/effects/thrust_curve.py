@@ -35,4 +35,5 @@ EFFECT = Effect(
     manoeuvre="hard climbs and drops: thrust far from hover, with little speed",
     applies=has_rotors,
     finer=lambda settings: tuple({"about": float(e)} for e in EXPONENTS),
+    shared_by_healthy=4,
 )

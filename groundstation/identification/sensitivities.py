@@ -1,0 +1,252 @@
+"""What each parameter of the table (:mod:`groundstation.model.parameters`) changes of the rates and specific forces.
+
+Two forms: along the measured motion, and along the planned one, which owes nothing to a flight's disturbances (the instruments).
+Each gives d(prediction)/d(parameter) as rates (blocks, 3) and specific forces (blocks, 3) at the fit's rate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.model.parameters import BASIS, TENSOR, FitOptions, Parameters, free_entries
+
+if TYPE_CHECKING:
+    from groundstation.identification.record_model import Predicted, RecordModel
+
+Array = NDArray[np.float64]
+Pair = tuple[Array, Array]
+
+
+class Point:
+    """A record's model at given parameters.
+
+    Attributes:
+        inverse: of the tensor, (3, 3). blank: no change, (blocks, 3).
+    """
+
+    def __init__(self, model: RecordModel, p: Parameters):
+        self.model = model
+        self.p = p
+        self.inverse = np.asarray(np.linalg.inv(p.tensor), dtype=float)
+        self.blank = np.zeros((len(model.t_s), 3))
+
+    def along(self, axis: int, values: Array | float) -> Array:
+        """Values on one axis, (blocks, 3)."""
+        out = self.blank.copy()
+        out[:, axis] = values
+        return out
+
+    @property
+    def impulse(self) -> Array:
+        """Running integral of the rotors' total thrust, (blocks,)."""
+        raise NotImplementedError
+
+
+class Measured(Point):
+    """Along the measured motion: sensitivities are analytic, those of lag and delay are differences of the exact lag."""
+
+    def __init__(self, model: RecordModel, p: Parameters, prediction: Predicted):
+        super().__init__(model, p)
+        self.prediction = prediction
+
+    @property
+    def impulse(self) -> Array:
+        """Of the predicted thrust."""
+        return self.prediction.impulse[:, 0]
+
+    @property
+    def lag_step_s(self) -> float:
+        """Of a difference by a lag."""
+        return max(1e-3, 0.02 * max(self.p.lag_up_s, self.p.lag_down_s))
+
+    def difference(self, on_grid: tuple[Array, Array], delay_s: float, step: float) -> Pair:
+        """Of other thrusts on the motors' grid, or later ones, per ``step``."""
+        p, wrench = self.p, self.prediction.wrench
+        other = self.model.thrusts(on_grid, delay_s)
+        impulse = (other[1] - self.prediction.impulse) / step
+        torque = impulse[:, 1:].copy()
+        torque[:, :2] += np.stack([-p.com_m[1], p.com_m[0]]) * impulse[:, :1]
+        force = self.blank.copy()
+        force[:, 2] = (other[0] - wrench)[:, 0] / step / p.mass_kg
+        return torque @ self.inverse.T, force
+
+    def other_lag(self, *, up_s: float = 0.0, down_s: float = 0.0, slope: float = 0.0) -> Pair:
+        """Per unit of a lag or its slope, by one step of it."""
+        p = self.p
+        on_grid = self.model.on_grid(p.lag_up_s + up_s, p.lag_down_s + down_s, p.lag_slope + slope)
+        return self.difference(on_grid, p.delay_s, max(up_s, down_s, slope))
+
+
+class Planned(Point):
+    """Along the planned motion.
+
+    A thrust y behind a lag: y' = (u - y) / tau, so dy/dtau = -y' through the same lag, of rising or falling rotors. Where its rate is
+    (1 + s x) / tau, dy/ds = tau x y' through the lag, with x of the command u = y + tau y' above hover's.
+    """
+
+    def __init__(self, model: RecordModel, p: Parameters):
+        super().__init__(model, p)
+        if model.planned is None:
+            raise ValueError("no planned motion was given for this record")
+        plan = self.plan = model.planned
+        rate = plan.rate_rad_s
+        self.thrust = p.mass_kg * plan.specific_thrust_m_s2[:, None]
+        torque = plan.angular_acceleration_rad_s2 @ p.tensor + np.cross(rate, rate @ p.tensor)
+        self.wrench = np.concatenate([self.thrust, torque], axis=1)
+
+    @cached_property
+    def impulse(self) -> Array:
+        """Of the planned thrust."""
+        return self.model.integrated(self.thrust)[:, 0]
+
+    @cached_property
+    def mean_rate(self) -> Array:
+        """(blocks, 3)."""
+        return self.model.average(self.plan.rate_rad_s)
+
+    @cached_property
+    def gyroscopic(self) -> Array:
+        """(6, blocks, 3)."""
+        return np.moveaxis(self.model.integrated_gyroscopic(self.plan.rate_rad_s), -1, 0)
+
+    @cached_property
+    def slope(self) -> Array:
+        """Rate of change of the planned wrench, (k, 4)."""
+        return np.asarray(np.gradient(self.wrench, self.model.record.t_s, axis=0), dtype=float)
+
+    @cached_property
+    def to_rotors(self) -> Array:
+        """From wrench to rotors' thrusts, (4, n)."""
+        return np.asarray(np.linalg.pinv(self.model.matrix).T, dtype=float)
+
+    @cached_property
+    def by_rotor(self) -> Array:
+        """Rate of change of each rotor's thrust, (k, n)."""
+        return self.slope @ self.to_rotors
+
+    @cached_property
+    def rising(self) -> Array:
+        """Of rotors that speed up, behind their lag, (k, n)."""
+        return self.behind_lag(np.maximum(self.by_rotor, 0.0), self.p.lag_up_s)
+
+    @cached_property
+    def falling(self) -> Array:
+        """Of rotors that slow down, behind their lag, (k, n)."""
+        return self.behind_lag(np.minimum(self.by_rotor, 0.0), self.p.lag_down_s)
+
+    def later(self, values: Array) -> Pair:
+        """What a wrench (k, 4) that is taken away changes."""
+        mean = self.model.integrated(values)
+        return -mean[:, 1:] @ self.inverse.T, self.along(2, -self.model.average(values)[:, 0] / self.p.mass_kg)
+
+    def later_rotors(self, thrusts: Array) -> Pair:
+        """The same of rotors' thrusts (k, n)."""
+        return self.later(thrusts @ self.model.matrix.T)
+
+    def behind_lag(self, values: Array, lag_s: float) -> Array:
+        """Columns at the IMU's stamps through a first-order lag, shape kept."""
+        from scipy.signal import lfilter
+
+        if lag_s < 1e-4:
+            return values
+        keep = np.exp(-float(np.median(np.diff(self.model.record.t_s))) / lag_s)
+        return np.asarray(lfilter([1.0 - keep], [1.0, -keep], values, axis=0), dtype=float)
+
+
+def _measured_entry(index: int) -> Callable[[Measured], Pair]:
+    def sensitivity(at: Measured) -> Pair:
+        column = at.model.gyroscopic[:, :, index]
+        return -(at.prediction.rate @ BASIS[index].T + column) @ at.inverse.T, at.blank
+
+    return sensitivity
+
+
+def _planned_entry(index: int) -> Callable[[Planned], Pair]:
+    return lambda at: (-(at.mean_rate @ BASIS[index].T + at.gyroscopic[index]) @ at.inverse.T, at.blank)
+
+
+def _planned_slope(at: Planned) -> Pair:
+    p, model = at.p, at.model
+    asked = at.wrench @ at.to_rotors + np.where(at.by_rotor > 0.0, p.lag_up_s, p.lag_down_s) * at.by_rotor
+    above = model.record.vehicle.motor_for_thrust(asked) / model.record.motors.hover - 1.0
+    change = p.lag_up_s * at.behind_lag(above * at.rising, p.lag_up_s)
+    change += p.lag_down_s * at.behind_lag(above * at.falling, p.lag_down_s)
+    return at.later_rotors(-change)
+
+
+def _forces_alone(pair: Pair) -> Pair:
+    return np.zeros_like(pair[0]), pair[1]
+
+
+def _accel_bias(axis: int) -> Callable[[Point], Pair]:
+    return lambda at: (at.blank, at.along(axis, 1.0))
+
+
+EITHER: dict[str, Callable[[Point], Pair]] = {
+    "com_offset_x_m": lambda at: (at.along(1, at.impulse) @ at.inverse.T, at.blank),
+    "com_offset_y_m": lambda at: (at.along(0, -at.impulse) @ at.inverse.T, at.blank),
+    "yaw_trim_nm": lambda at: (at.along(2, at.model.elapsed_s) @ at.inverse.T, at.blank),
+    "accel_bias_x_m_s2": _accel_bias(0),
+    "accel_bias_y_m_s2": _accel_bias(1),
+    "accel_bias_z_m_s2": _accel_bias(2),
+}
+"""Of parameters that act alike along either motion."""
+
+MEASURED: dict[str, Callable[[Measured], Pair]] = {
+    "mass_kg": lambda at: (at.blank, -at.prediction.force / at.p.mass_kg**2),
+    **{name: _measured_entry(index) for index, name in enumerate(TENSOR)},
+    "input_delay_s": lambda at: at.difference(at.prediction.on_grid, at.p.delay_s + 1e-3, 1e-3),
+    "rotor_lag_s": lambda at: at.other_lag(up_s=at.lag_step_s, down_s=at.lag_step_s),
+    "rotor_lag_up_s": lambda at: at.other_lag(up_s=at.lag_step_s),
+    "rotor_lag_down_s": lambda at: at.other_lag(down_s=at.lag_step_s),
+    "rotor_lag_slope": lambda at: at.other_lag(slope=0.05),
+    "accel_delay_s": lambda at: _forces_alone(MEASURED["input_delay_s"](at)),
+}
+
+PLANNED: dict[str, Callable[[Planned], Pair]] = {
+    "mass_kg": lambda at: (at.blank, at.along(2, -at.model.average(at.thrust)[:, 0] / at.p.mass_kg**2)),
+    **{name: _planned_entry(index) for index, name in enumerate(TENSOR)},
+    "input_delay_s": lambda at: at.later(at.slope),
+    "rotor_lag_s": lambda at: at.later_rotors(at.rising + at.falling),
+    "rotor_lag_up_s": lambda at: at.later_rotors(at.rising),
+    "rotor_lag_down_s": lambda at: at.later_rotors(at.falling),
+    "rotor_lag_slope": _planned_slope,
+    "accel_delay_s": lambda at: _forces_alone(PLANNED["input_delay_s"](at)),
+}
+
+
+def sensitivity_of(name: str) -> Callable[[Measured], Pair]:
+    """Of one parameter, along the measured motion."""
+    return EITHER[name] if name in EITHER else MEASURED[name]
+
+
+def measured_sensitivities(at: Measured, options: FitOptions) -> dict[str, Pair]:
+    """Of each parameter that is free, and of each wrench term of the model, by name."""
+    found = {entry.name: sensitivity_of(entry.name)(at) for entry in free_entries(options)}
+    for term, (integral, push) in zip(at.model.extra, at.model.extra_means, strict=True):
+        torque = integral[:, 3:] - np.cross(at.p.com_m, integral[:, :3])
+        found[term.name] = torque @ at.inverse.T, push / at.p.mass_kg
+    return found
+
+
+def planned_sensitivities(model: RecordModel, p: Parameters, options: FitOptions) -> Array:
+    """Those of a record's plan at ``p``, shape (blocks, 6, P), columns as in :meth:`.RecordModel.evaluate`."""
+    at = Planned(model, p)
+    found = {
+        entry.name: EITHER[entry.name](at) if entry.name in EITHER else PLANNED[entry.name](at)
+        for entry in free_entries(options)
+    }
+    for term, wrench in zip(model.extra, at.plan.extra, strict=True):
+        mean = model.integrated(wrench)
+        found[term.name] = mean[:, 3:] @ at.inverse.T, model.average(wrench[:, :3]) / p.mass_kg
+    return stacked(found)
+
+
+def stacked(found: dict[str, Pair]) -> Array:
+    """Columns (rate, force) of each parameter side by side, (blocks, 6, P)."""
+    return np.stack([np.concatenate(pair, axis=1) for pair in found.values()], axis=-1)
