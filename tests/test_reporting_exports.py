@@ -408,7 +408,7 @@ def test_hostile_names_break_no_format(format_name):
         ("a = [", "m.toml", "is not valid TOML"),
         ("[]", "m.json", "schema None"),
         ('schema = "other/1"', "m.toml", "'other/1'"),
-        ('schema = "groundstation.model/1"', "m.toml", "lacks 'vehicle'"),
+        ('schema = "groundstation.model/1"', "m.toml", "vehicle: Field required"),
     ],
 )
 def test_bad_model_files_get_one_sentence(tmp_path, content, name, message):
