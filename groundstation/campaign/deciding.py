@@ -60,7 +60,7 @@ def next_plan(
         from groundstation.diagnosis.next_flight import odds_sentence, plan_next
 
         try:
-            bounds = {name: value for name, value in limits.items() if name != "frequency_max_hz"}
+            bounds: dict[str, Any] = {name: value for name, value in limits.items() if name != "frequency_max_hz"}
             found = plan_next(diagnosis, vehicle, seed=seed, **bounds)
             return Decision(found.plan, f"to separate what is left open: {odds_sentence(found)}", separates=True)
         except GroundStationError:
@@ -112,11 +112,11 @@ def flights_needed(
 def as_estimated(vehicle: Vehicle, estimates: Mapping[str, Any]) -> Vehicle:
     """The vehicle with mass and inertia as they are known now; as declared where they are unknown or of no rigid body."""
     names = ("xx", "yy", "zz", "xy", "xz", "yz")
-    tensor = {n: float(estimates[f"i{n}_kg_m2"]["value"]) for n in names if f"i{n}_kg_m2" in estimates}
+    entries: dict[str, Any] = {n: getattr(vehicle.inertia_kg_m2, n) for n in names}
+    entries |= {n: float(estimates[f"i{n}_kg_m2"]["value"]) for n in names if f"i{n}_kg_m2" in estimates}
     mass = float(estimates["mass_kg"]["value"]) if "mass_kg" in estimates else vehicle.mass_kg
-    declared = vehicle.inertia_kg_m2
     try:
-        inertia = Inertia(**{n: tensor.get(n, getattr(declared, n)) for n in names})
+        inertia = Inertia(**entries)
         return vehicle.model_copy(update={"mass_kg": mass, "inertia_kg_m2": inertia}) if mass > 0.0 else vehicle
     except (ValueError, BadInput):
         return vehicle

@@ -289,7 +289,7 @@ def predict(
     for number, (name, each) in enumerate(predictors.items()):
         progress(number / 3.0, f"predicting with {name}")
         path = _path(each, states, index, horizons)
-        lost = ~np.isfinite(path[horizons[-1]]["rate"]).all(axis=1)
+        lost = np.asarray(~np.isfinite(path[horizons[-1]]["rate"]).all(axis=1))
         if name == "model" and 0.0 < lost.mean() <= 0.5:  # a few windows: constant velocity stands in, and that is said
             still = _constant(states, index, horizons)
             path = {h: {k: np.where(lost[:, None], still[h][k], x) for k, x in path[h].items()} for h in horizons}
