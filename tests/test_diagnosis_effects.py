@@ -23,8 +23,8 @@ from groundstation.diagnosis.effect import (
     wrench_of,
 )
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
-from groundstation.diagnosis.rivals import MATERIAL
 from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import quat_rotate
 from groundstation.identification.results import Estimate
 from groundstation.model.parameters import declared_parameters
@@ -152,7 +152,7 @@ def test_what_the_base_fit_or_the_sensors_show_has_a_least_size_and_a_sentence()
         if isinstance(effect, SensorEffect):
             assert {n for r in effect.readings for n in (*r.parameters, *r.beside)} == set(effect.names())
     scale = catalogue()["thrust_scale"]
-    assert isinstance(scale, FittedEffect) and scale.least == MATERIAL
+    assert isinstance(scale, FittedEffect) and scale.least == THRESHOLDS.material_share
 
 
 @pytest.mark.parametrize("name", sorted(library()))

@@ -10,9 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from drivers import bus
 from groundstation.flight.client.client import connect, outcome, running_cores, start_core
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.journal import read_journal
+from groundstation.flight.messages import CoreCommand
 from groundstation.paths import find_config
 from groundstation.recording.load import read_recording
 from groundstation.trajectory import coefficients_from_arrays, plan_from_dict
@@ -187,3 +189,20 @@ def test_a_lease_ends_with_its_holder(core):
             assert operator.take_lease().ok
         wait_for(lambda: guest.take_lease().ok, "the lease to be free")
         assert guest.command("abort").ok
+
+
+def test_a_flood_of_orders_is_limited_an_old_one_is_refused_and_an_abort_is_always_taken(core):
+    child, endpoint, folder = core(go=False)
+    with connect(endpoint, name="operator") as operator, connect(endpoint, name="guest") as guest:
+        flood = [guest.take_lease(force=True) for _ in range(60)]
+        assert 0 < sum("orders a second" in answer.reason for answer in flood) < 60
+        wait_for(lambda: operator.take_lease(force=True).ok, "the lease")
+        wait_for(lambda: (s := guest.status(1.0)) and s.phase == "checked", "checked")
+        assert all(not guest.command("start").ok for _ in range(40))  # costs the operator nothing
+        old = CoreCommand("start", "operator", 1)
+        assert "not newer" in bus.ask(guest._session, bus.CORE_COMMAND, old).reason
+        assert operator.status(1.0).phase == "checked"
+        assert not all(guest.take_lease().reason.startswith("client operator") for _ in range(60))
+        assert guest.command("abort").ok
+    assert child.wait(DEADLINE_S) == 4
+    assert outcome(folder)[1] == "aborted by guest"

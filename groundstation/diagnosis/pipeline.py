@@ -33,6 +33,7 @@ from groundstation.diagnosis.rivals import Entry
 from groundstation.diagnosis.scale import scale_findings
 from groundstation.diagnosis.screen import dependences, unexplained
 from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.timing import lag_findings
 from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
@@ -49,8 +50,6 @@ from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
-
-EVIDENCE_RATE_HZ = 50.0
 
 
 def diagnose(
@@ -168,7 +167,11 @@ def _by_trim(name: str, suspects: Sequence[Prepared], healthy: Sequence[Prepared
     """What mean thrusts say, where the rates that a dynamic comparison needs were not measured."""
     found = compare_trims(suspects, healthy)
     shares = {c: min((rms / found.before[c]) ** 2, 1.0) for c, rms in found.after.items() if found.before[c] > 0.0}
-    remaining = () if found.explained else tuple(Unexplained(c, share) for c, share in shares.items() if share > 0.25)
+    remaining = (
+        ()
+        if found.explained
+        else tuple(Unexplained(c, share) for c, share in shares.items() if share > THRESHOLDS.trim_unexplained_share)
+    )
     verdict = "unexplained" if remaining else "explained" if found.findings else "clean"
     return Diagnosis(
         flight=name,
@@ -203,9 +206,9 @@ def base_fit(prepared: Sequence[Prepared]) -> tuple[Fitted, FitOptions]:
 
 
 def for_evidence(prepared: Prepared) -> Prepared:
-    """Effects are slow: thin the fit to EVIDENCE_RATE_HZ."""
+    """Effects are slow: thin the fit to ``evidence_rate_hz``."""
     rate = 1.0 / float(np.median(np.diff(prepared.record.t_s)))
-    block = max(prepared.record.block, round(rate / EVIDENCE_RATE_HZ))
+    block = max(prepared.record.block, round(rate / THRESHOLDS.evidence_rate_hz))
     return replace(prepared, record=replace(prepared.record, block=block))
 
 

@@ -20,18 +20,24 @@ CommandName = Literal["start", "land", "abort", "kill"]
 
 
 class CoreCommand(msgspec.Struct, frozen=True):
-    """A client's order to the core. Answered by ``drivers.bus.Answer``."""
+    """A client's order to the core. Answered by ``drivers.bus.Answer``.
+
+    ``sequence`` grows from order to order of a client, lease requests included, and across its restarts; an order with an old
+    number is refused. An ``abort`` needs none.
+    """
 
     name: CommandName
     client: str
+    sequence: int = 0
 
 
 class Lease(msgspec.Struct, frozen=True):
-    """A client takes (or gives back) the operator's lease; ``force`` takes it from another."""
+    """A client takes (or gives back) the operator's lease; ``force`` takes it from another. ``sequence`` as in :class:`CoreCommand`."""
 
     client: str
     take: bool = True
     force: bool = False
+    sequence: int = 0
 
 
 class LeaseAnswer(msgspec.Struct, frozen=True):

@@ -33,6 +33,7 @@ class CoreClient:
     def __init__(self, session: zenoh.Session, name: str):
         self._session = session
         self.name = name
+        self._sequence = 0
         self._inbox: queue.SimpleQueue[CoreStatus] = queue.SimpleQueue()
         self._subscription = bus.subscribe(
             session,
@@ -53,18 +54,23 @@ class CoreClient:
 
     def command(self, name: CommandName, timeout_s: float = 5.0) -> bus.Answer:
         """Give an order; ``abort`` is open to everyone."""
-        request = CoreCommand(name, self.name)
+        request = CoreCommand(name, self.name, self._next())
         key = bus.CORE_ABORT if name == "abort" else bus.CORE_COMMAND
         return bus.ask(self._session, key, request, bus.Answer, timeout_s)
 
     def take_lease(self, *, force: bool = False) -> LeaseAnswer:
         """Become the operator, if nobody else is."""
-        request = Lease(self.name, take=True, force=force)
+        request = Lease(self.name, take=True, force=force, sequence=self._next())
         return bus.ask(self._session, bus.CORE_LEASE, request, LeaseAnswer)
 
     def give_lease(self) -> LeaseAnswer:
         """Stop being the operator."""
-        return bus.ask(self._session, bus.CORE_LEASE, Lease(self.name, take=False), LeaseAnswer)
+        return bus.ask(self._session, bus.CORE_LEASE, Lease(self.name, take=False, sequence=self._next()), LeaseAnswer)
+
+    def _next(self) -> int:
+        """The number of the next order: of the clock, so that it grows when a client of this name is started again."""
+        self._sequence = max(self._sequence + 1, time.time_ns())
+        return self._sequence
 
 
 @contextmanager

@@ -31,6 +31,7 @@ from groundstation.flight import sequence as seq
 from groundstation.flight.children import Child, module_command, start_child
 from groundstation.flight.core.ground_check import check_ground
 from groundstation.flight.core.lease import OperatorLease
+from groundstation.flight.core.orders import ClientOrders
 from groundstation.flight.core.overview import FlightView
 from groundstation.flight.core.pacing import Pace
 from groundstation.flight.core.recorder import Recorder, open_recording, sound
@@ -39,7 +40,6 @@ from groundstation.flight.journal import ENDPOINT_FILE, WATCH_FILE, Journal
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, Lease
 from groundstation.recording.keeper import Keeper
-from groundstation.texts import shown
 from groundstation.trajectory import Plan, flight_path, load_plan
 from groundstation.vehicle import Vehicle, load_vehicle
 
@@ -99,6 +99,7 @@ class FlightCore:
         self.recorder: Recorder | None = None
         self.pace = Pace(lock_step=False)  # until the vehicle has said what it is
         self.lease = OperatorLease()
+        self._clients = ClientOrders(self.lease, clock, lambda: self.state.phase, self.inbox.put, self._event)
         self.digested_s = self.moment_s = 0.0
         self._first_s: float | None = None
         self.heard_s = clock()
@@ -130,9 +131,9 @@ class FlightCore:
             self._handles = [
                 bus.subscribe(session, keys.samples, decode_batch, self._from_bus(self._on_batch)),
                 bus.subscribe(session, keys.status, bus.decoder_of(bus.DroneStatus), self._from_bus(self._on_word)),
-                bus.serve(session, bus.CORE_COMMAND, CoreCommand, self._on_command),
-                bus.serve(session, bus.CORE_ABORT, CoreCommand, self._on_abort),
-                bus.serve(session, bus.CORE_LEASE, Lease, self.lease.request),
+                bus.serve(session, bus.CORE_COMMAND, CoreCommand, self._clients.command),
+                bus.serve(session, bus.CORE_ABORT, CoreCommand, self._clients.abort),
+                bus.serve(session, bus.CORE_LEASE, Lease, self._clients.lease),
                 bus.watch_alive(session, keys.alive, self._on_drone_alive),
                 bus.watch_alive(session, CLIENT_ALIVE.format(client="*"), self.lease.client_alive),
             ]
@@ -304,26 +305,6 @@ class FlightCore:
         if asked or (status.window_s is not None and status.device_s >= status.window_s[1] - 0.1):
             return ""
         return status.text or "the vehicle came down by itself before the excitation was over"
-
-    # From clients -----------------------------------------------------------------------------------------------------
-
-    def _on_abort(self, command: CoreCommand) -> bus.Answer:
-        """What is asked under the key that every role may use is an abort, whatever it says."""
-        return self._on_command(CoreCommand("abort", shown(command.client, limit=80)))
-
-    def _on_command(self, command: CoreCommand) -> bus.Answer:
-        if command.name != "abort" and (refusal := self.lease.refusal(command.client, command.name)):
-            return bus.Answer(False, refusal)
-        if command.name == "start" and self.state.phase is not seq.Phase.CHECKED:
-            return bus.Answer(False, f"the flight is {self.state.phase}; it can be started once it is checked.")
-        event = {
-            "start": seq.StartRequested(),
-            "land": seq.LandRequested(),
-            "abort": seq.AbortRequested(f"aborted by {shown(command.client, limit=80)}"),
-            "kill": seq.AbortRequested(f"rotors stopped by {shown(command.client, limit=80)}", rotors_off=True),
-        }[command.name]
-        self.inbox.put(lambda: self._event(event))
-        return bus.Answer(True)
 
     # Actions ----------------------------------------------------------------------------------------------------------
 
