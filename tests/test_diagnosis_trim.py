@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from groundstation.diagnosis.results import Finding
-from groundstation.diagnosis.trim import SETTLED_S, compare_trims, mean_thrust
+from groundstation.diagnosis.thresholds import THRESHOLDS
+from groundstation.diagnosis.trim import compare_trims, mean_thrust
 from groundstation.model.rotors import wrench_matrix
 from groundstation.paths import find_config
 from groundstation.vehicle import load_vehicle
@@ -103,7 +104,7 @@ def test_the_turn_back_after_lift_off_is_no_trim():
     turning += 0.4 * HOVER * np.sign(MATRIX[3])
     thrust = np.concatenate([grounded, turning, settled, grounded])
     np.testing.assert_allclose(mean_thrust(_flight(thrust)), HOVER, rtol=1e-12)
-    assert SETTLED_S > 1.0
+    assert THRESHOLDS.trim_settled_s > 1.0
     np.testing.assert_allclose(mean_thrust(_flight(np.concatenate([grounded, turning, grounded]))), turning[0])
 
 

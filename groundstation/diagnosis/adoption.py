@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-WORSE = 1.1
-"""Growth of a prediction's error that scatter of its few dozen windows does not make."""
+from groundstation.diagnosis.thresholds import THRESHOLDS
+
 JUDGED = {"velocity_m_s": ("velocity", "m/s"), "body_rate_rad_s": ("body rate", "rad/s")}
 """What a model predicts; position and attitude are their integrals."""
 AHEAD = "prediction_0.5_s"
@@ -21,7 +21,7 @@ def why_not(stages: Mapping[str, Mapping[str, float]]) -> str:
     worse = [
         f"{words} {before[name]:.3g} → {after[name]:.3g} {unit}"
         for name, (words, unit) in JUDGED.items()
-        if name in before and after.get(name, 0.0) > WORSE * before[name]
+        if name in before and after.get(name, 0.0) > THRESHOLDS.prediction_worse * before[name]
     ]
     if not worse:
         return ""

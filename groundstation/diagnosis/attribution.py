@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.discrepancy import FORM, Discrepancy, allowance
+from groundstation.diagnosis.discrepancy import Discrepancy, allowance
 from groundstation.diagnosis.effect import Effect, library
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, Solution
 from groundstation.diagnosis.rivals import (
-    INSEPARABLE,
     INSTANTS,
     Entry,
     Kind,
@@ -23,20 +22,13 @@ from groundstation.diagnosis.rivals import (
     posterior,
     preferred,
 )
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.whitening import orthonormal
 from groundstation.identification.record_model import CHANNELS
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-
-CHANCE = 1e-5
-"""Chance that noise alone would name an effect, shared by its variants; fixed before any study was run."""
-MOST = 6
-CLOSER = 4
-"""How often an instant, a length or a curve is looked at more closely."""
-RIVALS = 6
-"""How many contest a place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,10 +96,10 @@ class Selection:
         self._beaten: list[tuple[set[Kind], float]] = []
 
     def _threshold(self, candidate: Candidate, columns: Columns, members: Sequence[int] | None = None) -> float:
-        """Wald statistic of all parameters (or some) that noise passes with probability CHANCE in any of an effect's variants."""
+        """Wald statistic of all parameters (or some) that noise passes with probability ``effect_chance`` in any of an effect's variants."""
         key = columns.number, -1 if members is None else len(members)
         if key not in self._thresholds:
-            chance = CHANCE / max(self.variants[candidate.identifier], 1)
+            chance = THRESHOLDS.effect_chance / max(self.variants[candidate.identifier], 1)
             self._thresholds[key] = self.evidence.threshold(columns, chance, members)
         return self._thresholds[key]
 
@@ -115,9 +107,9 @@ class Selection:
         """What an entry has to explain in a contest: what chance gives it, and what an instant gives that was looked for.
 
         The search for an instant is one more parameter, which costs the logarithm of the number of rows (Schwarz 1978), about as
-        much as INSEPARABLE: a rotor that was weak all along is not one that failed early for less.
+        much as ``inseparable``: a rotor that was weak all along is not one that failed early for less.
         """
-        return self._threshold(*entry) + (INSEPARABLE if INSTANTS.intersection(entry[0].settings) else 0.0)
+        return self._threshold(*entry) + (THRESHOLDS.inseparable if INSTANTS.intersection(entry[0].settings) else 0.0)
 
     def _margins(self, chosen: Sequence[Entry], members: Sequence[int] | None = None) -> list[float]:
         """Margin of each member (or of some) over chance and over the others' form errors; -inf if implausible or immaterial."""
@@ -223,7 +215,7 @@ class Selection:
     def _grown(self, start: Entry) -> list[Entry]:
         """Forward selection from one candidate, without rivals for a place."""
         chosen = [start]
-        while len(chosen) < MOST and (entry := self._best_addition(chosen, set())) is not None:
+        while len(chosen) < THRESHOLDS.effects_most and (entry := self._best_addition(chosen, set())) is not None:
             before = [c for c, _ in chosen]
             chosen = self._pruned([*chosen, entry])
             if [c for c, _ in chosen] == before:
@@ -240,8 +232,8 @@ class Selection:
     def _selected(self, chosen: list[Entry]) -> list[Entry]:
         """Select, prune, and let rivals contest each place."""
         refuted: set[str] = set()
-        for _ in range(2 * MOST):
-            entry = self._best_addition(chosen, refuted) if len(chosen) < MOST else None
+        for _ in range(2 * THRESHOLDS.effects_most):
+            entry = self._best_addition(chosen, refuted) if len(chosen) < THRESHOLDS.effects_most else None
             if entry is None:
                 break
             *_, entry = refined = self._refined([*chosen, entry], len(chosen))
@@ -297,7 +289,7 @@ class Selection:
 
     def _refined(self, chosen: list[Entry], index: int) -> list[Entry]:
         """Look closer at the instant, the length or the curve of a member, through instruments common to all settings."""
-        for _ in range(CLOSER):
+        for _ in range(THRESHOLDS.refinements_most):
             current = chosen[index]
             entries = [current]
             for settings in current[0].effect.finer(current[0].settings):
@@ -347,7 +339,7 @@ class Selection:
             (margin,) = self._margins(trial, [index])
             if margin > best.get(kind, (0.0, entry))[0]:
                 best[kind] = margin, entry
-        rivals = [entry for _, entry in sorted(best.values(), key=lambda item: -item[0])[:RIVALS]]
+        rivals = [entry for _, entry in sorted(best.values(), key=lambda item: -item[0])[: THRESHOLDS.rivals_most]]
         sets = [[*self.baseline, *chosen[:index], entry, *chosen[index + 1 :]] for entry in (chosen[index], *rivals)]
         rest = [*self.baseline, *chosen[:index], *chosen[index + 1 :]]
         result = self.evidence.contest([rest, *sets])
@@ -362,14 +354,14 @@ class Selection:
     ) -> tuple[tuple[str, ...], float]:
         """Alternatives to the first of a contest, and its posterior share among all of it, whole sets without it, and nothing.
 
-        Differences that form errors can make count for no more than INSEPARABLE. Where even the best set leaves more than noise, all
+        Differences that form errors can make count for no more than ``inseparable``. Where even the best set leaves more than noise, all
         differences count for as much less (quasi-likelihood: McCullagh and Nelder 1989, section 9).
         """
         (entry, own), *rivals = contest
-        close = max(INSEPARABLE, FORM**2 * own)
+        close = max(THRESHOLDS.inseparable, THRESHOLDS.form_error_share**2 * own)
         kind = kind_of(entry)
         near = [kind_of(rival) for rival, score in rivals if score > own - close * misfit]
-        scale = INSEPARABLE / close
+        scale = THRESHOLDS.inseparable / close
         differences = [(score - own) / misfit * scale for _, score in rivals]
         sets = [difference * scale for kinds, difference in self._beaten if kind not in kinds]
         alternatives = tuple(dict.fromkeys(name for name, _ in near if name != kind[0]))
@@ -383,7 +375,7 @@ class Selection:
         """Whether an effect lessens the error on blocks no estimate saw, and in no channel adds more to it than its form excuses."""
         gains = self._held_out_gains(chosen, entry)
         total = float(np.sum(gains))
-        return total > 0.0 and float(np.min(gains)) > -(INSEPARABLE + FORM * total)
+        return total > 0.0 and float(np.min(gains)) > -(THRESHOLDS.inseparable + THRESHOLDS.form_error_share * total)
 
     def _held_out_gains(self, chosen: Sequence[Entry], entry: Entry) -> Array:
         """The same by channel, shape (6,), in what the instruments span: a column of measured speeds adds their noise to a residual
@@ -406,7 +398,7 @@ class Selection:
 
 
 def folds(
-    evidence: Evidence, count: int = 6, guard_s: float = 1.5
+    evidence: Evidence, count: int = THRESHOLDS.held_out_blocks, guard_s: float = THRESHOLDS.held_out_guard_s
 ) -> list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
     """Train and test rows for blocks of time, the guard around each test block left out of training."""
     times, _, flights = evidence.time_of_rows()

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import library
 from groundstation.diagnosis.results import Finding
+from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.results import Estimate
 from groundstation.vehicle import Vehicle
@@ -21,9 +23,6 @@ from groundstation.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 EXPONENTS = np.arange(-1.5, 1.51, 0.25)
-BETTER = 0.5
-"""Share of the declared curve's squared error that another has to come below."""
-LOW_PASS_HZ = 1.0
 NAME = "thrust_curve"
 
 
@@ -35,7 +34,7 @@ def exponent_error(prepared: Prepared) -> float:
     if rotors.input != "command" or rotors.thrust_curve is None or not np.isfinite(record.force_m_s2).all():
         return 0.0
     rate = 1.0 / float(np.median(np.diff(record.t_s)))
-    low_pass = butter(2, LOW_PASS_HZ, fs=rate, output="sos")
+    low_pass = butter(2, THRESHOLDS.curve_low_pass_hz, fs=rate, output="sos")
     commands = prepared.signals(0.0, 0.0, 0.0).motor
     climb = prepared.velocity_m_s[:, 2] if np.isfinite(prepared.velocity_m_s).all() else np.zeros(len(commands))
 
@@ -48,7 +47,7 @@ def exponent_error(prepared: Prepared) -> float:
 
     errors = [squared_error(float(e)) for e in EXPONENTS]
     best = int(np.argmin(errors))
-    return float(EXPONENTS[best]) if errors[best] < BETTER * squared_error(0.0) else 0.0
+    return float(EXPONENTS[best]) if errors[best] < THRESHOLDS.curve_error_share * squared_error(0.0) else 0.0
 
 
 def recurved(prepared: Prepared, error: float) -> Prepared:
@@ -82,7 +81,7 @@ def with_exponent(findings: list[Finding], error: float, gain: float) -> list[Fi
     own = Finding(
         effect=NAME,
         parameters={"exponent_error": total},
-        evidence=library()[NAME].sentence.format(exponent_error=f"{total.value:.3g}"),
+        evidence=told(library()[NAME].sentence, exponent_error=total.value),
         confidence=1.0 if more is None else more.confidence,
         gain=gain,
     )

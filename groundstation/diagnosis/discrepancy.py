@@ -1,8 +1,8 @@
 """What an effect's formula may get wrong of the effect itself, before anything else is blamed for it.
 
-A model of the library is an expansion about hover, right to a share FORM of what it describes. On a quiet flight the rest
+A model of the library is an expansion about hover, right to a share of (``form_error_share``) what it describes. On a quiet flight the rest
 of a large effect beats chance by far, and would be named as a second effect of the same shape, or pass for something
-unknown. So whatever is claimed beside other effects has to explain more than FORM of their amplitude in the channels it acts on.
+unknown. So whatever is claimed beside other effects has to explain more than that share of their amplitude in the channels it acts on.
 """
 
 from __future__ import annotations
@@ -13,13 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, Solution
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.record_model import CHANNELS
 from groundstation.model.parameters import FREE
 
 Array = NDArray[np.float64]
-
-FORM = 0.1
-"""Share of an effect's amplitude that its formula may miss; fixed before any study was run."""
 
 
 class Discrepancy:
@@ -82,4 +80,4 @@ def allowance(own: Array, others: Array) -> float:
         others: of all the others together, shape (6,).
     """
     total = float(own.sum())
-    return FORM**2 * float(own @ others) / total if total > 0.0 else 0.0
+    return THRESHOLDS.form_error_share**2 * float(own @ others) / total if total > 0.0 else 0.0

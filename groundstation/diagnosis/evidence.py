@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import Effect, Settings, library
 from groundstation.diagnosis.signals import planned_signals, thinned
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.whitening import Whitening, orthonormal
 from groundstation.identification.instrumental import lag_split_precision
 from groundstation.identification.prediction_error import Fitted
@@ -36,10 +37,6 @@ from groundstation.model.parameters import (
 )
 
 Array = NDArray[np.float64]
-
-DRIFT_S = 6.0
-VARIANTS = 4
-"""How many settings of an effect are kept out of the noise before it is found; of those found, the very setting."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +211,7 @@ class FlightEvidence:
         """
         signals = self.signals
         elapsed = signals.t_s - signals.t_s[0]
-        knots = np.linspace(0.0, elapsed[-1], int(np.clip(elapsed[-1] / DRIFT_S, 3, 16)) + 1)
+        knots = np.linspace(0.0, elapsed[-1], int(np.clip(elapsed[-1] / THRESHOLDS.drift_knot_s, 3, 16)) + 1)
         drift = [np.interp(elapsed, knots, np.eye(len(knots))[i]) for i in range(len(knots))]
         thrust = signals.thrust_n.sum(axis=1)
         velocity = signals.velocity_body_m_s()
@@ -229,7 +226,10 @@ class FlightEvidence:
         vehicle = self.prepared.record.vehicle
         for effect in library().values():
             settings = effect.variants(self.excited, vehicle) if effect.applies(vehicle) else ()
-            own = [effect.wrench(signals, vehicle, s) for s in settings[:: max(1, len(settings) // VARIANTS)]]
+            own = [
+                effect.wrench(signals, vehicle, s)
+                for s in settings[:: max(1, len(settings) // THRESHOLDS.variants_in_noise)]
+            ]
             columns += [wrench[:, :, j] for wrench in own for j in range(wrench.shape[2]) if np.isfinite(wrench).all()]
         return columns
 
@@ -278,7 +278,7 @@ class Evidence:
         self._output = Columns(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
         self._products: dict[tuple[int, int], tuple[Array, Array]] = {}
         self.weight = np.ones(len(self.y))
-        self.weight = np.minimum(1.0, 4.0 / np.maximum(np.abs(self._plain_remainder()), 1e-9))
+        self.weight = np.minimum(1.0, THRESHOLDS.outlier_std / np.maximum(np.abs(self._plain_remainder()), 1e-9))
 
     def _plain_remainder(self) -> Array:
         """What base and known effects leave in the least squares sense: an effect's own rows are not outliers."""

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import ROTATION, Reading, SensorEffect, catalogue
 from groundstation.diagnosis.results import Finding
-from groundstation.diagnosis.rivals import INSEPARABLE, posterior
+from groundstation.diagnosis.rivals import posterior
+from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import quat_exp, quat_multiply, quat_rotate
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.reconstruction import Compatibility
@@ -21,10 +23,6 @@ from groundstation.identification.results import Estimate
 
 Array = NDArray[np.float64]
 
-CERTAIN = 5.0
-"""Standard deviations from nothing that make a kinematic finding."""
-TRUE_RAD = np.deg2rad(0.3)
-"""How upright rotors stand in a frame, one standard deviation."""
 TURNED = "imu_misalignment", "mocap_misalignment"
 """One rotation tells of both: that between IMU and marker body."""
 
@@ -65,24 +63,25 @@ def _departure(reading: Reading, prepared: Prepared, found: Compatibility) -> _D
     size = np.array([found.values[n] for n in reading.names]) - reading.declared(prepared.record.vehicle)
     std = np.array([found.std[n] for n in reading.names])
     evidence = float(np.max(np.abs(size) / std)) ** 2
-    if np.linalg.norm(size) <= reading.least or evidence <= CERTAIN**2:
+    if np.linalg.norm(size) <= reading.least or evidence <= THRESHOLDS.sensor_std**2:
         return None
     values = zip(reading.parameters, reading.sign * size, std, strict=True)
     parameters = {n: Estimate.normal(float(v), float(s)) for n, v, s in values}
     for name in reading.beside:
-        if abs(found.values[name]) > CERTAIN * found.std[name]:
+        if abs(found.values[name]) > THRESHOLDS.sensor_std * found.std[name]:
             parameters[name] = Estimate.normal(found.values[name], found.std[name])
     return _Departure(size, parameters, evidence)
 
 
 def _finding(effect: SensorEffect, reading: Reading, departure: _Departure, rivals: Mapping[str, float]) -> Finding:
     """A finding whose rivals' evidence stands below its own by the given amounts (chi squared)."""
+    values = {name: estimate.value for name, estimate in departure.parameters.items()}
     return Finding(
         effect=effect.identifier,
         parameters=departure.parameters,
-        evidence=reading.sentence.format(size=reading.size(departure.size)),
-        confidence=posterior([CERTAIN**2 - departure.evidence, *(-d for d in rivals.values())]),
-        alternatives=tuple(name for name, d in rivals.items() if d < INSEPARABLE),
+        evidence=told(reading.sentence, **values, size=float(np.linalg.norm(departure.size))),
+        confidence=posterior([THRESHOLDS.sensor_std**2 - departure.evidence, *(-d for d in rivals.values())]),
+        alternatives=tuple(name for name, d in rivals.items() if d < THRESHOLDS.inseparable),
         gain=departure.evidence,
     )
 
@@ -91,7 +90,7 @@ def _lead_of_imu(prepared: Prepared, found: Compatibility) -> float:
     """Which of the two bodies is turned: the thrust, seen by the accelerometer, decides about roll and pitch.
 
     An IMU turned by e in the body sees the thrust along z - e x z, and the marker body is then turned by -e against it; a turned
-    marker body leaves the thrust along z. Rotors stand upright to TRUE_RAD.
+    marker body leaves the thrust along z. Rotors stand upright to ``rotor_upright_rad``.
 
     Returns:
         By how much more (chi squared) it is the IMU; the marker body where negative, or where no thrust is seen.
@@ -101,7 +100,7 @@ def _lead_of_imu(prepared: Prepared, found: Compatibility) -> float:
         return 0.0
     rotation = np.array([found.values[n] for n in ROTATION])
     expected = np.array([rotation[1], -rotation[0]])
-    return float(np.sum(seen**2) - np.sum((seen - expected) ** 2)) / TRUE_RAD**2
+    return float(np.sum(seen**2) - np.sum((seen - expected) ** 2)) / THRESHOLDS.rotor_upright_rad**2
 
 
 def turned(prepared: Prepared, findings: Sequence[Finding]) -> Prepared:

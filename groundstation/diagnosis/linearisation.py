@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import Effect, bending
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.identifiability import unsettled
 from groundstation.identification.pipeline import DynamicFit
 from groundstation.identification.prediction_error import Fitted, fit
@@ -23,9 +24,6 @@ from groundstation.identification.record_model import BodyWrench, RecordModel
 from groundstation.model.parameters import Parameters
 
 Array = NDArray[np.float64]
-
-LIKELIER = 10.0
-"""Fall of half the minus-log-likelihood per coefficient from which the base is taken to be bent; chance gives a half."""
 
 
 def linearisation(fitted: DynamicFit) -> Fitted:
@@ -44,7 +42,7 @@ def linearisation(fitted: DynamicFit) -> Fitted:
         return fitted.best
     start = replace(own.parameters, extra=np.concatenate([own.parameters.extra, np.zeros(count)]))
     freed = fit(models, start, fitted.options)
-    if own.cost - freed.cost < LIKELIER * count:
+    if own.cost - freed.cost < THRESHOLDS.bent_base_cost * count:
         return fitted.best
     return replace(fitted.best, parameters=replace(freed.parameters, extra=fitted.best.parameters.extra))
 

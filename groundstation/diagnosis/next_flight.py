@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import Effect, Settings, library
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.errors import BadInput, Refused
 from groundstation.frames import quat_from_euler
 from groundstation.model.rotors import wrench_matrix
@@ -34,13 +35,9 @@ TIMING = ("motor_lag", "input_delay", "clock_offset")
 """Shifts between command and motion; with rates from poses alone a clock's offset is one too, which is the hard case."""
 TIMING_FREQUENCY_MAX_HZ = 2.0
 """A lag and a dead time part with the square of frequency: such plans go up to where attitude still follows."""
-VARIANTS = 8
-"""Settings of a rival (instants, lengths, rotors) that are tried against the truth."""
 DURATION_S = 40.0
 TRIAL_S = 0.12
 """What a motion tried takes, about."""
-CERTAIN = float(np.log(1e6))
-"""Log odds past which other things than noise decide, so that no number is given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,8 +213,10 @@ def _shifted(values: Array, by_s: float, span_s: float, order: int = 0) -> Array
 
 
 def _few(variants: Sequence[Settings]) -> list[Settings]:
-    """At most VARIANTS settings, evenly chosen."""
-    index = np.unique(np.linspace(0, len(variants) - 1, min(VARIANTS, len(variants))).round().astype(int))
+    """At most THRESHOLDS.rival_settings_most settings, evenly chosen."""
+    index = np.unique(
+        np.linspace(0, len(variants) - 1, min(THRESHOLDS.rival_settings_most, len(variants))).round().astype(int)
+    )
     return [variants[i] for i in index]
 
 
@@ -343,7 +342,7 @@ def odds_sentence(found: discriminate.Separation) -> str:
     """What the planned flight should settle, for a pilot: which pairs, with what odds, in which channel."""
     pair, log_odds = min(found.log_odds.items(), key=lambda item: item[1])
     names = list(dict.fromkeys(name for each in found.log_odds for name in each))
-    odds = f"{np.exp(log_odds):.0f} to 1" if log_odds < CERTAIN else "better than a million to 1"
+    odds = f"{np.exp(log_odds):.0f} to 1" if log_odds < THRESHOLDS.log_odds_most else "better than a million to 1"
     hardest = "" if len(names) == 2 else f"the hardest to part are {' and '.join(pair)}, "
     channel = max(found.channels, key=lambda name: found.channels[name])
     return (

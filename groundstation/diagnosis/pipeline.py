@@ -32,6 +32,8 @@ from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
 from groundstation.diagnosis.rivals import Entry
 from groundstation.diagnosis.scale import scale_findings
 from groundstation.diagnosis.screen import dependences, unexplained
+from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.timing import lag_findings
 from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
@@ -48,8 +50,6 @@ from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
-
-EVIDENCE_RATE_HZ = 50.0
 
 
 def diagnose(
@@ -167,7 +167,11 @@ def _by_trim(name: str, suspects: Sequence[Prepared], healthy: Sequence[Prepared
     """What mean thrusts say, where the rates that a dynamic comparison needs were not measured."""
     found = compare_trims(suspects, healthy)
     shares = {c: min((rms / found.before[c]) ** 2, 1.0) for c, rms in found.after.items() if found.before[c] > 0.0}
-    remaining = () if found.explained else tuple(Unexplained(c, share) for c, share in shares.items() if share > 0.25)
+    remaining = (
+        ()
+        if found.explained
+        else tuple(Unexplained(c, share) for c, share in shares.items() if share > THRESHOLDS.trim_unexplained_share)
+    )
     verdict = "unexplained" if remaining else "explained" if found.findings else "clean"
     return Diagnosis(
         flight=name,
@@ -202,9 +206,9 @@ def base_fit(prepared: Sequence[Prepared]) -> tuple[Fitted, FitOptions]:
 
 
 def for_evidence(prepared: Prepared) -> Prepared:
-    """Effects are slow: thin the fit to EVIDENCE_RATE_HZ."""
+    """Effects are slow: thin the fit to ``evidence_rate_hz``."""
     rate = 1.0 / float(np.median(np.diff(prepared.record.t_s)))
-    block = max(prepared.record.block, round(rate / EVIDENCE_RATE_HZ))
+    block = max(prepared.record.block, round(rate / THRESHOLDS.evidence_rate_hz))
     return replace(prepared, record=replace(prepared.record, block=block))
 
 
@@ -270,12 +274,12 @@ def _findings(named: Sequence[Named], solution: Solution, vehicle: Vehicle, offs
         rotor = int(settings.pop("rotor")) if effect.of_one_rotor else None
         parameters = {n: Estimate.normal(v, s) for n, v, s in zip(effect.names(), values, std, strict=True)}
         parameters |= {n: Estimate(v, 0.0, (v, v)) for n, v in settings.items()}
-        words = {n: f"{e.value:.3g}" for n, e in parameters.items()} | {"rotor": str(rotor)}
+        values = {name: estimate.value for name, estimate in parameters.items()}
         out.append(
             Finding(
                 effect=effect.identifier,
                 parameters=parameters,
-                evidence=effect.sentence.format(**words),
+                evidence=told(effect.sentence, **values, rotor=str(rotor)),
                 confidence=item.confidence,
                 alternatives=item.alternatives,
                 rotor=rotor,

@@ -20,6 +20,7 @@ from groundstation.diagnosis.attribution import folds
 from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, weight
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
 from groundstation.diagnosis.results import Unexplained
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import euler_from_quat, quat_rotate_inverse
 from groundstation.identification.record_model import CHANNELS
 from groundstation.model.signals import Signals
@@ -28,13 +29,6 @@ from groundstation.vehicle import Vehicle
 Array = NDArray[np.float64]
 Chosen = Sequence[tuple[Candidate, Columns]]
 HeldOut = Callable[[Chosen], Mapping[str, Mapping[str, float]]]
-
-CHANCE = 1e-5
-"""Chance, over all terms tried, that noise alone would add one."""
-MOST = 4
-"""Terms of a formula."""
-ALIKE = 0.95
-"""Correlation from which two terms are one."""
 
 Shape = Callable[[Signals, Vehicle], Array]
 
@@ -178,7 +172,7 @@ def select(evidence: Evidence, chosen: Chosen, terms: Sequence[Candidate]) -> li
 
     pool = [(term, columns) for term in terms if (columns := evidence.columns(term)) is not None]
     pool = [(term, columns) for term, columns in pool if np.any(columns.sensitivity != 0.0)]
-    least = float(chi2.isf(CHANCE / max(len(pool), 1), 1))
+    least = float(chi2.isf(THRESHOLDS.term_chance / max(len(pool), 1), 1))
     offset = sum(len(c.effect.parameters) for c, _ in chosen)
     taken: list[tuple[Candidate, Columns]] = []
 
@@ -186,7 +180,7 @@ def select(evidence: Evidence, chosen: Chosen, terms: Sequence[Candidate]) -> li
         solution = evidence.solve([*chosen, *entries])
         return [solution.wald(offset + i, [0]) for i in range(len(entries))]
 
-    while len(taken) < MOST:
+    while len(taken) < THRESHOLDS.terms_most:
         open_ones = [entry for entry in pool if not any(_alike(entry, t) for t in taken)]
         scores = [walds([*taken, entry])[-1] for entry in open_ones]
         if not scores or max(scores) <= least:
@@ -205,7 +199,7 @@ def select(evidence: Evidence, chosen: Chosen, terms: Sequence[Candidate]) -> li
 def _alike(one: tuple[Candidate, Columns], other: tuple[Candidate, Columns]) -> bool:
     """Whether two terms do nearly the same on these flights (the same one included): a formula takes one of them."""
     a, b = one[1].sensitivity[:, 0], other[1].sensitivity[:, 0]
-    return abs(float(a @ b)) > ALIKE * float(np.linalg.norm(a) * np.linalg.norm(b))
+    return abs(float(a @ b)) > THRESHOLDS.same_term_correlation * float(np.linalg.norm(a) * np.linalg.norm(b))
 
 
 def _held_out_gain(evidence: Evidence, before: Chosen, entry: tuple[Candidate, Columns]) -> float:

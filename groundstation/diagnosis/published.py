@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from groundstation.diagnosis.results import Diagnosis
+from groundstation.diagnosis.thresholds import THRESHOLDS
 
-WORSE = 1.05
-"""Ratio of errors on unseen data, after to before, from which a channel got worse: blocks of a flight differ by some percent."""
 MOMENTS = ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
 
 
@@ -38,7 +37,7 @@ def _doubts(diagnosis: Diagnosis, hidden: Mapping[str, str]) -> list[str]:
     doubts = []
     errors = diagnosis.error.get("held_out", {})
     before, after = errors.get("before", {}), errors.get("after", {})
-    worse = [name for name, size in after.items() if name in before and size > WORSE * before[name]]
+    worse = [name for name, size in after.items() if name in before and size > THRESHOLDS.channel_worse * before[name]]
     if worse:
         doubts.append(
             f"With the findings, {', '.join(worse)} is predicted worse on unseen data: they do not explain this flight."

@@ -8,16 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
+from groundstation.diagnosis.thresholds import THRESHOLDS
 
 Array = NDArray[np.float64]
 Entry = tuple[Candidate, Columns]
 Kind = tuple[str, float | None]
 """An effect, and of which rotor: what a finding names, whatever its instant or length."""
 
-INSEPARABLE = 9.0
-"""Two explanations whose evidence differs by less than this (three standard deviations) are not told apart."""
-MATERIAL = 5e-4
-"""Least RMS of an effect that is a finding, as a share of weight (forces) or of weight times arm (torques)."""
 INSTANTS = frozenset({"at_s", "from_s"})
 """Settings that are instants."""
 
@@ -31,13 +28,13 @@ def kind_of(entry: Entry) -> Kind:
 def preferred(sets: Sequence[Sequence[Entry]], scores: Sequence[float], misfit: float) -> int:
     """Which set to go on with: the first, unless another explains clearly more, or as much with fewer instants that were looked for."""
     best = int(np.argmax(scores))
-    if scores[best] - scores[0] > INSEPARABLE * misfit:
+    if scores[best] - scores[0] > THRESHOLDS.inseparable * misfit:
         return best
     instants = [sum(bool(INSTANTS.intersection(c.settings)) for c, _ in chosen) for chosen in sets]
     simpler = [
         index
         for index, chosen in enumerate(sets)
-        if scores[index] > scores[0] - INSEPARABLE * misfit
+        if scores[index] > scores[0] - THRESHOLDS.inseparable * misfit
         and len(chosen) == len(sets[0])
         and instants[index] < instants[0]
     ]
@@ -50,14 +47,17 @@ def material(evidence: Evidence, columns: Columns, values: Array) -> bool:
     weight = vehicle.mass_kg * vehicle.gravity_m_s2
     size = np.abs(columns.wrench_rms @ np.abs(values))
     scale = np.array([weight] * 3 + [weight * vehicle.arm_m()] * 3)
-    return bool(np.any(size / scale > MATERIAL))
+    return bool(np.any(size / scale > THRESHOLDS.material_share))
 
 
 def plausible(candidate: Candidate, values: Array, covariance: Array) -> bool:
-    """Values within the physical range, two standard deviations allowed."""
+    """Values within the physical range, some standard deviations beyond it allowed."""
     std = np.sqrt(np.diag(covariance))
     ranges = [p.plausible for p in candidate.effect.parameters]
-    return all(low - 2.0 * s <= v <= high + 2.0 * s for v, s, (low, high) in zip(values, std, ranges, strict=True))
+    margin = THRESHOLDS.plausible_margin_std
+    return all(
+        low - margin * s <= v <= high + margin * s for v, s, (low, high) in zip(values, std, ranges, strict=True)
+    )
 
 
 def posterior(rivals: Sequence[float]) -> float:

@@ -9,7 +9,8 @@ import numpy as np
 from groundstation.diagnosis.effects.thrust_scale import EFFECT
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import posterior
-from groundstation.diagnosis.timing import CERTAIN
+from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.results import Estimate
 from groundstation.vehicle import Vehicle
 
@@ -29,14 +30,14 @@ def scale_findings(vehicle: Vehicle, parameters: Mapping[str, Estimate]) -> list
     name, value = max(known.items(), key=lambda item: abs(item[1]))
     ratio, std = parameters[name].value / value, parameters[name].std / abs(value)
     wald = ((ratio - 1.0) / float(np.hypot(std, vehicle.identification.thrust_coefficient_std))) ** 2
-    if wald < CERTAIN or abs(ratio - 1.0) < EFFECT.least:
+    if wald < THRESHOLDS.timing_wald or abs(ratio - 1.0) < EFFECT.least:
         return []
     return [
         Finding(
             effect=EFFECT.identifier,
             parameters={EFFECT.names()[0]: Estimate.normal(ratio, std)},
-            evidence=EFFECT.sentence.format(ratio=ratio),
-            confidence=posterior([CERTAIN - wald]),
+            evidence=told(EFFECT.sentence, **{EFFECT.names()[0]: ratio}),
+            confidence=posterior([THRESHOLDS.timing_wald - wald]),
             gain=wald,
         )
     ]

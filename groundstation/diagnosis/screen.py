@@ -13,21 +13,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.discrepancy import FORM, Discrepancy
+from groundstation.diagnosis.discrepancy import Discrepancy
 from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, from_thrust
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
 from groundstation.diagnosis.results import Unexplained
-from groundstation.diagnosis.rivals import MATERIAL
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import euler_from_quat
 from groundstation.identification.record_model import CHANNELS
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-
-CHANCE = 1e-6
-"""Chance, over all pairs of channel and variable, that noise alone would show a dependence."""
-KNOTS = 6
 
 _WRENCH_ROW = {0: 3, 1: 4, 2: 5, 3: 0, 4: 1, 5: 2}
 
@@ -114,7 +110,7 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
         values = variable(first.signals)
         if not np.isfinite(values).all() or np.ptp(values[kept]) < 1e-9:
             continue
-        knots = np.unique(np.quantile(values[kept], np.linspace(0.0, 1.0, KNOTS)))
+        knots = np.unique(np.quantile(values[kept], np.linspace(0.0, 1.0, THRESHOLDS.dependence_knots)))
         if len(knots) < 4:
             continue
         for channel in first.channels:
@@ -126,15 +122,15 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
             count = len(candidate.effect.parameters)
             margin = (
                 solution.wald(offset, range(count))
-                - evidence.threshold(columns, CHANCE / pairs)
-                - FORM**2 * energy[channel]
+                - evidence.threshold(columns, THRESHOLDS.dependence_chance / pairs)
+                - THRESHOLDS.form_error_share**2 * energy[channel]
             )
             if margin <= 0.0:
                 continue
             part = candidate.effect.wrench(first.signals, vehicle, {})[:, _WRENCH_ROW[channel], :]
             size = _own_size(part, *solution.part(offset, count), explained[:, _WRENCH_ROW[channel], :], kept)
             scale = weight * (vehicle.arm_m() if channel < 3 else 1.0)
-            if size < MATERIAL * scale:
+            if size < THRESHOLDS.material_share * scale:
                 continue
             disturbance = disturbance_std(evidence, channel)
             found.append(Dependence(CHANNELS[channel], name, margin, size**2 / (size**2 + disturbance**2)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import quat_normalise, quat_rotate
 from groundstation.identification.preparation import Prepared
 from groundstation.model.parameters import Parameters
@@ -12,9 +13,6 @@ from groundstation.model.rotors import wrench_matrix
 from groundstation.model.signals import Signals
 
 Array = NDArray[np.float64]
-
-SLOW_S = 6.0
-"""Between corners of a battery's course."""
 
 
 def planned_signals(prepared: Prepared, p: Parameters) -> Signals | None:
@@ -48,8 +46,8 @@ def planned_signals(prepared: Prepared, p: Parameters) -> Signals | None:
 
 
 def _slow(t_s: Array, values: Array) -> Array:
-    """A polygon through a signal with corners SLOW_S apart, by least squares, shape (k,)."""
-    corners = np.linspace(t_s[0], t_s[-1], max(3, round((t_s[-1] - t_s[0]) / SLOW_S)) + 1)
+    """A polygon through a signal with corners ``voltage_knot_s`` apart, by least squares, shape (k,)."""
+    corners = np.linspace(t_s[0], t_s[-1], max(3, round((t_s[-1] - t_s[0]) / THRESHOLDS.voltage_knot_s)) + 1)
     hats = np.stack([np.interp(t_s, corners, peak) for peak in np.eye(len(corners))], axis=1)
     return hats @ np.linalg.solve(hats.T @ hats, hats.T @ values)
 

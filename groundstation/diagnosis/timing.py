@@ -12,13 +12,13 @@ from groundstation.diagnosis.effects.input_delay import EFFECT as DELAY
 from groundstation.diagnosis.effects.motor_lag import EFFECT as LAG
 from groundstation.diagnosis.evidence import Evidence, Solution
 from groundstation.diagnosis.results import Finding
-from groundstation.diagnosis.rivals import INSEPARABLE, posterior
+from groundstation.diagnosis.rivals import posterior
+from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.results import Estimate
 
 Array = NDArray[np.float64]
 
-CERTAIN = 25.0
-"""Wald statistic (five standard deviations) for one of the two; for both together ten more."""
 NAMES = (*LAG.names()[:2], *DELAY.names())
 SLOPE = LAG.names()[2]
 
@@ -47,20 +47,20 @@ def lag_findings(evidence: Evidence, solution: Solution) -> list[Finding]:
         return float(v @ np.linalg.solve(c, v))
 
     everything, only_delay_explains, only_lag_explains = wald([0, 1, 2]), wald([2]), wald([0, 1])
-    chance = CERTAIN + 10.0 - everything
+    chance = THRESHOLDS.timing_wald + THRESHOLDS.timing_wald_joint_more - everything
     lag, delay = float(values[:2].mean()), float(values[2])
     if chance >= 0.0 or lag + delay < LAG.least:
         return []
-    if min(only_delay_explains, only_lag_explains) > CERTAIN and lag > LAG.least and delay > DELAY.least:
+    if min(only_delay_explains, only_lag_explains) > THRESHOLDS.timing_wald and lag > LAG.least and delay > DELAY.least:
         return [
-            _lag(values, covariance, lags, only_lag_explains, (CERTAIN - only_lag_explains,)),
-            _delay(delay, covariance[2, 2], only_delay_explains, (CERTAIN - only_delay_explains,)),
+            _lag(values, covariance, lags, only_lag_explains, (THRESHOLDS.timing_wald - only_lag_explains,)),
+            _delay(delay, covariance[2, 2], only_delay_explains, (THRESHOLDS.timing_wald - only_delay_explains,)),
         ]
     lead = only_lag_explains - only_delay_explains
     if lead >= 0.0 or delay < DELAY.least:
         alone = _conditional(values, covariance)
-        return [_lag(*alone, lags, everything, (chance, -lead), lead < INSEPARABLE)]
-    return [_delay(lag + delay, covariance[2, 2], everything, (chance, lead), -lead < INSEPARABLE)]
+        return [_lag(*alone, lags, everything, (chance, -lead), lead < THRESHOLDS.inseparable)]
+    return [_delay(lag + delay, covariance[2, 2], everything, (chance, lead), -lead < THRESHOLDS.inseparable)]
 
 
 def _lag(
@@ -80,7 +80,7 @@ def _lag(
             NAMES[1]: Estimate.normal(float(down), float(np.sqrt(covariance[1, 1]))),
             SLOPE: beside[2],
         },
-        evidence=LAG.sentence.format(up_ms=1e3 * up, down_ms=1e3 * down),
+        evidence=told(LAG.sentence, **{NAMES[0]: float(up), NAMES[1]: float(down)}),
         confidence=posterior(rivals),
         alternatives=(DELAY.identifier,) if close else (),
         gain=gain,
@@ -91,7 +91,7 @@ def _delay(value: float, variance: float, gain: float, rivals: Sequence[float], 
     return Finding(
         effect=DELAY.identifier,
         parameters={NAMES[2]: Estimate.normal(float(value), float(np.sqrt(variance)))},
-        evidence=DELAY.sentence.format(delay_ms=1e3 * value),
+        evidence=told(DELAY.sentence, **{NAMES[2]: float(value)}),
         confidence=posterior(rivals),
         alternatives=(LAG.identifier,) if close else (),
         gain=gain,

@@ -23,7 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.results import Finding
-from groundstation.diagnosis.rivals import INSEPARABLE, posterior
+from groundstation.diagnosis.rivals import posterior
+from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.results import Estimate
 from groundstation.model.rotors import wrench_matrix
@@ -32,22 +34,14 @@ from groundstation.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 CHANNELS = ("force_z_n", "torque_x_nm", "torque_y_nm", "torque_z_nm")
-LEAST_FREEDOM = 3
-FLYING = 0.6
-"""Share of the median total thrust from which the vehicle is taken to fly."""
-SETTLED_S = 1.5
-"""How long after lift-off and before landing thrusts still turn the vehicle back to where it shall look."""
-TRIM_SHARES = (3e-3, 3e-2)
-"""Between which scales trims of a healthy vehicle differ from session to session, as shares of the weight (and arm, and torque
-ratio), each as likely on a logarithmic scale: a battery of a quarter of the weight put in 1 mm aside shifts the centre of a
-nano-quadrotor by a hundredth of its arm. Healthy flights of one session do not tell this."""
-EXCLUDED = 1e-3
-"""Probability below which what an explanation leaves is no healthy scatter."""
-MOST_LOSS = 0.5
-MOST_LOAD = 0.5
-"""Largest load, as a share of the weight."""
-SHORTEST = 0.7
-"""Shortest propeller that still flies, as a share of its diameter: it gives a quarter of the thrust at the same speed."""
+LOADED = (
+    "Compared with the healthy flights, the vehicle carries {mass_change_kg:g|more|less} on the side of rotor {rotor}."
+)
+WEAKER = "Compared with the healthy flights, rotor {rotor} is asked for {asked:%|more|less} thrust."
+SHORTER = (
+    "At the same thrust its torque is {ratio:% change|higher|lower}: a shorter propeller with {sure:%} probability."
+)
+RIVALS = {"weak_rotor": "a weak rotor", "com_offset": "a shifted centre of mass"}
 SIZES, RATIOS, SCALES, PRIORS = 150, 16, 16, 6
 """Points of the integrals: over a size, the torque per thrust, the scale of Student's distribution, and of the prior."""
 
@@ -122,7 +116,7 @@ def applies(suspects: Sequence[Prepared], references: Sequence[Prepared]) -> boo
     return (
         all(item.source != "imu" for item in (*suspects, *references))
         and suspects[0].record.vehicle.rotors.input != "wrench"
-        and len(references) > LEAST_FREEDOM
+        and len(references) > THRESHOLDS.trim_freedom_least
     )
 
 
@@ -142,7 +136,7 @@ def compare_trims(suspects: Sequence[Prepared], references: Sequence[Prepared]) 
         () if best.effect == "none" else (_finding(told, vehicle, len(well)),),
         _rms(changes * scale),
         _rms(np.array(left) * scale),
-        scatter.exceeded(changes.mean(axis=0) - best.change) > EXCLUDED,
+        scatter.exceeded(changes.mean(axis=0) - best.change) > THRESHOLDS.trim_healthy_chance,
     )
 
 
@@ -150,11 +144,11 @@ def mean_thrust(prepared: Prepared) -> Array:
     """Mean thrust of each rotor in settled flight, (n,), by the declared curve."""
     thrust = prepared.signals(0.0, 0.0, 0.0).thrust_n
     t_s, keep, total = prepared.record.t_s, prepared.record.keep, thrust.sum(axis=1)
-    aloft = total > FLYING * np.median(total[keep])
+    aloft = total > THRESHOLDS.trim_flying_share * np.median(total[keep])
     ground = np.concatenate([[-np.inf], t_s[~aloft], [np.inf]])
     after = np.searchsorted(ground, t_s)
     apart = np.minimum(t_s - ground[after - 1], ground[np.minimum(after, len(ground) - 1)] - t_s)
-    settled = keep & aloft & (apart > SETTLED_S)
+    settled = keep & aloft & (apart > THRESHOLDS.trim_settled_s)
     return thrust[settled if settled.any() else keep & aloft].mean(axis=0)
 
 
@@ -163,7 +157,7 @@ def healthy_scatter(well: Array) -> Scatter:
     flights, count = well.shape
     apart = well - well.mean(axis=0)
     prior = count + 2  # the fewest degrees of freedom with which the prior has a mean: the square of the scale
-    spread = np.geomspace(*TRIM_SHARES, PRIORS)[:, None, None] ** 2 * np.eye(count) + apart.T @ apart
+    spread = np.geomspace(*THRESHOLDS.trim_scatter_shares, PRIORS)[:, None, None] ** 2 * np.eye(count) + apart.T @ apart
     freedom = prior + flights - count
     return Scatter(spread * (1.0 + 1.0 / flights) / freedom, np.full(PRIORS, 1.0 / PRIORS), float(freedom))
 
@@ -178,8 +172,8 @@ def stories(vehicle: Vehicle, patterns: Array, change: Array, scatter: Scatter) 
 def _weak_rotor(rotor: int, patterns: Array, change: Array, scatter: Scatter) -> Story:
     """A weak motor or a shorter propeller, as likely before; all rotors together have the prior share of one story."""
     pattern = patterns[:, rotor - 1]
-    loss = MOST_LOSS * np.arange(1, SIZES + 1) / SIZES
-    shorter = (1.0 - SHORTEST) * np.linspace(0.0, 1.0, RATIOS)
+    loss = THRESHOLDS.trim_loss_most * np.arange(1, SIZES + 1) / SIZES
+    shorter = (1.0 - THRESHOLDS.trim_propeller_shortest) * np.linspace(0.0, 1.0, RATIOS)
     prior = np.full(RATIOS, 0.5 / RATIOS)
     prior[0] += 0.5
     more = loss / (1.0 - loss)
@@ -198,7 +192,7 @@ def _weak_rotor(rotor: int, patterns: Array, change: Array, scatter: Scatter) ->
 
 def _load(vehicle: Vehicle, change: Array, scatter: Scatter) -> Story:
     """A load somewhere on the vehicle, its place integrated in closed form."""
-    share = MOST_LOAD * np.arange(1, SIZES + 1) / SIZES
+    share = THRESHOLDS.trim_load_most * np.arange(1, SIZES + 1) / SIZES
     arm = vehicle.arm_m()
     reach = float(np.max(np.abs(vehicle.rotors.position_m))) + vehicle.rotors.radius_m
     place = reach**2 / 3.0 / arm**2  # variance of a place anywhere on the vehicle
@@ -256,15 +250,21 @@ def _rms(wrenches: Array) -> dict[str, float]:
 def _finding(told: Sequence[Story], vehicle: Vehicle, healthy: int) -> Finding:
     best, *rivals = told
     behind = [2.0 * (story.evidence - best.evidence) for story in rivals]
-    near = [s.effect for s, far in zip(rivals, behind, strict=True) if far > -INSEPARABLE and s.effect != best.effect]
+    near = [
+        s.effect
+        for s, far in zip(rivals, behind, strict=True)
+        if far > -THRESHOLDS.inseparable and s.effect != best.effect
+    ]
     alternatives = tuple(dict.fromkeys(name for name in near if name != "none"))
     rotor = best.rotor or _nearest_rotor(best, vehicle)
-    said = " or ".join([*alternatives, *(["a common difference between two days"] if "none" in near else [])])
-    limit = f"; {said} cannot be excluded with {healthy} healthy flights and no gyro" if said else ""
+    said = " or ".join(
+        [*(RIVALS[name] for name in alternatives), *(["a difference between two days"] if "none" in near else [])]
+    )
+    limit = f" With {healthy} healthy flights and no gyro, {said} cannot be excluded." if said else ""
     return Finding(
         effect=best.effect,
         parameters=best.parameters,
-        evidence=f"{_sentence(best, rotor)}{limit}.",
+        evidence=f"{_sentence(best, rotor)}{limit}",
         confidence=posterior(behind),
         alternatives=alternatives,
         rotor=rotor,
@@ -274,13 +274,10 @@ def _finding(told: Sequence[Story], vehicle: Vehicle, healthy: int) -> Finding:
 
 def _sentence(story: Story, rotor: int) -> str:
     if story.effect == "com_offset":
-        more = 1e3 * story.parameters["mass_change_kg"].value
-        return f"Beside the healthy flights {more:.1f} g more are carried towards rotor {rotor}"
+        return told(LOADED, rotor=str(rotor), mass_change_kg=story.parameters["mass_change_kg"].value)
     loss, ratio = story.parameters["loss"].value, story.parameters["torque_to_thrust_ratio"].value
-    text = f"Beside the healthy flights rotor {rotor} is asked for {100.0 * loss / (1.0 - loss):.0f} % more thrust"
-    if story.shorter > 0.5:
-        text += f", and at the same thrust its torque is {100.0 * (1.0 - ratio):.0f} % less, as of a shorter propeller ({story.shorter:.0%})"
-    return text
+    text = told(WEAKER, rotor=str(rotor), asked=loss / (1.0 - loss))
+    return f"{text} {told(SHORTER, ratio=ratio, sure=story.shorter)}" if story.shorter > 0.5 else text
 
 
 def _nearest_rotor(load: Story, vehicle: Vehicle) -> int:

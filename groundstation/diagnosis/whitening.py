@@ -11,16 +11,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.noise import Colour, fit_colour, innovations, minus_log_likelihood
 
 Array = NDArray[np.float64]
 
-REFILLS = 3
-"""Rounds in which the noise that generic columns take is put back and the noise fitted anew."""
-BAND_BINS = 8
-"""Least number of frequencies that one value of a spectrum is averaged over."""
 SEED = 0
-"""Of the draws that put it back."""
+"""Of the draws that put back the noise that generic columns take."""
 
 
 class Whitening:
@@ -94,7 +91,7 @@ class Whitening:
             )
             tried = [self._recoloured(z, columns, start, channel) for start in starts]
             colour = min(tried, key=lambda item: item[1])[0]
-            for _ in range(REFILLS):
+            for _ in range(THRESHOLDS.noise_refills):
                 colour = self._recoloured(z, columns, colour, channel, random)[0]
             found.append(colour)
         return found
@@ -135,11 +132,11 @@ class Whitening:
 
 
 def bands_of(count: int) -> list[slice]:
-    """Frequencies of a periodogram in bands, each an eighth of its own frequency wide, or BAND_BINS."""
+    """Frequencies of a periodogram in bands, each an eighth of its own frequency wide, or ``band_bins``."""
     out, first = [], 0
     while first < count:
-        last = first + max(BAND_BINS, first // 8)
-        if count - last < BAND_BINS:
+        last = first + max(THRESHOLDS.band_bins, first // 8)
+        if count - last < THRESHOLDS.band_bins:
             last = count
         out.append(slice(first, last))
         first = last
