@@ -137,6 +137,7 @@ def diagnose(
     from groundstation.analysis.documents import write_json
     from groundstation.diagnosis.published import published
     from groundstation.reporting.exports import read_model
+    from groundstation.reporting.units import readable
 
     known = None if model is None else read_model(model, loaded[0].vehicle if vehicle is not None else None)
     line = ProgressLine()
@@ -157,16 +158,19 @@ def diagnose(
         files = {}
     found, plan = with_next_flight(folder, found, loaded[0].vehicle)
     written = write_json(folder / "diagnosis.json", found.to_dict())
+    effects = {name for finding in found.findings for name in (finding.effect, *finding.alternatives)}
     lines = [
         *first_of_all(found.to_dict()),
-        f"verdict: {found.verdict}" + (f" ({found.reason})" if found.reason else ""),
+        f"verdict: {found.verdict}" + (f" ({readable(found.reason)})" if found.reason else ""),
         *(f"{finding.effect} ({finding.confidence:.0%}): {finding.evidence}" for finding in found.findings),
         *(
-            f"unexplained: {item.share:.0%} of {item.channel}, varies with {', '.join(item.depends_on) or 'nothing known'}"
+            readable(
+                f"unexplained: {item.share:.0%} of {item.channel}, varies with {', '.join(item.depends_on) or 'nothing known'}"
+            )
             for item in found.unexplained
         ),
         *(f"warning: {text}" for text in found.warnings if not text.startswith("declaration ")),
-        *([f"next flight: {found.next_flight}"] if found.next_flight else []),
+        *([f"next flight: {readable(found.next_flight, effects)}"] if found.next_flight else []),
         *([refused] if refused else []),
         f"written: {written}",
         *(f"written: {path}" for path in files.values()),

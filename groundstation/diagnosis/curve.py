@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import library
 from groundstation.diagnosis.results import Finding
+from groundstation.diagnosis.sentences import told
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.results import Estimate
@@ -80,7 +81,7 @@ def with_exponent(findings: list[Finding], error: float, gain: float) -> list[Fi
     own = Finding(
         effect=NAME,
         parameters={"exponent_error": total},
-        evidence=library()[NAME].sentence.format(exponent_error=f"{total.value:.3g}"),
+        evidence=told(library()[NAME].sentence, exponent_error=total.value),
         confidence=1.0 if more is None else more.confidence,
         gain=gain,
     )

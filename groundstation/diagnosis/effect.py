@@ -72,7 +72,7 @@ class Effect(EffectInfo):
     Attributes:
         wrench: (signals, vehicle, settings) -> body force and torque about the declared origin per unit of each
             parameter, shape (k, 6, len(parameters)); NaN where the signals it needs are unknown.
-        sentence: one sentence a pilot understands, with {parameter} places.
+        sentence: one sentence a pilot understands, with places for parameters and settings as :mod:`.sentences` says.
         variants: settings to try (a rotor, an instant, a length); one empty set for most effects.
         finer: settings around one that was found, to look closer.
         settled: settings as they follow from the values that were found (a load that was let go was on board before).
@@ -115,7 +115,7 @@ class FittedEffect(EffectInfo):
 
     Attributes:
         least: size below which it is no finding, in its parameters' unit.
-        sentence: one sentence a pilot understands; its places are filled by the module that judges it.
+        sentence: one sentence a pilot understands, with places for its parameters.
     """
 
     least: float
@@ -130,7 +130,7 @@ class Reading:
         names: of the reconstruction (:attr:`.Compatibility.values`).
         parameters: what a finding calls them; ``sign`` turns them into the effect's sense.
         least: Euclidean norm of their departure from ``declared`` below which it is no finding.
-        sentence: one sentence a pilot understands, with a place for {size}; ``size`` makes it of the departure.
+        sentence: one sentence a pilot understands, with places for its parameters or for the departure's norm, {size}.
         applies: whether this flight can tell it.
         beside: further names, given where they are certain by themselves.
     """
@@ -139,7 +139,6 @@ class Reading:
     parameters: tuple[str, ...]
     least: float
     sentence: str
-    size: Callable[[Array], float]
     sign: float = 1.0
     declared: Callable[[Vehicle], Array] = field(default=lambda vehicle: np.zeros(1))
     applies: Callable[[Prepared], bool] = field(default=lambda prepared: True)
@@ -159,7 +158,6 @@ def turned_reading(sentence: str, sign: float = 1.0) -> Reading:
         parameters=tuple(parameter.name for parameter in ROTATION_PARAMETERS),
         least=np.deg2rad(0.3),
         sentence=sentence,
-        size=lambda departure: float(np.degrees(np.linalg.norm(departure))),
         sign=sign,
     )
 

@@ -32,6 +32,7 @@ from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
 from groundstation.diagnosis.rivals import Entry
 from groundstation.diagnosis.scale import scale_findings
 from groundstation.diagnosis.screen import dependences, unexplained
+from groundstation.diagnosis.sentences import told
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.timing import lag_findings
 from groundstation.diagnosis.trim import applies as trim_applies
@@ -273,12 +274,12 @@ def _findings(named: Sequence[Named], solution: Solution, vehicle: Vehicle, offs
         rotor = int(settings.pop("rotor")) if effect.of_one_rotor else None
         parameters = {n: Estimate.normal(v, s) for n, v, s in zip(effect.names(), values, std, strict=True)}
         parameters |= {n: Estimate(v, 0.0, (v, v)) for n, v in settings.items()}
-        words = {n: f"{e.value:.3g}" for n, e in parameters.items()} | {"rotor": str(rotor)}
+        values = {name: estimate.value for name, estimate in parameters.items()}
         out.append(
             Finding(
                 effect=effect.identifier,
                 parameters=parameters,
-                evidence=effect.sentence.format(**words),
+                evidence=told(effect.sentence, **values, rotor=str(rotor)),
                 confidence=item.confidence,
                 alternatives=item.alternatives,
                 rotor=rotor,

@@ -13,6 +13,7 @@ from groundstation.diagnosis.effects.motor_lag import EFFECT as LAG
 from groundstation.diagnosis.evidence import Evidence, Solution
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import posterior
+from groundstation.diagnosis.sentences import told
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.results import Estimate
 
@@ -79,7 +80,7 @@ def _lag(
             NAMES[1]: Estimate.normal(float(down), float(np.sqrt(covariance[1, 1]))),
             SLOPE: beside[2],
         },
-        evidence=LAG.sentence.format(up_ms=1e3 * up, down_ms=1e3 * down),
+        evidence=told(LAG.sentence, **{NAMES[0]: float(up), NAMES[1]: float(down)}),
         confidence=posterior(rivals),
         alternatives=(DELAY.identifier,) if close else (),
         gain=gain,
@@ -90,7 +91,7 @@ def _delay(value: float, variance: float, gain: float, rivals: Sequence[float], 
     return Finding(
         effect=DELAY.identifier,
         parameters={NAMES[2]: Estimate.normal(float(value), float(np.sqrt(variance)))},
-        evidence=DELAY.sentence.format(delay_ms=1e3 * value),
+        evidence=told(DELAY.sentence, **{NAMES[2]: float(value)}),
         confidence=posterior(rivals),
         alternatives=(LAG.identifier,) if close else (),
         gain=gain,

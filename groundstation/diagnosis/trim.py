@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import posterior
+from groundstation.diagnosis.sentences import told
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.results import Estimate
@@ -33,6 +34,14 @@ from groundstation.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 CHANNELS = ("force_z_n", "torque_x_nm", "torque_y_nm", "torque_z_nm")
+LOADED = (
+    "Compared with the healthy flights, the vehicle carries {mass_change_kg:g|more|less} on the side of rotor {rotor}."
+)
+WEAKER = "Compared with the healthy flights, rotor {rotor} is asked for {asked:%|more|less} thrust."
+SHORTER = (
+    "At the same thrust its torque is {ratio:% change|higher|lower}: a shorter propeller with {sure:%} probability."
+)
+RIVALS = {"weak_rotor": "a weak rotor", "com_offset": "a shifted centre of mass"}
 SIZES, RATIOS, SCALES, PRIORS = 150, 16, 16, 6
 """Points of the integrals: over a size, the torque per thrust, the scale of Student's distribution, and of the prior."""
 
@@ -248,12 +257,14 @@ def _finding(told: Sequence[Story], vehicle: Vehicle, healthy: int) -> Finding:
     ]
     alternatives = tuple(dict.fromkeys(name for name in near if name != "none"))
     rotor = best.rotor or _nearest_rotor(best, vehicle)
-    said = " or ".join([*alternatives, *(["a common difference between two days"] if "none" in near else [])])
-    limit = f"; {said} cannot be excluded with {healthy} healthy flights and no gyro" if said else ""
+    said = " or ".join(
+        [*(RIVALS[name] for name in alternatives), *(["a difference between two days"] if "none" in near else [])]
+    )
+    limit = f" With {healthy} healthy flights and no gyro, {said} cannot be excluded." if said else ""
     return Finding(
         effect=best.effect,
         parameters=best.parameters,
-        evidence=f"{_sentence(best, rotor)}{limit}.",
+        evidence=f"{_sentence(best, rotor)}{limit}",
         confidence=posterior(behind),
         alternatives=alternatives,
         rotor=rotor,
@@ -263,13 +274,10 @@ def _finding(told: Sequence[Story], vehicle: Vehicle, healthy: int) -> Finding:
 
 def _sentence(story: Story, rotor: int) -> str:
     if story.effect == "com_offset":
-        more = 1e3 * story.parameters["mass_change_kg"].value
-        return f"Beside the healthy flights {more:.1f} g more are carried towards rotor {rotor}"
+        return told(LOADED, rotor=str(rotor), mass_change_kg=story.parameters["mass_change_kg"].value)
     loss, ratio = story.parameters["loss"].value, story.parameters["torque_to_thrust_ratio"].value
-    text = f"Beside the healthy flights rotor {rotor} is asked for {100.0 * loss / (1.0 - loss):.0f} % more thrust"
-    if story.shorter > 0.5:
-        text += f", and at the same thrust its torque is {100.0 * (1.0 - ratio):.0f} % less, as of a shorter propeller ({story.shorter:.0%})"
-    return text
+    text = told(WEAKER, rotor=str(rotor), asked=loss / (1.0 - loss))
+    return f"{text} {told(SHORTER, ratio=ratio, sure=story.shorter)}" if story.shorter > 0.5 else text
 
 
 def _nearest_rotor(load: Story, vehicle: Vehicle) -> int:

@@ -28,7 +28,9 @@ EFFECT = Effect(
         for i, axis in enumerate("xyz")
     ),
     wrench=_wrench,
-    sentence="Turning is resisted: {damping_x_nms}, {damping_y_nms} and {damping_z_nms} N m per rad/s in roll, pitch and yaw.",
+    sentence=(
+        "Damping resists turning with {damping_x_nms:N m} in roll, {damping_y_nms:N m} in pitch and {damping_z_nms:N m} in yaw, per rad/s."
+    ),
     confused_with=("motor_lag", "input_delay"),
     manoeuvre="fast roll, pitch and yaw reversals: damping follows the rate, lag the change of command",
 )

@@ -25,7 +25,7 @@ EFFECT = Effect(
     source="McCormick, Aerodynamics, Aeronautics and Flight Mechanics, 2nd ed. 1995, ch. 4 (drag with the square of speed)",
     parameters=(ParameterInfo("c_kg_m", lambda v: v.mass_kg, (0.0, MOST_KG_M)),),
     wrench=_wrench,
-    sentence="Air resistance grows with the square of speed: {c_kg_m} N at 1 m/s.",
+    sentence="Air resistance of the frame is {c_kg_m:N} at 1 m/s and grows with the square of speed.",
     confused_with=("rotor_drag", "climb_inflow"),
     manoeuvre="fly straight at clearly different speeds: linear and square drag part at twice the speed",
 )

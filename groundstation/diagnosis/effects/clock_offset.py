@@ -17,10 +17,7 @@ EFFECT = SensorEffect(
             names=("mocap_minus_imu_s",),
             parameters=("mocap_minus_imu_s",),
             least=2e-3,
-            sentence=(
-                "Motion capture stamps an instant {size:+.1f} ms from the IMU's stamp: rates and attitude line up only when shifted."
-            ),
-            size=lambda departure: 1e3 * float(departure[0]),
+            sentence="Motion-capture timestamps are {mocap_minus_imu_s:ms|later|earlier} than the IMU's; corrected.",
             applies=lambda prepared: prepared.clock is not None,
             beside=("clock_drift",),
         ),

@@ -35,7 +35,10 @@ EFFECT = Effect(
         ParameterInfo("com_offset_y_m", lambda v: v.arm_m(), (-MOST_M, MOST_M)),
     ),
     wrench=_wrench,
-    sentence="The centre of mass lies {com_offset_x_m} m forward and {com_offset_y_m} m left of the declared origin.",
+    sentence=(
+        "The centre of mass lies {com_offset_x_m:mm|forward|back} and {com_offset_y_m:mm|to the left|to the right} "
+        "of the declared origin."
+    ),
     confused_with=("weak_rotor", "constant_wrench"),
     manoeuvre="climb and sink hard: the torque of an offset grows with total thrust; yaw both ways to exclude a weak rotor",
     shared_by_healthy=0,

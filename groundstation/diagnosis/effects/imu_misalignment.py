@@ -13,7 +13,7 @@ EFFECT = SensorEffect(
     equation="v_body = exp(e) v_imu: R_capture = R_imu exp(-e), and thrust stands along e_z - e x e_z in the IMU",
     source="Klein & Morelli 2006, Aircraft System Identification, ch. 10 (data compatibility)",
     parameters=ROTATION_PARAMETERS,
-    readings=(turned_reading("IMU and body are turned against each other by {size:.2f} degrees.", sign=-1.0),),
+    readings=(turned_reading("The IMU is turned by {size:degrees} against its declared mounting.", sign=-1.0),),
     confused_with=("mocap_misalignment",),
     manoeuvre="tilt by 15 degrees and more in roll and pitch",
 )

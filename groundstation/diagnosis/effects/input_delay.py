@@ -10,7 +10,7 @@ EFFECT = FittedEffect(
     source="Ljung 1999, System Identification, 2nd ed., ch. 4 (dead time of the input)",
     parameters=(ParameterInfo("input_delay_s", plausible=(0.0, 0.5)),),
     least=5e-3,
-    sentence="Commands take {delay_ms:.0f} ms to act.",
+    sentence="Commands reach the rotors {input_delay_s:ms|late|early}.",
     confused_with=("motor_lag", "clock_offset"),
     manoeuvre="fly faster reversals (5 Hz and more) or attitude steps: a lag rounds them, a dead time shifts them",
 )

@@ -15,13 +15,12 @@ EFFECT = SensorEffect(
         *(ParameterInfo(f"offset_{a}_m", plausible=(-1.0, 1.0)) for a in "xyz"),
     ),
     readings=(
-        turned_reading("Marker body and IMU are turned against each other by {size:.2f} degrees."),
+        turned_reading("The tracked marker body is turned by {size:degrees} against its declared mounting."),
         Reading(
             names=tuple(f"mocap_position_{a}_m" for a in "xyz"),
             parameters=tuple(f"offset_{a}_m" for a in "xyz"),
             least=5e-3,
-            sentence="The tracked point lies {size:.0f} mm from where it was declared: positions swing with attitude.",
-            size=lambda departure: 1e3 * float(np.linalg.norm(departure)),
+            sentence="The tracked point lies {size:mm} away from its declared place.",
             declared=lambda v: np.asarray(v.mocap.position_m) - np.asarray(v.imu.position_m),
         ),
     ),

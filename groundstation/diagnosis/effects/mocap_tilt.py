@@ -16,11 +16,7 @@ EFFECT = SensorEffect(
             names=("mocap_tilt_x_rad", "mocap_tilt_y_rad"),
             parameters=("tilt_x_rad", "tilt_y_rad"),
             least=np.deg2rad(0.3),
-            sentence=(
-                "Motion capture's vertical is tilted by {size:.2f} degrees against gravity: a steady horizontal acceleration that the "
-                "accelerometer does not feel."
-            ),
-            size=lambda departure: float(np.degrees(np.linalg.norm(departure))),
+            sentence="The vertical axis of motion capture is tilted by {size:degrees} against gravity.",
         ),
     ),
     confused_with=("wind",),

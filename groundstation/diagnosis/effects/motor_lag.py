@@ -15,7 +15,7 @@ EFFECT = FittedEffect(
     ),
     least=5e-3,
     sentence=(
-        "The rotors follow their commands with a lag of {up_ms:.0f} ms up and {down_ms:.0f} ms down that is not declared."
+        "Rotors follow their commands with a lag that is not declared: {rotor_lag_up_s:ms} speeding up, {rotor_lag_down_s:ms} slowing down."
     ),
     confused_with=("clock_offset", "input_delay"),
     manoeuvre="fly faster reversals (5 Hz and more) or attitude steps: a lag rounds them, a dead time shifts them",

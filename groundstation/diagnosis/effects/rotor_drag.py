@@ -32,7 +32,7 @@ EFFECT = Effect(
         ParameterInfo("d_y_kg_s", lambda v: v.mass_kg, (0.0, MOST_KG_S)),
     ),
     wrench=_wrench,
-    sentence="Moving sideways is resisted by {d_x_kg_s} N per m/s forward and {d_y_kg_s} N per m/s sideways: the rotors drag.",
+    sentence="Rotors resist motion through the air with {d_x_kg_s:N} forward and {d_y_kg_s:N} sideways at 1 m/s.",
     variants=lambda signals, vehicle: ({}, {"isotropic": 1.0}),
     confused_with=("wind", "body_drag", "tether"),
     manoeuvre="fly back and forth at several speeds, both axes, and hover in between",

@@ -34,7 +34,7 @@ EFFECT = Effect(
         ParameterInfo("pull_z_n", lambda v: 0.3 * weight(v), (-MOST_N, MOST_N), companion=True),
     ),
     wrench=_wrench,
-    sentence="Something pulls the vehicle back with {stiffness_n_m} N per metre of displacement.",
+    sentence="Something pulls the vehicle back with {stiffness_n_m:N} for each metre of displacement.",
     confused_with=("wind", "ground_effect", "rotor_drag"),
     manoeuvre="hover at the corners of the room: a pull that changes with place is a tether, not wind",
 )

@@ -15,7 +15,7 @@ EFFECT = FittedEffect(
     source="Newton's second law",
     parameters=(ParameterInfo("thrust_scale", plausible=(0.2, 5.0)),),
     least=THRESHOLDS.material_share,  # a force of as much of the weight: what is material of every force
-    sentence="By its weighed mass the vehicle's rotors give {ratio:.3f} times the declared thrust.",
+    sentence="By its weighed mass, the rotors of the vehicle give {thrust_scale:% change|more|less} thrust than declared.",
     confused_with=("payload_change",),
     manoeuvre='weigh the vehicle, declare its mass as the anchor ("mass"), and hover',
 )

@@ -38,7 +38,10 @@ EFFECT = Effect(
         ParameterInfo("force_world_y_n", lambda v: 0.3 * weight(v), (-MOST_N, MOST_N)),
     ),
     wrench=_wrench,
-    sentence="A steady push of {force_world_x_n} N along x and {force_world_y_n} N along y stays where it is when the vehicle turns: air moves.",
+    sentence=(
+        "Wind pushes with {force_world_x_n:N|toward +x|toward −x} and {force_world_y_n:N|toward +y|toward −y} of the room, "
+        "whichever way the vehicle points."
+    ),
     rests_on=("rotor_drag", "body_drag"),
     confused_with=("tether", "mocap_tilt", "constant_wrench"),
     variants=_variants,

@@ -37,10 +37,11 @@ from groundstation.flight.core.overview import FlightView
 from groundstation.flight.core.pacing import Pace
 from groundstation.flight.core.recorder import Recorder, open_recording, sound
 from groundstation.flight.core.worker import AnalysisWorker, Progress
-from groundstation.flight.journal import ENDPOINT_FILE, WATCH_FILE, Journal
+from groundstation.flight.journal import ENDPOINT_FILE, RAW_LOG, WATCH_FILE, Journal
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, Lease
 from groundstation.recording.keeper import Keeper
+from groundstation.recording.manifest import write_manifest
 from groundstation.trajectory import Plan, flight_path, load_plan
 from groundstation.vehicle import Vehicle, load_vehicle
 
@@ -331,6 +332,13 @@ class FlightCore:
                 f"{self.recorder.recorded} samples recorded, {self.recorder.lost_batches} batches were lost",
                 streams={k: v.count for k, v in self.recorder.streams(self.digested_s).items()},
             )
+            self._seal("plan.toml", *(file.name for file in self.settings.folder.glob("flight*.mcap")))
+
+    def _seal(self, *names: str) -> None:
+        """Checksums of files that are complete; the flight goes on without them."""
+        inputs = {"plan.toml": self.settings.plan, "vehicle.toml": self.settings.vehicle}
+        if failed := write_manifest(self.settings.folder, names, inputs):
+            self._tell("manifest", failed)
 
     def _order(self, job: Callable[[], object]) -> None:
         """Run a request that waits for an answer off the main thread."""
@@ -479,6 +487,8 @@ class FlightCore:
         # A link may still have to bring its vehicle down or restore its parameters: it is never killed.
         if self._drone is not None and not self._drone.leave(timeouts.VEHICLE_LEAVE_S):
             self._tell("vehicle", "the vehicle's process goes on by itself", pid=self._drone.pid)
+        elif self.recorder is not None:
+            self._seal(RAW_LOG)
         for name in (ENDPOINT_FILE, WATCH_FILE):
             (self.settings.folder / name).unlink(missing_ok=True)
         status = self.state.exit_status if self.state.exit_status is not None else 1
