@@ -2,6 +2,8 @@
 
 import os
 
+import pytest
+
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 FAST = {
@@ -21,3 +23,11 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if item.path.stem not in FAST:
             item.add_marker("slow")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_configuration(tmp_path_factory):
+    """The user's configuration folder is left alone: keys are made in one of the tests' own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CONFIG_HOME", str(tmp_path_factory.mktemp("config")))
+        yield

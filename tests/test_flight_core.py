@@ -17,6 +17,7 @@ from groundstation.flight.journal import read_journal
 from groundstation.flight.messages import CoreCommand
 from groundstation.paths import find_config
 from groundstation.recording.load import read_recording
+from groundstation.recording.manifest import provenance
 from groundstation.trajectory import coefficients_from_arrays, plan_from_dict
 
 DEADLINE_S = 30.0
@@ -98,6 +99,7 @@ def test_a_flight_is_recorded_whole_and_ends_well(core):
     assert {"vehicle.toml", "plan.toml"} <= set(recording.files)
     assert any("exciting" in text for text in events(recording))
     assert not (folder / "core.endpoint").exists()
+    assert provenance(folder / "flight.mcap").startswith("The data are as flown: flight.mcap")
 
 
 @pytest.mark.parametrize("fault", ["die@uploaded", "die@takeoff", "die@exciting", "die@landing", "crash@exciting"])

@@ -13,6 +13,7 @@ from mcap.reader import make_reader
 
 from drivers.bus import DroneStatus
 from drivers.samples import Batch, Event
+from groundstation.flight import timeouts
 from groundstation.flight.client.client import connect, outcome, start_core
 from groundstation.flight.client.rehearse import simulated_drone
 from groundstation.flight.core import pacing
@@ -57,7 +58,7 @@ def _fly(folder: Path, plan_file: Path, *, by_hand: bool) -> dict[str, list[tupl
     drone = simulated_drone(vehicle, scenario, SEED)
     core, endpoint = start_core(folder, plan=plan_file, vehicle=vehicle, drone=drone, start=not by_hand, analyse=False)
     if by_hand:
-        assert _checked(endpoint).host_s == pytest.approx(pacing.LOOK_S)
+        assert _checked(endpoint).host_s == pytest.approx(timeouts.SIMULATED_LOOK_S)
     core.wait(DEADLINE_S)
     assert outcome(folder)[0] == 0, (folder / "core.log").read_text()
     topics: dict[str, list[tuple[int, int, bytes]]] = {}
@@ -88,13 +89,19 @@ def test_on_the_ground_time_stands_still_wherever_an_order_may_come():
     pace = pacing.Pace(lock_step=True)
     assert pace.credit_s(Phase.PLANNED, 0.0) == 0.0
     pace.look()
-    assert pace.credit_s(Phase.UPLOADED, 0.5) == pacing.LOOK_S
-    assert not pace.stands(pacing.LOOK_S - 0.05) and pace.stands(pacing.LOOK_S)
-    assert pace.credit_s(Phase.CHECKED, pacing.LOOK_S) == pacing.LOOK_S
-    assert not pace.owes(Phase.CHECKED, pacing.LOOK_S)
-    assert pace.credit_s(Phase.AIRBORNE, pacing.LOOK_S) == pacing.LOOK_S + pacing.AHEAD_S
+    assert pace.credit_s(Phase.UPLOADED, 0.5) == timeouts.SIMULATED_LOOK_S
+    assert not pace.stands(timeouts.SIMULATED_LOOK_S - 0.05) and pace.stands(timeouts.SIMULATED_LOOK_S)
+    assert pace.credit_s(Phase.CHECKED, timeouts.SIMULATED_LOOK_S) == timeouts.SIMULATED_LOOK_S
+    assert not pace.owes(Phase.CHECKED, timeouts.SIMULATED_LOOK_S)
+    assert (
+        pace.credit_s(Phase.AIRBORNE, timeouts.SIMULATED_LOOK_S)
+        == timeouts.SIMULATED_LOOK_S + timeouts.SIMULATED_AHEAD_S
+    )
     pace.look()
-    assert pace.credit_s(Phase.UPLOADED, pacing.LOOK_S) == pacing.LOOK_S + pacing.AGAIN_S
+    assert (
+        pace.credit_s(Phase.UPLOADED, timeouts.SIMULATED_LOOK_S)
+        == timeouts.SIMULATED_LOOK_S + timeouts.SIMULATED_LOOK_AGAIN_S
+    )
 
 
 def test_a_word_that_overtakes_its_samples_waits_for_them():

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO
 
-STOP_TIMEOUT_S = 3.0
+from groundstation.flight import timeouts
 
 
 def module_command(module: str, *arguments: str) -> list[str]:
@@ -74,7 +74,7 @@ class Child:
         if self.poll() is None:
             self._process.kill()
 
-    def stop(self, patience_s: float = STOP_TIMEOUT_S) -> None:
+    def stop(self, patience_s: float = timeouts.CHILD_STOP_S) -> None:
         """Ask it to end, and end it if it does not in time."""
         if not self.leave(patience_s):
             self.kill()

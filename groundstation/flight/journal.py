@@ -16,6 +16,8 @@ ENDPOINT_FILE = "core.endpoint"
 """Where the flight's core listens and an operator's secret, for as long as it runs."""
 WATCH_FILE = "watch.endpoint"
 """Beside it: what to give to somebody who may watch and abort."""
+RAW_LOG = "raw.tlog"
+"""What came over a MAVLink line and left on it, byte by byte."""
 
 
 class Journal:

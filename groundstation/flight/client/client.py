@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from drivers import bus
 from drivers.access import Access, Login, Secrets, hand_over, new_secrets
 from groundstation.errors import BadInput
+from groundstation.flight import timeouts
 from groundstation.flight.children import Child, last_line, module_command, start_child
 from groundstation.flight.client.access import read_access, write_access
 from groundstation.flight.journal import ENDPOINT_FILE, WATCH_FILE, read_journal
@@ -23,8 +24,6 @@ from groundstation.texts import file_name
 
 if TYPE_CHECKING:
     import zenoh
-
-CONNECT_TIMEOUT_S = 15.0
 
 
 class CoreClient:
@@ -74,7 +73,7 @@ class CoreClient:
 
 
 @contextmanager
-def connect(access: Access, *, name: str = "", timeout_s: float = CONNECT_TIMEOUT_S) -> Iterator[CoreClient]:
+def connect(access: Access, *, name: str = "", timeout_s: float = timeouts.CORE_CONNECT_S) -> Iterator[CoreClient]:
     """Connect to a core's endpoint.
 
     Args:

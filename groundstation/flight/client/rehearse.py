@@ -13,6 +13,7 @@ from groundstation.errors import BadInput, FlightAborted, LinkLost, Refused
 from groundstation.flight.children import Child
 from groundstation.flight.client.client import CoreClient, connect, outcome, start_core
 from groundstation.flight.client.interrupts import Interrupts
+from groundstation.flight.journal import RAW_LOG
 from groundstation.flight.link.parameter_journal import left_changed
 from groundstation.flight.messages import WAY, CoreStatus
 from groundstation.flight.sequence import FINAL, IN_FLIGHT, Phase
@@ -62,7 +63,7 @@ def linked_vehicle(
     system: int | None = None,
 ) -> tuple[str, ...]:
     """Module and arguments of the link process to a MAVLink vehicle; its raw log goes beside the recording."""
-    arguments = ["--link", link, "--vehicle", str(vehicle), "--station", station, "--raw-log", str(folder / "raw.tlog")]
+    arguments = ["--link", link, "--vehicle", str(vehicle), "--station", station, "--raw-log", str(folder / RAW_LOG)]
     arguments += ["--journal", str(folder.parent / "parameters.journal")]
     for name in force:
         arguments += ["--force", name]

@@ -6,16 +6,12 @@ from collections.abc import Mapping
 
 from msgspec.structs import replace
 
+from groundstation.flight import timeouts
 from groundstation.flight.messages import CheckStatus, StreamStatus
 from groundstation.flight.sequence import ChecksAnswered
 from groundstation.vehicle import Vehicle
 
-LOOK_S = 1.0
-PATIENCE_S = 5.0
 NEEDED_STREAMS = ("imu", "motors")
-STALE_S = 1.0
-UNSTEADY = 0.5
-"""A gap longer than this (s) on a stream that has many samples a second: something stalls."""
 REMEDIES = {
     "imu": "raise its rate at the autopilot, or look at the link's load",
     "motors": "switch the motors' stream on at the autopilot",
@@ -38,9 +34,9 @@ def _trouble(name: str, stream: StreamStatus, in_flight: bool) -> str:
     remedy = REMEDIES.get(name, "look at what sends it")
     if stream.count == 0:
         return f"nothing came yet; {remedy}"
-    if stream.age_s > STALE_S and (in_flight or name in NEEDED_STREAMS):
+    if stream.age_s > timeouts.STREAM_SILENT_S and (in_flight or name in NEEDED_STREAMS):
         return f"silent for {stream.age_s:.1f} s; {remedy}"
-    if stream.rate_hz > 5.0 and stream.longest_gap_s > UNSTEADY:
+    if stream.rate_hz > 5.0 and stream.longest_gap_s > timeouts.STREAM_GAP_S:
         return f"had a gap of {stream.longest_gap_s:.1f} s; {remedy}"
     return ""
 
@@ -74,12 +70,12 @@ def check_ground(
         vehicle: as declared.
         seen_s: host time since the first sample.
     """
-    if seen_s < LOOK_S:
+    if seen_s < timeouts.STREAMS_LOOK_S:
         return None
     missing = [name for name in NEEDED_STREAMS if name not in streams]
     if missing:
         reason = f"no samples of {' and '.join(missing)} arrive; switch the stream on"
-        return None if seen_s < PATIENCE_S else ChecksAnswered(False, reason)
+        return None if seen_s < timeouts.STREAMS_PATIENCE_S else ChecksAnswered(False, reason)
     empty_v = vehicle.battery.empty_v
     if empty_v is not None and 0.0 < battery_v < empty_v:
         return ChecksAnswered(False, f"the battery is at {battery_v:.2f} V, below {empty_v:g} V; charge it")

@@ -10,14 +10,9 @@ from __future__ import annotations
 
 from drivers.bus import DroneStatus
 from drivers.samples import Batch, Event
+from groundstation.flight import timeouts
 from groundstation.flight.sequence import IN_FLIGHT, Phase
 
-AHEAD_S = 1.0
-"""In the air the vehicle runs this far ahead of what is written, so that neither waits for the other."""
-LOOK_S = 2.0
-"""Simulated time on the ground before the checks are answered: twice what they need of each stream."""
-AGAIN_S = 1.0
-"""How much longer they look where that was not enough."""
 _ROUNDING_S = 1e-6
 _AT_REST = ("landed", "crashed")
 
@@ -39,12 +34,12 @@ class Pace:
     def credit_s(self, phase: Phase, digested_s: float) -> float:
         """How far the vehicle may run now, given what is written."""
         if not self.lock_step or phase in IN_FLIGHT:
-            return digested_s + AHEAD_S
+            return digested_s + timeouts.SIMULATED_AHEAD_S
         return max(self._hold_s, digested_s)
 
     def look(self) -> None:
         """Grant the time that the checks need, or some more."""
-        self._hold_s += AGAIN_S if self._hold_s else LOOK_S
+        self._hold_s += timeouts.SIMULATED_LOOK_AGAIN_S if self._hold_s else timeouts.SIMULATED_LOOK_S
 
     def stands(self, digested_s: float) -> bool:
         """Whether everything up to the instant at which the vehicle waits is written."""

@@ -28,6 +28,7 @@ from drivers.access import Login, Secrets, hand_over, new_secrets, own_secrets
 from drivers.samples import Batch, decode_batch
 from groundstation.errors import BadInput, GroundStationError, Refused
 from groundstation.flight import sequence as seq
+from groundstation.flight import timeouts
 from groundstation.flight.children import Child, module_command, start_child
 from groundstation.flight.core.ground_check import check_ground
 from groundstation.flight.core.lease import OperatorLease
@@ -36,24 +37,17 @@ from groundstation.flight.core.overview import FlightView
 from groundstation.flight.core.pacing import Pace
 from groundstation.flight.core.recorder import Recorder, open_recording, sound
 from groundstation.flight.core.worker import AnalysisWorker, Progress
-from groundstation.flight.journal import ENDPOINT_FILE, WATCH_FILE, Journal
+from groundstation.flight.journal import ENDPOINT_FILE, RAW_LOG, WATCH_FILE, Journal
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, Lease
 from groundstation.recording.keeper import Keeper
+from groundstation.recording.manifest import write_manifest
 from groundstation.trajectory import Plan, flight_path, load_plan
 from groundstation.vehicle import Vehicle, load_vehicle
 
 DRONE = "vehicle"
-CREDIT_EVERY_S = 0.2
-STATUS_EVERY_S = 0.1
-START_UP_S = 90.0
-"""How long the vehicle's process may take to appear: the simulator's first start on a machine compiles it."""
-SILENCE_S = 10.0
-HANG_S = 3.0
-"""A link in flight says something fifty times a second; one that is silent so long has sent no setpoint either, and the
-vehicle's own failsafe has begun: another is started, to land it and to say so."""
 LOCK_STEP_SLACK = 20.0
-DRONE_PATIENCE_S = 10.0
+"""Factor on all deadlines of a lock-stepped flight, which may run slower than the wall's clock."""
 LINK_MODULE = "groundstation.flight.link.process"
 SUCCESSORS = 3
 """Links started in the place of one that ended in flight, before the vehicle is left to its own failsafe."""
@@ -338,6 +332,13 @@ class FlightCore:
                 f"{self.recorder.recorded} samples recorded, {self.recorder.lost_batches} batches were lost",
                 streams={k: v.count for k, v in self.recorder.streams(self.digested_s).items()},
             )
+            self._seal("plan.toml", *(file.name for file in self.settings.folder.glob("flight*.mcap")))
+
+    def _seal(self, *names: str) -> None:
+        """Checksums of files that are complete; the flight goes on without them."""
+        inputs = {"plan.toml": self.settings.plan, "vehicle.toml": self.settings.vehicle}
+        if failed := write_manifest(self.settings.folder, names, inputs):
+            self._tell("manifest", failed)
 
     def _order(self, job: Callable[[], object]) -> None:
         """Run a request that waits for an answer off the main thread."""
@@ -428,9 +429,15 @@ class FlightCore:
             text = f"the vehicle's process ended with status {status}" + (f": {detail}" if detail else "")
             self._lost(text, refused=detail if status == Refused.exit_status else "")
             return
-        patience = START_UP_S if self.recorder is None else HANG_S if self._can_land_it() else SILENCE_S
+        patience = (
+            timeouts.VEHICLE_START_S
+            if self.recorder is None
+            else timeouts.LINK_SILENT_S
+            if self._can_land_it()
+            else timeouts.VEHICLE_SILENT_S
+        )
         if self._successors and self.view.drone is None:
-            patience = START_UP_S  # one that was just started
+            patience = timeouts.VEHICLE_START_S  # one that was just started
         owed = self.recorder is None or self.pace.owes(self.state.phase, self.digested_s)
         if not done and owed and self.clock() - self.heard_s > patience:
             self._lost(f"nothing was heard from the vehicle's process for {patience:g} s")
@@ -457,13 +464,13 @@ class FlightCore:
     def _send_credit(self) -> None:
         now, credit = self.clock(), self.pace.credit_s(self.state.phase, self.digested_s)
         sent, at = self._credit_sent
-        if self.recorder is not None and (credit >= sent + 0.1 or now - at > CREDIT_EVERY_S):
+        if self.recorder is not None and (credit >= sent + 0.1 or now - at > timeouts.CREDIT_EVERY_S):
             self._credit.put(bus.Credit(credit))
             self._credit_sent = (credit, now)
 
     def _publish_status(self, *, force: bool = False) -> None:
         now = self.clock()
-        if not force and now - self._status_sent < STATUS_EVERY_S:
+        if not force and now - self._status_sent < timeouts.STATUS_EVERY_S:
             return
         self._status_sent = now
         self.view.rejected = self._malformed + sum(getattr(handle, "rejected", 0) for handle in self._handles)
@@ -478,8 +485,10 @@ class FlightCore:
         if self._worker is not None:
             self._worker.stop()
         # A link may still have to bring its vehicle down or restore its parameters: it is never killed.
-        if self._drone is not None and not self._drone.leave(DRONE_PATIENCE_S):
+        if self._drone is not None and not self._drone.leave(timeouts.VEHICLE_LEAVE_S):
             self._tell("vehicle", "the vehicle's process goes on by itself", pid=self._drone.pid)
+        elif self.recorder is not None:
+            self._seal(RAW_LOG)
         for name in (ENDPOINT_FILE, WATCH_FILE):
             (self.settings.folder / name).unlink(missing_ok=True)
         status = self.state.exit_status if self.state.exit_status is not None else 1

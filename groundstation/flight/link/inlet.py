@@ -33,8 +33,6 @@ STRANGERS_BYTES = 2 * PIECE
 """Of strangers, a step, while the vehicle is looked for."""
 STRANGERS = 8
 """Strangers whose state is kept at a time, and whose addresses are told."""
-SILENT_S = 1.0
-"""So long the bound address must be silent before another is listened to in flight."""
 CLOCK_S = 0.5
 """How far the clock of who claims to be the vehicle may lie from where the vehicle's would be."""
 

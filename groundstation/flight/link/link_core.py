@@ -22,10 +22,11 @@ from drivers.mavlink.timesync import Timesync
 from drivers.mavlink.transports import Peer
 from drivers.samples import Event, Pose, Raw, Setpoint, State
 from groundstation.errors import BadInput
+from groundstation.flight import timeouts
 from groundstation.flight.link.guard import Guard, Verdict
 from groundstation.flight.link.identity import speaker
-from groundstation.flight.link.inlet import SILENT_S, Arrival, Complaints, Inlet, says_who_it_is
-from groundstation.flight.link.options import PLAIN, TAKEN_OVER_HOLD_S, Options, Output
+from groundstation.flight.link.inlet import Arrival, Complaints, Inlet, says_who_it_is
+from groundstation.flight.link.options import PLAIN, Options, Output
 from groundstation.flight.link.pilot import GUARDED, IN_AIR, Answered, Phase, Pilot
 from groundstation.flight.link.preflight import Check, Situation, failures, run_checks
 from groundstation.flight.link.prepare import Preparation
@@ -40,11 +41,7 @@ from groundstation.vehicle import Vehicle
 
 T = TypeVar("T")
 
-HEARTBEAT_EVERY_S = 1.0
-TIMESYNC_EVERY_S, TIMESYNC_SLOW_S = 0.1, 0.5
 CARRIED = 200
-LATE_S = 0.1
-LOAD_EVERY_S = 5.0
 
 
 class LinkCore:
@@ -185,7 +182,7 @@ class LinkCore:
     def step(self, now_s: float, incoming: Iterable[tuple[Peer, bytes]]) -> Output:
         """Take in what came, decide, and give what leaves."""
         out = Output()
-        on_time, self._stepped_s = now_s - self._stepped_s < LATE_S, now_s
+        on_time, self._stepped_s = now_s - self._stepped_s < timeouts.LATE_STEP_S, now_s
         if on_time:  # after a stall what waits in the port is heard first, within its bounds
             self._guard_flight(now_s, out)
         messages = self._receive(now_s, incoming, out)
@@ -245,7 +242,7 @@ class LinkCore:
     # Receiving --------------------------------------------------------------------------------------------------------
 
     def _receive(self, now_s: float, incoming: Iterable[tuple[Peer, bytes]], out: Output) -> list[Message]:
-        silent = now_s - self._inlet.heard_s > SILENT_S
+        silent = now_s - self._inlet.heard_s > timeouts.ADDRESS_SILENT_S
         self._inlet.put(now_s, incoming, others=silent)
         messages: list[Message] = []
         arrivals = self._inlet.take(datagrams=self.datagrams)
@@ -262,7 +259,7 @@ class LinkCore:
                 break
             except Exception as error:  # whatever it is, who flies goes on
                 self._complain(f"{name} could not be taken in ({type(error).__name__}: {error}); skipped", now_s, out)
-        if now_s - self._load_told_s >= LOAD_EVERY_S and self._inlet.load.datagrams:
+        if now_s - self._load_told_s >= timeouts.STRANGERS_TOLD_EVERY_S and self._inlet.load.datagrams:
             self._load_told_s = now_s
             self._tell(out, now_s, "link", f"strangers on the port, not listened to: {self._inlet.take_load()}")
         return messages
@@ -331,7 +328,7 @@ class LinkCore:
             self.pilot.phase = Phase.LANDED
         else:
             self._guard = Guard(self.station.guard, self.station.box, self.vehicle.battery.empty_v)
-            hold_s = TAKEN_OVER_HOLD_S if self.options.take_over == "hold" else 0.0
+            hold_s = timeouts.TAKEN_OVER_HOLD_S if self.options.take_over == "hold" else 0.0
             self.pilot.take_over(now_s, "taken over in flight by a new link", hold_s=hold_s)
 
     def prepare_on_ground(self) -> None:
@@ -431,7 +428,7 @@ class LinkCore:
 
     def _keep_alive(self, now_s: float, out: Output) -> None:
         silent = self.found_flying and not self.options.take_over
-        if now_s - self._heartbeat_s >= HEARTBEAT_EVERY_S and not silent:
+        if now_s - self._heartbeat_s >= timeouts.HEARTBEAT_EVERY_S and not silent:
             self._heartbeat_s = now_s
             self._send(
                 mavlink.MAVLink_heartbeat_message(
@@ -440,7 +437,7 @@ class LinkCore:
                 now_s,
                 out,
             )
-        every = TIMESYNC_EVERY_S if self.options.bytes_per_s is None else TIMESYNC_SLOW_S
+        every = timeouts.TIMESYNC_EVERY_S if self.options.bytes_per_s is None else timeouts.TIMESYNC_ON_A_LINE_EVERY_S
         if self.view is not None and now_s - self._timesync_s >= every:
             self._timesync_s = now_s
             stamp = int(now_s * 1e9)

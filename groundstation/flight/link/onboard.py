@@ -13,13 +13,12 @@ from drivers.mavlink.dialect import Message
 from drivers.mavlink.exchange import Steps, listen
 from drivers.mavlink.geometry import flip
 from drivers.mavlink.parameters import Parameters
+from groundstation.flight import timeouts
 from groundstation.flight.link.placement import Placement
 from groundstation.flight.link.profiles import Profile
 
 REPORT = "GSPATH"
 ORDER, PLACE = "SCR_USER1", ("SCR_USER2", "SCR_USER3", "SCR_USER4", "SCR_USER5")
-SILENT_S = 2.0
-"""Reports come ten times a second; on a telemetry radio one in a second may get through."""
 _IDLE, _COMPLETE = -1.0, -2.0
 
 
@@ -61,9 +60,9 @@ class OnboardExcitation:
         """Order the excitation, and wait until it is reported; "" or the reason it did not begin."""
         if not (yield from self._parameters.write(ORDER, 1.0)):
             return f"the vehicle did not take {ORDER}, which starts its script"
-        answer = yield listen(lambda m: is_report(m) and m.value != _IDLE, SILENT_S)
+        answer = yield listen(lambda m: is_report(m) and m.value != _IDLE, timeouts.SCRIPT_SILENT_S)
         if answer is None:
-            return f"the script on board was not heard to start within {SILENT_S:g} s"
+            return f"the script on board was not heard to start within {timeouts.SCRIPT_SILENT_S:g} s"
         return "the script on board would not start; its text says why" if answer.value < _COMPLETE else ""
 
     def progress_s(self, now_s: float) -> float:
@@ -72,7 +71,7 @@ class OnboardExcitation:
 
     def state(self, now_s: float) -> Literal["flying", "complete", "ended", "silent"]:
         """What the reports say."""
-        if self._heard_s is None or now_s - self._heard_s > SILENT_S:
+        if self._heard_s is None or now_s - self._heard_s > timeouts.SCRIPT_SILENT_S:
             return "silent"
         if self._value >= 0.0:
             return "flying"

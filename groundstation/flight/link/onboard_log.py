@@ -20,6 +20,7 @@ from drivers.mavlink.exchange import Ask, Conversation
 from drivers.mavlink.logs import LogEntry, LogError, Logs
 from drivers.mavlink.transports import open_transport
 from groundstation.errors import BadInput, GroundStationError, Refused
+from groundstation.flight import timeouts
 from groundstation.flight.link.arguments import bandwidth_of
 from groundstation.flight.link.link_core import LinkCore, Options
 from groundstation.flight.link.prepare import acknowledges_interval
@@ -29,9 +30,6 @@ from groundstation.flight.station import load_station
 from groundstation.paths import find_config
 from groundstation.vehicle import Vehicle, load_vehicle
 from groundstation.writing import write_whole
-
-FIND_S = 15.0
-STEP_S = 0.005
 
 
 def newest(entries: list[LogEntry]) -> LogEntry | None:
@@ -71,7 +69,7 @@ def fetch_onboard_log(
 
     def turn() -> None:
         if not core.waiting:
-            transport.wait(STEP_S)
+            transport.wait(timeouts.LOG_FETCH_WAIT_S)
         for data in core.step(clock(), transport.read()).send:
             transport.write(data)
         if core.peer is not None:
@@ -89,7 +87,7 @@ def fetch_onboard_log(
         return talk.result
 
     try:
-        found_by = clock() + FIND_S
+        found_by = clock() + timeouts.LOG_FETCH_HEARD_S
         while core.view is None:
             if clock() > found_by:
                 raise Refused("no vehicle is heard on the link.", transport.trouble or "Check it, and fetch again.")

@@ -8,7 +8,6 @@ from typing import Literal
 from drivers.samples import Sample
 
 TakeOver = Literal["", "land", "hold"]
-TAKEN_OVER_HOLD_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)

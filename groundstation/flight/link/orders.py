@@ -12,13 +12,11 @@ from math import sqrt
 from drivers.mavlink.dialect import Message, mavlink
 from drivers.mavlink.exchange import Ask, Steps
 from drivers.samples import Vector3
+from groundstation.flight import timeouts
 from groundstation.flight.link.profiles import Profile
 from groundstation.flight.link.view import VehicleView
 from groundstation.flight.station import Policy
 
-STREAM_FIRST_S = 0.6
-CLIMB_TIMEOUT_S = 30.0
-MODE_TIMEOUT_S = 2.0
 _UNDER_WAY = mavlink.MAV_RESULT_IN_PROGRESS
 
 
@@ -59,7 +57,7 @@ class Orders:
 
     def follow(self) -> Steps[str]:
         """Setpoints flow already; wait until there are enough of them, then ask for the mode that follows them."""
-        yield Ask((), _nothing, STREAM_FIRST_S, 1)
+        yield Ask((), _nothing, timeouts.SETPOINTS_FIRST_S, 1)
         return (yield from self.mode(self.profile.follow_mode))
 
     def climb(self, height_m: float) -> Steps[str]:
@@ -80,14 +78,14 @@ class Orders:
             )
 
         command = self.profile.take_off(height_m)
-        return (yield from self._confirmed(command, "taking off", there, wait_s=CLIMB_TIMEOUT_S))
+        return (yield from self._confirmed(command, "taking off", there, wait_s=timeouts.CLIMB_S))
 
     def mode(self, mode: str) -> Steps[str]:
         command = self.profile.set_mode(mode)
         return (yield from self._confirmed(command, f"mode {mode}", lambda: self.view.mode == mode))
 
     def _confirmed(
-        self, command: Message, what: str, there: Callable[[], bool], wait_s: float = MODE_TIMEOUT_S
+        self, command: Message, what: str, there: Callable[[], bool], wait_s: float = timeouts.MODE_CHANGED_S
     ) -> Steps[str]:
         """Send a command, take its acknowledgement, and wait until the vehicle shows the effect: an acknowledgement is none."""
         told = len(self.view.texts)

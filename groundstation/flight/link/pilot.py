@@ -23,6 +23,7 @@ from drivers.mavlink.dialect import Message
 from drivers.mavlink.exchange import Conversation, Steps
 from drivers.mavlink.geometry import yaw_of
 from drivers.samples import Vector3
+from groundstation.flight import timeouts
 from groundstation.flight.link.guard import Verdict
 from groundstation.flight.link.onboard import OnboardExcitation
 from groundstation.flight.link.orders import Orders, distance
@@ -32,7 +33,6 @@ from groundstation.flight.link.view import VehicleView
 from groundstation.flight.station import Policy
 from groundstation.trajectory import Plan, Sequence, flight_path
 
-AGAIN_S = 0.5
 _ABORTED = "the flight was aborted; upload a plan again to"
 
 
@@ -381,13 +381,13 @@ class Pilot:
         if now_s - self._since_s > self._hold_s:
             self.land(now_s)
         elif now_s >= self._again_s and self.view.mode != self.profile.hold_mode:
-            self._again_s = now_s + AGAIN_S
+            self._again_s = now_s + timeouts.ORDER_AGAIN_S
             out.append(self.profile.set_mode(self.profile.hold_mode))
 
     def _keep_landing(self, now_s: float, out: list[Message]) -> None:
         if now_s < self._again_s:
             return
-        self._again_s = now_s + AGAIN_S
+        self._again_s = now_s + timeouts.ORDER_AGAIN_S
         if self._kill:
             out.append(self.profile.kill())
             return

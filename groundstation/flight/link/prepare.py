@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping
 from drivers.mavlink.dialect import Message, mavlink, message_id
 from drivers.mavlink.exchange import Ask, Steps
 from drivers.mavlink.parameters import Parameters
+from groundstation.flight import timeouts
 from groundstation.flight.link.rates import cost_of_line, fit_rates
 from groundstation.flight.link.upload import Way, choose_way
 from groundstation.flight.link.view import VehicleView
 from groundstation.flight.station import Station
 
-MEASURE_S = 2.5
 SELDOM = 0.75
 """Share of the rate asked for under which a request is taken for lost; a line may lose a tenth."""
 AMPLE = 1.5
@@ -130,9 +130,11 @@ class Preparation:
         }
         for _ in range(ROUNDS):
             before = {name: self._count(name) for name in least_hz}
-            yield Ask((), lambda _m: False, MEASURE_S, 1)
+            yield Ask((), lambda _m: False, timeouts.RATES_MEASURED_S, 1)
             seldom = [
-                name for name, rate_hz in least_hz.items() if self._count(name) - before[name] <= rate_hz * MEASURE_S
+                name
+                for name, rate_hz in least_hz.items()
+                if self._count(name) - before[name] <= rate_hz * timeouts.RATES_MEASURED_S
             ]
             if not seldom:
                 return

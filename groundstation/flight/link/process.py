@@ -27,6 +27,7 @@ from drivers.mavlink import tlog
 from drivers.mavlink.transports import Transport, open_transport
 from drivers.samples import Batch, Motors, Raw, Sample, encode_batch
 from groundstation.errors import BadInput, GroundStationError, Refused
+from groundstation.flight import timeouts
 from groundstation.flight.link.arguments import bandwidth_of, free_bytes, parse, signing_of
 from groundstation.flight.link.background import Writer
 from groundstation.flight.link.link_core import LinkCore, Options, Output
@@ -40,26 +41,10 @@ from groundstation.outside import parse_json, parse_toml
 from groundstation.trajectory import plan_from_dict
 from groundstation.vehicle import Vehicle, load_vehicle
 
-HEARD_S = 45.0
-READY_S = 45.0
-LANDED_STATE_S = 1.5
-SYNC_LOG_S = 1.0
-REMEMBER_S = 1.0
-IDLE_WAIT_S = 0.02
-CATCH_UP_S = 0.1
-"""So long an order waits for what arrived before it to be taken in."""
-PUBLISH_EVERY_S = 0.02
-STATUS_EVERY_S = 0.1
-ORDER_S = 4.6
-RESTORE_S = 5.0
-LOST_S = 180.0
-"""With the core gone, a vehicle not heard for so long is beyond this link: its battery or its own failsafe has ended it."""
 NOT_AHEAD = (
     "link: the system does not let it run ahead of other programs, and setpoints leave less evenly on a busy machine; "
     "a line 'USER - nice -10' in /etc/security/limits.conf allows it"
 )
-SWITCH_S = 2e-4
-"""A thread that publishes or logs gives the interpreter up so soon; the default, 5 ms, is how late setpoints left."""
 
 _PHASES: dict[Phase, bus.DronePhase] = {
     Phase.IDLE: "idle",
@@ -129,7 +114,7 @@ class LinkProcess:
             os.setpriority(os.PRIO_PROCESS, 0, -10)  # ahead of the analysis, where the system allows it
         except OSError:
             self._notes = (NOT_AHEAD,)
-        sys.setswitchinterval(SWITCH_S)
+        sys.setswitchinterval(timeouts.SWITCH_INTERVAL_S)
         gc.freeze()
         gc.disable()  # collections of a long run would delay setpoints; samples hold no cycles
         with bus.open_session(connect=[endpoint], login=own_login()) as session:
@@ -144,12 +129,17 @@ class LinkProcess:
             )
             handles = [credit, core_alive]
             try:
-                self._until(lambda: self.core.view is not None or bool(self._stop_reason), self.clock() + HEARD_S)
+                self._until(
+                    lambda: self.core.view is not None or bool(self._stop_reason),
+                    self.clock() + timeouts.VEHICLE_HEARD_S,
+                )
                 if self.core.found_flying and not self.core.ready:
-                    self._until(lambda: self.core.view.on_ground is not None, self.clock() + LANDED_STATE_S)  # type: ignore[union-attr]
+                    self._until(lambda: self.core.view.on_ground is not None, self.clock() + timeouts.LANDED_STATE_S)  # type: ignore[union-attr]
                     self._refuse_in_flight()
                 if self.core.view is not None:
-                    self._until(lambda: self.core.ready or bool(self._stop_reason), self.clock() + READY_S)
+                    self._until(
+                        lambda: self.core.ready or bool(self._stop_reason), self.clock() + timeouts.VEHICLE_READY_S
+                    )
                 if self._stop_reason and not self.core.ready:
                     return 0
                 if not self.core.ready:
@@ -234,7 +224,7 @@ class LinkProcess:
         """Wait, step, write."""
         due = self.core.next_s - self.clock()
         if not self.core.waiting:
-            self.transport.wait(min(IDLE_WAIT_S, due) if due > -1e6 else IDLE_WAIT_S)
+            self.transport.wait(min(timeouts.IDLE_WAIT_S, due) if due > -1e6 else timeouts.IDLE_WAIT_S)
         now = self.clock()
         if self._stop_reason and self.core.pilot is not None and self.core.pilot.phase in IN_AIR:
             self.core.order("abort", now, self._stop_reason)
@@ -246,7 +236,7 @@ class LinkProcess:
         if (
             not self._inbox.empty()
         ):  # after what arrived, so that an order is not judged by the knowledge before a stall
-            while self.core.waiting and self.clock() - now < CATCH_UP_S:
+            while self.core.waiting and self.clock() - now < timeouts.CATCH_UP_S:
                 self._emit(self.core.step(self.clock(), ()))
             while not self._inbox.empty():
                 self._inbox.get_nowait()()
@@ -284,14 +274,14 @@ class LinkProcess:
     def _finished(self) -> bool:
         phase = self.core.pilot.phase if self.core.pilot is not None else Phase.IDLE
         unheard_s = self.clock() - self.core.view.heard_s if self.core.view is not None else 0.0
-        if phase in IN_AIR and not (self._core_gone_s is not None and unheard_s > LOST_S):
+        if phase in IN_AIR and not (self._core_gone_s is not None and unheard_s > timeouts.VEHICLE_LOST_S):
             return False
         gone = self._core_gone_s is not None and self.clock() - self._core_gone_s > 1.0
         return gone or bool(self._stop_reason)
 
     def _restore(self) -> None:
         self.core.restore_parameters()
-        self._until(lambda: not self.core.changed, self.clock() + RESTORE_S)
+        self._until(lambda: not self.core.changed, self.clock() + timeouts.PARAMETERS_RESTORED_S)
 
     # The bus ----------------------------------------------------------------------------------------------------------
 
@@ -342,7 +332,7 @@ class LinkProcess:
 
         self._later(run)
         try:
-            return reply.get(timeout=ORDER_S)
+            return reply.get(timeout=timeouts.ORDER_ANSWERED_S)
         except queue.Empty:
             return bus.Answer(False, "the vehicle did not answer in time")
 
@@ -354,17 +344,17 @@ class LinkProcess:
 
     def _publish(self, *, force: bool = False) -> None:
         now = self.clock()
-        if self._memory is not None and now - self._remembered_s >= REMEMBER_S:
+        if self._memory is not None and now - self._remembered_s >= timeouts.SIGNING_MEMORY_EVERY_S:
             self._remembered_s = now
             self._publisher.put(self._memory.write)
         self._tell_failure("samples or status could not be published", self._publisher.failure)
-        if self._batch and (force or now - self._sent_s >= PUBLISH_EVERY_S):
+        if self._batch and (force or now - self._sent_s >= timeouts.PUBLISH_EVERY_S):
             samples, times = zip(*self._batch, strict=True)
             batch = Batch(self._sequence, times, samples)
             self._publisher.put(lambda: self._samples.put(encode_batch(batch)))
             self._sequence, self._batch, self._sent_s = self._sequence + 1, [], now
         status = self.status(now)
-        if force or status.phase != self._phase or now - self._status_s >= STATUS_EVERY_S:
+        if force or status.phase != self._phase or now - self._status_s >= timeouts.STATUS_EVERY_S:
             self._phase, self._status_s = status.phase, now
             self._publisher.put(lambda: self._status.put(status))
 
@@ -408,7 +398,7 @@ class LinkProcess:
     def _write_log(self, item: object) -> None:
         assert self._log is not None and isinstance(item, tuple)  # noqa: S101 - this thread's own queue
         self._log.write(tlog.record(*item))
-        if item[0] - self._log_synced_s > SYNC_LOG_S:
+        if item[0] - self._log_synced_s > timeouts.RAW_LOG_SYNC_EVERY_S:
             self._log_synced_s = item[0]
             os.fsync(self._log.fileno())
 

@@ -17,6 +17,7 @@ import numpy as np
 from drivers.mavlink.dialect import Message, mavlink
 from drivers.mavlink.exchange import Ask, Steps, listen
 from drivers.mavlink.ftp import Ftp, FtpError, checksum
+from groundstation.flight import timeouts
 from groundstation.flight.link.onboard import REPORT, is_report
 from groundstation.flight.link.profiles import Profile
 from groundstation.flight.messages import WAY
@@ -27,7 +28,6 @@ SCRIPT = Path(__file__).with_name("profiles") / "excitation.lua"
 COEFFICIENTS = "excitation.txt"
 FOLDERS = ("APM/scripts", "scripts")
 """On a flight controller's card, and in the simulation."""
-HEARD_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +93,10 @@ def send_script(profile: Profile) -> Steps[str]:
     ack = yield Ask((restart,), _acknowledges_scripting, 1.0, 3)
     if ack is None or ack.result != mavlink.MAV_RESULT_ACCEPTED:
         raise FtpError("the vehicle does not restart its scripts; restart the vehicle")
-    if (yield listen(is_report, HEARD_S)) is None:
-        raise FtpError(f"the script is on board, but its report {REPORT} was not heard within {HEARD_S:g} s")
+    if (yield listen(is_report, timeouts.SCRIPT_HEARD_S)) is None:
+        raise FtpError(
+            f"the script is on board, but its report {REPORT} was not heard within {timeouts.SCRIPT_HEARD_S:g} s"
+        )
     return folder
 
 

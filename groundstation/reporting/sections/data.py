@@ -14,6 +14,7 @@ import numpy as np
 import groundstation
 from groundstation.flightdata import FlightData, Stream
 from groundstation.identification.results import Clock, Identification
+from groundstation.recording.manifest import provenance
 from groundstation.reporting import figures
 from groundstation.reporting.markup import Markup, definition_list, element, fragment, sentence_list, table
 from groundstation.reporting.page import Page
@@ -141,9 +142,11 @@ def add_reproduction(
     versions += [(name, metadata.version(name)) for name in ("numpy", "scipy")]
     options = "".join(f" --exclude {a:g}:{b:g}" for a, b in identification.excluded_s) if identification else ""
     commands = "\n".join(f"groundstation {command} {source}{options}" for command in ("identify", "diagnose", "report"))
+    said = provenance(recording) if recording is not None else ""
     page.section(
         "reproduce",
         "Reproduce",
+        element("p", said) if said else None,
         element("pre", commands),
         element("h3", "Analysed with"),
         definition_list([*versions, *_hashes(flight, recording)]),
