@@ -6,6 +6,7 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import reporting_fixture as fixture
 
@@ -14,9 +15,10 @@ from groundstation.diagnosis.adoption import why_not
 from groundstation.diagnosis.results import Diagnosis, Unexplained
 from groundstation.fleet.rows import CANONICAL, _parameters
 from groundstation.flight.client.rehearse import result_table
+from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.model.prediction import model_from_document
 from groundstation.reporting import write_report
-from groundstation.reporting.canonical import canonical
+from groundstation.reporting.canonical import canonical, correlated
 from groundstation.reporting.exports import model_document, read_model
 from groundstation.reporting.identified import identified_from_document
 from groundstation.reporting.units import interval_text, label, scale_for, split_unit
@@ -85,3 +87,34 @@ def test_findings_that_predict_worse_are_said_and_those_that_do_not_are_not():
     stages = {"prediction_0.5_s_before": {"body_rate_rad_s": 4.07}, "prediction_0.5_s_after": {"body_rate_rad_s": 9.91}}
     assert "4.07 → 9.91 rad/s" in why_not(stages)
     assert why_not({**stages, "prediction_0.5_s_after": {"body_rate_rad_s": 4.2}}) == ""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_covariance_belongs_to_the_intervals_that_are_shown(kind, tmp_path: Path):
+    """Its diagonal is the square of every published deviation, in the document and in the model file; it is a covariance."""
+    rng = np.random.default_rng(16)
+    print("seed 16")
+    square = rng.standard_normal((7, 9))
+    identification, diagnosis = fixture.identification(), _diagnosis(kind)
+    best = replace(identification.methods[identification.best], covariance=square @ square.T)
+    identification = replace(identification, methods={**identification.methods, identification.best: best})
+    diagnosis = replace(diagnosis, covariance_after=(square @ square.T)[::-1, ::-1])
+    document = identification_document(identification, diagnosis)
+    joint, parameters = document["estimate"]["joint"], document["estimate"]["parameters"]
+    covariance, correlation = np.array(joint["covariance"]), np.array(joint["correlation"])
+    assert joint["names"] == [name for name in MASS_AND_TENSOR if name in parameters]
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [parameters[n]["std"] for n in joint["names"]])
+    np.testing.assert_allclose(np.diag(correlation), 1.0)
+    assert np.linalg.eigvalsh(correlation).min() > -1e-12
+    files = write_identification(tmp_path, identification, fixture.flight().vehicle, diagnosis)
+    assert read_model(files["model"])["joint"] == joint
+    source = diagnosis.covariance_after if kind != "findings not adopted" else best.covariance
+    assert source is not None
+    np.testing.assert_allclose(correlation[0, 1], source[0, 1] / np.sqrt(source[0, 0] * source[1, 1]))
+
+
+def test_what_has_no_spread_is_correlated_with_nothing():
+    found = correlated(np.diag([0.0, 4.0, np.inf]) + 1.0)
+    assert found is not None
+    np.testing.assert_allclose(found, [[1.0, 1 / np.sqrt(5.0), 0.0], [1 / np.sqrt(5.0), 1.0, 0.0], [0.0, 0.0, 1.0]])
+    assert correlated(None) is None

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.attribution import folds
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, Solution
-from groundstation.identification.anchoring import anchored
+from groundstation.identification.anchoring import anchored, anchored_covariance
 from groundstation.identification.prediction_error import Fitted, output_error
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import CHANNELS, RecordModel
@@ -65,12 +65,20 @@ def with_plain(splits: Sequence[Split], evidence: Evidence, vehicle: Vehicle) ->
 
 def _base_estimates(evidence: Evidence, vehicle: Vehicle, solution: Solution) -> dict[str, Estimate]:
     """Mass and tensor of a linearised joint estimate, under the anchor."""
+    estimates, constants = anchored(vehicle, RIGID_BODY, *_rigid_body(evidence, solution))
+    return {**estimates, **constants}
+
+
+def base_covariance(evidence: Evidence, vehicle: Vehicle, chosen: Chosen) -> NDArray[np.float64]:
+    """Covariance (7, 7) of mass and tensor with the effects put in, under the anchor."""
+    return anchored_covariance(vehicle, RIGID_BODY, *_rigid_body(evidence, evidence.solve(chosen)))
+
+
+def _rigid_body(evidence: Evidence, solution: Solution) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     names = list(evidence.names)
     index = [names.index(n) for n in RIGID_BODY]
     values, jacobian = evidence.flights[0].rigid_body(solution)
-    covariance = jacobian @ solution.covariance[np.ix_(index, index)] @ jacobian.T
-    estimates, constants = anchored(vehicle, RIGID_BODY, values, covariance)
-    return {**estimates, **constants}
+    return values, jacobian @ solution.covariance[np.ix_(index, index)] @ jacobian.T
 
 
 def base_parameters(

@@ -13,6 +13,7 @@ from groundstation.diagnosis.attribution import Named, Selection, candidates
 from groundstation.diagnosis.augmented import is_among, known_candidates
 from groundstation.diagnosis.comparison import (
     as_declared,
+    base_covariance,
     base_parameters,
     held_out_errors,
     plain_gain,
@@ -137,6 +138,7 @@ def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress:
         error={"held_out": error | ahead},
         parameters_before=before,
         parameters_after=after,
+        covariance_after=base_covariance(evidence, vehicle, chosen),
         next_flight=_next_flight(findings, remaining),
         reason=" ".join(filter(None, (worse, _reason(verdict, findings, remaining)))),
         warnings=tuple(_warnings(suspects, references)),

@@ -69,6 +69,7 @@ class Diagnosis(Tabular):
     Attributes:
         error: {"held_out": {"before": {channel: rms}, "after": {...}, "nominal": {...},
             "prediction_0.1_s_before": {quantity: rms}, ..., "simulation_before": {signal: rms}, "simulation_after": {...}}}.
+        covariance_after: of mass and tensor with the findings put in, (7, 7) in the order of MASS_AND_TENSOR.
         adopted: whether the findings are put into the estimate; not where they make the prediction worse.
         notes: what these errors are of, and which of them are left out, and why.
         residual: time series that the report draws: "t_s", each channel before, and "channel/after" with the findings.
@@ -83,6 +84,7 @@ class Diagnosis(Tabular):
     error: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
     parameters_before: Mapping[str, Estimate] = field(default_factory=dict)
     parameters_after: Mapping[str, Estimate] = field(default_factory=dict)
+    covariance_after: NDArray[np.float64] | None = None
     next_flight: str = ""
     reason: str = ""
     warnings: tuple[str, ...] = ()

@@ -28,6 +28,20 @@ def anchored(
     Returns:
         (mass and tensor, model parameters that the anchor makes unknown).
     """
+    theta, cov, scale, scale_std = _under_anchor(vehicle, names, values, covariance)
+    constants = {} if scale is None else thrust_constants(vehicle, scale, scale_std)
+    return _estimates(MASS_AND_TENSOR, theta, cov), constants
+
+
+def anchored_covariance(vehicle: Vehicle, names: Sequence[str], values: Array, covariance: Array) -> Array:
+    """Covariance of mass and tensor, shape (7, 7), in the order of MASS_AND_TENSOR, whose diagonal :func:`anchored` gives."""
+    return _under_anchor(vehicle, names, values, covariance)[1]
+
+
+def _under_anchor(
+    vehicle: Vehicle, names: Sequence[str], values: Array, covariance: Array
+) -> tuple[Array, Array, float | None, float]:
+    """Mass and tensor, their covariance, and the factor of the thrust constants with its deviation; None where they are trusted."""
     settings = vehicle.identification
     index = [names.index(name) for name in MASS_AND_TENSOR]
     theta = np.asarray(values, dtype=float)[index]
@@ -40,7 +54,7 @@ def anchored(
     extra = settings.torque_to_thrust_std**2 * np.outer(ratio, ratio)
     if settings.anchor == "thrust" or vehicle.rotors.input == "wrench":
         cov = cov + settings.thrust_coefficient_std**2 * np.outer(theta, theta) + extra
-        return _estimates(MASS_AND_TENSOR, theta, cov), {}
+        return theta, cov, None, 0.0
     scale = vehicle.mass_kg / theta[0]
     relative_mass_std = settings.mass_std_kg / vehicle.mass_kg
     # values: m fixed, J = scale * J_fit; jacobian with respect to (m_fit, J_fit)
@@ -54,7 +68,7 @@ def anchored(
         + extra * scale**2
     )
     scale_std = scale * float(np.hypot(np.sqrt(cov[0, 0]) / theta[0], relative_mass_std))
-    return _estimates(MASS_AND_TENSOR, anchored_values, cov_anchored), thrust_constants(vehicle, scale, scale_std)
+    return anchored_values, cov_anchored, scale, scale_std
 
 
 def thrust_constants(vehicle: Vehicle, scale: float, std: float) -> dict[str, Estimate]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from groundstation.errors import GroundStationError, NotIdentifiable
 from groundstation.flightdata import FlightData
-from groundstation.identification.anchoring import anchored
+from groundstation.identification.anchoring import anchored, anchored_covariance
 from groundstation.identification.consistency import nearest_rigid_body, physically_consistent
 from groundstation.identification.declarations import check_declarations, lag_doubts, said_first
 from groundstation.identification.identifiability import (
@@ -309,6 +309,7 @@ def _result(fitted: DynamicFit, fit: Fitted, hidden: Mapping[str, str], note: st
             **dict(zip(("torque_x_nm", "torque_y_nm", "torque_z_nm"), torques, strict=True)),
         },
         note=note,
+        covariance=anchored_covariance(fitted.prepared[0].record.vehicle, fit.names, fit.values, fit.covariance),
     )
 
 

@@ -52,13 +52,17 @@ class Evolution:
 
 @dataclass(frozen=True, slots=True)
 class MethodResult:
-    """One method's answer. Parameters that the flight does not reveal are absent."""
+    """One method's answer. Parameters that the flight does not reveal are absent.
+
+    ``covariance`` is of mass and tensor, (7, 7) in the order of MASS_AND_TENSOR; None where the method gives none.
+    """
 
     parameters: Mapping[str, Estimate]
     condition_number: float | None = None
     rms_output_error: Mapping[str, float] = field(default_factory=dict)
     evolution: Evolution | None = None
     note: str = ""
+    covariance: Array | None = None
 
     def without(self, names: Collection[str]) -> MethodResult:
         """The same without some of its parameters."""

@@ -212,6 +212,7 @@ def _result(
             estimate.evolution_t_s, {name: evolution[:, MASS_AND_TENSOR.index(name)] for name in known}
         ),
         note=" ".join(n for n in (*notes, *refused) if n),
+        covariance=covariance,
     )
 
 

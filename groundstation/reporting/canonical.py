@@ -7,7 +7,10 @@ from dataclasses import dataclass
 from math import hypot, sqrt
 from typing import TYPE_CHECKING, Any
 
-from groundstation.identification.results import Estimate, Identification
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification
 
 if TYPE_CHECKING:  # the diagnosis is heavy to import, and only its type is needed
     from groundstation.diagnosis.results import Diagnosis
@@ -25,17 +28,30 @@ class Canonical:
     Attributes:
         parameters: mass, tensor and the rest of the model.
         source: the method, and "+ findings" where they are put in.
+        correlation: of mass and tensor, (7, 7) in the order of MASS_AND_TENSOR; None where the method gives none.
         note: what the numbers ask to be read with, in a sentence; empty where there is nothing.
     """
 
     parameters: Mapping[str, Estimate]
     source: str
     note: str = ""
+    correlation: NDArray[np.float64] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The block ``estimate`` of identification.json."""
         values = {name: estimate.to_dict() for name, estimate in self.parameters.items()}
-        return {"source": self.source, "note": self.note, "parameters": values}
+        return {"source": self.source, "note": self.note, "parameters": values} | self.joint()
+
+    def joint(self) -> dict[str, Any]:
+        """The block ``joint``: covariance and correlation of mass and tensor, and the names of their rows; empty where there is none."""
+        if self.correlation is None:
+            return {}
+        kept = [i for i, name in enumerate(MASS_AND_TENSOR) if name in self.parameters]
+        names = [MASS_AND_TENSOR[i] for i in kept]
+        std = np.array([self.parameters[name].std for name in names])
+        correlation = self.correlation[np.ix_(kept, kept)]
+        covariance = correlation * np.outer(std, std)
+        return {"joint": {"names": names, "covariance": covariance.tolist(), "correlation": correlation.tolist()}}
 
 
 def canonical(identification: Identification, diagnosis: Diagnosis | None = None) -> Canonical:
@@ -47,15 +63,16 @@ def canonical(identification: Identification, diagnosis: Diagnosis | None = None
     best = identification.methods.get(identification.best)
     own = dict(best.parameters if best else {}) | dict(identification.model)
     if diagnosis is None or diagnosis.verdict == "refused":
-        return Canonical(own, identification.best)
+        return Canonical(own, identification.best, correlation=correlated(best.covariance if best else None))
     found = dict(own)
+    covariance = best.covariance if best else None
     source, notes = identification.best, []
     if diagnosis.findings and diagnosis.adopted:
         found |= {n: e for n, e in diagnosis.parameters_after.items() if n not in identification.not_identifiable}
         for finding in diagnosis.findings:
             if finding.effect in FITTED:
                 found |= {name: e for name, e in finding.parameters.items() if name in own}
-        source = f"{identification.best} + findings"
+        source, covariance = f"{identification.best} + findings", diagnosis.covariance_after
     elif diagnosis.findings:
         notes.append("The findings make the prediction worse and are not put in.")
     if diagnosis.unexplained:
@@ -63,7 +80,19 @@ def canonical(identification: Identification, diagnosis: Diagnosis | None = None
         notes.append(
             "A residual remains that nothing explains: the intervals are widened, and may still not hold the truth."
         )
-    return Canonical(found, source, " ".join(notes))
+    return Canonical(found, source, " ".join(notes), correlated(covariance))
+
+
+def correlated(covariance: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
+    """The correlation of a covariance; what has no spread, or an infinite one, is correlated with nothing."""
+    if covariance is None:
+        return None
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    known = np.isfinite(std) & (std > 0.0)
+    out = np.eye(len(std))
+    index = np.ix_(known, known)
+    out[index] = np.clip(covariance[index] / np.outer(std[known], std[known]), -1.0, 1.0)
+    return out
 
 
 def _widened(estimate: Estimate, without: Estimate | None, diagnosis: Diagnosis) -> Estimate:

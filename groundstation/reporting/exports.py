@@ -71,6 +71,7 @@ def model_document(
         "parameters": _values(parameters),
         "model": _values(model),
         "effects": effects,
+        **estimate.joint(),
         **({} if identification.disturbance is None else {"disturbance": identification.disturbance.to_dict()}),
         **({"prediction": dict(identification.prediction)} if identification.prediction else {}),
         "not_identifiable": list(identification.not_identifiable),
