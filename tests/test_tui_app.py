@@ -250,7 +250,7 @@ async def test_after_landing_identify_comes_up_by_itself_and_shows_what_the_anal
         await until(pilot, lambda: "1.82530 ± 0.00060" in screen_text(app) and "not revealed" in screen_text(app))
         write_results(core.folder)
         await follow(pilot, core, Phase.DONE)
-        await until(pilot, lambda: "IV (best)" in screen_text(app) and "1.82540 ± 0.00066" in screen_text(app))
+        await until(pilot, lambda: "IV (estimate)" in screen_text(app) and "1.82540 ± 0.00066" in screen_text(app))
         assert "mass, kg, over s, and its 95 % interval" in screen_text(app)
         await pilot.press("5")
         await until(pilot, lambda: "the rotors drag" in screen_text(app))
@@ -330,7 +330,7 @@ async def test_flights_lists_filters_and_opens(tmp_path: Path) -> None:
         await pilot.press("slash", *"beta", "enter")
         await until(pilot, lambda: table.row_count == 1)
         await pilot.press("enter")
-        await until(pilot, lambda: app.current_mode == "identify" and "IV (best)" in screen_text(app))
+        await until(pilot, lambda: app.current_mode == "identify" and "IV (estimate)" in screen_text(app))
         assert "beta[red]" in screen_text(app)
 
 

@@ -70,7 +70,7 @@ async def test_two_keys_fly_and_end_with_a_report(tmp_path: Path) -> None:
         await until(pilot, lambda: phase(app) in FINAL and app.results is not None)
         assert app.core is not None and app.results is not None
         assert phase(app) == Phase.DONE, app.core.newest
-        await until(pilot, lambda: "(best)" in screen_text(app))
+        await until(pilot, lambda: "(estimate)" in screen_text(app))
         assert app.results.report is not None
         told = app.results.evolution["parameters"]["mass_kg"]
         truth = load_flight(app.core.folder / "flight.mcap").truth

@@ -209,6 +209,8 @@ def report(
 
     go_on(loaded, accepted)
     from groundstation import api
+    from groundstation.analysis.analyse import identification_document
+    from groundstation.reporting.card import landing_card
 
     line = ProgressLine()
     before, judges = load_flights(reference, vehicle), load_flights(held_out, vehicle)
@@ -230,7 +232,14 @@ def report(
         "declarations": first["declarations"],
         "files": files,
     }
-    lines = [*first_of_all(first), *(f"{name:<16} {path}" for name, path in files.items())]
+    card = landing_card(
+        identification_document(done.identification, done.diagnosis),
+        done.diagnosis.to_dict(),
+        loaded[0].vehicle.parameters(),
+        planned=done.files["next_flight"].name if "next_flight" in done.files else "",
+    )
+    document["card"] = list(card)
+    lines = [*first_of_all(first), *(f"{name:<16} {path}" for name, path in files.items()), "", *card]
     return Result(document, "\n".join(lines))
 
 

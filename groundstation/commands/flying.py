@@ -150,6 +150,7 @@ def _flight_result(flown: FlightResult) -> Result:
 
     from groundstation import api
     from groundstation.flight.client.rehearse import result_table
+    from groundstation.reporting.card import landing_card
 
     files = flown.files()
     document: dict[str, Any] = {
@@ -160,16 +161,22 @@ def _flight_result(flown: FlightResult) -> Result:
         "reason": flown.reason,
     }
     lines = [f"{name:<20} {path}" for name, path in files.items()]
+    identification, diagnosis, declared = {}, {}, {}
     if "identification.json" in files:
         identification = json.loads(files["identification.json"].read_text(encoding="utf-8"))
         flight = api.load_flight(files["flight.mcap"])
         truth = flight.truth.parameters() if flight.truth is not None else {}
+        declared = flight.vehicle.parameters()
         document |= {"identification": identification, "truth": truth}
-        lines += ["", result_table(identification, flight.vehicle.parameters(), truth)]
+        lines += ["", result_table(identification, declared, truth)]
     if "diagnosis.json" in files:
         diagnosis = json.loads(files["diagnosis.json"].read_text(encoding="utf-8"))
         document["diagnosis"] = diagnosis
         lines += ["", f"diagnosis: {diagnosis['verdict']}", *(f"  {f['evidence']}" for f in diagnosis["findings"])]
+    if identification:
+        proposed = "next_flight.toml" if "next_flight.toml" in files else ""
+        document["card"] = list(landing_card(identification, diagnosis, declared, planned=proposed))
+        lines += ["", *document["card"]]
     if flown.exit_status:
         lines.append(flown.reason)
     return Result(document, "\n".join(lines), flown.exit_status)

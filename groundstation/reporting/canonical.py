@@ -80,3 +80,12 @@ def estimate_in(document: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
     best = document["best"]
     own = document.get("methods", {}).get(best, {}).get("parameters", {})
     return str(best), {**document.get("model", {}), **own}
+
+
+def estimate_of(entry: Mapping[str, Any] | None) -> Estimate | None:
+    """An estimate of a document's entry; None where it holds no number."""
+    if not entry or entry.get("value") is None or entry.get("std") is None:
+        return None
+    normal = Estimate.normal(entry["value"], entry["std"])
+    low, high = entry.get("ci95") or normal.ci95
+    return Estimate(normal.value, normal.std, (low, high))

@@ -9,7 +9,7 @@ from typing import Any
 from groundstation.flight.messages import CoreStatus
 from groundstation.flight.sequence import Phase
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
-from groundstation.reporting.canonical import estimate_in
+from groundstation.reporting.canonical import estimate_in, estimate_of
 from groundstation.reporting.units import (
     decimals,
     fixed,
@@ -170,7 +170,7 @@ def method_table(document: Mapping[str, Any], declared: Mapping[str, float], mos
     header = ("parameter", "unit", "nominal", *(f"{name} (estimate)" if name == source else name for name in names))
     rows = []
     for parameter in MASS_AND_TENSOR:
-        found = [_document_estimate(methods.get(name, {}), parameter) for name in names]
+        found = [estimate_of(methods.get(name, {}).get("parameters", {}).get(parameter)) for name in names]
         nominal = declared.get(parameter, math.nan)
         known = [abs(e.value) for e in found if e] + [abs(nominal)]
         scale = scale_for(split_unit(parameter)[1], [v for v in known if math.isfinite(v)])
@@ -178,14 +178,6 @@ def method_table(document: Mapping[str, Any], declared: Mapping[str, float], mos
         shown = fixed(nominal * scale.factor, decimals(half_width(found[0]) * scale.factor) if found[0] else 3)
         rows.append((label(parameter), scale.unit, shown, *cells))
     return header, rows
-
-
-def _document_estimate(method: Mapping[str, Any], parameter: str) -> Estimate | None:
-    entry = method.get("parameters", {}).get(parameter)
-    if not entry:
-        return None
-    normal = Estimate.normal(entry["value"], entry["std"])
-    return Estimate(normal.value, normal.std, tuple(entry.get("ci95", normal.ci95)))
 
 
 def identification_notes(document: Mapping[str, Any]) -> str:

@@ -11,6 +11,7 @@ from textual.widgets import DataTable, ProgressBar, Static
 
 from groundstation.flight.messages import CoreStatus
 from groundstation.flight.sequence import Phase
+from groundstation.reporting.card import landing_card
 from groundstation.reporting.units import label, scale_for, split_unit
 from groundstation.tui.results import FlightResults
 from groundstation.tui.screens.base import WIDE, StationScreen, fill
@@ -39,6 +40,7 @@ The drawings show how the live estimates moved while it flew, between their 95 %
         """Progress, tables, notes."""
         yield Static("no flight is identified yet; fly one (3), or choose one on Flights (6)", id="of", markup=False)
         yield ProgressBar(total=1.0, show_eta=False, id="analysis-progress")
+        yield Static("", id="card", classes="panel", markup=False)
         yield DataTable(id="parameters", show_cursor=False)
         yield Static("", id="notes", classes="panel", markup=False)
         with Horizontal(classes="columns"):
@@ -54,6 +56,7 @@ The drawings show how the live estimates moved while it flew, between their 95 %
         bar.display = running
         if not running:
             return
+        self.query_one("#card").display = False
         bar.update(progress=status.progress)
         self.say("#of", f"{status.flight}: {status.text or 'the analysis starts'}")
         self.say("#notes", "\n".join(status.notes[-3:]))
@@ -67,12 +70,16 @@ The drawings show how the live estimates moved while it flew, between their 95 %
         document = results.identification
         self.query_one(ProgressBar).display = False
         self.say("#of", results.folder.name)
+        planned = "next_flight.toml" if results.next_flight is not None else ""
+        card = landing_card(document, results.diagnosis, results.declared, results.refusal, planned)
+        self.query_one("#card").display = True
+        self.say("#card", "\n".join(card))
         parameters, validation = self.query_one("#parameters", DataTable), self.query_one("#validation", DataTable)
         if not document:
             fill(parameters, (), ())
             fill(validation, (), ())
             self.query_one("#evolution").display = False
-            self.say("#notes", results.refusal or "this flight has no identification")
+            self.say("#notes", "")
             return
         narrow = self.app.size.width < WIDE
         fill(parameters, *method_table(document, results.declared, 2 if narrow else len(document["methods"])))
