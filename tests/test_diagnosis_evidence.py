@@ -10,9 +10,9 @@ import pytest
 from scipy.stats import chi2, f
 
 from benchmarks.flown import flight_data
+from groundstation.diagnosis.base import for_evidence
 from groundstation.diagnosis.evidence import Columns, Evidence, FlightEvidence, landed
 from groundstation.diagnosis.linearisation import linearisation
-from groundstation.diagnosis.pipeline import for_evidence
 from groundstation.diagnosis.scale import scale_findings
 from groundstation.diagnosis.whitening import bands_of, coefficients
 from groundstation.identification.pipeline import fit_dynamics
