@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from groundstation.diagnosis.curve import exponent_error, recurved
-from groundstation.diagnosis.kinematic import kinematic_findings, turned
+from groundstation.diagnosis.curve import exponent_error, with_thrust_exponent
+from groundstation.diagnosis.kinematic import kinematic_findings, with_imu_aligned
 from groundstation.diagnosis.results import Finding
 from groundstation.flightdata import FlightData
 from groundstation.identification.preparation import Prepared, prepare_all
@@ -54,10 +54,10 @@ def case_of(flights: Sequence[FlightData], options: AnalysisOptions) -> Case:
 def sensors(case: Case) -> tuple[Case, list[Finding]]:
     """What gyro, accelerometer and motion capture say of each other; an IMU that is turned is put straight in every flight."""
     findings = kinematic_findings(case.suspects[0])
-    return case.map(lambda flight: turned(flight, findings)), findings
+    return case.map(lambda flight: with_imu_aligned(flight, findings)), findings
 
 
 def thrust_exponent(case: Case) -> tuple[Case, float]:
     """Departure of the thrust curve's exponent from the declared one, 0 for most flights; every flight by the curve it gives."""
     departure = exponent_error(case.suspects[0])
-    return case.map(lambda flight: recurved(flight, departure)), departure
+    return case.map(lambda flight: with_thrust_exponent(flight, departure)), departure

@@ -54,7 +54,7 @@ def select(case: Case, base: Base, augmented: tuple[Candidate, ...], progress: P
     if not first.named:
         return first
     known = tuple(n.candidate for n in first.named)
-    about = replace(base, fitted=first.evidence.flights[0].moved(base.fitted, first.solution))
+    about = replace(base, fitted=first.evidence.flights[0].updated_base(base.fitted, first.solution))
     return _select(case, about, augmented, known, progress)
 
 
@@ -94,7 +94,7 @@ def _confirmed(
     vehicle = case.suspects[0].record.vehicle
     baseline = _baseline(evidence, vehicle, augmented, references=bool(case.healthy))
     again = Selection(evidence, (), baseline, variants=selection.variants)
-    left = again.standing([candidate for candidate, _ in chosen])
+    left = again.still_significant([candidate for candidate, _ in chosen])
     return [entry for entry in chosen if entry[0] in left]
 
 
