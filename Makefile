@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 FIND_PYTHON = for p in $(PYTHON) python3.11 python3.12 python3.13 python3.14 python3; do \
   "$$p" -c 'import sys, ensurepip, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { command -v "$$p"; break; }; done
 
-.PHONY: help fuzz setup rehearse test test-fast docs lint study blind bench campaign faults firmware-test reproduce clean
+.PHONY: help fuzz setup rehearse test test-fast docs lint study blind bench campaign faults firmware-test reproduce lock clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -68,6 +68,12 @@ reproduce: $(READY)  ## the paper's tables beside ours
 
 fuzz: $(READY)  ## mutated inputs over every reader: ARGS='--minutes 60', '--count 1000000'
 	@$(PY) -m benchmarks.fuzz $(ARGS)
+
+lock: $(READY)  ## requirements.lock: the packages of constraints.txt with the hashes of their files
+	@work=$$(mktemp -d) && trap 'rm -rf "$$work"' EXIT && $(PY) -m venv "$$work" && \
+	  "$$work/bin/python" -m pip install --quiet --disable-pip-version-check uv==0.13.9 && \
+	  "$$work/bin/uv" pip compile pyproject.toml --quiet --universal --python-version 3.11 --generate-hashes --extra dev --extra mocap \
+	    --constraint constraints.txt --no-emit-index-url --no-header --no-annotate --output-file requirements.lock >/dev/null
 
 clean:  ## remove the virtual environment and caches, never a flight
 	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis dist build

@@ -12,9 +12,9 @@ import numpy as np
 
 from benchmarks.hidden import Table
 from groundstation.diagnosis.attribution import candidates
+from groundstation.diagnosis.base import for_evidence
 from groundstation.diagnosis.effect import Effect, ParameterInfo, library
 from groundstation.diagnosis.evidence import Candidate, Evidence, FlightEvidence
-from groundstation.diagnosis.pipeline import for_evidence
 from groundstation.flightdata import FlightData
 from groundstation.frames import quat_rotate_inverse
 from groundstation.identification.pipeline import fit_dynamics

@@ -314,6 +314,8 @@ def plan_from_dict(document: dict, source: str = "plan") -> Plan:
     Raises:
         BadInput: one sentence naming every fault.
     """
+    if not isinstance(document, dict):
+        raise BadInput(f"{source}: is no table of keys and values. Make a plan with `groundstation plan`.")
     try:
         return Plan.model_validate(document)
     except ValidationError as error:

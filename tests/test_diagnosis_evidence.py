@@ -10,9 +10,9 @@ import pytest
 from scipy.stats import chi2, f
 
 from benchmarks.flown import flight_data
-from groundstation.diagnosis.evidence import Columns, Evidence, FlightEvidence, landed
+from groundstation.diagnosis.base import for_evidence
+from groundstation.diagnosis.evidence import Columns, Evidence, FlightEvidence, updated_rigid_body
 from groundstation.diagnosis.linearisation import linearisation
-from groundstation.diagnosis.pipeline import for_evidence
 from groundstation.diagnosis.scale import scale_findings
 from groundstation.diagnosis.whitening import bands_of, coefficients
 from groundstation.identification.pipeline import fit_dynamics
@@ -79,20 +79,20 @@ def test_a_step_to_another_mass_and_tensor_lands_at_once(evidence):
     inertia = list(flight.names).index("izz_kg_m2")
     own = p.tensor[2, 2]
     solution.theta[inertia] = own**2 * (1.0 / own - 1.0 / (1.4 * own))
-    about = flight.moved(evidence.flights[0]._fitted, solution)
+    about = flight.updated_base(evidence.flights[0]._fitted, solution)
     assert about.parameters.mass_kg == pytest.approx(1.4 * p.mass_kg)
     assert about.parameters.tensor[2, 2] == pytest.approx(1.4 * own, rel=0.01)  # products of inertia aside
     solution.theta[index] = 1.1 * p.mass_kg
-    assert flight.moved(evidence.flights[0]._fitted, solution) is evidence.flights[0]._fitted
+    assert flight.updated_base(evidence.flights[0]._fitted, solution) is evidence.flights[0]._fitted
 
 
 def test_the_jacobian_of_such_a_step_is_its_slope():
     about = np.array([1.5, 0.03, 0.001, -0.002, 0.025, 0.0005, 0.04])
     step = 0.2 * about
-    found = landed(about, step)
+    found = updated_rigid_body(about, step)
     assert found is not None
     for k in range(7):
-        more = landed(about, step + 1e-7 * np.eye(7)[k])
+        more = updated_rigid_body(about, step + 1e-7 * np.eye(7)[k])
         assert more is not None
         assert (more[0] - found[0]) / 1e-7 == pytest.approx(found[1][:, k], rel=1e-4, abs=1e-5)
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from test_diagnosis_flights import _flight
 
+from groundstation.diagnosis.base import for_evidence
 from groundstation.diagnosis.evidence import Evidence, FlightEvidence
-from groundstation.diagnosis.pipeline import for_evidence
 from groundstation.diagnosis.proposal import dictionary, induced_velocity, select, with_proposals
 from groundstation.diagnosis.results import Unexplained
 from groundstation.identification.pipeline import fit_dynamics

@@ -27,6 +27,7 @@ from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.journal import read_journal
 from groundstation.paths import find_config
 from groundstation.recording.load import read_recording
+from groundstation.recording.manifest import provenance
 
 DEADLINE_S = 60.0
 
@@ -192,4 +193,6 @@ def test_an_abort_while_it_arms_ends_in_seconds_with_the_vehicle_where_it_stood(
     assert flight.core.wait(DEADLINE_S) == 4
     assert time.monotonic() - begun < 20.0, "it waited 113 s for a landing"
     assert "did not take off" in outcome(flight.folder)[1]
+    said = provenance(flight.folder / "flight.mcap")
+    assert said.startswith("The data are as flown: ") and "raw.tlog" in said and "flight.mcap" in said
     flight.witness.until(lambda: flight.witness.armed is False, "the vehicle to say so")

@@ -43,6 +43,30 @@ def test_constraints_name_versions_and_no_addresses():
     assert lines and all(re.fullmatch(r"[A-Za-z0-9_.-]+==[0-9][A-Za-z0-9.+!]*", line) for line in lines)
 
 
+def test_the_lock_agrees_with_the_constraints_and_hashes_every_package():
+    def plain(name: str) -> str:
+        return re.sub(r"[-_.]+", "-", name).lower()
+
+    pinned = dict(re.findall(r"^([\w.-]+)==(\S+)$", (ROOT / "constraints.txt").read_text(), re.M))
+    pinned = {plain(name): version for name, version in pinned.items()}
+    text = (ROOT / "requirements.lock").read_text().replace("\\\n", " ")
+    locked = [
+        re.fullmatch(r"([\w.-]+)==(\S+)( ; [^#@:]+?)?((?: +--hash=sha256:[0-9a-f]{64})+)", line)
+        for line in text.splitlines()
+    ]
+    assert len(locked) > 100
+    for line, entry in zip(text.splitlines(), locked, strict=True):
+        assert entry is not None, f"not a name, a version and hashes alone: {line[:80]}"
+        name, version, marker, _ = entry.groups()
+        assert pinned.get(plain(name), version if marker else "nothing") == version, f"{name}: run `make lock`"
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    wanted = {
+        plain(re.split(r"[<>=\[; ]", each)[0]) for each in [*project["dependencies"], *extras["dev"], *extras["mocap"]]
+    }
+    assert wanted <= {plain(entry[1]) for entry in locked if entry}
+
+
 def test_everything_imported_is_constrained():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     wanted = [*project["dependencies"], *(r for extra in project["optional-dependencies"].values() for r in extra)]

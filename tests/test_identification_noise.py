@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from groundstation.identification.noise import (
-    Colour,
+    NoiseModel,
     apply_polynomial,
-    fit_colour,
+    fit_noise_model,
     innovations,
     minus_log_likelihood,
     whitening_polynomial,
@@ -19,11 +19,11 @@ from groundstation.identification.noise import (
 from groundstation.model.rotors import cumulative, interpolate_columns, motor_input
 
 STEP_S = 1 / 150.0
-PLANTED = Colour(disturbance=2.0, correlation_s=0.5, process=0.02, sensor=0.003)
-ACCELEROMETER = Colour(disturbance=0.2, correlation_s=0.4, process=1e-6, sensor=0.05)
+PLANTED = NoiseModel(disturbance=2.0, correlation_s=0.5, process=0.02, sensor=0.003)
+ACCELEROMETER = NoiseModel(disturbance=0.2, correlation_s=0.4, process=1e-6, sensor=0.05)
 
 
-def planted(colour: Colour, count: int, seed: int, *, integrated: bool) -> np.ndarray:
+def planted(colour: NoiseModel, count: int, seed: int, *, integrated: bool) -> np.ndarray:
     """z of the module's docstring, simulated ten times finer than it is sampled."""
     random = np.random.default_rng(seed)
     fine = 10
@@ -53,7 +53,7 @@ def whiteness(e: np.ndarray, lags: int = 20) -> float:
 
 
 @pytest.mark.parametrize(("colour", "integrated"), [(PLANTED, True), (ACCELEROMETER, False)])
-def test_innovations_of_the_planted_colour_are_white_and_of_unit_variance(colour: Colour, integrated: bool) -> None:
+def test_innovations_of_the_planted_colour_are_white_and_of_unit_variance(colour: NoiseModel, integrated: bool) -> None:
     count = 6000
     z = planted(colour, count, 3, integrated=integrated)
     dt, restart = segments(count, (0, 2500))
@@ -65,7 +65,7 @@ def test_innovations_of_the_planted_colour_are_white_and_of_unit_variance(colour
     assert whiteness(settled) < 2.0
     if integrated:
         assert not known[2500], "the level is unknown where a segment begins"
-    wrong = Colour(colour.disturbance * 0.1, colour.correlation_s, colour.process * 0.1, colour.sensor)
+    wrong = NoiseModel(colour.disturbance * 0.1, colour.correlation_s, colour.process * 0.1, colour.sensor)
     e, s = innovations(z[:, None], dt, restart, wrong, integrated=integrated)
     assert whiteness(e[200:2300, 0] / np.sqrt(s[200:2300])) > 3.0, "a wrong colour must show"
 
@@ -92,7 +92,7 @@ def test_the_colour_of_a_channel_is_found_from_its_residual(integrated: bool) ->
     colour = PLANTED if integrated else ACCELEROMETER
     z = planted(colour, 6000, 5, integrated=integrated)
     dt, restart = segments(6000)
-    found = fit_colour(z, dt, restart, integrated=integrated)
+    found = fit_noise_model(z, dt, restart, integrated=integrated)
     assert found.disturbance == pytest.approx(colour.disturbance, rel=0.3)
     assert found.correlation_s == pytest.approx(colour.correlation_s, rel=0.5)
     if not integrated:
@@ -107,7 +107,7 @@ def test_the_colour_of_a_channel_is_found_from_its_residual(integrated: bool) ->
 @pytest.mark.parametrize("integrated", [True, False])
 @pytest.mark.parametrize("size", [1.0, 1e-11])
 def test_the_likelihood_is_that_of_the_innovations_however_small(integrated: bool, size: float) -> None:
-    colour = Colour(*(PLANTED.vector() * [size, 1.0, size, size]))
+    colour = NoiseModel(*(PLANTED.vector() * [size, 1.0, size, size]))
     z = size * planted(PLANTED, 500, 1, integrated=integrated)
     dt, restart = segments(500, (0, 8, 200))
     e, s = innovations(z[:, None], dt, restart, colour, integrated=integrated)

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import tempfile
+
 import numpy as np
 import pytest
+import zstandard
 
 from groundstation.errors import BadInput
 from groundstation.frames import quat_from_euler, quat_rotate
-from groundstation.recording import convert, read_recording
+from groundstation.recording import confined, convert, read_recording
 from groundstation.recording.airframes import ARDUPILOT
 from groundstation.recording.recorded import vehicle_file
+from groundstation.recording.rosbag import read_topic
 from tests.test_recording_settings import like
 from tests.written_logs import truth
 
 rosbags = pytest.importorskip("rosbags")
 
-from rosbags.rosbag2 import StoragePlugin, Writer  # noqa: E402
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer  # noqa: E402
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
 
 ACTUATORS = "std_msgs/Header header\nfloat64[] velocity\n"
@@ -36,10 +40,13 @@ def types():
     return store
 
 
-def bag(folder, plugin, topics):
-    """A bag of topics: name to (type, [(time, fields)])."""
+def bag(folder, plugin, topics, mode=None):
+    """A bag of topics: name to (type, [(time, fields)]); its files or messages compressed where a mode says so."""
     store = types()
-    with Writer(folder, version=9, storage_plugin=plugin) as writer:
+    writer = Writer(folder, version=9, storage_plugin=plugin)
+    if mode is not None:
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
         for topic, (kind, rows) in topics.items():
             connection = writer.add_connection(topic, kind, typestore=store)
             for time, message in rows:
@@ -165,3 +172,54 @@ def test_a_bag_without_motors_or_a_damaged_one_is_refused(tmp_path):
     (tmp_path / "x.db3").write_bytes(b"SQLite format 3\0" + bytes(2000))
     with pytest.raises(BadInput, match=r"x\.db3"):
         read_recording(tmp_path / "x.db3", QUAD)
+
+
+@pytest.mark.parametrize(
+    ("plugin", "mode"),
+    [(StoragePlugin.SQLITE3, CompressionMode.FILE), (StoragePlugin.MCAP, CompressionMode.MESSAGE)],
+)
+def test_a_compressed_bag_is_read_in_a_process_of_its_own_and_comes_back_the_same(tmp_path, monkeypatch, plugin, mode):
+    speeds, topics = standard()
+    elsewhere = []
+    real = confined._elsewhere
+    monkeypatch.setattr(confined, "_elsewhere", lambda *a: elsewhere.append(a[0]) or real(*a))
+    plain = read_recording(bag(tmp_path / "plain", plugin, topics), QUAD)
+    assert not elsewhere
+    recording = read_recording(bag(tmp_path / "squeezed", plugin, topics, mode), QUAD)
+    assert elsewhere == ["read_bag"]
+    assert np.allclose(recording.streams["motors"].values, speeds)
+    for name, stream in plain.streams.items():
+        assert np.array_equal(stream.values, recording.streams[name].values)
+    del topics["/motors"]
+    with pytest.raises(BadInput, match="holds no motor values"):
+        read_recording(bag(tmp_path / "refused", plugin, topics, mode), QUAD)
+
+
+def test_a_bag_that_expands_without_end_is_refused_and_leaves_nothing_on_the_disk(tmp_path, monkeypatch):
+    monkeypatch.setattr(confined, "FREE", 1 << 27)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "scratch"))
+    (tmp_path / "scratch").mkdir()
+    folder = bag(tmp_path / "bag", StoragePlugin.SQLITE3, standard()[1], CompressionMode.FILE)
+    (file,) = folder.glob("*.zstd")
+    file.write_bytes(zstandard.compress(bytes(1 << 26)) * 64)  # 4 GiB
+    with pytest.raises(BadInput, match="File too large") as refused:
+        read_recording(folder, QUAD)
+    assert len(str(refused.value)) < 400
+    assert list((tmp_path / "scratch").iterdir()) == []
+
+
+def test_a_message_that_expands_beyond_memory_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(confined, "FREE", 1 << 27)
+    huge = "x" * (200 << 20)
+    topics = {"/text": ("std_msgs/msg/String", [(1.0, lambda s, t: s.types["std_msgs/msg/String"](huge))] * 2)}
+    folder = bag(tmp_path / "bag", StoragePlugin.SQLITE3, topics, CompressionMode.MESSAGE)
+    assert sum(file.stat().st_size for file in folder.iterdir()) < 1_000_000
+    with pytest.raises(BadInput, match=r"more than the 1[0-9]+ MiB that they may"):
+        read_topic(folder, "/text")
+
+
+def test_a_bag_that_takes_for_ever_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(confined, "LEAST_S", 0.01)
+    folder = bag(tmp_path / "bag", StoragePlugin.MCAP, standard()[1], CompressionMode.MESSAGE)
+    with pytest.raises(BadInput, match="could not be read within 0 s"):
+        read_recording(folder, QUAD)

@@ -100,7 +100,7 @@ def test_damaged_and_senseless_uploads_are_refused_with_the_reason():
     assert "checksum" in drone.upload(bus.Upload("toml", good.plan + b" ", good.crc32)).reason
     assert "not valid TOML" in drone.upload(bus.make_upload(b"= =")).reason
     assert "not valid JSON" in drone.upload(bus.make_upload(b"{", "json")).reason
-    assert "no table" in drone.upload(bus.make_upload(b"[1]", "json")).reason
+    assert "is no table" in drone.upload(bus.make_upload(b"[1]", "json")).reason
     assert "coefficients" in drone.upload(bus.make_upload(b'vehicle = "x"')).reason
     assert drone.phase == "idle"
 

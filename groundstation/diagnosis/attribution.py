@@ -123,7 +123,7 @@ class Selection:
                 continue
             values, covariance = solution.part(first, offset - first)
             if (
-                not self._is_founded(candidate, chosen)
+                not self._has_prerequisites(candidate, chosen)
                 or not plausible(candidate, values, covariance)
                 or not material(self.evidence, columns, values)
             ):
@@ -149,7 +149,7 @@ class Selection:
             self._alone[key] = self.discrepancy.energies(rest, solution, first).sum(axis=0) + self.lag
         return self._alone[key]
 
-    def _is_founded(self, candidate: Candidate, chosen: Sequence[Entry]) -> bool:
+    def _has_prerequisites(self, candidate: Candidate, chosen: Sequence[Entry]) -> bool:
         """Whether one of the effects that it rests on is there, or it rests on none."""
         there = {c.identifier for c, _ in (*self.baseline, *chosen)}
         return not candidate.effect.rests_on or bool(there.intersection(candidate.effect.rests_on))
@@ -227,7 +227,7 @@ class Selection:
         for index in range(len(chosen)):
             chosen = self._refined(chosen, index)
         chosen = self._pruned(self._contested(chosen))
-        return [e for i, e in enumerate(chosen) if self._holds([*chosen[:i], *chosen[i + 1 :]], e)]
+        return [e for i, e in enumerate(chosen) if self._improves_held_out([*chosen[:i], *chosen[i + 1 :]], e)]
 
     def _selected(self, chosen: list[Entry]) -> list[Entry]:
         """Select, prune, and let rivals contest each place."""
@@ -237,7 +237,7 @@ class Selection:
             if entry is None:
                 break
             *_, entry = refined = self._refined([*chosen, entry], len(chosen))
-            if not self._holds(chosen, entry):
+            if not self._improves_held_out(chosen, entry):
                 refuted.add(entry[0].identifier)
                 continue
             before = [c for c, _ in chosen]
@@ -246,7 +246,7 @@ class Selection:
                 break
         return chosen
 
-    def standing(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+    def still_significant(self, candidates: Sequence[Candidate]) -> list[Candidate]:
         """Those of some candidates that stand together by this evidence; the weakest falls first."""
         columns = ((candidate, self.evidence.columns(candidate)) for candidate in candidates)
         chosen = [(candidate, found) for candidate, found in columns if found is not None]
@@ -266,7 +266,7 @@ class Selection:
         for index, (entry, margin) in enumerate(zip(chosen, margins, strict=True)):
             rest = [*chosen[:index], *chosen[index + 1 :]]
             contest, misfit = self._contest(chosen, index)
-            alternatives, confidence = self._told_from(contest, margin, misfit)
+            alternatives, confidence = self._alternatives(contest, margin, misfit)
             gain = self.held_out_gain(rest, entry)
             named.append(Named(*entry, margin, gain, alternatives, confidence))
         named.sort(key=lambda n: -n.gain)
@@ -349,7 +349,7 @@ class Selection:
             for entry, fall in zip((chosen[index], *rivals), falls[1:], strict=True)
         ], result.misfit
 
-    def _told_from(
+    def _alternatives(
         self, contest: list[tuple[Entry, float]], margin: float, misfit: float
     ) -> tuple[tuple[str, ...], float]:
         """Alternatives to the first of a contest, and its posterior share among all of it, whole sets without it, and nothing.
@@ -371,7 +371,7 @@ class Selection:
         """Fall of the whitened squared residual on blocks no estimate saw, guard gaps left out, when ``entry`` is added."""
         return float(np.sum(self._held_out_gains(chosen, entry)))
 
-    def _holds(self, chosen: Sequence[Entry], entry: Entry) -> bool:
+    def _improves_held_out(self, chosen: Sequence[Entry], entry: Entry) -> bool:
         """Whether an effect lessens the error on blocks no estimate saw, and in no channel adds more to it than its form excuses."""
         gains = self._held_out_gains(chosen, entry)
         total = float(np.sum(gains))

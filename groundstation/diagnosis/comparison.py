@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.attribution import folds
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, Solution
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.anchoring import anchored, anchored_covariance
 from groundstation.identification.prediction_error import Fitted, output_error
 from groundstation.identification.preparation import Prepared
@@ -40,7 +41,7 @@ class Split:
     plain: Fitted | None = None
 
 
-def splits_of(evidence: Evidence, unseen: Sequence[Prepared], count: int = 6) -> list[Split]:
+def splits_of(evidence: Evidence, unseen: Sequence[Prepared], count: int = THRESHOLDS.held_out_blocks) -> list[Split]:
     """The flights that no estimate saw, where there are some; else ``count`` blocks of time, each judged by the others."""
     if unseen:
         others = [evidence.flights[0].of(item) for item in unseen]

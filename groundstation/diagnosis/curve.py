@@ -39,7 +39,7 @@ def exponent_error(prepared: Prepared) -> float:
     climb = prepared.velocity_m_s[:, 2] if np.isfinite(prepared.velocity_m_s).all() else np.zeros(len(commands))
 
     def squared_error(error: float) -> float:
-        total = _bent(record.vehicle, error).thrust(commands).sum(axis=1)
+        total = _curve_with_exponent(record.vehicle, error).thrust(commands).sum(axis=1)
         columns = np.column_stack([total, np.gradient(total, record.t_s), climb * total])
         x, y = (sosfiltfilt(low_pass, v, axis=0)[record.keep] for v in (columns, record.force_m_s2[:, 2]))
         x = x / (np.linalg.norm(x, axis=0) + 1e-30)
@@ -50,14 +50,16 @@ def exponent_error(prepared: Prepared) -> float:
     return float(EXPONENTS[best]) if errors[best] < THRESHOLDS.curve_error_share * squared_error(0.0) else 0.0
 
 
-def recurved(prepared: Prepared, error: float) -> Prepared:
+def with_thrust_exponent(prepared: Prepared, error: float) -> Prepared:
     """The flight as one of a vehicle whose thrust goes with another exponent."""
     if error == 0.0:
         return prepared
-    return replace(prepared, record=replace(prepared.record, vehicle=_bent(prepared.record.vehicle, error)))
+    return replace(
+        prepared, record=replace(prepared.record, vehicle=_curve_with_exponent(prepared.record.vehicle, error))
+    )
 
 
-def _bent(vehicle: Vehicle, error: float) -> Vehicle:
+def _curve_with_exponent(vehicle: Vehicle, error: float) -> Vehicle:
     """The declared curve to the power 1 + error/2 about hover, as the parabola that fits it best up to full command."""
     if error == 0.0:
         return vehicle

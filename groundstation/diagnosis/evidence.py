@@ -166,11 +166,11 @@ class FlightEvidence:
         """Another flight about the same base fit."""
         return FlightEvidence(other, self._fitted, self._given, self.known)
 
-    def moved(self, fitted: Fitted, solution: Solution) -> Fitted:
-        """The base fit at a joint estimate, for the next linearisation; as it was where that is no rigid body (:func:`landed`)."""
+    def updated_base(self, fitted: Fitted, solution: Solution) -> Fitted:
+        """The base fit at a joint estimate, for the next linearisation; as it was where that is no rigid body (:func:`updated_rigid_body`)."""
         names = list(self.names)
         values = values_of(self.parameters, names) + solution.theta[: len(names)]
-        found = landed(*self._rigid_step(solution))
+        found = updated_rigid_body(*self._rigid_step(solution))
         if found is None:
             return fitted
         values[[names.index(name) for name in RIGID_BODY]] = found[0]
@@ -180,10 +180,10 @@ class FlightEvidence:
     def rigid_body(self, solution: Solution) -> tuple[Array, Array]:
         """Mass and tensor of a joint estimate, in the order of RIGID_BODY, and their Jacobian by its parameters.
 
-        Those parameters themselves where no rigid body lies there (:func:`landed`).
+        Those parameters themselves where no rigid body lies there (:func:`updated_rigid_body`).
         """
         about, step = self._rigid_step(solution)
-        return landed(about, step) or (about + step, np.eye(len(about)))
+        return updated_rigid_body(about, step) or (about + step, np.eye(len(about)))
 
     def _rigid_step(self, solution: Solution) -> tuple[Array, Array]:
         index = [self.names.index(name) for name in RIGID_BODY]
@@ -410,7 +410,7 @@ class Evidence:
         return np.concatenate(times), np.concatenate(channels), np.concatenate(flights)
 
 
-def landed(about: Array, step: Array) -> tuple[Array, Array] | None:
+def updated_rigid_body(about: Array, step: Array) -> tuple[Array, Array] | None:
     """Mass and tensor, in the order of RIGID_BODY, that a linear step from others means, and their Jacobian by the step.
 
     What a wrench does is linear in the inverses of mass and tensor, d(1/m) = -dm / m0^2 and d(J^-1) = -J0^-1 dJ J0^-1: taken in these,

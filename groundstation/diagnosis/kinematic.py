@@ -103,7 +103,7 @@ def _lead_of_imu(prepared: Prepared, found: Compatibility) -> float:
     return float(np.sum(seen**2) - np.sum((seen - expected) ** 2)) / THRESHOLDS.rotor_upright_rad**2
 
 
-def turned(prepared: Prepared, findings: Sequence[Finding]) -> Prepared:
+def with_imu_aligned(prepared: Prepared, findings: Sequence[Finding]) -> Prepared:
     """The flight with an IMU that was found turned put straight, so that no force is blamed for it."""
     imu = next((f for f in findings if f.effect == "imu_misalignment"), None)
     if imu is None:

@@ -87,7 +87,7 @@ class Scatter:
 
 
 @dataclass(frozen=True, slots=True)
-class Story:
+class Explanation:
     """An explanation: its marginal log-likelihood, its parameters, and the mean change of wrench it makes (4,).
 
     ``shorter`` is, of a weak rotor, the probability that its propeller is short and not its motor weak.
@@ -123,17 +123,20 @@ def applies(suspects: Sequence[Prepared], references: Sequence[Prepared]) -> boo
 def compare_trims(suspects: Sequence[Prepared], references: Sequence[Prepared]) -> Trim:
     """Explain the difference of mean thrusts between suspect and healthy flights."""
     vehicle = suspects[0].record.vehicle
-    ill, well = (np.array([mean_thrust(item) for item in group]) for group in (suspects, references))
-    healthy = well.mean(axis=0)
+    suspect, reference = (np.array([mean_thrust(item) for item in group]) for group in (suspects, references))
+    healthy = reference.mean(axis=0)
     scale = healthy.sum() * np.array([1.0, *([vehicle.arm_m()] * 2), vehicle.rotors.torque_to_thrust_m or 1.0])
     matrix = wrench_matrix(vehicle) / scale[:, None]
-    ill, well = ill @ matrix.T, well @ matrix.T
-    scatter, changes = healthy_scatter(well), ill - well.mean(axis=0)
-    told = sorted(stories(vehicle, matrix * healthy, changes.mean(axis=0), scatter), key=lambda story: -story.evidence)
-    best = told[0]
-    left = [one - _again(best, vehicle, matrix * healthy, rest, scatter) for one, rest in _each_apart(changes)]
+    suspect, reference = suspect @ matrix.T, reference @ matrix.T
+    scatter, changes = healthy_scatter(reference), suspect - reference.mean(axis=0)
+    ranked = sorted(
+        explanations(vehicle, matrix * healthy, changes.mean(axis=0), scatter),
+        key=lambda explanation: -explanation.evidence,
+    )
+    best = ranked[0]
+    left = [one - _refitted(best, vehicle, matrix * healthy, rest, scatter) for one, rest in _leave_one_out(changes)]
     return Trim(
-        () if best.effect == "none" else (_finding(told, vehicle, len(well)),),
+        () if best.effect == "none" else (_finding(ranked, vehicle, len(reference)),),
         _rms(changes * scale),
         _rms(np.array(left) * scale),
         scatter.exceeded(changes.mean(axis=0) - best.change) > THRESHOLDS.trim_healthy_chance,
@@ -152,25 +155,25 @@ def mean_thrust(prepared: Prepared) -> Array:
     return thrust[settled if settled.any() else keep & aloft].mean(axis=0)
 
 
-def healthy_scatter(well: Array) -> Scatter:
+def healthy_scatter(reference: Array) -> Scatter:
     """Of a flight of another session about the mean of healthy ones (n, 4), covariance and the prior's scale integrated out."""
-    flights, count = well.shape
-    apart = well - well.mean(axis=0)
+    flights, count = reference.shape
+    apart = reference - reference.mean(axis=0)
     prior = count + 2  # the fewest degrees of freedom with which the prior has a mean: the square of the scale
     spread = np.geomspace(*THRESHOLDS.trim_scatter_shares, PRIORS)[:, None, None] ** 2 * np.eye(count) + apart.T @ apart
     freedom = prior + flights - count
     return Scatter(spread * (1.0 + 1.0 / flights) / freedom, np.full(PRIORS, 1.0 / PRIORS), float(freedom))
 
 
-def stories(vehicle: Vehicle, patterns: Array, change: Array, scatter: Scatter) -> list[Story]:
+def explanations(vehicle: Vehicle, patterns: Array, change: Array, scatter: Scatter) -> list[Explanation]:
     """All explanations of a change of wrench (4,); ``patterns`` is what each rotor's healthy thrust makes, (4, n)."""
-    nothing = Story("none", float(scatter.log_density(change)), np.zeros(4), {})
+    nothing = Explanation("none", float(scatter.log_density(change)), np.zeros(4), {})
     weak = [_weak_rotor(rotor, patterns, change, scatter) for rotor in range(1, patterns.shape[1] + 1)]
     return [nothing, *weak, _load(vehicle, change, scatter)]
 
 
-def _weak_rotor(rotor: int, patterns: Array, change: Array, scatter: Scatter) -> Story:
-    """A weak motor or a shorter propeller, as likely before; all rotors together have the prior share of one story."""
+def _weak_rotor(rotor: int, patterns: Array, change: Array, scatter: Scatter) -> Explanation:
+    """A weak motor or a shorter propeller, as likely before; all rotors together have the prior share of one explanation."""
     pattern = patterns[:, rotor - 1]
     loss = THRESHOLDS.trim_loss_most * np.arange(1, SIZES + 1) / SIZES
     shorter = (1.0 - THRESHOLDS.trim_propeller_shortest) * np.linspace(0.0, 1.0, RATIOS)
@@ -185,12 +188,12 @@ def _weak_rotor(rotor: int, patterns: Array, change: Array, scatter: Scatter) ->
         "torque_to_thrust_ratio": _moments(weight, np.broadcast_to(1.0 - shorter, weight.shape)),
     }
     mean = float(np.sum(weight * more[:, None])) * pattern + float(np.sum(weight * shorter)) * yaw
-    return Story(
+    return Explanation(
         "weak_rotor", evidence - np.log(patterns.shape[1]), mean, parameters, rotor, float(np.sum(weight[:, 1:]))
     )
 
 
-def _load(vehicle: Vehicle, change: Array, scatter: Scatter) -> Story:
+def _load(vehicle: Vehicle, change: Array, scatter: Scatter) -> Explanation:
     """A load somewhere on the vehicle, its place integrated in closed form."""
     share = THRESHOLDS.trim_load_most * np.arange(1, SIZES + 1) / SIZES
     arm = vehicle.arm_m()
@@ -214,7 +217,7 @@ def _load(vehicle: Vehicle, change: Array, scatter: Scatter) -> Story:
         parameters[name] = _moments(weight, lever * where[..., axis], lever**2 * spread[..., axis])
     moved = np.einsum("sm,s,smj->j", weight, share, where)
     mean = np.array([float(np.sum(weight * share[:, None])), moved[1], -moved[0], 0.0])
-    return Story("com_offset", evidence, mean, parameters)
+    return Explanation("com_offset", evidence, mean, parameters)
 
 
 def _integrated(log_terms: Array) -> tuple[float, Array]:
@@ -229,14 +232,14 @@ def _moments(weight: Array, values: Array, variance: Array | float = 0.0) -> Est
     return Estimate.normal(mean, float(np.sqrt(np.sum(weight * ((values - mean) ** 2 + variance)))))
 
 
-def _again(best: Story, vehicle: Vehicle, patterns: Array, change: Array, scatter: Scatter) -> Array:
+def _refitted(best: Explanation, vehicle: Vehicle, patterns: Array, change: Array, scatter: Scatter) -> Array:
     """The change of wrench that the explanation ``best`` makes when it is fitted to another change."""
     if best.rotor is not None:
         return _weak_rotor(best.rotor, patterns, change, scatter).change
     return best.change if best.effect == "none" else _load(vehicle, change, scatter).change
 
 
-def _each_apart(changes: Array) -> list[tuple[Array, Array]]:
+def _leave_one_out(changes: Array) -> list[tuple[Array, Array]]:
     """Each flight's change, and the mean of the others' (its own, where there is no other)."""
     if len(changes) == 1:
         return [(changes[0], changes[0])]
@@ -247,9 +250,9 @@ def _rms(wrenches: Array) -> dict[str, float]:
     return dict(zip(CHANNELS, map(float, np.sqrt(np.mean(wrenches**2, axis=0))), strict=True))
 
 
-def _finding(told: Sequence[Story], vehicle: Vehicle, healthy: int) -> Finding:
-    best, *rivals = told
-    behind = [2.0 * (story.evidence - best.evidence) for story in rivals]
+def _finding(ranked: Sequence[Explanation], vehicle: Vehicle, healthy: int) -> Finding:
+    best, *rivals = ranked
+    behind = [2.0 * (explanation.evidence - best.evidence) for explanation in rivals]
     near = [
         s.effect
         for s, far in zip(rivals, behind, strict=True)
@@ -268,19 +271,20 @@ def _finding(told: Sequence[Story], vehicle: Vehicle, healthy: int) -> Finding:
         confidence=posterior(behind),
         alternatives=alternatives,
         rotor=rotor,
-        gain=2.0 * (best.evidence - next(story.evidence for story in told if story.effect == "none")),
+        gain=2.0
+        * (best.evidence - next(explanation.evidence for explanation in ranked if explanation.effect == "none")),
     )
 
 
-def _sentence(story: Story, rotor: int) -> str:
-    if story.effect == "com_offset":
-        return told(LOADED, rotor=str(rotor), mass_change_kg=story.parameters["mass_change_kg"].value)
-    loss, ratio = story.parameters["loss"].value, story.parameters["torque_to_thrust_ratio"].value
+def _sentence(explanation: Explanation, rotor: int) -> str:
+    if explanation.effect == "com_offset":
+        return told(LOADED, rotor=str(rotor), mass_change_kg=explanation.parameters["mass_change_kg"].value)
+    loss, ratio = explanation.parameters["loss"].value, explanation.parameters["torque_to_thrust_ratio"].value
     text = told(WEAKER, rotor=str(rotor), asked=loss / (1.0 - loss))
-    return f"{text} {told(SHORTER, ratio=ratio, sure=story.shorter)}" if story.shorter > 0.5 else text
+    return f"{text} {told(SHORTER, ratio=ratio, sure=explanation.shorter)}" if explanation.shorter > 0.5 else text
 
 
-def _nearest_rotor(load: Story, vehicle: Vehicle) -> int:
+def _nearest_rotor(load: Explanation, vehicle: Vehicle) -> int:
     """In the direction of the load."""
     hubs = np.asarray(vehicle.rotors.position_m)[:, :2]
     towards = [load.parameters[name].value for name in ("com_offset_x_m", "com_offset_y_m")]

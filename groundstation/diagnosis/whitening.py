@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.thresholds import THRESHOLDS
-from groundstation.identification.noise import Colour, fit_colour, innovations, minus_log_likelihood
+from groundstation.identification.noise import NoiseModel, fit_noise_model, innovations, minus_log_likelihood
 
 Array = NDArray[np.float64]
 
@@ -70,14 +70,14 @@ class Whitening:
             part[:] = q @ (q.T @ c)
         return out
 
-    def _fitted_colours(self, residual: Array, nuisance: Array) -> list[Colour]:
+    def _fitted_colours(self, residual: Array, nuisance: Array) -> list[NoiseModel]:
         """Noise of each channel from what generic columns leave of the residual.
 
         Whitened at first by a disturbance of 0.3 s, so that slow effects go into the columns and not into the noise, or by none
         to speak of, as where sensors are noisier than the air; the likelier goes on.
         """
         random = np.random.default_rng(SEED)
-        found: list[Colour] = []
+        found: list[NoiseModel] = []
         for channel in self.channels:
             columns = nuisance[:, channel, :]
             columns = columns[:, np.any(columns != 0.0, axis=0)]
@@ -86,8 +86,8 @@ class Whitening:
             size = float(np.std(np.diff(z))) + 1e-9
             rough = size / step
             starts = (
-                Colour(rough, 0.3, 1e-3 * rough, 0.1 * size),
-                Colour(1e-2 * rough, 0.3, 1e-3 * rough, size / np.sqrt(2.0)),
+                NoiseModel(rough, 0.3, 1e-3 * rough, 0.1 * size),
+                NoiseModel(1e-2 * rough, 0.3, 1e-3 * rough, size / np.sqrt(2.0)),
             )
             tried = [self._recoloured(z, columns, start, channel) for start in starts]
             colour = min(tried, key=lambda item: item[1])[0]
@@ -97,8 +97,8 @@ class Whitening:
         return found
 
     def _recoloured(
-        self, z: Array, columns: Array, colour: Colour, channel: int, random: np.random.Generator | None = None
-    ) -> tuple[Colour, float]:
+        self, z: Array, columns: Array, colour: NoiseModel, channel: int, random: np.random.Generator | None = None
+    ) -> tuple[NoiseModel, float]:
         """Noise of what columns leave when they are fitted under a given noise, and half its minus-log-likelihood.
 
         With ``random`` what they take of the noise is put back (:func:`coefficients`), and the search starts from the given noise.
@@ -110,7 +110,7 @@ class Whitening:
         white = e[good] / np.sqrt(s[good])[:, None]
         left = z - columns @ coefficients(white[:, 1:], white[:, 0], random)
         start = None if random is None else colour
-        found = fit_colour(left, self._dt, self._restart, integrated=integrated, start=start)
+        found = fit_noise_model(left, self._dt, self._restart, integrated=integrated, start=start)
         return found, minus_log_likelihood(left, self._dt, self._restart, found, integrated)
 
     def _fitted_gains(self, residual: Array, nuisance: Array) -> Array:

@@ -24,7 +24,7 @@ DIFFERENCE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
-class Colour:
+class NoiseModel:
     """Noise of one channel.
 
     Attributes:
@@ -48,7 +48,7 @@ class Colour:
         return np.log(self.vector())
 
     @classmethod
-    def from_logarithms(cls, vector: Array) -> Colour:
+    def from_logarithms(cls, vector: Array) -> NoiseModel:
         """Inverse of :meth:`logarithms`."""
         return cls(*(float(v) for v in np.exp(vector)))
 
@@ -133,7 +133,7 @@ def _direct_innovations(z: Array, dt: Array, restart: NDArray[np.bool_], noise: 
 
 
 def innovations(
-    z: Array, dt: Array, restart: NDArray[np.bool_], colour: Colour, *, integrated: bool
+    z: Array, dt: Array, restart: NDArray[np.bool_], colour: NoiseModel, *, integrated: bool
 ) -> tuple[Array, Array]:
     """One-step innovations of each column of z and their variances.
 
@@ -227,15 +227,15 @@ def _costs(residual: Array, dt: Array, restart: NDArray[np.bool_], noises: Array
 
 
 def minus_log_likelihood(
-    residual: Array, dt: Array, restart: NDArray[np.bool_], colour: Colour, integrated: bool
+    residual: Array, dt: Array, restart: NDArray[np.bool_], colour: NoiseModel, integrated: bool
 ) -> float:
     """Half the Gaussian minus-log-likelihood of a residual, robustified (pseudo-Huber at 4 sigma), constants dropped."""
     return float(_costs(np.ascontiguousarray(residual), dt, restart, colour.vector()[None, :], integrated)[0])
 
 
-def fit_colour(
-    residual: Array, dt: Array, restart: NDArray[np.bool_], *, integrated: bool, start: Colour | None = None
-) -> Colour:
+def fit_noise_model(
+    residual: Array, dt: Array, restart: NDArray[np.bool_], *, integrated: bool, start: NoiseModel | None = None
+) -> NoiseModel:
     """Most likely noise of a channel from its residual, within wide physical bounds.
 
     Args:
@@ -252,8 +252,8 @@ def fit_colour(
     if start is None:
         rough = scale / step * 0.1 if integrated else spread
         starts = [
-            Colour(rough, 0.5, scale / np.sqrt(step) * 0.2, 0.6 * scale),
-            Colour(rough, 0.05, scale / np.sqrt(step) * 0.05, 0.6 * scale),
+            NoiseModel(rough, 0.5, scale / np.sqrt(step) * 0.2, 0.6 * scale),
+            NoiseModel(rough, 0.05, scale / np.sqrt(step) * 0.05, 0.6 * scale),
         ]
     else:
         starts = [start]
@@ -283,7 +283,7 @@ def fit_colour(
         )
         if found.fun < lowest:
             best, lowest = found.x, found.fun
-    return Colour.from_logarithms(np.clip(best, floor, ceiling))
+    return NoiseModel.from_logarithms(np.clip(best, floor, ceiling))
 
 
 def whitening_polynomial(innovation: Array, restart: NDArray[np.bool_], highest: int = 24) -> Array:

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.identification.noise import (
-    Colour,
+    NoiseModel,
     apply_polynomial,
-    fit_colour,
+    fit_noise_model,
     innovations,
     whitening_polynomial,
 )
@@ -54,7 +54,7 @@ class Fitted:
     values: Array
     covariance: Array
     bound: Array
-    colours: tuple[Colour, ...]
+    colours: tuple[NoiseModel, ...]
     whiteners: tuple[Array, ...]
     cost: float
     residual_rms: Array
@@ -87,7 +87,7 @@ def whiten(
     residual: Array,
     sensitivity: Array,
     channels: Sequence[int],
-    colours: Sequence[Colour],
+    colours: Sequence[NoiseModel],
     polynomials: Sequence[Array],
 ) -> tuple[list[Array], list[Array], float]:
     """Normalised innovations and sensitivities per channel, and the log-determinant part of the cost."""
@@ -118,7 +118,7 @@ def fit(
     models: Sequence[RecordModel],
     start: Parameters,
     options: FitOptions,
-    colours: Sequence[Sequence[Colour]] | None = None,
+    colours: Sequence[Sequence[NoiseModel]] | None = None,
     *,
     fixed: bool = False,
 ) -> Fitted:
@@ -134,7 +134,7 @@ def fit(
     extra_names = [term.name for term in models[0].extra]
     p = start
     channels = [model.channels(options) for model in models]
-    state: list[list[Colour]] = [list(c) for c in colours] if colours is not None else [[] for _ in models]
+    state: list[list[NoiseModel]] = [list(c) for c in colours] if colours is not None else [[] for _ in models]
     polynomials = [[np.array([1.0])] * len(c) for c in channels]
     iterations = 0
     cost = np.inf
@@ -148,7 +148,7 @@ def fit(
             if fixed:
                 continue
             state[index] = [
-                fit_colour(
+                fit_noise_model(
                     residual[:, c],
                     model.dt,
                     model.restart,
@@ -243,7 +243,7 @@ def misfit(
     models: Sequence[RecordModel],
     p: Parameters,
     channels: Sequence[tuple[int, ...]],
-    state: Sequence[Sequence[Colour]],
+    state: Sequence[Sequence[NoiseModel]],
     polynomials: Sequence[Sequence[Array]],
 ) -> float:
     """Half the robust squared innovations and the logarithms of their deviations, at ``p`` under given noise models."""
@@ -316,16 +316,16 @@ def output_error(models: Sequence[RecordModel], start: Parameters, options: FitO
             max(float(np.std(np.diff(residual[:, c])[~model.restart[1:]] if c < 3 else residual[:, c])), 1e-9)
             for c in chosen
         ]
-        white.append([Colour(1e-9 * s, 1.0, 1e-9 * s, s) for s in spread])
+        white.append([NoiseModel(1e-9 * s, 1.0, 1e-9 * s, s) for s in spread])
     return fit(shooting, start, replace(options, colour_rounds=0, autoregression=0), white, fixed=True)
 
 
 def noise_model(
-    model: RecordModel, residual: Array, channels: Sequence[int], previous: Sequence[Colour], autoregression: int
-) -> tuple[list[Colour], list[Array]]:
+    model: RecordModel, residual: Array, channels: Sequence[int], previous: Sequence[NoiseModel], autoregression: int
+) -> tuple[list[NoiseModel], list[Array]]:
     """Noise model of each channel of a residual: its colour, and the autoregression for what the colour leaves."""
     colours = [
-        fit_colour(residual[:, c], model.dt, model.restart, integrated=c < 3, start=colour)
+        fit_noise_model(residual[:, c], model.dt, model.restart, integrated=c < 3, start=colour)
         for c, colour in zip(channels, previous, strict=True)
     ]
     plain = [np.array([1.0])] * len(channels)

@@ -24,7 +24,7 @@ from groundstation.frames import (
     quat_normalise,
     quat_rotate,
 )
-from groundstation.identification.noise import Colour, fit_colour, innovations
+from groundstation.identification.noise import NoiseModel, fit_noise_model, innovations
 from groundstation.identification.smoothing import integrate_rates, local_level, position_filter, position_smoother
 
 Array = NDArray[np.float64]
@@ -237,7 +237,7 @@ class AttitudeFit:
     errors: _AttitudeErrors
     covariance: Array
     kept: Mask
-    colour: Colour
+    colour: NoiseModel
     filtered: Array
     smoothed: Array
     stamp_jitter_s: tuple[float, float]
@@ -297,7 +297,7 @@ def _compared_attitudes(
 
 
 def _attitude_step(
-    recording: _Recording, errors: _AttitudeErrors, kept: Mask, colour: Colour | None
+    recording: _Recording, errors: _AttitudeErrors, kept: Mask, colour: NoiseModel | None
 ) -> tuple[AttitudeFit, bool]:
     """One Gauss-Newton step, and whether it was within a twentieth of the standard deviations."""
     tk = errors.stamps(recording, kept)
@@ -447,9 +447,9 @@ def _stamp_jitter(residual: Array, turning: Array, variance: Array, outlier: Mas
 _FINEST = np.array([1e-6, 1e-5, 1e-5])
 
 
-def _local_noise(residual: Array, dt: Array, restart: Mask, start: Colour | None = None) -> Colour:
+def _local_noise(residual: Array, dt: Array, restart: Mask, start: NoiseModel | None = None) -> NoiseModel:
     """Random walk and capture noise of the attitude error (no slower disturbance)."""
-    fitted = fit_colour(residual, dt, restart, integrated=True, start=start)
+    fitted = fit_noise_model(residual, dt, restart, integrated=True, start=start)
     return fitted
 
 

@@ -26,6 +26,7 @@ from groundstation.flightdata import (
 )
 from groundstation.frames import quat_rotate
 from groundstation.recording.autopilot import check_count, one_line, present, wanted_input
+from groundstation.recording.confined import confined
 from groundstation.recording.px4_motors import read_motors
 from groundstation.recording.recorded import Recording
 from groundstation.recording.settings import Settings
@@ -61,7 +62,7 @@ def opened(path: Path) -> Iterator[Any]:
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             yield reader
-    except BadInput:
+    except (BadInput, MemoryError):
         raise
     except (AnyReaderError, KeyError, ValueError, OSError, AssertionError) as error:
         raise BadInput(f"{path}: is no ROS 2 bag that can be read ({one_line(error)}); record it again.") from None
@@ -71,12 +72,14 @@ def opened(path: Path) -> Iterator[Any]:
         ) from None
 
 
+@confined
 def topics_of(path: Path) -> dict[str, tuple[str, int]]:
     """Type and number of messages of each topic."""
     with opened(path) as reader:
         return {c.topic: (c.msgtype, c.msgcount) for c in reader.connections}
 
 
+@confined
 def read_topic(path: Path, topic: str) -> Table:
     """All numbers of a topic, under their paths in the message, with ``header.stamp`` as seconds where it has one.
 
@@ -121,6 +124,7 @@ def _flatten(message: Any, prefix: str, out: dict[str, float]) -> None:
                     _flatten(item, f"{prefix}{name}[{i}].", out)
 
 
+@confined
 def read_bag(path: Path, vehicle: Vehicle) -> Recording:
     """The streams of a bag by the types of its topics.
 

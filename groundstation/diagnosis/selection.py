@@ -1,0 +1,115 @@
+"""The effects that the evidence asks for, selected twice: about the base fit, and about what the first selection found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from groundstation.diagnosis.attribution import Named, Selection, candidates
+from groundstation.diagnosis.augmented import is_among
+from groundstation.diagnosis.base import Base
+from groundstation.diagnosis.case import Case
+from groundstation.diagnosis.effect import library, shared_by_healthy
+from groundstation.diagnosis.evidence import Candidate, Evidence, FlightEvidence, Solution
+from groundstation.diagnosis.rivals import Entry
+from groundstation.vehicle import Vehicle
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Selected:
+    """What was selected, and the joint estimate of everything.
+
+    Attributes:
+        baseline: effects that are there in any case: known from an earlier flight, or shared by the healthy flights.
+        named: effects that the evidence asks for, in order of the error they take away.
+        solution: base, baseline and named effects, estimated together.
+    """
+
+    evidence: Evidence
+    baseline: list[Entry]
+    named: list[Named]
+    solution: Solution
+
+    @property
+    def chosen(self) -> list[Entry]:
+        """Baseline and named effects, in the order of the solution."""
+        return [*self.baseline, *((n.candidate, n.columns) for n in self.named)]
+
+
+def select(case: Case, base: Base, augmented: tuple[Candidate, ...], progress: Progress) -> Selected:
+    """The effects that stand.
+
+    An effect swells the noise it is judged against, and bends the base it is judged about: what was found is kept out of the noise, the
+    base moves to the joint estimate, and all is judged anew.
+
+    Args:
+        case: its flights at the evidence's rate.
+        base: the fit to begin about.
+        augmented: effects known from an earlier flight.
+        progress: told the fraction done and what is being done.
+    """
+    first = _select(case, base, augmented, (), progress)
+    if not first.named:
+        return first
+    known = tuple(n.candidate for n in first.named)
+    about = replace(base, fitted=first.evidence.flights[0].updated_base(base.fitted, first.solution))
+    return _select(case, about, augmented, known, progress)
+
+
+def _select(
+    case: Case, base: Base, augmented: tuple[Candidate, ...], known: Sequence[Candidate], progress: Progress
+) -> Selected:
+    """Evidence with a noise model that leaves the known effects out, and what it asks for."""
+    progress(0.5, "noise of each channel")
+    evidence = Evidence(
+        [FlightEvidence(flight, base.fitted, base.options, (*augmented, *known)) for flight in case.suspects],
+        [FlightEvidence(flight, base.fitted, base.options) for flight in case.healthy],
+    )
+    vehicle, references = case.suspects[0].record.vehicle, bool(case.healthy)
+    pool = [c for c in pool_of(vehicle, evidence, references=references) if not is_among(c, augmented)]
+    baseline = _baseline(evidence, vehicle, augmented, references=references)
+    selection = Selection(evidence, pool, baseline, lambda f: progress(0.55 + 0.25 * f, "effects one by one"))
+    progress(0.8, "selecting")
+    chosen = _confirmed(selection, selection.choose(), case, base, augmented)
+    return Selected(evidence, baseline, *selection.named(chosen))
+
+
+def _confirmed(
+    selection: Selection, chosen: list[Entry], case: Case, base: Base, augmented: tuple[Candidate, ...]
+) -> list[Entry]:
+    """Those of the chosen that stand against the noise as it is with nothing but them kept out, too.
+
+    What is kept out of the noise lest effects hide in it takes noise along, most at the lowest frequencies.
+    """
+    if not chosen:
+        return chosen
+    shared = tuple(candidate for candidate, _ in selection.baseline)
+    own = (*shared, *(candidate for candidate, _ in chosen))
+    evidence = Evidence(
+        [FlightEvidence(flight, base.fitted, base.options, own, generic=False) for flight in case.suspects],
+        [FlightEvidence(flight, base.fitted, base.options, shared, generic=False) for flight in case.healthy],
+    )
+    vehicle = case.suspects[0].record.vehicle
+    baseline = _baseline(evidence, vehicle, augmented, references=bool(case.healthy))
+    again = Selection(evidence, (), baseline, variants=selection.variants)
+    left = again.still_significant([candidate for candidate, _ in chosen])
+    return [entry for entry in chosen if entry[0] in left]
+
+
+def pool_of(vehicle: Vehicle, evidence: Evidence, *, references: bool) -> list[Candidate]:
+    """Everything that may be named; beside healthy flights a load that was there all along, too."""
+    pool = candidates(vehicle, evidence.flights[0].excited)
+    if references:
+        payload = library()["payload_change"]
+        pool.append(Candidate(payload, {"at_s": -1.0, "within_s": 1.0}))
+    return pool
+
+
+def _baseline(evidence: Evidence, vehicle: Vehicle, augmented: Sequence[Candidate], *, references: bool) -> list[Entry]:
+    """What is there in any case: effects that are known, and where there are reference flights what those share."""
+    shared = shared_by_healthy() if references else []
+    members = [Candidate(effect, {}) for effect in shared if effect.applies(vehicle)]
+    found = ((candidate, evidence.columns(candidate, everywhere=True)) for candidate in (*members, *augmented))
+    return [(candidate, columns) for candidate, columns in found if columns is not None]
