@@ -10,6 +10,7 @@ from groundstation.errors import Refused
 from groundstation.identification.results import Estimate, Identification
 from groundstation.reporting import figures
 from groundstation.reporting.canonical import canonical
+from groundstation.reporting.card import landing_card
 from groundstation.reporting.markup import Markup, element, fragment, sentence_list, table
 from groundstation.reporting.page import Page
 from groundstation.reporting.sections.parameters import reason
@@ -71,7 +72,7 @@ def add_verdict(page: Page, identification: Identification | Refused, diagnosis:
     page.section(
         "verdict",
         "Verdict",
-        _banner(diagnosis.verdict, VERDICTS[diagnosis.verdict], readable(diagnosis.reason, _identifiers(diagnosis))),
+        _judgement(identification, diagnosis),
         warnings,
         _cards(identification, diagnosis),
         _findings(diagnosis),
@@ -81,6 +82,14 @@ def add_verdict(page: Page, identification: Identification | Refused, diagnosis:
         _next_flight(diagnosis),
         _candidates(diagnosis),
     )
+
+
+def _judgement(identification: Identification, diagnosis: Diagnosis) -> Markup:
+    """The verdict with the landing card's word on trust and on what is next: a tick stands only where nothing is in doubt."""
+    trust, _, following = landing_card(identification.to_dict(), diagnosis.to_dict(), {})
+    doubtful = diagnosis.verdict in ("clean", "explained") and not trust.startswith("Trust: yes")
+    reason_ = readable(diagnosis.reason, _identifiers(diagnosis))
+    return _banner("open" if doubtful else diagnosis.verdict, VERDICTS[diagnosis.verdict], trust, reason_, following)
 
 
 def _banner(kind: str, title: str, *sentences: str) -> Markup:
