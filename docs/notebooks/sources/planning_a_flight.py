@@ -29,7 +29,7 @@ found = api.identify(api.simulate("qball2", scenario="lab", plan=plan, seed=4))
 pd.DataFrame({"planned": plan.to_frame()["predicted_std"], "estimated": found.to_frame()["std"]}).dropna()
 
 # %% [markdown]
-# The plan cannot know this room's disturbance. It assumes a typical one, so agreement within a factor of two or three is
+# The plan cannot know this room's disturbance. It assumes a typical one, so agreement within a factor of three to five is
 # what to expect.
 #
 # ## A smaller room
