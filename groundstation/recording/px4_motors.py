@@ -83,8 +83,9 @@ def read_motors(topics: Topics, settings: Settings, vehicle: Vehicle, source: st
 
 def _airframe(settings: Settings, at_s: float, count: int) -> Airframe | None:
     """The control allocator's geometry (CA_ROTORi_PX, _PY in FRD), else the airframe's number; None where neither is told."""
-    rotors = int(settings.value("CA_ROTOR_COUNT", at_s, 0.0))
-    if rotors:
+    told = settings.value("CA_ROTOR_COUNT", at_s, 0.0)
+    if 0.0 < told <= _MOST_MOTORS:  # a damaged log may say anything
+        rotors = int(told)
         x, y = (np.array([settings.value(f"CA_ROTOR{i}_P{axis}", at_s, 0.0) for i in range(rotors)]) for axis in "XY")
         spin = tuple(1 if settings.value(f"CA_ROTOR{i}_KM", at_s, 0.05) > 0.0 else -1 for i in range(rotors))
         return Airframe(f"of {rotors} rotors by CA_ROTORn_PX and _PY", np.column_stack([x, -y]), spin)

@@ -26,7 +26,7 @@ class ParameterJournal:
                     str(vehicle): {str(name): float(value) for name, value in values.items()}
                     for vehicle, values in document["restore"].items()
                 }
-            except (OSError, ValueError, KeyError, AttributeError, TypeError):
+            except (OSError, ValueError, KeyError, AttributeError, TypeError, OverflowError, RecursionError):
                 raise BadInput(
                     f"{path}: should list parameters to restore and cannot be read; look at it, restore them by hand, "
                     "and remove it."
