@@ -266,14 +266,19 @@ def suspect_rows(diagnosis: Mapping[str, Any]) -> list[Row]:
     return rows
 
 
+LONGEST_NAME = 30
+"""Characters of a flight's name in the list: several flights identified together have all their names."""
+
+
 def flight_row(row: Mapping[str, Any]) -> Row:
     """One flight of the catalogue: when, flight, vehicle, state, verdict, mass."""
     mass = row["parameters"].get("mass_kg")
     shown = f"{significant(mass['value'], 4)} kg" if mass else "–"
     vehicle = row["vehicle"]
+    name = row["flight"].removesuffix(f"-{vehicle}")
     return (
         row["date"][5:16].replace("T", " "),
-        row["flight"].removesuffix(f"-{vehicle}"),
+        name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…",
         vehicle or "–",
         row["state"],
         row["verdict"] or "–",

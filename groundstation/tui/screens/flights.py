@@ -25,14 +25,14 @@ compares the two. t sorts by the next column, / filters: only flights whose line
 vehicle's parameters moved over its flights. g edits the flight's tags, n its note. b identifies, diagnoses and reports every
 recording here that has no results yet."""
     BINDINGS: ClassVar = [
-        Binding("m", "mark", "Mark / compare"),
+        Binding("m", "mark", "Compare"),
         Binding("t", "sort", "Sort"),
         Binding("slash", "filter", "Filter"),
         Binding("e", "report", "Report"),
         Binding("d", "trend", "Trend"),
         Binding("g", "annotate('tags')", "Tags"),
         Binding("n", "annotate('note')", "Note"),
-        Binding("b", "batch", "Analyse all"),
+        Binding("b", "batch", "Batch"),
     ]
 
     def __init__(self) -> None:
