@@ -235,6 +235,24 @@ def test_px4_over_a_real_connection_and_a_closed_one_says_so():
     assert failure == ["PX4 closed the simulator link; start it again, then this."]
 
 
+@pytest.mark.parametrize("seen_while", ["sendall", "recv"])
+def test_a_closed_simulator_link_has_one_sentence_wherever_it_is_seen(seen_while):
+    """PX4's process ends between our write and our read, or before the write: a reset or a broken pipe, not an empty read."""
+    px4, connection = socket.socketpair()
+    with px4, connection:
+        if seen_while == "recv":
+            px4.shutdown(socket.SHUT_WR)
+        else:
+            px4.close()
+
+        class Tcp:  # a socket pair has no TCP_NODELAY
+            setsockopt = staticmethod(lambda *_: None)
+            sendall, recv, fileno = connection.sendall, connection.recv, connection.fileno
+
+        with pytest.raises(BadInput, match="^PX4 closed the simulator link; start it again, then this.$"):
+            serve_tcp(HilExchange(RigidAirframe(VEHICLE), 4), Tcp(), lambda: False, 0.0)  # pyright: ignore
+
+
 def test_a_flight_controller_on_a_serial_line_is_paced_in_real_time():
     exchange, firmware, done = HilExchange(RigidAirframe(VEHICLE), 4), ScriptedPx4(1.0), threading.Event()
     master, slave = pty.openpty()

@@ -32,12 +32,22 @@ def serve_json(exchange: JsonExchange, place: socket.socket, stopped: Callable[[
             place.sendto(line, peer)
 
 
+PX4_CLOSED = "PX4 closed the simulator link; start it again, then this."
+
+
 def serve_tcp(exchange: HilExchange, connection: socket.socket, stopped: Callable[[], bool], speed: float) -> None:
     """Lock-step with PX4 over TCP, no faster than ``speed`` times real time (0: as fast as it goes).
 
     Raises:
-        BadInput: PX4 stopped answering or closed the connection.
+        BadInput: PX4 stopped answering or closed the connection, which is seen while reading or while writing.
     """
+    try:
+        _lock_step(exchange, connection, stopped, speed)
+    except ConnectionError:
+        raise BadInput(PX4_CLOSED) from None
+
+
+def _lock_step(exchange: HilExchange, connection: socket.socket, stopped: Callable[[], bool], speed: float) -> None:
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     begun, asked = time.monotonic(), time.monotonic()
     while not stopped():
@@ -51,7 +61,7 @@ def serve_tcp(exchange: HilExchange, connection: socket.socket, stopped: Callabl
         if select.select([connection], [], [], 0.05 if exchange.locked else 0.0)[0]:
             data = connection.recv(65536)
             if not data:
-                raise BadInput("PX4 closed the simulator link; start it again, then this.")
+                raise BadInput(PX4_CLOSED)
             exchange.receive(data)
         elif exchange.locked and time.monotonic() - asked > ANSWER_S:
             raise BadInput(f"PX4 has not answered for {ANSWER_S:.0f} s; look at its console.")
@@ -133,10 +143,7 @@ def _serve(options: argparse.Namespace, stopped: Callable[[], bool]) -> None:
                 except TimeoutError:
                     continue
                 with connection:
-                    try:
-                        serve_tcp(exchange, connection, stopped, options.real_time)
-                    except ConnectionError as error:
-                        raise BadInput(f"PX4 ended the simulator link ({error}); start it again, then this.") from None
+                    serve_tcp(exchange, connection, stopped, options.real_time)
     else:
         raise BadInput(f"--px4 {options.px4}: write tcp://127.0.0.1:4560 or serial:///dev/ttyACM0:921600.")
 
