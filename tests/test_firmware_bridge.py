@@ -249,7 +249,7 @@ def test_a_closed_simulator_link_has_one_sentence_wherever_it_is_seen(seen_while
             setsockopt = staticmethod(lambda *_: None)
             sendall, recv, fileno = connection.sendall, connection.recv, connection.fileno
 
-        with pytest.raises(BadInput, match="^PX4 closed the simulator link; start it again, then this.$"):
+        with pytest.raises(BadInput, match=r"^PX4 closed the simulator link; start it again, then this\.$"):
             serve_tcp(HilExchange(RigidAirframe(VEHICLE), 4), Tcp(), lambda: False, 0.0)  # pyright: ignore
 
 
