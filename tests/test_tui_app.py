@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from textual.pilot import Pilot
@@ -62,7 +63,7 @@ class ScriptedCore:
             return bus.Answer(False, refusal)
         return bus.Answer(True)
 
-    def say(self, phase: str, **changes: object) -> None:
+    def say(self, phase: str, **changes: Any) -> None:
         """Publish a status."""
         values: dict = {
             "phase": phase,
