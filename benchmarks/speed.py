@@ -60,9 +60,8 @@ def seconds(function: Callable[[], object]) -> float:
 
 def circumstances() -> dict[str, Any]:
     """Machine, load and time of a run."""
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True, check=False
-    ).stdout.strip()
+    describe = ["git", "describe", "--always", "--dirty"]
+    commit = subprocess.run(describe, cwd=ROOT, capture_output=True, text=True, check=False).stdout.strip()
     return {
         "date": time.strftime("%Y-%m-%d"),
         "commit": commit,
