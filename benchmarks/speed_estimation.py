@@ -100,7 +100,18 @@ def read(path: Path, length_s: float) -> FlightData:
             if f"{name}_t_s" in found
         }
         start, end = found["window_s"].tolist()
-    return FlightData(name=path.stem, vehicle=vehicle, plan=plan, window_s=(start, end), **streams)
+    return FlightData(
+        name=path.stem,
+        vehicle=vehicle,
+        plan=plan,
+        window_s=(start, end),
+        imu=streams.get("imu"),
+        mocap=streams.get("mocap"),
+        motors=streams["motors"],
+        battery=streams.get("battery"),
+        setpoint=streams.get("setpoint"),
+        state=streams.get("state"),
+    )
 
 
 def yardstick_s() -> float:
