@@ -132,6 +132,9 @@ def test_external_vision_needs_its_settings_and_an_origin_and_8_seconds_without_
     s = station()
     for name, value in (("VISO_TYPE", 1), ("EK3_SRC1_POSXY", 6), ("GPS1_TYPE", 0)):
         assert set_parameter(s, name, value).param_value == value
+    assert set_parameter(s, "VISO_DELAY_MS", 20) is None, "hidden until it starts with a VISO_TYPE"
+    s.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0)
+    assert set_parameter(s, "VISO_DELAY_MS", 20).param_value == 20
 
     def pose(_: float):
         x, y, z = s.autopilot.truth.position_m
