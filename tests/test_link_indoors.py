@@ -18,7 +18,7 @@ from drivers.samples import Event, Pose
 from groundstation.errors import BadInput
 from groundstation.flight.link.link_core import LinkCore, Options
 from groundstation.flight.link.markers import Markers
-from groundstation.flight.link.pilot import IN_AIR, Phase
+from groundstation.flight.link.pilot import IN_AIR, Phase, Pilot
 from groundstation.flight.link.pose_latency import Latency, latency_sentence
 from groundstation.flight.link.preflight import failures
 from groundstation.flight.station import station_from_dict
@@ -77,6 +77,12 @@ class Room:
             self.step()
         return until()
 
+    @property
+    def pilot(self) -> Pilot:
+        """Of the flight, once a vehicle was heard."""
+        assert self.core.pilot is not None
+        return self.core.pilot
+
     def fly_until(self, phase) -> None:
         """Prepared, uploaded, armed, started, and on until it is so."""
         assert self.run(lambda: self.core.ready, 90.0), self.core.trouble
@@ -88,7 +94,7 @@ class Room:
         if phase == "armed":
             return
         self.core.order("start", self.now_s)
-        pilot = self.core.pilot
+        pilot = self.pilot
         reached = {
             "climbing": lambda: self.autopilot.truth.position_m[2] > 0.4,
             "exciting": lambda: pilot.exciting,
@@ -97,7 +103,7 @@ class Room:
         assert self.run(reached, 60.0), (pilot.phase, pilot.reason)
 
     def down(self, limit_s: float = 30.0) -> bool:
-        return self.run(lambda: self.core.pilot.phase not in IN_AIR and not self.autopilot.armed, limit_s)
+        return self.run(lambda: self.pilot.phase not in IN_AIR and not self.autopilot.armed, limit_s)
 
     def said(self, kind: str) -> list[str]:
         return [e.text for e in self.told if e.kind == kind]
@@ -113,7 +119,7 @@ def test_parameters_are_set_poses_fused_the_plan_flown_their_latency_measured_an
     assert failures(room.core.checks) == ""
     assert room.autopilot.estimator.source == "vision"
     assert room.down()
-    assert room.core.pilot.reason == ""
+    assert room.pilot.reason == ""
     (sentence,) = room.said("latency")
     measured_s = float(sentence.split("stamped ")[1].split(" ms")[0]) * 1e-3
     assert measured_s == pytest.approx(LATE_S, abs=0.006), sentence  # the stamps of a step are 10 ms apart here
@@ -124,7 +130,7 @@ def test_parameters_are_set_poses_fused_the_plan_flown_their_latency_measured_an
     assert room.run(lambda: not room.core.changed, 20.0)
     assert {n: v for n, v in before.items() if room.autopilot.parameters[n] != v} == {}
     if kind == "arducopter":
-        assert room.core.view.restarts == 1, "VISO_TYPE takes effect at a start"
+        assert room.core.view is not None and room.core.view.restarts == 1, "VISO_TYPE takes effect at a start"
 
 
 @BOTH
@@ -150,7 +156,7 @@ def test_cameras_that_go_dark_at_any_phase_end_safe(kind, phase):
     assert room.now_s - dark_s < 15.0
     assert math.dist(room.autopilot.truth.position_m[:2], (0.0, 0.0)) < 1.5
     if phase != "landing":
-        assert "no new motion-capture pose" in room.core.pilot.reason
+        assert "no new motion-capture pose" in room.pilot.reason
 
 
 @BOTH
