@@ -188,7 +188,7 @@ def test_poses_that_only_are_recorded_do_not_reach_the_vehicle():
 
 
 def test_indoors_needs_cameras():
-    with pytest.raises(BadInput, match="name the .mocap. system"):
+    with pytest.raises(BadInput, match=r"name the .mocap. system"):
         station_from_dict({"indoors": True})
 
 

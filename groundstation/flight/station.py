@@ -136,7 +136,9 @@ class Station(_Section):
     @model_validator(mode="after")
     def _poses_indoors(self) -> Station:
         if self.indoors and (self.mocap.system == "none" or not self.mocap.to_vehicle_hz):
-            raise ValueError("indoors = true needs poses for the vehicle: name the [mocap] system, with to_vehicle_hz above 0")
+            raise ValueError(
+                "indoors = true needs poses for the vehicle: name the [mocap] system, with to_vehicle_hz above 0"
+            )
         return self
 
     @property

@@ -93,7 +93,9 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument(
         "--real-time", type=float, default=1.0, metavar="SPEED", help="at most; 0 as fast as it goes (PX4 over TCP)"
     )
-    parser.add_argument("--natnet", metavar="HOST:PORT", help="motion capture of it, as an OptiTrack server (127.0.0.1:1510)")
+    parser.add_argument(
+        "--natnet", metavar="HOST:PORT", help="motion capture of it, as an OptiTrack server (127.0.0.1:1510)"
+    )
     return parser.parse_args(argv)
 
 

@@ -40,7 +40,9 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--just-booted", action="store_true", help="begin with the start-up, not a minute after it")
     parser.add_argument("--scripting", action="store_true", help="ArduCopter runs Lua scripts (needs the package lupa)")
     parser.add_argument("--key-file", type=Path, metavar="FILE", help="32 bytes: sign and verify every frame")
-    parser.add_argument("--natnet", metavar="HOST:PORT", help="motion capture of it, as an OptiTrack server (127.0.0.1:1510)")
+    parser.add_argument(
+        "--natnet", metavar="HOST:PORT", help="motion capture of it, as an OptiTrack server (127.0.0.1:1510)"
+    )
     parser.add_argument(
         "--fault", action="append", default=[], metavar="NAME@SECONDS", help="something goes wrong then; repeatable"
     )

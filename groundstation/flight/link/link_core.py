@@ -177,7 +177,11 @@ class LinkCore:
         if self.view.state is not None and received_s - self.view.state_s < 0.05:
             self._carried.append((self.view.state, pose))
         mocap = self.station.mocap
-        if self.station.indoors is not False and mocap.to_vehicle_hz > 0.0 and received_s - self._pose_to_vehicle_s >= 0.9 / mocap.to_vehicle_hz:
+        if (
+            self.station.indoors is not False
+            and mocap.to_vehicle_hz > 0.0
+            and received_s - self._pose_to_vehicle_s >= 0.9 / mocap.to_vehicle_hz
+        ):
             self._pose_to_vehicle_s = received_s
             for message in self.view.profile.external_pose(pose, pose.device_s, mocap.std_m, mocap.std_rad, 0):
                 self._send(message, received_s, out)
