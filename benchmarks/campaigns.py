@@ -26,7 +26,7 @@ from benchmarks.flown import flight_data
 from benchmarks.hidden import COMMANDED, INVENTED, Random, declared, sizes, world
 from benchmarks.tally import wilson
 from groundstation.campaign.campaign import Campaign, run
-from groundstation.campaign.targets import parse_targets, reached
+from groundstation.targets import parse_targets, reached
 from groundstation.diagnosis import diagnose
 from groundstation.errors import GroundStationError
 from groundstation.identification.results import MASS_AND_TENSOR

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.campaign.campaign import Campaign, Round
-from groundstation.campaign.targets import HALF_95
+from groundstation.targets import HALF_95
 from groundstation.identification.results import Estimate
 from groundstation.reporting.markup import Child, Markup, definition_list, element, fragment, sentence_list, table
 from groundstation.reporting.page import Page

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from groundstation.errors import BadInput
 from groundstation.outside import read_toml
 from groundstation.paths import find_config
+from groundstation.vehicle import Until
 
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
@@ -123,6 +124,7 @@ class Station(_Section):
     guard: GuardLimits = GuardLimits()
     policy: Policy = Policy()
     mocap: MocapSource = MocapSource()
+    until: Until | None = None  # the vehicle file's goes before it
 
 
 def station_from_dict(document: dict, source: str = "station") -> Station:

@@ -14,7 +14,7 @@ from groundstation.flight.messages import CoreStatus
 from groundstation.flight.sequence import IN_FLIGHT, Phase
 from groundstation.tui.checks import checklist
 from groundstation.tui.screens.base import WIDE, StationScreen, fill
-from groundstation.tui.text import PHASES, live_rows, margin_lines, motor_lines, state_lines
+from groundstation.tui.text import PHASES, live_rows, margin_lines, motor_lines, state_lines, until_lines
 from groundstation.tui.widgets.plots import Line, Plot
 
 WAITING = "No flight is prepared.\n\nr prepares one of the vehicle chosen on the Station screen (1), with the plan of the Plan screen (2)."
@@ -29,11 +29,13 @@ class Fly(StationScreen):
 r prepares a flight: the vehicle's process starts, takes the plan, and everything is checked; each check says what was
 seen, what to do where it failed, and why it is looked at. s starts it; on a real
 vehicle only after FLY is typed. b lands early and uses what was recorded. ^g aborts and lands; everyone may, from
-everywhere. Closing or killing this program does not end a flight: the plan is completed and the vehicle lands, and the
+everywhere. Where a flight lasts until something is known (station or vehicle file, [until]), u agrees to what is proposed: to end at the next
+rest point, or to go on for a period; nothing goes past what was checked before the flight. Closing or killing this program does not end a flight: the plan is completed and the vehicle lands, and the
 program started again finds it. o takes the operator's lease from another."""
     BINDINGS: ClassVar = [
         Binding("s", "start", "Start"),
         Binding("b", "land", "Land early"),
+        Binding("u", "agree", "Agree", show=False),
         Binding("r", "rehearse", "Prepare"),
         Binding("o", "operate", "Take the lease", show=False),
     ]
@@ -53,6 +55,7 @@ program started again finds it. o takes the operator's lease from another."""
                 yield Static("", id="motors", classes="panel", markup=False)
             with Vertical(id="fly-right"):
                 yield DataTable(id="live", show_cursor=False)
+                yield Static("", id="until", classes="panel", markup=False)
                 yield Plot("y over x, m: line planned, + flown", id="xy-plot", span=(0.2, 0.2))
                 yield Plot("off the plan, cm, over s", id="error-plot", span=(2.0, 1.0))
                 yield Plot("° over s: line roll, + pitch", id="attitude-plot", span=(2.0, 1.0))
@@ -82,6 +85,10 @@ program started again finds it. o takes the operator's lease from another."""
             else:
                 fill(live, ("so far", "nominal", "estimate, 95 %", "unit"), rows)
 
+        told = until_lines(status)
+        self.query_one("#until").display = bool(told)
+        self.say("#until", told)
+
     def _draw(self) -> None:
         watch = self.station.core
         if watch is None:
@@ -108,6 +115,10 @@ program started again finds it. o takes the operator's lease from another."""
     def action_land(self) -> None:
         """Land, and use what was recorded."""
         self.station.order("land", "landing early")
+
+    def action_agree(self) -> None:
+        """Take what a flight until known proposes."""
+        self.station.order("agree", "agreed")
 
     def action_rehearse(self) -> None:
         """Prepare a flight of what is chosen."""
