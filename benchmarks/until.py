@@ -112,7 +112,11 @@ def tally(flights: Sequence[Flown], kind: str) -> tuple[Count, list[float], list
             met = stop is not None
             at = len(flown.looks) - 1 if stop is None else stop
             for name, critical in by_name.items():
-                inside = [abs(look[name][0] - 1.0) <= c * look[name][1] for look, c in zip(flown.looks, critical, strict=True) if name in look]
+                inside = [
+                    abs(look[name][0] - 1.0) <= c * look[name][1]
+                    for look, c in zip(flown.looks, critical, strict=True)
+                    if name in look
+                ]
                 if name in flown.looks[at]:
                     value, std = flown.looks[at][name]
                     count.stops += 1
@@ -145,6 +149,7 @@ def fixed(flights: Sequence[Flown]) -> tuple[int, int]:
 
 def table(flights: Sequence[Flown]) -> str:
     """Markdown."""
+
     def share(count: int, of: int) -> str:
         low, high = wilson(count, of)
         return f"{100 * count / max(of, 1):.1f} % ({100 * low:.1f}-{100 * high:.1f})"
@@ -156,7 +161,9 @@ def table(flights: Sequence[Flown]) -> str:
     for kind in ("looked at once", "spent", "at any time"):
         count, seconds, met = tally(flights, kind)
         low, middle, high = np.percentile(seconds, [10, 50, 90])
-        rows.append(f"| {kind} | {share(count.holds, count.stops)} | {share(count.series_hold, count.series)} | {middle:.0f} s ({low:.0f}-{high:.0f}) | {100 * np.mean(met):.0f} % |")
+        rows.append(
+            f"| {kind} | {share(count.holds, count.stops)} | {share(count.series_hold, count.series)} | {middle:.0f} s ({low:.0f}-{high:.0f}) | {100 * np.mean(met):.0f} % |"
+        )
     return "\n".join(rows)
 
 
@@ -165,12 +172,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--flights", type=int, default=100)
     parser.add_argument("--seed", type=int, default=17_001, help="of the first flight; the others follow")
-    parser.add_argument("--json", type=Path, default=None, help="flights are kept here; those that are there are not flown again")
+    parser.add_argument(
+        "--json", type=Path, default=None, help="flights are kept here; those that are there are not flown again"
+    )
     many.add_options(parser)
     arguments = parser.parse_args()
     kept: list[Flown] = []
     if arguments.json is not None and arguments.json.is_file():
-        kept = [Flown(f["seed"], tuple(f["rest_s"]), tuple(f["looks"])) for f in json.loads(arguments.json.read_text())["flights"]]
+        kept = [
+            Flown(f["seed"], tuple(f["rest_s"]), tuple(f["looks"]))
+            for f in json.loads(arguments.json.read_text())["flights"]
+        ]
     there = {f.seed for f in kept}
     wanted = [s for s in range(arguments.seed, arguments.seed + arguments.flights) if s not in there]
     for outcome in many.outcomes(fly, wanted, arguments):

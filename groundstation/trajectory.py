@@ -283,7 +283,9 @@ class Plan(_Model, Tabular):
 
     @model_validator(mode="after")
     def _ends_at_rest_points(self) -> Plan:
-        if self.until is not None and (self.periods != round(self.periods) or self.until.planned_periods > self.periods):
+        if self.until is not None and (
+            self.periods != round(self.periods) or self.until.planned_periods > self.periods
+        ):
             raise ValueError("with [until], periods must be a whole number, and no fewer than planned_periods")
         return self
 
@@ -419,7 +421,11 @@ def changed_length(path: Sequence, at_s: float, order: str, most: float) -> Sequ
                 return "the excitation is not being flown."
             if order == "extend":
                 longer = part.periods + 1.0
-                return with_periods(path, longer) if longer <= most else f"{most:g} periods were checked before the flight; it ends there."
+                return (
+                    with_periods(path, longer)
+                    if longer <= most
+                    else f"{most:g} periods were checked before the flight; it ends there."
+                )
             return with_periods(path, min(part.periods, np.floor(into / part.period_s) + 1.0))
         before += part.duration_s
     return "the plan has no rest points."

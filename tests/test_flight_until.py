@@ -147,7 +147,9 @@ def test_a_plan_is_given_its_longest_length_and_keeps_its_own():
     assert (short.periods, short.first_periods) == (4.0, 4.0)
 
 
-@pytest.mark.parametrize(("targets", "at_most", "word"), [("lag:5%", 80.0, "after landing"), ("mass:1%", 3.0, "period")])
+@pytest.mark.parametrize(
+    ("targets", "at_most", "word"), [("lag:5%", 80.0, "after landing"), ("mass:1%", 3.0, "period")]
+)
 def test_targets_that_no_flight_reaches_in_the_air_are_refused(targets, at_most, word):
     with pytest.raises(BadInput, match=word):
         lasting_until(PLAN, Until(targets=targets, at_most_s=at_most), automatic=True)

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.targets import HALF_95
 from groundstation.errors import BadInput, GroundStationError
 from groundstation.planning import plan_excitation
 from groundstation.planning.information import DEFAULT_NOISE, Noise, predicted_std
 from groundstation.reporting.units import label
+from groundstation.targets import HALF_95
 from groundstation.trajectory import Plan
 from groundstation.vehicle import Inertia, Vehicle
 

@@ -134,6 +134,7 @@ class CoreStatus(msgspec.Struct, frozen=True):
         table: the newest estimates: parameter -> (nominal, estimate, low, high), absent numbers NaN.
         notes: the last sentences of the flight's log.
         checks: the preflight so far, item by item.
+        signals: the newest value of every recorded signal, as ``stream/column``.
         clock_s: stamp of motion capture minus that of the IMU at one instant, (estimate, half its 95 % interval).
         until: of a flight that lasts until it is known; None for any other, and before its excitation.
         suspects: by the diagnosis of the first ``suspects_s`` seconds of excitation; empty before the first, and where nothing is likely.
@@ -166,6 +167,7 @@ class CoreStatus(msgspec.Struct, frozen=True):
     table: dict[str, tuple[float, float, float, float]] = {}
     notes: tuple[str, ...] = ()
     checks: tuple[CheckStatus, ...] = ()
+    signals: dict[str, float] = {}
     clock_s: tuple[float, float] | None = None
     until: UntilStatus | None = None
     suspects: tuple[SuspectStatus, ...] = ()

@@ -36,11 +36,15 @@ def lasting_until(plan: Plan, until: Until, *, automatic: bool) -> Plan:
     """
     targets = parse_targets(until.targets)
     if later := [name for name in targets if name not in SHOWN]:
-        raise BadInput(f"{', '.join(later)}: is known only after landing; name mass, ixx, iyy or izz as targets of a flight.")
+        raise BadInput(
+            f"{', '.join(later)}: is known only after landing; name mass, ixx, iyy or izz as targets of a flight."
+        )
     period_s = plan.series().period_s
     most = math.floor(until.at_most_s / period_s + 1e-6)
     if most < 1:
-        raise BadInput(f"one period of this plan takes {period_s:.1f} s, longer than the maximum of {until.at_most_s:g} s; allow more.")
+        raise BadInput(
+            f"one period of this plan takes {period_s:.1f} s, longer than the maximum of {until.at_most_s:g} s; allow more."
+        )
     planned = min(max(1, math.floor(plan.periods + 1e-6)), most)
     section = PlannedUntil(targets=targets, planned_periods=planned, automatic=automatic)
     return plan.model_copy(update={"periods": float(most), "until": section})
@@ -122,7 +126,9 @@ class UntilKnown:
     def preview(self, estimates: Mapping[str, Estimate], volts: float) -> Look:
         """What the next look would say; for the screen. It spends nothing."""
         flown = self.done * self.goal.period_s
-        return self._look(copy.deepcopy(self._spending), estimates, [*self._volts, volts], flown + 0.5 * self.goal.period_s)
+        return self._look(
+            copy.deepcopy(self._spending), estimates, [*self._volts, volts], flown + 0.5 * self.goal.period_s
+        )
 
     def look(self, estimates: Mapping[str, Estimate], volts: float) -> Look:
         """The look at the next rest point. What it orders is final: without the operator, or as the operator agreed."""
@@ -147,8 +153,12 @@ class UntilKnown:
         if order == "extend":
             self.length -= 1
 
-    def _look(self, spending: Mapping[str, Spending], estimates: Mapping[str, Estimate], volts: list[float], flown_s: float) -> Look:
-        progress = {n: _progress(spending[n], share, estimates.get(n), flown_s) for n, share in self.goal.targets.items()}
+    def _look(
+        self, spending: Mapping[str, Spending], estimates: Mapping[str, Estimate], volts: list[float], flown_s: float
+    ) -> Look:
+        progress = {
+            n: _progress(spending[n], share, estimates.get(n), flown_s) for n, share in self.goal.targets.items()
+        }
         at, goal = self.done + 1, self.goal
         if all(p.spent <= 1.0 for p in progress.values()):
             if at < self.length:
@@ -157,7 +167,9 @@ class UntilKnown:
         if at < self.length:
             return Look(progress, "", "the targets are not met yet")
         if at >= goal.at_most:
-            return Look(progress, "", f"the targets are not met; the stated maximum of {at * goal.period_s:.0f} s is reached")
+            return Look(
+                progress, "", f"the targets are not met; the stated maximum of {at * goal.period_s:.0f} s is reached"
+            )
         if not _battery_lasts(volts, goal.empty_v):
             return Look(progress, "", "the targets are not met, and the battery does not hold another period")
         return Look(progress, "extend", f"the targets are not met; it can go on for another {goal.period_s:.0f} s")

@@ -13,6 +13,7 @@ from drivers.samples import Battery, Event, Motors, Sample
 from groundstation.flight.core.ground_check import checklist, with_troubles
 from groundstation.flight.core.live import LiveEstimate
 from groundstation.flight.core.recorder import Recorder
+from groundstation.flight.core.signals import signals, stream_of
 from groundstation.flight.core.until import FlyUntil
 from groundstation.flight.messages import CheckStatus, CoreStatus, SuspectStatus
 from groundstation.flight.sequence import IN_FLIGHT, Phase
@@ -41,6 +42,7 @@ class FlightView:
         self.battery_v = 0.0
         self.motors: tuple[float, ...] = ()
         self._measured = False
+        self._newest: dict[str, Sample] = {}
         self.progress, self.text = 0.0, ""
         self.table: dict[str, tuple[float, float, float, float]] = {}
         self.notes: deque[str] = deque(maxlen=NOTES)
@@ -50,6 +52,7 @@ class FlightView:
         """Keep the newest values that views show."""
         self.live.see(samples, phase)
         for sample in samples:
+            self._newest[stream_of(sample)] = sample
             if isinstance(sample, Battery):
                 self.battery_v = sample.voltage_v
             elif isinstance(sample, Motors):
@@ -93,6 +96,7 @@ class FlightView:
             table=self.table,
             notes=tuple(self.notes),
             checks=(*self._checks.values(), *checklist(streams, self.battery_v, self._declared)) if recorder else (),
+            signals=signals(self._newest),
             clock_s=self.live.clock_s,
             until=self.until.status() if self.until is not None and flying else None,
             suspects=self.suspects if flying else (),

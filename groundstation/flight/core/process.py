@@ -39,10 +39,10 @@ from groundstation.flight.core.recorder import Recorder, open_recording, sound
 from groundstation.flight.core.suspects import LiveSuspects, Suspicion
 from groundstation.flight.core.until import FlyUntil
 from groundstation.flight.core.worker import AnalysisWorker, Progress
-from groundstation.flight.until import Order
 from groundstation.flight.journal import ENDPOINT_FILE, RAW_LOG, WATCH_FILE, Journal
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, Lease
+from groundstation.flight.until import Order
 from groundstation.recording.keeper import Keeper
 from groundstation.recording.manifest import write_manifest
 from groundstation.trajectory import Plan, flight_path, load_plan
@@ -219,7 +219,9 @@ class FlightCore:
         if self.plan.until is not None:
             self.view.until = FlyUntil(self.plan, self.vehicle, lock_step=self.pace.lock_step)
             self.view.live.inline = self.pace.lock_step
-        sink = open_recording(self.settings.folder, self.settings.plan, self.settings.vehicle, description)
+        sink = open_recording(
+            self.settings.folder, self.settings.plan, self.settings.vehicle, description, self.settings.drone
+        )
         self.recorder = Recorder(
             sink,
             on_digested=lambda host_s: self.inbox.put(lambda: self._digested(host_s)),

@@ -54,7 +54,9 @@ class FlyUntil:
         ahead = timeouts.UNTIL_SIMULATED_AHEAD_S if self._lock_step else timeouts.UNTIL_AHEAD_S
         return self._start_s + (self._known.done + 1) * self._known.goal.period_s - ahead
 
-    def moment(self, host_s: float, batch_s: float, estimates: Mapping[str, Estimate], volts: float) -> tuple[Order, str]:
+    def moment(
+        self, host_s: float, batch_s: float, estimates: Mapping[str, Estimate], volts: float
+    ) -> tuple[Order, str]:
         """Everything up to a moment is known: the order that leaves now, and the sentence for the log; both empty between looks."""
         self._moment_s = host_s
         if self._waiting or self._start_s is None:
@@ -67,7 +69,9 @@ class FlyUntil:
         self._newest = look = self._known.look(estimates, volts)
         self._waiting = bool(look.order)
         after = self._known.done * self._known.goal.period_s
-        return look.order, f"after {after:.0f} s of excitation {look.sentence}" + (f": {look.order}" if look.order else "")
+        return look.order, f"after {after:.0f} s of excitation {look.sentence}" + (
+            f": {look.order}" if look.order else ""
+        )
 
     def answered(self, order: Order, *, ok: bool) -> None:
         """The vehicle took the order, or did not."""
@@ -84,8 +88,16 @@ class FlyUntil:
         look, known = self._newest, self._known
         if look is None:
             return None
-        rows = {n: KnownStatus(*(_told(v) for v in (p.spent, p.at_any_time, p.seconds))) for n, p in look.progress.items()}
-        proposal = "" if known.goal.automatic or not look.order else f"{look.sentence}; u agrees" if not known.agreed else f"agreed: {look.sentence}"
+        rows = {
+            n: KnownStatus(*(_told(v) for v in (p.spent, p.at_any_time, p.seconds))) for n, p in look.progress.items()
+        }
+        proposal = (
+            ""
+            if known.goal.automatic or not look.order
+            else f"{look.sentence}; u agrees"
+            if not known.agreed
+            else f"agreed: {look.sentence}"
+        )
         period_s = known.goal.period_s
         return UntilStatus(rows, look.sentence, proposal, known.length * period_s, known.goal.at_most * period_s)
 
