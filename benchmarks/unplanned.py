@@ -222,7 +222,7 @@ def one(seed: int, diagnosed: bool) -> dict[str, Any]:
         found = api.identify(flights[:1])
         model = api.model_document(found, flights[0].vehicle)
         true = truth.parameters()
-        published = found.parameters
+        published = found.methods[found.best].parameters
         mass_kg = published["mass_kg"].value if "mass_kg" in published else mass_kg
         row["revealed"] = sorted(set(published) & set(MASS_AND_TENSOR))
         row["covered"] = {n: _inside(published[n], true[n]) for n in row["revealed"]}
