@@ -65,6 +65,7 @@ def test_a_hover_is_refused() -> None:
 def answered(plan: Plan, *shown: str) -> Identification:
     """What a flight of this plan gives, the parameters ``shown`` within their intervals and half of them again."""
     flight = flown(plan)
+    assert flight.truth is not None
     found = identify([flight])
     parameters, truth = found.methods[found.best].parameters, flight.truth.parameters()
     for name in shown:

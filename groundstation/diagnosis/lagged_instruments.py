@@ -84,13 +84,19 @@ def shifted(values: Array, samples: int) -> Array:
     return np.concatenate([np.repeat(values[:1], samples, axis=0), values[: len(values) - samples]])
 
 
+def _with_past(used: Mask, lags: Sequence[int]) -> Mask:
+    """Samples that are used, and were at every lag before."""
+    out = used.copy()
+    out[: max(lags)] = False
+    for lag in lags:
+        out[lag:] &= used[: len(used) - lag]
+    return out
+
+
 def two_stage(equation: Equation) -> PartEstimate | None:
     """Two-stage least squares with lagged instruments; None where too few samples are left or an effect's column is zero."""
     lags = [max(1, round(lag / equation.step_s)) for lag in LAGS_S]
-    used = equation.used.copy()
-    for lag in lags:
-        used &= shifted(equation.used[:, None], lag)[:, 0]
-    used[: max(lags)] = False
+    used = _with_past(equation.used, lags)
     a = np.column_stack([equation.columns, equation.known])
     z = np.column_stack([*(shifted(equation.columns, lag) for lag in lags), equation.known])
     if used.sum() < 4 * z.shape[1]:
