@@ -232,7 +232,7 @@ def _prediction(stages: Mapping[str, Mapping[str, float]]) -> Markup | None:
 
 def _ratio(before: float, after: float) -> Markup | None:
     """How many times smaller the findings make an error; a word where they change nothing."""
-    if not after > 0.0:
+    if not (after > 0.0 and before > 0.0):
         return None
     if abs(after / before - 1.0) < UNCHANGED:
         return element("small", "unchanged")
