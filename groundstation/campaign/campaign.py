@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 from groundstation.campaign.deciding import Decision, first_plan, flights_needed, next_plan
 from groundstation.campaign.judging import Errors, at_floor, prediction_errors, without_effects
+from groundstation.campaign.pooling import day_of, pooled, widened
 from groundstation.documents import read_diagnosis
 from groundstation.errors import BadInput, Refused
 from groundstation.flightdata import FlightData
@@ -60,9 +61,10 @@ class Round:
         seen: errors of this round's model on the flights it was made of, their mean.
         verdict: of the diagnosis over all flights so far.
         findings: documents of what it found.
-        estimates: canonical parameters now: name -> {"value", "std"}.
+        estimates: canonical parameters now, widened by the scatter between flights: name -> {"value", "std"}.
         reached: half widths over targets; 1 or less is met.
         not_settled: why the campaign did not end here; empty where it did.
+        levels: by parameter what belongs to the vehicle, the days and the flights (:class:`~groundstation.campaign.pooling.Levels`).
     """
 
     folder: str
@@ -75,6 +77,7 @@ class Round:
     estimates: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     reached: Mapping[str, float] = field(default_factory=dict)
     not_settled: tuple[str, ...] = ()
+    levels: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def names(self) -> tuple[str, ...]:
         """What was found, with rotors: "weak_rotor 2"."""
@@ -212,10 +215,13 @@ def take_in(campaign: Campaign, folder: Path, why: str, *, say: Say = lambda tex
     write_model(campaign.folder / f"rigid-{number}.toml", rigid)
     write_json(campaign.folder / f"diagnosis-{number}.json", diagnosis.to_dict())
     seen = _mean([prediction_errors(model, each) for each in flights])
-    estimates = {**model["model"], **model["parameters"]}
+    folders = [*(Path(r.folder) for r in campaign.rounds), folder]
+    by_level = pooled(diagnosis.by_flight, [day_of(each.name) for each in folders])
+    estimates = widened({**model["model"], **model["parameters"]}, by_level, diagnosis.by_flight)
     done = Round(
         str(folder), why, _seconds(flight), judged, seen, diagnosis.verdict,
         tuple(f.to_dict() for f in diagnosis.findings), estimates, reached(estimates, campaign.targets),
+        levels={name: each.to_dict() for name, each in by_level.items()},
     )  # fmt: skip
     return _next(campaign, replace(done, not_settled=tuple(_open(campaign, done))))
 
@@ -295,9 +301,9 @@ def _exhausted(campaign: Campaign, done: Round) -> str:
 
 
 def _seconds(flight: FlightData) -> float:
-    """Of excitation, by the plan; of the recording's motors without one."""
-    if flight.plan is not None:
-        return float(flight.plan.series().duration_s)
+    """Of excitation; of the recording's motors where its window is not known."""
+    if flight.window_s is not None:
+        return float(flight.window_s[1] - flight.window_s[0])
     motors = flight.motors
     return 0.0 if motors is None or not len(motors) else float(motors.t_s[-1] - motors.t_s[0])
 
