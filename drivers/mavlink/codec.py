@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from drivers.mavlink.dialect import MESSAGES, Message, mavlink
@@ -68,6 +69,7 @@ class MavlinkCodec:
     Args:
         system, component: who we are.
         signing: sign and verify every frame; None leaves MAVLink unsigned.
+        refuse: why a message is not believed; empty for one that is.
 
     Attributes:
         counters: per (system, component) heard.
@@ -76,9 +78,13 @@ class MavlinkCodec:
     """
 
     def __init__(
-        self, system: int = STATION_SYSTEM, component: int = STATION_COMPONENT, signing: Signing | None = None
+        self,
+        system: int = STATION_SYSTEM,
+        component: int = STATION_COMPONENT,
+        signing: Signing | None = None,
+        refuse: Callable[[Message], str] = refusal,
     ):
-        self.signing = signing
+        self.signing, self._refuse = signing, refuse
         self.framer = Framer()
         self.counters: dict[tuple[int, int], Counters] = {}
         self.refused: dict[str, Refusal] = {}
@@ -112,7 +118,7 @@ class MavlinkCodec:
             return Received(frame, None)
         try:
             message = self._decoder.decode(bytearray(frame.raw))
-            why = refusal(message)
+            why = self._refuse(message)
         except Exception as error:  # generated code and foreign bytes: whatever it is, it must not reach who flies
             message, why = None, f"cannot be decoded ({type(error).__name__})"
         if not why:
