@@ -30,12 +30,14 @@ def coarse_offset(
     *,
     expected_s: float = 0.0,
     source: str = "motion capture",
+    by_size: bool = False,
 ) -> tuple[float, float]:
     """Pose stamp minus gyro stamp of one instant, to a few milliseconds, by correlating smoothed rates.
 
     Args:
         expected_s: centre of the search, e.g. from arrival times; the search goes as far as half of each record overlaps.
         source: of the attitudes, for the refusal.
+        by_size: compare how fast both turn, not about which axes: for a marker body that is mounted anyhow.
 
     Returns:
         Offset in seconds and the correlation coefficient there.
@@ -46,6 +48,8 @@ def coarse_offset(
     from scipy.signal import butter, correlate, sosfiltfilt
 
     pose_rate, t_mid = rates_from_attitude(t_pose, quaternion)
+    if by_size:
+        gyro, pose_rate = (np.linalg.norm(rate, axis=1, keepdims=True) for rate in (gyro, pose_rate))
     step = 1.0 / GRID_HZ
     grid_g = np.arange(t_gyro[0], t_gyro[-1], step)
     grid_p = np.arange(t_mid[0], t_mid[-1], step)
@@ -60,7 +64,7 @@ def coarse_offset(
 
     a, b = smooth(grid_g, t_gyro, gyro), smooth(grid_p, t_mid, pose_rate)
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)
-    total = np.asarray(sum(correlate(b[:, i], a[:, i], method="fft") for i in range(3)))
+    total = np.asarray(sum(correlate(b[:, i], a[:, i], method="fft") for i in range(a.shape[1])))
     lags = np.arange(-(len(a) - 1), len(b))
     # energies of the overlapping parts, so that a short overlap is not punished or favoured by its length
     ones_a, ones_b = np.ones(len(a)), np.ones(len(b))
