@@ -74,12 +74,16 @@ class _Bin:
 class ServerClock:
     """Collects evidence and maps stamps.
 
+    Args:
+        settling_s: after which an early arrival is a step, and no better packet than those before.
+
     Attributes:
         steps: how often the server's clock stepped; what was known before is dropped each time.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, settling_s: float = 2.0) -> None:
         self.steps = 0
+        self._settling_s = settling_s
         self._forget()
 
     def _forget(self) -> None:
@@ -138,7 +142,7 @@ class ServerClock:
     def _contradicts(self, server_s: float, host_s: float) -> bool:
         """It arrived before it was sent, or arrivals stay late."""
         now = self._now
-        if now is None or self._first_s is None or host_s - self._first_s < 2.0:
+        if now is None or self._first_s is None or host_s - self._first_s < self._settling_s:
             return False
         early_s = now.host_s(server_s) - now.error_s - host_s
         slack_s = STEP_S + 2.0 * FASTEST * abs(host_s - now.at_s)

@@ -22,7 +22,6 @@ from drivers.mocap.vrpn import PORT as VRPN_PORT
 from drivers.mocap.vrpn import Vrpn
 
 SILENT_S = 3.0
-"""Without a byte for so long, the connection is made anew: a restarted server knows nothing of its clients."""
 UNTOLD_DELAY_S, UNTOLD_DELAY_ERROR_S = 0.005, 0.005
 """From exposure to what a stamp tells, where the protocol does not say: makers name 3 to 10 ms for real-time bodies."""
 
@@ -91,6 +90,9 @@ class Session:
         clock: of the server, known from an earlier connection.
         delay: of its stamps as measured; None takes the system's.
 
+    Attributes:
+        silent_s: without a byte for so long, it ends: a restarted server knows nothing of its clients.
+
     Raises:
         OSError: it cannot be reached.
     """
@@ -103,6 +105,7 @@ class Session:
         self.reader = self.system.reader()
         self.clock = ServerClock() if clock is None else clock
         self.stepped = False
+        self.silent_s = SILENT_S
         self._joined = False
         self._heard_s = self._due_s = time.monotonic()
         self._connection = _connect(self.system, system, host, body)
@@ -113,7 +116,7 @@ class Session:
         """Send what is due, and take in what arrived.
 
         Raises:
-            ConnectionError, OSError: the server is gone, or silent for three seconds.
+            ConnectionError, OSError: the server is gone, or silent for too long.
         """
         now_s = time.monotonic()
         for data in self.reader.due(now_s):
@@ -129,8 +132,8 @@ class Session:
                 else:
                     out.append(self._dated(reading, received_s))
         self._join()
-        if time.monotonic() - self._heard_s > SILENT_S:
-            raise ConnectionError(self.reader.trouble or f"nothing came for {SILENT_S:.0f} s")
+        if time.monotonic() - self._heard_s > self.silent_s:
+            raise ConnectionError(self.reader.trouble or f"nothing came for {self.silent_s:g} s")
         return out
 
     def take_step(self) -> bool:

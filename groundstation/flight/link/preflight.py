@@ -14,6 +14,7 @@ import numpy as np
 from drivers.mavlink.geometry import tilt_cosine, yaw_of
 from drivers.samples import Pose, State
 from groundstation.errors import BadInput
+from groundstation.flight.link.marker import MarkerVerdict
 from groundstation.flight.link.profiles import ParameterRule, Profile
 from groundstation.flight.link.view import VehicleView
 from groundstation.flight.station import Station
@@ -65,6 +66,8 @@ class Situation:
         clock_error_s: of the vehicle's clock against ours.
         disk_free_bytes: where the recording goes; None when nobody keeps one.
         carried: (state, pose) pairs over which the vehicle was moved, to compare their frames.
+        marker: whether the calibrated marker body still sits where it was; None without a calibration.
+        mocap_said: what the motion capture's client told last.
     """
 
     now_s: float
@@ -76,6 +79,8 @@ class Situation:
     clock_error_s: float
     carried: Sequence[tuple[State, Pose]] = ()
     disk_free_bytes: int | None = None
+    marker: MarkerVerdict | None = None
+    mocap_said: str = ""
 
     @property
     def profile(self) -> Profile:
@@ -272,10 +277,22 @@ def _poses(s: Situation) -> Iterator[Check]:
     rate, age = view.rate_hz("POSE", s.now_s), s.now_s - view.pose_changed_s
     yield _answer(
         "poses", rate >= mocap.needed_hz and age < 0.3,
-        f"{rate:.0f} Hz, the newest {age:.2f} s old" if view.pose else f"none from {mocap.system} at {mocap.host}",
+        f"{rate:.0f} Hz, the newest {age:.2f} s old" if view.pose else f"none from {mocap.system} at {mocap.host}" + (f": {s.mocap_said}" if s.mocap_said else ""),
         f"start the motion capture, check host and body '{mocap.body}' in the station file",
     )  # fmt: skip
     yield _frames(s)
+    yield _marker(s)
+
+
+def _marker(s: Situation) -> Check:
+    """The marker body sits where it was calibrated."""
+    if s.marker is None:
+        return Check(
+            "marker",
+            True,
+            "not calibrated: the marker body is taken for the vehicle's declared tracked point (`groundstation calibrate`)",
+        )
+    return _answer("marker", s.marker.ok, s.marker.seen, "fasten it and calibrate again with `groundstation calibrate`")
 
 
 def _frames(s: Situation) -> Check:
