@@ -24,7 +24,7 @@ class Odometry:
         self.server, self.up, self.trouble = "", "z", ""
         self.names: tuple[str, ...] = ()
         self.malformed = 0
-        self._codec = MavlinkCodec(refuse=_refusal)
+        self._codec = MavlinkCodec(gated=False)  # velocities may be NaN in a pose; what is used of it is checked here
         self._synced_s = self._alive_s = -1e9
 
     def due(self, now_s: float) -> list[bytes]:
@@ -62,11 +62,6 @@ class Odometry:
         if not tracked(position, quaternion):
             return Frame(None, stamp_s, None, (), (name,))
         return Frame(None, stamp_s, None, (Body(name, position, unit(quaternion), int(name)),))
-
-
-def _refusal(message: Message) -> str:
-    """Nothing: velocities may be NaN in a pose, what is used of it is checked here, and the rest is not used."""
-    return ""
 
 
 def _pose(name: str, m: Message) -> tuple[float, Vector3, Quaternion] | None:

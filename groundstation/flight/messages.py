@@ -94,6 +94,7 @@ class CoreStatus(msgspec.Struct, frozen=True):
         table: the newest estimates: parameter -> (nominal, estimate, low, high), absent numbers NaN.
         notes: the last sentences of the flight's log.
         checks: the preflight so far, item by item.
+        signals: the newest value of every recorded signal, as ``stream/column``.
         clock_s: stamp of motion capture minus that of the IMU at one instant, (estimate, half its 95 % interval).
     """
 
@@ -124,4 +125,5 @@ class CoreStatus(msgspec.Struct, frozen=True):
     table: dict[str, tuple[float, float, float, float]] = {}
     notes: tuple[str, ...] = ()
     checks: tuple[CheckStatus, ...] = ()
+    signals: dict[str, float] = {}
     clock_s: tuple[float, float] | None = None

@@ -129,6 +129,8 @@ class MocapSource(_Section):
         needed_hz: preflight refuses below this.
         to_vehicle_hz: rate of poses to the vehicle's estimator; 0 sends none.
         std_m, std_rad: what the estimator is told of their accuracy.
+        latency_s: how much later than its exposure a pose is stamped; declared to the estimator indoors. Each flight with poses
+            measures it and says the line to write.
         calibration: how the marker body sits; None takes it for the vehicle's declared tracked point.
     """
 
@@ -140,6 +142,7 @@ class MocapSource(_Section):
     to_vehicle_hz: NonNegative = 50.0
     std_m: Positive = 0.005
     std_rad: Positive = 0.01
+    latency_s: Annotated[float, Field(ge=0.0, le=0.25)] = 0.0
     calibration: MarkerCalibration | None = None
 
     @field_validator("system", mode="before")
@@ -158,15 +161,34 @@ class MocapSource(_Section):
 
 
 class Station(_Section):
-    """A station file."""
+    """A station file.
+
+    Attributes:
+        indoors: the vehicle's estimator flies by the poses, without satellites. Left out, it is so where there is motion capture;
+            false leaves the poses to the recording, and the vehicle to its own estimate.
+    """
 
     schema_version: str = Field(default="groundstation.station/1", alias="schema")
     name: str = "default"
     system: Annotated[int, Field(ge=1, le=255)] | None = None  # the vehicle's MAVLink system id; None: the first heard
+    indoors: bool | None = None
     box: Box = Box()
     guard: GuardLimits = GuardLimits()
     policy: Policy = Policy()
     mocap: MocapSource = MocapSource()
+
+    @model_validator(mode="after")
+    def _poses_indoors(self) -> Station:
+        if self.indoors and (self.mocap.system == "none" or not self.mocap.to_vehicle_hz):
+            raise ValueError(
+                "indoors = true needs poses for the vehicle: name the [mocap] system, with to_vehicle_hz above 0"
+            )
+        return self
+
+    @property
+    def flies_by_poses(self) -> bool:
+        """Whether the vehicle's estimator is to use the poses."""
+        return self.mocap.system != "none" if self.indoors is None else self.indoors
 
 
 def station_from_dict(document: dict, source: str = "station") -> Station:

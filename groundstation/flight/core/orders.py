@@ -98,6 +98,10 @@ class ClientOrders:
             return LeaseAnswer(False, holder, refusal)
         return self._lease.request(request)
 
+    def _who(self, client: str) -> str:
+        """The operator, or a watcher by its name."""
+        return "the operator" if client == self._lease.holder else shown(client, limit=80)
+
     def abort(self, command: CoreCommand) -> bus.Answer:
         """What is asked under the key that every role may use is an abort, whatever it says.
 
@@ -106,7 +110,7 @@ class ClientOrders:
 
         def handle() -> None:
             self._abort_waits.clear()
-            self._happen(seq.AbortRequested(f"aborted by {shown(command.client, limit=80)}"))
+            self._happen(seq.AbortRequested(f"aborted by {self._who(command.client)}"))
 
         if not self._abort_waits.is_set():
             self._abort_waits.set()
@@ -127,7 +131,7 @@ class ClientOrders:
         event = {
             "start": seq.StartRequested(),
             "land": seq.LandRequested(),
-            "kill": seq.AbortRequested(f"rotors stopped by {shown(command.client, limit=80)}", rotors_off=True),
+            "kill": seq.AbortRequested(f"rotors stopped by {self._who(command.client)}", rotors_off=True),
         }[command.name]
         self._later(lambda: self._happen(event))
         return bus.Answer(True)

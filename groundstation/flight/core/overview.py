@@ -13,6 +13,7 @@ from drivers.samples import Battery, Event, Motors, Sample
 from groundstation.flight.core.ground_check import checklist, with_troubles
 from groundstation.flight.core.live import LiveEstimate
 from groundstation.flight.core.recorder import Recorder
+from groundstation.flight.core.signals import signals, stream_of
 from groundstation.flight.messages import CheckStatus, CoreStatus
 from groundstation.flight.sequence import IN_FLIGHT, Phase
 from groundstation.flight.sequence import Sequence as FlightSequence
@@ -37,6 +38,7 @@ class FlightView:
         self.battery_v = 0.0
         self.motors: tuple[float, ...] = ()
         self._measured = False
+        self._newest: dict[str, Sample] = {}
         self.progress, self.text = 0.0, ""
         self.table: dict[str, tuple[float, float, float, float]] = {}
         self.notes: deque[str] = deque(maxlen=NOTES)
@@ -46,6 +48,7 @@ class FlightView:
         """Keep the newest values that views show."""
         self._live.see(samples, phase)
         for sample in samples:
+            self._newest[stream_of(sample)] = sample
             if isinstance(sample, Battery):
                 self.battery_v = sample.voltage_v
             elif isinstance(sample, Motors):
@@ -89,6 +92,7 @@ class FlightView:
             table=self.table,
             notes=tuple(self.notes),
             checks=(*self._checks.values(), *checklist(streams, self.battery_v, self._declared)) if recorder else (),
+            signals=signals(self._newest),
             clock_s=self._live.clock_s,
             **self._motion(),
         )

@@ -206,7 +206,9 @@ class FlightCore:
             return  # the vehicle's process came back; its flight goes on, or is over
         self.heard_s = self.clock()
         self.description, self.pace = description, Pace(lock_step=not description.real_time)
-        sink = open_recording(self.settings.folder, self.settings.plan, self.settings.vehicle, description)
+        sink = open_recording(
+            self.settings.folder, self.settings.plan, self.settings.vehicle, description, self.settings.drone
+        )
         self.recorder = Recorder(
             sink,
             on_digested=lambda host_s: self.inbox.put(lambda: self._digested(host_s)),
