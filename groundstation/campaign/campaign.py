@@ -7,6 +7,7 @@ there: a flight that was flown is not flown again, and a round that was not fini
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -19,13 +20,16 @@ from groundstation.documents import read_diagnosis
 from groundstation.errors import BadInput, Refused
 from groundstation.flightdata import FlightData
 from groundstation.outside import read_json
-from groundstation.targets import reached
+from groundstation.paths import find_config
+from groundstation.planning.plan import AUTOPILOT
+from groundstation.targets import parse_targets, reached
 from groundstation.trajectory import load_plan
-from groundstation.vehicle import Vehicle, vehicle_from_dict, vehicle_to_dict
+from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
 from groundstation.writing import write_whole
 
 SCHEMA = "groundstation.campaign/1"
 FILE = "campaign.json"
+VEHICLE = "vehicle.toml"
 PLAN_S = 6.0
 """Seconds of search for each plan."""
 
@@ -153,17 +157,61 @@ def run(campaign: Campaign, flyer: Flyer, *, say: Say = lambda text: None, **lim
     Args:
         flyer: flies a plan; what it raises leaves the campaign as it was before that flight.
     """
-    while not campaign.outcome:
-        if not campaign.pending:
-            campaign = _decide(campaign, say, limits).save()
-        folder = Path(campaign.pending["folder"]) if campaign.pending.get("folder") else None
-        if folder is None or not flyer.was_flown(folder):
-            folder = flyer.place()
-            campaign = replace(campaign, pending={**campaign.pending, "folder": str(folder)}).save()
-            flyer.fly(Path(campaign.pending["plan"]), folder)
-        campaign = take_in(campaign, folder, campaign.pending["why"], say=say)
+    while True:
+        campaign = advance(campaign, flyer.was_flown, say=say, limits=limits)
+        if campaign.outcome:
+            return campaign
+        folder = flyer.place()
+        campaign = replace(campaign, pending={**campaign.pending, "folder": str(folder)}).save()
+        flyer.fly(Path(campaign.pending["plan"]), folder)
+
+
+def advance(
+    campaign: Campaign, flown: Callable[[Path], bool], *, say: Say = lambda text: None, limits: Mapping[str, float]
+) -> Campaign:
+    """Up to the next flight: what was flown is taken in, and the next is decided; or the campaign's end. Each step is written down.
+
+    Args:
+        flown: whether the flight in a folder ended as planned.
+        limits: of plans.
+    """
+    folder = campaign.pending.get("folder")
+    if folder and not campaign.outcome and flown(Path(folder)):
+        campaign = take_in(campaign, Path(folder), campaign.pending["why"], say=say)
         campaign = replace(campaign, pending={}).save()
-    return campaign
+    if campaign.pending or campaign.outcome:
+        return campaign
+    return _decide(campaign, say, limits).save()
+
+
+def begin(logs: Path, vehicle: str, until: str, *, at_most: int = 5, seed: int = 1) -> Campaign:
+    """A new campaign in a folder of its own, with a copy of the vehicle's file.
+
+    Raises:
+        BadInput: there is no such vehicle, or a target is none.
+    """
+    source = find_config("vehicles", vehicle).resolve()
+    declared = load_vehicle(source)
+    folder = logs.resolve() / f"campaign-{time.strftime('%Y-%m-%dT%H-%M-%S')}-{declared.name}"
+    stand = Campaign(folder, declared, parse_targets(until), at_most, seed).save()
+    (folder / VEHICLE).write_bytes(source.read_bytes())
+    return stand
+
+
+def was_flown(folder: Path) -> bool:
+    """Whether the core of a flight's folder ended it as planned."""
+    from groundstation.flight.client.client import outcome
+
+    try:
+        return (folder / "flight.mcap").is_file() and outcome(folder)[0] in (0, Refused.exit_status)
+    except BadInput:
+        return False
+
+
+def autopilot_limits(vehicle: Vehicle) -> dict[str, float]:
+    """Of plans for an autopilot whose tuning is not known."""
+    asked = vehicle.limits.acceleration_max_m_s2 or AUTOPILOT["acceleration_max_m_s2"]
+    return {**AUTOPILOT, "acceleration_max_m_s2": min(asked, AUTOPILOT["acceleration_max_m_s2"])}
 
 
 def _decide(campaign: Campaign, say: Say, limits: Mapping[str, float]) -> Campaign:
