@@ -76,7 +76,7 @@ class LazyGroup(click.Group):
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"]},
     invoke_without_command=True,
-    epilog="\b\nExample:\n  groundstation rehearse          a whole flight in simulation, from plan to report",
+    epilog="\b\nExample:\n  groundstation rehearse     a whole flight in simulation",
 )
 @click.version_option(__version__, prog_name="groundstation")
 @click.option("--debug", is_flag=True, help="Show where an error comes from.")
