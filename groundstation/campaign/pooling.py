@@ -73,7 +73,7 @@ class Levels:
         }
 
 
-def levels(values: Sequence[float], stds: Sequence[float], days: Sequence[str]) -> Levels:
+def levels(values: Sequence[float] | Array, stds: Sequence[float] | Array, days: Sequence[str]) -> Levels:
     """Vehicle, days and flights of one parameter.
 
     Args:
