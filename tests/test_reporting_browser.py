@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from groundstation.reporting import write_report
+from groundstation.reporting.report import write_report
 from tests import reporting_fixture as fixture
 from tests.test_reporting_report import HOSTILE
 

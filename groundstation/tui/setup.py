@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from drivers.access import Access
 from groundstation.errors import BadInput
 from groundstation.flight.children import Child
 from groundstation.flight.client.client import new_flight_folder, start_core
-from groundstation.flight.client.rehearse import linked_vehicle, simulated_drone
 from groundstation.paths import configs_dir, find_config, shipped_config
 from groundstation.texts import file_name
-from groundstation.trajectory import Plan, load_plan
+
+if TYPE_CHECKING:
+    from groundstation.trajectory import Plan
 
 SIMULATOR = "simulator"
 UDP = "udpin://127.0.0.1:14540"
@@ -60,6 +62,8 @@ def links() -> list[str]:
 
 def plan_at_hand(setup: Setup, newest: Plan | None) -> Plan | None:
     """The newest plan where it was made for what flies, else the one that ships for it, if one does."""
+    from groundstation.trajectory import load_plan
+
     if newest is not None and newest.vehicle == setup.vehicle:
         return newest
     path = configs_dir() / "plans" / f"{file_name(setup.vehicle)}.toml"
@@ -73,6 +77,7 @@ def begin_flight(setup: Setup, plan: Plan, logs: Path, *, analyse: bool = True) 
         BadInput: vehicle, scenario or station do not exist.
     """
     from groundstation.analysis.plans import write_plan
+    from groundstation.flight.client.rehearse import linked_vehicle, simulated_drone
 
     vehicle = find_config("vehicles", setup.vehicle).resolve()
     folder = new_flight_folder(logs.resolve(), vehicle.stem)
@@ -90,6 +95,7 @@ def begin_flight(setup: Setup, plan: Plan, logs: Path, *, analyse: bool = True) 
 def flight_limits(folder: Path, station: str | None) -> tuple[Mapping[str, float], Mapping[str, float]]:
     """Limits of the plan in a flight's folder, and of the guard: what there is of them."""
     from groundstation.flight.station import load_station
+    from groundstation.trajectory import load_plan
     from groundstation.vehicle import load_vehicle
 
     guard: dict[str, float] = {}

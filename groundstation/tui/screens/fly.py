@@ -13,8 +13,9 @@ from textual.widgets import DataTable, Static
 from groundstation.flight.messages import CoreStatus
 from groundstation.flight.sequence import IN_FLIGHT, Phase
 from groundstation.tui.checks import checklist
+from groundstation.tui.documents import live_rows, motor_lines
 from groundstation.tui.screens.base import WIDE, StationScreen, fill
-from groundstation.tui.text import PHASES, live_rows, margin_lines, motor_lines, state_lines
+from groundstation.tui.text import PHASES, margin_lines, state_lines
 from groundstation.tui.widgets.plots import Line, Plot
 
 WAITING = "No flight is prepared.\n\nr prepares one of the vehicle chosen on the Station screen (1), with the plan of the Plan screen (2)."
