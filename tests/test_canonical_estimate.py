@@ -17,10 +17,10 @@ from groundstation.fleet.rows import CANONICAL, _parameters
 from groundstation.flight.client.rehearse import result_table
 from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.model.prediction import model_from_document
-from groundstation.reporting.report import write_report
 from groundstation.reporting.canonical import canonical, correlated
 from groundstation.reporting.exports import model_document, read_model
 from groundstation.reporting.identified import identified_from_document
+from groundstation.reporting.report import write_report
 from groundstation.reporting.units import interval_text, label, scale_for, split_unit
 from groundstation.tui.documents import method_table
 

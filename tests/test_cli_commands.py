@@ -47,7 +47,9 @@ def test_what_has_to_be_there_at_once_imports_nothing_heavy(start):
 
 
 def test_help_imports_neither_bus_nor_screens():
-    code = f"import sys; {STARTS['help']}; print([m for m in ('zenoh', 'textual') if m in sys.modules], file=sys.stderr)"
+    code = (
+        f"import sys; {STARTS['help']}; print([m for m in ('zenoh', 'textual') if m in sys.modules], file=sys.stderr)"
+    )
     done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, timeout=60)
     assert done.stderr.strip() == "[]"
 

@@ -106,7 +106,9 @@ def test_first_and_second_derivatives_are_exact(criterion, effects, candidates):
 
     def gradient(v):
         cost, jacobian, slopes = program.slopes(v)
-        return jacobian.T @ weights + sum(np.tensordot(z, g, 2) for z, g in zip(multipliers, slopes, strict=True)) - cost
+        return (
+            jacobian.T @ weights + sum(np.tensordot(z, g, 2) for z, g in zip(multipliers, slopes, strict=True)) - cost
+        )
 
     def slope(function):
         return (function(point + step * direction) - function(point - step * direction)) / (2 * step)

@@ -112,6 +112,11 @@ def _stretched(each: Solved, room: Array, problem: Problem) -> Array:
     a, b = each.a * scale, each.b * scale
     at = np.zeros(4) if problem.start is None else np.array(problem.start)
     if problem.start is None:
-        at = np.array([float(np.mean(edges)) if np.isfinite(edges).all() else 1.0 * (k == 2) for k, edges in enumerate(problem.room)])
+        at = np.array(
+            [
+                float(np.mean(edges)) if np.isfinite(edges).all() else 1.0 * (k == 2)
+                for k, edges in enumerate(problem.room)
+            ]
+        )
     below = (b / (frequency * np.arange(1, a.shape[1] + 1))).sum(axis=1)
     return problem.unknowns_of(FourierSeries(a, b, at + below, frequency))

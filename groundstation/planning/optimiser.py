@@ -42,7 +42,7 @@ _ROUGH = 60  # steps per period and harmonic at which limits are looked at first
 _DRAWN = 0.1  # share by which a random start is drawn in, so that it lies well inside
 _SCALED = 0.01  # the same of a scaled solution
 _KEPT = 1e-3  # the same of a coarse solution, to begin the next round of the exchange
-_ROUGHLY = 3e-4  # gap of a coarse solution
+ROUGHLY = 3e-4  # gap of a coarse solution
 _LITTLE = 1e-4  # an excess that drawing in removes at no cost to speak of
 _LAZY = ("thrust", "torque", "rotors")  # held only once a plan comes near them
 _SLACK = 0.2  # how near a starting motion may come, as a share of the bound (of hover thrust for rotors)
@@ -56,6 +56,8 @@ class Outcome:
         series: one period.
         cost: its criterion (see :func:`cost`), smaller is better.
         violation: largest excess over any limit.
+        sampled_bound: the best that a search found where limits hold at sampled phases only, less its gap: no plan within the
+            limits was seen to go below; nan without a search.
         starts: starting points tried.
         seconds: time it took.
     """
@@ -63,6 +65,7 @@ class Outcome:
     series: FourierSeries
     cost: float
     violation: float
+    sampled_bound: float = float("nan")
     starts: int = 0
     seconds: float = 0.0
 
@@ -270,7 +273,8 @@ def best_of(
         except KeyboardInterrupt:
             best = min([best, *(each.salvaged() for each in searches if each.rough < best.cost)], key=lambda o: o.cost)
             progress(1.0, f"interrupted; best so far {best.cost:.5g}")
-    return replace(best, starts=tried, seconds=clock() - began)
+    bound = min((each.rough * float(np.exp(-ROUGHLY)) for each in searches if np.isfinite(each.rough)), default=np.nan)
+    return replace(best, sampled_bound=bound, starts=tried, seconds=clock() - began)
 
 
 class _Search:
@@ -303,7 +307,7 @@ class _Search:
             self._program = Program(problem, exchange.groups, exchange.coarse, watch=self._watch)
         inner = _inner_unknowns(problem, start)
         inside = self._program.inside(start, inner, _DRAWN if known is None else _SCALED)
-        found = self._program.solve(inside, mu=COLD if known is None else WARM, gap=_ROUGHLY)
+        found = self._program.solve(inside, mu=COLD if known is None else WARM, gap=ROUGHLY)
         while exchange.add_groups(problem.series(found)):
             self._program = Program(problem, exchange.groups, exchange.coarse, watch=self._watch)
             inner = _inner_unknowns(problem, found)

@@ -64,7 +64,7 @@ class Program:
         self._count = problem.unknowns
         self._matrices = problem.criterion in ("condition", "E")
         self._sign = -1.0 if self._matrices else 1.0
-        self._scale, self._middle, self._reach = 1.0, np.zeros(self._count), np.inf
+        self._scale, self._middle, self._reach = 1.0, np.zeros(self._count), _FAR
 
     def _m(self, y: Array) -> list[Array]:
         return [each.value(y[: self._count]) / self._scale for each in self.information]
