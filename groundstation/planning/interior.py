@@ -82,7 +82,7 @@ def minimise(program: Constraints, start: Array, *, mu: float, gap: float, itera
     h, matrices = program.values(start)
     if not (h > 0.0).all() or not all(_positive(each) for each in matrices):
         raise ValueError("the start is not strictly inside every constraint")
-    point = _Point(start, h, matrices, mu / h, [mu * np.linalg.inv(each) for each in matrices])
+    point = _Point(start, h, matrices, mu / h, [np.asarray(mu * np.linalg.inv(each), dtype=float) for each in matrices])
     least = gap / _ACTIVE
     for _ in range(iterations):
         decrement = _step(program, point, program.slopes(point.y), mu)
@@ -165,6 +165,6 @@ def _solved(system: Array, convex: Array, right: Array) -> Array:
 
 def _factor(matrix: Array) -> Array | None:
     try:
-        return np.linalg.cholesky(matrix)
+        return np.asarray(np.linalg.cholesky(matrix), dtype=float)
     except np.linalg.LinAlgError:
         return None

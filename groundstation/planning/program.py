@@ -140,7 +140,9 @@ class Program:
     def _weight(self, m: Array) -> Array:
         """Derivative of the measure by M."""
         inverse = np.linalg.inv(m)
-        return -inverse if self.problem.criterion == "D" else -inverse @ inverse / np.trace(inverse)
+        return np.asarray(
+            -inverse if self.problem.criterion == "D" else -inverse @ inverse / np.trace(inverse), dtype=float
+        )
 
     def curvature(self, y: Array, z: Array, multipliers: list[Array]) -> tuple[Array, Array]:
         """Second derivative of the constraints' weighted sum less the cost: that of M, which is nearly convex, and the rest."""

@@ -1,4 +1,4 @@
-"""The terminal UI: six screens over the core process. It computes nothing, and no flight depends on it.
+"""The terminal UI: seven screens over the core process. It computes nothing, and no flight depends on it.
 
 Keys that work everywhere, from inside every field and in front of every question (priority bindings): ``ctrl+g`` or F8
 aborts and lands, ``ctrl+o`` or F9 asks whether to stop the rotors. Neither a terminal, tmux nor an input field takes
@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import importlib
 import webbrowser
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
-from textual.app import App
+from textual.app import App, SystemCommand
 from textual.binding import Binding
 from textual.css.query import NoMatches
+from textual.screen import Screen
 
 from groundstation.commands.common import LOGS
 from groundstation.errors import GroundStationError
@@ -26,6 +28,7 @@ from groundstation.flight.journal import read_journal
 from groundstation.flight.messages import CommandName, CoreStatus
 from groundstation.flight.sequence import FINAL, IN_FLIGHT, Phase
 from groundstation.texts import shown
+from groundstation.tui.margins import Announcer, FlightLimits, margins
 from groundstation.tui.results import FlightResults, read_results
 from groundstation.tui.screens.base import StationScreen
 from groundstation.tui.setup import Setup, begin_flight, flight_limits, plan_at_hand
@@ -44,7 +47,8 @@ AFTER_LANDING = (Phase.LANDED, Phase.IDENTIFYING, Phase.DONE)
 KEYS = """\
 ^g, F8  abort and land
 ^o, F9  stop the rotors, after a question
-1 … 6   the screens
+^p      every command by name
+1 … 7   the screens
 Escape  leave a field
 l       the run's log
 t       light or dark
@@ -79,12 +83,12 @@ class GroundStation(App[int]):
         core: the flight that is followed; None before the first.
         plan: what the next flight flies; None takes the one that ships for the vehicle.
         results: of the flight that Identify and Diagnose show.
+        limits: of the flight that is followed.
         trouble: what went wrong last with the flight, as a sentence.
     """
 
     TITLE = "groundstation"
     CSS_PATH = "groundstation.tcss"
-    ENABLE_COMMAND_PALETTE = False
     MODES: ClassVar = {
         "station": _screen("station", "Station"),
         "plan": _screen("plan", "Planner"),
@@ -92,6 +96,7 @@ class GroundStation(App[int]):
         "identify": _screen("identify", "Identify"),
         "diagnose": _screen("diagnose", "Diagnose"),
         "flights": _screen("flights", "Flights"),
+        "campaign": _screen("campaign", "Campaign"),
     }
     DEFAULT_MODE = "station"
     BINDINGS: ClassVar = [
@@ -118,7 +123,9 @@ class GroundStation(App[int]):
         self._start_wanted = False
         self._preparing = False
         self._simulated = False
-        self._limits: tuple[Mapping[str, float], Mapping[str, float]] = ({}, {})
+        self.limits = FlightLimits()
+        self._announcer = Announcer()
+        self._offered: object = None
 
     def on_mount(self) -> None:
         """Find a flight that goes on, and refresh from now on."""
@@ -138,7 +145,8 @@ class GroundStation(App[int]):
             self.core.stop()
         self.core, self._shown, self.trouble, self.results = core, None, "", None
         self._simulated = simulated
-        self._limits = flight_limits(core.folder, None if simulated else self.setup.station)
+        self.limits = flight_limits(core.folder, self.setup.station, simulated=simulated)
+        self._announcer = Announcer()
         self.switch_mode("fly")
 
     def _find_flight(self) -> None:
@@ -146,9 +154,16 @@ class GroundStation(App[int]):
         for folder, endpoint in running_cores(self.logs, told=lambda text: self.call_from_thread(self._fail, text))[:1]:
             self.call_from_thread(self.follow, CoreWatch(endpoint, folder))
 
-    def limits(self) -> tuple[Mapping[str, float], Mapping[str, float]]:
-        """Of the flight that is followed: those of its plan, and those of the guard that a view can see."""
-        return self._limits
+    @property
+    def preparing(self) -> bool:
+        """A core is being started."""
+        return self._preparing
+
+    @property
+    def may_take_lease(self) -> bool:
+        """Another client is the operator."""
+        core = self.core
+        return core is not None and core.newest is not None and bool(core.newest.lease) and not core.operator
 
     @property
     def flying(self) -> bool:
@@ -158,19 +173,25 @@ class GroundStation(App[int]):
 
     def prepare_flight(self) -> None:
         """Start a core with what is chosen; it waits for the start."""
+        self.prepare_this(self.setup, None)
+
+    def prepare_this(
+        self, setup: Setup, plan: Plan | None, begun: Callable[[Path], None] = lambda folder: None
+    ) -> None:
+        """Start a core with a plan, or the one at hand; ``begun`` is told the flight's folder, on a thread."""
         if self.flying or self._preparing:
             self.notify("a flight is prepared already; s on Fly starts it, ^g gives it up.")
             return
         self._preparing, self._start_wanted, self.trouble = True, False, ""
-        self._simulated = self.setup.simulated
+        self._simulated = setup.simulated
         self.switch_mode("fly")
-        self.run_worker(self._prepare, thread=True)
+        self.run_worker(lambda: self._prepare(setup, plan, begun), thread=True)
 
-    def _prepare(self) -> None:
-        setup = self.setup
+    def _prepare(self, setup: Setup, chosen: Plan | None, begun: Callable[[Path], None]) -> None:
         try:
-            plan = plan_at_hand(setup, self.plan) or self._new_plan(setup)
+            plan = chosen or plan_at_hand(setup, self.plan) or self._new_plan(setup)
             child, endpoint, folder = begin_flight(setup, plan, self.logs, analyse=self._analyse)
+            begun(folder)
         except (GroundStationError, OSError) as error:
             self.call_from_thread(self._fail, str(error))
         else:
@@ -198,7 +219,7 @@ class GroundStation(App[int]):
             self.notify("no flight is prepared; r prepares one.")
         elif self._simulated:
             self._start_wanted = True
-        elif self._phase() != Phase.CHECKED:
+        elif self.phase != Phase.CHECKED:
             self.notify("not everything is checked yet; start when the state says CHECKED.")
         else:
             self.push_screen(TypedQuestion(CONFIRM, "FLY"), self._on_typed)
@@ -236,7 +257,7 @@ class GroundStation(App[int]):
 
     def action_kill(self) -> None:
         """Stop the rotors, after a question."""
-        if self._phase() not in IN_FLIGHT:
+        if self.phase not in IN_FLIGHT:
             self.notify("nothing flies, so there is nothing to kill.")
         elif not isinstance(self.screen, Question):
             self.push_screen(Question(KILL), self._on_kill)
@@ -245,7 +266,9 @@ class GroundStation(App[int]):
         if yes:
             self.order("kill", "kill: the rotors were told to stop")
 
-    def _phase(self) -> str:
+    @property
+    def phase(self) -> str:
+        """Of the flight that is followed; empty without one."""
         return self.core.newest.phase if self.core and self.core.newest else ""
 
     # The view ---------------------------------------------------------------------------------------------------------
@@ -261,11 +284,13 @@ class GroundStation(App[int]):
             if status is not None and new:
                 screens[-1].show_status(status)
             self._show_results(screens[-1])
+            self._offer(screens[-1])
         except (IndexError, NoMatches):
             return  # the screen is coming up or being taken down; there is another time
         if core is None or status is None or not new:
             return
         before, self._shown = self._shown, status
+        self._announce(status)
         if status.phase == Phase.CHECKED and self._start_wanted:
             self._start_wanted = False
             self.order("start", "started")
@@ -279,12 +304,36 @@ class GroundStation(App[int]):
         if status.phase in FINAL:
             self.show_flight(core.folder)
 
+    def _offer(self, screen: StationScreen) -> None:
+        """The footer shows what can be done now."""
+        status = self.core.newest if self.core else None
+        proposed = status is not None and status.until is not None and bool(status.until.proposal)
+        now = (
+            screen,
+            self.phase,
+            self._preparing,
+            self.plan is None,
+            self.results is None,
+            self.may_take_lease,
+            proposed,
+        )
+        if now != self._offered:
+            self._offered = now
+            screen.refresh_bindings()
+
+    def _announce(self, status: CoreStatus) -> None:
+        """A bell and a line of words when a limit of the guard is approached."""
+        if status.phase in IN_FLIGHT:
+            for sentence in self._announcer.news(margins(status, self.limits)):
+                self.bell()
+                self.notify(sentence, severity="warning", markup=False, timeout=8)
+
     def _watch_child(self) -> None:
         """A core that ended before it could say why is told of."""
         child = self._child
         if child is not None and child.poll() is not None:
             self._child = None
-            if self._phase() not in FINAL and self.core is not None:
+            if self.phase not in FINAL and self.core is not None:
                 said = last_line(self.core.folder / "core.log")
                 self._fail(f"the core ended early{': ' + said if said else ''}; the recording opens as far as it goes.")
 
@@ -309,8 +358,13 @@ class GroundStation(App[int]):
         results = read_results(folder) if folder else self.results
         if results is None or results.report is None:
             self.notify("this flight has no report.")
-        elif not webbrowser.open(results.report.resolve().as_uri()):
-            self.notify(f"no browser here; the report is {results.report}", markup=False)
+        else:
+            self.open_page(results.report)
+
+    def open_page(self, path: Path) -> None:
+        """Open a page in the browser."""
+        if not webbrowser.open(path.resolve().as_uri()):
+            self.notify(f"no browser here; the report is {path}", markup=False)
 
     def plan_next(self) -> None:
         """Take the plan that the diagnosis proposes, or search one for the diagnosed vehicle where it proposes none."""
@@ -331,16 +385,25 @@ class GroundStation(App[int]):
         self._on_planner(lambda planner: planner.plan_for(vehicle))
 
     def _on_planner(self, act: Callable[[Planner], None]) -> None:
-        """Once the Plan screen is drawn; not if another was opened meanwhile."""
-
-        def then() -> None:
-            screen = self.screen
-            if isinstance(screen, StationScreen) and screen.MODE == "plan":
-                act(cast("Planner", screen))
-
-        self.call_after_refresh(then)
+        """On the Plan screen once it is drawn; nothing where another was opened meanwhile."""
+        self.call_after_refresh(
+            lambda: getattr(self.screen, "MODE", "") == "plan" and act(cast("Planner", self.screen))
+        )
 
     # Keys -------------------------------------------------------------------------------------------------------------
+
+    def get_system_commands(self, screen: Screen) -> Iterable[SystemCommand]:
+        """The command palette: what the keys do now, by name."""
+        for mode, title in SCREENS.items():
+            yield SystemCommand(f"Open {title}", f"screen {title}", partial(self.switch_mode, mode))
+        for active in screen.active_bindings.values():
+            binding = active.binding
+            if active.enabled and binding.description and binding.show:
+                run = partial(self.run_action, binding.action, active.node)
+                yield SystemCommand(binding.description, f"key {binding.key_display or binding.key}", run)
+        yield SystemCommand("Abort and land", "key ^g", self.action_abort)
+        yield SystemCommand("Stop the rotors", "key ^o; asks first", self.action_kill)
+        yield SystemCommand("Light or dark", "key t", self.action_light)
 
     def action_help(self) -> None:
         """Keys and what the screen does."""
@@ -370,7 +433,7 @@ class GroundStation(App[int]):
 
     def action_leave(self) -> None:
         """Close, after a question while something flies."""
-        if self._phase() in IN_FLIGHT:
+        if self.phase in IN_FLIGHT:
             text = "The flight goes on without this program: the plan is completed and the vehicle lands.\nClose it?"
             self.push_screen(Question(text), self._on_leave)
         else:

@@ -1,4 +1,4 @@
-"""Documents as rows of text, and what of a status is written like them. Pure; here numbers are only written."""
+"""Documents, and what of plan and status is written like them, as rows of text. Pure; here numbers are only written."""
 
 from __future__ import annotations
 
@@ -6,8 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from groundstation.campaign.campaign import Campaign, Round
+from groundstation.flight.messages import CoreStatus, KnownStatus
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
 from groundstation.reporting.canonical import estimate_in, estimate_of
+from groundstation.reporting.compare import change
 from groundstation.reporting.units import (
     decimals,
     fixed,
@@ -20,7 +25,30 @@ from groundstation.reporting.units import (
     significant,
     split_unit,
 )
+from groundstation.trajectory import Plan, rigid_motion
 from groundstation.tui.text import Row
+
+
+def plan_lines(plan: Plan) -> str:
+    """A plan before it is flown: how long, how far, how fast, and what it should tell."""
+    series = plan.series()
+    t_s = np.linspace(0.0, min(series.period_s, series.duration_s), 400)
+    flat = series.sample(t_s)
+    motion = rigid_motion(flat)
+    tilt = np.degrees(np.arccos(np.cos(motion.euler_rad[:, 0]) * np.cos(motion.euler_rad[:, 1])))
+    speed = np.linalg.norm(flat.position[1], axis=1)
+    low, high = flat.position[0].min(axis=0), flat.position[0].max(axis=0)
+    reach = ", ".join(f"{axis} {a:.2f} … {b:.2f}" for axis, a, b in zip("xyz", low, high, strict=True))
+    lines = [
+        f"the plan: {series.duration_s:.0f} s, up to {speed.max():.2f} m/s and {tilt.max():.1f}° of tilt",
+        f"within {reach} m",
+    ]
+    for name in ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2"):
+        if name in plan.predicted_std:
+            std = plan.predicted_std[name]
+            scale = scale_for(split_unit(name)[1], [std])
+            lines.append(f"should tell {label(name)} to ± {significant(1.96 * std * scale.factor, 2)} {scale.unit}")
+    return "\n".join(lines)
 
 
 def motor_lines(motors: Sequence[float], top: float, width: int = 16) -> str:
@@ -40,6 +68,55 @@ def live_rows(table: Mapping[str, tuple[float, float, float, float]]) -> list[Ro
         (label(name), *_against_nominal(name, nominal, _estimate(value, low, high)))
         for name, (nominal, value, low, high) in table.items()
     ]
+
+
+def until_lines(status: CoreStatus) -> str:
+    """Time to target of each parameter, what is proposed, and what the flight so far lets suspect; empty where there is none of it."""
+    lines = []
+    if (until := status.until) is not None:
+        lines.append(f"until known: {until.length_s:.0f} s as it stands, {until.at_most_s:.0f} s at the most")
+        lines += [f"  {label(name)}: {_to_target(known)}" for name, known in until.parameters.items()]
+        lines.append(until.proposal or until.text)
+    for suspect in status.suspects:
+        rivals = f" (or {', '.join(suspect.alternatives)})" if suspect.alternatives else ""
+        lines.append(
+            f"suspected after {status.suspects_s:.0f} s: {suspect.effect} likely, {suspect.odds:.0f}:1{rivals}"
+        )
+    return "\n".join(lines)
+
+
+def _to_target(known: KnownStatus) -> str:
+    if known.spent is None:
+        return "not revealed yet"
+    peeked = "" if known.at_any_time is None else f", {known.at_any_time:.2f} at any time"
+    left = "met" if known.spent <= 1.0 else f"{known.seconds or 0.0:.0f} s to go"
+    return f"{left} ({known.spent:.2f} of the target{peeked})"
+
+
+def round_row(number: int, done: Round) -> Row:
+    """One flight of a campaign: number, seconds, verdict, what is found, how far the worst target is, error before and after the effects."""
+    worst = max(done.reached, key=lambda name: done.reached[name], default="")
+    far = f"{label(worst)} {done.reached[worst]:.2f}" if worst else "–"
+    errors = "–"
+    if done.judged:
+        errors = (
+            " → ".join(significant(done.judged[kind]["body_rate_rad_s"]) for kind in ("before", "after")) + " rad/s"
+        )
+    found = ", ".join(done.names()).replace("_", " ") or "nothing"
+    return str(number), f"{done.seconds:.0f}", done.verdict or "refused", found, far, errors
+
+
+def rounds_text(campaign: Campaign) -> str:
+    """How a campaign stands: vehicle, targets, why the last flight was flown, what is open, what is next."""
+    goals = ", ".join(f"{label(name)} {100 * share:g} %" for name, share in campaign.targets.items())
+    lines = [f"{campaign.folder.name}", f"until {goals}; at most {campaign.at_most} flights"]
+    if campaign.rounds:
+        lines.append(f"flight {len(campaign.rounds)} was flown {campaign.rounds[-1].why}")
+        lines += [f"open: {text}" for text in campaign.rounds[-1].not_settled]
+    lines.append(
+        campaign.sentence or (f"next: {campaign.pending['why']}" if campaign.pending else "n plans the next flight")
+    )
+    return "\n".join(lines)
 
 
 def _estimate(value: float, low: float, high: float) -> Estimate | None:
@@ -180,14 +257,14 @@ def flight_row(row: Mapping[str, Any]) -> Row:
 
 
 def comparison(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[Row]:
-    """Two flights of the catalogue: parameter, unit, the values with half widths, and the change in per cent."""
+    """Two flights of the catalogue: parameter, unit, the values with half widths, and the change."""
     rows = []
     for name, a in first["parameters"].items():
         b = second["parameters"].get(name)
         if b is None:
             continue
         scale = scale_for(split_unit(name)[1], [a["value"], b["value"]])
-        cells = [interval_text(Estimate.normal(e["value"], e["std"]), scale) for e in (a, b)]
-        change = percent(b["value"] / a["value"] - 1.0) if a["value"] else ""
-        rows.append((label(name), scale.unit, *cells, change))
+        both = [Estimate.normal(e["value"], e["std"]) for e in (a, b)]
+        cells = [interval_text(estimate, scale) for estimate in both]
+        rows.append((label(name), scale.unit, *cells, change(name, *both)))
     return rows

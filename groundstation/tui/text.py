@@ -11,9 +11,6 @@ from groundstation.flight.sequence import Phase
 Row = tuple[str, ...]
 OWN_CLOCK_S = 10.0
 """A stamp further than this from its arrival is of a clock that began at another time."""
-NEAR = {"m": 0.05, "°": 1.0, "V": 0.0}
-"""A plan uses its limits up, and a vehicle follows it no better than this: beyond it a word is said."""
-
 PHASES: Mapping[str, str] = {
     Phase.IDLE: "the vehicle's process is coming up",
     Phase.PLANNED: "sending the plan to the vehicle",
@@ -67,49 +64,12 @@ def stream_notes(status: CoreStatus) -> str:
 
 
 def state_lines(status: CoreStatus) -> str:
-    """Where the vehicle is and how far from where it should be."""
+    """Where the vehicle is and how it lies."""
     roll, pitch, yaw = (math.degrees(angle) for angle in status.euler_rad)
     x, y, z = status.position_m
     return "\n".join(
         [
             f"position {x:+7.3f} {y:+7.3f} {z:+7.3f} m",
             f"attitude {roll:+7.1f} {pitch:+7.1f} {yaw:+7.1f} °",
-            f"off plan {100 * status.tracking_error_m:7.1f} cm",
-            f"to go    {status.time_left_s:7.1f} s",
-            f"battery  {status.battery_v:7.2f} V",
         ]
     )
-
-
-def margin_lines(status: CoreStatus, limits: Mapping[str, float], guard: Mapping[str, float]) -> str:
-    """How much is left to each limit of the plan, and to those of the guard that can be seen from here.
-
-    Args:
-        limits: of the plan, by name; it holds roll and pitch each to its tilt.
-        guard: where the guard lands: ``tracking_m`` from the plan, ``tilt_rad``; and ``empty_v`` of the battery.
-    """
-    x, y, z = status.position_m
-    roll, pitch, _ = status.euler_rad
-    tilt = math.acos(max(-1.0, min(1.0, math.cos(roll) * math.cos(pitch))))
-    plans = {
-        "x_max_m": ("plan: wall, x", lambda top: top - abs(x), "m"),
-        "y_max_m": ("plan: wall, y", lambda top: top - abs(y), "m"),
-        "z_max_m": ("plan: ceiling", lambda top: top - z, "m"),
-        "z_min_m": ("plan: floor", lambda low: z - low, "m"),
-        "tilt_max_rad": ("plan: tilt", lambda top: math.degrees(top - max(abs(roll), abs(pitch))), "°"),
-    }
-    guards = {
-        "tracking_m": ("guard: plan", lambda top: top - status.tracking_error_m, "m"),
-        "tilt_rad": ("guard: tilt", lambda top: math.degrees(top - tilt), "°"),
-        "empty_v": ("battery empty", lambda low: status.battery_v - low, "V"),
-    }
-    lines = []
-    for known, room in ((limits, plans), (guard, guards)):
-        for name, (text, left, unit) in room.items():
-            if name in known:
-                value = left(known[name])
-                past = (
-                    room is guards and value < -NEAR[unit] and z > 0.3
-                )  # a plan's limit is no alarm: the guard lands at its own
-                lines.append(f"to {text:<14}{value:+7.2f} {unit}{' PAST IT' if past else ''}")
-    return "\n".join(lines) or "the plan states no limits"
