@@ -19,10 +19,11 @@ from groundstation.diagnosis.selection import Progress, Selected, pool_of, selec
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
-from groundstation.diagnosis.unplanned import Told, tell_unplanned, without_plan
+from groundstation.diagnosis.unplanned import Told, tell_unplanned
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.declarations import check_declarations, said_first
+from groundstation.identification.low_frequency import without_plan
 from groundstation.identification.preparation import Prepared
 from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
 
