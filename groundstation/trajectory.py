@@ -160,20 +160,9 @@ def rigid_motion(flat: FlatState, gravity_m_s2: float = 9.80665) -> RigidMotion:
     With c1 = a_x cos(psi) + a_y sin(psi), c2 = a_x sin(psi) - a_y cos(psi), d = a_z + g: tan(theta) = c1/d (eq. 26) and
     tan(phi) = c2/sqrt(c1^2 + d^2) (eq. 27). Both are differentiated twice in closed form; omega = W^-1 eta_dot.
     """
-    psi, psi1, psi2 = flat.yaw
     ax, ay, az = (flat.position[2:5, :, i] for i in range(3))  # derivatives 2, 3, 4
-    cos, sin = np.cos(psi), np.sin(psi)
-
-    def rotate(u: Array, v: Array) -> tuple[Array, Array, Array]:
-        """With two derivatives, f = u cos(psi) + v sin(psi); h = -u sin(psi) + v cos(psi) is its psi-derivative."""
-        f, h = u[0] * cos + v[0] * sin, -u[0] * sin + v[0] * cos
-        f1, h1 = u[1] * cos + v[1] * sin, -u[1] * sin + v[1] * cos
-        first = f1 + psi1 * h
-        second = (u[2] * cos + v[2] * sin) + 2 * psi1 * h1 + psi2 * h - psi1**2 * f
-        return f, first, second
-
-    c1, c1d, c1dd = rotate(ax, ay)
-    c2, c2d, c2dd = rotate(-ay, ax)
+    c1, c1d, c1dd = _along_heading(ax, ay, flat.yaw)
+    c2, c2d, c2dd = _along_heading(-ay, ax, flat.yaw)
     d, dd, ddd = az[0] + gravity_m_s2, az[1], az[2]
     r2 = c1**2 + d**2
     r = np.sqrt(r2)
@@ -190,6 +179,37 @@ def rigid_motion(flat: FlatState, gravity_m_s2: float = 9.80665) -> RigidMotion:
     phi1 = m1 / s2
     phi2 = (c2dd * r - c2 * rdd) / s2 - phi1 * 2 * (c2 * c2d + r * rd) / s2
 
+    euler = (np.stack([phi, theta, flat.yaw[0]], axis=-1), np.stack([phi1, theta1, flat.yaw[1]], axis=-1))
+    omega, omega1 = _body_rates(*euler, np.stack([phi2, theta2, flat.yaw[2]], axis=-1))
+    return RigidMotion(
+        position_m=flat.position[0],
+        velocity_world_m_s=flat.position[1],
+        acceleration_world_m_s2=flat.position[2],
+        euler_rad=euler[0],
+        euler_rate_rad_s=euler[1],
+        angular_velocity_body_rad_s=omega,
+        angular_acceleration_body_rad_s2=omega1,
+        specific_thrust_m_s2=np.sqrt(s2),
+    )
+
+
+def _along_heading(u: Array, v: Array, yaw: Array) -> tuple[Array, Array, Array]:
+    """Values of f = u cos(psi) + v sin(psi) with two derivatives, of u, v and psi with two each, shape (3, k).
+
+    h = -u sin(psi) + v cos(psi) is its derivative by psi.
+    """
+    psi, psi1, psi2 = yaw
+    cos, sin = np.cos(psi), np.sin(psi)
+    f, h = u[0] * cos + v[0] * sin, -u[0] * sin + v[0] * cos
+    f1, h1 = u[1] * cos + v[1] * sin, -u[1] * sin + v[1] * cos
+    return f, f1 + psi1 * h, (u[2] * cos + v[2] * sin) + 2 * psi1 * h1 + psi2 * h - psi1**2 * f
+
+
+def _body_rates(euler: Array, first: Array, second: Array) -> tuple[Array, Array]:
+    """Body rates omega = W^-1 eta_dot and their derivative, from roll, pitch, yaw and two derivatives, shape (k, 3) each."""
+    phi, theta, _ = euler.T
+    phi1, theta1, psi1 = first.T
+    phi2, theta2, psi2 = second.T
     cp, sp, ct, st = np.cos(phi), np.sin(phi), np.cos(theta), np.sin(theta)
     omega = np.stack([phi1 - st * psi1, cp * theta1 + sp * ct * psi1, -sp * theta1 + cp * ct * psi1], axis=-1)
     omega1 = np.stack(
@@ -200,16 +220,7 @@ def rigid_motion(flat: FlatState, gravity_m_s2: float = 9.80665) -> RigidMotion:
         ],
         axis=-1,
     )
-    return RigidMotion(
-        position_m=flat.position[0],
-        velocity_world_m_s=flat.position[1],
-        acceleration_world_m_s2=flat.position[2],
-        euler_rad=np.stack([phi, theta, psi], axis=-1),
-        euler_rate_rad_s=np.stack([phi1, theta1, psi1], axis=-1),
-        angular_velocity_body_rad_s=omega,
-        angular_acceleration_body_rad_s2=omega1,
-        specific_thrust_m_s2=np.sqrt(s2),
-    )
+    return omega, omega1
 
 
 class _Model(BaseModel):
