@@ -34,10 +34,14 @@ Array = NDArray[np.float64]
 FEEDBACK = 0.25
 """Standard deviation of the correlation that feedback leaves between motion and disturbance in the band: between -0.54 and 0.59 in 36
 simulated flights of 18 vehicles (benchmarks.unplanned, seeds 4000 to 4017), of which 95 % lay within a half."""
+LEAST = 0.1
+"""Of the declared moment, below which an estimate is none."""
 MOMENTS = ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
-NOTE = (
-    "Low frequencies: no plan is recorded and rotor speeds are telemetry, so that torque is regressed on motion below 1.5 Hz; "
-    "the intervals hold what feedback can do. Products of inertia are not told."
+LOW = "LF"
+LOW_NOTE = "Low frequencies: torque and thrust regressed on the motion below 1.5 Hz, with what feedback can do in the intervals."
+LOW_REASON = (
+    "LF: neither plan nor setpoints are recorded and rotor speeds are telemetry, which loses the fast torque; below 1.5 Hz it is "
+    "right. Feedback from disturbances is in the intervals. Products of inertia are not told."
 )
 
 
@@ -69,31 +73,31 @@ def by_low_frequencies(prepared: Sequence[Prepared], fitted: Fitted) -> Fitted:
         prepared: the flights.
         fitted: of them, by the declared constants.
     """
-    # The anchor is applied to the result; here thrust is as declared.
-    thrust = "thrust"
-    parts = [part for item in prepared for part in parts_of(slow(_as_declared(item, thrust), fitted.parameters))]
-    names, values = list(fitted.names), fitted.values.copy()
-    covariance = fitted.covariance.copy()
+    parts = [part for item in prepared for part in parts_of(slow(_by_thrust(item), fitted.parameters))]
     trace = float(np.trace(parts[0].tensor))
-    found = {"mass_kg": _mass([lightness_equation(part) for part in parts], prepared)}
+    found = dict.fromkeys(MASS_AND_TENSOR, (0.0, trace))
+    found["mass_kg"] = _mass([lightness_equation(part) for part in parts], prepared)
     equations = [moment_equations(part) for part in parts]
-    found |= {name: _pooled([_plain(each[axis]) for each in equations]) for axis, name in enumerate(MOMENTS)}
-    for name in MASS_AND_TENSOR:
+    for axis, name in enumerate(MOMENTS):
+        value, std = _pooled([_plain(each[axis]) for each in equations])
+        own = float(parts[0].tensor[axis, axis])
+        # What is nowhere near a rigid body's is unknown: the declared value stands in, as unsure as it is large.
+        found[name] = (value, std) if LEAST * own < value and np.isfinite(std) else (own, own)
+    names, values, covariance = list(fitted.names), fitted.values.copy(), fitted.covariance.copy()
+    for name, (value, std) in found.items():
         index = names.index(name)
-        value, std = found.get(name, (0.0, trace))
-        declared = getattr(prepared[0].record.vehicle.inertia_kg_m2, name[1:3]) if name in MOMENTS else value
-        values[index] = value if value > 0.1 * declared else declared
+        values[index] = value
         covariance[index] = covariance[:, index] = 0.0
-        covariance[index, index] = std**2 if value > 0.1 * declared or name not in MOMENTS else declared**2
-    extra = names[len(names) - len(fitted.parameters.extra) :] if len(fitted.parameters.extra) else []
-    return replace(
-        fitted, parameters=with_values(fitted.parameters, names, values, extra), values=values, covariance=covariance
-    )
+        covariance[index, index] = std**2
+    extra = names[len(names) - len(fitted.parameters.extra) :]
+    p = with_values(fitted.parameters, names, values, extra)
+    return replace(fitted, parameters=p, values=values, covariance=covariance)
 
 
-def _as_declared(prepared: Prepared, anchor: str) -> Prepared:
+def _by_thrust(prepared: Prepared) -> Prepared:
+    """The same with thrust as declared: the anchor is applied to what comes out."""
     vehicle = prepared.record.vehicle
-    settings = vehicle.identification.model_copy(update={"anchor": anchor})
+    settings = vehicle.identification.model_copy(update={"anchor": "thrust"})
     return replace(
         prepared, record=replace(prepared.record, vehicle=vehicle.model_copy(update={"identification": settings}))
     )
