@@ -6,7 +6,7 @@ put body z along acceleration plus gravity; body rates and their derivatives fol
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
@@ -262,6 +262,20 @@ RENAMED_PARAMETERS = {
 """Names in plan files of earlier versions -> the names that estimates have."""
 
 
+class PlannedUntil(_Model):
+    """Of a plan whose length is decided in flight: it lasts ``planned_periods`` unless it is ended early or told to go on.
+
+    Attributes:
+        targets: half widths of 95 % intervals as shares, by parameter.
+        planned_periods: flown where nobody decides; ``periods`` of the plan is the most.
+        automatic: the station decides; else the operator does.
+    """
+
+    targets: dict[str, Annotated[float, Field(gt=0.0, lt=1.0)]]
+    planned_periods: Annotated[int, Field(ge=1)]
+    automatic: bool = False
+
+
 class Plan(_Model, Tabular):
     """An excitation to fly: what is in a plan file. ``limits`` are those it was made to keep (names of ``[limits]``)."""
 
@@ -276,6 +290,15 @@ class Plan(_Model, Tabular):
     limits: dict[str, float] = Field(default_factory=dict)
     predicted_std: dict[str, float] = Field(default_factory=dict)
     note: str = ""
+    until: PlannedUntil | None = None
+
+    @model_validator(mode="after")
+    def _ends_at_rest_points(self) -> Plan:
+        if self.until is not None and (
+            self.periods != round(self.periods) or self.until.planned_periods > self.periods
+        ):
+            raise ValueError("with [until], periods must be a whole number, and no fewer than planned_periods")
+        return self
 
     @field_validator("predicted_std", mode="before")
     @classmethod
@@ -287,6 +310,18 @@ class Plan(_Model, Tabular):
     def to_dict(self) -> dict[str, object]:
         """The plan file's document."""
         return plan_to_dict(self)
+
+    @property
+    def first_periods(self) -> float:
+        """Periods that are flown unless something else is decided in flight."""
+        return self.periods if self.until is None else float(self.until.planned_periods)
+
+    def as_flown(self, seconds: float) -> Plan:
+        """The plan of a flight whose excitation lasted so long, where its length was decided in flight."""
+        if self.until is None:
+            return self
+        periods = min(max(round(seconds * self.base_frequency_rad_s / (2.0 * np.pi)), 1), self.periods)
+        return self.model_copy(update={"periods": float(periods), "until": None})
 
     def records(self) -> list[Record]:
         """One row per parameter: the standard deviation to expect of a flight of this plan."""
@@ -373,3 +408,35 @@ def flight_path(plan: Plan, ground: ArrayLike, *, climb_m_s: float = 0.4, settle
     down = ends[1].copy()
     down[2] = floor[2]
     return Sequence((leg(floor, up), leg(up, ends[0]), hold(ends[0]), series, hold(ends[1]), leg(ends[1], down)))
+
+
+def with_periods(path: Sequence, periods: float) -> Sequence:
+    """A :func:`flight_path` whose excitation has so many whole periods; it ends where it began, so the legs stay as they are."""
+    parts = tuple(replace(p, periods=float(periods)) if isinstance(p, FourierSeries) else p for p in path.parts)
+    return Sequence(parts)
+
+
+def changed_length(path: Sequence, at_s: float, order: str, most: float) -> Sequence | str:
+    """A path whose excitation ends at the next rest point ("finish"), or a period later than it would ("extend"); or why not.
+
+    Args:
+        path: of :func:`flight_path`.
+        at_s: where on it the vehicle is.
+        most: periods that were checked before the flight.
+    """
+    before = 0.0
+    for part in path.parts:
+        if isinstance(part, FourierSeries):
+            into = at_s - before
+            if not 0.0 <= into < part.duration_s:
+                return "the excitation is not being flown."
+            if order == "extend":
+                longer = part.periods + 1.0
+                return (
+                    with_periods(path, longer)
+                    if longer <= most
+                    else f"{most:g} periods were checked before the flight; it ends there."
+                )
+            return with_periods(path, min(part.periods, np.floor(into / part.period_s) + 1.0))
+        before += part.duration_s
+    return "the plan has no rest points."

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from groundstation.errors import BadInput
 from groundstation.outside import read_toml
 from groundstation.paths import find_config
+from groundstation.vehicle import Until
 
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
@@ -122,6 +123,7 @@ class Station(_Section):
     Attributes:
         indoors: the vehicle's estimator flies by the poses, without satellites. Left out, it is so where there is motion capture;
             false leaves the poses to the recording, and the vehicle to its own estimate.
+        until: how long flights last where that is decided in flight; the vehicle file's goes before it.
     """
 
     schema_version: str = Field(default="groundstation.station/1", alias="schema")
@@ -132,6 +134,7 @@ class Station(_Section):
     guard: GuardLimits = GuardLimits()
     policy: Policy = Policy()
     mocap: MocapSource = MocapSource()
+    until: Until | None = None
 
     @model_validator(mode="after")
     def _poses_indoors(self) -> Station:

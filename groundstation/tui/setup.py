@@ -77,8 +77,14 @@ def begin_flight(setup: Setup, plan: Plan, logs: Path, *, analyse: bool = True) 
         BadInput: vehicle, scenario or station do not exist.
     """
     from groundstation.analysis.plans import write_plan
+    from groundstation.flight.station import load_station
+    from groundstation.flight.until import lasting_until
+    from groundstation.vehicle import load_vehicle
 
     vehicle = find_config("vehicles", setup.vehicle).resolve()
+    until = load_vehicle(vehicle).until or load_station(setup.station).until
+    if until is not None:
+        plan = lasting_until(plan, until, automatic=setup.simulated)
     folder = new_flight_folder(logs.resolve(), vehicle.stem)
     if setup.simulated:
         scenario = find_config("scenarios", setup.scenario).resolve()

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.flight.messages import CoreStatus
+from groundstation.flight.messages import CoreStatus, KnownStatus
 from groundstation.flight.sequence import Phase
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
 from groundstation.reporting.canonical import estimate_in, estimate_of
@@ -133,6 +133,29 @@ def live_rows(table: Mapping[str, tuple[float, float, float, float]]) -> list[Ro
         (label(name), *_against_nominal(name, nominal, _estimate(value, low, high)))
         for name, (nominal, value, low, high) in table.items()
     ]
+
+
+def until_lines(status: CoreStatus) -> str:
+    """Time to target of each parameter, what is proposed, and what the flight so far lets suspect; empty where there is none of it."""
+    lines = []
+    if (until := status.until) is not None:
+        lines.append(f"until known: {until.length_s:.0f} s as it stands, {until.at_most_s:.0f} s at the most")
+        lines += [f"  {label(name)}: {_to_target(known)}" for name, known in until.parameters.items()]
+        lines.append(until.proposal or until.text)
+    for suspect in status.suspects:
+        rivals = f" (or {', '.join(suspect.alternatives)})" if suspect.alternatives else ""
+        lines.append(
+            f"suspected after {status.suspects_s:.0f} s: {suspect.effect} likely, {suspect.odds:.0f}:1{rivals}"
+        )
+    return "\n".join(lines)
+
+
+def _to_target(known: KnownStatus) -> str:
+    if known.spent is None:
+        return "not revealed yet"
+    peeked = "" if known.at_any_time is None else f", {known.at_any_time:.2f} at any time"
+    left = "met" if known.spent <= 1.0 else f"{known.seconds or 0.0:.0f} s to go"
+    return f"{left} ({known.spent:.2f} of the target{peeked})"
 
 
 def _estimate(value: float, low: float, high: float) -> Estimate | None:

@@ -247,6 +247,10 @@ def progress_line(status: CoreStatus) -> str:
     rates = [f"{name} {stream.rate_hz:.0f}" for name, stream in sorted(status.streams.items()) if stream.rate_hz > 0.5]
     if rates:
         parts.append(f"Hz: {', '.join(rates)}  {status.recorded} samples, {status.lost} lost")
+    if status.until is not None:
+        parts.append(status.until.proposal.replace("u agrees", "u on the Fly screen agrees") or status.until.text)
+    if status.suspects:
+        parts.append("likely: " + ", ".join(f"{s.effect} {s.odds:.0f}:1" for s in status.suspects))
     if status.reason:
         parts.append(status.reason)
     return "  ".join(parts)

@@ -77,6 +77,7 @@ class ClientOrders:
         phase: of the flight now.
         later: runs a function on the main thread.
         happen: takes an event into the sequence, on the main thread.
+        agree: the operator takes what a flight until known proposes; says why that cannot be.
     """
 
     def __init__(
@@ -86,8 +87,9 @@ class ClientOrders:
         phase: Callable[[], seq.Phase],
         later: Callable[[Callable[[], None]], None],
         happen: Callable[[seq.Event], None],
+        agree: Callable[[], str],
     ) -> None:
-        self._lease, self._phase, self._later, self._happen = lease, phase, later, happen
+        self._lease, self._phase, self._later, self._happen, self._agree = lease, phase, later, happen, agree
         self._gate = OrderGate(clock)
         self._abort_waits = threading.Event()
 
@@ -128,6 +130,9 @@ class ClientOrders:
             return bus.Answer(False, refusal)
         if command.name == "start" and (phase := self._phase()) is not seq.Phase.CHECKED:
             return bus.Answer(False, f"the flight is {phase}; it can be started once it is checked.")
+        if command.name == "agree":
+            refusal = self._agree()
+            return bus.Answer(not refusal, refusal)
         event = {
             "start": seq.StartRequested(),
             "land": seq.LandRequested(),

@@ -17,7 +17,7 @@ from groundstation.tui.charts import offered, values, words
 from groundstation.tui.checks import checklist
 from groundstation.tui.margins import health, margin_text, margins
 from groundstation.tui.screens.base import WIDE, StationScreen, fill
-from groundstation.tui.text import PHASES, live_rows, motor_lines, plan_lines, state_lines
+from groundstation.tui.text import PHASES, live_rows, motor_lines, plan_lines, state_lines, until_lines
 from groundstation.tui.widgets.dialogs import Choice
 from groundstation.tui.widgets.plots import Line, Plot
 from groundstation.tui.widgets.room import RoomView
@@ -39,7 +39,8 @@ class Fly(StationScreen):
 r prepares a flight: the vehicle's process starts, takes the plan, and everything is checked; each check says what was
 seen, what to do where it failed, and why it is looked at. The plan that will be flown is drawn before. s starts it; on a real
 vehicle only after FLY is typed. b lands early, ^g aborts and lands (everyone may, from everywhere); both keep what was flown,
-and it is analysed. Closing or killing this program does not end a flight: the plan is completed and the vehicle lands, and the
+and it is analysed. Where a flight lasts until something is known (station or vehicle file, [until]), u agrees to what is
+proposed: to end at the next rest point, or to go on for a period, never past what was checked. Closing or killing this program does not end a flight: the plan is completed and the vehicle lands, and the
 program started again finds it. o takes the operator's lease from another.
 
 The bars show how much of each limit of the guard is used; a word, a colour and the terminal's bell tell when one is near. The
@@ -49,6 +50,7 @@ the plan's room, the path close up, and all of the guard's box. c chooses signal
     BINDINGS: ClassVar = [
         Binding("s", "start", "Start"),
         Binding("b", "land", "Land early"),
+        Binding("u", "agree", "Agree"),
         Binding("r", "rehearse", "Prepare"),
         Binding("o", "operate", "Take the lease"),
         Binding("c", "charts", "Chart"),
@@ -68,6 +70,7 @@ the plan's room, the path close up, and all of the guard's box. c chooses signal
                 yield Static(WAITING, id="checks", classes="panel", markup=False)
                 yield Static("", id="margins", classes="panel", markup=False)
                 yield DataTable(id="live", show_cursor=False)
+                yield Static("", id="until", classes="panel", markup=False)
                 yield Static("", id="motors", classes="panel", markup=False)
                 yield Static("", id="fly-state", classes="panel", markup=False)
             with Vertical(id="fly-middle"):
@@ -89,6 +92,9 @@ the plan's room, the path close up, and all of the guard's box. c chooses signal
             return not station.flying and not station.preparing
         if action == "operate":
             return station.may_take_lease
+        if action == "agree":
+            status = station.core.newest if station.core else None
+            return status is not None and status.until is not None and bool(status.until.proposal)
         return True
 
     def show_status(self, status: CoreStatus) -> None:
@@ -132,6 +138,10 @@ the plan's room, the path close up, and all of the guard's box. c chooses signal
             else:
                 fill(live, ("so far", "nominal", "estimate, 95 %", "unit"), rows)
 
+        told = until_lines(status)
+        self.query_one("#until").display = bool(told)
+        self.say("#until", told)
+
     def _draw(self, status: CoreStatus, flying: bool) -> None:
         watch = self.station.core
         seen = [s for s in list(watch.history) if s.flight_s > 0.0 and s.phase in IN_FLIGHT] if watch else []
@@ -160,6 +170,10 @@ the plan's room, the path close up, and all of the guard's box. c chooses signal
     def action_land(self) -> None:
         """Land, and use what was recorded."""
         self.station.order("land", "landing early")
+
+    def action_agree(self) -> None:
+        """Take what a flight until known proposes."""
+        self.station.order("agree", "agreed")
 
     def action_rehearse(self) -> None:
         """Prepare a flight of what is chosen."""
