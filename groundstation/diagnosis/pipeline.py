@@ -169,7 +169,7 @@ def _by_trim(name: str, case: Case) -> Diagnosis:
             "thrust curve. Yaw alone tells a load from a weak rotor there, and a battery or another day changes it, too; a gyro "
             "and rotor speeds would show inertia, and tell them apart.",
         ),
-        notes=("Prediction and closed-loop simulation are left out: body rates were not measured.",),
+        notes=(*found.notes, "Prediction and closed-loop simulation are left out: body rates were not measured."),
     )
 
 
