@@ -3,7 +3,7 @@
     python -P tests/scripted_drone.py --drone NAME --connect ENDPOINT [--fault FAULT@PHASE]
 
 Faults: ``refuse`` (the upload, with phase "upload"; arming, with "arm"), ``die``, ``freeze`` (SIGSTOP), ``crash``, ``land``
-(comes down by itself), ``mute`` (stops sending), ``gap`` (drops a batch).
+(comes down by itself), ``mute`` (stops sending), ``gap`` (drops a batch), ``hold`` (stays in the phase until it is told to land).
 """
 
 from __future__ import annotations
@@ -93,6 +93,8 @@ class Drone:
         self.sequence += 1
         if self.phase in ("takeoff", "exciting", "landing"):
             ends = accumulate(duration for _, duration in PHASES)
+            if self.fault == "hold" and self.phase == self.fault_phase:
+                self.start_s += STEP_S
             flown = self.host_s - self.start_s
             at = next((name for (name, _), end in zip(PHASES, ends, strict=True) if flown < end), "landed")
             self.enter(at) if at != self.phase else self.report()

@@ -11,20 +11,16 @@ take time (upload, arm, abort) are asked on a thread of their own, so that credi
 
 from __future__ import annotations
 
-import argparse
 import queue
 import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
-from functools import partial
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 from drivers import bus
-from drivers.access import Login, Secrets, hand_over, new_secrets, own_secrets
+from drivers.access import Login, hand_over
 from drivers.samples import Batch, decode_batch
 from groundstation.errors import BadInput, GroundStationError, Refused
 from groundstation.flight import sequence as seq
@@ -36,6 +32,8 @@ from groundstation.flight.core.orders import ClientOrders
 from groundstation.flight.core.overview import FlightView
 from groundstation.flight.core.pacing import Pace
 from groundstation.flight.core.recorder import Recorder, open_recording, sound
+from groundstation.flight.core.requests import Requests
+from groundstation.flight.core.settings import Settings, parse
 from groundstation.flight.core.worker import AnalysisWorker, Progress
 from groundstation.flight.journal import ENDPOINT_FILE, RAW_LOG, WATCH_FILE, Journal
 from groundstation.flight.journal import NAME as JOURNAL
@@ -51,25 +49,6 @@ LOCK_STEP_SLACK = 20.0
 LINK_MODULE = "groundstation.flight.link.process"
 SUCCESSORS = 3
 """Links started in the place of one that ended in flight, before the vehicle is left to its own failsafe."""
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """What one flight needs to know.
-
-    ``drone`` is the module and arguments of the vehicle's process; ``take_over`` what it does with a vehicle in flight: the
-    folder is then an interrupted flight's, and is continued.
-    """
-
-    folder: Path
-    plan: Path
-    vehicle: Path
-    listen: tuple[str, ...]
-    drone: tuple[str, ...]
-    start: bool = False
-    analyse: bool = True
-    take_over: str = ""
-    secrets: Secrets = field(default_factory=new_secrets, repr=False)
 
 
 class FlightCore:
@@ -93,7 +72,7 @@ class FlightCore:
         self.recorder: Recorder | None = None
         self.pace = Pace(lock_step=False)  # until the vehicle has said what it is
         self.lease = OperatorLease()
-        self._clients = ClientOrders(self.lease, clock, lambda: self.state.phase, self.inbox.put, self._event)
+        self._clients = ClientOrders(self.lease, clock, lambda: self.state.phase, self.inbox.put, self.event)
         self.digested_s = self.moment_s = 0.0
         self._first_s: float | None = None
         self.heard_s = clock()
@@ -104,7 +83,6 @@ class FlightCore:
         self._abort_heard = False
         self._successors = 0
         self._keeper: Keeper | None = None
-        self._orders = ThreadPoolExecutor(2, thread_name_prefix="orders")
         self._drone: Child | None = None
         self._worker: AnalysisWorker | None = None
 
@@ -118,8 +96,8 @@ class FlightCore:
             bus.open_session(listen=self.settings.listen, admit=(secrets, DRONE)) as session,
             bus.alive(session, bus.CORE_ALIVE),
         ):
-            self.session = session
-            self.keys = keys = bus.DroneKeys(DRONE)
+            keys = bus.DroneKeys(DRONE)
+            self._requests = Requests(session, keys, self, self.inbox.put, lambda: bool(self.state.aborting))
             self._credit = bus.Publisher(session, keys.credit)
             self._status = bus.Publisher(session, bus.CORE_STATUS)
             self._handles = [
@@ -157,7 +135,7 @@ class FlightCore:
         except queue.Empty:
             pass
         self._check_children()
-        self._event(seq.Tick())
+        self.event(seq.Tick())
         self._send_credit()
         self._publish_status()
 
@@ -165,19 +143,18 @@ class FlightCore:
         """A handler for zenoh's thread that runs ``handler`` on the main thread."""
         return lambda message: self.inbox.put(lambda: handler(message))
 
-    def _event(self, event: seq.Event) -> None:
+    def event(self, event: seq.Event) -> None:
+        """Take an event into the sequence and do what follows from it."""
         before = self.state
         self.state, actions = seq.step(self.state, event, self.clock())
         if self.state.phase is not before.phase:
-            self._tell(
-                "phase", f"{before.phase} -> {self.state.phase}", reason=self.state.reason or self.state.aborting
-            )
+            self.tell("phase", f"{before.phase} -> {self.state.phase}", reason=self.state.reason or self.state.aborting)
         for action in actions:
             self._do(action)
         if self.state.phase is not before.phase:
             self._publish_status(force=True)
 
-    def _tell(self, kind: str, text: str, **figures: Any) -> None:
+    def tell(self, kind: str, text: str, **figures: Any) -> None:
         """One line in the flight's log, one event in the recording, one sentence for the clients."""
         self.journal.write(kind, text, host_s=self.moment_s, **{k: v for k, v in figures.items() if v != ""})
         reason = figures.get("reason")
@@ -190,18 +167,15 @@ class FlightCore:
     def _on_drone_alive(self, _key: str, is_alive: bool) -> None:
         def handle() -> None:
             if is_alive:
-                self._order(self._describe)
+                self._requests.describe()
             else:
                 if not self._can_land_it():  # a link's end shows in its process, and another is started
-                    self._event(seq.VehicleLost("the vehicle's process vanished from the bus"))
+                    self.event(seq.VehicleLost("the vehicle's process vanished from the bus"))
 
         self.inbox.put(handle)
 
-    def _describe(self) -> None:
-        description = bus.ask(self.session, self.keys.describe, bus.Describe(), bus.Description)
-        self.inbox.put(lambda: self._described(description))
-
-    def _described(self, description: bus.Description) -> None:
+    def described(self, description: bus.Description) -> None:
+        """The vehicle said what it is: record it, and send it the plan."""
         if self.recorder is not None or self.state.final:
             return  # the vehicle's process came back; its flight goes on, or is over
         self.heard_s = self.clock()
@@ -210,7 +184,7 @@ class FlightCore:
         self.recorder = Recorder(
             sink,
             on_digested=lambda host_s: self.inbox.put(lambda: self._digested(host_s)),
-            on_failure=lambda reason: self.inbox.put(lambda: self._event(seq.AbortRequested(reason))),
+            on_failure=lambda reason: self.inbox.put(lambda: self.event(seq.AbortRequested(reason))),
             motor_kind=description.motor_kind,
         )
         self._keeper = Keeper(sink.path, sink.sync, lambda reason: self.inbox.put(lambda: self._unkept(reason)))
@@ -219,14 +193,14 @@ class FlightCore:
             self.state = replace(self.state, deadlines=seq.Deadlines(slack=LOCK_STEP_SLACK))
         duration_s = flight_path(self.plan, (0.0, 0.0, 0.0, 0.0)).duration_s
         if self.settings.take_over:
-            self._event(seq.TakenOver(f"found in flight and taken over ({self.settings.take_over})", duration_s))
+            self.event(seq.TakenOver(f"found in flight and taken over ({self.settings.take_over})", duration_s))
         else:
-            self._event(seq.PlanChosen(duration_s))
+            self.event(seq.PlanChosen(duration_s))
 
     def _unkept(self, reason: str) -> None:
         """What is recorded now would be lost: there is no use in flying on."""
         if self.state.phase not in (seq.Phase.LANDED, seq.Phase.IDENTIFYING):
-            self._event(seq.AbortRequested(f"the recording is not kept: {reason}"))
+            self.event(seq.AbortRequested(f"the recording is not kept: {reason}"))
 
     def _digested(self, host_s: float) -> None:
         self.digested_s = max(self.digested_s, host_s)
@@ -263,16 +237,16 @@ class FlightCore:
             self.recorder.status(status)
         self.journal.write("vehicle", status.phase, host_s=status.host_s, said=status.text)
         if status.phase == "takeoff":
-            self._event(seq.VehicleAirborne())
+            self.event(seq.VehicleAirborne())
         elif status.phase == "exciting":
             self._note_window(status)
-            self._event(seq.VehicleExciting())
+            self.event(seq.VehicleExciting())
         elif status.phase == "landing":
-            self._event(seq.VehicleLanding(self._early(status)))
+            self.event(seq.VehicleLanding(self._early(status)))
         elif status.phase == "landed":
-            self._event(seq.VehicleLanded(self._early(status)))
+            self.event(seq.VehicleLanded(self._early(status)))
         elif status.phase == "crashed":
-            self._event(
+            self.event(
                 seq.VehicleLost(
                     f"the vehicle crashed: {status.text}" if status.text else "the vehicle crashed", down=True
                 )
@@ -281,9 +255,10 @@ class FlightCore:
     def _stands(self, status: bus.DroneStatus) -> None:
         """An abort was answered, and the vehicle shows that it neither flies nor is armed."""
         if self._abort_heard and status.phase in ("idle", "uploaded") and not status.armed:
-            self._event(seq.VehicleStands())
+            self.event(seq.VehicleStands())
 
-    def _abort_answered(self) -> None:
+    def abort_answered(self) -> None:
+        """The vehicle's status now shows whether there was anything to abort."""
         self._abort_heard = True
         if self.view.drone is not None:
             self._stands(self.view.drone)
@@ -306,15 +281,15 @@ class FlightCore:
         """Carry out one action of the sequence."""
         match action.do:
             case seq.Do.UPLOAD:
-                self._order(self._upload)
+                self._requests.upload(self.settings.plan)
             case seq.Do.CHECK:
                 self._check()
             case seq.Do.START:
-                self._order(self._start)
+                self._requests.start()
                 self._prepare_analysis()
             case seq.Do.ABORT | seq.Do.KILL | seq.Do.LAND | seq.Do.DISARM:
                 name: bus.CommandName = action.do.value  # type: ignore[assignment]
-                self._order(partial(self._command, name))
+                self._requests.command(name)
             case seq.Do.CLOSE_RECORDING:
                 self._close_recording()
             case seq.Do.ANALYSE:
@@ -338,47 +313,7 @@ class FlightCore:
         """Checksums of files that are complete; the flight goes on without them."""
         inputs = {"plan.toml": self.settings.plan, "vehicle.toml": self.settings.vehicle}
         if failed := write_manifest(self.settings.folder, names, inputs):
-            self._tell("manifest", failed)
-
-    def _order(self, job: Callable[[], object]) -> None:
-        """Run a request that waits for an answer off the main thread."""
-
-        def guarded() -> None:
-            try:
-                job()
-            except (ConnectionError, ValueError) as error:
-                reason = str(error)
-                self.inbox.put(lambda: self._event(seq.AbortRequested(reason)))
-
-        self._orders.submit(guarded)
-
-    def _upload(self) -> None:
-        upload = bus.make_upload(self.settings.plan.read_bytes())
-        answer = bus.ask(self.session, self.keys.upload, upload)
-        if answer.ok and answer.reason:
-            self.inbox.put(lambda: self._tell("upload", answer.reason))
-        self.inbox.put(lambda: self._event(seq.UploadAnswered(answer.ok, answer.reason)))
-
-    def _command(self, name: bus.CommandName) -> bool:
-        answer = bus.ask(self.session, self.keys.command, bus.Command(name))
-        if not answer.ok:
-            reason = answer.reason
-            self.inbox.put(lambda: self._tell("refused", f"the vehicle refused '{name}'", reason=reason))
-            if name in ("arm", "start"):
-                self.inbox.put(lambda: self._event(seq.StartRefused(reason)))
-            elif name == "kill":
-                self.abort(f"the vehicle refused to stop its rotors: {reason}")
-        if name == "abort":  # refused, too: there may be nothing to abort, which the status shows
-            self.inbox.put(self._abort_answered)
-        return answer.ok
-
-    def _start(self) -> None:
-        """Arm and start, unless the flight is aborted meanwhile; an order that left before the abort is taken back."""
-        for name in ("arm", "start"):
-            if self.state.aborting or not self._command(name):
-                break
-        if self.state.aborting:
-            self._command("abort")
+            self.tell("manifest", failed)
 
     def _check(self) -> None:
         """Called as data come in, until it can say yes or no."""
@@ -393,10 +328,10 @@ class FlightCore:
             return
         rates = {name: round(stream.rate_hz, 1) for name, stream in streams.items()}
         told = "streams and battery are as they should be" if answer.ok else "not ready to fly"
-        self._tell("checks", told, reason=answer.reason, rates_hz=rates, battery_v=volts)
-        self._event(answer)
+        self.tell("checks", told, reason=answer.reason, rates_hz=rates, battery_v=volts)
+        self.event(answer)
         if self.settings.start:
-            self._event(seq.StartRequested())
+            self.event(seq.StartRequested())
 
     def _prepare_analysis(self) -> None:
         """Start the worker during the flight, so that it is warm at landing."""
@@ -404,12 +339,12 @@ class FlightCore:
             self._worker = AnalysisWorker(
                 self.settings.folder,
                 on_progress=self._from_bus(self._on_progress),
-                on_end=lambda status, text: self.inbox.put(lambda: self._event(seq.AnalysisFinished(status, text))),
+                on_end=lambda status, text: self.inbox.put(lambda: self.event(seq.AnalysisFinished(status, text))),
             )
 
     def _analyse(self) -> None:
         if self._worker is None:
-            self._event(seq.AnalysisFinished(0, "not asked for"))
+            self.event(seq.AnalysisFinished(0, "not asked for"))
             return
         self._worker.go()
         self.state = seq.analysing(self.state, self.clock())
@@ -450,14 +385,14 @@ class FlightCore:
     def _lost(self, reason: str, *, refused: str = "") -> None:
         """A link is started again and takes over by landing; another vehicle's process is lost."""
         if not self._can_land_it():
-            self._event(seq.VehicleLost(refused or reason, refused=bool(refused)))
+            self.event(seq.VehicleLost(refused or reason, refused=bool(refused)))
             return
         if self._drone is not None:
             self._drone.kill()  # one that hangs holds the port
             self._drone.wait()
         self._successors += 1
-        self._tell("vehicle", "another link is started, and lands the vehicle", reason=reason)
-        self._event(seq.LinkDied(f"{reason}; another link landed it"))
+        self.tell("vehicle", "another link is started, and lands the vehicle", reason=reason)
+        self.event(seq.LinkDied(f"{reason}; another link landed it"))
         self.heard_s, self.view.drone = self.clock(), None
         self._start_drone("land")
 
@@ -479,14 +414,14 @@ class FlightCore:
 
     def _shut_down(self) -> None:
         """Leave nothing behind: recording closed, orders given, children gone, the outcome in the log."""
-        self._orders.shutdown(wait=True)
+        self._requests.close()
         if self.recorder is not None:
             self.recorder.close()
         if self._worker is not None:
             self._worker.stop()
         # A link may still have to bring its vehicle down or restore its parameters: it is never killed.
         if self._drone is not None and not self._drone.leave(timeouts.VEHICLE_LEAVE_S):
-            self._tell("vehicle", "the vehicle's process goes on by itself", pid=self._drone.pid)
+            self.tell("vehicle", "the vehicle's process goes on by itself", pid=self._drone.pid)
         elif self.recorder is not None:
             self._seal(RAW_LOG)
         for name in (ENDPOINT_FILE, WATCH_FILE):
@@ -497,32 +432,12 @@ class FlightCore:
 
     def abort(self, reason: str) -> None:
         """Ask for an abort from a signal handler or another thread."""
-        self.inbox.put(lambda: self._event(seq.AbortRequested(reason)))
+        self.inbox.put(lambda: self.event(seq.AbortRequested(reason)))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of the process."""
-    parser = argparse.ArgumentParser(prog="groundstation.flight.core.process", description=__doc__)
-    parser.add_argument("--folder", type=Path, required=True, help="where this flight is kept")
-    parser.add_argument("--plan", type=Path, required=True)
-    parser.add_argument("--vehicle", type=Path, required=True)
-    parser.add_argument("--listen", action="append", required=True, help="zenoh endpoint, e.g. tcp/127.0.0.1:7450")
-    parser.add_argument("--start", action="store_true", help="fly as soon as the checks pass; else wait for a client")
-    parser.add_argument("--no-analysis", action="store_true", help="end after landing")
-    parser.add_argument("--take-over", default="", help="land or hold a vehicle found in flight; continues the folder")
-    parser.add_argument("drone", nargs="+", help="module and arguments of the vehicle's process")
-    options = parser.parse_args(arguments)
-    settings = Settings(
-        options.folder,
-        options.plan,
-        options.vehicle,
-        tuple(options.listen),
-        tuple(options.drone),
-        options.start,
-        not options.no_analysis,
-        options.take_over,
-        own_secrets(),
-    )
+    settings = parse(arguments)
     try:
         core = FlightCore(settings)
     except GroundStationError as error:
