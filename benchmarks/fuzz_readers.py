@@ -41,6 +41,13 @@ def quad() -> Vehicle:
     return vehicle_from_dict(document)
 
 
+def sped() -> Vehicle:
+    """The same, its rotors' speeds measured, as the seeds of bags fly it."""
+    document = vehicle_to_dict(quad())
+    document["rotors"]["input"] = "rotor_speed"
+    return vehicle_from_dict(document)
+
+
 def _flight(flown: Callable[[], Vehicle | None] = lambda: None) -> Callable[[Path], object]:
     def read(path: Path) -> object:
         from groundstation.recording import load_flight
@@ -67,6 +74,24 @@ def _converted(path: Path) -> object:
         if set(path.parent.iterdir()) != before:
             raise AssertionError("convert wrote outside its target")
         return told
+
+
+def _mapped(folder: Path) -> object:
+    """A table by its map; the vehicle's motors are commanded."""
+    from groundstation.recording.mapping import load_map, read_mapped, template
+
+    log = folder / "log.csv"
+    wanted = load_map(folder / "map.toml")
+    return read_mapped(log, wanted, quad()), template(log, quad())
+
+
+def _database(folder: Path) -> object:
+    """The catalogue of a folder with the file that an earlier one left there, as all commands read it."""
+    from groundstation.fleet.catalogue import Catalogue
+
+    found = Catalogue(folder / "logs")
+    rows = [found.series(name) for name in found.vehicles()]
+    return found.rows(), rows, found.sql("SELECT * FROM parameters"), found.sql("SELECT * FROM findings")
 
 
 def _vehicle(path: Path) -> object:
@@ -195,21 +220,25 @@ def _name(path: Path) -> object:
 
 
 READERS: Mapping[str, Reader] = {
-    "mcap": Reader(_flight(), 60),
-    "convert": Reader(_converted, 20),
-    "bundle": Reader(_flight(), 60, folder=True),
+    "mcap": Reader(_flight(), 50),
+    "convert": Reader(_converted, 30),
+    "bundle": Reader(_flight(), 30, folder=True),
     "usd": Reader(_flight(lambda: vehicle("crazyflie21")), 40),
-    "ulog": Reader(_flight(quad), 60),
-    "dataflash": Reader(_flight(quad), 60),
-    "batch": Reader(_batch, 60),
-    "vehicle": Reader(_vehicle, 110),
-    "plan": Reader(_plan, 100),
-    "station": Reader(_station, 100),
-    "scenario": Reader(_scenario, 90),
-    "model": Reader(_model, 70),
-    "diagnosis": Reader(_diagnosis, 70),
-    "catalogue": Reader(_results, 40, folder=True),
-    "journal": Reader(_journal, 50, folder=True),
-    "name": Reader(_name, 10),
+    "ulog": Reader(_flight(quad), 30),
+    "dataflash": Reader(_flight(quad), 30),
+    "blackbox": Reader(_flight(quad), 30),
+    "rosbag": Reader(_flight(sped), 10, folder=True),
+    "map": Reader(_mapped, 30, folder=True),
+    "batch": Reader(_batch, 160),
+    "vehicle": Reader(_vehicle, 70),
+    "plan": Reader(_plan, 70),
+    "station": Reader(_station, 70),
+    "scenario": Reader(_scenario, 60),
+    "model": Reader(_model, 30),
+    "diagnosis": Reader(_diagnosis, 80),
+    "catalogue": Reader(_results, 30, folder=True),
+    "database": Reader(_database, 10, folder=True),
+    "journal": Reader(_journal, 70, folder=True),
+    "name": Reader(_name, 70),
 }
-"""By name; the shares add up to a thousand."""
+"""By name; the shares add up to a thousand, and those of fast readers are larger."""

@@ -109,7 +109,7 @@ def simulate_closed_loop(
          control.attitude_p, control.attitude_i, control.attitude_d]
     )  # fmt: skip
     rotor_max = vehicle.rotor_thrust_max_n() if conditions.rotor_level else np.inf
-    allocation = np.ascontiguousarray(vehicle.allocation())
+    allocation = np.ascontiguousarray(vehicle.six_row_allocation())
     tensor = np.ascontiguousarray(inertia, dtype=float)
     thrust_max = limits.thrust_max_n or vehicle.rotor_thrust_max_n() * vehicle.rotors.count
     push = np.zeros((len(t), 6))
@@ -125,7 +125,7 @@ def simulate_closed_loop(
             np.ascontiguousarray(np.linalg.inv(tensor)),
             np.array([thrust_max, limits.torque_max_nm or np.inf, rotor_max]),
             allocation,
-            np.ascontiguousarray(np.linalg.pinv(allocation)),
+            np.ascontiguousarray(vehicle.mixing()),
             np.array([conditions.pose_hz, conditions.imu_hz]),
             STEP_S,
         )
@@ -137,10 +137,10 @@ def simulate_closed_loop(
 
 def _signals(vehicle: Vehicle, flown: ClosedLoop) -> Signals:
     """What effects depend on, along a simulated flight; there is no battery in it."""
-    from groundstation.model.rotors import wrench_matrix
+    from groundstation.model.rotors import thrusts_for
 
     quaternion = quat_from_euler(*flown.euler_rad.T)
-    thrust = flown.wrench @ np.linalg.pinv(wrench_matrix(vehicle)).T
+    thrust = flown.wrench @ thrusts_for(vehicle).T
     motor = thrust if vehicle.rotors.input == "wrench" else vehicle.motor_for_thrust(thrust)
     unknown = np.full(len(flown.t_s), np.nan)
     return Signals(

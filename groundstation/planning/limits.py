@@ -30,7 +30,7 @@ class Envelope:
         limits: of the vehicle file, with overrides; None is no limit.
         rotor_thrust_n: least and greatest thrust of one rotor.
         mass_kg, inertia_kg_m2: nominal, to turn a motion into a wrench.
-        mixing: rotor thrusts from [F_z, tau_x, tau_y, tau_z], least squares where there are more than four, shape (n, 4).
+        mixing: rotor thrusts for [F_z, tau_x, tau_y, tau_z], shape (n, 4).
         gravity_m_s2: local gravity.
     """
 
@@ -89,7 +89,7 @@ def envelope(vehicle: Vehicle, overrides: dict[str, float] | None = None) -> Env
         rotor_thrust_n=rotor_thrust_range_n(vehicle),
         mass_kg=vehicle.mass_kg,
         inertia_kg_m2=vehicle.inertia_tensor(),
-        mixing=np.asarray(np.linalg.pinv(allocation), dtype=float),
+        mixing=vehicle.mixing(),
         gravity_m_s2=vehicle.gravity_m_s2,
     )
     _check_hover(result, vehicle.name)
