@@ -246,6 +246,11 @@ class Vehicle(_Section):
         free = rows[int(np.sum(sizes > 1e-9 * sizes[0])) :].T
         return mixing - free @ np.linalg.pinv(whole[:2] @ free) @ whole[:2] @ mixing
 
+    def turns_freely(self) -> bool:
+        """Whether no rotor makes a torque about z, as three whose tilts cancel their reaction torques: yaw is nobody's to steer."""
+        allocation = self.allocation()
+        return bool(np.abs(allocation[3]).max() < 1e-3 * self.rotors.torque_to_thrust_m)
+
     def thrust(self, motor: ArrayLike, voltage_ratio: ArrayLike = 1.0) -> Array:
         """Declared thrust of each rotor in newton from the motor values of ``rotors.input``.
 

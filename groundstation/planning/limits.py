@@ -79,10 +79,11 @@ def envelope(vehicle: Vehicle, overrides: dict[str, float] | None = None) -> Env
         first = error.errors()[0]
         raise BadInput(f"limit {first['loc'][0]} = {first['input']}: {first['msg'].lower()}; correct it.") from None
     allocation = vehicle.allocation()
-    if np.linalg.matrix_rank(allocation, tol=1e-9 * np.abs(allocation).max()) < 4:
+    rank = np.linalg.matrix_rank(allocation, tol=1e-9 * np.abs(allocation).max())
+    if rank < 4 and not (rank == 3 and vehicle.turns_freely()):
         raise BadInput(
             f"{vehicle.name}: the rotors cannot make thrust and three torques independently, so no attitude can be "
-            "flown; correct position_m and spin in [rotors]."
+            "flown; correct position_m, axis and spin in [rotors]."
         )
     result = Envelope(
         limits=limits,

@@ -186,6 +186,10 @@ FORMATS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
 """Writers by the name of the format."""
 
 
+UPRIGHT_ONLY = frozenset({"px4-sih", "rotorpy", "ardupilot-sitl", "pybullet", "crazyflow", "agilicious"})
+"""Formats whose rotors all push along body z."""
+
+
 def export(model: Mapping[str, Any] | str | Path, format_name: str, vehicle: Vehicle | None = None) -> str:
     """An identified model in another format.
 
@@ -204,4 +208,8 @@ def export(model: Mapping[str, Any] | str | Path, format_name: str, vehicle: Veh
         document = read_model(model, vehicle)
     else:
         document = {**model, "vehicle": vehicle_to_dict(vehicle)} if vehicle is not None else dict(model)
+    if format_name in UPRIGHT_ONLY and identified_from_document(document).vehicle.rotors.tilted:
+        raise BadInput(
+            f"{format_name} has upright rotors only, and this vehicle's are tilted; export mjcf, sdf or webots."
+        )
     return FORMATS[format_name](document)
