@@ -234,17 +234,8 @@ class Vehicle(_Section):
         return np.concatenate([axes.T, (np.cross(position, axes) + reaction[:, None] * axes).T])
 
     def mixing(self) -> Array:
-        """Rotor thrusts for [F_z, tau_x, tau_y, tau_z], shape (n, 4): least squares, with the least sideways force that is left.
-
-        Thrusts that change none of the four (the null space of the allocation) take away what sideways force they can.
-        """
-        whole = self.six_row_allocation()
-        mixing = np.asarray(np.linalg.pinv(whole[2:]), dtype=float)
-        if not self.rotors.tilted:
-            return mixing
-        _, sizes, rows = np.linalg.svd(whole[2:])
-        free = rows[int(np.sum(sizes > 1e-9 * sizes[0])) :].T
-        return mixing - free @ np.linalg.pinv(whole[:2] @ free) @ whole[:2] @ mixing
+        """The smallest rotor thrusts that make [F_z, tau_x, tau_y, tau_z], shape (n, 4); tilted ones push sideways besides."""
+        return np.asarray(np.linalg.pinv(self.allocation()), dtype=float)
 
     def turns_freely(self) -> bool:
         """Whether no rotor makes a torque about z, as three whose tilts cancel their reaction torques: yaw is nobody's to steer."""
