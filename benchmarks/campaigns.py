@@ -26,12 +26,12 @@ from benchmarks.flown import flight_data
 from benchmarks.hidden import COMMANDED, INVENTED, Random, declared, sizes, world
 from benchmarks.tally import wilson
 from groundstation.campaign.campaign import Campaign, run
-from groundstation.campaign.targets import parse_targets, reached
 from groundstation.diagnosis import diagnose
 from groundstation.errors import GroundStationError
 from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.paths import find_config
 from groundstation.recording import write_mcap
+from groundstation.targets import parse_targets, reached
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate

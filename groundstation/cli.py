@@ -27,6 +27,7 @@ COMMANDS = {
     "predict": "analysing",
     "diagnose": "analysing",
     "report": "analysing",
+    "compare": "files",
     "export": "files",
     "convert": "files",
     "flights": "fleet",

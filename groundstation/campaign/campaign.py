@@ -14,11 +14,11 @@ from typing import Any, Protocol
 
 from groundstation.campaign.deciding import Decision, first_plan, flights_needed, next_plan
 from groundstation.campaign.judging import Errors, at_floor, prediction_errors, without_effects
-from groundstation.campaign.targets import reached
 from groundstation.documents import read_diagnosis
 from groundstation.errors import BadInput, Refused
 from groundstation.flightdata import FlightData
 from groundstation.outside import read_json
+from groundstation.targets import reached
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import Vehicle, vehicle_from_dict, vehicle_to_dict
 from groundstation.writing import write_whole

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.campaign.targets import HALF_95
 from groundstation.errors import BadInput, GroundStationError
 from groundstation.planning import plan_excitation
 from groundstation.planning.information import DEFAULT_NOISE, Noise, predicted_std
 from groundstation.reporting.units import label
+from groundstation.targets import HALF_95
 from groundstation.trajectory import Plan
 from groundstation.vehicle import Inertia, Vehicle
 
@@ -54,7 +54,7 @@ def next_plan(
         vehicle: as declared; the plan is made for the vehicle as it is estimated now.
         diagnosis: of schema groundstation.diagnosis/1, over all flights so far.
         estimates: canonical parameters now, name -> {"value", "std"}.
-        reached: of :func:`~groundstation.campaign.targets.reached`.
+        reached: of :func:`~groundstation.targets.reached`.
     """
     if any(finding["alternatives"] for finding in diagnosis.get("findings", ())):
         from groundstation.diagnosis.next_flight import odds_sentence, plan_next

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.campaign.campaign import Campaign, Round
-from groundstation.campaign.targets import HALF_95
 from groundstation.identification.results import Estimate
 from groundstation.reporting.markup import Child, Markup, definition_list, element, fragment, sentence_list, table
 from groundstation.reporting.page import Page
 from groundstation.reporting.units import fixed, label, quantity, scale_for, significant, split_unit
+from groundstation.targets import HALF_95
 from groundstation.writing import write_whole
 
 QUANTITIES = ("position_m", "velocity_m_s", "attitude_rad", "body_rate_rad_s")

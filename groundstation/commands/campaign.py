@@ -46,9 +46,9 @@ def campaign(
     """
     from groundstation.campaign.campaign import Campaign, load_campaign, run, take_in
     from groundstation.campaign.report import lines, write_campaign_report
-    from groundstation.campaign.targets import parse_targets
     from groundstation.flight.client.interrupts import Interrupts
     from groundstation.paths import find_config
+    from groundstation.targets import parse_targets
     from groundstation.vehicle import load_vehicle
 
     line = ProgressLine()

@@ -80,3 +80,35 @@ def export(model: Path, form: str, output: Path | None, vehicle: str | None) -> 
             f"{output}: cannot be written ({error.strerror}); name a file in a folder that exists."
         ) from None
     return Result({**document, "file": str(output)}, f"written: {output}")
+
+
+@click.command(epilog=example("groundstation compare logs/flight-a logs/flight-b --output compare.html"))
+@click.argument("flights", nargs=-1, required=True, type=ANY)
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path("compare.html"),
+    show_default=True,
+    help="Page to write, with Markdown beside it; a name in .md writes Markdown alone.",
+)
+@json_option
+def compare(flights: tuple[Path, ...], output: Path) -> Result:
+    """Put two identified FLIGHTS or more on one page: what agrees, and what changed by how much.
+
+    FLIGHTS are folders with an identification.json, or the recordings beside one; each need not be of the same vehicle.
+    """
+    from groundstation.reporting.compare import comparison_rows, read_flown, summary, write_comparison
+
+    written = write_comparison(output, flights)
+    known = [read_flown(folder) for folder in flights]
+    rows = comparison_rows(known)
+    document = {
+        "schema": "groundstation.comparison/1",
+        "flights": [flight.name for flight in known],
+        "summary": summary(known),
+        "rows": [list(row) for row in rows],
+        "file": str(written),
+    }
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))] if rows else []
+    table = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return Result(document, "\n".join([summary(known), "", *table, "", f"written: {written}"]))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.discrepancy import Discrepancy, allowance
 from groundstation.diagnosis.effect import Effect, library
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, Solution
+from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import (
     INSTANTS,
     Entry,
@@ -39,6 +40,7 @@ class Named:
         evidence: margin of its Wald statistic over chance and over what the other effects' formulas may miss.
         gain: fall of the whitened squared error on blocks no estimate saw, when it is put in last.
         alternatives: effects that explain as much; confidence: its posterior share among them and nothing at all.
+        measured: the finding, where other means than the joint estimate give its numbers.
     """
 
     candidate: Candidate
@@ -47,6 +49,7 @@ class Named:
     gain: float
     alternatives: tuple[str, ...]
     confidence: float
+    measured: Finding | None = None
 
 
 def candidates(vehicle: Vehicle, signals: Signals, effects: Iterable[Effect] | None = None) -> list[Candidate]:

@@ -15,10 +15,11 @@ from groundstation.diagnosis.judging import Judged, judge
 from groundstation.diagnosis.next_flight import rival_entries
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
 from groundstation.diagnosis.screen import dependences
-from groundstation.diagnosis.selection import Progress, Selected, pool_of, select
+from groundstation.diagnosis.selection import Progress, Selected, pool_of, select_beside
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
+from groundstation.diagnosis.unplanned import Told, tell_unplanned, without_plan
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.declarations import check_declarations, said_first
@@ -60,8 +61,9 @@ def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress:
         case, departure = thrust_exponent(case)
         progress(0.25, "base fit")
         base = base_fit(case)
+        air = [] if case.healthy else tell_unplanned(case.suspects, base.fitted.parameters)
         case = case.map(for_evidence)
-        selected = select(case, base, augmented, progress)
+        selected = select_beside(air, case, base, augmented, progress)
         progress(0.9, "what is left")
         left = dependences(selected.evidence, selected.chosen)
     except Refused as refusal:
@@ -71,10 +73,10 @@ def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress:
         )
     judged = judge(case, selected, kinematic, departure, left, progress)
     progress(1.0, "done")
-    return _diagnosis(name, case, selected, judged)
+    return _diagnosis(name, case, selected, judged, air)
 
 
-def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged) -> Diagnosis:
+def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged, air: Sequence[Told]) -> Diagnosis:
     """All of it as the result that is written and shown."""
     reason = _reason(judged.verdict, judged.findings, judged.unexplained)
     return Diagnosis(
@@ -90,7 +92,7 @@ def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged) -> Dia
         next_flight=_next_flight(judged.findings, judged.unexplained),
         reason=" ".join(filter(None, (judged.worse, reason))),
         warnings=tuple(_warnings(case.suspects)),
-        notes=judged.notes,
+        notes=(*judged.notes, *(told.missed() for told in air if not told.stands)),
         adopted=not judged.worse,
         candidates=tuple(_candidate_entries(case, selected)),
         residual=judged.residual,
@@ -177,9 +179,10 @@ def _reason(verdict: str, findings: Sequence[Finding], remaining: Sequence[Unexp
 
 def _warnings(suspects: Sequence[Prepared]) -> list[str]:
     out = []
-    if any(item.planned is None for item in suspects):
+    if any(without_plan(item) for item in suspects):
         out.append(
-            "No plan or setpoints are recorded: without instruments a flexible effect of the inputs can soak up a disturbance."
+            "No plan or setpoints are recorded, and the path flown is no plan: what the controller answers a disturbance with "
+            "can pass for an effect of the inputs. Drag, inflow, lift, flapping and damping are told by past motion instead."
         )
     if any(item.source != "imu" for item in suspects):
         out.append("Rates and accelerations are derived, not measured: small torques cannot be told.")

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from groundstation.errors import BadInput
 from groundstation.outside import read_toml
 from groundstation.paths import find_config
+from groundstation.vehicle import Until
 
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
@@ -102,6 +103,8 @@ class MocapSource(_Section):
         needed_hz: preflight refuses below this.
         to_vehicle_hz: rate of poses to the vehicle's estimator; 0 sends none.
         std_m, std_rad: what the estimator is told of their accuracy.
+        latency_s: how much later than its exposure a pose is stamped; declared to the estimator indoors. Each flight with poses
+            measures it and says the line to write.
     """
 
     system: Literal["none", "natnet", "qtm", "vicon", "vrpn", "optitrack"] = "none"
@@ -111,18 +114,40 @@ class MocapSource(_Section):
     to_vehicle_hz: NonNegative = 50.0
     std_m: Positive = 0.005
     std_rad: Positive = 0.01
+    latency_s: Annotated[float, Field(ge=0.0, le=0.25)] = 0.0
 
 
 class Station(_Section):
-    """A station file."""
+    """A station file.
+
+    Attributes:
+        indoors: the vehicle's estimator flies by the poses, without satellites. Left out, it is so where there is motion capture;
+            false leaves the poses to the recording, and the vehicle to its own estimate.
+        until: how long flights last where that is decided in flight; the vehicle file's goes before it.
+    """
 
     schema_version: str = Field(default="groundstation.station/1", alias="schema")
     name: str = "default"
     system: Annotated[int, Field(ge=1, le=255)] | None = None  # the vehicle's MAVLink system id; None: the first heard
+    indoors: bool | None = None
     box: Box = Box()
     guard: GuardLimits = GuardLimits()
     policy: Policy = Policy()
     mocap: MocapSource = MocapSource()
+    until: Until | None = None
+
+    @model_validator(mode="after")
+    def _poses_indoors(self) -> Station:
+        if self.indoors and (self.mocap.system == "none" or not self.mocap.to_vehicle_hz):
+            raise ValueError(
+                "indoors = true needs poses for the vehicle: name the [mocap] system, with to_vehicle_hz above 0"
+            )
+        return self
+
+    @property
+    def flies_by_poses(self) -> bool:
+        """Whether the vehicle's estimator is to use the poses."""
+        return self.mocap.system != "none" if self.indoors is None else self.indoors
 
 
 def station_from_dict(document: dict, source: str = "station") -> Station:

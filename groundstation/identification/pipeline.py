@@ -341,12 +341,7 @@ def _disagreement(first: Fitted, second: Fitted) -> tuple[str, float]:
 
 
 def _model(fit: Fitted, prepared: Prepared) -> dict[str, Estimate]:
-    """The other parameters of the model, those that mean something for this vehicle.
-
-    When within an interval of recorded commands h one took effect, and by which steps an autopilot or simulator runs a lag, no record
-    says: a lag tau in Euler steps of h acts as one of -h / ln(1 - h / tau), about tau - h / 2. Lag and dead time carry that as an error
-    that is uniform over h.
-    """
+    """The other parameters of the model, those that mean something for this vehicle."""
     h = float(np.median(np.diff(prepared.flight.motors.t_s)))
     out: dict[str, Estimate] = {}
     for name in fit.names:
@@ -356,7 +351,7 @@ def _model(fit: Fitted, prepared: Prepared) -> dict[str, Estimate]:
         if name in CURVE:
             value += (prepared.record.vehicle.rotors.thrust_curve or (0.0, 0.0, 0.0))[CURVE.index(name)]
         if name in _TIMES:
-            out[name] = _time(value, float(np.hypot(std, h / np.sqrt(12.0))))
+            out[name] = Estimate.time(value, std, h)
         else:
             out[name] = Estimate.normal(value, std)
     if prepared.compatibility is not None:
@@ -370,17 +365,11 @@ def _model(fit: Fitted, prepared: Prepared) -> dict[str, Estimate]:
             if name.startswith(kinds):
                 out[name] = Estimate.normal(found.values[name], found.std[name])
         if prepared.clock is not None:
-            out["stamp_jitter_s"] = _time(found.values["stamp_jitter_s"], found.std["stamp_jitter_s"])
+            out["stamp_jitter_s"] = Estimate.time(found.values["stamp_jitter_s"], found.std["stamp_jitter_s"])
     return out
 
 
 _TIMES = ("input_delay_s", "rotor_lag_up_s", "rotor_lag_down_s")
-
-
-def _time(value: float, std: float) -> Estimate:
-    """A lag or delay, which is not negative, nor is its interval."""
-    low = max(0.0, value - 1.96 * std)
-    return Estimate(max(value, 0.0), std, (low, max(low, value + 1.96 * std)))
 
 
 def _disturbance(models: Sequence[RecordModel], fit: Fitted, options: FitOptions) -> TurningDisturbance:

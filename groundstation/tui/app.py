@@ -8,13 +8,15 @@ them.
 from __future__ import annotations
 
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
-from textual.app import App
+from textual.app import App, SystemCommand
 from textual.binding import Binding
 from textual.css.query import NoMatches
+from textual.screen import Screen
 
 from groundstation.commands.common import LOGS
 from groundstation.errors import GroundStationError
@@ -26,6 +28,7 @@ from groundstation.flight.messages import CommandName, CoreStatus
 from groundstation.flight.sequence import FINAL, IN_FLIGHT, Phase
 from groundstation.texts import shown
 from groundstation.trajectory import Plan
+from groundstation.tui.margins import Announcer, FlightLimits, margins
 from groundstation.tui.results import FlightResults, read_results
 from groundstation.tui.screens.base import StationScreen
 from groundstation.tui.screens.diagnose import Diagnose
@@ -44,6 +47,7 @@ AFTER_LANDING = (Phase.LANDED, Phase.IDENTIFYING, Phase.DONE)
 KEYS = """\
 ^g, F8  abort and land
 ^o, F9  stop the rotors, after a question
+^p      every command by name
 1 … 6   the screens
 Escape  leave a field
 l       the run's log
@@ -70,12 +74,12 @@ class GroundStation(App[int]):
         core: the flight that is followed; None before the first.
         plan: what the next flight flies; None takes the one that ships for the vehicle.
         results: of the flight that Identify and Diagnose show.
+        limits: of the flight that is followed.
         trouble: what went wrong last with the flight, as a sentence.
     """
 
     TITLE = "groundstation"
     CSS_PATH = "groundstation.tcss"
-    ENABLE_COMMAND_PALETTE = False
     MODES: ClassVar = {
         "station": Station,
         "plan": Planner,
@@ -109,7 +113,9 @@ class GroundStation(App[int]):
         self._start_wanted = False
         self._preparing = False
         self._simulated = False
-        self._limits: tuple[Mapping[str, float], Mapping[str, float]] = ({}, {})
+        self.limits = FlightLimits()
+        self._announcer = Announcer()
+        self._offered: object = None
 
     def on_mount(self) -> None:
         """Find a flight that goes on, and refresh from now on."""
@@ -129,7 +135,8 @@ class GroundStation(App[int]):
             self.core.stop()
         self.core, self._shown, self.trouble, self.results = core, None, "", None
         self._simulated = simulated
-        self._limits = flight_limits(core.folder, None if simulated else self.setup.station)
+        self.limits = flight_limits(core.folder, self.setup.station, simulated=simulated)
+        self._announcer = Announcer()
         self.switch_mode("fly")
 
     def _find_flight(self) -> None:
@@ -137,9 +144,16 @@ class GroundStation(App[int]):
         for folder, endpoint in running_cores(self.logs, told=lambda text: self.call_from_thread(self._fail, text))[:1]:
             self.call_from_thread(self.follow, CoreWatch(endpoint, folder))
 
-    def limits(self) -> tuple[Mapping[str, float], Mapping[str, float]]:
-        """Of the flight that is followed: those of its plan, and those of the guard that a view can see."""
-        return self._limits
+    @property
+    def preparing(self) -> bool:
+        """A core is being started."""
+        return self._preparing
+
+    @property
+    def may_take_lease(self) -> bool:
+        """Another client is the operator."""
+        core = self.core
+        return core is not None and core.newest is not None and bool(core.newest.lease) and not core.operator
 
     @property
     def flying(self) -> bool:
@@ -189,7 +203,7 @@ class GroundStation(App[int]):
             self.notify("no flight is prepared; r prepares one.")
         elif self._simulated:
             self._start_wanted = True
-        elif self._phase() != Phase.CHECKED:
+        elif self.phase != Phase.CHECKED:
             self.notify("not everything is checked yet; start when the state says CHECKED.")
         else:
             self.push_screen(TypedQuestion(CONFIRM, "FLY"), self._on_typed)
@@ -227,7 +241,7 @@ class GroundStation(App[int]):
 
     def action_kill(self) -> None:
         """Stop the rotors, after a question."""
-        if self._phase() not in IN_FLIGHT:
+        if self.phase not in IN_FLIGHT:
             self.notify("nothing flies, so there is nothing to kill.")
         elif not isinstance(self.screen, Question):
             self.push_screen(Question(KILL), self._on_kill)
@@ -236,7 +250,9 @@ class GroundStation(App[int]):
         if yes:
             self.order("kill", "kill: the rotors were told to stop")
 
-    def _phase(self) -> str:
+    @property
+    def phase(self) -> str:
+        """Of the flight that is followed; empty without one."""
         return self.core.newest.phase if self.core and self.core.newest else ""
 
     # The view ---------------------------------------------------------------------------------------------------------
@@ -252,11 +268,13 @@ class GroundStation(App[int]):
             if status is not None and new:
                 screens[-1].show_status(status)
             self._show_results(screens[-1])
+            self._offer(screens[-1])
         except (IndexError, NoMatches):
             return  # the screen is coming up or being taken down; there is another time
         if core is None or status is None or not new:
             return
         before, self._shown = self._shown, status
+        self._announce(status)
         if status.phase == Phase.CHECKED and self._start_wanted:
             self._start_wanted = False
             self.order("start", "started")
@@ -270,12 +288,26 @@ class GroundStation(App[int]):
         if status.phase in FINAL:
             self.show_flight(core.folder)
 
+    def _offer(self, screen: StationScreen) -> None:
+        """The footer shows what can be done now."""
+        now = (screen, self.phase, self._preparing, self.plan is None, self.results is None, self.may_take_lease)
+        if now != self._offered:
+            self._offered = now
+            screen.refresh_bindings()
+
+    def _announce(self, status: CoreStatus) -> None:
+        """A bell and a line of words when a limit of the guard is approached."""
+        if status.phase in IN_FLIGHT:
+            for sentence in self._announcer.news(margins(status, self.limits)):
+                self.bell()
+                self.notify(sentence, severity="warning", markup=False, timeout=8)
+
     def _watch_child(self) -> None:
         """A core that ended before it could say why is told of."""
         child = self._child
         if child is not None and child.poll() is not None:
             self._child = None
-            if self._phase() not in FINAL and self.core is not None:
+            if self.phase not in FINAL and self.core is not None:
                 said = last_line(self.core.folder / "core.log")
                 self._fail(f"the core ended early{': ' + said if said else ''}; the recording opens as far as it goes.")
 
@@ -320,6 +352,19 @@ class GroundStation(App[int]):
 
     # Keys -------------------------------------------------------------------------------------------------------------
 
+    def get_system_commands(self, screen: Screen) -> Iterable[SystemCommand]:
+        """The command palette: what the keys do now, by name."""
+        for mode, title in SCREENS.items():
+            yield SystemCommand(f"Open {title}", f"screen {title}", partial(self.switch_mode, mode))
+        for active in screen.active_bindings.values():
+            binding = active.binding
+            if active.enabled and binding.description and binding.show:
+                run = partial(self.run_action, binding.action, active.node)
+                yield SystemCommand(binding.description, f"key {binding.key_display or binding.key}", run)
+        yield SystemCommand("Abort and land", "key ^g", self.action_abort)
+        yield SystemCommand("Stop the rotors", "key ^o; asks first", self.action_kill)
+        yield SystemCommand("Light or dark", "key t", self.action_light)
+
     def action_help(self) -> None:
         """Keys and what the screen does."""
         screen = self.screen
@@ -348,7 +393,7 @@ class GroundStation(App[int]):
 
     def action_leave(self) -> None:
         """Close, after a question while something flies."""
-        if self._phase() in IN_FLIGHT:
+        if self.phase in IN_FLIGHT:
             text = "The flight goes on without this program: the plan is completed and the vehicle lands.\nClose it?"
             self.push_screen(Question(text), self._on_leave)
         else:

@@ -6,10 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from groundstation.flight.messages import CoreStatus
+import numpy as np
+
+from groundstation.flight.messages import CoreStatus, KnownStatus
 from groundstation.flight.sequence import Phase
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
 from groundstation.reporting.canonical import estimate_in, estimate_of
+from groundstation.reporting.compare import change
 from groundstation.reporting.units import (
     decimals,
     fixed,
@@ -22,13 +25,11 @@ from groundstation.reporting.units import (
     significant,
     split_unit,
 )
+from groundstation.trajectory import Plan, rigid_motion
 
 Row = tuple[str, ...]
 OWN_CLOCK_S = 10.0
 """A stamp further than this from its arrival is of a clock that began at another time."""
-NEAR = {"m": 0.05, "°": 1.0, "V": 0.0}
-"""A plan uses its limits up, and a vehicle follows it no better than this: beyond it a word is said."""
-
 PHASES: Mapping[str, str] = {
     Phase.IDLE: "the vehicle's process is coming up",
     Phase.PLANNED: "sending the plan to the vehicle",
@@ -81,53 +82,38 @@ def stream_notes(status: CoreStatus) -> str:
     return "\n".join([*lines, "", *status.notes[-4:]]).rstrip()
 
 
+def plan_lines(plan: Plan) -> str:
+    """A plan before it is flown: how long, how far, how fast, and what it should tell."""
+    series = plan.series()
+    t_s = np.linspace(0.0, min(series.period_s, series.duration_s), 400)
+    flat = series.sample(t_s)
+    motion = rigid_motion(flat)
+    tilt = np.degrees(np.arccos(np.cos(motion.euler_rad[:, 0]) * np.cos(motion.euler_rad[:, 1])))
+    speed = np.linalg.norm(flat.position[1], axis=1)
+    low, high = flat.position[0].min(axis=0), flat.position[0].max(axis=0)
+    reach = ", ".join(f"{axis} {a:.2f} … {b:.2f}" for axis, a, b in zip("xyz", low, high, strict=True))
+    lines = [
+        f"the plan: {series.duration_s:.0f} s, up to {speed.max():.2f} m/s and {tilt.max():.1f}° of tilt",
+        f"within {reach} m",
+    ]
+    for name in ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2"):
+        if name in plan.predicted_std:
+            std = plan.predicted_std[name]
+            scale = scale_for(split_unit(name)[1], [std])
+            lines.append(f"should tell {label(name)} to ± {significant(1.96 * std * scale.factor, 2)} {scale.unit}")
+    return "\n".join(lines)
+
+
 def state_lines(status: CoreStatus) -> str:
-    """Where the vehicle is and how far from where it should be."""
+    """Where the vehicle is and how it lies."""
     roll, pitch, yaw = (math.degrees(angle) for angle in status.euler_rad)
     x, y, z = status.position_m
     return "\n".join(
         [
             f"position {x:+7.3f} {y:+7.3f} {z:+7.3f} m",
             f"attitude {roll:+7.1f} {pitch:+7.1f} {yaw:+7.1f} °",
-            f"off plan {100 * status.tracking_error_m:7.1f} cm",
-            f"to go    {status.time_left_s:7.1f} s",
-            f"battery  {status.battery_v:7.2f} V",
         ]
     )
-
-
-def margin_lines(status: CoreStatus, limits: Mapping[str, float], guard: Mapping[str, float]) -> str:
-    """How much is left to each limit of the plan, and to those of the guard that can be seen from here.
-
-    Args:
-        limits: of the plan, by name; it holds roll and pitch each to its tilt.
-        guard: where the guard lands: ``tracking_m`` from the plan, ``tilt_rad``; and ``empty_v`` of the battery.
-    """
-    x, y, z = status.position_m
-    roll, pitch, _ = status.euler_rad
-    tilt = math.acos(max(-1.0, min(1.0, math.cos(roll) * math.cos(pitch))))
-    plans = {
-        "x_max_m": ("plan: wall, x", lambda top: top - abs(x), "m"),
-        "y_max_m": ("plan: wall, y", lambda top: top - abs(y), "m"),
-        "z_max_m": ("plan: ceiling", lambda top: top - z, "m"),
-        "z_min_m": ("plan: floor", lambda low: z - low, "m"),
-        "tilt_max_rad": ("plan: tilt", lambda top: math.degrees(top - max(abs(roll), abs(pitch))), "°"),
-    }
-    guards = {
-        "tracking_m": ("guard: plan", lambda top: top - status.tracking_error_m, "m"),
-        "tilt_rad": ("guard: tilt", lambda top: math.degrees(top - tilt), "°"),
-        "empty_v": ("battery empty", lambda low: status.battery_v - low, "V"),
-    }
-    lines = []
-    for known, room in ((limits, plans), (guard, guards)):
-        for name, (text, left, unit) in room.items():
-            if name in known:
-                value = left(known[name])
-                past = (
-                    room is guards and value < -NEAR[unit] and z > 0.3
-                )  # a plan's limit is no alarm: the guard lands at its own
-                lines.append(f"to {text:<14}{value:+7.2f} {unit}{' PAST IT' if past else ''}")
-    return "\n".join(lines) or "the plan states no limits"
 
 
 def motor_lines(motors: Sequence[float], top: float, width: int = 16) -> str:
@@ -147,6 +133,29 @@ def live_rows(table: Mapping[str, tuple[float, float, float, float]]) -> list[Ro
         (label(name), *_against_nominal(name, nominal, _estimate(value, low, high)))
         for name, (nominal, value, low, high) in table.items()
     ]
+
+
+def until_lines(status: CoreStatus) -> str:
+    """Time to target of each parameter, what is proposed, and what the flight so far lets suspect; empty where there is none of it."""
+    lines = []
+    if (until := status.until) is not None:
+        lines.append(f"until known: {until.length_s:.0f} s as it stands, {until.at_most_s:.0f} s at the most")
+        lines += [f"  {label(name)}: {_to_target(known)}" for name, known in until.parameters.items()]
+        lines.append(until.proposal or until.text)
+    for suspect in status.suspects:
+        rivals = f" (or {', '.join(suspect.alternatives)})" if suspect.alternatives else ""
+        lines.append(
+            f"suspected after {status.suspects_s:.0f} s: {suspect.effect} likely, {suspect.odds:.0f}:1{rivals}"
+        )
+    return "\n".join(lines)
+
+
+def _to_target(known: KnownStatus) -> str:
+    if known.spent is None:
+        return "not revealed yet"
+    peeked = "" if known.at_any_time is None else f", {known.at_any_time:.2f} at any time"
+    left = "met" if known.spent <= 1.0 else f"{known.seconds or 0.0:.0f} s to go"
+    return f"{left} ({known.spent:.2f} of the target{peeked})"
 
 
 def _estimate(value: float, low: float, high: float) -> Estimate | None:
@@ -287,14 +296,14 @@ def flight_row(row: Mapping[str, Any]) -> Row:
 
 
 def comparison(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[Row]:
-    """Two flights of the catalogue: parameter, unit, the values with half widths, and the change in per cent."""
+    """Two flights of the catalogue: parameter, unit, the values with half widths, and the change."""
     rows = []
     for name, a in first["parameters"].items():
         b = second["parameters"].get(name)
         if b is None:
             continue
         scale = scale_for(split_unit(name)[1], [a["value"], b["value"]])
-        cells = [interval_text(Estimate.normal(e["value"], e["std"]), scale) for e in (a, b)]
-        change = percent(b["value"] / a["value"] - 1.0) if a["value"] else ""
-        rows.append((label(name), scale.unit, *cells, change))
+        both = [Estimate.normal(e["value"], e["std"]) for e in (a, b)]
+        cells = [interval_text(estimate, scale) for estimate in both]
+        rows.append((label(name), scale.unit, *cells, change(name, *both)))
     return rows

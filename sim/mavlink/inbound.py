@@ -148,7 +148,7 @@ def _vision(a: Autopilot, name: str, m: Message) -> None:
         w, x, y, z = m.q
         stamp, yaw = m.time_usec, math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     if all(map(math.isfinite, (m.x, m.y, m.z, yaw))):
-        a.estimator.vision(flip((m.x, m.y, m.z)), -yaw, a.own_time_s(stamp))
+        a.estimator.vision(flip((m.x, m.y, m.z)), -yaw, a.own_time_s(stamp) - a.vision_delay_s)
 
 
 def _timesync(a: Autopilot, link: Link, m: Message) -> None:

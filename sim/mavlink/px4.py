@@ -226,6 +226,11 @@ class Px4(Autopilot):
         if self._log is not None:
             self._log.parameter(parameter.name, parameter.is_float, parameter.value)
 
+    @property
+    def vision_delay_s(self) -> float:
+        """EKF2_EV_DELAY."""
+        return 1e-3 * self.parameters["EKF2_EV_DELAY"]
+
     def vision_accepted(self, name: str, message: Message) -> bool:
         """With EKF2_EV_CTRL, and no ODOMETRY that says it is motion capture."""
         if not int(self.parameters["EKF2_EV_CTRL"]):

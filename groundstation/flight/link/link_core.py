@@ -26,8 +26,10 @@ from groundstation.flight import timeouts
 from groundstation.flight.link.guard import Guard, Verdict
 from groundstation.flight.link.identity import speaker
 from groundstation.flight.link.inlet import Arrival, Complaints, Inlet, says_who_it_is
+from groundstation.flight.link.markers import Markers
 from groundstation.flight.link.options import PLAIN, Options, Output
 from groundstation.flight.link.pilot import GUARDED, IN_AIR, Answered, Phase, Pilot
+from groundstation.flight.link.pose_latency import PoseLatency, latency_sentence
 from groundstation.flight.link.preflight import Check, Situation, failures, run_checks
 from groundstation.flight.link.prepare import Preparation
 from groundstation.flight.link.profiles import profile_for
@@ -100,6 +102,7 @@ class LinkCore:
         self._phase = Phase.IDLE
         self._carried: deque[tuple[State, Pose]] = deque(maxlen=CARRIED)
         self._disagreement = Disagreement()
+        self._latency, self._markers = PoseLatency(), Markers(vehicle.mocap)
         self._pose_to_vehicle_s = -inf
 
     # Orders from the core ---------------------------------------------------------------------------------------------
@@ -156,7 +159,7 @@ class LinkCore:
         if name == "start":
             self._abort, self.verdict = "", None
             self._guard = Guard(self.station.guard, self.station.box, self.vehicle.battery.empty_v)
-            self._disagreement = Disagreement()
+            self._disagreement, self._latency = Disagreement(), PoseLatency()
             if self.view is not None:
                 self.view.take_jump()
         return self.pilot.order(name, now_s, reason)
@@ -166,12 +169,19 @@ class LinkCore:
         out = Output(samples=[(pose, received_s)])
         if self.view is None or self.pilot is None:
             return out
+        pose = self._markers.body(pose)
         self.view.sample(pose, received_s)
         self.view.meters.setdefault("POSE", Meter()).add(received_s)
+        if self.pilot.phase in IN_AIR:
+            self._latency.pose(pose.device_s, pose.quaternion)
         if self.view.state is not None and received_s - self.view.state_s < 0.05:
             self._carried.append((self.view.state, pose))
         mocap = self.station.mocap
-        if mocap.to_vehicle_hz > 0.0 and received_s - self._pose_to_vehicle_s >= 0.9 / mocap.to_vehicle_hz:
+        if (
+            self.station.indoors is not False
+            and mocap.to_vehicle_hz > 0.0
+            and received_s - self._pose_to_vehicle_s >= 0.9 / mocap.to_vehicle_hz
+        ):
             self._pose_to_vehicle_s = received_s
             for message in self.view.profile.external_pose(pose, pose.device_s, mocap.std_m, mocap.std_rad, 0):
                 self._send(message, received_s, out)
@@ -358,6 +368,8 @@ class LinkCore:
         for sample in self._telemetry.samples(received):
             self.view.sample(sample, now_s)
             out.samples.append((sample, now_s))
+            if isinstance(sample, State) and (fit := self.clock.fit()) is not None:
+                self._latency.state(fit.host(sample.device_s), sample)
         if received.name == "TIMESYNC":
             self._timesync(received.message, now_s, out)
 
@@ -398,6 +410,9 @@ class LinkCore:
         if self.pilot.phase is not self._phase:
             self._tell(out, now_s, "link", f"{self._phase} -> {self.pilot.phase} {self.pilot.reason}".strip())
             self._phase = self.pilot.phase
+            if self._phase is Phase.LANDED and (found := self._latency.result()) is not None:
+                declared_s = self.station.mocap.latency_s
+                self._tell(out, now_s, "latency", latency_sentence(found, self.clock.error_s(now_s), declared_s))
 
     def converse(self, steps: Steps[T]) -> Conversation[T]:
         """Hold a conversation beside the flight: parameters, files, logs. Watch its ``done``."""

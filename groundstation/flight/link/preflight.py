@@ -14,6 +14,7 @@ import numpy as np
 from drivers.mavlink.geometry import tilt_cosine, yaw_of
 from drivers.samples import Pose, State
 from groundstation.errors import BadInput
+from groundstation.flight.link.fusion import not_fused
 from groundstation.flight.link.profiles import ParameterRule, Profile
 from groundstation.flight.link.view import VehicleView
 from groundstation.flight.station import Station
@@ -240,10 +241,8 @@ def _disk(s: Situation) -> Check:
 
 
 def _parameters(s: Situation) -> Iterator[Check]:
-    indoors = s.station.mocap.system != "none"
-    for rule in s.profile.parameters:
-        if not rule.concerns(s.view.version, indoors=indoors):
-            continue
+    indoors, latency_s = s.station.flies_by_poses, s.station.mocap.latency_s
+    for rule in s.profile.rules(s.view.version, indoors=indoors, pose_latency_s=latency_s):
         yield _parameter(rule, s.parameters.get(rule.name))
 
 
@@ -276,6 +275,20 @@ def _poses(s: Situation) -> Iterator[Check]:
         f"start the motion capture, check host and body '{mocap.body}' in the station file",
     )  # fmt: skip
     yield _frames(s)
+    if s.station.flies_by_poses:
+        yield _fusion(s)
+
+
+def _fusion(s: Situation) -> Check:
+    """The estimator flies by the poses: its flags, its innovations, and where it says it is."""
+    why = not_fused(s.view)
+    horizontal, vertical, heading = s.view.estimator_ratios
+    return _answer(
+        "fusion", not why,
+        why or f"the estimator uses the poses; innovations at {horizontal:.2f} (position), {vertical:.2f} (height), "
+        f"{heading:.2f} (heading) of their gates",
+        "let --set-parameters set what poses need, or set it by hand and restart the autopilot; then wait some seconds",
+    )  # fmt: skip
 
 
 def _frames(s: Situation) -> Check:

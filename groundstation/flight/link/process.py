@@ -373,9 +373,10 @@ class LinkProcess:
             from groundstation.frames import euler_from_quat
 
             roll, pitch, yaw = (float(a) for a in euler_from_quat(view.state.quaternion))
-            flight = {"position_m": view.state.position_m, "euler_rad": (roll, pitch, yaw)}
+            here = pilot.placement.to_plan(view.state.position_m)  # the frame of the plan, of the box and of every view
+            flight = {"position_m": here, "euler_rad": (roll, pitch, yaw)}
         if pilot.target is not None:
-            flight["setpoint_m"] = pilot.placement.to_vehicle(pilot.target).position_m
+            flight["setpoint_m"] = pilot.target.position_m
         if (window := pilot.window_s(now_s)) is not None:
             flight["window_s"] = tuple(device_s + (t - now_s) * self._rate() for t in window)
         text = pilot.reason or core.trouble or self.transport.trouble

@@ -41,6 +41,13 @@ the findings. The suspects are the effects that were tried, with the evidence fo
         yield DataTable(id="errors", show_cursor=False)
         yield DataTable(id="suspects", show_cursor=False)
 
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Only what can be done now is offered."""
+        results = self.station.results
+        if action == "report":
+            return results is not None and results.report is not None
+        return action != "next_flight" or results is not None
+
     def show_results(self, results: FlightResults) -> None:
         """The diagnosis of a flight, or why there is none."""
         document = results.diagnosis

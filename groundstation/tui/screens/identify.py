@@ -65,6 +65,11 @@ The drawings show how the live estimates moved while it flew, between their 95 %
             header = ("parameter", "nominal", "preliminary", "unit")
             fill(self.query_one("#parameters", DataTable), header, live_rows(status.table))
 
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Only what can be done now is offered."""
+        results = self.station.results
+        return action != "report" or (results is not None and results.report is not None)
+
     def show_results(self, results: FlightResults) -> None:
         """The results of a flight that was analysed, or why there are none."""
         document = results.identification
