@@ -16,9 +16,12 @@ def _speed_known(vehicle: Vehicle) -> bool:
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
     scale = vehicle.rotors.speed_max_rad_s or 1.0 if vehicle.rotors.input == "command" else 1.0
-    spins = scale * np.asarray(vehicle.rotors.spin, dtype=float)[:, None] * vehicle.rotors.axes()
+    spins = np.ascontiguousarray((np.asarray(vehicle.rotors.spin, dtype=float)[:, None] * vehicle.rotors.axes()).T)
+    momentum, change = (
+        scale * np.column_stack([values @ axis for axis in spins]) for values in (signals.lagged, signals.lagged_rate)
+    )
     out = blank(signals)
-    out[:, 3:, 0] = -signals.lagged_rate @ spins - np.cross(signals.rate_rad_s, signals.lagged @ spins)
+    out[:, 3:, 0] = -change - np.cross(signals.rate_rad_s, momentum)
     return out
 
 

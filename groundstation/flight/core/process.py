@@ -20,43 +20,34 @@ from dataclasses import replace
 from typing import Any
 
 from drivers import bus
-from drivers.access import Login, hand_over
 from drivers.samples import Batch, decode_batch
-from groundstation.errors import BadInput, GroundStationError, Refused
+from groundstation.errors import BadInput, GroundStationError
 from groundstation.flight import sequence as seq
 from groundstation.flight import timeouts
-from groundstation.flight.children import Child, module_command, start_child
 from groundstation.flight.core.ground_check import check_ground
 from groundstation.flight.core.lease import OperatorLease
 from groundstation.flight.core.orders import ClientOrders
 from groundstation.flight.core.overview import FlightView
 from groundstation.flight.core.pacing import Pace
 from groundstation.flight.core.recorder import Recorder, open_recording, sound
-<<<<<<< HEAD
 from groundstation.flight.core.requests import Requests
 from groundstation.flight.core.settings import Settings, parse
-=======
 from groundstation.flight.core.suspects import LiveSuspects, Suspicion
 from groundstation.flight.core.until import FlyUntil
->>>>>>> main
+from groundstation.flight.core.vehicle_process import DRONE, VehicleProcess
 from groundstation.flight.core.worker import AnalysisWorker, Progress
 from groundstation.flight.journal import ENDPOINT_FILE, RAW_LOG, WATCH_FILE, Journal
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, Lease
-from groundstation.flight.until import Order
 from groundstation.recording.keeper import Keeper
 from groundstation.recording.manifest import write_manifest
 from groundstation.trajectory import Plan, flight_path, load_plan
 from groundstation.vehicle import Vehicle, load_vehicle
 
-DRONE = "vehicle"
 LOCK_STEP_SLACK = 20.0
 """Factor on all deadlines of a lock-stepped flight, which may run slower than the wall's clock."""
-LINK_MODULE = "groundstation.flight.link.process"
 WINDOW_MOVED_S = 0.5
 """By less, a window that is told again is the same one: a link's clock runs a little differently each time."""
-SUCCESSORS = 3
-"""Links started in the place of one that ended in flight, before the vehicle is left to its own failsafe."""
 
 
 class FlightCore:
@@ -80,25 +71,19 @@ class FlightCore:
         self.recorder: Recorder | None = None
         self.pace = Pace(lock_step=False)  # until the vehicle has said what it is
         self.lease = OperatorLease()
-<<<<<<< HEAD
-        self._clients = ClientOrders(self.lease, clock, lambda: self.state.phase, self.inbox.put, self.event)
-=======
         self._clients = ClientOrders(
-            self.lease, clock, lambda: self.state.phase, self.inbox.put, self._event, self._agree
+            self.lease, clock, lambda: self.state.phase, self.inbox.put, self.event, self._agree
         )
->>>>>>> main
         self.digested_s = self.moment_s = 0.0
         self._first_s: float | None = None
         self._window_end_s: float | None = None
-        self.heard_s = clock()
         self.finished = False
         self._credit_sent = (-1.0, -1e9)
         self._status_sent = -1e9
         self._malformed = 0
         self._abort_heard = False
-        self._successors = 0
         self._keeper: Keeper | None = None
-        self._drone: Child | None = None
+        self._process = VehicleProcess(settings, clock)
         self._worker: AnalysisWorker | None = None
         self._suspects: LiveSuspects | None = None
 
@@ -126,21 +111,13 @@ class FlightCore:
                 bus.watch_alive(session, CLIENT_ALIVE.format(client="*"), self.lease.client_alive),
             ]
             try:
-                self._start_drone(self.settings.take_over)
+                self._process.start(self.settings.take_over)
                 while not self.finished:
                     self._turn()
                 self._publish_status(force=True)
             finally:
                 self._shut_down()
         return self.state.exit_status if self.state.exit_status is not None else 1
-
-    def _start_drone(self, take_over: str = "") -> None:
-        more = ("--take-over", take_over) if take_over else ()
-        self._drone = start_child(
-            module_command(*self.settings.drone, *more, "--drone", DRONE, "--connect", self.settings.listen[0]),
-            self.settings.folder / "vehicle.log",
-            environment=hand_over(Login("drone", self.settings.secrets["drone"])),
-        )
 
     def _turn(self) -> None:
         """Handle what came, or what time brought."""
@@ -151,12 +128,8 @@ class FlightCore:
         except queue.Empty:
             pass
         self._check_children()
-<<<<<<< HEAD
         self.event(seq.Tick())
-=======
-        self._event(seq.Tick())
         self._suspect()
->>>>>>> main
         self._send_credit()
         self._publish_status()
 
@@ -190,7 +163,9 @@ class FlightCore:
             if is_alive:
                 self._requests.describe()
             else:
-                if not self._can_land_it():  # a link's end shows in its process, and another is started
+                if not self._process.can_be_replaced(
+                    self.state
+                ):  # a link's end shows in its process, and another is started
                     self.event(seq.VehicleLost("the vehicle's process vanished from the bus"))
 
         self.inbox.put(handle)
@@ -199,7 +174,7 @@ class FlightCore:
         """The vehicle said what it is: record it, and send it the plan."""
         if self.recorder is not None or self.state.final:
             return  # the vehicle's process came back; its flight goes on, or is over
-        self.heard_s = self.clock()
+        self._process.heard()
         self.description, self.pace = description, Pace(lock_step=not description.real_time)
         if self.plan.until is not None:
             self.view.until = FlyUntil(self.plan, self.vehicle, lock_step=self.pace.lock_step)
@@ -236,7 +211,7 @@ class FlightCore:
             self._check()
 
     def _on_batch(self, batch: Batch) -> None:
-        self.heard_s = self.clock()
+        self._process.heard()
         if not sound(batch, self.vehicle.rotors.count):
             self._malformed += 1
             return
@@ -250,7 +225,7 @@ class FlightCore:
             self._until_known(batch.until_s)
 
     def _on_word(self, word: bus.DroneStatus) -> None:
-        self.heard_s = self.clock()
+        self._process.heard()
         self.pace.told(word)
         for status in self.pace.due():
             self._on_status(status)
@@ -270,12 +245,7 @@ class FlightCore:
         if status.phase == "takeoff":
             self.event(seq.VehicleAirborne())
         elif status.phase == "exciting":
-<<<<<<< HEAD
-            self._note_window(status)
             self.event(seq.VehicleExciting())
-=======
-            self._event(seq.VehicleExciting())
->>>>>>> main
         elif status.phase == "landing":
             self.event(seq.VehicleLanding(self._early(status)))
         elif status.phase == "landed":
@@ -316,13 +286,9 @@ class FlightCore:
             return
         order, told = until.moment(host_s, self.description.batch_s, self.view.live.estimates, self.view.battery_v)
         if told:
-            self._tell("until", told)
+            self.tell("until", told)
         if order:
-            self._order(partial(self._change_length, order))
-
-    def _change_length(self, order: Order) -> None:
-        ok = self._command(order)  # type: ignore[arg-type]
-        self.inbox.put(lambda: self.view.until and self.view.until.answered(order, ok=ok))
+            self._requests.change_length(order, lambda ok: until.answered(order, ok=ok))
 
     def _suspect(self) -> None:
         """A flight at the wall clock's pace is diagnosed while it flies; a simulated one is over before that would tell anything."""
@@ -337,7 +303,7 @@ class FlightCore:
         self.view.suspects, self.view.suspects_s = found.suspects, found.seconds
         if found.suspects:
             likely = ", ".join(f"{s.effect} {s.odds:.0f}:1" for s in found.suspects)
-            self._tell("suspects", f"likely after {found.seconds:.0f} s of excitation: {likely}")
+            self.tell("suspects", f"likely after {found.seconds:.0f} s of excitation: {likely}")
 
     def _agree(self) -> str:
         return "this flight has a fixed length." if self.view.until is None else self.view.until.agree()
@@ -432,43 +398,25 @@ class FlightCore:
     # Housekeeping -----------------------------------------------------------------------------------------------------
 
     def _check_children(self) -> None:
-        done = self.state.phase in (seq.Phase.LANDED, seq.Phase.IDENTIFYING)
-        if not done and self._drone is not None and (status := self._drone.poll()) is not None:
-            detail = self._drone.last_words()
-            text = f"the vehicle's process ended with status {status}" + (f": {detail}" if detail else "")
-            self._lost(text, refused=detail if status == Refused.exit_status else "")
+        if self.state.phase in (seq.Phase.LANDED, seq.Phase.IDENTIFYING):
             return
-        patience = (
-            timeouts.VEHICLE_START_S
-            if self.recorder is None
-            else timeouts.LINK_SILENT_S
-            if self._can_land_it()
-            else timeouts.VEHICLE_SILENT_S
-        )
-        if self._successors and self.view.drone is None:
-            patience = timeouts.VEHICLE_START_S  # one that was just started
-        owed = self.recorder is None or self.pace.owes(self.state.phase, self.digested_s)
-        if not done and owed and self.clock() - self.heard_s > patience:
-            self._lost(f"nothing was heard from the vehicle's process for {patience:g} s")
-
-    def _can_land_it(self) -> bool:
-        """Whether another link may be started in the place of one that ended or hangs."""
-        linked = self.settings.drone[0] == LINK_MODULE
-        return linked and self.state.started and not self.state.final and self._successors < SUCCESSORS
+        if ended := self._process.ended():
+            self._lost(ended[0], refused=ended[1])
+            return
+        described, seen = self.recorder is not None, self.view.drone is not None
+        owed = not described or self.pace.owes(self.state.phase, self.digested_s)
+        if owed and (silence := self._process.silent(self.state, described=described, seen=seen)):
+            self._lost(silence)
 
     def _lost(self, reason: str, *, refused: str = "") -> None:
         """A link is started again and takes over by landing; another vehicle's process is lost."""
-        if not self._can_land_it():
+        if not self._process.can_be_replaced(self.state):
             self.event(seq.VehicleLost(refused or reason, refused=bool(refused)))
             return
-        if self._drone is not None:
-            self._drone.kill()  # one that hangs holds the port
-            self._drone.wait()
-        self._successors += 1
         self.tell("vehicle", "another link is started, and lands the vehicle", reason=reason)
         self.event(seq.LinkDied(f"{reason}; another link landed it"))
-        self.heard_s, self.view.drone = self.clock(), None
-        self._start_drone("land")
+        self.view.drone = None
+        self._process.replace()
 
     def _send_credit(self) -> None:
         now, credit = self.clock(), self.pace.credit_s(self.state.phase, self.digested_s)
@@ -497,9 +445,8 @@ class FlightCore:
             self._worker.stop()
         if self._suspects is not None:
             self._suspects.stop()
-        # A link may still have to bring its vehicle down or restore its parameters: it is never killed.
-        if self._drone is not None and not self._drone.leave(timeouts.VEHICLE_LEAVE_S):
-            self.tell("vehicle", "the vehicle's process goes on by itself", pid=self._drone.pid)
+        if (pid := self._process.leave()) is not None:
+            self.tell("vehicle", "the vehicle's process goes on by itself", pid=pid)
         elif self.recorder is not None:
             self._seal(RAW_LOG)
         for name in (ENDPOINT_FILE, WATCH_FILE):

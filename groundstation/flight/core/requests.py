@@ -91,6 +91,15 @@ class Requests:
         """Give one order."""
         self._run(self._kill if name == "kill" else self._orders, lambda: self._command(name))
 
+    def change_length(self, order: bus.CommandName, answered: Callable[[bool], None]) -> None:
+        """Ask for an earlier or a later end of the excitation; ``answered`` is told whether the vehicle agreed."""
+
+        def ask() -> None:
+            ok = self._command(order)
+            self._later(lambda: answered(ok))
+
+        self._run(self._orders, ask)
+
     def close(self) -> None:
         """Once everything asked was answered."""
         for pool in (self._orders, self._kill):
