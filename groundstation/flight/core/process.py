@@ -32,6 +32,7 @@ from groundstation.flight.core.pacing import Pace
 from groundstation.flight.core.recorder import Recorder, open_recording, sound
 from groundstation.flight.core.requests import Requests
 from groundstation.flight.core.settings import Settings, parse
+from groundstation.flight.core.status_events import event_of
 from groundstation.flight.core.suspects import LiveSuspects, Suspicion
 from groundstation.flight.core.until import FlyUntil
 from groundstation.flight.core.vehicle_process import DRONE, VehicleProcess
@@ -46,8 +47,6 @@ from groundstation.vehicle import Vehicle, load_vehicle
 
 LOCK_STEP_SLACK = 20.0
 """Factor on all deadlines of a lock-stepped flight, which may run slower than the wall's clock."""
-WINDOW_MOVED_S = 0.5
-"""By less, a window that is told again is the same one: a link's clock runs a little differently each time."""
 
 
 class FlightCore:
@@ -76,7 +75,6 @@ class FlightCore:
         )
         self.digested_s = self.moment_s = 0.0
         self._first_s: float | None = None
-        self._window_end_s: float | None = None
         self.finished = False
         self._credit_sent = (-1.0, -1e9)
         self._status_sent = -1e9
@@ -236,26 +234,17 @@ class FlightCore:
         self._stands(status)
         if not self.pace.lock_step:
             self._until_known(status.host_s)
-        self._note_window(status)
+        if self.recorder is not None and status.phase == "exciting" and status.window_s is not None:
+            self.recorder.window(status.window_s)
+            if self.view.until is not None:
+                self.view.until.follow(status)
         if before is not None and status.phase == before.phase:
             return
         if self.recorder is not None:
             self.recorder.status(status)
         self.journal.write("vehicle", status.phase, host_s=status.host_s, said=status.text)
-        if status.phase == "takeoff":
-            self.event(seq.VehicleAirborne())
-        elif status.phase == "exciting":
-            self.event(seq.VehicleExciting())
-        elif status.phase == "landing":
-            self.event(seq.VehicleLanding(self._early(status)))
-        elif status.phase == "landed":
-            self.event(seq.VehicleLanded(self._early(status)))
-        elif status.phase == "crashed":
-            self.event(
-                seq.VehicleLost(
-                    f"the vehicle crashed: {status.text}" if status.text else "the vehicle crashed", down=True
-                )
-            )
+        if (event := event_of(status, self.state.phase)) is not None:
+            self.event(event)
 
     def _stands(self, status: bus.DroneStatus) -> None:
         """An abort was answered, and the vehicle shows that it neither flies nor is armed."""
@@ -267,17 +256,6 @@ class FlightCore:
         self._abort_heard = True
         if self.view.drone is not None:
             self._stands(self.view.drone)
-
-    def _note_window(self, status: bus.DroneStatus) -> None:
-        """The excitation's window at its start, and where it ends elsewhere than it was to."""
-        if self.recorder is None or status.window_s is None or status.phase != "exciting":
-            return
-        start, end = status.window_s
-        if self._window_end_s is None or abs(end - self._window_end_s) > WINDOW_MOVED_S:
-            self._window_end_s = end
-            self.recorder.metadata({"window_start_s": repr(start), "window_end_s": repr(end)})
-        if self.view.until is not None:
-            self.view.until.follow(status)
 
     def _until_known(self, host_s: float) -> None:
         """Shortly before a rest point of a flight until known: whether it ends there or goes on."""
@@ -307,13 +285,6 @@ class FlightCore:
 
     def _agree(self) -> str:
         return "this flight has a fixed length." if self.view.until is None else self.view.until.agree()
-
-    def _early(self, status: bus.DroneStatus) -> str:
-        """Why the vehicle comes down before the excitation's end although nobody here asked for it; else empty."""
-        asked = self.state.phase is seq.Phase.LANDING
-        if asked or (status.window_s is not None and status.device_s >= status.window_s[1] - 0.1):
-            return ""
-        return status.text or "the vehicle came down by itself before the excitation was over"
 
     # Actions ----------------------------------------------------------------------------------------------------------
 
@@ -384,7 +355,7 @@ class FlightCore:
 
     def _analyse(self) -> None:
         if self._worker is None:
-            self.event(seq.AnalysisFinished(0, "not asked for"))
+            self.event(seq.AnalysisFinished(0, "" if self.state.aborting else "not asked for"))
             return
         self._worker.go()
         self.state = seq.analysing(self.state, self.clock())
