@@ -16,7 +16,7 @@ $(READY): pyproject.toml constraints.txt
 	@python="$$($(FIND_PYTHON))"; \
 	  if [ -z "$$python" ]; then echo "Python 3.11 or later with venv is needed; install it, or: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)" >&2; exit 1; fi; \
 	  [ -x $(PY) ] && $(PY) -m pip --version >/dev/null 2>&1 || "$$python" -m venv --clear $(VENV)
-	$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev,mocap]'
+	$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	@# A first flight compiles what numba compiles, so that the next one starts at once.
 	@$(VENV)/bin/groundstation rehearse --scenario clean --logs $(VENV)/first-flight >/dev/null 2>$(VENV)/first-flight.log || \
 	  { tail -n 5 $(VENV)/first-flight.log; echo "the first flight failed; going on" >&2; }
@@ -72,7 +72,7 @@ fuzz: $(READY)  ## mutated inputs over every reader: ARGS='--minutes 60', '--cou
 lock: $(READY)  ## requirements.lock: the packages of constraints.txt with the hashes of their files
 	@work=$$(mktemp -d) && trap 'rm -rf "$$work"' EXIT && $(PY) -m venv "$$work" && \
 	  "$$work/bin/python" -m pip install --quiet --disable-pip-version-check uv==0.13.9 && \
-	  "$$work/bin/uv" pip compile pyproject.toml --quiet --universal --python-version 3.11 --generate-hashes --extra dev --extra mocap \
+	  "$$work/bin/uv" pip compile pyproject.toml --quiet --universal --python-version 3.11 --generate-hashes --extra dev \
 	    --constraint constraints.txt --no-emit-index-url --no-header --no-annotate --output-file requirements.lock >/dev/null
 
 clean:  ## remove the virtual environment and caches, never a flight

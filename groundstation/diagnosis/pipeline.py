@@ -9,7 +9,7 @@ from typing import Any
 from groundstation.diagnosis.augmented import known_candidates
 from groundstation.diagnosis.base import base_fit, for_evidence
 from groundstation.diagnosis.case import Case, case_of, sensors, thrust_exponent
-from groundstation.diagnosis.comparison import base_covariance
+from groundstation.diagnosis.comparison import base_covariance, flight_parameters
 from groundstation.diagnosis.effect import catalogue
 from groundstation.diagnosis.judging import Judged, judge
 from groundstation.diagnosis.next_flight import rival_entries
@@ -89,6 +89,7 @@ def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged, air: S
         parameters_before=judged.before,
         parameters_after=judged.after,
         covariance_after=base_covariance(selected.evidence, case.vehicle, selected.chosen),
+        by_flight=tuple(flight_parameters(selected.evidence, selected.chosen)) if len(case.suspects) > 1 else (),
         next_flight=_next_flight(judged.findings, judged.unexplained),
         reason=" ".join(filter(None, (judged.worse, reason))),
         warnings=tuple(_warnings(case.suspects)),

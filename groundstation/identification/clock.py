@@ -30,12 +30,14 @@ def coarse_offset(
     *,
     expected_s: float = 0.0,
     source: str = "motion capture",
+    by_size: bool = False,
 ) -> tuple[float, float]:
     """Pose stamp minus gyro stamp of one instant, to a few milliseconds, by correlating smoothed rates.
 
     Args:
         expected_s: centre of the search, e.g. from arrival times; the search goes as far as half of each record overlaps.
         source: of the attitudes, for the refusal.
+        by_size: compare how fast both turn, not about which axes: for a marker body that is mounted anyhow.
 
     Returns:
         Offset in seconds and the correlation coefficient there.
@@ -44,6 +46,8 @@ def coarse_offset(
         Refused: the records share no motion to align by.
     """
     pose_rate, t_mid = rates_from_attitude(t_pose, quaternion)
+    if by_size:
+        gyro, pose_rate = (np.linalg.norm(rate, axis=1, keepdims=True) for rate in (gyro, pose_rate))
     step = 1.0 / GRID_HZ
     grid_g = np.arange(t_gyro[0], t_gyro[-1], step)
     grid_p = np.arange(t_mid[0], t_mid[-1], step)
@@ -78,7 +82,7 @@ def _correlation(a: Array, b: Array) -> tuple[Array, Array]:
     """Correlation of b with a at every lag, and its coefficient; -1 where less than half of the shorter one overlaps."""
     from scipy.signal import correlate
 
-    total = np.asarray(sum(correlate(b[:, i], a[:, i], method="fft") for i in range(3)))
+    total = np.asarray(sum(correlate(b[:, i], a[:, i], method="fft") for i in range(a.shape[1])))
     # The energies are those of the overlapping parts, so that the length of an overlap counts neither for nor against it.
     ones_a, ones_b = np.ones(len(a)), np.ones(len(b))
     energy = np.sqrt(

@@ -25,7 +25,7 @@ from drivers import bus
 from drivers.access import own_login
 from drivers.mavlink import tlog
 from drivers.mavlink.transports import Transport, open_transport
-from drivers.samples import Batch, Motors, Raw, Sample, encode_batch
+from drivers.samples import Batch, Motors, Pose, Raw, Sample, encode_batch
 from groundstation.errors import BadInput, GroundStationError, Refused
 from groundstation.flight import timeouts
 from groundstation.flight.link.arguments import bandwidth_of, free_bytes, parse, signing_of
@@ -106,7 +106,7 @@ class LinkProcess:
         self._told_failures: set[str] = set()
         self._logger = Writer("raw log", self._write_log) if self._log is not None else None
         mocap = core.station.mocap
-        self._poses = PoseSource(mocap) if mocap.system != "none" else None
+        self._poses = PoseSource(mocap, vehicle) if mocap.system != "none" else None
 
     def run(self, endpoint: str) -> int:
         """Serve the core at an endpoint; returns the exit status."""
@@ -228,8 +228,11 @@ class LinkProcess:
         now = self.clock()
         if self._stop_reason and self.core.pilot is not None and self.core.pilot.phase in IN_AIR:
             self.core.order("abort", now, self._stop_reason)
-        for pose, received_s in self._poses.read() if self._poses is not None else ():
-            self._emit(self.core.pose(pose, received_s))
+        for sample, received_s in self._poses.read() if self._poses is not None else ():
+            if isinstance(sample, Pose):
+                self._emit(self.core.pose(sample, received_s))
+            else:
+                self.core.mocap_told(sample, received_s)
         self._emit(self.core.step(now, self.transport.read()))
         if self.core.peer is not None:
             self.transport.answer(self.core.peer)
