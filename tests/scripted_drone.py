@@ -19,12 +19,14 @@ from drivers import bus
 from drivers.access import own_login
 from drivers.samples import Batch, Battery, Imu, Motors, Pose, encode_batch
 
-PHASES = (("takeoff", 2.0), ("exciting", 6.0), ("landing", 2.0))
+PHASES: tuple[tuple[bus.DronePhase, float], ...] = (("takeoff", 2.0), ("exciting", 6.0), ("landing", 2.0))
 STEP_S = 0.05
 REST = Imu(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.80665))
 
 
 class Drone:
+    phase: bus.DronePhase
+
     def __init__(self, options):
         self.fault, _, self.fault_phase = (options.fault or "none@never").partition("@")
         self.session = bus.open_session(connect=[options.connect], login=own_login())
@@ -101,7 +103,7 @@ class Drone:
         else:
             self.report()
 
-    def enter(self, phase):
+    def enter(self, phase: bus.DronePhase):
         self.phase = phase
         self.report()
         if phase != self.fault_phase:

@@ -45,7 +45,11 @@ def made():
     alone = dict.fromkeys(("mocap", "battery", "setpoint", "state", "plan", "window_s", "truth"))
     motors = Stream(whole.motors.t_s, speed, motor_columns("rotor_speed", 4))
     return replace(
-        whole, vehicle=vehicle_from_dict(document), motors=motors, imu=replace(whole.imu, received_s=None), **alone
+        whole,
+        vehicle=vehicle_from_dict(document),
+        motors=motors,
+        imu=replace(whole.streams()["imu"], received_s=None),
+        **alone,
     )
 
 

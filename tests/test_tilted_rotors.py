@@ -50,7 +50,7 @@ def test_six_rows_are_the_sum_of_thrusts_levers_and_reactions():
     rotors = vehicle.rotors
     thrust = np.array([3.0, 4.0, 5.0, 6.0, 7.0, 8.0])
     force, torque = np.zeros(3), np.zeros(3)
-    for t, place, axis, spin in zip(thrust, rotors.position_m, rotors.axis, rotors.spin, strict=True):
+    for t, place, axis, spin in zip(thrust, rotors.position_m, rotors.axes(), rotors.spin, strict=True):
         force += t * np.array(axis)
         torque += np.cross(place, t * np.array(axis)) - spin * rotors.torque_to_thrust_m * t * np.array(axis)
     assert np.allclose(vehicle.six_row_allocation() @ thrust, [*force, *torque])
@@ -141,10 +141,12 @@ def test_exports_hold_the_axes_or_refuse_by_name():
     vehicle = shipped("hexa-tilted")
     document = document_of(vehicle)
     place = np.array(vehicle.rotors.position_m)
-    rows = np.array([e.get("gear").split() for e in elements(document, "mjcf", "general")], dtype=float).T
+    rows = np.array([e.attrib["gear"].split() for e in elements(document, "mjcf", "general")], dtype=float).T
     rows[3:] += np.cross(place, rows[:3].T).T  # MuJoCo applies them at the rotor's site
     assert np.allclose(rows, vehicle.six_row_allocation(), atol=1e-6)
-    poses = [link.findtext("pose").split() for link in elements(document, "sdf", "link") if "rotor" in link.get("name")]
+    poses = [
+        (e.findtext("pose") or "").split() for e in elements(document, "sdf", "link") if "rotor" in e.attrib["name"]
+    ]
     turned = quat_rotate(quat_from_euler(*np.array(poses, dtype=float)[:, 3:].T), np.array([0.0, 0.0, 1.0]))
     assert np.allclose(turned, vehicle.rotors.axes(), atol=1e-6)
     assert "shaftAxis 0.342020" in export(document, "webots")

@@ -275,6 +275,7 @@ def to_matfile(model: Identified) -> bytes:
         **values,
         "inertia_kg_m2": vehicle.inertia_tensor(),
         "rotor_position_m": np.asarray(vehicle.rotors.position_m),
+        "rotor_axis": vehicle.rotors.axes(),
         "rotor_spin": np.asarray(vehicle.rotors.spin, dtype=float),
         "std": {name: model.std.get(name, 0.0) for name in values},
     }
