@@ -98,7 +98,9 @@ class Drone:
             if self.fault == "hold" and self.phase == self.fault_phase:
                 self.start_s += STEP_S
             flown = self.host_s - self.start_s
-            at = next((name for (name, _), end in zip(PHASES, ends, strict=True) if flown < end), "landed")
+            at: bus.DronePhase = next(
+                (name for (name, _), end in zip(PHASES, ends, strict=True) if flown < end), "landed"
+            )
             self.enter(at) if at != self.phase else self.report()
         else:
             self.report()
