@@ -20,6 +20,7 @@ from drivers.access import own_login
 from drivers.samples import Batch, Battery, Imu, Motors, Pose, encode_batch
 
 PHASES: tuple[tuple[bus.DronePhase, float], ...] = (("takeoff", 2.0), ("exciting", 6.0), ("landing", 2.0))
+LANDED: bus.DronePhase = "landed"
 STEP_S = 0.05
 REST = Imu(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.80665))
 
@@ -98,9 +99,8 @@ class Drone:
             if self.fault == "hold" and self.phase == self.fault_phase:
                 self.start_s += STEP_S
             flown = self.host_s - self.start_s
-            at: bus.DronePhase = next(
-                (name for (name, _), end in zip(PHASES, ends, strict=True) if flown < end), "landed"
-            )
+            begun = [name for (name, _), end in zip(PHASES, ends, strict=True) if flown < end]
+            at = begun[0] if begun else LANDED
             self.enter(at) if at != self.phase else self.report()
         else:
             self.report()
