@@ -99,8 +99,8 @@ class Drone:
             if self.fault == "hold" and self.phase == self.fault_phase:
                 self.start_s += STEP_S
             flown = self.host_s - self.start_s
-            begun = [name for (name, _), end in zip(PHASES, ends, strict=True) if flown < end]
-            at = begun[0] if begun else LANDED
+            begun: list[bus.DronePhase] = [name for (name, _), end in zip(PHASES, ends, strict=True) if flown < end]
+            at: bus.DronePhase = begun[0] if begun else LANDED
             self.enter(at) if at != self.phase else self.report()
         else:
             self.report()
