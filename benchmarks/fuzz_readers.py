@@ -150,10 +150,10 @@ def _readable(text: str, form: str) -> None:
 def _diagnosis(path: Path) -> object:
     from groundstation.diagnosis.next_flight import candidate, contenders
     from groundstation.documents import read_diagnosis
-    from groundstation.tui import text
+    from groundstation.tui import documents
 
     document = read_diagnosis(path)
-    text.finding_text(document), text.error_rows(document), text.suspect_rows(document)
+    documents.finding_text(document), documents.error_rows(document), documents.suspect_rows(document)
     rivals, shared = contenders(document)
     return [candidate(each, vehicle("qball2"), shared) for each in rivals]
 
@@ -161,7 +161,7 @@ def _diagnosis(path: Path) -> object:
 def _results(folder: Path) -> object:
     """A folder of flights: what the catalogue takes of each, and what the screens show of it."""
     from groundstation.fleet.rows import row_of
-    from groundstation.tui import text
+    from groundstation.tui import documents
     from groundstation.tui.results import read_results
 
     rows = []
@@ -169,13 +169,13 @@ def _results(folder: Path) -> object:
         rows.append(row_of(flight, 0))
         results = read_results(flight)
         if results.identification:
-            text.method_table(results.identification, results.declared, 4)
-            text.identification_notes(results.identification), text.validation_rows(results.identification)
+            documents.method_table(results.identification, results.declared, 4)
+            documents.identification_notes(results.identification), documents.validation_rows(results.identification)
         if results.diagnosis:
             (
-                text.finding_text(results.diagnosis),
-                text.error_rows(results.diagnosis),
-                text.suspect_rows(results.diagnosis),
+                documents.finding_text(results.diagnosis),
+                documents.error_rows(results.diagnosis),
+                documents.suspect_rows(results.diagnosis),
             )
     return rows
 
