@@ -31,6 +31,7 @@ from typing import Any
 
 import tomli_w
 
+from benchmarks.firmware import PX4_ENVIRONMENT, arducopter_command, px4_command
 from benchmarks.rig import PLAN, free_port
 from groundstation.errors import BadInput, GroundStationError
 from groundstation.flight.client.client import outcome, start_core
@@ -136,8 +137,7 @@ class World:
 
     def _px4(self, binary: Path) -> tuple[Callable[[], None], str]:
         server = socket.create_server(("127.0.0.1", 4560))
-        etc = binary.resolve().parents[1] / "etc"
-        self._start([str(binary), "-d", str(etc), "-w", str(self._root)], PX4_SIM_MODEL="none_iris")
+        self._start(px4_command(binary, self._root), **PX4_ENVIRONMENT)
 
         def run() -> None:
             connection, _ = server.accept()
@@ -149,10 +149,7 @@ class World:
     def _arducopter(self, binary: Path) -> tuple[Callable[[], None], str]:
         place = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         place.bind(("127.0.0.1", 9002))
-        own = self._root / "copter.parm"
-        own.write_text("FRAME_CLASS 1\nFRAME_TYPE 1\nSIM_RATE_HZ 1000\n")
-        shipped = binary.resolve().parents[3] / "Tools" / "autotest" / "default_params" / "copter.parm"
-        self._start([str(binary), "--model", "JSON:127.0.0.1", "--defaults", f"{shipped},{own}", "--wipe"])
+        self._start(arducopter_command(binary, self._root))
 
         def run() -> None:
             with place:
