@@ -20,6 +20,8 @@ SELDOM = 0.75
 AMPLE = 1.5
 """What comes so many times as often as needed is left alone."""
 ROUNDS = 3
+ORIGIN_TRIES = 20
+"""Once a second: ArduPilot takes no origin before its filter has started, some ten seconds after a restart."""
 _KEPT = frozenset(
     {"HEARTBEAT", "SYS_STATUS", "STATUSTEXT", "COMMAND_ACK", "COMMAND_LONG", "TIMESYNC", "AUTOPILOT_VERSION",
      "PARAM_VALUE", "POSE"}
@@ -184,7 +186,7 @@ class Preparation:
 
     def _fuse(self) -> Steps[None]:
         """Tell it where it is, and wait for the estimator to take the poses. The checks say whether it did."""
-        yield Ask((self.view.profile.origin(),), _named("GPS_GLOBAL_ORIGIN"), 1.0, 3)
+        yield Ask((self.view.profile.origin(),), _named("GPS_GLOBAL_ORIGIN"), 1.0, ORIGIN_TRIES)
         since_s = inf
 
         def steady(_m: Message) -> bool:

@@ -13,8 +13,8 @@ from drivers.samples import Pose, Vector3
 
 FORCE_DISARM = 21196.0
 """Magic second parameter of MAV_CMD_COMPONENT_ARM_DISARM: stop the motors in the air too."""
-ORIGIN = (473977418, 85455939, 0)
-"""A place, 1e-7 degrees and mm: ArduPilot takes none at latitude and longitude 0, PX4 wants the floor's altitude to be 0."""
+PLACE = (473977418, 85455939)
+"""Latitude and longitude of an origin that satellites do not tell, 1e-7 degrees: ArduPilot takes none at 0, 0."""
 
 Version = tuple[int, int]
 
@@ -104,6 +104,7 @@ class Profile:
         streams: messages to ask for.
         parameters: what to check or set.
         arms_led: without satellites it arms in no mode but the one that follows setpoints, while they flow.
+        origin_altitude_mm: of an origin that satellites do not tell.
         pose_delay: the parameter that tells its estimator how late external poses are stamped, ms.
         pwm_us: servo output at command 0 and 1.
         setpoint_timeout_s: how long after the last setpoint the autopilot reacts by itself.
@@ -130,6 +131,7 @@ class Profile:
     scripting: ClassVar[str] = ""
     arms_led: ClassVar[bool] = False
     pose_delay: ClassVar[str]
+    origin_altitude_mm: ClassVar[int]
     prearm_in_health_alone: ClassVar[bool] = False
 
     system: int = 1
@@ -201,10 +203,10 @@ class Profile:
     def origin(self) -> Message:
         """SET_GPS_GLOBAL_ORIGIN, for a position that satellites do not tell.
 
-        ArduCopter has no position without one. PX4 takes the height of a pose for an altitude, and tells its own as what that is above
+        ArduCopter has no position without one, and takes an altitude of 0 for none, so that it resets its height every second. PX4 takes the height of a pose for an altitude, and tells its own as what that is above
         the origin's: one that satellites set before would put the vehicle hundreds of metres under the floor.
         """
-        return mavlink.MAVLink_set_gps_global_origin_message(self.system, *ORIGIN)
+        return mavlink.MAVLink_set_gps_global_origin_message(self.system, *PLACE, self.origin_altitude_mm)
 
     def external_pose(self, pose: Pose, stamp_s: float, std_m: float, std_rad: float, resets: int) -> Sequence[Message]:
         """A motion-capture pose for the estimator, stamped with its capture time on the clock we answer TIMESYNC with."""
