@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from math import nextafter
 
 import numpy as np
 
@@ -314,7 +315,7 @@ class Pilot:
         begin, end = self._window()
         before, self.path_s = self.path_s, self.path_s + dt
         if before < begin <= self.path_s and not self._settled():
-            self.path_s = np.nextafter(begin, 0.0)
+            self.path_s = nextafter(begin, 0.0)
             self._waiting_since_s = now_s if self._waiting_since_s is None else self._waiting_since_s
             if now_s - self._waiting_since_s > self.policy.settle_timeout_s:
                 self.land(now_s, f"the vehicle did not settle within {self.policy.settle_timeout_s:g} s; not excited")
@@ -338,7 +339,7 @@ class Pilot:
     def _hand_over(self, begin: float, now_s: float) -> None:
         """From here the script on board leads; setpoints of ours would contradict it."""
         assert self._script is not None  # noqa: S101 - asked before
-        self.path_s, self._handed_over, self.setpoint_sent_s = np.nextafter(begin, 0.0), True, None
+        self.path_s, self._handed_over, self.setpoint_sent_s = nextafter(begin, 0.0), True, None
         self._begin(self._script.start(), now_s)
 
     def _watch_script(self, now_s: float) -> None:
@@ -350,7 +351,7 @@ class Pilot:
         match self._script.state(now_s):
             case "flying":
                 flown = self._script.progress_s(now_s)
-                self.path_s = min(begin + flown, float(np.nextafter(end, 0.0)))
+                self.path_s = min(begin + flown, nextafter(end, 0.0))
                 self.excitation_s = (self.excitation_s[0] or now_s - flown, None)
                 self.target = target_at(self.path, self.path_s)
             case "complete":
