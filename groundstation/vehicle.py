@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from groundstation.errors import BadInput
 from groundstation.outside import read_toml
+from groundstation.targets import parse_targets
 
 Array = NDArray[np.float64]
 Vector3 = tuple[float, float, float]
@@ -153,6 +154,22 @@ class Control(_Section):
     derivative_filter_rad_s: Positive = 20.0
 
 
+class Until(_Section):
+    """How long a flight lasts where its length is decided in flight: until ``targets`` are met, ``at_most_s`` of excitation at the most."""
+
+    targets: str
+    at_most_s: Positive = 80.0
+
+    @field_validator("targets")
+    @classmethod
+    def _are_targets(cls, value: str) -> str:
+        try:
+            parse_targets(value)
+        except BadInput as error:
+            raise ValueError(str(error)) from None
+        return value
+
+
 class IdentificationSettings(_Section):
     """Constants of the place, how surely the declared values are known, and what anchors the scale."""
 
@@ -177,6 +194,7 @@ class Vehicle(_Section):
     limits: Limits = Limits()
     control: Control = Control()
     identification: IdentificationSettings = IdentificationSettings()
+    until: Until | None = None
 
     @property
     def gravity_m_s2(self) -> float:
@@ -247,7 +265,7 @@ class Vehicle(_Section):
         return float(np.mean(np.linalg.norm(np.asarray(self.rotors.position_m)[:, :2], axis=1)))
 
 
-_TOP = {"vehicle", "rotors", "imu", "mocap", "battery", "limits", "control", "identification"}
+_TOP = {"vehicle", "rotors", "imu", "mocap", "battery", "limits", "control", "identification", "until"}
 
 
 def _flatten(document: dict) -> dict:

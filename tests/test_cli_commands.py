@@ -11,6 +11,7 @@ import pytest
 
 from groundstation.cli import COMMANDS
 from groundstation.commands.common import ProgressLine, assignments, result_folder, seconds_pair
+from groundstation.commands.listing import SECTIONS
 from groundstation.errors import BadInput
 from groundstation.paths import find_config
 
@@ -31,11 +32,42 @@ def test_help_is_there_at_once():
     assert min(times) < 1.5  # 0.1 s on an idle machine; the promise is 0.5 s
 
 
-def test_help_imports_nothing_heavy():
+HEAVY = ("numpy", "scipy", "pydantic", "numba", "casadi", "pandas", "duckdb", "plotly", "matplotlib")
+STARTS = {
+    "help": "from groundstation.cli import main; main(['--help'])",
+    "doctor": "from groundstation.cli import main; main(['doctor'])",
+    "first screen": "import groundstation.tui.app as ui; ui.GroundStation.MODES['station']()",
+}
+
+
+@pytest.mark.parametrize("start", list(STARTS))
+def test_what_has_to_be_there_at_once_imports_nothing_heavy(start):
+    code = f"import sys; {STARTS[start]}; print([m for m in {HEAVY} if m in sys.modules], file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stderr.strip() == "[]"
+
+
+def test_help_lists_every_command_once_on_a_line_of_80_columns():
+    listed = [name for section in SECTIONS.values() for name in section]
+    assert sorted(listed) == sorted(COMMANDS)
+    assert len(listed) == len(set(listed))
+    lines = groundstation("--help").stdout.splitlines()
+    for section in SECTIONS.values():
+        for name, summary in section.items():
+            assert any(line.split(maxsplit=1) == [name, summary] for line in lines), name
+    assert max(map(len, lines)) <= 80
+
+
+def test_the_package_runs_as_a_module():
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "groundstation", "--version"], capture_output=True, text=True, timeout=60
+    )
+    assert done.stdout.startswith("groundstation, version ")
+
+
+def test_help_imports_neither_bus_nor_screens():
     code = (
-        "import sys; from groundstation.cli import main; main(['--help']);"
-        "print([m for m in ('numpy', 'scipy', 'pydantic', 'zenoh', 'numba', 'casadi', 'plotly', 'textual')"
-        " if m in sys.modules], file=sys.stderr)"
+        f"import sys; {STARTS['help']}; print([m for m in ('zenoh', 'textual') if m in sys.modules], file=sys.stderr)"
     )
     done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, timeout=60)
     assert done.stderr.strip() == "[]"

@@ -130,3 +130,12 @@ SCRIPT_HEARD_S = 5.0
 SCRIPT_SILENT_S = 2.0
 """Silence of the script on board that counts as its end. Reports come ten times a second; on a telemetry radio one in a second may get
 through."""
+
+UNTIL_AHEAD_S = 1.0
+"""Before a rest point, when it is decided whether the excitation ends there: time for the order to arrive."""
+UNTIL_SIMULATED_AHEAD_S = 0.2
+"""The same where simulated time stands still until the order is answered."""
+UNTIL_PREVIEW_S = 1.0
+"""Between two looks that only the screen gets."""
+SUSPECTS_EVERY_S = 5.0
+"""Between two diagnoses of a flight while it flies."""

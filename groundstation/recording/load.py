@@ -180,12 +180,15 @@ def checked_flight(recording: Recording, declared: Vehicle, path: str) -> Flight
             f"{path}: the motors are recorded as {has[0]} to {has[-1]}, but the vehicle file asks for {wanted[0]} to "
             f"{wanted[-1]}; give the file of this vehicle, with its own [rotors] input."
         )
+    plan, window = recording.plan(path), recording.window_s
+    if plan is not None and window is not None:
+        plan = plan.as_flown(window[1] - window[0])
     return FlightData(
         name=recording.name,
         vehicle=declared,
         extras=recording.extras,
-        plan=recording.plan(path),
-        window_s=recording.window_s,
+        plan=plan,
+        window_s=window,
         truth=recording.truth(path),
         metadata=recording.metadata,
         notes=recording.notes,

@@ -36,10 +36,13 @@ from groundstation.flight.core.orders import ClientOrders
 from groundstation.flight.core.overview import FlightView
 from groundstation.flight.core.pacing import Pace
 from groundstation.flight.core.recorder import Recorder, open_recording, sound
+from groundstation.flight.core.suspects import LiveSuspects, Suspicion
+from groundstation.flight.core.until import FlyUntil
 from groundstation.flight.core.worker import AnalysisWorker, Progress
 from groundstation.flight.journal import ENDPOINT_FILE, RAW_LOG, WATCH_FILE, Journal
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, Lease
+from groundstation.flight.until import Order
 from groundstation.recording.keeper import Keeper
 from groundstation.recording.manifest import write_manifest
 from groundstation.trajectory import Plan, flight_path, load_plan
@@ -49,6 +52,8 @@ DRONE = "vehicle"
 LOCK_STEP_SLACK = 20.0
 """Factor on all deadlines of a lock-stepped flight, which may run slower than the wall's clock."""
 LINK_MODULE = "groundstation.flight.link.process"
+WINDOW_MOVED_S = 0.5
+"""By less, a window that is told again is the same one: a link's clock runs a little differently each time."""
 SUCCESSORS = 3
 """Links started in the place of one that ended in flight, before the vehicle is left to its own failsafe."""
 
@@ -93,9 +98,12 @@ class FlightCore:
         self.recorder: Recorder | None = None
         self.pace = Pace(lock_step=False)  # until the vehicle has said what it is
         self.lease = OperatorLease()
-        self._clients = ClientOrders(self.lease, clock, lambda: self.state.phase, self.inbox.put, self._event)
+        self._clients = ClientOrders(
+            self.lease, clock, lambda: self.state.phase, self.inbox.put, self._event, self._agree
+        )
         self.digested_s = self.moment_s = 0.0
         self._first_s: float | None = None
+        self._window_end_s: float | None = None
         self.heard_s = clock()
         self.finished = False
         self._credit_sent = (-1.0, -1e9)
@@ -107,6 +115,7 @@ class FlightCore:
         self._orders = ThreadPoolExecutor(2, thread_name_prefix="orders")
         self._drone: Child | None = None
         self._worker: AnalysisWorker | None = None
+        self._suspects: LiveSuspects | None = None
 
     # Main loop --------------------------------------------------------------------------------------------------------
 
@@ -158,6 +167,7 @@ class FlightCore:
             pass
         self._check_children()
         self._event(seq.Tick())
+        self._suspect()
         self._send_credit()
         self._publish_status()
 
@@ -206,7 +216,12 @@ class FlightCore:
             return  # the vehicle's process came back; its flight goes on, or is over
         self.heard_s = self.clock()
         self.description, self.pace = description, Pace(lock_step=not description.real_time)
-        sink = open_recording(self.settings.folder, self.settings.plan, self.settings.vehicle, description)
+        if self.plan.until is not None:
+            self.view.until = FlyUntil(self.plan, self.vehicle, lock_step=self.pace.lock_step)
+            self.view.live.inline = self.pace.lock_step
+        sink = open_recording(
+            self.settings.folder, self.settings.plan, self.settings.vehicle, description, self.settings.drone
+        )
         self.recorder = Recorder(
             sink,
             on_digested=lambda host_s: self.inbox.put(lambda: self._digested(host_s)),
@@ -246,6 +261,8 @@ class FlightCore:
         self.view.see(batch.samples, self.state.phase)
         for status in self.pace.due():
             self._on_status(status)
+        if self.pace.lock_step:
+            self._until_known(batch.until_s)
 
     def _on_word(self, word: bus.DroneStatus) -> None:
         self.heard_s = self.clock()
@@ -257,6 +274,9 @@ class FlightCore:
         self.moment_s = status.host_s
         before, self.view.drone = self.view.drone, status
         self._stands(status)
+        if not self.pace.lock_step:
+            self._until_known(status.host_s)
+        self._note_window(status)
         if before is not None and status.phase == before.phase:
             return
         if self.recorder is not None:
@@ -265,7 +285,6 @@ class FlightCore:
         if status.phase == "takeoff":
             self._event(seq.VehicleAirborne())
         elif status.phase == "exciting":
-            self._note_window(status)
             self._event(seq.VehicleExciting())
         elif status.phase == "landing":
             self._event(seq.VehicleLanding(self._early(status)))
@@ -289,9 +308,48 @@ class FlightCore:
             self._stands(self.view.drone)
 
     def _note_window(self, status: bus.DroneStatus) -> None:
-        if self.recorder is not None and status.window_s is not None:
-            start, end = status.window_s
+        """The excitation's window at its start, and where it ends elsewhere than it was to."""
+        if self.recorder is None or status.window_s is None or status.phase != "exciting":
+            return
+        start, end = status.window_s
+        if self._window_end_s is None or abs(end - self._window_end_s) > WINDOW_MOVED_S:
+            self._window_end_s = end
             self.recorder.metadata({"window_start_s": repr(start), "window_end_s": repr(end)})
+        if self.view.until is not None:
+            self.view.until.follow(status)
+
+    def _until_known(self, host_s: float) -> None:
+        """Shortly before a rest point of a flight until known: whether it ends there or goes on."""
+        until = self.view.until
+        if until is None or self.state.phase is not seq.Phase.EXCITING:
+            return
+        order, told = until.moment(host_s, self.description.batch_s, self.view.live.estimates, self.view.battery_v)
+        if told:
+            self._tell("until", told)
+        if order:
+            self._order(partial(self._change_length, order))
+
+    def _change_length(self, order: Order) -> None:
+        ok = self._command(order)  # type: ignore[arg-type]
+        self.inbox.put(lambda: self.view.until and self.view.until.answered(order, ok=ok))
+
+    def _suspect(self) -> None:
+        """A flight at the wall clock's pace is diagnosed while it flies; a simulated one is over before that would tell anything."""
+        if self.state.phase is seq.Phase.EXCITING and not self.pace.lock_step and self.settings.analyse:
+            if self._suspects is None:
+                self._suspects = LiveSuspects(self.settings.folder, self._from_bus(self._suspected))
+            self._suspects.ask(self.clock())
+        elif self._suspects is not None:
+            self._suspects.stop()
+
+    def _suspected(self, found: Suspicion) -> None:
+        self.view.suspects, self.view.suspects_s = found.suspects, found.seconds
+        if found.suspects:
+            likely = ", ".join(f"{s.effect} {s.odds:.0f}:1" for s in found.suspects)
+            self._tell("suspects", f"likely after {found.seconds:.0f} s of excitation: {likely}")
+
+    def _agree(self) -> str:
+        return "this flight has a fixed length." if self.view.until is None else self.view.until.agree()
 
     def _early(self, status: bus.DroneStatus) -> str:
         """Why the vehicle comes down before the excitation's end although nobody here asked for it; else empty."""
@@ -463,6 +521,8 @@ class FlightCore:
 
     def _send_credit(self) -> None:
         now, credit = self.clock(), self.pace.credit_s(self.state.phase, self.digested_s)
+        if self.view.until is not None:
+            credit = min(credit, self.view.until.hold_s())
         sent, at = self._credit_sent
         if self.recorder is not None and (credit >= sent + 0.1 or now - at > timeouts.CREDIT_EVERY_S):
             self._credit.put(bus.Credit(credit))
@@ -484,6 +544,8 @@ class FlightCore:
             self.recorder.close()
         if self._worker is not None:
             self._worker.stop()
+        if self._suspects is not None:
+            self._suspects.stop()
         # A link may still have to bring its vehicle down or restore its parameters: it is never killed.
         if self._drone is not None and not self._drone.leave(timeouts.VEHICLE_LEAVE_S):
             self._tell("vehicle", "the vehicle's process goes on by itself", pid=self._drone.pid)

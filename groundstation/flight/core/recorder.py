@@ -11,7 +11,7 @@ import platform
 import queue
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -21,6 +21,7 @@ import numpy as np
 from drivers.bus import Description, DroneStatus
 from drivers.samples import Batch, Event, Motors, Raw, Sample
 from groundstation.flight.messages import StreamStatus
+from groundstation.paths import commit
 from groundstation.recording.computed_speeds import COMMANDS
 
 if TYPE_CHECKING:
@@ -187,8 +188,10 @@ class Recorder:
         return isinstance(sample, Motors) and sample.kind == "command" != self._motor_kind
 
 
-def open_recording(folder: Path, plan: Path, vehicle: Path, description: Description) -> McapRecorder:
-    """``flight.mcap`` of a flight, with what has to be known to read it: vehicle, plan, truth if simulated, versions."""
+def open_recording(
+    folder: Path, plan: Path, vehicle: Path, description: Description, drone: Sequence[str] = ()
+) -> McapRecorder:
+    """``flight.mcap`` of a flight, with what has to be known to read it: vehicle, plan, truth if simulated, seed, versions."""
     from groundstation.recording.recorder import McapRecorder
 
     metadata = {
@@ -198,6 +201,8 @@ def open_recording(folder: Path, plan: Path, vehicle: Path, description: Descrip
         "motor_kind": description.motor_kind,
         "python": platform.python_version(),
         "notes": json.dumps(description.notes),
+        **({"seed": drone[drone.index("--seed") + 1]} if "--seed" in drone[:-1] else {}),
+        **({"commit": made_of} if (made_of := commit()) else {}),
         **{name: version(name) for name in ("groundstation", "numpy", "eclipse-zenoh", "mcap")},
     }
     attachments = {"plan.toml": plan.read_bytes(), "vehicle.toml": vehicle.read_bytes()}

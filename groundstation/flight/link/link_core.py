@@ -20,12 +20,13 @@ from drivers.mavlink.signing import Signing
 from drivers.mavlink.telemetry import Telemetry
 from drivers.mavlink.timesync import Timesync
 from drivers.mavlink.transports import Peer
-from drivers.samples import Event, Pose, Raw, Setpoint, State
+from drivers.samples import Event, Imu, Pose, Raw, Setpoint, State
 from groundstation.errors import BadInput
 from groundstation.flight import timeouts
 from groundstation.flight.link.guard import Guard, Verdict
 from groundstation.flight.link.identity import speaker
 from groundstation.flight.link.inlet import Arrival, Complaints, Inlet, says_who_it_is
+from groundstation.flight.link.marker import MarkerWatch
 from groundstation.flight.link.markers import Markers
 from groundstation.flight.link.options import PLAIN, Options, Output
 from groundstation.flight.link.pilot import GUARDED, IN_AIR, Answered, Phase, Pilot
@@ -104,6 +105,9 @@ class LinkCore:
         self._disagreement = Disagreement()
         self._latency, self._markers = PoseLatency(), Markers(vehicle.mocap)
         self._pose_to_vehicle_s = -inf
+        calibration = station.mocap.calibration
+        self._mocap_said = ""
+        self._marker = None if calibration is None else MarkerWatch(calibration, vehicle)
 
     # Orders from the core ---------------------------------------------------------------------------------------------
 
@@ -140,8 +144,9 @@ class LinkCore:
         error_s, carried = self.clock.error_s(now_s), tuple(self._carried)
         free = self.free_bytes()
         situation = Situation(
-            now_s, self.view, self.station, self.vehicle, plan, self.parameters, error_s, carried, free
-        )
+            now_s, self.view, self.station, self.vehicle, plan, self.parameters, error_s, carried, free,
+            None if self._marker is None else self._marker.verdict(), self._mocap_said,
+        )  # fmt: skip
         self.checks = run_checks(situation, self.options.force)
         for check in self.checks:
             verdict = "forced" if check.forced else "ok" if check.ok else "failed"
@@ -169,6 +174,7 @@ class LinkCore:
         out = Output(samples=[(pose, received_s)])
         if self.view is None or self.pilot is None:
             return out
+        self._watch_marker(pose, received_s)
         pose = self._markers.body(pose)
         self.view.sample(pose, received_s)
         self.view.meters.setdefault("POSE", Meter()).add(received_s)
@@ -186,6 +192,15 @@ class LinkCore:
             for message in self.view.profile.external_pose(pose, pose.device_s, mocap.std_m, mocap.std_rad, 0):
                 self._send(message, received_s, out)
         return out
+
+    def mocap_told(self, event: Event, received_s: float) -> None:
+        """The motion capture's client says how it is."""
+        self._mocap_said = "" if event.kind == "clock" else event.text
+        self.note(received_s, event.kind, event.text)
+
+    def _watch_marker(self, sample: Imu | Pose, host_s: float) -> None:
+        if self._marker is not None and self._phase not in IN_AIR:
+            self._marker.take(sample, host_s)
 
     # One step ---------------------------------------------------------------------------------------------------------
 
@@ -368,6 +383,8 @@ class LinkCore:
         for sample in self._telemetry.samples(received):
             self.view.sample(sample, now_s)
             out.samples.append((sample, now_s))
+            if isinstance(sample, Imu):
+                self._watch_marker(sample, now_s)
             if isinstance(sample, State) and (fit := self.clock.fit()) is not None:
                 self._latency.state(fit.host(sample.device_s), sample)
         if received.name == "TIMESYNC":

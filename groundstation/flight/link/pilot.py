@@ -33,7 +33,7 @@ from groundstation.flight.link.placement import Placement, target_at
 from groundstation.flight.link.profiles import Profile, Target
 from groundstation.flight.link.view import VehicleView
 from groundstation.flight.station import Policy
-from groundstation.trajectory import Plan, Sequence, flight_path
+from groundstation.trajectory import Plan, Sequence, changed_length, flight_path, with_periods
 
 UNDER_GROUND_M = 0.3
 """How far under it the place lies that an armed vehicle is led to while it stands: near enough to be no order to move."""
@@ -131,6 +131,8 @@ class Pilot:
                 return self._arm(now_s)
             case "start":
                 return self._start(now_s)
+            case "finish" | "extend":
+                return self._change_length(name)
             case "abort" | "land":
                 return self._order_landing(name, now_s, reason)
             case "kill" if self.phase in GUARDED:
@@ -167,6 +169,19 @@ class Pilot:
             return self._begin(self._rising(self._start_height() - ground[2]), now_s)
         self._set_path(ground, now_s)
         return self._begin(self._orders.follow(), now_s)
+
+    def _change_length(self, name: str) -> Answered:
+        """End the excitation at its next rest point, or let it go on; never past what was checked on the ground."""
+        if not self.exciting or self.path is None or self.plan is None or self._handed_over:
+            return Answered(False, f"'{name}' is for an excitation that the link leads; the flight is {self.phase}.")
+        changed = changed_length(self.path, self.path_s, name, self.plan.periods)
+        if isinstance(changed, str):
+            return Answered(False, changed)
+        self._take_path(changed)
+        return Answered(True)
+
+    def _take_path(self, path: Sequence) -> None:
+        self.path, self._excitation_lasts_s = path, float(path.parts[3].duration_s)
 
     def _order_landing(self, name: str, now_s: float, reason: str) -> Answered:
         if self.phase in (Phase.IDLE, Phase.LANDED):
@@ -386,8 +401,7 @@ class Pilot:
         yaw = yaw_of(self.view.state.quaternion) - self.placement.yaw_rad
         yaw = float(np.arctan2(np.sin(yaw), np.cos(yaw)))
         whole = flight_path(self.plan, (*start, yaw), climb_m_s=self.policy.climb_m_s, settle_s=self.policy.settle_s)
-        self.path = Sequence(whole.parts[:-1])
-        self._excitation_lasts_s = float(whole.parts[3].duration_s)
+        self._take_path(with_periods(Sequence(whole.parts[:-1]), self.plan.first_periods))
         self.path_s, self._path_stepped_s, self._waiting_since_s = 0.0, None, None
 
     def _start_height(self) -> float:

@@ -15,6 +15,7 @@ from drivers.mavlink.geometry import tilt_cosine, yaw_of
 from drivers.samples import Pose, State
 from groundstation.errors import BadInput
 from groundstation.flight.link.fusion import not_fused
+from groundstation.flight.link.marker import MarkerVerdict
 from groundstation.flight.link.profiles import ParameterRule, Profile
 from groundstation.flight.link.view import VehicleView
 from groundstation.flight.station import Station
@@ -66,6 +67,8 @@ class Situation:
         clock_error_s: of the vehicle's clock against ours.
         disk_free_bytes: where the recording goes; None when nobody keeps one.
         carried: (state, pose) pairs over which the vehicle was moved, to compare their frames.
+        marker: whether the calibrated marker body still sits where it was; None without a calibration.
+        mocap_said: what the motion capture's client told last.
     """
 
     now_s: float
@@ -77,6 +80,8 @@ class Situation:
     clock_error_s: float
     carried: Sequence[tuple[State, Pose]] = ()
     disk_free_bytes: int | None = None
+    marker: MarkerVerdict | None = None
+    mocap_said: str = ""
 
     @property
     def profile(self) -> Profile:
@@ -272,14 +277,16 @@ def _poses(s: Situation) -> Iterator[Check]:
         yield Check("poses", True, "no motion capture in the station file; the vehicle's own estimate is all there is")
         return
     rate, age = view.rate_hz("POSE", s.now_s), s.now_s - view.pose_changed_s
+    none = ": ".join(filter(None, (f"none from {mocap.system} at {mocap.host}", s.mocap_said)))
     yield _answer(
         "poses", rate >= mocap.needed_hz and age < 0.3,
-        f"{rate:.0f} Hz, the newest {age:.2f} s old" if view.pose else f"none from {mocap.system} at {mocap.host}",
+        f"{rate:.0f} Hz, the newest {age:.2f} s old" if view.pose else none,
         f"start the motion capture, check host and body '{mocap.body}' in the station file",
     )  # fmt: skip
     yield _frames(s)
     if s.station.flies_by_poses:
         yield _fusion(s)
+    yield _marker(s)
 
 
 def _fusion(s: Situation) -> Check:
@@ -292,6 +299,17 @@ def _fusion(s: Situation) -> Check:
         f"{heading:.2f} (heading) of their gates",
         "let --set-parameters set what poses need, or set it by hand and restart the autopilot; then wait some seconds",
     )  # fmt: skip
+
+
+def _marker(s: Situation) -> Check:
+    """The marker body sits where it was calibrated."""
+    if s.marker is None:
+        return Check(
+            "marker",
+            True,
+            "not calibrated: the marker body is taken for the vehicle's declared tracked point (`groundstation calibrate`)",
+        )
+    return _answer("marker", s.marker.ok, s.marker.seen, "fasten it and calibrate again with `groundstation calibrate`")
 
 
 def _frames(s: Situation) -> Check:
