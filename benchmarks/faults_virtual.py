@@ -3,6 +3,9 @@
 make faults
 """
 
+# pyright: reportMissingImports=false, reportArgumentType=false
+# The tests' rigs are found by the path they are run with.
+
 from __future__ import annotations
 
 import math
