@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.attribution import folds, held_out
 from groundstation.diagnosis.evidence import FLIGHTS_OWN, Candidate, Columns, Evidence, FlightEvidence, Solution
+from groundstation.diagnosis.form_error import form_covariance
 from groundstation.identification.anchoring import anchored, anchored_covariance
 from groundstation.identification.prediction_error import Fitted, output_error
 from groundstation.identification.preparation import Prepared
@@ -66,15 +67,15 @@ def with_plain(splits: Sequence[Split], evidence: Evidence, vehicle: Vehicle) ->
     return [replace(split, plain=as_declared(evidence, vehicle, split.train)) for split in splits]
 
 
-def _base_estimates(evidence: Evidence, vehicle: Vehicle, solution: Solution) -> dict[str, Estimate]:
-    """Mass and tensor of a linearised joint estimate, under the anchor."""
-    estimates, constants = anchored(vehicle, RIGID_BODY, *_rigid_body(evidence, solution))
+def _base_estimates(evidence: Evidence, vehicle: Vehicle, chosen: Chosen) -> dict[str, Estimate]:
+    """Mass and tensor of the linearised joint estimate with some effects, under the anchor."""
+    estimates, constants = anchored(vehicle, RIGID_BODY, *_joint(evidence, chosen))
     return {**estimates, **constants}
 
 
 def base_covariance(evidence: Evidence, vehicle: Vehicle, chosen: Chosen) -> NDArray[np.float64]:
     """Covariance (7, 7) of mass and tensor with the effects put in, under the anchor."""
-    return anchored_covariance(vehicle, RIGID_BODY, *_rigid_body(evidence, evidence.solve(chosen)))
+    return anchored_covariance(vehicle, RIGID_BODY, *_joint(evidence, chosen))
 
 
 def flight_parameters(evidence: Evidence, chosen: Chosen) -> list[dict[str, Estimate]]:
@@ -101,11 +102,21 @@ def flight_parameters(evidence: Evidence, chosen: Chosen) -> list[dict[str, Esti
     return out
 
 
-def _rigid_body(evidence: Evidence, solution: Solution) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _joint(evidence: Evidence, chosen: Chosen) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mass and tensor with the effects put in, and their covariance with what the effects' formulas leave open in it."""
+    solution = evidence.solve(chosen)
+    return _rigid_body(evidence, solution, form_covariance(evidence, chosen, solution))
+
+
+def _rigid_body(
+    evidence: Evidence, solution: Solution, form: Array | float = 0.0
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mass and tensor of a joint estimate and their covariance, that of the effects' ``form`` added."""
     names = list(evidence.names)
     index = [names.index(n) for n in RIGID_BODY]
     values, jacobian = evidence.flights[0].rigid_body(solution)
-    return values, jacobian @ solution.covariance[np.ix_(index, index)] @ jacobian.T
+    covariance = solution.covariance[np.ix_(index, index)] + form
+    return values, jacobian @ covariance @ jacobian.T
 
 
 def base_parameters(
@@ -116,11 +127,11 @@ def base_parameters(
     plain: Fitted | None,
 ) -> tuple[dict[str, Estimate], dict[str, Estimate]]:
     """Base parameters with the effects left out and put in. Left out means re-estimated without them, lag included."""
-    after = _base_estimates(evidence, vehicle, evidence.solve(chosen))
+    after = _base_estimates(evidence, vehicle, chosen)
     if plain is not None:
         before, constants = anchored(vehicle, plain.names, plain.values, plain.covariance)
         return {**before, **constants}, after
-    return _base_estimates(evidence, vehicle, evidence.solve(baseline)), after
+    return _base_estimates(evidence, vehicle, baseline), after
 
 
 def declared_model(flight: FlightEvidence) -> RecordModel:
