@@ -85,7 +85,9 @@ class World:
         start = scenario.start.model_copy(update={"yaw_rad": YAW_RAD})
         self.vehicle = load_vehicle(find_config("vehicles", "x500"))
         mocap = scenario.mocap.model_copy(update={"dropouts_per_minute": 0.0, "freezes_per_minute": 0.0})
-        self.scenario = scenario.model_copy(update={"start": start, "mocap": mocap})  # dark is what is tried here, alone
+        self.scenario = scenario.model_copy(
+            update={"start": start, "mocap": mocap}
+        )  # dark is what is tried here, alone
         self.airframe = SimulatedAirframe(self.vehicle, self.scenario, seed=1)
         self.airframe.step(0.004, (0.0,) * 4)
         self.camera_port = free_port()
