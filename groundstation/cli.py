@@ -14,6 +14,7 @@ import click
 
 from groundstation import __version__
 from groundstation.commands.common import Result, suggestion
+from groundstation.commands.listing import SECTIONS
 from groundstation.errors import BadInput, GroundStationError, Refused
 from groundstation.texts import shown
 
@@ -48,7 +49,14 @@ class LazyGroup(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """In the order in which one uses them."""
-        return list(COMMANDS)
+        return [name for section in SECTIONS.values() for name in section]
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """A section for each purpose, a line for each command."""
+        width = max(map(len, COMMANDS))
+        for title, commands in SECTIONS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name.ljust(width), line) for name, line in commands.items()])
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The command of a name."""
@@ -69,7 +77,7 @@ class LazyGroup(click.Group):
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"]},
     invoke_without_command=True,
-    epilog="\b\nExample:\n  groundstation rehearse          a whole flight in simulation, from plan to report",
+    epilog="\b\nExample:\n  groundstation rehearse     a whole flight in simulation",
 )
 @click.version_option(__version__, prog_name="groundstation")
 @click.option("--debug", is_flag=True, help="Show where an error comes from.")

@@ -11,6 +11,7 @@ import pytest
 
 from groundstation.cli import COMMANDS
 from groundstation.commands.common import ProgressLine, assignments, result_folder, seconds_pair
+from groundstation.commands.listing import SECTIONS
 from groundstation.errors import BadInput
 from groundstation.paths import find_config
 
@@ -29,6 +30,24 @@ def test_help_is_there_at_once():
         assert done.returncode == 0
     assert all(name in done.stdout for name in COMMANDS)
     assert min(times) < 1.5  # 0.1 s on an idle machine; the promise is 0.5 s
+
+
+def test_help_lists_every_command_once_on_a_line_of_80_columns():
+    listed = [name for section in SECTIONS.values() for name in section]
+    assert sorted(listed) == sorted(COMMANDS)
+    assert len(listed) == len(set(listed))
+    lines = groundstation("--help").stdout.splitlines()
+    for section in SECTIONS.values():
+        for name, summary in section.items():
+            assert any(line.split(maxsplit=1) == [name, summary] for line in lines), name
+    assert max(map(len, lines)) <= 80
+
+
+def test_the_package_runs_as_a_module():
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "groundstation", "--version"], capture_output=True, text=True, timeout=60
+    )
+    assert done.stdout.startswith("groundstation, version ")
 
 
 def test_help_imports_nothing_heavy():
