@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from benchmarks.unplanned import flights_of
-from groundstation.diagnosis.lagged_instruments import Equation, pooled, two_stage
 from groundstation.diagnosis.unplanned import Told, tell_unplanned
 from groundstation.flightdata import FlightData, Stream
+from groundstation.identification.lagged_instruments import Equation, pooled, two_stage
 from groundstation.identification.preparation import Prepared, prepare
 from groundstation.model.parameters import declared_parameters
 from groundstation.recording.load import load_flight

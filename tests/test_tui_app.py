@@ -16,19 +16,22 @@ from textual.widgets import DataTable, Input, Static
 from drivers import bus
 from drivers.access import Access
 from groundstation.analysis.plans import write_plan
+from groundstation.campaign.campaign import Campaign, Round, load_campaign
 from groundstation.fleet.catalogue import Catalogue
 from groundstation.flight.client.access import write_access
 from groundstation.flight.core.lease import OperatorLease
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, CoreStatus, Lease, StreamStatus
 from groundstation.flight.sequence import Phase
 from groundstation.paths import find_config
-from groundstation.trajectory import load_plan
+from groundstation.trajectory import Plan, load_plan
 from groundstation.tui.app import GroundStation
 from groundstation.tui.screens.base import StationScreen
 from groundstation.tui.screens.plan import Planner
+from groundstation.tui.setup import Setup
 from groundstation.tui.watch import CoreWatch
 from groundstation.tui.widgets.bars import SCREENS
 from groundstation.tui.widgets.dialogs import Question, TextPage, TypedQuestion
+from groundstation.vehicle import load_vehicle
 
 PATIENCE_S = 15.0
 HOSTILE = "[bold red]battery[/] [@click=app.exit]low[/] [/nonsense"
@@ -445,3 +448,31 @@ async def test_the_plan_before_comes_back(tmp_path: Path) -> None:
         assert app.plan is first and "another" not in text_of(app, "#plan-text")
         await pilot.press("u")
         assert app.plan is second
+
+
+async def test_the_campaign_screen_shows_rounds_and_one_key_prepares_the_next_flight(tmp_path: Path) -> None:
+    app = station(tmp_path)
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    folder = app.logs / "campaign-2026-01-31T12-00-00-qball2"
+    done = Round(
+        str(app.logs / "flight-1"), "first flight", 40.0, {}, {}, "explained", ({"effect": "rotor_drag", "rotor": None, "evidence": "Drag."},),
+        {}, {"mass_kg": 1.4}, ("not sharp enough: mass",),
+    )  # fmt: skip
+    plan = find_config("plans", "qball2")
+    stand = Campaign(
+        folder, vehicle, {"mass_kg": 0.005}, 5, 1, (done,), {"why": "to sharpen mass", "plan": str(plan)}
+    ).save()
+    (folder / "vehicle.toml").write_bytes(find_config("vehicles", "qball2").read_bytes())
+    prepared: list[tuple[object, ...]] = []
+    app.prepare_this = lambda *what: prepared.append(what)  # type: ignore[method-assign, assignment]
+    async with app.run_test(size=(120, 40)) as pilot:
+        await pilot.press("7")
+        await until(pilot, lambda: "rotor drag" in screen_text(app) and "next: to sharpen mass" in screen_text(app))
+        await pilot.press("n")
+        await until(pilot, lambda: bool(prepared))
+        setup, flown, begun = prepared[0]
+        assert isinstance(setup, Setup) and setup.vehicle == str(folder / "vehicle.toml")
+        assert isinstance(flown, Plan) and flown.vehicle == "qball2"
+        begun(app.logs / "flight-2")  # type: ignore[operator]
+        assert load_campaign(folder).pending["folder"] == str(app.logs / "flight-2")
+        assert load_campaign(folder).rounds == stand.rounds

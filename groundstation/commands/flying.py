@@ -23,9 +23,6 @@ LOG_S = 120.0
 
 PLAN_S = 6.0
 """Seconds a rehearsal gives the planner."""
-AUTOPILOT = {"frequency_max_hz": 0.5, "acceleration_max_m_s2": 1.5}
-"""Of a plan for a vehicle on a link: ArduCopter's firmware, tuned for another vehicle, was 0.45 m off at most within these
-limits, and lost a plan of 0.8 Hz and 2 m/s^2 (docs/firmware.md). A plan made with ``groundstation plan`` may ask for more."""
 MAVLINK_VEHICLE = "x500"
 """What the simulated autopilot flies unless told otherwise."""
 
@@ -150,6 +147,7 @@ def _lasting(chosen: Any, declared: Any, asked: Mapping[str, Any], *, automatic:
 def _plan_for_link(declared: Any, line: ProgressLine) -> Any:
     """A plan that an autopilot follows whose tuning is not known."""
     from groundstation.planning import plan_excitation
+    from groundstation.planning.plan import AUTOPILOT
 
     asked = declared.limits.acceleration_max_m_s2
     limits: dict[str, Any] = dict(AUTOPILOT)

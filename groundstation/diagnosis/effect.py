@@ -223,15 +223,6 @@ def sharper(settings: Settings, instant: str) -> tuple[Settings, ...]:
     )
 
 
-def hover_share(signals: Signals, vehicle: Vehicle) -> Array:
-    """Sum of rotor speeds over its value at hover, shape (k,): how much rotor there is to be dragged."""
-    if vehicle.rotors.input == "wrench":
-        return np.ones(len(signals.t_s))
-    speed = np.sqrt(np.maximum(signals.thrust_n, 0.0))
-    hover = vehicle.rotors.count * np.sqrt(vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.rotors.count)
-    return speed.sum(axis=1) / hover
-
-
 def has_rotors(vehicle: Vehicle) -> bool:
     """The recording tells what each rotor did."""
     return vehicle.rotors.input != "wrench"

@@ -292,23 +292,6 @@ class Thresholds:
         chosen_on=f"4958ac4, {AFTER}",
     )
 
-    # Flights without a plan: unplanned.py, lagged_instruments.py
-    unplanned_band_hz: float = _entry(
-        1.5,
-        "Edge of the band in which rotor telemetry that is filtered and late by up to 50 ms still has the torque: its phase error there"
-        " is first order, which the equations hold.",
-        source="2 pi 1.5 Hz 0.05 s = 0.47 rad; second order 0.11",
-        chosen_on="before benchmarks.unplanned; seeds 4000 to 4003 and shared/data/nanodrone were looked at",
-        unit="Hz",
-    )
-    unplanned_part_s: float = _entry(
-        15.0,
-        "Length of the parts that check each other: many manoeuvres in each, and two or more in half a minute.",
-        source="judgement",
-        chosen_on="before benchmarks.unplanned",
-        unit="s",
-    )
-
     # What becomes of findings: adoption.py, published.py, next_flight.py
     prediction_worse: float = _entry(
         1.1,

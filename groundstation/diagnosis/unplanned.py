@@ -1,43 +1,39 @@
-r"""Effects of the air on flights that nobody planned: found where the data show them, without the rotors' fast torque.
+"""Effects of the air on flights that nobody planned: found where the data show them, without the rotors' fast torque.
 
 On a flight without plan or setpoints the regression of the motion on the rotors' wrench lies: telemetry that is filtered or late
-loses the torque, and the controller answers the disturbance. Turned round, three equations hold in the band where telemetry is right:
-
-    torque   tau(T) = J w' - (lag) J w'' + D w + k (-v_y, v_x, 0) + trim + T offset    roll, pitch, yaw; the rotors' noise is in the output
-    force    m f_xy = -d v_xy s + m bias                                               the accelerometer is the force: it needs no rotor
-    lift     m f_z  = a T + b T^2 - k_w v_z s + l T |v_xy|^2 + m bias                  a and b: thrust constant and curve
-
-with T the thrust, f the specific force, v the velocity in the body, w the body rates, s the rotors' speed over that at hover. J w'' is
-what a delay or a filter of the telemetry does, to first order. Each is solved with past motion as instruments, in parts of the flights
-that check each other (:mod:`.lagged_instruments`).
+loses the torque, and the controller answers the disturbance. The equations turned round hold in the band where telemetry is right
+(:mod:`groundstation.identification.low_frequency`). Each is solved with past motion as instruments, in parts of the flights that check
+each other (:mod:`groundstation.identification.lagged_instruments`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.effect import Effect, has_rotors, hover_share, library, weight
+from groundstation.diagnosis.effect import Effect, has_rotors, library
 from groundstation.diagnosis.evidence import Candidate
-from groundstation.diagnosis.lagged_instruments import Equation, PartEstimate, Parts, Pooled, pooled, two_stage
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import posterior
 from groundstation.diagnosis.sentences import told
 from groundstation.diagnosis.thresholds import THRESHOLDS
+from groundstation.identification.lagged_instruments import Equation, PartEstimate, Parts, Pooled, pooled, two_stage
+from groundstation.identification.low_frequency import (
+    force_equations,
+    lift_equations,
+    parts_of,
+    slow,
+    torque_equations,
+    without_plan,
+)
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.results import Estimate
 from groundstation.model.parameters import Parameters
-from groundstation.model.rotors import wrench_matrix
 
 Array = NDArray[np.float64]
-
-EDGE_S = 0.4
-"""Left out beside every edge of what is used: the low pass looks that far."""
-SAMPLES_PER_BAND = 8
-"""Samples per period of the band's edge."""
 
 Members = Mapping[str, tuple[str, ...]]
 TORQUE: Members = {
@@ -47,7 +43,6 @@ TORQUE: Members = {
 FORCE: Members = {"rotor_drag": ("d_x_kg_s", "d_y_kg_s")}
 LIFT: Members = {"climb_inflow": ("k_kg_s",), "translational_lift": ("lift_s2_m2",)}
 """Effects of each equation and their parameters, as the library names them."""
-FOUND_HERE = frozenset((*TORQUE, *FORCE, *LIFT))
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,11 +88,6 @@ class Told:
         return f"{self.effect.identifier} is not shown; the least that these flights could have shown: {least}."
 
 
-def without_plan(prepared: Prepared) -> bool:
-    """Neither plan nor setpoints are recorded: a smoothed path flown is no plan."""
-    return prepared.flight.plan is None and prepared.flight.setpoint is None
-
-
 def tell_unplanned(flights: Sequence[Prepared], p: Parameters) -> list[Told]:
     """What flights without a plan show of the air's effects; nothing where one has a plan, or rates or poses are missing.
 
@@ -111,8 +101,8 @@ def tell_unplanned(flights: Sequence[Prepared], p: Parameters) -> list[Told]:
     )
     if not fit or not has_rotors(vehicle):
         return []
-    parts = [part for flight in flights for part in _parts(_slow(flight, p))]
-    groups = ((TORQUE, _torque), (FORCE, _force), (LIFT, _lift))
+    parts = [part for flight in flights for part in parts_of(slow(flight, p))]
+    groups = ((TORQUE, torque_equations), (FORCE, force_equations), (LIFT, lift_equations))
     found: list[Told] = []
     for members, equations in groups:
         names = {name for parameters in members.values() for name in parameters}
@@ -127,121 +117,6 @@ def tell_unplanned(flights: Sequence[Prepared], p: Parameters) -> list[Told]:
             if all(len(seen[name]) > 1 for name in parameters):
                 found.append(_judged(identifier, {name: seen[name] for name in parameters}))
     return found
-
-
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """Low-passed signals of a part of a flight, evenly sampled, and the scales of forces and torques."""
-
-    used: NDArray[np.bool_]
-    step_s: float
-    torque: Array
-    thrust: Array
-    rate: Array
-    turning: Array
-    jerk: Array
-    velocity: Array
-    speed2: Array
-    share: Array
-    force: Array
-    tensor: Array
-    mass_kg: float
-    scale_n: float
-    arm_m: float
-
-
-def _slow(prepared: Prepared, p: Parameters) -> _Part:
-    """The whole flight below the band's edge."""
-    from scipy.signal import butter, sosfiltfilt
-
-    record = prepared.record
-    rate_hz = 1.0 / float(np.median(np.diff(record.t_s)))
-    edge = min(THRESHOLDS.unplanned_band_hz, 0.2 * rate_hz)
-    sos = butter(2, edge, fs=rate_hz, output="sos")
-    every = max(1, round(rate_hz / (SAMPLES_PER_BAND * edge)))
-
-    def low(values: Array) -> Array:
-        return np.asarray(sosfiltfilt(sos, np.nan_to_num(values), axis=0))
-
-    signals = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
-    vehicle = record.vehicle
-    anchor = vehicle.mass_kg / p.mass_kg if vehicle.identification.anchor == "mass" else 1.0
-    wrench = anchor * low(signals.thrust_n @ wrench_matrix(vehicle).T)
-    velocity = signals.velocity_body_m_s()
-    rate = low(record.rate_rad_s)
-    turning = np.gradient(rate, record.t_s, axis=0)
-    margin = round(EDGE_S * rate_hz)
-    near = np.convolve(~record.keep, np.ones(2 * margin + 1), mode="same") > 0.5
-    cut = slice(None, None, every)
-    return _Part(
-        used=(record.keep & ~near)[cut],
-        step_s=every / rate_hz,
-        torque=wrench[cut, 1:],
-        thrust=wrench[cut, 0],
-        rate=rate[cut],
-        turning=turning[cut],
-        jerk=np.gradient(turning, record.t_s, axis=0)[cut],
-        velocity=low(velocity)[cut],
-        speed2=low((velocity[:, :2] ** 2).sum(axis=1))[cut],
-        share=low(hover_share(signals, vehicle))[cut],
-        force=low(record.force_m_s2)[cut],
-        tensor=vehicle.inertia_tensor(),
-        mass_kg=anchor * p.mass_kg,
-        scale_n=weight(vehicle),
-        arm_m=vehicle.arm_m(),
-    )
-
-
-def _parts(whole: _Part) -> list[_Part]:
-    """Equal shares of what is used of a flight, two at least."""
-    used_s = float(whole.used.sum()) * whole.step_s
-    count = max(2, int(used_s / THRESHOLDS.unplanned_part_s))
-    number = np.minimum(np.cumsum(whole.used) * count // max(int(whole.used.sum()), 1), count - 1)
-    return [replace(whole, used=whole.used & (number == index)) for index in range(count)]
-
-
-def _torque(part: _Part) -> list[tuple[Equation, tuple[str, ...]]]:
-    """Roll, pitch and yaw, in shares of weight times arm."""
-    ones = np.ones((len(part.thrust), 1))
-    gyroscopic = np.cross(part.rate, part.rate @ part.tensor)
-    out = []
-    for axis, name in enumerate("xyz"):
-        columns, own = [part.rate[:, axis]], (f"damping_{name}_nms",)
-        if axis < 2:
-            columns.append(-part.velocity[:, 1] if axis == 0 else part.velocity[:, 0])
-            own = (*own, "k_nm_s_m")
-        columns += [part.turning[:, axis], part.jerk[:, axis], part.thrust - part.thrust.mean()]
-        scale = part.scale_n * part.arm_m
-        output = (part.torque[:, axis] - gyroscopic[:, axis]) / scale
-        out.append((_equation(part, output, np.column_stack(columns) / scale, ones, len(own)), own))
-    return out
-
-
-def _force(part: _Part) -> list[tuple[Equation, tuple[str, ...]]]:
-    """Forward and sideways, in shares of the weight."""
-    ones = np.ones((len(part.thrust), 1))
-    out = []
-    for axis, name in enumerate("xy"):
-        columns = np.column_stack([-part.velocity[:, axis] * part.share]) / part.scale_n
-        output = part.mass_kg * part.force[:, axis] / part.scale_n
-        out.append((_equation(part, output, columns, ones, 1), (f"d_{name}_kg_s",)))
-    return out
-
-
-def _lift(part: _Part) -> list[tuple[Equation, tuple[str, ...]]]:
-    """Along the thrust, in shares of the weight; thrust constant, curve and bias stand beside."""
-    thrust = part.thrust / part.scale_n
-    mean = float(np.mean(thrust[part.used])) if part.used.any() else 1.0
-    columns = np.column_stack(
-        [-part.velocity[:, 2] * part.share / part.scale_n, thrust * part.speed2, thrust, (thrust - mean) ** 2]
-    )
-    output = part.mass_kg * part.force[:, 2] / part.scale_n
-    ones = np.ones((len(thrust), 1))
-    return [(_equation(part, output, columns, ones, 2), ("k_kg_s", "lift_s2_m2"))]
-
-
-def _equation(part: _Part, output: Array, columns: Array, known: Array, effects: int) -> Equation:
-    return Equation(output, columns, known, part.used, part.step_s, effects)
 
 
 def _judged(identifier: str, seen: Mapping[str, Parts]) -> Told:

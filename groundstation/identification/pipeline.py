@@ -29,6 +29,8 @@ from groundstation.identification.predictive_choice import physical_model, predi
 from groundstation.identification.preparation import Prepared, damping_terms, prepare_all
 from groundstation.identification.record_model import BodyWrench, DynamicRecord, RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification, MethodResult
+from groundstation.identification.unplanned import LOW, LOW_NOTE, LOW_REASON, by_low_frequencies
+from groundstation.identification.unplanned import applies as low_frequencies_apply
 from groundstation.identification.validation import validate
 from groundstation.model.disturbance import TurningDisturbance, pooled, three, turning
 from groundstation.model.parameters import FitOptions, Parameters
@@ -212,11 +214,12 @@ def identify(
     checks = check_declarations(flights[0])
     prepared = prepare_all(flights, exclude)
     fitted = fit_dynamics(prepared, progress)
-    best = fitted.best
+    low = by_low_frequencies(prepared, fitted.best) if low_frequencies_apply(prepared) else None
+    best = fitted.best if low is None else low
     vehicle = prepared[0].record.vehicle
     combinations = revealed(fitted.models, vehicle, fitted.options)
     hidden = never_moved(combinations) | unrevealed(best, prepared)
-    if fitted.instrumental is None:
+    if fitted.instrumental is None or low is not None:
         hidden |= unphysical(best, prepared)
     else:
         hidden |= unsettled(fitted.instrumental, fitted.filter_error)
@@ -227,6 +230,9 @@ def identify(
     found = {"OE": oe, "FE": fitted.filter_error} | ({} if fitted.instrumental is None else {"IV": fitted.instrumental})
     methods |= {name: _result(fitted, fit, hidden, _METHOD_NOTES[name]) for name, fit in found.items()}
     name, reason = fitted.best_name, _reason(fitted)
+    if low is not None:
+        name, reason = LOW, LOW_REASON
+        methods[name] = _result(fitted, low, hidden, LOW_NOTE)
     warnings = [*said_first(checks), *([] if partial is None else [partial])]
     trouble = physically_consistent(methods[name].parameters)
     if trouble:

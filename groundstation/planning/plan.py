@@ -25,6 +25,10 @@ PAPER_DURATION_S = 40.0  # section III-D identifies on 10 s < t < 50 s
 FREQUENCY_MAX_HZ = 1.0
 """Highest harmonic where the base frequency is free: a position loop on a 30 Hz motion capture follows little above it."""
 
+AUTOPILOT = {"frequency_max_hz": 0.5, "acceleration_max_m_s2": 1.5}
+"""Of a plan for a vehicle on a link: ArduCopter's firmware, tuned for another vehicle, was 0.45 m off at most within these
+limits, and lost a plan of 0.8 Hz and 2 m/s^2 (docs/firmware.md). A plan made with ``groundstation plan`` may ask for more."""
+
 _HARMONICS = (3, 5, 8)
 _NEARLY = 0.005  # a limit is reached when this share of it is left
 _POOR_PERCENT = 50.0  # a parameter less sure than this is hardly revealed

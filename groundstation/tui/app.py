@@ -1,4 +1,4 @@
-"""The terminal UI: six screens over the core process. It computes nothing, and no flight depends on it.
+"""The terminal UI: seven screens over the core process. It computes nothing, and no flight depends on it.
 
 Keys that work everywhere, from inside every field and in front of every question (priority bindings): ``ctrl+g`` or F8
 aborts and lands, ``ctrl+o`` or F9 asks whether to stop the rotors. Neither a terminal, tmux nor an input field takes
@@ -8,7 +8,7 @@ them.
 from __future__ import annotations
 
 import webbrowser
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -31,6 +31,7 @@ from groundstation.trajectory import Plan
 from groundstation.tui.margins import Announcer, FlightLimits, margins
 from groundstation.tui.results import FlightResults, read_results
 from groundstation.tui.screens.base import StationScreen
+from groundstation.tui.screens.campaign import Campaign
 from groundstation.tui.screens.diagnose import Diagnose
 from groundstation.tui.screens.flights import Flights
 from groundstation.tui.screens.fly import Fly
@@ -48,7 +49,7 @@ KEYS = """\
 ^g, F8  abort and land
 ^o, F9  stop the rotors, after a question
 ^p      every command by name
-1 … 6   the screens
+1 … 7   the screens
 Escape  leave a field
 l       the run's log
 t       light or dark
@@ -87,6 +88,7 @@ class GroundStation(App[int]):
         "identify": Identify,
         "diagnose": Diagnose,
         "flights": Flights,
+        "campaign": Campaign,
     }
     DEFAULT_MODE = "station"
     BINDINGS: ClassVar = [
@@ -163,19 +165,25 @@ class GroundStation(App[int]):
 
     def prepare_flight(self) -> None:
         """Start a core with what is chosen; it waits for the start."""
+        self.prepare_this(self.setup, None)
+
+    def prepare_this(
+        self, setup: Setup, plan: Plan | None, begun: Callable[[Path], None] = lambda folder: None
+    ) -> None:
+        """Start a core with a plan, or the one at hand; ``begun`` is told the flight's folder, on a thread."""
         if self.flying or self._preparing:
             self.notify("a flight is prepared already; s on Fly starts it, ^g gives it up.")
             return
         self._preparing, self._start_wanted, self.trouble = True, False, ""
-        self._simulated = self.setup.simulated
+        self._simulated = setup.simulated
         self.switch_mode("fly")
-        self.run_worker(self._prepare, thread=True)
+        self.run_worker(lambda: self._prepare(setup, plan, begun), thread=True)
 
-    def _prepare(self) -> None:
-        setup = self.setup
+    def _prepare(self, setup: Setup, chosen: Plan | None, begun: Callable[[Path], None]) -> None:
         try:
-            plan = plan_at_hand(setup, self.plan) or self._new_plan(setup)
+            plan = chosen or plan_at_hand(setup, self.plan) or self._new_plan(setup)
             child, endpoint, folder = begin_flight(setup, plan, self.logs, analyse=self._analyse)
+            begun(folder)
         except (GroundStationError, OSError) as error:
             self.call_from_thread(self._fail, str(error))
         else:
@@ -290,7 +298,17 @@ class GroundStation(App[int]):
 
     def _offer(self, screen: StationScreen) -> None:
         """The footer shows what can be done now."""
-        now = (screen, self.phase, self._preparing, self.plan is None, self.results is None, self.may_take_lease)
+        status = self.core.newest if self.core else None
+        proposed = status is not None and status.until is not None and bool(status.until.proposal)
+        now = (
+            screen,
+            self.phase,
+            self._preparing,
+            self.plan is None,
+            self.results is None,
+            self.may_take_lease,
+            proposed,
+        )
         if now != self._offered:
             self._offered = now
             screen.refresh_bindings()
@@ -329,8 +347,13 @@ class GroundStation(App[int]):
         results = read_results(folder) if folder else self.results
         if results is None or results.report is None:
             self.notify("this flight has no report.")
-        elif not webbrowser.open(results.report.resolve().as_uri()):
-            self.notify(f"no browser here; the report is {results.report}", markup=False)
+        else:
+            self.open_page(results.report)
+
+    def open_page(self, path: Path) -> None:
+        """Open a page in the browser."""
+        if not webbrowser.open(path.resolve().as_uri()):
+            self.notify(f"no browser here; the report is {path}", markup=False)
 
     def plan_next(self) -> None:
         """Take the plan that the diagnosis proposes, or search one for the diagnosed vehicle where it proposes none."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.campaign.campaign import Campaign, Round
 from groundstation.flight.messages import CoreStatus, KnownStatus
 from groundstation.flight.sequence import Phase
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
@@ -156,6 +157,32 @@ def _to_target(known: KnownStatus) -> str:
     peeked = "" if known.at_any_time is None else f", {known.at_any_time:.2f} at any time"
     left = "met" if known.spent <= 1.0 else f"{known.seconds or 0.0:.0f} s to go"
     return f"{left} ({known.spent:.2f} of the target{peeked})"
+
+
+def round_row(number: int, done: Round) -> Row:
+    """One flight of a campaign: number, seconds, verdict, what is found, how far the worst target is, error before and after the effects."""
+    worst = max(done.reached, key=lambda name: done.reached[name], default="")
+    far = f"{label(worst)} {done.reached[worst]:.2f}" if worst else "–"
+    errors = "–"
+    if done.judged:
+        errors = (
+            " → ".join(significant(done.judged[kind]["body_rate_rad_s"]) for kind in ("before", "after")) + " rad/s"
+        )
+    found = ", ".join(done.names()).replace("_", " ") or "nothing"
+    return str(number), f"{done.seconds:.0f}", done.verdict or "refused", found, far, errors
+
+
+def rounds_text(campaign: Campaign) -> str:
+    """How a campaign stands: vehicle, targets, why the last flight was flown, what is open, what is next."""
+    goals = ", ".join(f"{label(name)} {100 * share:g} %" for name, share in campaign.targets.items())
+    lines = [f"{campaign.folder.name}", f"until {goals}; at most {campaign.at_most} flights"]
+    if campaign.rounds:
+        lines.append(f"flight {len(campaign.rounds)} was flown {campaign.rounds[-1].why}")
+        lines += [f"open: {text}" for text in campaign.rounds[-1].not_settled]
+    lines.append(
+        campaign.sentence or (f"next: {campaign.pending['why']}" if campaign.pending else "n plans the next flight")
+    )
+    return "\n".join(lines)
 
 
 def _estimate(value: float, low: float, high: float) -> Estimate | None:

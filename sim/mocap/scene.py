@@ -74,5 +74,5 @@ class Replay:
     def at(self, time_s: float) -> list[Seen]:
         """The newest pose at that time; see :class:`Scene`."""
         index = bisect_right(self.times_s, time_s + WITHIN_S) - 1
-        inside = 0 <= index and time_s - self.times_s[index] < FRESH_S
+        inside = index >= 0 and time_s - self.times_s[index] < FRESH_S
         return [Seen(self.name, 1, self.poses[index] if inside else None)]

@@ -220,12 +220,9 @@ def _prediction(stages: Mapping[str, Mapping[str, float]]) -> Markup | None:
             values = [stages.get(f"{horizon}_{stage}", {}).get(error, math.nan) for stage in columns]
             scale = scale_for(split_unit(error)[1], values)
             nominal, _, after = (significant(scale.factor * value) for value in values)
-            kind = "worse" if values[-1] > before else "better"
-            ratio = (
-                element("small", f"ratio {significant(before / values[-1])}", class_=kind) if values[-1] > 0.0 else None
-            )
             name_and_unit = fragment(f"{label(error)}, {ahead} s", element("small", scale.unit))
-            rows.append((name_and_unit, nominal, significant(scale.factor * before), fragment(after, ratio)))
+            told = fragment(after, _ratio(before, values[-1]))
+            rows.append((name_and_unit, nominal, significant(scale.factor * before), told))
     caption = (
         "RMS, held-out data: open-loop prediction with the recorded inputs, from what the sensors had said until its start. "
         "Ratio: error before over error after."
@@ -233,7 +230,17 @@ def _prediction(stages: Mapping[str, Mapping[str, float]]) -> Markup | None:
     return table(caption, ("prediction", *columns), rows, highlight=3) if rows else None
 
 
-_SAME = "unchanged by the findings, which add no force."
+def _ratio(before: float, after: float) -> Markup | None:
+    """How many times smaller the findings make an error; a word where they change nothing."""
+    if not (after > 0.0 and before > 0.0):
+        return None
+    if abs(after / before - 1.0) < UNCHANGED:
+        return element("small", "unchanged")
+    kind = "worse" if after > before else "better"
+    return element("small", f"ratio {significant(before / after)}", class_=kind)
+
+
+_SAME = "unchanged, as no finding adds a force."
 
 
 def _differ(stages: Mapping[str, Mapping[str, float]]) -> bool:

@@ -1,4 +1,4 @@
-"""What the six screens share: the bars, the footer, and how a status reaches them."""
+"""What the seven screens share: the bars, the footer, and how a status reaches them."""
 
 from __future__ import annotations
 
