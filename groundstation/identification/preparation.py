@@ -25,6 +25,7 @@ from groundstation.frames import (
 )
 from groundstation.identification.alignment import arrival_difference, motor_offset, with_one_stamp
 from groundstation.identification.clock import coarse_offset, rates_from_attitude
+from groundstation.identification.clock_steps import cut_steps
 from groundstation.identification.instruments import FlownMotion, planned_motion
 from groundstation.identification.processing import clean, flown_stretches
 from groundstation.identification.reconstruction import Compatibility, body_motion, reconstruct
@@ -280,7 +281,10 @@ class _Motion(FlownMotion):
 
 
 def _motion(flight: FlightData, notes: list[str]) -> _Motion:
-    pose = None if flight.mocap is None else clean(flight.mocap)
+    pose = None
+    if flight.mocap is not None:
+        whole, said = cut_steps(flight.mocap)
+        pose, notes[:] = clean(whole), [*notes, *said]
     state = None if flight.state is None else clean(flight.state)
     if flight.imu is not None and len(flight.imu) > 50:
         return _from_imu(flight, clean(flight.imu), pose, state, notes)
@@ -325,7 +329,9 @@ def _from_imu(flight: FlightData, imu: Stream, pose: Stream | None, state: Strea
         )  # fmt: skip
         v, s = compatibility.values, compatibility.std
         if not fixed_clock:
-            clock = Clock(v["mocap_minus_imu_s"], s["mocap_minus_imu_s"], v["clock_drift"], s["clock_drift"])
+            told = (None, None) if flight.online is None else flight.online.at(0.5 * float(t[0] + t[-1]))
+            clock = Clock(v["mocap_minus_imu_s"], s["mocap_minus_imu_s"], v["clock_drift"], s["clock_drift"], *told)
+            notes += _disagreement(clock)
         rate = gyro - np.array([v[f"gyro_bias_{a}_rad_s"] for a in "xyz"])
         force = accel - np.array([v[f"accel_bias_{a}_m_s2"] for a in "xyz"])
         bias_std = np.array([s[f"accel_bias_{a}_m_s2"] for a in "xyz"])
@@ -339,6 +345,17 @@ def _from_imu(flight: FlightData, imu: Stream, pose: Stream | None, state: Strea
     if np.any(lever != 0.0):
         force = force - _lever_arm(t, rate, lever)
     return _Motion(t, rate, force, smooth, "imu", imu.rate_hz(), causal, bias_std, compatibility, clock)
+
+
+def _disagreement(clock: Clock) -> list[str]:
+    """What to say where the clocks of the link and of the motion differ by more than both allow."""
+    if clock.agrees is not False or clock.online_s is None or clock.online_error_s is None:
+        return []
+    return [
+        f"The link had motion capture {1e3 * clock.online_s:+.2f} +- {1e3 * clock.online_error_s:.2f} ms from the IMU, the motion says "
+        f"{1e3 * clock.mocap_minus_imu_s:+.2f} +- {1.96e3 * clock.std_s:.2f} ms: the stamps have a delay that the link does not know "
+        "(`groundstation calibrate` measures it). The motion's was used."
+    ]
 
 
 def _aligned(flight: FlightData, imu: Stream, pose: Stream, notes: list[str]) -> tuple[Stream | None, float]:
