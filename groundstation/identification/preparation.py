@@ -25,7 +25,6 @@ from groundstation.frames import (
 )
 from groundstation.identification.alignment import arrival_difference, motor_offset, with_one_stamp
 from groundstation.identification.clock import coarse_offset, rates_from_attitude
-from groundstation.identification.clock_steps import cut_steps
 from groundstation.identification.instruments import FlownMotion, planned_motion
 from groundstation.identification.processing import clean, flown_stretches
 from groundstation.identification.reconstruction import Compatibility, body_motion, reconstruct
@@ -281,10 +280,7 @@ class _Motion(FlownMotion):
 
 
 def _motion(flight: FlightData, notes: list[str]) -> _Motion:
-    pose = None
-    if flight.mocap is not None:
-        whole, said = cut_steps(flight.mocap)
-        pose, notes[:] = clean(whole), [*notes, *said]
+    pose = None if flight.mocap is None else clean(flight.mocap)
     state = None if flight.state is None else clean(flight.state)
     if flight.imu is not None and len(flight.imu) > 50:
         return _from_imu(flight, clean(flight.imu), pose, state, notes)
