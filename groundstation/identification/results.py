@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.model.disturbance import TurningDisturbance
 from groundstation.tabular import Record, Tabular
+
+if TYPE_CHECKING:  # numba takes a second to import, and only the type is needed
+    from groundstation.model.disturbance import TurningDisturbance
 
 Array = NDArray[np.float64]
 

@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 
 UNITS = {"m": "m", "rad": "rad", "m_s": "m/s", "rad_s": "rad/s", "m_s2": "m/s^2", "n": "N", "nm": "N m"}
 
+STEP_S = 0.0005
+"""Limits are verified at such steps."""
+
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
@@ -182,12 +185,12 @@ def excesses(motion: RigidMotion, envelope: Envelope) -> dict[str, float]:
     return result
 
 
-def series_excesses(series: FourierSeries, envelope: Envelope, step_s: float = 0.0005) -> dict[str, float]:
+def series_excesses(series: FourierSeries, envelope: Envelope, step_s: float = STEP_S) -> dict[str, float]:
     """:func:`excesses` over one period, sampled so finely that no coarser grid can see more than rounding beyond it."""
     t = np.linspace(0.0, min(series.period_s, series.duration_s), int(np.ceil(series.period_s / step_s)) + 1)
     return excesses(rigid_motion(series.sample(t), envelope.gravity_m_s2), envelope)
 
 
-def largest_violation(series: FourierSeries, envelopes: tuple[Envelope, ...]) -> float:
+def largest_violation(series: FourierSeries, envelopes: tuple[Envelope, ...], step_s: float = STEP_S) -> float:
     """The largest excess over any limit of any vehicle; zero when all are kept."""
-    return max(0.0, *(max(series_excesses(series, each).values()) for each in envelopes))
+    return max(0.0, *(max(series_excesses(series, each, step_s).values()) for each in envelopes))

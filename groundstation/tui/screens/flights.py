@@ -10,8 +10,8 @@ from typing import Any, ClassVar
 from textual.binding import Binding
 from textual.widgets import DataTable, Input, Static
 
+from groundstation.tui.documents import comparison, flight_row
 from groundstation.tui.screens.base import StationScreen, fill
-from groundstation.tui.text import comparison, flight_row
 
 COLUMNS = ("UTC", "flight", "vehicle", "state", "verdict", "mass")
 
