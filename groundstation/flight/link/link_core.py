@@ -335,7 +335,7 @@ class LinkCore:
             return
         self._inlet.bind(peer, now_s)
         self.view = VehicleView(profile)
-        self.pilot = Pilot(profile, self.station.policy, self.view)
+        self.pilot = Pilot(profile, self.station.policy, self.view, by_poses=self.station.flies_by_poses)
         self._telemetry = Telemetry(
             self.vehicle.rotors.count, system=profile.system, imu=profile.imu, pwm_us=profile.pwm_us
         )
