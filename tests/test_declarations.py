@@ -62,6 +62,16 @@ def test_the_line_to_write_puts_the_rotors_right(right: FlightData) -> None:
     assert {check.verdict for check in again if check.name.startswith("rotor")} == {"agrees"}
 
 
+def test_speeds_that_nobody_measured_lead_the_motion(right: FlightData) -> None:
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    commanded = vehicle.model_copy(update={"rotors": vehicle.rotors.model_copy(update={"speed_source": "command"})})
+    flown = simulate(commanded, rest_to_rest_plan(seed=1), laboratory(motor_lag={"hover_s": 0.06}), 1)
+    flight = replace(flight_data(flown), plan=None, setpoint=None, vehicle=vehicle)
+    found = {check.name: check for check in check_declarations(flight)}
+    assert found["speed_source"].verdict == "doubtful" and 'speed_source = "command"' in found["speed_source"].line
+    assert {check.name: check.verdict for check in check_declarations(right)}["speed_source"] == "agrees"
+
+
 def test_a_refusal_says_how_to_go_on_and_an_accepted_one_does(right: FlightData) -> None:
     wrong = WRONG["spins the other way"](right, np.random.default_rng(8))
     with pytest.raises(Refused, match="--accept-declaration rotor_spin"):
