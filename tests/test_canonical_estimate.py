@@ -17,12 +17,12 @@ from groundstation.fleet.rows import CANONICAL, _parameters
 from groundstation.flight.client.rehearse import result_table
 from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.model.prediction import model_from_document
-from groundstation.reporting import write_report
 from groundstation.reporting.canonical import canonical, correlated
 from groundstation.reporting.exports import model_document, read_model
 from groundstation.reporting.identified import identified_from_document
+from groundstation.reporting.report import write_report
 from groundstation.reporting.units import interval_text, label, scale_for, split_unit
-from groundstation.tui.text import method_table
+from groundstation.tui.documents import method_table
 
 SHOWN = ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
 KINDS = ("with findings", "findings not adopted", "unexplained")

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from groundstation.reporting import write_report
 from groundstation.reporting.compare import write_comparison
+from groundstation.reporting.report import write_report
 from tests import browser
 from tests import reporting_fixture as fixture
 from tests.accessibility import ABSENT, axe_source, findings

@@ -10,9 +10,9 @@ from test_cli_commands import groundstation
 
 from groundstation.errors import BadInput, NotIdentifiable
 from groundstation.identification.results import Estimate
-from groundstation.reporting import write_report
 from groundstation.reporting.canonical import canonical
 from groundstation.reporting.compare import cell, change, comparison_rows, read_flown, summary, write_comparison
+from groundstation.reporting.report import write_report
 from groundstation.reporting.units import interval_text, scale_for
 from tests import reporting_fixture as fixture
 

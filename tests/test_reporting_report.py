@@ -15,7 +15,7 @@ import pytest
 from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import Stream
 from groundstation.identification.results import Estimate
-from groundstation.reporting import report_html, write_report
+from groundstation.reporting.report import report_html, write_report
 from groundstation.vehicle import vehicle_from_dict, vehicle_to_dict
 from tests import reporting_fixture as fixture
 

@@ -7,11 +7,12 @@ them.
 
 from __future__ import annotations
 
+import importlib
 import webbrowser
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from textual.app import App, SystemCommand
 from textual.binding import Binding
@@ -27,21 +28,19 @@ from groundstation.flight.journal import read_journal
 from groundstation.flight.messages import CommandName, CoreStatus
 from groundstation.flight.sequence import FINAL, IN_FLIGHT, Phase
 from groundstation.texts import shown
-from groundstation.trajectory import Plan
 from groundstation.tui.margins import Announcer, FlightLimits, margins
 from groundstation.tui.results import FlightResults, read_results
 from groundstation.tui.screens.base import StationScreen
-from groundstation.tui.screens.campaign import Campaign
-from groundstation.tui.screens.diagnose import Diagnose
-from groundstation.tui.screens.flights import Flights
-from groundstation.tui.screens.fly import Fly
-from groundstation.tui.screens.identify import Identify
-from groundstation.tui.screens.plan import Planner
-from groundstation.tui.screens.station import Station
 from groundstation.tui.setup import Setup, begin_flight, flight_limits, plan_at_hand
 from groundstation.tui.watch import CoreWatch
 from groundstation.tui.widgets.bars import REFRESH_S, SCREENS
 from groundstation.tui.widgets.dialogs import Question, TextPage, TypedQuestion
+
+if TYPE_CHECKING:
+    from groundstation.trajectory import Plan
+    from groundstation.tui.screens.diagnose import Diagnose
+    from groundstation.tui.screens.identify import Identify
+    from groundstation.tui.screens.plan import Planner
 
 AFTER_LANDING = (Phase.LANDED, Phase.IDENTIFYING, Phase.DONE)
 """A view may see any of them first."""
@@ -64,6 +63,15 @@ Stop the rotors now? The vehicle falls from where it is.
 Abort and land (^g) brings it down under control."""
 
 
+def _screen(mode: str, name: str) -> Callable[[], StationScreen]:
+    """Makes a screen; its module is imported when the screen is first opened: plots and tables need numerics."""
+
+    def make() -> StationScreen:
+        return getattr(importlib.import_module(f"groundstation.tui.screens.{mode}"), name)()
+
+    return make
+
+
 class GroundStation(App[int]):
     """The application.
 
@@ -82,13 +90,13 @@ class GroundStation(App[int]):
     TITLE = "groundstation"
     CSS_PATH = "groundstation.tcss"
     MODES: ClassVar = {
-        "station": Station,
-        "plan": Planner,
-        "fly": Fly,
-        "identify": Identify,
-        "diagnose": Diagnose,
-        "flights": Flights,
-        "campaign": Campaign,
+        "station": _screen("station", "Station"),
+        "plan": _screen("plan", "Planner"),
+        "fly": _screen("fly", "Fly"),
+        "identify": _screen("identify", "Identify"),
+        "diagnose": _screen("diagnose", "Diagnose"),
+        "flights": _screen("flights", "Flights"),
+        "campaign": _screen("campaign", "Campaign"),
     }
     DEFAULT_MODE = "station"
     BINDINGS: ClassVar = [
@@ -338,9 +346,12 @@ class GroundStation(App[int]):
         self.run_worker(read, thread=True)
 
     def _show_results(self, screen: StationScreen) -> None:
-        if self.results is not None and isinstance(screen, Identify | Diagnose) and screen.results is not self.results:
-            screen.show_results(self.results)
-            screen.results = self.results
+        if self.results is None or screen.MODE not in ("identify", "diagnose"):
+            return
+        shows = cast("Identify | Diagnose", screen)
+        if shows.results is not self.results:
+            shows.show_results(self.results)
+            shows.results = self.results
 
     def open_report(self, folder: Path | None = None) -> None:
         """Open a flight's report in the browser."""
@@ -368,10 +379,16 @@ class GroundStation(App[int]):
                 f"this is the flight that the diagnosis of {results.folder.name} proposes; r on Fly prepares it",
                 markup=False,
             )
-            self.call_after_refresh(lambda: isinstance(self.screen, Planner) and self.screen.on_screen_resume())
+            self._on_planner(lambda planner: planner.on_screen_resume())
             return
         vehicle = str(results.identification.get("vehicle", ""))
-        self.call_after_refresh(lambda: isinstance(self.screen, Planner) and self.screen.plan_for(vehicle))
+        self._on_planner(lambda planner: planner.plan_for(vehicle))
+
+    def _on_planner(self, act: Callable[[Planner], None]) -> None:
+        """On the Plan screen once it is drawn; nothing where another was opened meanwhile."""
+        self.call_after_refresh(
+            lambda: getattr(self.screen, "MODE", "") == "plan" and act(cast("Planner", self.screen))
+        )
 
     # Keys -------------------------------------------------------------------------------------------------------------
 
@@ -381,7 +398,7 @@ class GroundStation(App[int]):
             yield SystemCommand(f"Open {title}", f"screen {title}", partial(self.switch_mode, mode))
         for active in screen.active_bindings.values():
             binding = active.binding
-            if active.enabled and binding.description and binding.show:
+            if active.enabled and binding.description and (binding.show or active.node is screen):
                 run = partial(self.run_action, binding.action, active.node)
                 yield SystemCommand(binding.description, f"key {binding.key_display or binding.key}", run)
         yield SystemCommand("Abort and land", "key ^g", self.action_abort)
@@ -392,7 +409,7 @@ class GroundStation(App[int]):
         """Keys and what the screen does."""
         screen = self.screen
         if isinstance(screen, StationScreen):
-            keys = "\n".join(f"{b.key:<8}{b.description}" for b in screen.BINDINGS if isinstance(b, Binding) and b.show)
+            keys = "\n".join(f"{b.key:<8}{b.description}" for b in screen.BINDINGS if isinstance(b, Binding))
             title = SCREENS[screen.MODE]
             self.push_screen(
                 TextPage(title, f"{' '.join(screen.HELP_TEXT.split())}\n\n{title}\n{keys}\n\nEverywhere\n{KEYS}")

@@ -6,15 +6,17 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
 from rich.text import Text
 
 from groundstation.flight.messages import CoreStatus
 from groundstation.texts import shown
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:  # the first screen waits for no numerics
+    import numpy as np
+    from numpy.typing import NDArray
+
 Range = tuple[float, float]
 
 NEAR, AT = 0.75, 0.92
@@ -60,7 +62,7 @@ class FlightLimits:
     speed_m_s: float | None = None
     box: tuple[Range, Range, Range] | None = None
     empty_v: float | None = None
-    path: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    path: NDArray[np.float64] | Sequence[Sequence[float]] = ()
     station: str = ""
     watched: bool = False
 

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from drivers.access import Access
 from groundstation.errors import BadInput
 from groundstation.flight.children import Child
 from groundstation.flight.client.client import new_flight_folder, start_core
-from groundstation.flight.client.rehearse import linked_vehicle, simulated_drone
 from groundstation.paths import configs_dir, find_config, shipped_config
 from groundstation.texts import file_name
-from groundstation.trajectory import Plan, load_plan
 from groundstation.tui.margins import FlightLimits
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from groundstation.trajectory import Plan
 
 SIMULATOR = "simulator"
 UDP = "udpin://127.0.0.1:14540"
@@ -64,6 +66,8 @@ def links() -> list[str]:
 
 def plan_at_hand(setup: Setup, newest: Plan | None) -> Plan | None:
     """The newest plan where it was made for what flies, else the one that ships for it, if one does."""
+    from groundstation.trajectory import load_plan
+
     if newest is not None and newest.vehicle == setup.vehicle:
         return newest
     path = configs_dir() / "plans" / f"{file_name(setup.vehicle)}.toml"
@@ -77,6 +81,7 @@ def begin_flight(setup: Setup, plan: Plan, logs: Path, *, analyse: bool = True) 
         BadInput: vehicle, scenario or station do not exist.
     """
     from groundstation.analysis.plans import write_plan
+    from groundstation.flight.client.rehearse import linked_vehicle, simulated_drone
     from groundstation.flight.station import load_station
     from groundstation.flight.until import lasting_until
     from groundstation.vehicle import load_vehicle
@@ -100,6 +105,7 @@ def begin_flight(setup: Setup, plan: Plan, logs: Path, *, analyse: bool = True) 
 def flight_limits(folder: Path, station: str, *, simulated: bool) -> FlightLimits:
     """What bounds the flight in a folder: its plan's room and path, and where the guard of a station file acts."""
     from groundstation.flight.station import load_station
+    from groundstation.trajectory import load_plan
     from groundstation.vehicle import load_vehicle
 
     try:
@@ -125,5 +131,7 @@ def flight_limits(folder: Path, station: str, *, simulated: bool) -> FlightLimit
 
 def plan_path(plan: Plan) -> NDArray[np.float64]:
     """Positions of one period of the excitation, shape (k, 3)."""
+    import numpy as np
+
     series = plan.series()
     return series.sample(np.linspace(0.0, min(series.period_s, series.duration_s), PATH_POINTS)).position[0]

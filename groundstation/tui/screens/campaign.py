@@ -11,8 +11,8 @@ from textual.binding import Binding
 from textual.widgets import DataTable, Static
 
 from groundstation.errors import BadInput, GroundStationError
+from groundstation.tui.documents import round_row, rounds_text
 from groundstation.tui.screens.base import StationScreen, fill
-from groundstation.tui.text import round_row, rounds_text
 
 if TYPE_CHECKING:
     from groundstation.campaign.campaign import Campaign as Stand

@@ -8,9 +8,9 @@ from typing import ClassVar
 from textual.binding import Binding
 from textual.widgets import DataTable, Static
 
+from groundstation.tui.documents import error_rows, finding_text, suspect_rows
 from groundstation.tui.results import FlightResults
 from groundstation.tui.screens.base import StationScreen, fill
-from groundstation.tui.text import error_rows, finding_text, suspect_rows
 
 
 class Diagnose(StationScreen):

@@ -15,9 +15,10 @@ from groundstation.flight.messages import CoreStatus
 from groundstation.flight.sequence import FINAL, IN_FLIGHT, Phase
 from groundstation.tui.charts import offered, values, words
 from groundstation.tui.checks import checklist
+from groundstation.tui.documents import live_rows, motor_lines, plan_lines, until_lines
 from groundstation.tui.margins import health, margin_text, margins
 from groundstation.tui.screens.base import WIDE, StationScreen, fill
-from groundstation.tui.text import PHASES, live_rows, motor_lines, plan_lines, state_lines, until_lines
+from groundstation.tui.text import PHASES, state_lines
 from groundstation.tui.widgets.dialogs import Choice
 from groundstation.tui.widgets.plots import Line, Plot
 from groundstation.tui.widgets.room import RoomView

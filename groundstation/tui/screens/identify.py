@@ -13,9 +13,9 @@ from groundstation.flight.messages import CoreStatus
 from groundstation.flight.sequence import Phase
 from groundstation.reporting.card import landing_card
 from groundstation.reporting.units import label, scale_for, split_unit
+from groundstation.tui.documents import identification_notes, live_rows, method_table, validation_rows
 from groundstation.tui.results import FlightResults
 from groundstation.tui.screens.base import WIDE, StationScreen, fill
-from groundstation.tui.text import identification_notes, live_rows, method_table, validation_rows
 from groundstation.tui.widgets.plots import Line, Plot
 
 EVOLVING = ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")

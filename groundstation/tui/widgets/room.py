@@ -87,7 +87,8 @@ def extent(limits: FlightLimits, flown: Array, zoom: str) -> tuple[Array, Array]
     Of "room" the plan with its room and the floor, of "path" the plan alone, of "box" also the guard's box. Without any of them
     it is what was flown, or the origin.
     """
-    points = [limits.path, flown if zoom != "path" or not len(limits.path) else limits.path]
+    path = np.asarray(limits.path, dtype=float).reshape(-1, 3)
+    points = [path, flown if zoom != "path" or not len(path) else path]
     if zoom != "path" or not any(map(len, points)):
         points.append(np.zeros((1, 3)))
     room = limits.room
@@ -140,7 +141,7 @@ class RoomView(Canvas):
             self.reset(self.size, refresh=False)
             for view in layout(self.size.width, self.size.height, *extent(limits, flown, ZOOMS[self._zoom])):
                 self._walls(view, limits)
-                self._path(view, limits.path, PLAN)
+                self._path(view, np.asarray(limits.path, dtype=float).reshape(-1, 3), PLAN)
                 self._path(view, flown, FLOWN)
                 self._marker(view, wanted, WANTED)
                 self._marker(view, here, HERE)
