@@ -6,6 +6,8 @@ A measured speed and the torque it makes are simultaneous; telemetry is late, if
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -63,7 +65,7 @@ def _leads(torque: Array, turning: Array, used: NDArray[np.bool_]) -> tuple[Arra
     power = np.cumsum(np.where(used, np.sum(measured**2, axis=1), 0.0))
     bounds = np.searchsorted(power, power[-1] * np.arange(PARTS + 1) / PARTS)
     leads = []
-    for first, last in zip(bounds, bounds[1:], strict=False):
+    for first, last in pairwise(bounds):
         rows = used[first:last]
         if rows.sum() < 50:
             continue
