@@ -34,6 +34,7 @@ COMMANDS = {
     "flights": "fleet",
     "batch": "fleet",
     "campaign": "campaign",
+    "calibrate": "mocap",
     "doctor": "station",
     "completion": "station",
     "reproduce": "station",
