@@ -34,6 +34,7 @@ COMMANDS = {
     "flights": "fleet",
     "batch": "fleet",
     "campaign": "campaign",
+    "calibrate": "mocap",
     "doctor": "station",
     "completion": "station",
     "reproduce": "station",
@@ -113,6 +114,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except GroundStationError as error:
             return _fail(str(error), error.exit_status, as_json, out)
         except Exception as error:
+            if isinstance(error, BrokenPipeError) and not _print("", sys.stdout, end=""):
+                return 0
             if "--debug" in arguments:
                 raise
             text = f"this is a defect of groundstation ({type(error).__name__}: {error}); `groundstation --debug ...` shows where"
@@ -120,9 +123,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(result, Result):
             from groundstation.analysis.documents import finite
 
-            print(_json(finite(result.document)) if as_json else shown(result.text, limit=_MOST, lines=True), file=out)
+            _print(_json(finite(result.document)) if as_json else shown(result.text, limit=_MOST, lines=True), out)
             return result.exit_status
+        _print("", sys.stdout, end="")
         return result if isinstance(result, int) else 0
+
+
+def _print(text: str, out: TextIO, end: str = "\n") -> bool:
+    """Print it all now; False where the reader has gone (`| head`), and what is left then goes nowhere."""
+    try:
+        print(text, file=out, end=end, flush=True)
+    except BrokenPipeError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, out.fileno())
+        os.close(nowhere)
+        return False
+    return True
 
 
 def _fail(text: str, status: int, as_json: bool, out: TextIO, reason: Refused | None = None) -> int:
@@ -134,7 +150,7 @@ def _fail(text: str, status: int, as_json: bool, out: TextIO, reason: Refused | 
             from groundstation.analysis.documents import refusal
 
             document |= refusal(reason)
-        print(_json(document), file=out)
+        _print(_json(document), out)
     return status
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -198,3 +199,18 @@ def test_the_table_shows_truth_only_where_there_is_one_and_says_what_is_not_reve
     assert lines[2].split() == ["mass", "kg", "1.79000", "1.82580", "1.82530", "1.82470", "..", "1.82590"]
     assert "not revealed" in lines[3] and len(lines) == 4
     assert "true" not in result_table(document, declared, {})
+
+
+@pytest.mark.parametrize("arguments", [["doctor"], ["doctor", "--json"], ["completion", "bash"]])
+def test_a_reader_that_has_read_enough_ends_the_command_quietly(arguments):
+    read, write = os.pipe()
+    os.close(read)  # as `| head` leaves it
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", "-m", "groundstation.cli", *arguments],
+            stdout=write, stderr=subprocess.PIPE, text=True, check=False, timeout=120,
+        )  # fmt: skip
+    finally:
+        os.close(write)
+    assert "Error" not in done.stderr and "defect" not in done.stderr, done.stderr
+    assert done.returncode in (0, 2), "the command's own status"

@@ -18,7 +18,7 @@ from drivers import bus
 from drivers.access import new_secrets
 from groundstation.flight.client.client import outcome, start_core
 from groundstation.flight.client.rehearse import simulated_drone
-from groundstation.flight.core.process import DRONE
+from groundstation.flight.core.vehicle_process import DRONE
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.journal import read_journal
 from groundstation.paths import find_config

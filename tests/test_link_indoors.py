@@ -21,6 +21,7 @@ from groundstation.flight.link.markers import Markers
 from groundstation.flight.link.pilot import IN_AIR, Phase, Pilot
 from groundstation.flight.link.pose_latency import Latency, latency_sentence
 from groundstation.flight.link.preflight import failures
+from groundstation.flight.link.profiles import PROFILES
 from groundstation.flight.station import station_from_dict
 from groundstation.vehicle import Mocap
 from sim.mavlink.arducopter import ArduCopter
@@ -235,3 +236,9 @@ def test_the_simulated_optitrack_server_sends_after_its_latency_and_tells_its_cl
     finally:
         client.close()
         server.close()
+
+
+def test_an_origin_is_where_each_firmware_wants_it():
+    """PX4 takes heights of poses for altitudes; ArduCopter takes an altitude of 0 for none, and its height ran away."""
+    assert PROFILES["px4"]().origin().altitude == 0
+    assert PROFILES["arducopter"]().origin().altitude > 0

@@ -4,10 +4,18 @@
 # pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportOperatorIssue=false
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
-from drivers.mocap.serverclock import ServerClock, hull_slope
+from drivers.mocap.health import Summary, clock_text, vehicle_clock_text
+from drivers.mocap.serverclock import ServerClock, ServerTime, hull_slope
+from groundstation.flightdata import MOCAP_COLUMNS, Stream
+from groundstation.identification.clock_steps import cut_steps
+from groundstation.identification.results import Clock
+from groundstation.recording.online_clock import online_clock
+from groundstation.recording.recorded import Texts
 
 SEEDS = range(12)
 
@@ -90,3 +98,46 @@ def test_the_hull_finds_the_slope_under_late_packets():
     late = rng.exponential(0.004, len(t))
     late[::5] = 0.0
     assert hull_slope([(x, 3e-5 * x + y) for x, y in zip(t, late, strict=True)]) == pytest.approx(3e-5, abs=2e-7)
+
+
+def stamped(step_s: float = 0.0, at_s: float = 12.0, seed: int = 4) -> Stream:
+    """Twenty seconds of poses at 120 Hz, their arrivals, and a clock that is set while they come."""
+    rng = np.random.default_rng(seed)
+    true = np.arange(0.0, 20.0, 1.0 / 120.0)
+    late = 0.005 + rng.exponential(0.002, len(true))
+    stamps = true + 300.0 + np.where(true > at_s, step_s, 0.0)
+    return Stream(stamps, np.stack([true, *[np.zeros_like(true)] * 6], axis=-1), MOCAP_COLUMNS, true + late)
+
+
+@pytest.mark.parametrize("step_s", [-3.0, -0.05, 0.03, 0.2, 40.0], ids=lambda s: f"{s:+g} s")
+def test_a_step_within_a_recording_is_found_and_cut(step_s):
+    whole, notes = cut_steps(stamped(step_s))
+    (note,) = notes
+    told_ms = float(re.search(r"stepped by ([-+]\d+) ms", note)[1])
+    assert told_ms == pytest.approx(1e3 * step_s, abs=2.0)
+    assert len(whole) > 2380
+    np.testing.assert_allclose(whole.t_s - whole.values[:, 0], 300.0, atol=1.5e-3)
+
+
+def test_a_recording_without_a_step_is_left_as_it_is():
+    for seed in range(5):
+        stream = stamped(seed=seed)
+        assert cut_steps(stream) == (stream, []), f"seed {seed}"
+    congested = stamped()
+    congested.received_s[1200:1300] += 0.3
+    assert cut_steps(congested)[1] == []
+
+
+def test_what_the_link_knew_in_flight_is_read_from_its_events():
+    summary = Summary(120.0, 0.005, 0.008, 1e-5, 0, 0.0, 0.01, 0.0005)
+    line = clock_text(ServerTime(12.5, 3.0, 2.5e-5, 1e-4, "two-way", 1), 3e-4, summary)
+    rows = [("clock", line + vehicle_clock_text(4000.0 + 1e-4 * n, 2e-4)) for n in range(5)]
+    events = Texts(np.arange(5.0), (*rows[:2], ("mocap", "stepped"), *rows[3:]), ("kind", "text"))
+    online = online_clock(events)
+    assert online.at(3.5) == (pytest.approx(4000.00035), pytest.approx(5e-4))
+    assert online.steps == 1
+    assert online_clock(None) is None
+    clock = Clock(4000.0002, 1e-4, online_s=4000.00035, online_error_s=5e-4)
+    assert clock.agrees
+    assert not Clock(4000.003, 1e-4, online_s=4000.0, online_error_s=5e-4).agrees
+    assert Clock(1.0, 1e-4).agrees is None

@@ -104,17 +104,25 @@ def clock_text(clock: ServerTime, error_s: float, summary: Summary) -> str:
     )
 
 
+def vehicle_clock_text(host_minus_vehicle_s: float, error_s: float) -> str:
+    """What the link adds to that line: the vehicle's clock by TIMESYNC."""
+    return f"; host minus vehicle {host_minus_vehicle_s:.6f} s within {1e3 * error_s:.3f} ms"
+
+
+_VEHICLE = re.compile(r"; host minus vehicle (-?[\d.]+) s within ([\d.]+) ms$")
 _TEXT = re.compile(r"mocap: stamps known to ([\d.]+) ms \(([a-z -]+)\), drift ([-+\d.]+) ppm, (\d+) steps")
 
 
 @dataclass(frozen=True, slots=True)
 class ToldClock:
-    """What :func:`clock_text` told."""
+    """What :func:`clock_text` and :func:`vehicle_clock_text` told; the vehicle's is None without TIMESYNC."""
 
     error_s: float
     method: str
     drift: float
     steps: int
+    host_minus_vehicle_s: float | None = None
+    vehicle_error_s: float = 0.0
 
 
 def told_clock(text: str) -> ToldClock | None:
@@ -122,4 +130,6 @@ def told_clock(text: str) -> ToldClock | None:
     found = _TEXT.match(text)
     if found is None:
         return None
-    return ToldClock(1e-3 * float(found[1]), found[2], 1e-6 * float(found[3]), int(found[4]))
+    vehicle = _VEHICLE.search(text)
+    offset_s, error_s = (float(vehicle[1]), 1e-3 * float(vehicle[2])) if vehicle is not None else (None, 0.0)
+    return ToldClock(1e-3 * float(found[1]), found[2], 1e-6 * float(found[3]), int(found[4]), offset_s, error_s)

@@ -25,6 +25,7 @@ SECTIONS: dict[str, dict[str, str]] = {
         "batch": "Analyse many recordings, on all cores or a cluster",
     },
     "This station": {
+        "calibrate": "Measure how the marker body sits, by hand",
         "doctor": "Say what is missing or wrong here, and what to do",
         "reproduce": "Fly the paper's flights and print its tables beside ours",
         "completion": "Print a completion script for bash, zsh or fish",

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.attribution import folds, held_out
-from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, Solution
+from groundstation.diagnosis.evidence import FLIGHTS_OWN, Candidate, Columns, Evidence, FlightEvidence, Solution
 from groundstation.diagnosis.form_error import form_covariance
 from groundstation.identification.anchoring import anchored, anchored_covariance
 from groundstation.identification.prediction_error import Fitted, output_error
@@ -186,9 +186,9 @@ def residual_wrench(flight: FlightEvidence, residual: Array, p: Parameters) -> A
     return out
 
 
-def _remaining(flight: FlightEvidence, chosen: Chosen, solution: Solution) -> Array:
+def remaining(flight: FlightEvidence, chosen: Chosen, solution: Solution) -> Array:
     """Unwhitened residual of one flight after a joint estimate."""
-    out = flight.residual - flight.sensitivity @ solution.theta[: solution.base]
+    out = flight.residual - flight.sensitivity @ solution.theta[: len(flight.names)]
     first = solution.base
     for candidate, _ in chosen:
         count = len(candidate.effect.parameters)
@@ -196,7 +196,30 @@ def _remaining(flight: FlightEvidence, chosen: Chosen, solution: Solution) -> Ar
         wrench = candidate.effect.wrench(flight.signals, flight.prepared.record.vehicle, candidate.settings)
         out = out - flight.predicted(wrench) @ theta
         first += count
+    if solution.base > len(flight.names):
+        return _without_own_bias(flight, out)
     return out
+
+
+def _without_own_bias(flight: FlightEvidence, residual: Array) -> Array:
+    """A residual less what the flight's own accelerometer biases make of it: no other flight can tell them, and no model is judged by them."""
+    own = [index for index, name in enumerate(flight.names) if name in FLIGHTS_OWN]
+    kept = np.isfinite(residual).all(axis=1)
+    columns = flight.sensitivity[kept][:, :, own].reshape(-1, len(own))
+    if not len(own) or not columns.any():
+        return residual
+    values = np.linalg.lstsq(columns, residual[kept].reshape(-1), rcond=1e-10)[0]
+    return residual - flight.sensitivity[:, :, own] @ values
+
+
+def residual_rms(evidence: Evidence, chosen: Chosen, solution: Solution) -> dict[int, float]:
+    """RMS of the residual wrench by channel, N or N m, the largest of the suspected flights."""
+    flights = evidence.flights[: evidence.suspects]
+    rms = [
+        np.sqrt(np.nanmean(residual_wrench(f, remaining(f, chosen, solution), f.parameters) ** 2, axis=0))
+        for f in flights
+    ]
+    return {channel: float(max(each[channel] for each in rms)) for channel in flights[0].channels}
 
 
 def held_out_errors(
@@ -234,9 +257,9 @@ def residual_series(
     before = (
         declared_model(flight).residual(plain.parameters)
         if plain is not None
-        else _remaining(flight, baseline, evidence.solve(baseline))
+        else remaining(flight, baseline, evidence.solve(baseline))
     )
-    after = _remaining(flight, chosen, evidence.solve(chosen))
+    after = remaining(flight, chosen, evidence.solve(chosen))
     series = {"t_s": flight.model.t_s}
     for suffix, residual in (("", before), ("/after", after)):
         wrench = residual_wrench(flight, residual, flight.parameters)
@@ -258,5 +281,5 @@ def _collect(
         if stage == "before" and plain is not None:
             residual = declared_model(flight).residual(plain.parameters)
         else:
-            residual = _remaining(flight, chosen, solution)
+            residual = remaining(flight, chosen, solution)
         stages[stage].append(residual_wrench(flight, residual, p)[inside])

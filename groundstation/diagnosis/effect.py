@@ -204,9 +204,7 @@ def from_thrust(vehicle: Vehicle, thrust: Array) -> Array:
     """Body wrench (k, 6) of rotor thrusts (k, n)."""
     from groundstation.model.rotors import wrench_matrix
 
-    out = np.zeros((len(thrust), 6))
-    out[:, 2:] = thrust @ wrench_matrix(vehicle).T
-    return out
+    return np.asarray(thrust @ wrench_matrix(vehicle).T, dtype=float)
 
 
 def ramp(t_s: Array, at_s: float, within_s: float) -> Array:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.comparison import residual_rms
 from groundstation.diagnosis.discrepancy import Discrepancy
 from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, from_thrust
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
@@ -100,6 +101,9 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
     kept = first.prepared.record.keep
     discrepancy = Discrepancy(evidence)
     solution = evidence.solve(chosen)
+    left = residual_rms(evidence, chosen, solution)
+    scales = {c: THRESHOLDS.material_share * weight * (vehicle.arm_m() if c < 3 else 1.0) for c in first.channels}
+    channels = [c for c in first.channels if left[c] >= scales[c]]  # nothing material can hide in less
     energy = discrepancy.energies(chosen, solution).sum(axis=0) + discrepancy.of_lag(solution)
     lift = from_thrust(vehicle, first.signals.thrust_n)[:, :, None]
     known = [c.effect.wrench(first.signals, vehicle, c.settings) for c, _ in chosen]
@@ -113,7 +117,7 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
         knots = np.unique(np.quantile(values[kept], np.linspace(0.0, 1.0, THRESHOLDS.dependence_knots)))
         if len(knots) < 4:
             continue
-        for channel in first.channels:
+        for channel in channels:
             candidate = Candidate(_probe(name, channel, knots), {})
             columns = evidence.columns(candidate)
             if columns is None:
@@ -129,8 +133,7 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
                 continue
             part = candidate.effect.wrench(first.signals, vehicle, {})[:, _WRENCH_ROW[channel], :]
             size = _own_size(part, *solution.part(offset, count), explained[:, _WRENCH_ROW[channel], :], kept)
-            scale = weight * (vehicle.arm_m() if channel < 3 else 1.0)
-            if size < THRESHOLDS.material_share * scale:
+            if size < scales[channel]:
                 continue
             disturbance = disturbance_std(evidence, channel)
             found.append(Dependence(CHANNELS[channel], name, margin, size**2 / (size**2 + disturbance**2)))

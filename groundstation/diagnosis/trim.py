@@ -39,7 +39,6 @@ from groundstation.diagnosis.trim_hypotheses import (
     weak_rotor,
 )
 from groundstation.identification.preparation import Prepared
-from groundstation.model.rotors import wrench_matrix
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -91,7 +90,7 @@ def compare_trims(suspects: Sequence[Prepared], references: Sequence[Prepared]) 
     suspect, reference = (np.array([mean_thrust(item) for item in group]) for group in (suspects, references))
     healthy = reference.mean(axis=0)
     scale = healthy.sum() * np.array([1.0, *([vehicle.arm_m()] * 2), vehicle.rotors.torque_to_thrust_m or 1.0])
-    matrix = wrench_matrix(vehicle) / scale[:, None]
+    matrix = vehicle.allocation() / scale[:, None]
     suspect, reference = suspect @ matrix.T, reference @ matrix.T
     scatter, changes = healthy_scatter(reference), suspect - reference.mean(axis=0)
     patterns = matrix * healthy

@@ -165,7 +165,7 @@ class Station(_Section):
     """A station file.
 
     Attributes:
-        indoors: the vehicle's estimator flies by the poses, without satellites. Left out, it is so where there is motion capture;
+        indoors: the vehicle's estimator flies by the poses, without satellites. Left out, it is so where poses are sent to it;
             false leaves the poses to the recording, and the vehicle to its own estimate.
         until: how long flights last where that is decided in flight; the vehicle file's goes before it.
     """
@@ -191,7 +191,8 @@ class Station(_Section):
     @property
     def flies_by_poses(self) -> bool:
         """Whether the vehicle's estimator is to use the poses."""
-        return self.mocap.system != "none" if self.indoors is None else self.indoors
+        sent = self.mocap.system != "none" and self.mocap.to_vehicle_hz > 0.0
+        return sent if self.indoors is None else self.indoors
 
 
 def station_from_dict(document: dict, source: str = "station") -> Station:

@@ -106,8 +106,10 @@ RESTART_BEGUN_S = 3.0
 """After a restart was accepted: until then an autopilot that is about to go may still be heard."""
 RESTARTED_S = 25.0
 """For its first heartbeat after that."""
-POSES_FUSED_S = 15.0
+POSES_FUSED_S = 20.0
 """For an estimator to take external poses: ArduPilot's aligns its yaw first, PX4's resets to them within seconds."""
+POSES_STEADY_S = 3.0
+"""How long it must have used them, its own checks passed: PX4's fail for a second or two after the reset."""
 
 # Link: orders and answers
 

@@ -4,8 +4,8 @@ Kinematics alone, as for a flight (:mod:`groundstation.identification.reconstruc
 
 1. *Clock*: the offset at which poses and gyro turn equally fast, whatever their axes.
 2. *Axes*: with w the gyro's rates and m those of the marker body's attitudes, the rotation that minimises
-   :math:`\sum |w - R m|^2` (Wahba 1965), by the singular values of :math:`\sum w m^T` (Markley 1988). Where the best
-   orthogonal matrix is no rotation, the poses are mirrored.
+   :math:`\sum |w - R m|^2` (Wahba 1965), by the singular values of :math:`\sum w m^T` (Markley 1988). Positions must
+   accelerate as the specific force says under it: where the best orthogonal map is no rotation, the poses are mirrored.
 3. *Up*: the mean specific force, turned into the poses' world: a hand that goes nowhere for long carries g upwards.
 4. From there the whitened least squares of the reconstruction: offset, rotation, clock, tilt, and the scale of the poses
    against the accelerometer, with standard deviations.
@@ -28,8 +28,9 @@ Array = NDArray[np.float64]
 LEAST_S = 10.0
 LEAST_TURNING_RAD_S = 0.25
 """Root mean square of the rates about the second axis: a slow turn of the wrist; less tells no rotation."""
-MIRRORED = 0.5
-"""Share of the residual that a mirror must remove before it is named; noise alone fits both alike."""
+CLEARLY = 0.05
+"""Share of the strongest acceleration that the weakest axis must have before a mirror is named: less is noise."""
+_CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 UPRIGHT_RAD = 0.2
 """A calibration square is laid to within a degree or two; an angle beyond 11 degrees is another axis."""
 ACCELEROMETER_SCALE = 0.005
@@ -97,6 +98,7 @@ def calibrate_by_hand(
     around = float(t_pose[0] - t_imu[0]) if expected_s is None else expected_s
     coarse, _ = coarse_offset(t_imu, gyro, t_pose, quaternion, expected_s=around, by_size=True)
     marker = marker_axes(t_imu, gyro, t_pose - coarse, quaternion)
+    refuse_mirrored(t_imu, accel, (t_pose - coarse, position, quaternion), marker)
     refuse_other_up(t_imu, accel, t_pose - coarse, quaternion, marker)
     found = reconstruct(
         t_imu, gyro, accel, t_pose, position, quaternion,
@@ -110,13 +112,11 @@ def marker_axes(t_gyro: Array, gyro: Array, t_pose: Array, quaternion: Array) ->
 
     Raises:
         NotIdentifiable: turned about one axis at most.
-        Refused: the poses' attitudes are mirrored.
     """
     rates, middle = rates_from_attitude(t_pose, quaternion)
     step = float(np.median(np.diff(t_pose)))
     good = np.diff(t_pose) < 3.0 * step
-    w = np.stack([np.interp(middle[good], t_gyro, c) for c in _smoothed(t_gyro, gyro).T], axis=-1)
-    m = np.stack([np.interp(middle[good], middle[good], c) for c in _smoothed(middle[good], rates[good]).T], axis=-1)
+    w, m = _at(middle[good], t_gyro, _smoothed(t_gyro, gyro)), _smoothed(middle[good], rates[good])
     w, m = w - w.mean(axis=0), m - m.mean(axis=0)
     u, spread, vt = np.linalg.svd(w.T @ m / len(w))
     if np.sqrt(spread[1]) < LEAST_TURNING_RAD_S:
@@ -124,16 +124,28 @@ def marker_axes(t_gyro: Array, gyro: Array, t_pose: Array, quaternion: Array) ->
             "it was turned about one axis at most, which does not tell how the marker body is mounted.",
             "Turn it about all three axes, by 30 degrees and more.",
         )
-    sign = float(np.sign(np.linalg.det(u @ vt)))
-    proper = u @ np.diag([1.0, 1.0, sign]) @ vt
-    if sign < 0.0:
-        left = float(np.sum((w - m @ proper.T) ** 2)), float(np.sum((w - m @ (u @ vt).T) ** 2))
-        if left[1] < MIRRORED * left[0]:
-            raise Refused(
-                "the poses are mirrored: they turn as the vehicle does in a mirror.",
-                "Make the capture system's world right-handed: swap two axes or negate one in its streaming settings.",
-            )
+    proper = u @ np.diag([1.0, 1.0, float(np.sign(np.linalg.det(u @ vt)))]) @ vt
     return quat_from_matrix(proper)
+
+
+def refuse_mirrored(t_imu: Array, accel: Array, poses: tuple[Array, Array, Array], marker: Array) -> None:
+    """Check that positions accelerate as the specific force says: a mirror turns attitudes into rotations again, but not these.
+
+    Raises:
+        Refused: the best orthogonal map between both is no rotation.
+    """
+    t, position, quaternion = poses
+    force = quat_rotate(quat_multiply(quaternion, marker * _CONJUGATE), _at(t, t_imu, accel))
+    speed = np.gradient(_smoothed(t, position), t, axis=0)
+    a, f = _smoothed(t, np.gradient(speed, t, axis=0)), _smoothed(t, force)
+    ends = slice(len(t) // 20, -len(t) // 20)
+    a, f = a[ends] - a[ends].mean(axis=0), f[ends] - f[ends].mean(axis=0)
+    u, spread, vt = np.linalg.svd(a.T @ f / len(a))
+    if np.linalg.det(u @ vt) < 0.0 and spread[2] > CLEARLY * spread[0]:
+        raise Refused(
+            "the poses are mirrored: they move as the vehicle does in a mirror.",
+            "Make the capture system's world right-handed: swap two axes or negate one in its streaming settings.",
+        )
 
 
 def refuse_other_up(t_imu: Array, accel: Array, t_pose: Array, quaternion: Array, marker: Array) -> None:
@@ -156,10 +168,13 @@ def refuse_other_up(t_imu: Array, accel: Array, t_pose: Array, quaternion: Array
 def up_axis(t_imu: Array, accel: Array, t_pose: Array, quaternion: Array, marker: Array) -> Array:
     """Unit vector of the mean specific force in the poses' world, shape (3,)."""
     inside = (t_pose > t_imu[0]) & (t_pose < t_imu[-1])
-    force = np.stack([np.interp(t_pose[inside], t_imu, c) for c in accel.T], axis=-1)
-    conjugate = marker * np.array([1.0, -1.0, -1.0, -1.0])
-    mean = quat_rotate(quat_multiply(quaternion[inside], conjugate), force).mean(axis=0)
+    force = _at(t_pose[inside], t_imu, accel)
+    mean = quat_rotate(quat_multiply(quaternion[inside], marker * _CONJUGATE), force).mean(axis=0)
     return mean / max(float(np.linalg.norm(mean)), 1e-9)
+
+
+def _at(query: Array, t: Array, values: Array) -> Array:
+    return np.stack([np.interp(query, t, c) for c in values.T], axis=-1)
 
 
 def _smoothed(t: Array, values: Array) -> Array:

@@ -90,6 +90,7 @@ def slow(prepared: Prepared, p: Parameters) -> Slow:
     signals = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
     anchor = vehicle.mass_kg / p.mass_kg if vehicle.identification.anchor == "mass" else 1.0
     wrench = anchor * low(signals.thrust_n @ wrench_matrix(vehicle).T)
+    sideways = np.pad(wrench[:, :2], ((0, 0), (0, 1))) / (anchor * p.mass_kg)  # of tilted rotors
     velocity = signals.velocity_body_m_s()
     rate = low(record.rate_rad_s)
     turning = np.gradient(rate, record.t_s, axis=0)
@@ -97,15 +98,15 @@ def slow(prepared: Prepared, p: Parameters) -> Slow:
     return Slow(
         used=(record.keep & ~near)[cut],
         step_s=float(cut.step) / rate_hz,
-        torque=wrench[cut, 1:],
-        thrust=wrench[cut, 0],
+        torque=wrench[cut, 3:],
+        thrust=wrench[cut, 2],
         rate=rate[cut],
         turning=turning[cut],
         jerk=np.gradient(turning, record.t_s, axis=0)[cut],
         velocity=low(velocity)[cut],
         speed2=low((velocity[:, :2] ** 2).sum(axis=1))[cut],
         share=low(hover_share(signals, vehicle))[cut],
-        force=low(record.force_m_s2)[cut],
+        force=(low(record.force_m_s2) - sideways)[cut],
         tensor=vehicle.inertia_tensor(),
         mass_kg=anchor * p.mass_kg,
         scale_n=vehicle.mass_kg * vehicle.gravity_m_s2,

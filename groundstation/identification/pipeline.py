@@ -182,8 +182,7 @@ def curve_terms(prepared: Prepared, p: Parameters) -> list[BodyWrench]:
     matrix = wrench_matrix(vehicle)
     terms = []
     for power, (name, declared) in enumerate(zip(CURVE, vehicle.rotors.thrust_curve or (), strict=True)):
-        value = np.zeros((len(lagged), 6))
-        value[:, 2:] = lagged**power @ matrix.T
+        value = lagged**power @ matrix.T
         span = max(abs(declared), 0.2 * vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.rotors.count)
         terms.append(BodyWrench(name, value, prior_std=span))
     return terms

@@ -109,12 +109,24 @@ class Revealed:
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """Motion-capture stamp minus IMU stamp of one instant, at the middle of the flight, and its drift (s/s)."""
+    """Motion-capture stamp minus IMU stamp of one instant, at the middle of the flight, and its drift (s/s).
+
+    ``online_s`` within ``online_error_s`` is what the link knew of it in flight, without looking at the motion; None where it told nothing.
+    """
 
     mocap_minus_imu_s: float
     std_s: float
     drift: float = 0.0
     drift_std: float = 0.0
+    online_s: float | None = None
+    online_error_s: float | None = None
+
+    @property
+    def agrees(self) -> bool | None:
+        """Whether both intervals meet; None without the link's."""
+        if self.online_s is None or self.online_error_s is None:
+            return None
+        return abs(self.online_s - self.mocap_minus_imu_s) <= self.online_error_s + 1.959964 * self.std_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,6 +212,9 @@ class Identification(Tabular):
                 "std_s": clock.std_s,
                 "drift": clock.drift,
                 "drift_std": clock.drift_std,
+                "online_s": clock.online_s,
+                "online_error_s": clock.online_error_s,
+                "online_agrees": clock.agrees,
             },
             "not_identifiable": list(self.not_identifiable),
             "remedies": dict(self.not_identifiable),

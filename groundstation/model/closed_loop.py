@@ -106,7 +106,7 @@ def simulate_closed_loop(
     tensor = np.ascontiguousarray(inertia, dtype=float)
     plant = (float(mass_kg), tensor, np.ascontiguousarray(np.linalg.inv(tensor)))
     believed, gains, limits, allocation, rates = _control_law(vehicle, conditions)
-    mixer = np.ascontiguousarray(np.linalg.pinv(allocation))
+    mixer = np.ascontiguousarray(vehicle.mixing())
     push = np.zeros((len(t), 6))
     for turn in range(1 if wrench is None else ROUNDS):
         states, wrenches = fly(wanted, state, push, believed, gains, *plant, limits, allocation, mixer, rates, STEP_S)
@@ -128,15 +128,15 @@ def _control_law(vehicle: Vehicle, conditions: Conditions) -> tuple[Array, Array
     thrust_max = limits.thrust_max_n or vehicle.rotor_thrust_max_n() * vehicle.rotors.count
     most = np.array([thrust_max, limits.torque_max_nm or np.inf, rotor_max])
     rates = np.array([conditions.pose_hz, conditions.imu_hz])
-    return believed, gains, most, np.ascontiguousarray(vehicle.allocation()), rates
+    return believed, gains, most, np.ascontiguousarray(vehicle.six_row_allocation()), rates
 
 
 def _signals(vehicle: Vehicle, flown: ClosedLoop) -> Signals:
     """What effects depend on, along a simulated flight; there is no battery in it."""
-    from groundstation.model.rotors import wrench_matrix
+    from groundstation.model.rotors import thrusts_for
 
     quaternion = quat_from_euler(*flown.euler_rad.T)
-    thrust = flown.wrench @ np.linalg.pinv(wrench_matrix(vehicle)).T
+    thrust = flown.wrench @ thrusts_for(vehicle).T
     motor = thrust if vehicle.rotors.input == "wrench" else vehicle.motor_for_thrust(thrust)
     unknown = np.full(len(flown.t_s), np.nan)
     return Signals(

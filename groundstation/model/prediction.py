@@ -435,13 +435,14 @@ class _Motion:
         """In the world, and of the body rates."""
         model = self._model
         wrench = rotors @ self._matrix.T
-        torque = wrench[:, 1:] + extra[:, 3:] - self._damping * w
+        torque = wrench[:, 3:] + extra[:, 3:] - self._damping * w
         torque[:, 2] += model.yaw_trim_nm
         force = extra[:, :3].copy()
+        force[:, :2] += wrench[:, :2]
         climb = np.nan_to_num(
             quat_rotate_inverse(q, v)[:, 2]
         )  # unknown without poses: rates are predicted all the same
-        force[:, 2] += wrench[:, 0] - model.climb_damping_kg_s * climb
+        force[:, 2] += wrench[:, 2] - model.climb_damping_kg_s * climb
         torque = torque - np.cross(self._com, force)
         turning = (torque - np.cross(w, w @ model.tensor)) @ self._inverse.T
         return quat_rotate(q, force) / model.mass_kg + self._gravity, turning

@@ -1,7 +1,8 @@
 """Compiled kernels of the prediction model: rotor signals, the observer that tells the start, windows side by side.
 
 State: position and velocity in the world, attitude, body rates. Accelerations are those of :mod:`.predictive`, whose numbers come
-as one vector in the order of its ``NAMES``. Rotor signals are rows (specific thrust, three angular accelerations) on a uniform grid.
+as one vector in the order of its ``NAMES``. Rotor signals are rows (specific thrust, three angular accelerations, specific forces along x and y)
+on a uniform grid.
 """
 
 from __future__ import annotations
@@ -19,21 +20,21 @@ DELAY, LEAD, SLOW_SHARE, SLOW_TIME, OBSERVER, MEASURED, FORCE_BANDWIDTH, FORCE_T
 
 @njit(cache=True)
 def integrated(u: Array, step_s: float, p: Array) -> Array:
-    """Running integral of the rotor signals as the model takes them, shape (k, 4).
+    """Running integral of the rotor signals as the model takes them, shape (k, 6).
 
     The torque's slow part (first-order low-pass) counts by its share only; all are led by ``lead * du/dt``.
     """
     out = np.empty_like(u)
     keep, share, lead = np.exp(-step_s / p[SLOW_TIME]), p[SLOW_SHARE], p[LEAD]
-    slow = u[0, 1:].copy()
-    total = np.zeros(4)
+    slow = u[0, 1:4].copy()
+    total = np.zeros(6)
     for k in range(len(u)):
         before, after = max(k - 1, 0), min(k + 1, len(u) - 1)
-        for c in range(4):
+        for c in range(6):
             value = u[k, c]
             if after > before:
                 value += lead * (u[after, c] - u[before, c]) / ((after - before) * step_s)
-            if c > 0:
+            if 0 < c < 4:
                 slow[c - 1] = keep * slow[c - 1] + (1.0 - keep) * u[k, c]
                 value -= (1.0 - share) * slow[c - 1]
             out[k, c] = total[c]
@@ -51,7 +52,7 @@ def _mean(integral: Array, start_s: float, step_s: float, begin: float, end: flo
         a = min(a, last - 1.0)
         b = a + 1.0
     i, j = int(a), int(b)
-    for c in range(4):
+    for c in range(6):
         low = integral[i, c] + (a - i) * (integral[i + 1, c] - integral[i, c])
         high = integral[j, c] + (b - j) * (integral[j + 1, c] - integral[j, c])
         out[c] = (high - low) / ((b - a) * step_s)
@@ -90,8 +91,8 @@ def _accelerations(
     b0 = r[0, 0] * v[0] + r[1, 0] * v[1] + r[2, 0] * v[2]
     b1 = r[0, 1] * v[0] + r[1, 1] * v[1] + r[2, 1] * v[2]
     b2 = r[0, 2] * v[0] + r[1, 2] * v[1] + r[2, 2] * v[2]
-    f0 = extra[0] - p[DRAG] * b0
-    f1 = extra[1] - p[DRAG + 1] * b1
+    f0 = extra[0] - p[DRAG] * b0 + p[THRUST] * u[4]
+    f1 = extra[1] - p[DRAG + 1] * b1 + p[THRUST] * u[5]
     f2 = extra[2] - p[DRAG + 2] * b2 + p[THRUST] * u[0] * (1.0 + p[LIFT] * (b0 * b0 + b1 * b1))
     for i in range(3):
         linear[i] = r[i, 0] * f0 + r[i, 1] * f1 + r[i, 2] * f2
@@ -128,7 +129,7 @@ def observed(
     """Rates (k, 3) and disturbances (k, 6) at each stamp from the past alone: an observer of constant gains."""
     rates, extras = np.empty((len(t), 3)), np.zeros((len(t), 6))
     rate, extra = w[0].copy(), np.zeros(6)
-    u, r, linear, turning, left = np.empty(4), np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(6)
+    u, r, linear, turning, left = np.empty(6), np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(6)
     for k in range(len(t)):
         h = t[k] - t[k - 1] if k > 0 else 0.0
         if h > 0.5:  # nothing was seen for long: begin again
@@ -172,7 +173,7 @@ def simulated(
     The midpoint rule; thrusts are averaged over each step.
     """
     out = np.empty((len(marks), len(start), 13))
-    u, r, a, b, left = np.empty(4), np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(6)
+    u, r, a, b, left = np.empty(6), np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(6)
     qm, wm, vm, q = np.empty(4), np.empty(3), np.empty(3), np.empty(4)
     _decay(p, h, left)
     for k in range(len(start)):

@@ -33,7 +33,7 @@ class Envelope:
         limits: of the vehicle file, with overrides; None is no limit.
         rotor_thrust_n: least and greatest thrust of one rotor.
         mass_kg, inertia_kg_m2: nominal, to turn a motion into a wrench.
-        mixing: rotor thrusts from [F_z, tau_x, tau_y, tau_z], least squares where there are more than four, shape (n, 4).
+        mixing: rotor thrusts for [F_z, tau_x, tau_y, tau_z], shape (n, 4).
         gravity_m_s2: local gravity.
     """
 
@@ -82,17 +82,18 @@ def envelope(vehicle: Vehicle, overrides: dict[str, float] | None = None) -> Env
         first = error.errors()[0]
         raise BadInput(f"limit {first['loc'][0]} = {first['input']}: {first['msg'].lower()}; correct it.") from None
     allocation = vehicle.allocation()
-    if np.linalg.matrix_rank(allocation, tol=1e-9 * np.abs(allocation).max()) < 4:
+    rank = np.linalg.matrix_rank(allocation, tol=1e-9 * np.abs(allocation).max())
+    if rank < 4 and not (rank == 3 and vehicle.turns_freely()):
         raise BadInput(
             f"{vehicle.name}: the rotors cannot make thrust and three torques independently, so no attitude can be "
-            "flown; correct position_m and spin in [rotors]."
+            "flown; correct position_m, axis and spin in [rotors]."
         )
     result = Envelope(
         limits=limits,
         rotor_thrust_n=rotor_thrust_range_n(vehicle),
         mass_kg=vehicle.mass_kg,
         inertia_kg_m2=vehicle.inertia_tensor(),
-        mixing=np.asarray(np.linalg.pinv(allocation), dtype=float),
+        mixing=vehicle.mixing(),
         gravity_m_s2=vehicle.gravity_m_s2,
     )
     _check_hover(result, vehicle.name)

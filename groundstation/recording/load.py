@@ -19,6 +19,7 @@ from groundstation.recording.crazyflie import is_usd_log, read_usd
 from groundstation.recording.kinds import READABLE, described
 from groundstation.recording.mcapfile import ForeignMcap, read_mcap
 from groundstation.recording.merge import merge_onboard, onboard_log_of
+from groundstation.recording.online_clock import online_clock
 from groundstation.recording.recorded import VEHICLE_FILE, Recording, vehicle_file
 from groundstation.recording.repair import repair
 from groundstation.recording.tables import MissingField
@@ -192,6 +193,7 @@ def checked_flight(recording: Recording, declared: Vehicle, path: str) -> Flight
         truth=recording.truth(path),
         metadata=recording.metadata,
         notes=recording.notes,
+        online=online_clock(recording.texts.get("events")),
         **recording.streams,
     )
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from groundstation.errors import BadInput
 from groundstation.flightdata import FlightData, Stream
+from groundstation.identification.clock_steps import cut_steps
 from groundstation.recording import blemishes, plausible
 from groundstation.vehicle import Vehicle
 
@@ -42,7 +43,10 @@ def repair(flight: FlightData) -> FlightData:
             unusable[name] = error
             streams.pop(name, None)
 
-    for name, stream in flight.streams().items():
+    given = flight.streams()
+    if "mocap" in given:
+        given["mocap"], notes[:] = cut_steps(given["mocap"])
+    for name, stream in given.items():
         attempt(name, _with_stamps, stream)
     _refuse_needed(unusable, streams)
     _check_units(streams, vehicle)

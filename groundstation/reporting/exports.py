@@ -187,6 +187,10 @@ FORMATS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
 """Writers by the name of the format."""
 
 
+UPRIGHT_ONLY = frozenset({"px4-sih", "rotorpy", "ardupilot-sitl", "pybullet", "crazyflow", "agilicious"})
+"""Formats whose rotors all push along body z."""
+
+
 def mat_file(model: Mapping[str, Any] | str | Path, vehicle: Vehicle | None = None) -> bytes:
     """An identified model as a MAT-file; arguments and errors are those of :func:`export`."""
     return robotics.to_matfile(identified_from_document(_document(model, vehicle)))
@@ -206,7 +210,12 @@ def export(model: Mapping[str, Any] | str | Path, format_name: str, vehicle: Veh
     """
     if format_name not in FORMATS:
         raise BadInput(f"unknown format '{format_name}'; there are {', '.join(FORMATS)}.")
-    return FORMATS[format_name](_document(model, vehicle))
+    document = _document(model, vehicle)
+    if format_name in UPRIGHT_ONLY and identified_from_document(document).vehicle.rotors.tilted:
+        raise BadInput(
+            f"{format_name} has upright rotors only, and this vehicle's are tilted; export mjcf, sdf or webots."
+        )
+    return FORMATS[format_name](document)
 
 
 def _document(model: Mapping[str, Any] | str | Path, vehicle: Vehicle | None) -> Mapping[str, Any]:

@@ -209,10 +209,11 @@ def to_webots(model: Identified) -> str:
         "    controller IS controller",
         "    children [",
     ]
-    for i, (position, spin) in enumerate(zip(vehicle.rotors.position_m, vehicle.rotors.spin, strict=True), start=1):
+    rotors = zip(vehicle.rotors.position_m, vehicle.rotors.spin, vehicle.rotors.axes(), strict=True)
+    for i, (position, spin, axis) in enumerate(rotors, start=1):
         body += [
             "      Propeller {",
-            "        shaftAxis 0 0 1",
+            f"        shaftAxis {numbers(axis)}",
             f"        centerOfThrust {numbers(position)}",
             f"        thrustConstants {number(spin * k)} 0",
             f"        torqueConstants {number(k * vehicle.rotors.torque_to_thrust_m)} 0",
@@ -257,6 +258,7 @@ def to_matlab(model: Identified) -> str:
     tensor = "; ".join(numbers(row) for row in vehicle.inertia_tensor())
     lines += [f"vehicle.inertia_kg_m2 = [{tensor}];"]
     lines += [f"vehicle.rotor_position_m = [{'; '.join(numbers(p) for p in vehicle.rotors.position_m)}];"]
+    lines += [f"vehicle.rotor_axis = [{'; '.join(numbers(a) for a in vehicle.rotors.axes())}];"]
     lines += [f"vehicle.rotor_spin = [{numbers(vehicle.rotors.spin)}];"]
     lines += [f"vehicle.std.{name} = {number(model.std.get(name, 0.0))};" for name in values]
     return "\n".join(lines) + "\n"
@@ -273,6 +275,7 @@ def to_matfile(model: Identified) -> bytes:
         **values,
         "inertia_kg_m2": vehicle.inertia_tensor(),
         "rotor_position_m": np.asarray(vehicle.rotors.position_m),
+        "rotor_axis": vehicle.rotors.axes(),
         "rotor_spin": np.asarray(vehicle.rotors.spin, dtype=float),
         "std": {name: model.std.get(name, 0.0) for name in values},
     }
@@ -315,6 +318,10 @@ def to_ros2(model: Identified) -> str:
     lines += [
         f"{indent}rotor_{a}_m: [{', '.join(_yaml(p[i]) for p in vehicle.rotors.position_m)}]"
         for i, a in enumerate("xyz")
+    ]
+    lines += [
+        f"{indent}rotor_axis_{a}: [{', '.join(_yaml(v) for v in column)}]"
+        for a, column in zip("xyz", vehicle.rotors.axes().T, strict=True)
     ]
     lines += [f"{indent}rotor_spin: [{', '.join(_yaml(s) for s in vehicle.rotors.spin)}]", f"{indent}std:"]
     lines += [f"{indent}  {name}: {_yaml(model.std[name])}" for name in values if name in model.std]

@@ -398,7 +398,7 @@ class GroundStation(App[int]):
             yield SystemCommand(f"Open {title}", f"screen {title}", partial(self.switch_mode, mode))
         for active in screen.active_bindings.values():
             binding = active.binding
-            if active.enabled and binding.description and binding.show:
+            if active.enabled and binding.description and (binding.show or active.node is screen):
                 run = partial(self.run_action, binding.action, active.node)
                 yield SystemCommand(binding.description, f"key {binding.key_display or binding.key}", run)
         yield SystemCommand("Abort and land", "key ^g", self.action_abort)
@@ -409,7 +409,7 @@ class GroundStation(App[int]):
         """Keys and what the screen does."""
         screen = self.screen
         if isinstance(screen, StationScreen):
-            keys = "\n".join(f"{b.key:<8}{b.description}" for b in screen.BINDINGS if isinstance(b, Binding) and b.show)
+            keys = "\n".join(f"{b.key:<8}{b.description}" for b in screen.BINDINGS if isinstance(b, Binding))
             title = SCREENS[screen.MODE]
             self.push_screen(
                 TextPage(title, f"{' '.join(screen.HELP_TEXT.split())}\n\n{title}\n{keys}\n\nEverywhere\n{KEYS}")

@@ -150,12 +150,20 @@ def method_table(document: Mapping[str, Any], declared: Mapping[str, float], mos
     return header, rows
 
 
+def _online(clock: Mapping[str, Any]) -> str:
+    """What the link knew of the clocks in flight, where it told."""
+    if clock.get("online_s") is None or clock.get("online_error_s") is None:
+        return ""
+    verdict = "agrees" if clock.get("online_agrees") else "differs"
+    return f"; in flight {1e3 * clock['online_s']:+.2f} ± {1e3 * clock['online_error_s']:.2f} ms: {verdict}"
+
+
 def identification_notes(document: Mapping[str, Any]) -> str:
     """Best method and why, clock, condition, what is not revealed, warnings, and the errors before and after."""
     lines = [f"best: {readable(document.get('best_reason') or document['best'])}"]
     if clock := document.get("clock"):
         offset, std = 1e3 * clock["mocap_minus_imu_s"], 1e3 * clock["std_s"]
-        lines.append(f"clock: motion capture minus IMU {offset:+.2f} ± {1.96 * std:.2f} ms")
+        lines.append(f"clock: motion capture minus IMU {offset:+.2f} ± {1.96 * std:.2f} ms{_online(clock)}")
     conditions = {k: m.get("condition_number") for k, m in document["methods"].items()}
     known = ", ".join(f"{name} {value:.1f}" for name, value in conditions.items() if value)
     lines.append(f"condition number: {known or 'none given'}")

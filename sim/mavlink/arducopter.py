@@ -208,7 +208,7 @@ class ArduCopter(Autopilot):
         if self._log is not None:
             self._log.parameter(self, parameter.name, parameter.value)
 
-    def set_origin(self) -> None:
+    def set_origin(self, altitude_m: float) -> None:
         """SET_GPS_GLOBAL_ORIGIN: without GPS the estimator needs to be told where it is."""
         self._vision_origin = True
         index = self.parameters.index("VISO_TYPE") or 0

@@ -210,8 +210,14 @@ class Autopilot(ABC):
     def pilot_takes_over(self) -> None:
         """Somebody at the sticks changes the mode and holds."""
 
-    def set_origin(self) -> None:  # noqa: B027 - an event most may ignore
+    @abstractmethod
+    def set_origin(self, altitude_m: float) -> None:
         """SET_GPS_GLOBAL_ORIGIN."""
+
+    @property
+    def vision_height_m(self) -> float:
+        """What is added to the height of external poses."""
+        return 0.0
 
     def mission_stored(self, link: Link) -> None:  # noqa: B027 - an event most may ignore
         """An upload is complete."""

@@ -55,6 +55,10 @@ class Figure:
         ]
 
 
+WITHIN_S, FRESH_S = 1e-4, 0.05
+"""A frame shows the pose of its own time; where the record has none for so long, the body was not seen."""
+
+
 class Replay:
     """Poses of a recorded flight, each as it was, at its time.
 
@@ -69,6 +73,6 @@ class Replay:
 
     def at(self, time_s: float) -> list[Seen]:
         """The newest pose at that time; see :class:`Scene`."""
-        index = bisect_right(self.times_s, time_s + 1e-9) - 1
-        inside = 0 <= index < len(self.times_s)
+        index = bisect_right(self.times_s, time_s + WITHIN_S) - 1
+        inside = index >= 0 and time_s - self.times_s[index] < FRESH_S
         return [Seen(self.name, 1, self.poses[index] if inside else None)]

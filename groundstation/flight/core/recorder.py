@@ -98,6 +98,10 @@ def sound(batch: Batch, rotors: int) -> bool:
     )
 
 
+WINDOW_MOVED_S = 0.5
+"""By less, a window that is told again is the same one: a link's clock runs a little differently each time."""
+
+
 class Recorder:
     """Writes batches in the order in which they come.
 
@@ -120,6 +124,7 @@ class Recorder:
         self._on_failure = on_failure
         self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._failed = False
+        self._window_end_s: float | None = None
         self._expected: int | None = None
         self._lock = threading.Lock()
         self._meters: dict[str, StreamMeter] = {}
@@ -144,6 +149,13 @@ class Recorder:
     def metadata(self, values: Mapping[str, str]) -> None:
         """Record metadata that is known only now."""
         self._queue.put(lambda: self._sink.set_metadata(values))
+
+    def window(self, window_s: tuple[float, float]) -> None:
+        """Record the excitation's window at its start, and where it ends elsewhere than it was to."""
+        start, end = window_s
+        if self._window_end_s is None or abs(end - self._window_end_s) > WINDOW_MOVED_S:
+            self._window_end_s = end
+            self.metadata({"window_start_s": repr(start), "window_end_s": repr(end)})
 
     def close(self) -> None:
         """Write what is queued and finish the file. Idempotent."""

@@ -13,6 +13,8 @@ GATE = 0.8
 """Of its innovation gates: above it ArduPilot's own failsafe (FS_EKF_THRESH) takes the estimate for lost; PX4 rejects at 1."""
 
 _HORIZONTAL = mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_POS_HORIZ_ABS
+_AIDED = mavlink.ESTIMATOR_PRED_POS_HORIZ_REL | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS
+"""PX4 says a constant position of every vehicle at rest, and with this that something external aids it all the same."""
 _VERTICAL, _CONSTANT = mavlink.ESTIMATOR_POS_VERT_ABS, mavlink.ESTIMATOR_CONST_POS_MODE
 
 
@@ -24,7 +26,7 @@ def not_fused(view: VehicleView) -> str:
     flags, ratios = view.estimator_flags, view.estimator_ratios
     if flags is None:
         return "the vehicle reports no estimator status"
-    if not flags & _HORIZONTAL or flags & _CONSTANT:
+    if not flags & _HORIZONTAL or (flags & _CONSTANT and not flags & _AIDED):
         return f"the estimator has no horizontal position (flags {flags:#x})"
     if not flags & _VERTICAL:
         return f"the estimator has no height (flags {flags:#x})"

@@ -20,6 +20,7 @@ from drivers.mavlink.signing import Signing
 from drivers.mavlink.telemetry import Telemetry
 from drivers.mavlink.timesync import Timesync
 from drivers.mavlink.transports import Peer
+from drivers.mocap.health import vehicle_clock_text
 from drivers.samples import Event, Imu, Pose, Raw, Setpoint, State
 from groundstation.errors import BadInput
 from groundstation.flight import timeouts
@@ -195,8 +196,11 @@ class LinkCore:
 
     def mocap_told(self, event: Event, received_s: float) -> None:
         """The motion capture's client says how it is."""
+        fit, text = self.clock.fit(), event.text
+        if event.kind == "clock" and fit is not None:
+            text += vehicle_clock_text(received_s - fit.device(received_s), fit.error_s(received_s))
         self._mocap_said = "" if event.kind == "clock" else event.text
-        self.note(received_s, event.kind, event.text)
+        self.note(received_s, event.kind, text)
 
     def _watch_marker(self, sample: Imu | Pose, host_s: float) -> None:
         if self._marker is not None and self._phase not in IN_AIR:
@@ -331,7 +335,7 @@ class LinkCore:
             return
         self._inlet.bind(peer, now_s)
         self.view = VehicleView(profile)
-        self.pilot = Pilot(profile, self.station.policy, self.view)
+        self.pilot = Pilot(profile, self.station.policy, self.view, by_poses=self.station.flies_by_poses)
         self._telemetry = Telemetry(
             self.vehicle.rotors.count, system=profile.system, imu=profile.imu, pwm_us=profile.pwm_us
         )

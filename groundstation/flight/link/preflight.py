@@ -153,6 +153,9 @@ def _streams(s: Situation) -> Check:
 def _arming(s: Situation) -> Check:
     if s.view.checks_pass is None:
         return Check("arming", True, "the autopilot does not tell beforehand; it will when it is armed")
+    if s.profile.arms_led and s.station.flies_by_poses:
+        follow = s.profile.follow_mode
+        return Check("arming", True, f"by poses alone it arms in {follow} only, and tells when it is armed there")
     texts = [t for t in s.view.texts if "PreArm" in t or "Preflight" in t or t.startswith(("critical", "error"))]
     said = "; ".join(dict.fromkeys(texts)) or f"not well: {', '.join(s.view.unhealthy)}" * bool(s.view.unhealthy)
     return _answer(

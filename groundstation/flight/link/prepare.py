@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from math import inf
 
 from drivers.mavlink.dialect import Message, mavlink, message_id
 from drivers.mavlink.exchange import Ask, Steps
@@ -19,6 +20,8 @@ SELDOM = 0.75
 AMPLE = 1.5
 """What comes so many times as often as needed is left alone."""
 ROUNDS = 3
+ORIGIN_TRIES = 20
+"""Once a second: ArduPilot takes no origin before its filter has started, some ten seconds after a restart."""
 _KEPT = frozenset(
     {"HEARTBEAT", "SYS_STATUS", "STATUSTEXT", "COMMAND_ACK", "COMMAND_LONG", "TIMESYNC", "AUTOPILOT_VERSION",
      "PARAM_VALUE", "POSE"}
@@ -182,11 +185,22 @@ class Preparation:
         yield from self._streams()
 
     def _fuse(self) -> Steps[None]:
-        """Wait for the estimator to take the poses, for which it may need to know where it is. The checks say whether it did."""
-        profile = self.view.profile
-        if profile.needs_origin:
-            yield Ask((profile.origin(),), _named("GPS_GLOBAL_ORIGIN"), 1.0, 3)
-        yield Ask((), lambda _m: not not_fused(self.view), timeouts.POSES_FUSED_S, 1)
+        """Tell it where it is, and wait for the estimator to take the poses. The checks say whether it did."""
+        yield Ask((self.view.profile.origin(),), _named("GPS_GLOBAL_ORIGIN"), 1.0, ORIGIN_TRIES)
+        since_s = inf
+
+        def steady(_m: Message) -> bool:
+            """For some of the vehicle's seconds: a reset to the poses makes its own checks fail for a while."""
+            nonlocal since_s
+            state = self.view.state
+            would_arm = self.view.checks_pass is not False or self.view.profile.arms_led
+            if state is None or not would_arm or not_fused(self.view):
+                since_s = inf
+                return False
+            since_s = min(since_s, state.device_s)
+            return state.device_s - since_s >= timeouts.POSES_STEADY_S
+
+        yield Ask((), steady, timeouts.POSES_FUSED_S, 1)
 
 
 def _named(name: str) -> Callable[[Message], bool]:

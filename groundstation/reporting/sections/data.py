@@ -100,12 +100,11 @@ def _clock(clock: Clock | None) -> Markup:
         return element("p", "Motion-capture and IMU clocks were not compared.", class_="note")
     offset = f"{fixed(1e3 * clock.mocap_minus_imu_s, 3)} ± {fixed(1e3 * 1.959964 * clock.std_s, 3)} ms"
     drift = f"{fixed(1e6 * clock.drift, 1)} ± {fixed(1e6 * 1.959964 * clock.drift_std, 1)} ppm"
-    return fragment(
-        element("h3", "Clocks"),
-        definition_list(
-            [("motion capture − IMU, at the middle of the flight (95 %)", offset), ("drift (95 %)", drift)]
-        ),
-    )
+    rows = [("motion capture − IMU, at the middle of the flight (95 %)", offset), ("drift (95 %)", drift)]
+    if clock.online_s is not None and clock.online_error_s is not None:
+        told = f"{fixed(1e3 * clock.online_s, 3)} ± {fixed(1e3 * clock.online_error_s, 3)} ms"
+        rows.append(("the same as the link knew it in flight", f"{told}: {'agrees' if clock.agrees else 'differs'}"))
+    return fragment(element("h3", "Clocks"), definition_list(rows))
 
 
 def _excluded(identification: Identification | None) -> Markup | None:

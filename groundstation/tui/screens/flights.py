@@ -28,17 +28,17 @@ parameters moved over its flights. g edits the flight's tags, n its note. b does
 recording here that has no results yet."""
     BINDINGS: ClassVar = [
         Binding("m", "mark", "Compare"),
-        Binding("t", "sort", "Sort"),
-        Binding("slash", "filter", "Filter"),
+        Binding("t", "sort", "Sort", show=False),
+        Binding("slash", "filter", "Filter", show=False),
         Binding("w", "compared", "Write"),
         Binding("e", "report", "Report"),
         Binding("i", "analyse('identify')", "Identify"),
-        Binding("d", "analyse('identify,diagnose')", "Diagnose"),
-        Binding("r", "analyse('identify,diagnose,report')", "Make report"),
-        Binding("v", "trend", "Trend"),
+        Binding("d", "analyse('identify,diagnose')", "Diagnose", show=False),
+        Binding("r", "analyse('identify,diagnose,report')", "Analyse"),
+        Binding("v", "trend", "Trend", show=False),
         Binding("g", "annotate('tags')", "Tags"),
         Binding("n", "annotate('note')", "Note"),
-        Binding("b", "batch", "Batch"),
+        Binding("b", "batch", "Batch", show=False),
     ]
 
     def __init__(self) -> None:

@@ -48,7 +48,7 @@ class ArduCopter(Profile):
     log_suffix = ".bin"
     scripting = "SCR_ENABLE"
     pose_delay = "VISO_DELAY_MS"
-    needs_origin = True
+    origin_altitude_mm = 100_000
     streams = (
         StreamWish("RAW_IMU", 300.0, 20.0, "rates and specific force: the motion the inertia shows in"),
         StreamWish("SERVO_OUTPUT_RAW", 300.0, 20.0, "motor commands; the onboard log has them at 10 Hz only"),

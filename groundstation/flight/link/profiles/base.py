@@ -13,8 +13,8 @@ from drivers.samples import Pose, Vector3
 
 FORCE_DISARM = 21196.0
 """Magic second parameter of MAV_CMD_COMPONENT_ARM_DISARM: stop the motors in the air too."""
-ORIGIN = (473977418, 85455939, 488000)
-"""A place on land, 1e-7 degrees and mm: ArduPilot takes no origin at latitude and longitude 0."""
+PLACE = (473977418, 85455939)
+"""Latitude and longitude of an origin that satellites do not tell, 1e-7 degrees: ArduPilot takes none at 0, 0."""
 
 Version = tuple[int, int]
 
@@ -103,8 +103,9 @@ class Profile:
         bytewise_parameters: integers travel as their bits inside the float (PX4) or as their value (ArduPilot).
         streams: messages to ask for.
         parameters: what to check or set.
+        arms_led: without satellites it arms in no mode but the one that follows setpoints, while they flow.
+        origin_altitude_mm: of an origin that satellites do not tell.
         pose_delay: the parameter that tells its estimator how late external poses are stamped, ms.
-        needs_origin: without satellites it must be told where on Earth it is before it has a position.
         pwm_us: servo output at command 0 and 1.
         setpoint_timeout_s: how long after the last setpoint the autopilot reacts by itself.
         log_suffix: of its onboard log.
@@ -128,8 +129,9 @@ class Profile:
     setpoint_timeout_s: ClassVar[float]
     log_suffix: ClassVar[str]
     scripting: ClassVar[str] = ""
+    arms_led: ClassVar[bool] = False
     pose_delay: ClassVar[str]
-    needs_origin: ClassVar[bool] = False
+    origin_altitude_mm: ClassVar[int]
     prearm_in_health_alone: ClassVar[bool] = False
 
     system: int = 1
@@ -199,8 +201,12 @@ class Profile:
         return rules
 
     def origin(self) -> Message:
-        """SET_GPS_GLOBAL_ORIGIN, for a position that satellites do not tell; indoors only gravity's digits depend on it."""
-        return mavlink.MAVLink_set_gps_global_origin_message(self.system, *ORIGIN)
+        """SET_GPS_GLOBAL_ORIGIN, for a position that satellites do not tell.
+
+        ArduCopter has no position without one, and takes an altitude of 0 for none, so that it resets its height every second. PX4 takes the height of a pose for an altitude, and tells its own as what that is above
+        the origin's: one that satellites set before would put the vehicle hundreds of metres under the floor.
+        """
+        return mavlink.MAVLink_set_gps_global_origin_message(self.system, *PLACE, self.origin_altitude_mm)
 
     def external_pose(self, pose: Pose, stamp_s: float, std_m: float, std_rad: float, resets: int) -> Sequence[Message]:
         """A motion-capture pose for the estimator, stamped with its capture time on the clock we answer TIMESYNC with."""

@@ -44,6 +44,8 @@ class Px4(Profile):
     log_suffix = ".ulg"
     prearm_in_health_alone = True
     pose_delay = "EKF2_EV_DELAY"
+    arms_led = True
+    origin_altitude_mm = 0
     streams = (
         StreamWish("HIGHRES_IMU", 250.0, 20.0, "rates and specific force: the motion the inertia shows in"),
         StreamWish("ACTUATOR_OUTPUT_STATUS", 250.0, 0.0, "motor commands with full digits", "SERVO_OUTPUT_RAW"),
