@@ -210,6 +210,26 @@ def _batch(path: Path) -> object:
         target.unlink(missing_ok=True)
 
 
+def _mocap(path: Path) -> object:
+    """What a motion-capture server sends: a byte that names the system, then messages with their lengths, one datagram each."""
+    import struct
+
+    from drivers.mocap.readings import Frame
+    from drivers.mocap.session import SYSTEMS
+
+    data = path.read_bytes()
+    reader = list(SYSTEMS.values())[data[0] % len(SYSTEMS) if data else 0].reader()
+    frames, at = [], 1
+    while at + 4 <= len(data):
+        (size,) = struct.unpack_from("<I", data, at)
+        frames += [r for r in reader.feed(data[at + 4 : at + 4 + size], 1.0) if isinstance(r, Frame)]
+        reader.due(1.0)
+        at += 4 + size
+    if not frames:
+        raise BadInput("no frame")
+    return frames
+
+
 def _name(path: Path) -> object:
     """A name from outside as a path: never outside the folder."""
     folder = path.parent
@@ -229,7 +249,8 @@ READERS: Mapping[str, Reader] = {
     "blackbox": Reader(_flight(quad), 30),
     "rosbag": Reader(_flight(sped), 10, folder=True),
     "map": Reader(_mapped, 30, folder=True),
-    "batch": Reader(_batch, 160),
+    "batch": Reader(_batch, 120),
+    "mocap": Reader(_mocap, 40),
     "vehicle": Reader(_vehicle, 70),
     "plan": Reader(_plan, 70),
     "station": Reader(_station, 70),

@@ -21,6 +21,7 @@ from drivers.mocap.readings import Frame, quaternion_of_matrix
 from drivers.mocap.session import SYSTEMS
 from drivers.mocap.shared import keyed
 from drivers.mocap.source import FrameReader
+from drivers.samples import Batch, Pose, encode_batch
 from sim.mocap.published import MavlinkWire, pose_stamped
 from sim.mocap.scene import Figure
 from sim.mocap.server import Server, Setup
@@ -54,6 +55,9 @@ def said(system: str) -> list[bytes]:
         return [*wire.greeting(), *wire.receive(vrpn.COOKIE, 1.0), *wire.frame(SHOT)]
     if system == "mavlink":
         return MavlinkWire().frame(SHOT)
+    if system == "zenoh":
+        pose = Pose(1.0, *SHOT.seen[0].pose)
+        return [keyed("mocap/drone", encode_batch(Batch(1, (1.004,), (pose,))))]
     return [keyed("drone", pose_stamped(1.0, SHOT.seen[0]))]
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TypedDict
 
 from groundstation.errors import GroundStationError
+from groundstation.flightdata import FlightData
 
 FEWEST_S = 8.0
 """Of excitation before the first diagnosis: some periods of the slowest effects, and time for a noise model."""
@@ -44,6 +45,17 @@ def odds(confidence: float) -> float:
     return min(confidence / max(1.0 - confidence, 1.0 / LARGEST_ODDS), LARGEST_ODDS)
 
 
+def wrongly_declared(flight: FlightData) -> list[Suspect]:
+    """Declarations that the flight contradicts, hover and excitation as far as they go; they come before any effect."""
+    from groundstation.identification.declarations import check_declarations
+
+    checks = [check for check in check_declarations(flight) if check.verdict == "contradicted"]
+    return [
+        {"effect": f"{check.name.replace('_', ' ')} declared wrongly", "odds": LARGEST_ODDS, "alternatives": []}
+        for check in checks
+    ]
+
+
 def suspicion(folder: Path) -> Suspicion:
     """Of the recording in a flight's folder, as it is now; without suspects where it is too short or cannot be read yet."""
     from groundstation.diagnosis import diagnose
@@ -52,11 +64,14 @@ def suspicion(folder: Path) -> Suspicion:
     nothing: Suspicion = {"seconds": 0.0, "suspects": []}
     try:
         flight = load_flight(folder)
-        if flight.window_s is None or not len(flight.motors):
+        if not len(flight.motors):
             return nothing
+        wrong = wrongly_declared(replace(flight, window_s=None))
+        if flight.window_s is None:  # it hovers still
+            return {"seconds": 0.0, "suspects": wrong}
         start, end = flight.window_s[0], min(flight.window_s[1], float(flight.motors.t_s[-1]))
-        if end - start < FEWEST_S:
-            return {**nothing, "seconds": max(0.0, end - start)}
+        if end - start < FEWEST_S or wrong:  # behind a wrong declaration every effect is one that is not there
+            return {"seconds": max(0.0, end - start), "suspects": wrong}
         found = diagnose([replace(flight, window_s=(start, end))])
     except GroundStationError:
         return nothing

@@ -135,6 +135,7 @@ class CoreStatus(msgspec.Struct, frozen=True):
         notes: the last sentences of the flight's log.
         checks: the preflight so far, item by item.
         signals: the newest value of every recorded signal, as ``stream/column``.
+        mocap: what the motion capture's client told last: its server's clock, rate and latency, or what is wrong.
         clock_s: stamp of motion capture minus that of the IMU at one instant, (estimate, half its 95 % interval).
         until: of a flight that lasts until it is known; None for any other, and before its excitation.
         suspects: by the diagnosis of the first ``suspects_s`` seconds of excitation; empty before the first, and where nothing is likely.
@@ -172,3 +173,4 @@ class CoreStatus(msgspec.Struct, frozen=True):
     until: UntilStatus | None = None
     suspects: tuple[SuspectStatus, ...] = ()
     suspects_s: float = 0.0
+    mocap: str = ""

@@ -48,6 +48,8 @@ def stream_rows(status: CoreStatus) -> list[Row]:
 def stream_notes(status: CoreStatus) -> str:
     """What is wrong with which stream and what to do, then the clocks, losses and the newest sentences of the log."""
     lines = [f"! {name}: {stream.trouble}" for name, stream in sorted(status.streams.items()) if stream.trouble]
+    if status.mocap:
+        lines.append(status.mocap)
     if status.clock_s is not None:
         offset, half = (1e3 * value for value in status.clock_s)
         lines.append(f"clocks: motion capture minus IMU {offset:+.1f} ± {half:.1f} ms (95 %)")

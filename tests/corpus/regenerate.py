@@ -11,6 +11,7 @@ from pathlib import Path
 
 import tomli_w
 
+from drivers.mocap.session import SYSTEMS
 from drivers.samples import Batch, Battery, Event, Imu, Motors, Pose, Raw, Setpoint, State, encode_batch
 from groundstation.fleet.catalogue import Catalogue
 from groundstation.paths import configs_dir
@@ -18,6 +19,7 @@ from groundstation.recording import container, write_bundle, write_mcap
 from groundstation.recording.mcapfile import read_mcap, write_recording_as_mcap
 from groundstation.vehicle import load_vehicle, vehicle_to_dict
 from tests.recording_flight import flight
+from tests.test_mocap_wire import said
 from tests.test_recording_autopilots import write_dataflash, write_ulog
 from tests.test_recording_blackbox import flown
 from tests.test_recording_crazyflie import IMU_VARIABLES, usd
@@ -27,6 +29,13 @@ from tests.written_logs import truth
 
 HERE = Path(__file__).parent
 SHORT_S = 0.08
+
+
+def servers(folder: Path) -> None:
+    """What each motion-capture server says, as ``benchmarks.fuzz_readers`` takes it."""
+    for number, system in enumerate(SYSTEMS):
+        messages = b"".join(len(data).to_bytes(4, "little") + data for data in said(system))
+        (folder / f"{system}.bin").write_bytes(bytes([number]) + messages)
 
 
 def recordings() -> None:
@@ -56,6 +65,7 @@ def recordings() -> None:
         *(Event(1.0, "phase", "armed"), Raw(1.0, "in", b"\xfd\x09")),
         State(1.0, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
     )
+    servers(fresh("mocap"))
     (fresh("batch") / "batch").write_bytes(encode_batch(Batch(3, (51.0,) * len(samples), samples)))
     others()
 

@@ -42,6 +42,7 @@ class FlightView:
         self.battery_v = 0.0
         self.motors: tuple[float, ...] = ()
         self._measured = False
+        self.mocap = ""
         self._newest: dict[str, Sample] = {}
         self.progress, self.text = 0.0, ""
         self.table: dict[str, tuple[float, float, float, float]] = {}
@@ -61,6 +62,8 @@ class FlightView:
                     self.motors = sample.values
             elif isinstance(sample, Event) and sample.kind == "preflight":
                 self._note_check(sample.text)
+            elif isinstance(sample, Event) and sample.kind in ("clock", "mocap"):
+                self.mocap = sample.text
 
     def _note_check(self, text: str) -> None:
         """A check of the link, as it says it: ``name verdict: what was seen``."""
@@ -98,6 +101,7 @@ class FlightView:
             checks=(*self._checks.values(), *checklist(streams, self.battery_v, self._declared)) if recorder else (),
             signals=signals(self._newest),
             clock_s=self.live.clock_s,
+            mocap=self.mocap,
             until=self.until.status() if self.until is not None and flying else None,
             suspects=self.suspects if flying else (),
             suspects_s=self.suspects_s,

@@ -269,8 +269,15 @@ class FlightCore:
             self._requests.change_length(order, lambda ok: until.answered(order, ok=ok))
 
     def _suspect(self) -> None:
-        """A flight at the wall clock's pace is diagnosed while it flies; a simulated one is over before that would tell anything."""
-        if self.state.phase is seq.Phase.EXCITING and not self.pace.lock_step and self.settings.analyse:
+        """A flight at the wall clock's pace is diagnosed while it flies; a simulated one is over before that would tell anything.
+
+        In the hover before the excitation its declarations are checked, which no effect can be told behind.
+        """
+        if (
+            self.state.phase in (seq.Phase.AIRBORNE, seq.Phase.EXCITING)
+            and not self.pace.lock_step
+            and self.settings.analyse
+        ):
             if self._suspects is None:
                 self._suspects = LiveSuspects(self.settings.folder, self._from_bus(self._suspected))
             self._suspects.ask(self.clock())
