@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-FULL_V = 16.2
+FULL_V = 16.8
 """The x500's; firmware that takes no voltage from the physics reports it, where its own default is a smaller battery's."""
 PX4_ENVIRONMENT = {"PX4_SIM_MODEL": "none_iris"}
 

@@ -54,6 +54,7 @@ from sim.scenario import load_scenario
 
 OUT = Path("docs/results/indoors.json")
 PHASES = ("before arming", "climbing", "settling", "exciting", "landing")
+WHOLE = ("whole", "declared")
 YAW_RAD = 0.7
 """The vehicle does not look along the room's x: a yaw that is not taken from the poses would show."""
 SHARES = ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
@@ -66,7 +67,6 @@ class Moment:
 
     at_s: float
     position_m: tuple[float, float, float]
-    speed_m_s: float
     on_ground: bool
     turning: bool
 
@@ -125,9 +125,8 @@ class World:
     def _watch(self) -> None:
         while not self._stop:
             state = self.airframe.state
-            speed = math.sqrt(sum(v * v for v in state.velocity_m_s))
             turning = max(state.rotor_speed_rad_s) > 50.0
-            self.moments.append(Moment(time.monotonic(), state.position_m, speed, state.on_ground, turning))
+            self.moments.append(Moment(time.monotonic(), state.position_m, state.on_ground, turning))
             time.sleep(0.02)
 
     def _start(self, command: list[str], **environment: str) -> None:
@@ -268,7 +267,7 @@ class Cut:
             "noticed_s": round(landing[0] - dark_s, 2) if landing and landing[0] > dark_s else None,
             "ground_s": round(ground_s - dark_s, 2) if flown and ground_s is not None else None,
             "stopped_s": round(still_s - dark_s, 2) if flown and still_s is not None else None,
-            "drift_m": round(drift, 2), "touch_m_s": round(flown[-1].speed_m_s, 2) if flown else None,
+            "drift_m": round(drift, 2),
             "by": who(reason, bool(flown)),
         }  # fmt: skip
 
@@ -332,6 +331,33 @@ def whole(world: World, root: Path, latency_s: float) -> dict[str, Any]:
     return result
 
 
+def table(results: dict[str, Any]) -> str:
+    """The flights with cameras that went dark, as a table."""
+    lines = [
+        "| vehicle | cameras dark while | noticed after | by | on the ground after | drifted at most | exit status |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for vehicle, kept in results.items():
+        for phase in PHASES:
+            r = kept.get(phase)
+            if r is None:
+                continue
+            if "failed" in r:
+                lines.append(f"| {vehicle} | {phase} | not flown: {r['failed']} | | | | |")
+                continue
+            cells = [
+                r["by"],
+                *(_figure(r[k], unit) for k, unit in (("ground_s", "s"), ("drift_m", "m"))),
+            ]
+            noticed = _figure(r["noticed_s"], "s")
+            lines.append(f"| {vehicle} | {phase} | {noticed} | {' | '.join(cells)} | {r['status']} |")
+    return "\n".join(lines)
+
+
+def _figure(value: float | None, unit: str) -> str:
+    return "—" if value is None else f"{value:.2f} {unit}"
+
+
 def measured_s(sentence: str) -> float | None:
     """The latency a flight found."""
     match = re.match(r"poses are stamped (-?[0-9.]+) ms", sentence)
@@ -344,10 +370,14 @@ def main() -> None:
     parser.add_argument("--px4", type=Path, help="binary of the firmware; without it the emulated one is flown")
     parser.add_argument("--arducopter", type=Path)
     parser.add_argument("--only", choices=("px4", "arducopter"))
-    parser.add_argument("--cut", nargs="*", default=["whole", *PHASES], choices=("whole", *PHASES))
+    parser.add_argument("--cut", nargs="*", default=[*WHOLE, *PHASES], choices=(*WHOLE, *PHASES))
     parser.add_argument("--out", type=Path, default=OUT)
+    parser.add_argument("--table", action="store_true", help="print what was kept, and fly nothing")
     options = parser.parse_args()
     results: dict[str, Any] = json.loads(options.out.read_text()) if options.out.is_file() else {}
+    if options.table:
+        print(table(results))
+        return
     for autopilot in (options.only,) if options.only else ("px4", "arducopter"):
         binary = {"px4": options.px4, "arducopter": options.arducopter}[autopilot]
         kept = results.setdefault(f"{autopilot} {'firmware' if binary else 'emulator'}", {})
@@ -362,16 +392,14 @@ def main() -> None:
 
 
 def flown(autopilot: str, binary: Path | None, phase: str, kept: dict[str, Any]) -> dict[str, Any]:
-    """One flight in a fresh world; whole ones twice, the second with the latency that the first measured."""
+    """One flight in a fresh world; ``declared`` is a whole one with the latency that the first measured."""
     root = Path(tempfile.mkdtemp(prefix="indoors-"))
     world = World(autopilot, binary, root)
     try:
-        if phase != "whole":
-            latency_s = kept.get("whole", {}).get("declared", {}).get("latency_declared_s", 0.0)
-            return Cut(world, phase, root, latency_s).fly()
-        first = whole(world, root, 0.0)
-        found = measured_s(first["latency"])
-        return {"undeclared": first, "declared": whole(world, root, found) if found is not None else {}}
+        found = measured_s(kept.get("whole", {}).get("latency", "")) or 0.0
+        if phase in WHOLE:
+            return whole(world, root, found if phase == "declared" else 0.0)
+        return Cut(world, phase, root, found).fly()
     finally:
         world.close()
         shutil.rmtree(root, ignore_errors=True)
