@@ -128,7 +128,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     folder = parser.parse_args().folder
     text = page(read(folder / "fleet.json"), read(folder / "catalogue.json"))
-    (folder / "scale.md").write_text(text, encoding="utf-8")
+    (folder / "scale").with_suffix(".md").write_text(text, encoding="utf-8")
     print(text)
 
 
