@@ -58,12 +58,17 @@ def main() -> None:
     """Solve and write."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rooms", type=int, default=24)
+    parser.add_argument(
+        "--first", type=int, default=0, help="Number of the first room; above 0 the file's rooms are kept."
+    )
     parser.add_argument("--starts", type=int, default=4)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--output", type=Path, default=configs_dir() / "library" / "plans.json")
     options = parser.parse_args()
     plans: list[Solved] = []
-    for room in range(options.rooms):
+    if options.first:
+        plans = [Solved.from_dict(each) for each in json.loads(options.output.read_text(encoding="utf-8"))["plans"]]
+    for room in range(options.first, options.first + options.rooms):
         random = np.random.default_rng([options.seed, room])
         try:
             task = draw_problem(random)

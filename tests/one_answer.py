@@ -15,8 +15,8 @@ from groundstation.identification.results import Estimate
 from groundstation.reporting.canonical import estimate_in, estimate_of
 from groundstation.reporting.exports import export
 from groundstation.reporting.units import interval_text, label, scale_for, split_unit
+from groundstation.tui.documents import flight_row, method_table
 from groundstation.tui.results import read_results
-from groundstation.tui.text import flight_row, method_table
 from groundstation.vehicle import Vehicle
 
 SHOWN = ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")

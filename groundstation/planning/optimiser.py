@@ -255,7 +255,7 @@ def best_of(
     first = len(problems) if time_budget_s is None and starts is None else starts
     with threadpool_limits(limits=1):  # the matrices are small: threads would only wait for each other
         searches = [_Search(problem, watch, library) for problem in problems]
-        best = searches[0].fallback(rng)
+        best = Outcome(searches[0].hover(), float("inf"), 0.0)
         try:
             while True:
                 before = clock()
@@ -271,8 +271,11 @@ def best_of(
                 if tried >= first if first else used + longest > (time_budget_s or 0.0):
                     break
         except KeyboardInterrupt:
+            best = best if np.isfinite(best.cost) else searches[0].fallback(rng)
             best = min([best, *(each.salvaged() for each in searches if each.rough < best.cost)], key=lambda o: o.cost)
             progress(1.0, f"interrupted; best so far {best.cost:.5g}")
+        if not np.isfinite(best.cost):
+            best = searches[0].fallback(rng)
     bound = min((each.rough * float(np.exp(-ROUGHLY)) for each in searches if np.isfinite(each.rough)), default=np.nan)
     return replace(best, sampled_bound=bound, starts=tried, seconds=clock() - began)
 
@@ -292,6 +295,11 @@ class _Search:
     def salvaged(self) -> Outcome:
         """The best coarse solution drawn in to keep its limits, where polishing was interrupted."""
         return _judge(self._problem, repair_about_start(self._problem.series(self._found), self._problem, step=1e-4))
+
+    def hover(self) -> FourierSeries:
+        """No motion at all, until there is a plan."""
+        problem = self._problem
+        return inner_motion(problem, np.array(problem.start if problem.start is not None else _middle(problem)))
 
     def fallback(self, rng: np.random.Generator) -> Outcome:
         """A feasible plan without any optimisation."""

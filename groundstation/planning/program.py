@@ -159,12 +159,14 @@ class Program:
                 inner -= multiplier[0, 0] * self._measure_curvature(information, x, m)
                 bent -= multiplier[0, 0] * information.hessian(x, self._weight(m) / self._scale)
             return convex, total
-        for information, multiplier in zip(self.information, multipliers, strict=True):
-            total[-1, -1] -= np.exp(y[-1]) * np.trace(multiplier)
-            bent += information.hessian(x, multiplier / self._scale)
+        weights = [multiplier / self._scale for multiplier in multipliers]
+        total[-1, -1] -= np.exp(y[-1]) * sum(np.trace(each) for each in multipliers)
         if self.problem.criterion == "condition":
             _, bend, weight = self._largest(y, self.information[0].gradient(x) / self._scale)
-            inner -= bend + self.information[0].hessian(x, weight / self._scale)
+            inner -= bend
+            weights[0] = weights[0] - weight / self._scale
+        for information, weight in zip(self.information, weights, strict=True):
+            bent += information.hessian(x, weight)
         return convex, total
 
     def _measure_curvature(self, information: Information, x: Array, m: Array) -> Array:
