@@ -2,7 +2,7 @@ r"""The equations of motion turned round, in the band where rotor telemetry that
 
     torque   tau(T) = J w' - (lag) J w'' + D w + k (-v_y, v_x, 0) + trim + T offset    roll, pitch, yaw
     force    m f_xy = -d v_xy s + m bias                                               the accelerometer is the force: it needs no rotor
-    lift     m f_z  = a T + b (T - mean)^2 - k_w v_z s + l T |v_xy|^2 + m bias
+    lift     m f_z  = a T + b (T - mean)^2 + (lag) T' - k_w v_z s + l T |v_xy|^2 + m bias
 
 with T the thrust, f the specific force, v the velocity in the body, w the body rates, s the rotors' speed over that at hover. The rotors'
 wrench is the output: its noise attenuates nothing (inverse dynamics: Janot, Vandanjon and Gautier 2014). J w'' is what a delay or a
@@ -151,7 +151,7 @@ def force_equations(part: Slow) -> Named:
 
 
 def lift_equations(part: Slow) -> Named:
-    """Along the thrust, in shares of the weight: inflow and translational lift, then thrust constant and curve."""
+    """Along the thrust, in shares of the weight: inflow and translational lift, then thrust constant, curve and lateness."""
     ones = np.ones((len(part.thrust), 1))
     output = part.mass_kg * part.force[:, 2] / part.scale_n
     return [(_equation(part, output, _lift_columns(part), ones, 2), ("k_kg_s", "lift_s2_m2"))]
@@ -168,7 +168,7 @@ def moment_equations(part: Slow) -> list[Equation]:
 
 def lightness_equation(part: Slow) -> Equation:
     """f_z = T / m with inflow, lift and curve beside it: one over the mass first. The accelerometer's bias is left to its interval."""
-    columns = _lift_columns(part)[:, [2, 0, 1, 3]]
+    columns = _lift_columns(part)[:, [2, 0, 1, 3, 4]]
     return _equation(part, part.force[:, 2] / part.scale_n, columns, np.zeros((len(part.thrust), 0)), 1)
 
 
@@ -176,7 +176,8 @@ def _lift_columns(part: Slow) -> Array:
     thrust = part.thrust / part.scale_n
     mean = float(np.mean(thrust[part.used])) if part.used.any() else 1.0
     climb = -part.velocity[:, 2] * part.share / part.scale_n
-    return np.column_stack([climb, thrust * part.speed2, thrust, (thrust - mean) ** 2])
+    late = np.gradient(thrust, part.step_s)  # of telemetry: in a band it looks like an inflow
+    return np.column_stack([climb, thrust * part.speed2, thrust, (thrust - mean) ** 2, late])
 
 
 def _equation(part: Slow, output: Array, columns: Array, known: Array, effects: int) -> Equation:
