@@ -9,7 +9,7 @@ from groundstation.flightdata import FlightData
 from groundstation.identification.declarations.check import Check
 from groundstation.identification.declarations.frames import frame_checks
 from groundstation.identification.declarations.rotors import rotor_checks
-from groundstation.identification.declarations.scale import lag_doubts, scale_checks
+from groundstation.identification.declarations.scale import lag_doubts, scale_checks, tensor_checks
 from groundstation.identification.declarations.signals import flown
 
 __all__ = ["Check", "check_declarations", "go_on", "lag_doubts", "said_first"]
@@ -21,7 +21,9 @@ def check_declarations(flight: FlightData) -> tuple[Check, ...]:
         signals = flown(flight)
     except Refused:
         return ()  # it did not fly: the analysis says so
-    found = [*frame_checks(flight), *rotor_checks(signals, flight.vehicle), *scale_checks(signals, flight.vehicle)]
+    vehicle = flight.vehicle
+    found = [*frame_checks(flight), *rotor_checks(signals, vehicle), *scale_checks(signals, vehicle)]
+    found += tensor_checks(vehicle)
     rank = {"contradicted": 0, "doubtful": 1, "cannot tell": 2, "agrees": 3}
     return tuple(sorted(found, key=lambda check: rank[check.verdict]))
 
