@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 FIND_PYTHON = for p in $(PYTHON) python3.11 python3.12 python3.13 python3.14 python3; do \
   "$$p" -c 'import sys, ensurepip, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { command -v "$$p"; break; }; done
 
-.PHONY: help fuzz setup rehearse test test-fast docs lint study blind bench campaign faults firmware-test reproduce lock clean
+.PHONY: help fuzz setup rehearse test test-fast docs lint study blind bench campaign faults firmware-test reproduce plan-library lock clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -16,7 +16,7 @@ $(READY): pyproject.toml constraints.txt
 	@python="$$($(FIND_PYTHON))"; \
 	  if [ -z "$$python" ]; then echo "Python 3.11 or later with venv is needed; install it, or: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)" >&2; exit 1; fi; \
 	  [ -x $(PY) ] && $(PY) -m pip --version >/dev/null 2>&1 || "$$python" -m venv --clear $(VENV)
-	$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev,mocap]'
+	$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	@# A first flight compiles what numba compiles, so that the next one starts at once.
 	@$(VENV)/bin/groundstation rehearse --scenario clean --logs $(VENV)/first-flight >/dev/null 2>$(VENV)/first-flight.log || \
 	  { tail -n 5 $(VENV)/first-flight.log; echo "the first flight failed; going on" >&2; }
@@ -51,8 +51,11 @@ study: $(READY)  ## many simulated flights: accuracy, coverage, scatter against 
 blind: $(READY)  ## diagnosis of effects it was not told about
 	@$(PY) -m benchmarks.blind $(ARGS)
 
-bench: $(READY)  ## speed of planner, simulator, estimators, recorder, log readers, start-up; evenness of setpoints
-	@for each in startup simulator planner estimators recorder logs setpoint_jitter; do OMP_NUM_THREADS=1 $(PY) -m benchmarks.$$each || exit; done
+bench: $(READY)  ## speed of planner, simulator, estimators, recorder, log readers, catalogue, start-up; evenness of setpoints
+	@for each in startup simulator planner estimators recorder logs setpoint_jitter catalogue; do OMP_NUM_THREADS=1 $(PY) -m benchmarks.$$each || exit; done
+
+plan-library: $(READY)  ## the solved rooms that plans start from, made anew
+	@$(PY) -m benchmarks.plan_library $(ARGS)
 
 campaign: $(READY)  ## flight after flight in simulation until three hidden effects are found and the targets are met
 	@$(VENV)/bin/groundstation campaign --vehicle qball2-commanded --scenario hidden $(ARGS)
@@ -72,7 +75,7 @@ fuzz: $(READY)  ## mutated inputs over every reader: ARGS='--minutes 60', '--cou
 lock: $(READY)  ## requirements.lock: the packages of constraints.txt with the hashes of their files
 	@work=$$(mktemp -d) && trap 'rm -rf "$$work"' EXIT && $(PY) -m venv "$$work" && \
 	  "$$work/bin/python" -m pip install --quiet --disable-pip-version-check uv==0.13.9 && \
-	  "$$work/bin/uv" pip compile pyproject.toml --quiet --universal --python-version 3.11 --generate-hashes --extra dev --extra mocap \
+	  "$$work/bin/uv" pip compile pyproject.toml --quiet --universal --python-version 3.11 --generate-hashes --extra dev \
 	    --constraint constraints.txt --no-emit-index-url --no-header --no-annotate --output-file requirements.lock >/dev/null
 
 clean:  ## remove the virtual environment and caches, never a flight

@@ -3,7 +3,7 @@
     python -m benchmarks.campaigns --campaigns 60 --workers 2 --json docs/results/campaigns.json
 
 Every campaign draws its vehicle, effects, true mass and inertia, disturbance and seeds from a master seed that is new each run and
-printed. It may fly five times. Beside it stand its first flight alone, and the seconds that the paper's trajectory, repeated, would take
+printed, and kept with the outcomes: the same command goes on where it was ended. It may fly five times. Beside it stand its first flight alone, and the seconds that the paper's trajectory, repeated, would take
 to the same worst interval: one 40 s flight of it is flown and identified, and variances are scaled by the number of flights.
 A size counts as right when each parameter of the finding that the scenario states lies within three standard deviations.
 """
@@ -26,14 +26,15 @@ from benchmarks.flown import flight_data
 from benchmarks.hidden import COMMANDED, INVENTED, Random, declared, sizes, world
 from benchmarks.tally import wilson
 from groundstation.campaign.campaign import Campaign, run
-from groundstation.campaign.targets import parse_targets, reached
 from groundstation.diagnosis import diagnose
 from groundstation.errors import GroundStationError
 from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.paths import find_config
 from groundstation.recording import write_mcap
+from groundstation.targets import parse_targets, reached
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
+from groundstation.writing import write_whole
 from sim.flight import simulate
 
 VEHICLES = ("qball2", "x500", "qball2-commanded")
@@ -174,35 +175,51 @@ def table(found: list[Outcome], lost: int, master: int) -> str:
     return "\n".join(["| what | figure |", "|---|---|", *(f"| {a} | {b} |" for a, b in rows)])
 
 
+def kept_before(path: Path | None) -> tuple[int | None, dict[int, Outcome], dict[int, str]]:
+    """Master seed, outcomes and failures by number of the campaign, of an earlier run; nothing without one."""
+    if path is None or not path.is_file():
+        return None, {}, {}
+    document = json.loads(path.read_text())
+    found = {
+        int(n): Outcome(**{**o, **{k: tuple(o[k]) for k in ("hidden", "first", "named", "errors")}})
+        for n, o in document["campaigns"].items()
+    }
+    return document["seed"], found, {int(n): why for n, why in document["lost"].items()}
+
+
 def main() -> None:
-    """Draw, fly, count, print."""
+    """Draw, fly what is not kept yet, count, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--campaigns", type=int, default=60)
-    parser.add_argument("--seed", type=int, default=None, help="master seed (default: a fresh one, printed)")
-    parser.add_argument("--json", type=Path, default=None, help="keep the outcomes here")
+    parser.add_argument(
+        "--seed", type=int, default=None, help="master seed (default: that of the file, else a fresh one, printed)"
+    )
+    parser.add_argument("--json", type=Path, default=None, help="outcomes are kept here; a run that was ended goes on")
     many.add_options(parser)
     arguments = parser.parse_args()
-    master = secrets.randbits(32) if arguments.seed is None else arguments.seed
+    before, found, lost = kept_before(arguments.json)
+    master = arguments.seed or before or secrets.randbits(32)
+    if before is not None and master != before:
+        parser.error(f"{arguments.json} holds campaigns of master seed {before}; name another file.")
     print("master seed", master, flush=True)
-    found: list[Outcome] = []
-    lost = 0
-    for each in many.outcomes(campaign, draw(master, arguments.campaigns), arguments):
+    numbers = [n for n in range(arguments.campaigns) if n not in found and n not in lost]
+    drawn = draw(master, arguments.campaigns)
+    for each in many.outcomes(campaign, [drawn[n] for n in numbers], arguments):
+        number = numbers[each.index]
         if each.value is None:
-            lost += 1
-            continue
-        found.append(each.value)
-        o = each.value
-        print(
-            f"{each.index + 1}: {o.vehicle} hid {' + '.join(o.hidden)}: {o.outcome} after {o.flights}, named {', '.join(o.named) or 'nothing'}",
-            flush=True,
-        )
+            lost[number] = each.failure
+        else:
+            o = found[number] = each.value
+            print(
+                f"{number}: {o.vehicle} hid {' + '.join(o.hidden)}: {o.outcome} after {o.flights}, named {', '.join(o.named) or 'nothing'}",
+                flush=True,
+            )
         if arguments.json is not None:
             arguments.json.parent.mkdir(parents=True, exist_ok=True)
-            arguments.json.write_text(
-                json.dumps({"seed": master, "lost": lost, "campaigns": [asdict(o) for o in found]}, indent=1) + "\n"
-            )
+            document = {"seed": master, "lost": lost, "campaigns": {n: asdict(o) for n, o in sorted(found.items())}}
+            write_whole(arguments.json, json.dumps(document, indent=1) + "\n")
     if found:
-        print(table(found, lost, master))
+        print(table(list(found.values()), len(lost), master))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Identify, export, fly in the other simulator, record as a bundle, identify again. `python -m benchmarks.exports_round_trip`
 
-The first flight is our simulator's (QBall 2, scenario lab). Its model is exported and flown in RotorPy and in MuJoCo, by RotorPy's SE3
+The first flight is our simulator's (QBall 2, scenario lab). Its model is exported and flown in RotorPy, MuJoCo and Bullet, by RotorPy's SE3
 controller, with sensor noise and a coloured disturbance. The second identification starts from the declared vehicle, as the first did.
 What flies there is the exported point estimate, so the second interval has to hold it; z is the difference in its standard deviations.
 """
@@ -13,15 +13,16 @@ import tempfile
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-import mujoco
+import mujoco as bindings
 import numpy as np
 from numpy.typing import NDArray
 from rotorpy.controllers.quadrotor_control import SE3Control
 from rotorpy.vehicles.multirotor import Multirotor
 
 from benchmarks.rotorpy_blind import SETTLE_S, STEP_S, coloured
+from benchmarks.round_trip_bullet import InPyBullet
 from groundstation import api
 from groundstation.flightdata import IMU_COLUMNS, MOCAP_COLUMNS, FlightData, Stream, motor_columns
 from groundstation.identification.results import MASS_AND_TENSOR
@@ -30,6 +31,8 @@ from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
+mujoco: Any = bindings
+"""Its functions are compiled, and known to no type checker."""
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "results" / "exports_round_trip.json"
 ATTITUDE = {"kp_att": 36.0, "kd_att": 9.0}
 POSITION = (np.array([2.0, 2.0, 4.0]), np.array([2.4, 2.4, 3.6]))
@@ -44,6 +47,18 @@ def _params(text: str) -> dict[str, Any]:
     names: dict[str, Any] = {}
     exec(compile(text, "params", "exec"), names)  # noqa: S102 - a file that this program wrote
     return {"rotor_radius": 0.1, **names["quad_params"]}
+
+
+class Place(Protocol):
+    """Another simulator with the exported vehicle in it."""
+
+    def state(self) -> dict[str, Array]:
+        """Of the centre of mass, as the controller wants it."""
+        ...
+
+    def step(self, speeds: Array, push: Array, twist: Array) -> tuple[Array, Array, Array, Array]:
+        """Sample at the start of a step (pose of the origin, rates, specific force, speeds), then step on."""
+        ...
 
 
 class InRotorPy:
@@ -132,13 +147,11 @@ def _matrix(q: Array) -> Array:
     return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
 
 
-def fly(
-    there: InRotorPy | InMujoco, pilot: SE3Control, vehicle: Vehicle, plan: Plan, random: np.random.Generator
-) -> FlightData:
+def fly(there: Place, pilot: SE3Control, vehicle: Vehicle, plan: Plan, random: np.random.Generator) -> FlightData:
     """One flight of a plan, with noise, as a recording."""
     series = plan.series()
     count = round((2.0 * SETTLE_S + series.duration_s) / STEP_S)
-    t = STEP_S * np.arange(count)
+    t: Array = STEP_S * np.arange(count, dtype=np.float64)
     flat = series.sample(t - SETTLE_S)
     weight = vehicle.mass_kg * vehicle.gravity_m_s2
     push = coloured(random, count, 0.002 * weight, 0.5)
@@ -194,6 +207,7 @@ def main() -> int:
     """Both simulators; prints a table and keeps it as JSON."""
     parser = argparse.ArgumentParser(prog="benchmarks.exports_round_trip", description=__doc__)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", action="append", help="this simulator (repeatable); the others keep their results")
     options = parser.parse_args()
     plan = api.load_plan("qball2").model_copy(update={"periods": 4.0})
     flight = api.simulate("qball2", scenario="lab", plan=plan, seed=options.seed)
@@ -207,12 +221,19 @@ def main() -> int:
     params = _params(api.export(model, "rotorpy"))
     hover = float(np.sqrt(params["mass"] * 9.81 / (4.0 * k)))
     start = plan.series().sample(np.array([0.0])).position[0, 0]
-    places: dict[str, Callable[[], InRotorPy | InMujoco]] = {
+    places: dict[str, Callable[[], Place]] = {
         "rotorpy": lambda: InRotorPy(params, com, start, hover),
         "mujoco": lambda: InMujoco(api.export(model, "mjcf"), com, start, hover, k),
+        "pybullet": lambda: InPyBullet(
+            api.export(model, "pybullet"), com, start, vehicle.rotors.spin, vehicle.gravity_m_s2
+        ),
     }
     document: dict[str, Any] = {"schema": "groundstation.round_trip/1", "seed": options.seed, "readers": {}}
+    if options.only and RESULTS.is_file():
+        document = json.loads(RESULTS.read_text(encoding="utf-8"))
     for number, (name, place) in enumerate(places.items()):
+        if options.only and name not in options.only:
+            continue
         pilot = SE3Control(params | ATTITUDE)
         pilot.kp_pos, pilot.kd_pos = POSITION
         gravity = 9.81 if name == "rotorpy" else vehicle.gravity_m_s2

@@ -1,9 +1,10 @@
 """Every fault of line, processes and senders, in flight, by real processes: noticed, mode, ground, disarmed, by whom, status.
 
-make faults    (or: python -m benchmarks.faults [FAULT ...] [--profile px4])
+make faults    (or: python -m benchmarks.faults [FAULT ...] [--profile px4] [--px4 BINARY] [--arducopter BINARY])
 
 What the vehicle does is told by the relay between it and the station (benchmarks/relay.py), which knows MAVLink by itself.
-Twice as many faults on virtual time: python -m benchmarks.faults_virtual. Results: docs/results/faults.json.
+Twice as many faults on virtual time: python -m benchmarks.faults_virtual. Results: docs/results/faults.json; of real firmware,
+whose binaries are given: docs/results/faults_firmware.json.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import Any
 
 from benchmarks.rig import Flight
 
-OUT = Path("docs/results/faults.json")
+OUT, OUT_FIRMWARE = Path("docs/results/faults.json"), Path("docs/results/faults_firmware.json")
 LIMIT_S = 40.0
 Break = Callable[[Flight], None]
 
@@ -68,9 +69,9 @@ HARMLESS_S = 7.0
 """A fault that brings nobody down within this is flown through; the flight is then ended by an abort."""
 
 
-def measure(profile: str, name: str) -> dict[str, Any]:
+def measure(profile: str, name: str, binary: Path | None) -> dict[str, Any]:
     """One flight with one fault."""
-    flight = Flight(profile)
+    flight = Flight(profile, binary)
     try:
         if not flight.excite():
             return {"fault": name, "autopilot": profile, "failed": flight.ended(1.0)[1]}
@@ -138,26 +139,31 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("faults", nargs="*", help="names or beginnings of them; all by default")
     parser.add_argument("--profile", action="append", choices=("px4", "arducopter"))
-    parser.add_argument("--out", type=Path, default=OUT)
+    parser.add_argument("--px4", type=Path, help="binary of the firmware, flown instead of the emulated autopilot")
+    parser.add_argument("--arducopter", type=Path)
+    parser.add_argument("--out", type=Path)
     options = parser.parse_args()
-    profiles = options.profile or ["px4", "arducopter"]
+    firmware = {name: path for name in ("px4", "arducopter") if (path := getattr(options, name)) is not None}
+    options.out = options.out or (OUT_FIRMWARE if firmware else OUT)
+    profiles = options.profile or list(firmware) or ["px4", "arducopter"]
     wanted = [n for n in FAULTS if not options.faults or any(n.startswith(f) for f in options.faults)]
-    kept = json.loads(options.out.read_text()) if options.faults and options.out.is_file() else []
+    keep = (options.faults or firmware) and options.out.is_file()
+    kept = json.loads(options.out.read_text()) if keep else []
     results = {(r["fault"], r["autopilot"]): r for r in kept}
     for name in wanted:
         for profile in profiles:
-            results[name, profile] = measured = flown(profile, name)
+            results[name, profile] = measured = flown(profile, name, firmware.get(profile))
             options.out.parent.mkdir(parents=True, exist_ok=True)
             order = sorted(results, key=lambda key: (list(FAULTS).index(key[0]), key[1] != "px4"))
             options.out.write_text(json.dumps([results[key] for key in order], indent=1) + "\n")
             print(table([measured]).splitlines()[-1], flush=True)
 
 
-def flown(profile: str, name: str) -> dict[str, Any]:
+def flown(profile: str, name: str, binary: Path | None) -> dict[str, Any]:
     """A flight that reached its excitation; a busy machine may land one before, which says nothing of the fault."""
     result: dict[str, Any] = {}
     for _ in range(TRIES):
-        result = measure(profile, name)
+        result = measure(profile, name, binary)
         if "failed" not in result:
             break
     return result

@@ -3,6 +3,9 @@
 make faults
 """
 
+# pyright: reportMissingImports=false, reportArgumentType=false
+# The tests' rigs are found by the path they are run with.
+
 from __future__ import annotations
 
 import math
@@ -27,7 +30,7 @@ from groundstation.recording.recorded import plan_file
 Break = Callable[[Rig], None]
 PATIENCE_S = 10.0
 """Real time for another thread's work of microseconds."""
-WATCHED = {"mocap": {"system": "natnet"}, "policy": {"placement": "world"}}
+WATCHED = {"indoors": False, "mocap": {"system": "natnet"}, "policy": {"placement": "world"}}
 INDOORS = {
     "px4": {"EKF2_EV_CTRL": (15.0, 6), "EKF2_HGT_REF": (3.0, 6), "EKF2_GPS_CTRL": (0.0, 6)},
     "arducopter": {

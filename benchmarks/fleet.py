@@ -1,11 +1,14 @@
 """A fleet's flights made, worked through and trended: one core, two workers, a Dask cluster whose worker is killed; one table.
 
     python -m benchmarks.fleet --flights 200 --json docs/results/fleet.json
+    python -m benchmarks.fleet --part drawn --part trends --json docs/results/fleet.json
 
 Flights are simulated (20 s of excitation, 200 Hz) and written as MCAP by the batch's own runner. Then the same recordings are identified
 and diagnosed three times from nothing, and the tables compared to the last digit. The trend flies one vehicle 30 times with its mass 2 %
 up from flight 18 on and rotor 2 losing 0.3 % more a flight; fleets without a change are drawn from the flights of that vehicle
-without either, 30 of them at random for each fleet.
+without either, 30 of them at random for each fleet. Since those fleets share flights, others are drawn as estimates alone, each independent
+of all others: seven parameters, standard deviations and a scatter between flights of their own. Parts that were not asked for keep their
+figures in the JSON file.
 """
 
 from __future__ import annotations
@@ -148,6 +151,22 @@ def changes(flights: list[dict[str, tuple[float, float]]]) -> dict[str, dict[str
     return out
 
 
+def drawn_fleets(seed: int, fleets: int) -> dict[str, Any]:
+    """How many fleets of estimates without any change are said to have one; 30 flights, mass and tensor each."""
+    random = np.random.default_rng(seed)
+    false = 0
+    for _ in range(fleets):
+        std = random.lognormal(0.0, 0.3, (FLIGHTS, len(MASS_AND_TENSOR)))
+        scatter = random.uniform(0.0, 2.0, len(MASS_AND_TENSOR))
+        values = random.normal(0.0, np.hypot(std, scatter))
+        flights = [
+            {n: (float(v), float(s)) for n, v, s in zip(MASS_AND_TENSOR, row, stds, strict=True)}
+            for row, stds in zip(values, std, strict=True)
+        ]
+        false += bool(changes(flights))
+    return {"fleets": fleets, "false": false, "seed": seed}
+
+
 def trends(workers: int, seed: int, clean: int, fleets: int) -> dict[str, Any]:
     """The planted change, and how many fleets without one are said to have one."""
     planted = [(i, SHARE if i >= CHANGED else 1.0, AGEING * i) for i in range(FLIGHTS)]
@@ -158,33 +177,44 @@ def trends(workers: int, seed: int, clean: int, fleets: int) -> dict[str, Any]:
     return {"planted": found, "fleets": fleets, "false": false, "pool": len(pool), "seed": seed}
 
 
-def main() -> None:
-    """Make, work through, compare, print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--flights", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=31_001, help="of the first flight")
-    parser.add_argument("--clean", type=int, default=60, help="flights without a change, from which fleets are drawn")
-    parser.add_argument("--fleets", type=int, default=100)
-    parser.add_argument("--json", type=Path, default=None)
-    arguments = parser.parse_args()
-    out: dict[str, Any] = {"flights": arguments.flights, "seed": arguments.seed}
+def runs(flights: int, seed: int) -> dict[str, Any]:
+    """Flights made, then worked through three times: seconds of each, and whether the three tables are one."""
     with tempfile.TemporaryDirectory() as folder:
-        items = [(folder, arguments.seed + i) for i in range(arguments.flights)]
+        items = [(folder, seed + i) for i in range(flights)]
         made = sorted(run(make, items, workers=2), key=lambda o: o.index)
         recordings = [o.value for o in made if o.value is not None]
-        out["made"] = len(recordings)
+        size = sum(Path(path).stat().st_size for path in recordings) / max(len(recordings), 1)
         one, first = worked(recordings, Path(folder), workers=1)
         two, second = worked(recordings, Path(folder), workers=2)
         with cluster() as (address, pids):
             dask, third = worked(recordings, Path(folder), kill=pids, scheduler=address)
-        out |= {
-            "one_core_s": one,
-            "two_workers_s": two,
-            "dask_with_a_worker_killed_s": dask,
-            "efficiency_at_2": one / two / 2.0,
-        }
-        out["same_table"] = first == second == third
-    out["trends"] = trends(2, arguments.seed, arguments.clean, arguments.fleets)
+    return {
+        "flights": len(recordings), "seed": seed, "bytes_a_flight": round(size), "one_core_s": one, "two_workers_s": two,
+        "dask_with_a_worker_killed_s": dask, "efficiency_at_2": one / two / 2.0, "same_table": first == second == third,
+    }  # fmt: skip
+
+
+def main() -> None:
+    """The parts asked for; figures as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--part", action="append", choices=("runs", "trends", "drawn"), help="default: all")
+    parser.add_argument("--flights", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=31_001, help="of the first flight")
+    parser.add_argument("--clean", type=int, default=60, help="flights without a change, from which fleets are drawn")
+    parser.add_argument("--fleets", type=int, default=100)
+    parser.add_argument("--workers", type=int, default=2, help="of the trends' flights")
+    parser.add_argument("--json", type=Path, default=None)
+    arguments = parser.parse_args()
+    out: dict[str, Any] = {}
+    if arguments.json is not None and arguments.json.is_file():
+        out = json.loads(arguments.json.read_text())
+    parts = arguments.part or ("drawn", "trends", "runs")
+    if "drawn" in parts:
+        out["drawn"] = drawn_fleets(arguments.seed, arguments.fleets)
+    if "trends" in parts:
+        out["trends"] = trends(arguments.workers, arguments.seed, arguments.clean, arguments.fleets)
+    if "runs" in parts:
+        out["runs"] = runs(arguments.flights, arguments.seed)
     print(json.dumps(out, indent=1))
     if arguments.json is not None:
         arguments.json.parent.mkdir(parents=True, exist_ok=True)

@@ -41,6 +41,13 @@ def quad() -> Vehicle:
     return vehicle_from_dict(document)
 
 
+def sped() -> Vehicle:
+    """The same, its rotors' speeds measured, as the seeds of bags fly it."""
+    document = vehicle_to_dict(quad())
+    document["rotors"]["input"] = "rotor_speed"
+    return vehicle_from_dict(document)
+
+
 def _flight(flown: Callable[[], Vehicle | None] = lambda: None) -> Callable[[Path], object]:
     def read(path: Path) -> object:
         from groundstation.recording import load_flight
@@ -67,6 +74,24 @@ def _converted(path: Path) -> object:
         if set(path.parent.iterdir()) != before:
             raise AssertionError("convert wrote outside its target")
         return told
+
+
+def _mapped(folder: Path) -> object:
+    """A table by its map; the vehicle's motors are commanded."""
+    from groundstation.recording.mapping import load_map, read_mapped, template
+
+    log = folder / "log.csv"
+    wanted = load_map(folder / "map.toml")
+    return read_mapped(log, wanted, quad()), template(log, quad())
+
+
+def _database(folder: Path) -> object:
+    """The catalogue of a folder with the file that an earlier one left there, as all commands read it."""
+    from groundstation.fleet.catalogue import Catalogue
+
+    found = Catalogue(folder / "logs")
+    rows = [found.series(name) for name in found.vehicles()]
+    return found.rows(), rows, found.sql("SELECT * FROM parameters"), found.sql("SELECT * FROM findings")
 
 
 def _vehicle(path: Path) -> object:
@@ -125,10 +150,10 @@ def _readable(text: str, form: str) -> None:
 def _diagnosis(path: Path) -> object:
     from groundstation.diagnosis.next_flight import candidate, contenders
     from groundstation.documents import read_diagnosis
-    from groundstation.tui import text
+    from groundstation.tui import documents
 
     document = read_diagnosis(path)
-    text.finding_text(document), text.error_rows(document), text.suspect_rows(document)
+    documents.finding_text(document), documents.error_rows(document), documents.suspect_rows(document)
     rivals, shared = contenders(document)
     return [candidate(each, vehicle("qball2"), shared) for each in rivals]
 
@@ -136,7 +161,7 @@ def _diagnosis(path: Path) -> object:
 def _results(folder: Path) -> object:
     """A folder of flights: what the catalogue takes of each, and what the screens show of it."""
     from groundstation.fleet.rows import row_of
-    from groundstation.tui import text
+    from groundstation.tui import documents
     from groundstation.tui.results import read_results
 
     rows = []
@@ -144,13 +169,13 @@ def _results(folder: Path) -> object:
         rows.append(row_of(flight, 0))
         results = read_results(flight)
         if results.identification:
-            text.method_table(results.identification, results.declared, 4)
-            text.identification_notes(results.identification), text.validation_rows(results.identification)
+            documents.method_table(results.identification, results.declared, 4)
+            documents.identification_notes(results.identification), documents.validation_rows(results.identification)
         if results.diagnosis:
             (
-                text.finding_text(results.diagnosis),
-                text.error_rows(results.diagnosis),
-                text.suspect_rows(results.diagnosis),
+                documents.finding_text(results.diagnosis),
+                documents.error_rows(results.diagnosis),
+                documents.suspect_rows(results.diagnosis),
             )
     return rows
 
@@ -185,6 +210,26 @@ def _batch(path: Path) -> object:
         target.unlink(missing_ok=True)
 
 
+def _mocap(path: Path) -> object:
+    """What a motion-capture server sends: a byte that names the system, then messages with their lengths, one datagram each."""
+    import struct
+
+    from drivers.mocap.readings import Frame
+    from drivers.mocap.session import SYSTEMS
+
+    data = path.read_bytes()
+    reader = list(SYSTEMS.values())[data[0] % len(SYSTEMS) if data else 0].reader()
+    frames, at = [], 1
+    while at + 4 <= len(data):
+        (size,) = struct.unpack_from("<I", data, at)
+        frames += [r for r in reader.feed(data[at + 4 : at + 4 + size], 1.0) if isinstance(r, Frame)]
+        reader.due(1.0)
+        at += 4 + size
+    if not frames:
+        raise BadInput("no frame")
+    return frames
+
+
 def _name(path: Path) -> object:
     """A name from outside as a path: never outside the folder."""
     folder = path.parent
@@ -195,21 +240,26 @@ def _name(path: Path) -> object:
 
 
 READERS: Mapping[str, Reader] = {
-    "mcap": Reader(_flight(), 60),
-    "convert": Reader(_converted, 20),
-    "bundle": Reader(_flight(), 60, folder=True),
+    "mcap": Reader(_flight(), 50),
+    "convert": Reader(_converted, 30),
+    "bundle": Reader(_flight(), 30, folder=True),
     "usd": Reader(_flight(lambda: vehicle("crazyflie21")), 40),
-    "ulog": Reader(_flight(quad), 60),
-    "dataflash": Reader(_flight(quad), 60),
-    "batch": Reader(_batch, 60),
-    "vehicle": Reader(_vehicle, 110),
-    "plan": Reader(_plan, 100),
-    "station": Reader(_station, 100),
-    "scenario": Reader(_scenario, 90),
-    "model": Reader(_model, 70),
-    "diagnosis": Reader(_diagnosis, 70),
-    "catalogue": Reader(_results, 40, folder=True),
-    "journal": Reader(_journal, 50, folder=True),
-    "name": Reader(_name, 10),
+    "ulog": Reader(_flight(quad), 30),
+    "dataflash": Reader(_flight(quad), 30),
+    "blackbox": Reader(_flight(quad), 30),
+    "rosbag": Reader(_flight(sped), 10, folder=True),
+    "map": Reader(_mapped, 30, folder=True),
+    "batch": Reader(_batch, 120),
+    "mocap": Reader(_mocap, 40),
+    "vehicle": Reader(_vehicle, 70),
+    "plan": Reader(_plan, 70),
+    "station": Reader(_station, 70),
+    "scenario": Reader(_scenario, 60),
+    "model": Reader(_model, 30),
+    "diagnosis": Reader(_diagnosis, 80),
+    "catalogue": Reader(_results, 30, folder=True),
+    "database": Reader(_database, 10, folder=True),
+    "journal": Reader(_journal, 70, folder=True),
+    "name": Reader(_name, 70),
 }
-"""By name; the shares add up to a thousand."""
+"""By name; the shares add up to a thousand, and those of fast readers are larger."""

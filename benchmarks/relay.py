@@ -1,6 +1,6 @@
 """A relay between an autopilot and a station that breaks what passes, and says what the vehicle really does.
 
-python benchmarks/relay.py STATION_PORT
+python benchmarks/relay.py STATION_PORT [VEHICLE_PORT]
 
 It knows MAVLink by itself (the standard library alone; no code of the link's): frames, checksums, four messages. The vehicle
 speaks to ``vehicle_port``, which the first line of output names; the station waits on STATION_PORT. Orders come as lines of
@@ -132,9 +132,9 @@ KINDS["all"] = lambda self: self.frame("any_content" if self.random.random() < 0
 class Relay:
     """Passes datagrams on, or does not."""
 
-    def __init__(self, station_port: int):
+    def __init__(self, station_port: int, vehicle_port: int = 0):
         self.vehicle = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.vehicle.bind(("127.0.0.1", 0))
+        self.vehicle.bind(("127.0.0.1", vehicle_port))
         self.station = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.station.bind(("127.0.0.1", 0))
         self.stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -268,4 +268,4 @@ class Relay:
 
 
 if __name__ == "__main__":
-    Relay(int(sys.argv[1])).run()
+    Relay(*map(int, sys.argv[1:3])).run()

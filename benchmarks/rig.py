@@ -18,7 +18,8 @@ from typing import Any
 
 import tomli_w
 
-from groundstation.errors import BadInput
+from benchmarks.firmware import PX4_ENVIRONMENT, arducopter_command, px4_command
+from groundstation.errors import BadInput, Refused
 from groundstation.flight.client.client import outcome, start_core
 from groundstation.flight.client.rehearse import linked_vehicle
 from groundstation.flight.journal import NAME as JOURNAL
@@ -26,7 +27,7 @@ from groundstation.flight.journal import read_journal
 from groundstation.paths import find_config
 from groundstation.trajectory import plan_from_dict
 
-START_S = 90.0
+START_S, FIRMWARE_READY_S = 90.0, 150.0
 PLAN = {
     "schema": "groundstation.plan/1", "vehicle": "x500", "base_frequency_rad_s": 2.0944, "periods": 20.0,
     "coefficients": {
@@ -44,28 +45,58 @@ def free_port() -> int:
 
 
 class Flight:
-    """Emulated autopilot, relay, core and link; started when made."""
+    """Autopilot, relay, core and link; started when made.
 
-    def __init__(self, profile: str):
+    Args:
+        profile: ``px4`` or ``arducopter``.
+        binary: of its firmware, flown on this project's physics; None flies the emulated one.
+    """
+
+    def __init__(self, profile: str, binary: Path | None = None):
         self.root = Path(tempfile.mkdtemp(prefix="rig-"))
-        self.folder = self.root / "2026-11-29T12-00-00-x500"
-        self.folder.mkdir()
-        plan, station = self.folder / "plan.toml", self.root / "station.toml"
-        plan.write_text(tomli_w.dumps(plan_from_dict(PLAN).model_dump(mode="json", by_alias=True, exclude_none=True)))
-        station.write_text("[policy]\nclimb_m_s = 1.0\nsettle_s = 1.0\n")
-        port = free_port()
-        relay = [sys.executable, str(Path(__file__).with_name("relay.py")), str(port)]
+        self.firmware = binary is not None
+        self.port = free_port()
+        relay = [sys.executable, str(Path(__file__).with_name("relay.py")), str(self.port)]
+        relay += ["14540"] if binary is not None and profile == "px4" else []
         self.relay = subprocess.Popen(relay, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         assert self.relay.stdout is not None
         vehicle_port = json.loads(self.relay.stdout.readline())["vehicle_port"]
         self.seen: list[dict[str, Any]] = []
         threading.Thread(target=self._listen, daemon=True).start()
-        emulator = [sys.executable, "-P", "-m", "sim.mavlink", "--profile", profile, "--vehicle", "x500"]
-        emulator += ["--link", f"udpout://127.0.0.1:{vehicle_port}"]
-        self.autopilot = subprocess.Popen(emulator, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+        self.autopilot = [self._child(command) for command in self._commands(profile, binary, vehicle_port)]
+        self._tries = 0
+        self._start_core()
+
+    def _commands(self, profile: str, binary: Path | None, port: int) -> list[list[str]]:
+        """Of what stands for the vehicle."""
+        if binary is None:
+            emulator = [sys.executable, "-P", "-m", "sim.mavlink", "--profile", profile, "--vehicle", "x500"]
+            return [[*emulator, "--link", f"udpout://127.0.0.1:{port}"]]
+        physics = [sys.executable, "-P", "-m", "sim.firmware", "--vehicle", "x500"]
+        if profile == "px4":
+            return [[*physics, "--px4", "tcp://127.0.0.1:4560", "--scenario", "hall"], px4_command(binary, self.root)]
+        command = arducopter_command(binary, self.root, link=f"udpclient:127.0.0.1:{port}")
+        return [[*physics, "--arducopter", "127.0.0.1:9002", "--scenario", "hall"], command]
+
+    def _child(self, command: list[str]) -> subprocess.Popen[bytes]:
+        environment = {**os.environ, **PX4_ENVIRONMENT}
+        where = None if command[0] == sys.executable else self.root
+        return subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment,
+            cwd=where,
+        )  # fmt: skip
+
+    def _start_core(self) -> None:
+        """A core and a link in a folder of their own."""
+        self._tries += 1
+        self.folder = self.root / f"2026-11-29T12-00-{self._tries:02d}-x500"
+        self.folder.mkdir()
+        plan, station = self.folder / "plan.toml", self.root / "station.toml"
+        plan.write_text(tomli_w.dumps(plan_from_dict(PLAN).model_dump(mode="json", by_alias=True, exclude_none=True)))
+        station.write_text('[policy]\nclimb_m_s = 1.0\nsettle_s = 1.0\ntrajectory = "setpoints"\n')
         vehicle = find_config("vehicles", "x500")
         drone = linked_vehicle(
-            self.folder, vehicle, link=f"udpin://127.0.0.1:{port}", station=str(station), set_parameters=True
+            self.folder, vehicle, link=f"udpin://127.0.0.1:{self.port}", station=str(station), set_parameters=True
         )
         self.core, _ = start_core(self.folder, plan=plan, vehicle=vehicle, drone=drone, start=True, analyse=False)
 
@@ -86,11 +117,15 @@ class Flight:
         return read_journal(log) if log.is_file() else []
 
     def excite(self) -> bool:
-        """Wait for the excitation; whether it came."""
-        end = time.monotonic() + START_S
-        while time.monotonic() < end and self.core.poll() is None:
+        """Wait for the excitation; whether it came. Firmware that has no position yet is asked again."""
+        end = time.monotonic() + (START_S + FIRMWARE_READY_S * self.firmware)
+        while time.monotonic() < end:
             if any(entry["text"].endswith("-> exciting") for entry in self.journal()):
                 return True
+            if self.core.poll() is not None:
+                if not self.firmware or self.core.poll() != Refused.exit_status:
+                    return False
+                self._start_core()
             time.sleep(0.05)
         return False
 
@@ -126,7 +161,7 @@ class Flight:
             for pid in self.pids().values():
                 os.kill(pid, signal.SIGKILL)
         self.core.kill()
-        for process in (self.autopilot, self.relay):
+        for process in (*self.autopilot, self.relay):
             process.kill()
             process.wait()
         shutil.rmtree(self.root, ignore_errors=True)

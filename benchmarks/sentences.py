@@ -33,7 +33,7 @@ def sentences() -> dict[str, list[str]]:
     out["comparison of trims"] = [
         told(trim.LOADED, rotor="3", mass_change_kg=0.0123),
         *(told(trim.WEAKER, rotor="2", asked=asked) for asked in (0.25, -0.25)),
-        told(trim.SHORTER, ratio=0.83, sure=0.97),
+        told(trim.SHORTER, ratio=0.83, sure=0.97, kind="shorter"),
     ]
     return {name: said for name, said in out.items() if said}
 

@@ -102,7 +102,7 @@ def draw_plan(random: np.random.Generator, fast: bool) -> Plan:
         channel = getattr(plan.coefficients, name)
         size = float(sign * scale)
         channels[name] = channel.model_copy(
-            update={"a": [size * v for v in channel.a], "b": [size * v for v in channel.b]}
+            update={"a": tuple(size * v for v in channel.a), "b": tuple(size * v for v in channel.b)}
         )
     return plan.model_copy(
         update={

@@ -1,4 +1,4 @@
-"""Pictures of the terminal UI for the documentation: one rehearsal, every screen at 80x24 and at 200x60.
+"""Pictures of the terminal UI for the documentation: one rehearsal, every screen at 80x24 and at 200x60, Fly also at 120x40.
 
     python benchmarks/tui_pictures.py [--output docs/images] [--logs FOLDER]
 
@@ -21,6 +21,7 @@ from groundstation.flight.sequence import FINAL, Phase
 from groundstation.tui.app import GroundStation
 
 SIZES = ((80, 24), (200, 60))
+MIDDLE = (120, 40)
 PATIENCE_S = 600.0
 
 
@@ -33,9 +34,9 @@ async def until(pilot: Pilot, condition: Callable[[], bool]) -> None:
         await pilot.pause(0.1)
 
 
-async def picture(pilot: Pilot, folder: Path, name: str) -> None:
-    """The screen that is on, at both sizes."""
-    for width, height in SIZES:
+async def picture(pilot: Pilot, folder: Path, name: str, sizes: tuple[tuple[int, int], ...] = SIZES) -> None:
+    """The screen that is on, at each size."""
+    for width, height in sizes:
         await pilot.resize_terminal(width, height)
         await pilot.pause(0.5)
         file = folder / f"tui-{name}-{width}x{height}.svg"
@@ -55,10 +56,16 @@ async def take(folder: Path, logs: Path) -> None:
         await pilot.press("2", "p")
         await until(pilot, lambda: app.plan is not None)
         await picture(pilot, folder, "plan")
-        await pilot.press("1", "r", "s")
+        await pilot.press("1", "r")
+        await until(pilot, lambda: phase() == Phase.CHECKED)
+        await picture(pilot, folder, "checked")
+        await pilot.press("s")
         await until(pilot, lambda: phase() == Phase.EXCITING)
         await pilot.pause(12.0)
-        await picture(pilot, folder, "fly")
+        await picture(pilot, folder, "fly", (SIZES[0], MIDDLE, SIZES[1]))
+        await pilot.press("ctrl+p")
+        await picture(pilot, folder, "palette", SIZES[:1])
+        await pilot.press("escape")
         await pilot.press("1")
         await picture(pilot, folder, "station")
         await pilot.press("question_mark")

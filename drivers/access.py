@@ -88,52 +88,52 @@ def own_secrets() -> dict[Role, str]:
 
 def rules(vehicle: str) -> dict[str, Any]:
     """Zenoh's access control of a core for one vehicle. From the core's side: ingress comes in, egress goes out."""
-    named: list[dict[str, Any]] = []
-
-    def rule(name: str, flows: Sequence[str], messages: Sequence[str], keys: Sequence[str]) -> str:
-        named.append(
-            {
-                "id": name,
-                "permission": "allow",
-                "flows": list(flows),
-                "messages": list(messages),
-                "key_exprs": list(keys),
-            }
-        )
-        return name
-
     drone = f"gs/{vehicle}"
     told = [f"{drone}/samples", f"{drone}/status"]
     asked = [f"{drone}/{leaf}" for leaf in ("credit", "upload", "command", "describe")]
     liveliness = ["liveliness_token", "liveliness_query", "declare_liveliness_subscriber"]
     listening = ["declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"]
     shared = [
-        rule("core-alive", ["ingress", "egress"], liveliness, ["gs/core/alive"]),
-        rule("core-listens", ["egress"], listening, [f"{drone}/*", "gs/client/*/alive"]),
+        _allow("core-alive", ["ingress", "egress"], liveliness, ["gs/core/alive"]),
+        _allow("core-listens", ["egress"], listening, [f"{drone}/*", "gs/client/*/alive"]),
     ]
     watch = [
-        rule("status", ["egress"], ["put"], ["gs/core/status"]),
-        rule("status-wanted", ["ingress"], ["declare_subscriber"], ["gs/core/status"]),
-        rule("abort", ["ingress"], ["query"], ["gs/core/abort"]),
-        rule("answers", ["egress"], ["reply", "declare_queryable"], ["gs/core/*"]),
-        rule("client-alive", ["ingress"], ["liveliness_token"], ["gs/client/*/alive"]),
+        _allow("status", ["egress"], ["put"], ["gs/core/status"]),
+        _allow("status-wanted", ["ingress"], ["declare_subscriber"], ["gs/core/status"]),
+        _allow("abort", ["ingress"], ["query"], ["gs/core/abort"]),
+        _allow("answers", ["egress"], ["reply", "declare_queryable"], ["gs/core/*"]),
+        _allow("client-alive", ["ingress"], ["liveliness_token"], ["gs/client/*/alive"]),
     ]
-    operate = [rule("orders", ["ingress"], ["query"], ["gs/core/command", "gs/core/lease"])]
+    operate = [_allow("orders", ["ingress"], ["query"], ["gs/core/command", "gs/core/lease"])]
     vehicle_rules = [
-        rule("tells", ["ingress"], ["put"], told),
-        rule("vehicle-alive", ["ingress"], ["liveliness_token"], [f"{drone}/alive"]),
-        rule("serves", ["ingress"], ["reply", "declare_queryable", "declare_subscriber"], asked),
-        rule("asks", ["egress"], ["put", "query"], asked),
+        _allow("tells", ["ingress"], ["put"], told),
+        _allow("vehicle-alive", ["ingress"], ["liveliness_token"], [f"{drone}/alive"]),
+        _allow("serves", ["ingress"], ["reply", "declare_queryable", "declare_subscriber"], asked),
+        _allow("asks", ["egress"], ["put", "query"], asked),
     ]
+    policies = (
+        (shared, ["watch", "operate", "drone"]),
+        (watch, ["watch", "operate"]),
+        (operate, ["operate"]),
+        (vehicle_rules, ["drone"]),
+    )
     return {
         "enabled": True,
         "default_permission": "deny",
-        "rules": named,
+        "rules": [rule for allowed, _ in policies for rule in allowed],
         "subjects": [{"id": role, "usernames": [role]} for role in ("watch", "operate", "drone")],
         "policies": [
-            {"rules": shared, "subjects": ["watch", "operate", "drone"]},
-            {"rules": watch, "subjects": ["watch", "operate"]},
-            {"rules": operate, "subjects": ["operate"]},
-            {"rules": vehicle_rules, "subjects": ["drone"]},
+            {"rules": [rule["id"] for rule in allowed], "subjects": subjects} for allowed, subjects in policies
         ],
+    }
+
+
+def _allow(name: str, flows: Sequence[str], messages: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:
+    """One rule of zenoh's access control."""
+    return {
+        "id": name,
+        "permission": "allow",
+        "flows": list(flows),
+        "messages": list(messages),
+        "key_exprs": list(keys),
     }

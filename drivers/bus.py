@@ -72,8 +72,9 @@ DronePhase = Literal["idle", "uploaded", "armed", "takeoff", "exciting", "landin
 ``armed`` is armed on the ground, ``landed`` is disarmed after a flight (a new upload is accepted), ``crashed`` is a
 vehicle that hit the ground or tumbled (disarmed; a new upload sets it upright again)."""
 
-CommandName = Literal["arm", "start", "abort", "land", "kill", "disarm", "shutdown"]
+CommandName = Literal["arm", "start", "finish", "extend", "abort", "land", "kill", "disarm", "shutdown"]
 """``start`` flies the uploaded plan from take-off to landing; ``abort`` and ``land`` stop where it is and descend;
+``finish`` ends the excitation at its next rest point, ``extend`` lets it go on for a period more than it would, up to what was uploaded;
 ``kill`` stops the rotors wherever it is; ``disarm`` is refused in the air; ``shutdown`` ends the drone process, refused in the air."""
 
 M = TypeVar("M", bound=msgspec.Struct)

@@ -378,7 +378,7 @@ def write_report(
     path: str | Path, flight: FlightData, identification: Identification | Refused, diagnosis: Diagnosis | None = None
 ) -> Path:
     """Write the HTML report of a flight: one file that opens without a network. Returns its path."""
-    from groundstation.reporting import write_report
+    from groundstation.reporting.report import write_report
 
     return write_report(path, flight, identification, diagnosis)
 

@@ -14,6 +14,7 @@ import click
 
 from groundstation import __version__
 from groundstation.commands.common import Result, suggestion
+from groundstation.commands.listing import SECTIONS
 from groundstation.errors import BadInput, GroundStationError, Refused
 from groundstation.texts import shown
 
@@ -27,11 +28,13 @@ COMMANDS = {
     "predict": "analysing",
     "diagnose": "analysing",
     "report": "analysing",
+    "compare": "files",
     "export": "files",
     "convert": "files",
     "flights": "fleet",
     "batch": "fleet",
     "campaign": "campaign",
+    "calibrate": "mocap",
     "doctor": "station",
     "completion": "station",
     "reproduce": "station",
@@ -46,7 +49,14 @@ class LazyGroup(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """In the order in which one uses them."""
-        return list(COMMANDS)
+        return [name for section in SECTIONS.values() for name in section]
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """A section for each purpose, a line for each command."""
+        width = max(map(len, COMMANDS))
+        for title, commands in SECTIONS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name.ljust(width), line) for name, line in commands.items()])
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The command of a name."""
@@ -67,7 +77,7 @@ class LazyGroup(click.Group):
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"]},
     invoke_without_command=True,
-    epilog="\b\nExample:\n  groundstation rehearse          a whole flight in simulation, from plan to report",
+    epilog="\b\nExample:\n  groundstation rehearse     a whole flight in simulation",
 )
 @click.version_option(__version__, prog_name="groundstation")
 @click.option("--debug", is_flag=True, help="Show where an error comes from.")
@@ -104,6 +114,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except GroundStationError as error:
             return _fail(str(error), error.exit_status, as_json, out)
         except Exception as error:
+            if isinstance(error, BrokenPipeError) and not _print("", sys.stdout, end=""):
+                return 0
             if "--debug" in arguments:
                 raise
             text = f"this is a defect of groundstation ({type(error).__name__}: {error}); `groundstation --debug ...` shows where"
@@ -111,9 +123,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(result, Result):
             from groundstation.analysis.documents import finite
 
-            print(_json(finite(result.document)) if as_json else shown(result.text, limit=_MOST, lines=True), file=out)
+            _print(_json(finite(result.document)) if as_json else shown(result.text, limit=_MOST, lines=True), out)
             return result.exit_status
+        _print("", sys.stdout, end="")
         return result if isinstance(result, int) else 0
+
+
+def _print(text: str, out: TextIO, end: str = "\n") -> bool:
+    """Print it all now; False where the reader has gone (`| head`), and what is left then goes nowhere."""
+    try:
+        print(text, file=out, end=end, flush=True)
+    except BrokenPipeError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, out.fileno())
+        os.close(nowhere)
+        return False
+    return True
 
 
 def _fail(text: str, status: int, as_json: bool, out: TextIO, reason: Refused | None = None) -> int:
@@ -125,7 +150,7 @@ def _fail(text: str, status: int, as_json: bool, out: TextIO, reason: Refused | 
             from groundstation.analysis.documents import refusal
 
             document |= refusal(reason)
-        print(_json(document), file=out)
+        _print(_json(document), out)
     return status
 
 

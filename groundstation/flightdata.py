@@ -83,6 +83,26 @@ class Stream(Tabular):
 
 
 @dataclass(frozen=True, slots=True)
+class OnlineClock:
+    """Motion-capture stamp minus IMU stamp of one instant, as the link knew it in flight by stamps, echoes and TIMESYNC.
+
+    Attributes:
+        t_s: on the IMU's clock, (k,).
+        offset_s, error_s: and its bound, (k,).
+        steps: how often the capture system's clock stepped.
+    """
+
+    t_s: Array
+    offset_s: Array
+    error_s: Array
+    steps: int = 0
+
+    def at(self, t_s: float) -> tuple[float, float]:
+        """Offset and bound at a time of the IMU's clock."""
+        return float(np.interp(t_s, self.t_s, self.offset_s)), float(np.interp(t_s, self.t_s, self.error_s))
+
+
+@dataclass(frozen=True, slots=True)
 class FlightData(Tabular):
     """One flight. Streams that were not recorded are None; ``extras`` carries columns and files nobody here reads.
 
@@ -94,6 +114,7 @@ class FlightData(Tabular):
         truth: the simulated drone's true vehicle (simulation only; for reports, never for estimation).
         metadata: scenario name, versions, vehicle kind and the like.
         notes: repairs and losses on the way in, one sentence each.
+        online: the clocks as the link knew them; None where it told nothing.
     """
 
     name: str
@@ -110,6 +131,7 @@ class FlightData(Tabular):
     truth: Vehicle | None = None
     metadata: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    online: OnlineClock | None = None
 
     def records(self) -> list[Record]:
         """One row per stream: samples, rate and time on its own clock."""

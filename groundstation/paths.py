@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+from functools import cache
 from pathlib import Path
 
 from groundstation.errors import BadInput
@@ -15,6 +17,19 @@ def configs_dir() -> Path:
         if candidate.is_dir():
             return candidate
     raise BadInput("the configs folder is missing from this installation; install groundstation again.")
+
+
+@cache
+def commit() -> str:
+    """The commit of the program where it runs from a checkout ("+" where files differ from it); empty where it is installed."""
+    top = Path(__file__).resolve().parent.parent
+    if not (top / ".git").exists():
+        return ""
+    told = ("git", "-C", str(top), "describe", "--always", "--abbrev=12", "--exclude=*", "--dirty=+")
+    try:
+        return subprocess.run(told, capture_output=True, text=True, timeout=5.0, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return ""
 
 
 def find_config(kind: str, name_or_path: str | Path) -> Path:

@@ -6,7 +6,7 @@ put body z along acceleration plus gravity; body rates and their derivatives fol
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Protocol
 
@@ -160,20 +160,9 @@ def rigid_motion(flat: FlatState, gravity_m_s2: float = 9.80665) -> RigidMotion:
     With c1 = a_x cos(psi) + a_y sin(psi), c2 = a_x sin(psi) - a_y cos(psi), d = a_z + g: tan(theta) = c1/d (eq. 26) and
     tan(phi) = c2/sqrt(c1^2 + d^2) (eq. 27). Both are differentiated twice in closed form; omega = W^-1 eta_dot.
     """
-    psi, psi1, psi2 = flat.yaw
     ax, ay, az = (flat.position[2:5, :, i] for i in range(3))  # derivatives 2, 3, 4
-    cos, sin = np.cos(psi), np.sin(psi)
-
-    def rotate(u: Array, v: Array) -> tuple[Array, Array, Array]:
-        """With two derivatives, f = u cos(psi) + v sin(psi); h = -u sin(psi) + v cos(psi) is its psi-derivative."""
-        f, h = u[0] * cos + v[0] * sin, -u[0] * sin + v[0] * cos
-        f1, h1 = u[1] * cos + v[1] * sin, -u[1] * sin + v[1] * cos
-        first = f1 + psi1 * h
-        second = (u[2] * cos + v[2] * sin) + 2 * psi1 * h1 + psi2 * h - psi1**2 * f
-        return f, first, second
-
-    c1, c1d, c1dd = rotate(ax, ay)
-    c2, c2d, c2dd = rotate(-ay, ax)
+    c1, c1d, c1dd = _along_heading(ax, ay, flat.yaw)
+    c2, c2d, c2dd = _along_heading(-ay, ax, flat.yaw)
     d, dd, ddd = az[0] + gravity_m_s2, az[1], az[2]
     r2 = c1**2 + d**2
     r = np.sqrt(r2)
@@ -190,6 +179,37 @@ def rigid_motion(flat: FlatState, gravity_m_s2: float = 9.80665) -> RigidMotion:
     phi1 = m1 / s2
     phi2 = (c2dd * r - c2 * rdd) / s2 - phi1 * 2 * (c2 * c2d + r * rd) / s2
 
+    euler = (np.stack([phi, theta, flat.yaw[0]], axis=-1), np.stack([phi1, theta1, flat.yaw[1]], axis=-1))
+    omega, omega1 = _body_rates(*euler, np.stack([phi2, theta2, flat.yaw[2]], axis=-1))
+    return RigidMotion(
+        position_m=flat.position[0],
+        velocity_world_m_s=flat.position[1],
+        acceleration_world_m_s2=flat.position[2],
+        euler_rad=euler[0],
+        euler_rate_rad_s=euler[1],
+        angular_velocity_body_rad_s=omega,
+        angular_acceleration_body_rad_s2=omega1,
+        specific_thrust_m_s2=np.sqrt(s2),
+    )
+
+
+def _along_heading(u: Array, v: Array, yaw: Array) -> tuple[Array, Array, Array]:
+    """Values of f = u cos(psi) + v sin(psi) with two derivatives, of u, v and psi with two each, shape (3, k).
+
+    h = -u sin(psi) + v cos(psi) is its derivative by psi.
+    """
+    psi, psi1, psi2 = yaw
+    cos, sin = np.cos(psi), np.sin(psi)
+    f, h = u[0] * cos + v[0] * sin, -u[0] * sin + v[0] * cos
+    f1, h1 = u[1] * cos + v[1] * sin, -u[1] * sin + v[1] * cos
+    return f, f1 + psi1 * h, (u[2] * cos + v[2] * sin) + 2 * psi1 * h1 + psi2 * h - psi1**2 * f
+
+
+def _body_rates(euler: Array, first: Array, second: Array) -> tuple[Array, Array]:
+    """Body rates omega = W^-1 eta_dot and their derivative, from roll, pitch, yaw and two derivatives, shape (k, 3) each."""
+    phi, theta, _ = euler.T
+    phi1, theta1, psi1 = first.T
+    phi2, theta2, psi2 = second.T
     cp, sp, ct, st = np.cos(phi), np.sin(phi), np.cos(theta), np.sin(theta)
     omega = np.stack([phi1 - st * psi1, cp * theta1 + sp * ct * psi1, -sp * theta1 + cp * ct * psi1], axis=-1)
     omega1 = np.stack(
@@ -200,16 +220,7 @@ def rigid_motion(flat: FlatState, gravity_m_s2: float = 9.80665) -> RigidMotion:
         ],
         axis=-1,
     )
-    return RigidMotion(
-        position_m=flat.position[0],
-        velocity_world_m_s=flat.position[1],
-        acceleration_world_m_s2=flat.position[2],
-        euler_rad=np.stack([phi, theta, psi], axis=-1),
-        euler_rate_rad_s=np.stack([phi1, theta1, psi1], axis=-1),
-        angular_velocity_body_rad_s=omega,
-        angular_acceleration_body_rad_s2=omega1,
-        specific_thrust_m_s2=np.sqrt(s2),
-    )
+    return omega, omega1
 
 
 class _Model(BaseModel):
@@ -251,6 +262,20 @@ RENAMED_PARAMETERS = {
 """Names in plan files of earlier versions -> the names that estimates have."""
 
 
+class PlannedUntil(_Model):
+    """Of a plan whose length is decided in flight: it lasts ``planned_periods`` unless it is ended early or told to go on.
+
+    Attributes:
+        targets: half widths of 95 % intervals as shares, by parameter.
+        planned_periods: flown where nobody decides; ``periods`` of the plan is the most.
+        automatic: the station decides; else the operator does.
+    """
+
+    targets: dict[str, Annotated[float, Field(gt=0.0, lt=1.0)]]
+    planned_periods: Annotated[int, Field(ge=1)]
+    automatic: bool = False
+
+
 class Plan(_Model, Tabular):
     """An excitation to fly: what is in a plan file. ``limits`` are those it was made to keep (names of ``[limits]``)."""
 
@@ -265,6 +290,15 @@ class Plan(_Model, Tabular):
     limits: dict[str, float] = Field(default_factory=dict)
     predicted_std: dict[str, float] = Field(default_factory=dict)
     note: str = ""
+    until: PlannedUntil | None = None
+
+    @model_validator(mode="after")
+    def _ends_at_rest_points(self) -> Plan:
+        if self.until is not None and (
+            self.periods != round(self.periods) or self.until.planned_periods > self.periods
+        ):
+            raise ValueError("with [until], periods must be a whole number, and no fewer than planned_periods")
+        return self
 
     @field_validator("predicted_std", mode="before")
     @classmethod
@@ -276,6 +310,18 @@ class Plan(_Model, Tabular):
     def to_dict(self) -> dict[str, object]:
         """The plan file's document."""
         return plan_to_dict(self)
+
+    @property
+    def first_periods(self) -> float:
+        """Periods that are flown unless something else is decided in flight."""
+        return self.periods if self.until is None else float(self.until.planned_periods)
+
+    def as_flown(self, seconds: float) -> Plan:
+        """The plan of a flight whose excitation lasted so long, where its length was decided in flight."""
+        if self.until is None:
+            return self
+        periods = min(max(round(seconds * self.base_frequency_rad_s / (2.0 * np.pi)), 1), self.periods)
+        return self.model_copy(update={"periods": float(periods), "until": None})
 
     def records(self) -> list[Record]:
         """One row per parameter: the standard deviation to expect of a flight of this plan."""
@@ -362,3 +408,35 @@ def flight_path(plan: Plan, ground: ArrayLike, *, climb_m_s: float = 0.4, settle
     down = ends[1].copy()
     down[2] = floor[2]
     return Sequence((leg(floor, up), leg(up, ends[0]), hold(ends[0]), series, hold(ends[1]), leg(ends[1], down)))
+
+
+def with_periods(path: Sequence, periods: float) -> Sequence:
+    """A :func:`flight_path` whose excitation has so many whole periods; it ends where it began, so the legs stay as they are."""
+    parts = tuple(replace(p, periods=float(periods)) if isinstance(p, FourierSeries) else p for p in path.parts)
+    return Sequence(parts)
+
+
+def changed_length(path: Sequence, at_s: float, order: str, most: float) -> Sequence | str:
+    """A path whose excitation ends at the next rest point ("finish"), or a period later than it would ("extend"); or why not.
+
+    Args:
+        path: of :func:`flight_path`.
+        at_s: where on it the vehicle is.
+        most: periods that were checked before the flight.
+    """
+    before = 0.0
+    for part in path.parts:
+        if isinstance(part, FourierSeries):
+            into = at_s - before
+            if not 0.0 <= into < part.duration_s:
+                return "the excitation is not being flown."
+            if order == "extend":
+                longer = part.periods + 1.0
+                return (
+                    with_periods(path, longer)
+                    if longer <= most
+                    else f"{most:g} periods were checked before the flight; it ends there."
+                )
+            return with_periods(path, min(part.periods, np.floor(into / part.period_s) + 1.0))
+        before += part.duration_s
+    return "the plan has no rest points."

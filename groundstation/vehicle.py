@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from groundstation.errors import BadInput
 from groundstation.outside import read_toml
+from groundstation.targets import parse_targets
 
 Array = NDArray[np.float64]
 Vector3 = tuple[float, float, float]
@@ -60,10 +61,14 @@ class RotorLag(_Section):
 
 
 class Rotors(_Section):
-    """Geometry and constants of the rotors; rotor i makes T_i = k Omega_i^2 along body z and the torque -spin_i c T_i."""
+    """Geometry and constants of the rotors; rotor i makes T_i = k Omega_i^2 along its axis a_i and the torque -spin_i c T_i a_i.
+
+    ``axis`` are the directions of thrust in the body; None: all along body z.
+    """
 
     position_m: tuple[Vector3, ...]
     spin: tuple[Literal[-1, 1], ...]
+    axis: tuple[Vector3, ...] | None = None
     radius_m: Positive = 0.1
     thrust_coefficient_n_s2: Positive | None = None
     torque_to_thrust_m: Positive
@@ -80,10 +85,20 @@ class Rotors(_Section):
             raise ValueError(f"{len(value)} rotors given; 3 to 16 are supported")
         return value
 
+    @field_validator("axis")
+    @classmethod
+    def _unit_axes(cls, value: tuple[Vector3, ...] | None) -> tuple[Vector3, ...] | None:
+        for i, axis in enumerate(value or (), start=1):
+            if not 0.999 <= float(np.linalg.norm(axis)) <= 1.001:
+                raise ValueError(f"the axis of rotor {i}, {list(axis)}, is no unit vector; divide it by its length")
+        return value
+
     @model_validator(mode="after")
     def _consistent(self) -> Rotors:
         if len(self.spin) != len(self.position_m):
             raise ValueError(f"spin has {len(self.spin)} entries for {len(self.position_m)} rotor positions")
+        if self.axis is not None and len(self.axis) != len(self.position_m):
+            raise ValueError(f"axis has {len(self.axis)} entries for {len(self.position_m)} rotor positions")
         if self.input == "command" and self.thrust_curve is not None:
             return self
         if self.input == "wrench":
@@ -100,6 +115,16 @@ class Rotors(_Section):
     def count(self) -> int:
         """Number of rotors."""
         return len(self.position_m)
+
+    @property
+    def tilted(self) -> bool:
+        """Whether any rotor's thrust is not along body z."""
+        return self.axis is not None and any(tuple(axis) != (0.0, 0.0, 1.0) for axis in self.axis)
+
+    def axes(self) -> Array:
+        """Unit vector of each rotor's thrust in the body, shape (n, 3)."""
+        axes = np.asarray(self.axis or ((0.0, 0.0, 1.0),) * self.count, dtype=float)
+        return np.asarray(axes / np.linalg.norm(axes, axis=1, keepdims=True), dtype=float)
 
 
 class Imu(_Section):
@@ -153,6 +178,22 @@ class Control(_Section):
     derivative_filter_rad_s: Positive = 20.0
 
 
+class Until(_Section):
+    """How long a flight lasts where its length is decided in flight: until ``targets`` are met, ``at_most_s`` of excitation at the most."""
+
+    targets: str
+    at_most_s: Positive = 80.0
+
+    @field_validator("targets")
+    @classmethod
+    def _are_targets(cls, value: str) -> str:
+        try:
+            parse_targets(value)
+        except BadInput as error:
+            raise ValueError(str(error)) from None
+        return value
+
+
 class IdentificationSettings(_Section):
     """Constants of the place, how surely the declared values are known, and what anchors the scale."""
 
@@ -177,6 +218,7 @@ class Vehicle(_Section):
     limits: Limits = Limits()
     control: Control = Control()
     identification: IdentificationSettings = IdentificationSettings()
+    until: Until | None = None
 
     @property
     def gravity_m_s2(self) -> float:
@@ -197,13 +239,26 @@ class Vehicle(_Section):
         return values
 
     def allocation(self) -> Array:
-        """Map rotor thrusts (n,) to [F_z, tau_x, tau_y, tau_z] about the declared origin, shape (4, n).
+        """Map rotor thrusts (n,) to [F_z, tau_x, tau_y, tau_z] about the declared origin, shape (4, n)."""
+        return self.six_row_allocation()[2:]
 
-        tau = sum r_i x T_i e_z - spin_i c T_i e_z.
+    def six_row_allocation(self) -> Array:
+        """Map rotor thrusts (n,) to body force and torque about the declared origin, shape (6, n).
+
+        F = sum T_i a_i, tau = sum r_i x T_i a_i - spin_i c T_i a_i.
         """
-        position = np.asarray(self.rotors.position_m, dtype=float)
-        spin = np.asarray(self.rotors.spin, dtype=float)
-        return np.stack([np.ones(len(spin)), position[:, 1], -position[:, 0], -spin * self.rotors.torque_to_thrust_m])
+        axes, position = self.rotors.axes(), np.asarray(self.rotors.position_m, dtype=float)
+        reaction = -np.asarray(self.rotors.spin, dtype=float) * self.rotors.torque_to_thrust_m
+        return np.concatenate([axes.T, (np.cross(position, axes) + reaction[:, None] * axes).T])
+
+    def mixing(self) -> Array:
+        """The smallest rotor thrusts that make [F_z, tau_x, tau_y, tau_z], shape (n, 4); tilted ones push sideways besides."""
+        return np.asarray(np.linalg.pinv(self.allocation()), dtype=float)
+
+    def turns_freely(self) -> bool:
+        """Whether no rotor makes a torque about z, as three whose tilts cancel their reaction torques: yaw is nobody's to steer."""
+        allocation = self.allocation()
+        return bool(np.abs(allocation[3]).max() < 1e-3 * self.rotors.torque_to_thrust_m)
 
     def thrust(self, motor: ArrayLike, voltage_ratio: ArrayLike = 1.0) -> Array:
         """Declared thrust of each rotor in newton from the motor values of ``rotors.input``.
@@ -247,7 +302,7 @@ class Vehicle(_Section):
         return float(np.mean(np.linalg.norm(np.asarray(self.rotors.position_m)[:, :2], axis=1)))
 
 
-_TOP = {"vehicle", "rotors", "imu", "mocap", "battery", "limits", "control", "identification"}
+_TOP = {"vehicle", "rotors", "imu", "mocap", "battery", "limits", "control", "identification", "until"}
 
 
 def _flatten(document: dict) -> dict:

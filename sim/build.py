@@ -113,6 +113,7 @@ def build_plant(declared: Vehicle, scenario: Scenario) -> Plant:
         rotors=Rotors(
             position=np.array(rotors.position_m, dtype=float),
             spin=np.array(rotors.spin, dtype=float),
+            axis=rotors.axes(),
             curve=curve,
             torque_ratio=rotors.torque_to_thrust_m,
             radius=radius,
@@ -168,7 +169,7 @@ def build_law(declared: Vehicle, scenario: Scenario) -> Law:
         attitude_i=gains.attitude_i,
         attitude_d=gains.attitude_d,
         filter_rad_s=gains.derivative_filter_rad_s,
-        mixing=np.ascontiguousarray(np.linalg.pinv(declared.allocation())),
+        mixing=np.ascontiguousarray(declared.mixing()),
         rotor_min=-_UNBOUNDED if declared.rotors.input == "wrench" else 0.05 * weight / count,
         rotor_max=highest if bounded else _UNBOUNDED,
         thrust_max=limits.thrust_max_n or (count * highest if bounded else 4.0 * weight),

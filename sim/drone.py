@@ -24,7 +24,7 @@ from drivers.bus import (
 )
 from groundstation.errors import BadInput
 from groundstation.outside import parse_json, parse_toml
-from groundstation.trajectory import Plan, Sequence, flight_path, plan_from_dict
+from groundstation.trajectory import Plan, Sequence, changed_length, flight_path, plan_from_dict, with_periods
 from groundstation.vehicle import Vehicle, vehicle_to_dict
 from sim.feasibility import why_not
 from sim.flight import excitation_window, path_setpoints
@@ -140,6 +140,8 @@ class Drone:
         order = {
             "arm": self._arm,
             "start": self._start,
+            "finish": lambda: self._change_length("finish"),
+            "extend": lambda: self._change_length("extend"),
             "kill": self._kill,
             "disarm": self._disarm,
             "shutdown": self._may_end,
@@ -156,15 +158,28 @@ class Drone:
     def _start(self) -> Answer:
         if self.phase != "armed" or self._plan is None:
             return Answer(False, f"cannot start in phase {self.phase}: upload a plan and arm first.")
-        self._path = self._path_from_here(self._plan)
+        path = with_periods(self._path_from_here(self._plan), self._plan.first_periods)
         self.simulation.take_off_now()
         self._started_s = self.simulation.time_s
-        self._ends_s = self._started_s + self._path.duration_s
-        self._source = path_setpoints(self._path, self._started_s)
-        begin, end = excitation_window(self._path, self._started_s)
+        self._follow(path)
+        self._enter("takeoff", "taking off")
+        return Answer(True)
+
+    def _follow(self, path: Sequence) -> None:
+        self._path, self._ends_s = path, self._started_s + path.duration_s
+        self._source = path_setpoints(path, self._started_s)
+        begin, end = excitation_window(path, self._started_s)
         clock = self.simulation.motor_clock_s
         self._window = (clock(begin), clock(end))
-        self._enter("takeoff", "taking off")
+
+    def _change_length(self, order: str) -> Answer:
+        """End the excitation at its next rest point, or let it go on."""
+        if self.phase != "exciting" or self._path is None or self._plan is None:
+            return Answer(False, f"'{order}' is for an excitation; the drone is in phase {self.phase}.")
+        changed = changed_length(self._path, self.simulation.time_s - self._started_s, order, self._plan.periods)
+        if isinstance(changed, str):
+            return Answer(False, changed)
+        self._follow(changed)
         return Answer(True)
 
     def _kill(self) -> Answer:

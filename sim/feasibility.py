@@ -62,7 +62,7 @@ def _lacks_thrust(vehicle: Vehicle, motion, t: np.ndarray) -> str:
         return f"the path asks for {wrench[:, 0].max():.1f} N of thrust; the vehicle file allows {total:g} N."
     if vehicle.rotors.input == "wrench":
         return ""
-    thrusts = wrench @ np.linalg.pinv(vehicle.allocation()).T
+    thrusts = wrench @ vehicle.mixing().T
     most = vehicle.rotor_thrust_max_n()
     when, rotor = np.unravel_index(thrusts.argmax(), thrusts.shape)
     if thrusts[when, rotor] > _HEADROOM * most:

@@ -189,6 +189,163 @@ def fly_law(
 
 
 @compiled
+def remember(memory: Memory, step: int) -> None:
+    """The estimate of this step, position and quaternion, into the history that late poses are compared with."""
+    for i in range(7):
+        memory.history[step % HISTORY, i] = memory.estimate[i if i < 3 else i + 3]
+
+
+@compiled
+def control_tick(world: World, memory: Memory, stretch: Stretch, step: int, tick: int, powered: bool) -> None:
+    """New motor values by the vehicle's own law, from outside, or none."""
+    if powered and stretch.mode == FLYING:
+        before = int((step - world.control_every) / world.outer_every + 1e-9)
+        outer = int(step / world.outer_every + 1e-9) != before or step == 0
+        fly_law(
+            world.law,
+            memory.control,
+            memory.estimate,
+            memory.led,
+            memory.target,
+            stretch.setpoints[tick],
+            outer,
+            world.control_every * world.dt,
+            world.outer_every * world.dt,
+            memory.flags[STANDING] == 1,
+        )
+    elif powered:
+        copy(stretch.motors[tick], memory.target)
+    else:
+        memory.target.fill(0.0)
+
+
+@compiled
+def ask_rotors(world: World, memory: Memory, step: int, powered: bool, asked) -> None:
+    """What reaches the rotors: the target of a while ago, less what the battery's voltage takes, into ``asked``."""
+    plant, effects = world.plant, world.plant.effects
+    copy(memory.target, memory.delay[step % HISTORY])
+    power = world.supply.avionics_w
+    if powered:
+        power += mechanical_power(memory.x, plant.rotors, plant.air_density) / world.supply.efficiency
+    ratio = drain(world.supply, memory.battery, power, world.dt)
+    sag = 1.0
+    if effects.battery_sag.on:
+        sag = 1.0 - effects.battery_sag.strength * (1.0 - ratio)
+    delay_steps = round(effects.input_delay.delay_s / world.dt) if effects.input_delay.on else 0
+    for i in range(len(asked)):
+        asked[i] = sag * memory.delay[(step - delay_steps) % HISTORY, i]
+
+
+@compiled
+def surroundings(world: World, memory: Memory, stretch: Stretch, k: int, t: float, powered: bool) -> Surroundings:
+    """Wind and disturbance of this step, each a process of its own."""
+    force, torque = drift_step(world.disturbance, memory.drift, stretch.drift_noise[k], world.dt)
+    wind = (0.0, 0.0, 0.0)
+    if world.plant.effects.wind.on:
+        wind = gust_step(world.plant.effects.wind, memory.gust, stretch.gust_noise[k], world.dt)
+    return Surroundings(wind, force, torque, t - stretch.start_s, powered, memory.flags[STANDING] == 1)
+
+
+@compiled
+def remember_thrust(plant: Plant, x, thrust) -> None:
+    """The play of each rotor's thrust about its curve (``thrust_memory``)."""
+    effects, hover = plant.effects, plant.rotors.hover_thrust
+    for i in range(len(thrust)):
+        ideal = power_law(effects.thrust_curve, thrust_of(plant.rotors, x[ROTOR + i]), hover)
+        thrust[i] = play(effects.thrust_memory, thrust[i], ideal, hover)
+
+
+class Start(NamedTuple):
+    """The rigid body where a step begins, from which samples within the step are taken.
+
+    Attributes:
+        t: time (s).
+        position: in the world (m).
+        velocity: in the world (m/s).
+        q: attitude, body to world, w x y z.
+        w: body rates (rad/s).
+        first: derivative of the state at the beginning.
+        last: derivative at the end.
+    """
+
+    t: float
+    position: tuple[float, float, float]
+    velocity: tuple[float, float, float]
+    q: tuple[float, float, float, float]
+    w: tuple[float, float, float]
+    first: np.ndarray
+    last: np.ndarray
+
+
+@compiled
+def sample_imu(world: World, memory: Memory, stretch: Stretch, at: Start, i: int, row) -> None:
+    """IMU sample ``i`` of the stretch, within the step, into ``row`` and into the flight software's estimate."""
+    s, first, last = max(stretch.imu_s[i] - at.t, 0.0), at.first, at.last
+    share = s / world.dt
+    turn = (
+        first[10] + share * (last[10] - first[10]),
+        first[11] + share * (last[11] - first[11]),
+        first[12] + share * (last[12] - first[12]),
+    )
+    push = (
+        first[3] + share * (last[3] - first[3]),
+        first[4] + share * (last[4] - first[4]),
+        first[5] + share * (last[5] - first[5]),
+    )
+    w = add(at.w, scale(s, (first[10], first[11], first[12])))
+    q = multiply(at.q, exponential(scale(s, at.w)))
+    felt = specific_force(push, turn, w, q, world.instruments.lever, world.plant.gravity)
+    measure_imu(world.instruments, memory.low_pass, w, felt, stretch.imu_noise[i], row)
+    predict(world.observer, memory.estimate, (row[0], row[1], row[2]), (row[3], row[4], row[5]))
+
+
+@compiled
+def sample_pose(world: World, memory: Memory, stretch: Stretch, at: Start, i: int, row) -> None:
+    """Pose ``i`` of the stretch, seen within the step, into ``row`` and, unless it is lost, on its way."""
+    s, first = max(stretch.pose_s[i] - at.t, 0.0), at.first
+    seen = add(at.position, add(scale(s, at.velocity), scale(0.5 * s * s, (first[3], first[4], first[5]))))
+    middle = add(at.w, scale(0.5 * s, (first[10], first[11], first[12])))
+    q = multiply(at.q, exponential(scale(s, middle)))
+    measure_pose(world.instruments, memory.last_pose, seen, q, stretch.pose_frozen[i], stretch.pose_noise[i], row)
+    if stretch.pose_arrival_s[i] < np.inf:
+        tail = memory.flags[PENDING_TAIL]
+        memory.pending[tail, 0] = stretch.pose_s[i]
+        memory.pending[tail, 1] = stretch.pose_arrival_s[i]
+        body_pose(world.instruments, row, memory.pending[tail, 2:])
+        memory.flags[PENDING_TAIL] = (tail + 1) % PENDING
+
+
+class Samples(NamedTuple):
+    """What a stretch leaves: see :func:`run`; ``taken`` counts the samples of IMU, poses, speeds and battery."""
+
+    imu: np.ndarray
+    poses: np.ndarray
+    speeds: np.ndarray
+    volts: np.ndarray
+    taken: np.ndarray
+
+
+@compiled
+def sample(world: World, memory: Memory, stretch: Stretch, at: Start, out: Samples) -> None:
+    """Every sample whose time lies in the step that has just been integrated."""
+    taken, x, end = out.taken, memory.x, at.t + world.dt - 1e-9
+    while taken[0] < len(stretch.imu_s) and stretch.imu_s[taken[0]] < end:
+        sample_imu(world, memory, stretch, at, taken[0], out.imu[taken[0]])
+        taken[0] += 1
+    while taken[1] < len(stretch.pose_s) and stretch.pose_s[taken[1]] < end:
+        sample_pose(world, memory, stretch, at, taken[1], out.poses[taken[1]])
+        taken[1] += 1
+    while taken[2] < len(stretch.speed_s) and stretch.speed_s[taken[2]] < end:
+        s = max(stretch.speed_s[taken[2]] - at.t, 0.0)
+        for i in range(out.speeds.shape[1]):
+            out.speeds[taken[2], i] = x[ROTOR + i] - (world.dt - s) * at.first[ROTOR + i]
+        taken[2] += 1
+    while taken[3] < len(stretch.battery_s) and stretch.battery_s[taken[3]] < end:
+        out.volts[taken[3], 0], out.volts[taken[3], 1] = memory.battery[1], memory.battery[2]
+        taken[3] += 1
+
+
+@compiled
 def run(world: World, memory: Memory, stretch: Stretch):
     """Advance the world by one stretch.
 
@@ -196,123 +353,37 @@ def run(world: World, memory: Memory, stretch: Stretch):
         imu (k, 6), poses (k, 7), rotor values (k, n), battery voltage and current (k, 2) at the sample times; and per control
         tick the motor values asked for (ticks, n) and the estimate (ticks, 13); and per step the true state (steps, 13).
     """
-    dt, plant, x = world.dt, world.plant, memory.x
-    n = len(plant.rotors.spin)
-    ticks = len(stretch.setpoints)
-    imu = np.empty((len(stretch.imu_s), 6))
-    poses = np.empty((len(stretch.pose_s), 7))
-    speeds = np.empty((len(stretch.speed_s), n))
-    volts = np.empty((len(stretch.battery_s), 2))
-    commands = np.empty((ticks, n))
-    estimates = np.empty((ticks, 13))
-    path = np.empty((stretch.steps, 13))
-    i_imu, i_pose, i_speed, i_battery, i_tick = 0, 0, 0, 0, 0
-    asked = np.empty(n)
-    effects = plant.effects
+    dt, plant, x, flags = world.dt, world.plant, memory.x, memory.flags
+    n, ticks = len(plant.rotors.spin), len(stretch.setpoints)
+    out = Samples(
+        np.empty((len(stretch.imu_s), 6)),
+        np.empty((len(stretch.pose_s), 7)),
+        np.empty((len(stretch.speed_s), n)),
+        np.empty((len(stretch.battery_s), 2)),
+        np.zeros(4, np.int64),
+    )
+    commands, estimates, path = np.empty((ticks, n)), np.empty((ticks, 13)), np.empty((stretch.steps, 13))
+    asked, tick = np.empty(n), 0
     pose_age = min(round(world.instruments.latency / dt), HISTORY - 1)
-    delay_steps = round(effects.input_delay.delay_s / dt) if effects.input_delay.on else 0
-
     for k in range(stretch.steps):
         step = stretch.first + k
         t = step * dt
-        powered = stretch.mode != IDLE and memory.flags[CRASHED] == 0
-        for i in range(7):
-            memory.history[step % HISTORY, i] = memory.estimate[i if i < 3 else i + 3]
-        deliver_poses(world.observer, memory.estimate, memory.pending, memory.flags, memory.history, step, pose_age, t)
+        powered = stretch.mode != IDLE and flags[CRASHED] == 0
+        remember(memory, step)
+        deliver_poses(world.observer, memory.estimate, memory.pending, flags, memory.history, step, pose_age, t)
         if step % world.control_every == 0:
-            if powered and stretch.mode == FLYING:
-                before = int((step - world.control_every) / world.outer_every + 1e-9)
-                outer = int(step / world.outer_every + 1e-9) != before or step == 0
-                fly_law(
-                    world.law,
-                    memory.control,
-                    memory.estimate,
-                    memory.led,
-                    memory.target,
-                    stretch.setpoints[i_tick],
-                    outer,
-                    world.control_every * dt,
-                    world.outer_every * dt,
-                    memory.flags[STANDING] == 1,
-                )
-            elif powered:
-                copy(stretch.motors[i_tick], memory.target)
-            else:
-                memory.target.fill(0.0)
-            copy(memory.target, commands[i_tick])
-            copy(memory.estimate, estimates[i_tick])
-            i_tick += 1
-        copy(memory.target, memory.delay[step % HISTORY])
-        power = world.supply.avionics_w
-        if powered:
-            power += mechanical_power(x, plant.rotors, plant.air_density) / world.supply.efficiency
-        ratio = drain(world.supply, memory.battery, power, dt)
-        sag = 1.0
-        if effects.battery_sag.on:
-            sag = 1.0 - effects.battery_sag.strength * (1.0 - ratio)
-        for i in range(n):
-            asked[i] = sag * memory.delay[(step - delay_steps) % HISTORY, i]
-
-        force, torque = drift_step(world.disturbance, memory.drift, stretch.drift_noise[k], dt)
-        wind = (0.0, 0.0, 0.0)
-        if effects.wind.on:
-            wind = gust_step(effects.wind, memory.gust, stretch.gust_noise[k], dt)
-        now = Surroundings(wind, force, torque, t - stretch.start_s, powered, memory.flags[STANDING] == 1)
-        if effects.thrust_memory.on:
-            hover = plant.rotors.hover_thrust
-            for i in range(n):
-                ideal = power_law(effects.thrust_curve, thrust_of(plant.rotors, x[ROTOR + i]), hover)
-                memory.thrust[i] = play(effects.thrust_memory, memory.thrust[i], ideal, hover)
-        position, velocity = (x[0], x[1], x[2]), (x[3], x[4], x[5])
-        q = (x[6], x[7], x[8], x[9])
-        w = (x[10], x[11], x[12])
+            control_tick(world, memory, stretch, step, tick, powered)
+            copy(memory.target, commands[tick])
+            copy(memory.estimate, estimates[tick])
+            tick += 1
+        ask_rotors(world, memory, step, powered, asked)
+        now = surroundings(world, memory, stretch, k, t, powered)
+        if plant.effects.thrust_memory.on:
+            remember_thrust(plant, x, memory.thrust)
         copy(x, path[k])
+        position, velocity = (x[0], x[1], x[2]), (x[3], x[4], x[5])
+        q, w = (x[6], x[7], x[8], x[9]), (x[10], x[11], x[12])
         rk4_step(x, memory.work, asked, memory.thrust, plant, now, dt)
-        first, last = memory.work[0], memory.work[3]
-
-        while i_imu < len(stretch.imu_s) and stretch.imu_s[i_imu] < t + dt - 1e-9:
-            s = max(stretch.imu_s[i_imu] - t, 0.0)
-            share = s / dt
-            turn = (
-                first[10] + share * (last[10] - first[10]),
-                first[11] + share * (last[11] - first[11]),
-                first[12] + share * (last[12] - first[12]),
-            )
-            push = (
-                first[3] + share * (last[3] - first[3]),
-                first[4] + share * (last[4] - first[4]),
-                first[5] + share * (last[5] - first[5]),
-            )
-            w_s = add(w, scale(s, (first[10], first[11], first[12])))
-            q_s = multiply(q, exponential(scale(s, w)))
-            felt = specific_force(push, turn, w_s, q_s, world.instruments.lever, plant.gravity)
-            measure_imu(world.instruments, memory.low_pass, w_s, felt, stretch.imu_noise[i_imu], imu[i_imu])
-            row = imu[i_imu]
-            predict(world.observer, memory.estimate, (row[0], row[1], row[2]), (row[3], row[4], row[5]))
-            i_imu += 1
-        while i_pose < len(stretch.pose_s) and stretch.pose_s[i_pose] < t + dt - 1e-9:
-            s = max(stretch.pose_s[i_pose] - t, 0.0)
-            seen = add(position, add(scale(s, velocity), scale(0.5 * s * s, (first[3], first[4], first[5]))))
-            w_mid = add(w, scale(0.5 * s, (first[10], first[11], first[12])))
-            q_s = multiply(q, exponential(scale(s, w_mid)))
-            frozen = stretch.pose_frozen[i_pose]
-            measure_pose(
-                world.instruments, memory.last_pose, seen, q_s, frozen, stretch.pose_noise[i_pose], poses[i_pose]
-            )
-            if stretch.pose_arrival_s[i_pose] < np.inf:
-                tail = memory.flags[PENDING_TAIL]
-                memory.pending[tail, 0] = stretch.pose_s[i_pose]
-                memory.pending[tail, 1] = stretch.pose_arrival_s[i_pose]
-                body_pose(world.instruments, poses[i_pose], memory.pending[tail, 2:])
-                memory.flags[PENDING_TAIL] = (tail + 1) % PENDING
-            i_pose += 1
-        while i_speed < len(stretch.speed_s) and stretch.speed_s[i_speed] < t + dt - 1e-9:
-            s = max(stretch.speed_s[i_speed] - t, 0.0)
-            for i in range(n):
-                speeds[i_speed, i] = x[ROTOR + i] - (dt - s) * first[ROTOR + i]
-            i_speed += 1
-        while i_battery < len(stretch.battery_s) and stretch.battery_s[i_battery] < t + dt - 1e-9:
-            volts[i_battery, 0], volts[i_battery, 1] = memory.battery[1], memory.battery[2]
-            i_battery += 1
-        touch_floor(x, memory.flags, world.ground_m)
-    return imu, poses, speeds, volts, commands, estimates, path
+        sample(world, memory, stretch, Start(t, position, velocity, q, w, memory.work[0], memory.work[3]), out)
+        touch_floor(x, flags, world.ground_m)
+    return out.imu, out.poses, out.speeds, out.volts, commands, estimates, path

@@ -60,6 +60,7 @@ class Rotors(NamedTuple):
     Attributes:
         position: hubs in the body, shape (n, 3), m.
         spin: +1 counter-clockwise from above, shape (n,).
+        axis: unit vector of each rotor's thrust in the body, shape (n, 3).
         curve: c0, c1, c2.
         torque_ratio: |Q|/T, m.
         radius: m.
@@ -75,6 +76,7 @@ class Rotors(NamedTuple):
 
     position: np.ndarray
     spin: np.ndarray
+    axis: np.ndarray
     curve: Vector
     torque_ratio: float
     radius: float
@@ -132,7 +134,7 @@ def thrust_of(rotors: Rotors, value: float) -> float:
 @compiled
 def rotor_wrench(
     x, slope, memory, rotors: Rotors, effects: Effects, flight_s: float, u: Vector
-) -> tuple[Vector, Vector, float, float]:
+) -> tuple[Vector, Vector, Vector, Vector]:
     """Sum of the rotors in the body about the origin.
 
     Args:
@@ -145,11 +147,11 @@ def rotor_wrench(
         u: velocity relative to the air in the body, m/s.
 
     Returns:
-        Force (N), torque (N m), angular momentum h about z and its derivative.
+        Force (N), torque (N m), angular momentum h and its derivative in the body.
     """
     n = len(rotors.spin)
     force, torque = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    momentum, momentum_slope = 0.0, 0.0
+    momentum, momentum_slope = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     q = (x[ATTITUDE], x[ATTITUDE + 1], x[ATTITUDE + 2], x[ATTITUDE + 3])
     inflow = inflow_factor(effects.translational_lift, effects.climb_inflow, u, rotors.hover_inflow)
     for i in range(n):
@@ -157,6 +159,7 @@ def rotor_wrench(
         ideal = thrust_of(rotors, value)
         speed = sqrt(max(ideal, 0.0) / rotors.speed_coefficient)
         speed_ratio = speed / rotors.hover_speed
+        axis = (rotors.axis[i, 0], rotors.axis[i, 1], rotors.axis[i, 2])
         hub = (rotors.position[i, 0], rotors.position[i, 1], rotors.position[i, 2])
         thrust = power_law(effects.thrust_curve, ideal, rotors.hover_thrust)
         if effects.thrust_memory.on:
@@ -171,20 +174,21 @@ def rotor_wrench(
         if effects.torque_scale.on:
             reaction *= effects.torque_scale.ratio
         thrust *= inflow * ground_factor(effects.ground_effect, x[POSITION + 2] + to_world(q, hub)[2], rotors.radius)
-        pull = (0.0, 0.0, thrust)
+        pull = scale(thrust, axis)
         if effects.rotor_drag.on:
             pull = add(pull, hub_drag(effects.rotor_drag, u, speed_ratio, rotors.hover_inflow, n))
         force = add(force, pull)
         torque = add(torque, cross(hub, pull))
-        torque = add(torque, (0.0, 0.0, reaction))
+        torque = add(torque, scale(reaction, axis))
         if effects.flapping_moment.on:
             torque = add(torque, hub_moment(effects.flapping_moment, u, speed_ratio, n))
         if effects.rotor_gyroscopic.on:
             spin_inertia = rotors.spin[i] * effects.rotor_gyroscopic.inertia_kg_m2
-            momentum += spin_inertia * speed
+            momentum = add(momentum, scale(spin_inertia * speed, axis))
             if ideal > 0.0:  # dOmega/dt = (dT/dx)(dx/dt) / (2 k Omega)
                 thrust_slope = (rotors.curve[1] + 2.0 * rotors.curve[2] * value) * slope[ROTOR + i]
-                momentum_slope += spin_inertia * thrust_slope / (2.0 * rotors.speed_coefficient * speed)
+                faster = thrust_slope / (2.0 * rotors.speed_coefficient * speed)
+                momentum_slope = add(momentum_slope, scale(spin_inertia * faster, axis))
     return force, torque, momentum, momentum_slope
 
 
@@ -252,7 +256,8 @@ def derivative(x, slope, target, memory, plant: Plant, now: Surroundings) -> Non
     w = (x[RATE], x[RATE + 1], x[RATE + 2])
     u = to_body(q, subtract((x[VELOCITY], x[VELOCITY + 1], x[VELOCITY + 2]), now.wind))
 
-    force, torque, momentum, momentum_slope = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0
+    force, torque = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    momentum, momentum_slope = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     if now.powered:
         force, torque, momentum, momentum_slope = rotor_wrench(x, slope, memory, rotors, effects, now.flight_s, u)
     if effects.body_drag.on:
@@ -264,9 +269,9 @@ def derivative(x, slope, target, memory, plant: Plant, now: Surroundings) -> Non
     torque = add(torque, add(room_torque, now.torque))
 
     body = plant.after if now.flight_s >= plant.change_s else plant.before
-    spin = add(times(body.inertia, w), (0.0, 0.0, momentum))
+    spin = add(times(body.inertia, w), momentum)
     moment = subtract(subtract(torque, cross(body.com, force)), cross(w, spin))
-    turn = times(body.inverse, (moment[0], moment[1], moment[2] - momentum_slope))
+    turn = times(body.inverse, subtract(moment, momentum_slope))
     lever = add(cross(turn, body.com), cross(w, cross(w, body.com)))
     push = to_world(q, subtract(scale(1.0 / body.mass, force), lever))
     rise = push[2] - plant.gravity

@@ -39,23 +39,23 @@ class Page:
 
     async def open(self, address: str) -> None:
         """Load an address."""
-        target = await self._ask("Target.createTarget", url="about:blank")
-        attached = await self._ask("Target.attachToTarget", targetId=target["targetId"], flatten=True)
+        target = await self.ask("Target.createTarget", url="about:blank")
+        attached = await self.ask("Target.attachToTarget", targetId=target["targetId"], flatten=True)
         self._session = attached["sessionId"]
         for domain in ("Page", "Network", "Runtime"):
-            await self._ask(f"{domain}.enable")
-        await self._ask("Page.navigate", url=address)
+            await self.ask(f"{domain}.enable")
+        await self.ask("Page.navigate", url=address)
 
     async def value_of(self, expression: str) -> Any:
         """Of a JavaScript expression; of a promise its outcome."""
-        answer = await self._ask("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
+        answer = await self.ask("Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True)
         return answer["result"].get("value")
 
     async def press(self, key: str) -> None:
         """One key that writes a character."""
         common = {"key": key, "text": key, "windowsVirtualKeyCode": ord(key.upper())}
-        await self._ask("Input.dispatchKeyEvent", type="keyDown", **common)
-        await self._ask("Input.dispatchKeyEvent", type="keyUp", **common)
+        await self.ask("Input.dispatchKeyEvent", type="keyDown", **common)
+        await self.ask("Input.dispatchKeyEvent", type="keyUp", **common)
 
     async def until(self, condition: Callable[[], object], what: str) -> None:
         """Wait for something to hold."""
@@ -71,7 +71,7 @@ class Page:
         await self.until(lambda: text in self.terminal, f"'{text}'")
         self.terminal = self.terminal[self.terminal.index(text) + len(text) :]
 
-    async def _ask(self, method: str, **parameters: Any) -> dict[str, Any]:
+    async def ask(self, method: str, **parameters: Any) -> dict[str, Any]:
         number = next(self._numbers)
         self._answers[number] = asyncio.get_running_loop().create_future()
         session = {"sessionId": self._session} if self._session else {}

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+from groundstation.analysis.analyse import identification_document
+from groundstation.analysis.documents import write_json
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
 from groundstation.flightdata import (
     BATTERY_COLUMNS,
@@ -270,6 +273,15 @@ def diagnosis(seed: int = 4) -> Diagnosis:
         ),
         residual=residual,
     )
+
+
+def written(folder: Path, seed: int = 2) -> Path:
+    """A flight's folder with the documents of an analysis."""
+    found, judged = identification(seed), diagnosis()
+    folder.mkdir()
+    write_json(folder / "identification.json", identification_document(found, judged))
+    write_json(folder / "diagnosis.json", judged.to_dict())
+    return folder
 
 
 def hostile(text: str) -> tuple[FlightData, Identification, Diagnosis]:

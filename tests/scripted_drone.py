@@ -3,7 +3,7 @@
     python -P tests/scripted_drone.py --drone NAME --connect ENDPOINT [--fault FAULT@PHASE]
 
 Faults: ``refuse`` (the upload, with phase "upload"; arming, with "arm"), ``die``, ``freeze`` (SIGSTOP), ``crash``, ``land``
-(comes down by itself), ``mute`` (stops sending), ``gap`` (drops a batch).
+(comes down by itself), ``mute`` (stops sending), ``gap`` (drops a batch), ``hold`` (stays in the phase until it is told to land).
 """
 
 from __future__ import annotations
@@ -19,12 +19,15 @@ from drivers import bus
 from drivers.access import own_login
 from drivers.samples import Batch, Battery, Imu, Motors, Pose, encode_batch
 
-PHASES = (("takeoff", 2.0), ("exciting", 6.0), ("landing", 2.0))
+PHASES: tuple[tuple[bus.DronePhase, float], ...] = (("takeoff", 2.0), ("exciting", 6.0), ("landing", 2.0))
+LANDED: bus.DronePhase = "landed"
 STEP_S = 0.05
 REST = Imu(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.80665))
 
 
 class Drone:
+    phase: bus.DronePhase
+
     def __init__(self, options):
         self.fault, _, self.fault_phase = (options.fault or "none@never").partition("@")
         self.session = bus.open_session(connect=[options.connect], login=own_login())
@@ -93,13 +96,16 @@ class Drone:
         self.sequence += 1
         if self.phase in ("takeoff", "exciting", "landing"):
             ends = accumulate(duration for _, duration in PHASES)
+            if self.fault == "hold" and self.phase == self.fault_phase:
+                self.start_s += STEP_S
             flown = self.host_s - self.start_s
-            at = next((name for (name, _), end in zip(PHASES, ends, strict=True) if flown < end), "landed")
+            begun: list[bus.DronePhase] = [name for (name, _), end in zip(PHASES, ends, strict=True) if flown < end]
+            at: bus.DronePhase = begun[0] if begun else LANDED
             self.enter(at) if at != self.phase else self.report()
         else:
             self.report()
 
-    def enter(self, phase):
+    def enter(self, phase: bus.DronePhase):
         self.phase = phase
         self.report()
         if phase != self.fault_phase:

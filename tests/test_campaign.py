@@ -13,10 +13,10 @@ from groundstation.campaign import deciding
 from groundstation.campaign.campaign import Campaign, load_campaign, run
 from groundstation.campaign.judging import at_floor
 from groundstation.campaign.report import lines, write_campaign_report
-from groundstation.campaign.targets import parse_targets, reached
 from groundstation.errors import BadInput
 from groundstation.paths import find_config
 from groundstation.recording import write_mcap
+from groundstation.targets import parse_targets, reached
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate

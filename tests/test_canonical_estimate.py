@@ -17,12 +17,13 @@ from groundstation.fleet.rows import CANONICAL, _parameters
 from groundstation.flight.client.rehearse import result_table
 from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.model.prediction import model_from_document
-from groundstation.reporting import write_report
 from groundstation.reporting.canonical import canonical, correlated
 from groundstation.reporting.exports import model_document, read_model
 from groundstation.reporting.identified import identified_from_document
+from groundstation.reporting.report import write_report
 from groundstation.reporting.units import interval_text, label, scale_for, split_unit
-from groundstation.tui.text import method_table
+from groundstation.tui.documents import method_table
+from tests.one_answer import disagreements
 
 SHOWN = ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
 KINDS = ("with findings", "findings not adopted", "unexplained")
@@ -118,3 +119,19 @@ def test_what_has_no_spread_is_correlated_with_nothing():
     assert found is not None
     np.testing.assert_allclose(found, [[1.0, 1 / np.sqrt(5.0), 0.0], [1 / np.sqrt(5.0), 1.0, 0.0], [0.0, 0.0, 1.0]])
     assert correlated(None) is None
+
+
+@pytest.mark.parametrize(("seed", "kind"), zip((2, 3, 4), KINDS, strict=True))
+def test_three_flights_show_one_answer_in_every_place_and_a_digit_that_differs_is_seen(seed, kind, tmp_path: Path):
+    """The places of ``tests/one_answer.py``, which flown flights are asked in, too."""
+    flight, identification, diagnosis = fixture.flight(), fixture.identification(seed), _diagnosis(kind)
+    folder = tmp_path / "flight"
+    folder.mkdir()
+    files = write_identification(folder, identification, flight.vehicle, diagnosis)
+    write_report(folder / "report.html", flight, identification, diagnosis)
+    assert disagreements(folder, flight.vehicle) == []
+    mass = canonical(identification, diagnosis).parameters["mass_kg"].value
+    text = files["model"].read_text()
+    assert repr(mass) in text
+    files["model"].write_text(text.replace(repr(mass), repr(mass * (1.0 + 1e-15) + 1e-15)))
+    assert "identification.toml: mass_kg" in disagreements(folder, flight.vehicle)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -11,6 +12,7 @@ import pytest
 
 from groundstation.cli import COMMANDS
 from groundstation.commands.common import ProgressLine, assignments, result_folder, seconds_pair
+from groundstation.commands.listing import SECTIONS
 from groundstation.errors import BadInput
 from groundstation.paths import find_config
 
@@ -31,11 +33,42 @@ def test_help_is_there_at_once():
     assert min(times) < 1.5  # 0.1 s on an idle machine; the promise is 0.5 s
 
 
-def test_help_imports_nothing_heavy():
+HEAVY = ("numpy", "scipy", "pydantic", "numba", "casadi", "pandas", "duckdb", "plotly", "matplotlib")
+STARTS = {
+    "help": "from groundstation.cli import main; main(['--help'])",
+    "doctor": "from groundstation.cli import main; main(['doctor'])",
+    "first screen": "import groundstation.tui.app as ui; ui.GroundStation.MODES['station']()",
+}
+
+
+@pytest.mark.parametrize("start", list(STARTS))
+def test_what_has_to_be_there_at_once_imports_nothing_heavy(start):
+    code = f"import sys; {STARTS[start]}; print([m for m in {HEAVY} if m in sys.modules], file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stderr.strip() == "[]"
+
+
+def test_help_lists_every_command_once_on_a_line_of_80_columns():
+    listed = [name for section in SECTIONS.values() for name in section]
+    assert sorted(listed) == sorted(COMMANDS)
+    assert len(listed) == len(set(listed))
+    lines = groundstation("--help").stdout.splitlines()
+    for section in SECTIONS.values():
+        for name, summary in section.items():
+            assert any(line.split(maxsplit=1) == [name, summary] for line in lines), name
+    assert max(map(len, lines)) <= 80
+
+
+def test_the_package_runs_as_a_module():
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "groundstation", "--version"], capture_output=True, text=True, timeout=60
+    )
+    assert done.stdout.startswith("groundstation, version ")
+
+
+def test_help_imports_neither_bus_nor_screens():
     code = (
-        "import sys; from groundstation.cli import main; main(['--help']);"
-        "print([m for m in ('numpy', 'scipy', 'pydantic', 'zenoh', 'numba', 'casadi', 'plotly', 'textual')"
-        " if m in sys.modules], file=sys.stderr)"
+        f"import sys; {STARTS['help']}; print([m for m in ('zenoh', 'textual') if m in sys.modules], file=sys.stderr)"
     )
     done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, timeout=60)
     assert done.stderr.strip() == "[]"
@@ -166,3 +199,18 @@ def test_the_table_shows_truth_only_where_there_is_one_and_says_what_is_not_reve
     assert lines[2].split() == ["mass", "kg", "1.79000", "1.82580", "1.82530", "1.82470", "..", "1.82590"]
     assert "not revealed" in lines[3] and len(lines) == 4
     assert "true" not in result_table(document, declared, {})
+
+
+@pytest.mark.parametrize("arguments", [["doctor"], ["doctor", "--json"], ["completion", "bash"]])
+def test_a_reader_that_has_read_enough_ends_the_command_quietly(arguments):
+    read, write = os.pipe()
+    os.close(read)  # as `| head` leaves it
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", "-m", "groundstation.cli", *arguments],
+            stdout=write, stderr=subprocess.PIPE, text=True, check=False, timeout=120,
+        )  # fmt: skip
+    finally:
+        os.close(write)
+    assert "Error" not in done.stderr and "defect" not in done.stderr, done.stderr
+    assert done.returncode in (0, 2), "the command's own status"

@@ -11,6 +11,7 @@ import pytest
 
 from benchmarks.declarations import WRONG, unplanned, verdict, with_state
 from benchmarks.flown import flight_data
+from groundstation.analysis.suspects import suspicion
 from groundstation.cli import main
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
@@ -60,6 +61,26 @@ def test_the_line_to_write_puts_the_rotors_right(right: FlightData) -> None:
     )
     again = check_declarations(replace(swapped, vehicle=right.vehicle.model_copy(update={"rotors": mended})))
     assert {check.verdict for check in again if check.name.startswith("rotor")} == {"agrees"}
+
+
+def test_speeds_that_nobody_measured_lead_the_motion(right: FlightData) -> None:
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    commanded = vehicle.model_copy(update={"rotors": vehicle.rotors.model_copy(update={"speed_source": "command"})})
+    flown = simulate(commanded, rest_to_rest_plan(seed=1), laboratory(motor_lag={"hover_s": 0.06}), 1)
+    flight = replace(flight_data(flown), plan=None, setpoint=None, vehicle=vehicle)
+    found = {check.name: check for check in check_declarations(flight)}
+    assert found["speed_source"].verdict == "doubtful" and 'speed_source = "command"' in found["speed_source"].line
+    assert {check.name: check.verdict for check in check_declarations(right)}["speed_source"] == "agrees"
+
+
+def test_a_wrong_declaration_is_told_while_the_vehicle_still_hovers(right: FlightData, tmp_path: Path) -> None:
+    wrong = replace(right, motors=replace(right.motors, values=right.motors.values[:, [2, 0, 3, 1]]))
+    for flight, told in ((right, []), (wrong, ["rotor order declared wrongly"])):
+        folder = tmp_path / ("wrong" if told else "right")
+        write_bundle(flight, folder)
+        found = suspicion(folder)
+        assert found["seconds"] == 0.0
+        assert [each["effect"] for each in found["suspects"]][: len(told)] == told, found
 
 
 def test_a_refusal_says_how_to_go_on_and_an_accepted_one_does(right: FlightData) -> None:

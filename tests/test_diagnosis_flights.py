@@ -6,6 +6,8 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
+import numpy as np
+import pytest
 from flights import laboratory
 
 from benchmarks.flown import flight_data
@@ -16,6 +18,7 @@ from groundstation.paths import find_config
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import RotorLag, load_vehicle
 from sim.flight import simulate
+from sim.scenario import load_scenario
 
 PERIODS = 4.0
 SEED = 7
@@ -153,3 +156,19 @@ def test_a_flight_of_a_second_is_refused_and_says_what_would_help():
     assert diagnosis.verdict == "refused"
     assert diagnosis.reason and not diagnosis.findings
     assert diagnosis.to_dict()["verdict"] == "refused"
+
+
+@pytest.mark.slow
+def test_flights_whose_accelerometers_have_other_biases_are_clean_together():
+    """Every power-on has its own bias: 0.05 m/s^2 more on the second flight is none of the vehicle's, and varies with nothing."""
+    vehicle, plan = load_vehicle(find_config("vehicles", "qball2")), load_plan(find_config("plans", "qball2"))
+    scenario = load_scenario(find_config("scenarios", "clean"))
+    first, second = (
+        flight_data(simulate(vehicle, plan.model_copy(update={"periods": 3.0}), scenario, seed)) for seed in (1, 2)
+    )
+    assert second.imu is not None
+    moved = second.imu.values + np.array([0.0, 0.0, 0.0, 0.05, -0.03, 0.0])
+    found = diagnose([first, replace(second, imu=replace(second.imu, values=moved))])
+    assert (found.verdict, found.findings) == ("clean", ())
+    assert len(found.by_flight) == 2
+    assert found.by_flight[1]["mass_kg"].value == pytest.approx(found.by_flight[0]["mass_kg"].value, rel=1e-3)

@@ -20,7 +20,7 @@ PAGES = {
         "explains more than a tenth ({form_error_share}) of the amplitude of the other effects",
         "{held_out_guard_s} s of guard on either side",
         "({held_out_guard_s} s of guard)",
-        "any that chance ({dependence_chance} over all) does not make",
+        "unlikely by chance ({dependence_chance} over all)",
     ),
     ROOT / "docs" / "decisions" / "0006-evidence-is-a-joint-wald-statistic.md": (
         "what chance passes once in {effect_chance_inverse} per effect",

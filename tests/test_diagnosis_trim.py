@@ -112,7 +112,7 @@ def test_confidence_is_the_rate_at_which_the_name_is_right():
     """Sessions whose trims differ by 1 %, and what is hidden drawn from the priors that the comparison states."""
     rng = np.random.default_rng(11)
     right, sure = [], []
-    for _ in range(150):
+    for _ in range(80):
         session, hidden = rng.normal(0.0, 0.01, (2, 4)) * SCALE, rng.integers(3)
         rotor, loss = int(rng.integers(1, 5)), rng.uniform(0.0, 0.5)
         fault = (
@@ -127,5 +127,34 @@ def test_confidence_is_the_rate_at_which_the_name_is_right():
             right.append((found[0].effect, found[0].rotor) == ("weak_rotor", rotor) if hidden == 1 else
                          (hidden, found[0].effect) == (2, "com_offset"))  # fmt: skip
             sure.append(found[0].confidence)
-    assert len(right) > 70
-    assert abs(np.mean(right) - np.mean(sure)) < 0.08, (np.mean(right), np.mean(sure))
+    assert len(right) > 35
+    assert abs(np.mean(right) - np.mean(sure)) < 0.1, (np.mean(right), np.mean(sure))
+
+
+def test_two_weak_rotors_are_two_findings_with_one_posterior():
+    found = compare_trims(_flights(HOVER + _weak(1, 0.2) + _weak(4, 0.3), 3), HEALTHY).findings
+    assert [finding.rotor for finding in found] == [1, 4]
+    assert {finding.effect for finding in found} == {"weak_rotor"} and found[0].confidence == found[1].confidence > 0.8
+    for finding, loss in zip(found, (0.2, 0.3), strict=True):
+        assert abs(finding.parameters["loss"].value - loss) < 2.5 * finding.parameters["loss"].std
+
+
+def test_a_propeller_that_takes_more_torque_is_taped_or_chipped():
+    finding = _found(_weak(3, 0.15, torque_ratio=1.2))
+    assert (finding.effect, finding.rotor) == ("weak_rotor", 3)
+    assert "taped or chipped" in finding.evidence and finding.parameters["torque_to_thrust_ratio"].value > 1.05
+
+
+def test_references_of_another_individual_are_said_to_be_and_no_rotor_is_sure():
+    """Trims that differ as those of two individuals do: no fault of one rotor, no load."""
+    other = _more(np.array([-0.03, 0.02, -0.035, -0.04]) * SCALE)
+    found = compare_trims(_flights(HOVER + other, 3), HEALTHY)
+    assert "may not be of the same vehicle" in " ".join(found.notes) and not found.explained
+    assert all(finding.confidence < 0.6 for finding in found.findings)
+
+
+def test_what_is_not_found_says_the_least_that_would_have_been():
+    (note,) = compare_trims(_flights(HOVER, 2), HEALTHY).notes
+    assert "No fault is shown. The least that would have been: a rotor with" in note
+    percent = float(note.split("a rotor with ")[1].split(" %")[0])
+    assert compare_trims(_flights(HOVER + _weak(1, 0.01 * percent + 0.05), 3), HEALTHY).findings

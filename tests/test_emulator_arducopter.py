@@ -27,6 +27,11 @@ def set_parameter(s: Station, name: str, value: float):
     return s.request(mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, kind), "PARAM_VALUE")
 
 
+def stored(s: Station, name: str, value: float) -> float | None:
+    told = set_parameter(s, name, value)
+    return None if told is None else told.param_value
+
+
 def airborne(s: Station, height_m: float = 1.5) -> None:
     assert s.command(SET_MODE, 1, GUIDED) == ACCEPTED
     assert s.command(ARM, 1) == ACCEPTED
@@ -131,7 +136,10 @@ def test_it_disarms_after_ten_idle_seconds_on_the_ground():
 def test_external_vision_needs_its_settings_and_an_origin_and_8_seconds_without_it_land():
     s = station()
     for name, value in (("VISO_TYPE", 1), ("EK3_SRC1_POSXY", 6), ("GPS1_TYPE", 0)):
-        assert set_parameter(s, name, value).param_value == value
+        assert stored(s, name, value) == value
+    assert stored(s, "VISO_DELAY_MS", 20) is None, "hidden until it starts with a VISO_TYPE"
+    s.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0)
+    assert stored(s, "VISO_DELAY_MS", 20) == 20
 
     def pose(_: float):
         x, y, z = s.autopilot.truth.position_m
@@ -172,7 +180,8 @@ def test_the_fence_lands_it():
 def test_a_parameter_takes_any_type_and_an_unknown_one_is_met_with_silence():
     s = station()
     integer = mavlink.MAVLink_param_set_message(1, 1, b"GUID_TIMEOUT", 5.0, mavlink.MAV_PARAM_TYPE_INT8)
-    assert s.request(integer, "PARAM_VALUE").param_value == 5.0
+    told = s.request(integer, "PARAM_VALUE")
+    assert told is not None and told.param_value == 5.0
     unknown = mavlink.MAVLink_param_request_read_message(1, 1, b"NO_SUCH_PARAM", -1)
     assert s.request(unknown, "PARAM_VALUE") is None
 

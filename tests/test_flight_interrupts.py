@@ -1,4 +1,5 @@
-"""Ctrl-C before arming: whatever the command is at, nothing is ever armed. Real processes on loopback."""
+"""Ctrl-C at every phase of `rehearse` and `fly`, which share what follows the plan: before arming nothing is ever armed, afterwards the
+vehicle lands. Real processes on loopback."""
 
 from __future__ import annotations
 
@@ -68,8 +69,9 @@ def flown(tmp_path: Path, drone, *, at: str) -> list[dict]:
             plan=plan,
             vehicle=find_config("vehicles", "qball2"),
             drone=drone,
-            say=lambda _text: None,
+            say=lambda text: once(text.split()[:1] == [at]),
             confirm=confirm,
+            analyse=False,
             stop=stop,
         )
     assert sent == [at]
@@ -82,6 +84,15 @@ def test_ctrl_c_before_arming_means_that_nothing_is_armed(tmp_path, scripted, at
     assert not any(e["kind"] == "vehicle" and e["text"] in ("armed", "takeoff") for e in entries)
     if at not in ("planning", "connecting"):
         assert entries[-1]["kind"] == "outcome" and entries[-1]["exit_status"] == 4
+
+
+@pytest.mark.parametrize("at", ["airborne", "exciting", "landing"])
+def test_ctrl_c_in_flight_lands_and_is_an_aborted_flight(tmp_path, scripted, at):
+    entries = flown(tmp_path, scripted, at=at)
+    said = [entry["text"] for entry in entries if entry["kind"] == "vehicle"]
+    assert "landing" in said and said[-1] == "landed"
+    assert entries[-1]["kind"] == "outcome" and entries[-1]["exit_status"] == 4
+    assert "aborted by the operator" in entries[-1]["reason"]
 
 
 def test_a_solver_that_swallows_the_interrupt_does_not_swallow_the_word():

@@ -48,7 +48,7 @@ def test_an_order_is_taken_once_and_the_holder_s_number_is_never_forgotten():
 def test_a_replayed_land_does_nothing_and_aborts_are_taken_without_a_number_as_one():
     jobs: list[Callable[[], None]] = []
     events: list[seq.Event] = []
-    clients = ClientOrders(OperatorLease(), Clock(), lambda: seq.Phase.CHECKED, jobs.append, events.append)
+    clients = ClientOrders(OperatorLease(), Clock(), lambda: seq.Phase.CHECKED, jobs.append, events.append, lambda: "")
     assert clients.lease(Lease("operator", sequence=1)).ok
     land = CoreCommand("land", "operator", 2)
     assert clients.command(land).ok and not clients.command(land).ok

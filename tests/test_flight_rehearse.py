@@ -18,12 +18,13 @@ from drivers import bus
 from drivers.access import new_secrets
 from groundstation.flight.client.client import outcome, start_core
 from groundstation.flight.client.rehearse import simulated_drone
-from groundstation.flight.core.process import DRONE
+from groundstation.flight.core.vehicle_process import DRONE
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.journal import read_journal
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
 from groundstation.trajectory import load_plan, plan_from_dict, plan_to_dict
+from tests.one_answer import disagreements
 
 DEADLINE_S = 120.0  # the simulator compiles on its first start
 
@@ -56,6 +57,7 @@ def rehearse(plan_file: Path, *more: str) -> subprocess.Popen[str]:
 
 def until_line(process: subprocess.Popen[str], start: str) -> None:
     """Read the client's progress up to a line that starts so."""
+    assert process.stderr is not None
     for line in process.stderr:
         if line.startswith(start):
             return
@@ -87,6 +89,7 @@ def test_the_whole_loop_ends_with_a_report_and_the_truth_beside_the_estimates(pl
     assert "exciting" in err and "s left" in err and "Hz: " in err
     kinds = [entry["kind"] for entry in read_journal(folder / JOURNAL)]
     assert kinds[-1] == "outcome" and "estimates" in kinds
+    assert disagreements(folder, flight.vehicle) == [], "every place shows the same digits"
 
 
 def test_a_killed_client_changes_nothing_for_the_flight(plan_file):
@@ -111,6 +114,7 @@ def test_an_interrupt_lands_the_vehicle_and_says_so(plan_file):
     assert "aborted" in json.loads(out)["error"]
     folder = the_flight(plan_file)
     flight = load_flight(folder / "flight.mcap")
+    assert flight.setpoint is not None
     assert abs(flight.setpoint.values[-1, 2]) < 0.6
     phases = [entry["text"] for entry in read_journal(folder / JOURNAL) if entry["kind"] == "vehicle"]
     assert phases[-1] == "landed"

@@ -21,6 +21,7 @@ GOOD = (
     seq.VehicleLanded(),
 )
 STARTED = 4
+EXCITED = 6
 REASONS = st.sampled_from(["", "low battery", "operator"])
 EVENTS = st.one_of(
     st.builds(seq.PlanChosen, st.floats(1.0, 100.0)),
@@ -51,6 +52,12 @@ def run(events, state=None, start_s=0.0):
     return state, [action.do for action in actions]
 
 
+def analysed(state):
+    """The same once the analysis of what was flown is over."""
+    assert state.phase is Phase.LANDED
+    return run([seq.AnalysisFinished(0)], seq.analysing(state, 90.0), 91.0)[0]
+
+
 def test_a_good_flight_does_each_thing_once_and_in_order():
     state, done = run(GOOD)
     assert state.phase is Phase.LANDED
@@ -67,9 +74,16 @@ def test_an_abort_from_anywhere_ends_aborted_and_in_flight_only_after_landing(re
     if airborne:
         assert state.phase is Phase.LANDING and done == [Do.ABORT]
         state, done = run([seq.VehicleLanded()], state, 110.0)
+    flown = EXCITED <= reached < len(GOOD)
+    if flown:
+        assert done == [Do.CLOSE_RECORDING, Do.ANALYSE], "what was flown is analysed like any flight"
+        state, done = run([seq.AnalysisFinished(0, "identified by IV")], seq.analysing(state, 111.0), 112.0)
     assert (state.phase, state.exit_status) == (Phase.ABORTED, 4)
     assert done[-1] is Do.FINISH
-    assert state.reason == ("Ctrl-C" if reached < len(GOOD) else "the analysis was given up: Ctrl-C")
+    on_ground = "the analysis was given up: Ctrl-C"
+    assert state.reason == (
+        "Ctrl-C; of what was flown: identified by IV" if flown else on_ground if reached == len(GOOD) else "Ctrl-C"
+    )
 
 
 @pytest.mark.parametrize(
@@ -115,7 +129,7 @@ def test_a_lost_vehicle_that_was_started_and_not_seen_down_may_still_fly(reached
 
 
 def test_a_landing_that_was_heard_of_only_at_its_end_is_no_complete_flight():
-    state, _ = run([*GOOD[:6], seq.VehicleLanded("the core is gone")])
+    state = analysed(run([*GOOD[:6], seq.VehicleLanded("the core is gone")])[0])
     assert (state.phase, state.exit_status, state.reason) == (Phase.ABORTED, 4, "the core is gone")
 
 
@@ -132,6 +146,7 @@ def test_a_link_that_dies_in_flight_is_waited_for_until_its_successor_has_landed
     state, done = run([*GOOD[:reached], seq.LinkDied("killed")])
     assert state.phase is Phase.LANDING and Do.CLOSE_RECORDING not in done
     state, _ = run([seq.VehicleLanded()], state, 20.0)
+    state = analysed(state) if reached >= EXCITED else state
     assert (state.phase, state.exit_status, state.reason) == (Phase.ABORTED, 4, "killed")
 
 
@@ -162,7 +177,7 @@ def test_rotors_off_goes_to_the_vehicle_once_wherever_it_is_believed_to_be(reach
 
 
 def test_a_vehicle_that_comes_down_by_itself_has_aborted():
-    state, _ = run([*GOOD[:6], seq.VehicleLanding("battery failsafe"), seq.VehicleLanded()])
+    state = analysed(run([*GOOD[:6], seq.VehicleLanding("battery failsafe"), seq.VehicleLanded()])[0])
     assert (state.phase, state.exit_status, state.reason) == (Phase.ABORTED, 4, "battery failsafe")
 
 
@@ -216,7 +231,11 @@ class AnyOrder(RuleBasedStateMachine):
         state, _ = seq.step(self.state, seq.AbortRequested("test"), self.now)
         if not state.final:
             assert state.phase is Phase.LANDING and state.aborting
+            excited = state.excited
             state, _ = seq.step(state, seq.VehicleLanded(), self.now)
+            if excited:
+                assert state.phase is Phase.LANDED
+                state, _ = seq.step(state, seq.AbortRequested("again"), self.now)
         assert state.final
 
 

@@ -14,7 +14,7 @@ from groundstation.identification.identifiability import never_moved, revealed
 from groundstation.identification.pipeline import identify
 from groundstation.identification.preparation import prepare
 from groundstation.identification.record_model import RecordModel
-from groundstation.identification.results import MASS_AND_TENSOR, Identification
+from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification
 from groundstation.model.parameters import FitOptions
 from groundstation.paths import find_config
 from groundstation.trajectory import Coefficients, Plan, load_plan
@@ -65,6 +65,7 @@ def test_a_hover_is_refused() -> None:
 def answered(plan: Plan, *shown: str) -> Identification:
     """What a flight of this plan gives, the parameters ``shown`` within their intervals and half of them again."""
     flight = flown(plan)
+    assert flight.truth is not None
     found = identify([flight])
     parameters, truth = found.methods[found.best].parameters, flight.truth.parameters()
     for name in shown:
@@ -144,3 +145,10 @@ def test_what_a_motion_never_moves_is_told_with_what_would() -> None:
     hidden = never_moved(revealed([still], record.vehicle, FitOptions(lag=False)))
     assert set(hidden) == set(MASS_AND_TENSOR) - {"mass_kg"}
     assert "roll" in hidden["ixx_kg_m2"]
+
+
+def test_a_lag_carries_what_the_interval_of_the_commands_leaves_open():
+    told = Estimate.time(0.03, 0.001, 0.01)
+    assert told.std == pytest.approx(np.hypot(0.001, 0.01 / np.sqrt(12.0)))
+    assert told.ci95 == pytest.approx((0.03 - 1.96 * told.std, 0.03 + 1.96 * told.std))
+    assert Estimate.time(-0.001, 0.001).value == 0.0 and Estimate.time(-0.001, 0.001).ci95[0] == 0.0

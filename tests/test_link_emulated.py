@@ -12,6 +12,7 @@ from drivers.mavlink.logs import Logs
 from groundstation.flight.link.link_core import LinkCore, Options
 from groundstation.flight.link.pilot import IN_AIR, Phase
 from groundstation.flight.station import station_from_dict
+from groundstation.trajectory import PlannedUntil
 from sim.mavlink.arducopter import ArduCopter
 from sim.mavlink.px4 import Px4
 
@@ -129,3 +130,35 @@ def test_an_onboard_log_is_listed_fetched_and_resumed_whole(loses):
     assert len(whole) == entry.size
     assert whole[:4] == b"ULog"
     assert pair.ask(logs.fetch(entry, bytearray(whole[:5000])), 300.0) == whole
+
+
+def test_the_excitation_ends_at_the_next_rest_point_and_never_after_what_was_checked():
+    """Three periods are checked, two planned: it may be told to go on for one more and no further, and to end after the first."""
+    pair = Pair("px4").ready()
+    plan = small_plan()
+    section = PlannedUntil(targets={"mass_kg": 0.01}, planned_periods=2)
+    answer = pair.core.upload(plan.model_copy(update={"periods": 3.0, "until": section}), pair.now_s)
+    assert answer.ok, answer.reason
+    pilot, period_s = pair.core.pilot, plan.series().period_s
+    assert pilot.order("extend", pair.now_s).ok is False, "on the ground nothing is led"
+    armed = pair.core.order("arm", pair.now_s)
+    assert pair.run(lambda: armed.ok is not None, 10.0)
+    pair.core.order("start", pair.now_s)
+    assert pair.run(lambda: pilot.exciting, 40.0), (pilot.phase, pilot.reason)
+
+    def lasts() -> float:
+        begin, end = pilot.window_s(pair.now_s)
+        return end - begin
+
+    assert lasts() == pytest.approx(2 * period_s)
+    assert pair.core.order("extend", pair.now_s).ok
+    assert lasts() == pytest.approx(3 * period_s)
+    refused = pair.core.order("extend", pair.now_s)
+    assert refused.ok is False
+    assert "checked before the flight" in refused.reason
+    assert pair.core.order("finish", pair.now_s).ok
+    assert lasts() == pytest.approx(period_s)
+    assert pair.run(lambda: pilot.phase not in IN_AIR, 60.0)
+    assert (pilot.phase, pilot.reason) == (Phase.LANDED, "")
+    began, ended = pilot.excitation_s
+    assert ended - began == pytest.approx(period_s, abs=0.1)

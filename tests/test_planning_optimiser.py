@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -92,25 +93,31 @@ def test_first_and_second_derivatives_are_exact(criterion, effects, candidates):
     phases = [dict.fromkeys(each, np.linspace(0.0, 6.0, 7)) for each in groups]
     program = Program(task, groups, phases)
     rng = np.random.default_rng(3)
-    unknowns = optimiser.random_start(task, rng)
-    lifts = [program._lifting.start(each.value(unknowns), 0.5) for each in program._information]
-    point = np.concatenate([unknowns, *lifts, [0.1] * (candidates > 1)])
+    point = np.append(optimiser.random_start(task, rng), -0.4)
     direction = rng.normal(size=len(point)) * np.maximum(np.abs(point), 1e-2)
-    step, weights = 1e-6, rng.normal(size=len(program._lower))
+    limits, matrices = program.values(point)
+    weights = rng.normal(size=len(limits))
+    multipliers = [m @ m.T for m in (rng.normal(size=each.shape) for each in matrices)]
+    step = 1e-6
 
-    def lagrangian_gradient(v):
-        return 1.3 * program._objective_gradient(v) + program._constraint_jacobian(v).T @ weights
+    def lagrangian(v):
+        values, each = program.values(v)
+        inequalities = sum(np.sum(a * b) for a, b in zip(multipliers, each, strict=True))
+        return weights @ values + inequalities - program.cost(v)
+
+    def gradient(v):
+        cost, jacobian, slopes = program.slopes(v)
+        return (
+            jacobian.T @ weights + sum(np.tensordot(z, g, 2) for z, g in zip(multipliers, slopes, strict=True)) - cost
+        )
 
     def slope(function):
         return (function(point + step * direction) - function(point - step * direction)) / (2 * step)
 
-    exact = program._constraint_jacobian(point) @ direction
-    assert slope(program._constraints) == pytest.approx(exact, rel=1e-6, abs=1e-6 * np.abs(exact).max())
-    assert slope(program._objective) == pytest.approx(
-        program._objective_gradient(point) @ direction, rel=1e-6, abs=1e-9
-    )
-    curvature = program._lagrangian_hessian(point, 1.3, weights) @ direction
-    assert slope(lagrangian_gradient) == pytest.approx(curvature, rel=1e-5, abs=1e-6 * np.abs(curvature).max())
+    first = gradient(point)
+    assert slope(lagrangian) == pytest.approx(first @ direction, rel=1e-6, abs=1e-6 * np.abs(first).max())
+    second = sum(program.curvature(point, weights, multipliers)) @ direction
+    assert slope(gradient) == pytest.approx(second, rel=1e-5, abs=1e-6 * np.abs(second).max())
 
 
 def test_symbolic_signals_agree_with_the_closed_form_motion():
@@ -154,7 +161,7 @@ def test_a_free_base_frequency_sharpens_the_worst_diagonal_inertia_threefold():
 def test_rotor_limits_are_kept_where_they_are_what_binds():
     """A crazyflie in a large hall, free to tilt, runs into what its rotors give at an empty battery."""
     vehicle = load_vehicle(find_config("vehicles", "crazyflie21"))
-    wide = {"tilt_max_rad": 1.2, "speed_max_m_s": 8.0, "x_max_m": 9.0, "y_max_m": 9.0, "z_max_m": 9.0}
+    wide: dict[str, Any] = {"tilt_max_rad": 1.2, "speed_max_m_s": 8.0, "x_max_m": 9.0, "y_max_m": 9.0, "z_max_m": 9.0}
     plan = plan_excitation(vehicle, criterion="D", harmonics=3, starts=1, **wide)
     assert violation(plan.series(), vehicle, **wide) <= 1e-6
     assert plan.limits["rotor_thrust_max_n"] < vehicle.rotor_thrust_max_n()
@@ -187,16 +194,16 @@ def test_an_interrupt_keeps_the_best_so_far():
 def test_an_interrupt_inside_the_solver_ends_it_and_keeps_a_plan_that_can_be_flown(monkeypatch):
     """A callback's KeyboardInterrupt would be swallowed by the solver, which would go on for minutes."""
     calls = 0
-    value = terms.HeldLimit.value
+    room = terms.HeldLimit.room
 
     def interrupted(self, unknowns):
         nonlocal calls
         calls += 1
         if calls == 60:
             raise KeyboardInterrupt
-        return value(self, unknowns)
+        return room(self, unknowns)
 
-    monkeypatch.setattr(terms.HeldLimit, "value", interrupted)
+    monkeypatch.setattr(terms.HeldLimit, "room", interrupted)
     plan = plan_excitation(**paper_problem(), time_budget_s=600.0)
     assert calls < 120
     assert violation(plan.series(), qball()) <= 1e-6
@@ -307,7 +314,7 @@ def vehicles(draw) -> Vehicle:
     )
 
 
-@settings(max_examples=6, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=6, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(vehicles(), st.sampled_from(["condition", "A", "E"]), st.integers(2, 4), st.booleans())
 def test_random_rooms_and_vehicles_give_a_plan_that_keeps_every_limit_or_a_named_reason(
     vehicle, criterion, harmonics, on_floor

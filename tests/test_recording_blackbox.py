@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from groundstation.errors import BadInput
+from groundstation.frames import quat_from_euler
 from groundstation.recording import read_recording
 from groundstation.recording.airframes import BETAFLIGHT_QUAD_X
 from groundstation.recording.blackboxfile import decode_blackbox
@@ -199,3 +200,17 @@ def test_values_beyond_the_headers_range_are_refused(tmp_path):
         read_recording(
             flown(tmp_path, u, {"motor_pwm_protocol": "0", "maxthrottle": "1400"}, lambda u: 1000 + 900 * u), QUAD
         )
+
+
+def test_inavs_own_estimate_is_the_state(tmp_path):
+    """North 2 m, east 1 m, up 3 m, moving east; rolled right, nose up, heading north-east: in our frames y is west and yaw counter-clockwise."""
+    names = [*NAMES[:13], *(f"{stem}[{i}]" for stem in ("attitude", "navPos", "navVel") for i in range(3))]
+    row = [0, 0, 90, -45, 30, 0, 0, 2048, 1580, 1100, 1200, 1300, 1400, 100, -50, 450, 200, 100, 300, 0, 150, -20]
+    frames = [("I", b"".join(map(signed, [k, 1000 * k, *row[2:]]))) for k in range(200)]
+    headers = {**HEADERS, "Firmware revision": "INAV 7.1.0", "motorOutput": "", "motor_pwm_protocol": "1"}
+    path = tmp_path / "LOG00001.TXT"
+    path.write_bytes(log(frames, names, headers=headers))
+    state = read_recording(path, QUAD).streams["state"].values[0]
+    assert state[:6].tolist() == pytest.approx([2.0, -1.0, 3.0, 0.0, -1.5, -0.2])
+    assert state[6:10] == pytest.approx(quat_from_euler(np.radians(10.0), np.radians(-5.0), np.radians(-45.0)))
+    assert state[10:] == pytest.approx([np.pi / 2, -np.pi / 4, np.pi / 6])

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from groundstation.errors import Refused
 from groundstation.recording import manifest
 from groundstation.recording.manifest import NAME, is_signed, key_file, provenance, signed, write_manifest
-from groundstation.reporting import write_report
+from groundstation.reporting.report import write_report
 from tests import reporting_fixture as fixture
 
 KEY = bytes(range(32))

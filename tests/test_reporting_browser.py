@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
 import re
 import shutil
 import subprocess
@@ -9,8 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from groundstation.reporting import write_report
+from groundstation.reporting.compare import write_comparison
+from groundstation.reporting.report import write_report
+from tests import browser
 from tests import reporting_fixture as fixture
+from tests.accessibility import ABSENT, axe_source, findings
 from tests.test_reporting_report import HOSTILE
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -38,7 +43,13 @@ HINTS = ("willReadFrequently", "GL Driver Message")
 def opened(report: Path, profile: Path) -> tuple[str, list[str], list[str]]:
     """The page as it stands after its scripts ran, what the console said, and the hosts that were asked for something."""
     net_log = profile / "net.json"
-    command = [str(CHROMIUM), *FLAGS, f"--user-data-dir={profile}", f"--log-net-log={net_log}", report.as_uri()]
+    command = [
+        str(CHROMIUM),
+        *FLAGS,
+        f"--user-data-dir={profile}",
+        f"--log-net-log={net_log}",
+        f"{report.as_uri()}#all",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
     console = [line for line in done.stderr.splitlines() if "CONSOLE" in line and not any(h in line for h in HINTS)]
     hosts = re.findall(r'"url":"(?:https?|wss?)://([^"/:]*)', net_log.read_text(encoding="utf-8"))
@@ -114,9 +125,38 @@ SHOWN = """(async () => {
 })()"""
 
 
-async def test_tables_copy_and_sections_fold(tmp_path):
-    from tests import browser
+ZOOMED = """(async () => {
+  const timed = [...document.querySelectorAll(".plot")].filter(
+    (p) => p.layout && p.layout.xaxis && p.layout.xaxis.title && p.layout.xaxis.title.text === "time (s)");
+  await Plotly.relayout(timed[0], { "xaxis.range": [11, 12] });
+  await new Promise((r) => setTimeout(r, 500));
+  const scene = document.querySelector('[data-title^="Turn about the vertical"]');
+  return { timed: timed.length, ranges: timed.map((p) => p.layout.xaxis.range.map(Math.round).join()), turns: scene !== null };
+})()"""
 
+
+async def all_drawn(page: browser.Page, address: str) -> int:
+    """Open a page with every section open, and wait until every figure is drawn, without scrolling; how many there are."""
+    await page.open(f"{address}#all")
+    for _ in range(1200):
+        told = await page.value_of("document.documentElement?.dataset.drawn || '0/1'")
+        done, of = (told or "0/1").split("/")  # nothing while the page before is left
+        if done == of:
+            return int(of)
+        await asyncio.sleep(0.05)
+    raise AssertionError(f"{done} of {of} figures were drawn in a minute")
+
+
+async def test_all_is_drawn_without_scrolling_figures_over_time_zoom_together_and_the_path_turns(tmp_path):
+    report = write_report(tmp_path / "report.html", fixture.flight(), fixture.identification(), fixture.diagnosis())
+    async with browser.page(tmp_path / "profile") as page:
+        assert await all_drawn(page, report.as_uri()) == report.read_text().count('class="plot"') > 20
+        shown = await page.value_of(ZOOMED)
+    assert shown["timed"] > 8 and set(shown["ranges"]) == {"11,12"}
+    assert shown["turns"]
+
+
+async def test_tables_copy_and_sections_fold(tmp_path):
     report = write_report(tmp_path / "report.html", fixture.flight(), fixture.identification(), fixture.diagnosis())
     async with browser.page(tmp_path / "profile") as page:
         await page.open(report.as_uri())
@@ -134,3 +174,21 @@ def test_each_figure_offers_svg_png_and_csv(page):
     dom, figures = page[0], drawn(page[0])[1]
     for kind in ("SVG", "PNG", "CSV"):
         assert dom.count(f'data-title="Save as {kind}"') >= figures - 1  # the path in three dimensions needs WebGL
+
+
+@pytest.mark.skipif(axe_source() is None, reason=ABSENT)
+async def test_axe_finds_nothing_serious_in_a_report_or_a_comparison(tmp_path):
+    """Contrast, landmarks, names, order of headings: with every section open and every figure drawn, in light and dark."""
+    source = axe_source()
+    assert source is not None
+    report = write_report(tmp_path / "report.html", fixture.flight(), fixture.identification(), fixture.diagnosis())
+    both = [fixture.written(tmp_path / name) for name in ("a", "b")]
+    compared = write_comparison(tmp_path / "compare.html", both)
+    async with browser.page(tmp_path / "profile") as page:
+        for place, schemes in ((report, ("light", "dark")), (compared, ("light",))):
+            await all_drawn(page, place.as_uri())
+            for scheme in schemes:
+                feature = {"name": "prefers-color-scheme", "value": scheme}
+                await page.ask("Emulation.setEmulatedMedia", media="screen", features=[feature])
+                found = await findings(page, source)
+                assert not found, f"{place.name}, {scheme}: {json.dumps(found, indent=1)}"

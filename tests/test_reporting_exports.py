@@ -10,6 +10,7 @@ import tomllib
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from groundstation.errors import BadInput
 from groundstation.frames import skew
 from groundstation.identification.results import Estimate, Identification
 from groundstation.paths import find_config
-from groundstation.reporting.exports import FORMATS, export, model_document, read_model, write_model
+from groundstation.reporting.exports import FORMATS, export, mat_file, model_document, read_model, write_model
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
 from tests.reporting_fixture import identification
 
@@ -61,6 +62,11 @@ def drag() -> Diagnosis:
         "rotor_drag", {"d_x_kg_s": Estimate.normal(0.3, 0.01), "d_y_kg_s": Estimate.normal(0.3, 0.01)}, "", 0.99
     )
     return Diagnosis("f", "v", "explained", findings=(finding,))
+
+
+def xml(text: str) -> Any:
+    """The root of what we wrote."""
+    return ET.fromstring(text)  # noqa: S314
 
 
 def document(vehicle: Vehicle | None = None, tensor: np.ndarray = TENSOR) -> dict:
@@ -147,7 +153,7 @@ def test_px4_refuses_frames_it_cannot_hold():
         export(document(x_frame(spin=[-1, -1, 1, 1])), "px4-sih")
 
 
-def composite(links: list[tuple[float, np.ndarray, np.ndarray]]) -> tuple[float, np.ndarray, np.ndarray]:
+def composite(links: list[tuple[float, np.ndarray, np.ndarray]]) -> tuple[Any, Any, Any]:
     """Mass, centre and central tensor of rigidly joined links (mass, centre, central tensor), by S(d)^T S(d)."""
     mass = sum(m for m, _, _ in links)
     centre = sum(m * c for m, c, _ in links) / mass
@@ -156,7 +162,7 @@ def composite(links: list[tuple[float, np.ndarray, np.ndarray]]) -> tuple[float,
 
 
 def test_gazebo_links_together_weigh_and_turn_as_identified():
-    root = ET.fromstring(export(document(), "sdf"))  # noqa: S314
+    root = xml(export(document(), "sdf"))
     links = []
     for link in root.iter("link"):
         pose = np.array((link.findtext("pose") or "0 0 0").split()[:3], dtype=float)
@@ -205,10 +211,10 @@ def test_two_weak_rotors_stay_two_and_keep_their_places():
         "weak_rotor/2": 1.0,
     }
     assert tomllib.loads(export(model, "toml")) == model
-    root = ET.fromstring(export(model, "sdf"))  # noqa: S314
+    root = xml(export(model, "sdf"))
     constants = [float(p.findtext("motorConstant")) for p in root.iter("plugin")]
     np.testing.assert_allclose(constants, 1.11e-5 * np.array([0.8, 1.0, 0.9, 1.0]), rtol=1e-6)
-    gears = [g.get("gear").split() for g in ET.fromstring(export(model, "mjcf")).iter("general")]  # noqa: S314
+    gears = [g.get("gear").split() for g in xml(export(model, "mjcf")).iter("general")]
     np.testing.assert_allclose([float(g[2]) for g in gears], [0.8, 1.0, 0.9, 1.0])
     np.testing.assert_allclose([float(g[5]) for g in gears], 0.016 * np.array([-0.8, -1.0, 0.9, 1.0]))
 
@@ -226,7 +232,8 @@ def test_the_model_that_predicts_has_every_weak_rotor(monkeypatch):
         effect, "library", lambda: {"weak_rotor": SimpleNamespace(names=lambda: ("loss",), wrench=wrench)}
     )
     total = effect.wrench_of(model_document(planted(), x_frame(), weak_rotors())["effects"], x_frame())
-    total(SimpleNamespace(t_s=np.zeros(3)))
+    still: Any = SimpleNamespace(t_s=np.zeros(3))
+    total(still)
     assert asked == [(3, 0.1), (1, 0.2)]
 
 
@@ -272,7 +279,7 @@ def test_rotorpy_gets_the_aerodynamics_that_were_found():
 
 
 def test_urdf_carries_the_tensor_with_its_signs():
-    root = ET.fromstring(export(document(), "urdf"))  # noqa: S314
+    root = xml(export(document(), "urdf"))
     inertia = root.find("link/inertial/inertia")
     np.testing.assert_allclose(tensor_of(lambda n: inertia.get(f"i{n}")), TENSOR, rtol=1e-8)
     assert float(root.find("link/inertial/mass").get("value")) == pytest.approx(MASS)
@@ -340,7 +347,7 @@ def test_what_was_not_identified_keeps_its_declared_value_and_says_so():
     del partial["parameters"]["ixy_kg_m2"]
     text = export(partial, "urdf")
     assert "declared values kept: ixy_kg_m2" in text
-    assert ET.fromstring(text).find("link/inertial/inertia").get("ixy") == "0"  # noqa: S314
+    assert xml(text).find("link/inertial/inertia").get("ixy") == "0"
 
 
 def test_what_the_flight_did_not_reveal_is_as_declared():
@@ -382,8 +389,8 @@ def test_hostile_names_break_no_format(format_name):
     model = {**model_document(planted(), named), "flight": '-->"""\n"\\ <b>'}
     text = export(model, format_name)
     if format_name in {"mjcf", "sdf", "urdf", "pybullet"}:
-        ET.fromstring(text)  # noqa: S314
-    elif format_name in {"ros2", "agilicious"}:
+        xml(text)
+    elif format_name in {"ros2", "agilicious", "crazyflie"}:
         assert isinstance(yaml.safe_load(text), dict)
     elif format_name == "ardupilot-sitl":
         json.loads(re.sub("#.*", "", text))
@@ -454,11 +461,50 @@ def test_pybullet_loads_mass_centre_and_tensor(tmp_path):
     assert info[0] == pytest.approx(MASS)
     np.testing.assert_allclose(np.sort(info[2]), np.linalg.eigvalsh(TENSOR), rtol=1e-5)
     np.testing.assert_allclose(info[3], OFFSET, atol=1e-9)
-    properties = ET.fromstring(export(document(), "pybullet")).find("properties")  # noqa: S314
+    properties = xml(export(document(), "pybullet")).find("properties")
     speed, vehicle = 4000.0, x_frame()
     thrust = float(properties.get("kf")) * speed**2
     assert thrust == pytest.approx(float(vehicle.thrust(speed * np.pi / 30.0)), rel=1e-6)
     assert float(properties.get("km")) / float(properties.get("kf")) == pytest.approx(vehicle.rotors.torque_to_thrust_m)
+
+
+def test_scipy_reads_the_mat_file_whole(tmp_path):
+    """The struct holds what the script says, the tensor with its products, and a deviation for each value; bytes are repeatable."""
+    from scipy.io import loadmat
+
+    path = tmp_path / "vehicle.mat"
+    path.write_bytes(mat_file(document()))
+    vehicle = loadmat(path, simplify_cells=True)["vehicle"]
+    assert vehicle["mass_kg"] == MASS and vehicle["std"]["mass_kg"] == pytest.approx(0.002)
+    np.testing.assert_array_equal(vehicle["inertia_kg_m2"], TENSOR)
+    np.testing.assert_allclose([vehicle[f"com_offset_{a}_m"] for a in "xyz"], OFFSET)
+    np.testing.assert_array_equal(vehicle["rotor_position_m"], x_frame().rotors.position_m)
+    script = export(document(), "matlab")
+    for name, value in vehicle.items():
+        if isinstance(value, float):
+            assert f"vehicle.{name} = " in script
+    assert mat_file(document()) == path.read_bytes()
+
+
+def test_crazyflie_parameters_have_the_form_that_cflib_stores(tmp_path):
+    """As cflib's ParamFileManager asks: type, version, and for each parameter whether it is stored, and its values."""
+    text = export(document(), "crazyflie")
+    told = yaml.safe_load(text)
+    assert (told["type"], told["version"]) == ("persistent_param_state", "1")
+    stored = {name: each["stored_value"] for name, each in told["params"].items() if each["is_stored"]}
+    assert stored == pytest.approx(
+        {
+            "ctrlLee.J_x": 0.0268,
+            "ctrlLee.J_y": 0.0331,
+            "ctrlLee.J_z": 0.0412,
+            "ctrlLee.mass": MASS,
+            "ctrlMel.mass": MASS,
+        }
+    )
+    assert all(set(each) == {"is_stored", "default_value", "stored_value"} for each in told["params"].values())
+    cflib = pytest.importorskip("cflib.localization")
+    (tmp_path / "p.yaml").write_text(text)
+    assert cflib.ParamFileManager.read(str(tmp_path / "p.yaml"))["ctrlLee.mass"].stored_value == pytest.approx(MASS)
 
 
 def test_ardupilot_gives_hover_and_full_thrust_as_its_frame_code_computes_them():
@@ -469,7 +515,7 @@ def test_ardupilot_gives_hover_and_full_thrust_as_its_frame_code_computes_them()
     assert hover / frame["hoverThrOut"] == pytest.approx(top)
     command, expo = 0.6, frame["propExpo"]
     shaped = top * ((1.0 - expo) * command + expo * command**2)
-    assert shaped == pytest.approx(float(vehicle.thrust(command * vehicle.rotors.speed_max_rad_s)))
+    assert shaped == pytest.approx(float(vehicle.thrust(command * (vehicle.rotors.speed_max_rad_s or 0.0))))
     np.testing.assert_allclose(frame["moment_inertia"], np.diag(TENSOR))
     np.testing.assert_allclose(frame["motor1_position"], [0.16, 0.18, -0.01])
 
@@ -501,4 +547,4 @@ def test_a_model_has_a_frame_that_one_sees_and_that_weighs_nothing():
     mujoco = pytest.importorskip("mujoco")
     model = mujoco.MjModel.from_xml_string(export(document(), "mjcf"))
     assert model.ngeom == 8 and model.body_mass.sum() == pytest.approx(MASS)
-    assert len(ET.fromstring(export(document(), "urdf")).findall("link/visual")) == 8  # noqa: S314
+    assert len(xml(export(document(), "urdf")).findall("link/visual")) == 8

@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from textual.pilot import Pilot
@@ -15,18 +16,22 @@ from textual.widgets import DataTable, Input, Static
 from drivers import bus
 from drivers.access import Access
 from groundstation.analysis.plans import write_plan
+from groundstation.campaign.campaign import Campaign, Round, load_campaign
 from groundstation.fleet.catalogue import Catalogue
 from groundstation.flight.client.access import write_access
 from groundstation.flight.core.lease import OperatorLease
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, CoreStatus, Lease, StreamStatus
 from groundstation.flight.sequence import Phase
 from groundstation.paths import find_config
-from groundstation.trajectory import load_plan
+from groundstation.trajectory import Plan, load_plan
 from groundstation.tui.app import GroundStation
 from groundstation.tui.screens.base import StationScreen
+from groundstation.tui.screens.plan import Planner
+from groundstation.tui.setup import Setup
 from groundstation.tui.watch import CoreWatch
 from groundstation.tui.widgets.bars import SCREENS
-from groundstation.tui.widgets.dialogs import Question, TextPage, TypedQuestion
+from groundstation.tui.widgets.dialogs import Choice, Question, TextPage, TypedQuestion
+from groundstation.vehicle import load_vehicle
 
 PATIENCE_S = 15.0
 HOSTILE = "[bold red]battery[/] [@click=app.exit]low[/] [/nonsense"
@@ -61,7 +66,7 @@ class ScriptedCore:
             return bus.Answer(False, refusal)
         return bus.Answer(True)
 
-    def say(self, phase: str, **changes: object) -> None:
+    def say(self, phase: str, **changes: Any) -> None:
         """Publish a status."""
         values: dict = {
             "phase": phase,
@@ -327,6 +332,8 @@ async def test_flights_lists_filters_and_opens(tmp_path: Path) -> None:
         assert app.screen.query_one("#comparison", DataTable).row_count == 1
         await pilot.pause()
         assert "alpha" in text_of(app, "#flights-text")
+        await pilot.press("w")
+        await until(pilot, lambda: (logs / "compare.html").is_file() and (logs / "compare.md").is_file())
         await pilot.press("slash", *"beta", "enter")
         await until(pilot, lambda: table.row_count == 1)
         await pilot.press("enter")
@@ -346,7 +353,7 @@ async def test_flights_are_tagged_noted_and_their_trend_is_shown(tmp_path: Path)
         await until(pilot, lambda: any(row["tags"] == ["payload"] for row in Catalogue(logs).rows()))
         await pilot.press("n", *"windy", "enter")
         await until(pilot, lambda: any(row["note"] == "windy" for row in Catalogue(logs).rows()))
-        await pilot.press("d")
+        await pilot.press("v")
         await until(pilot, lambda: "a trend needs 4" in text_of(app, "#flights-text"))
         await pilot.press("b")
         await until(pilot, lambda: "every recording here has results" in text_of(app, "#flights-text"))
@@ -394,3 +401,99 @@ async def test_digits_open_the_screens_in_a_large_light_terminal(tmp_path: Path)
             await pilot.press(str(number))
             await until(pilot, lambda mode=mode: app.current_mode == mode)
             await all_shown(pilot, number, title)
+
+
+async def test_the_footer_offers_only_what_can_be_done_now(core: ScriptedCore, tmp_path: Path) -> None:
+    app = station(tmp_path)
+    async with app.run_test(size=(120, 40)) as pilot:
+
+        def offered() -> set[str]:
+            return {b.binding.description for b in app.screen.active_bindings.values() if b.binding.show and b.enabled}
+
+        await pilot.press("3")
+        await until(pilot, lambda: {"Prepare"} <= offered() and not {"Start", "Land early"} & offered())
+        await follow(pilot, core, Phase.CHECKED, simulated=True, flight_s=0.0)
+        await until(pilot, lambda: {"Start"} <= offered() and not {"Prepare", "Land early"} & offered())
+        await follow(pilot, core, Phase.EXCITING)
+        await until(pilot, lambda: {"Land early"} <= offered() and not {"Start", "Prepare"} & offered())
+        await pilot.press("ctrl+p")
+        await until(pilot, lambda: "Abort and land" in screen_text(app))
+        await pilot.press(*"early")
+        await until(pilot, lambda: "Land early" in screen_text(app))
+
+
+async def test_a_limit_that_is_near_rings_the_bell_and_says_so(core: ScriptedCore, tmp_path: Path) -> None:
+    app, rung = station(tmp_path), []
+    app.bell = lambda: rung.append(1)  # type: ignore[method-assign]
+    async with app.run_test(size=(80, 24), notifications=True) as pilot:
+        await follow(pilot, core)
+        assert not rung
+        near = "off plan is near"
+        await until(pilot, lambda: near in screen_text(app), lambda: core.say(Phase.EXCITING, tracking_error_m=1.0))
+        assert len(rung) == 1
+        shown = screen_text(app)
+        assert "NEAR" in shown and "◉" in shown and "height" in shown and "streams" in shown
+        assert "WALL" not in shown and "PAST" not in shown
+
+
+async def test_the_plan_before_comes_back(tmp_path: Path) -> None:
+    app = GroundStation(tmp_path / "logs")
+    async with app.run_test(size=(80, 24)) as pilot:
+        await pilot.press("2")
+        screen = app.screen
+        assert isinstance(screen, Planner)
+        first = load_plan(find_config("plans", "qball2"))
+        second = first.model_copy(update={"note": "another"})
+        app.plan = first
+        screen._found(second)
+        await pilot.press("u")
+        assert app.plan is first and "another" not in text_of(app, "#plan-text")
+        await pilot.press("u")
+        assert app.plan is second
+
+
+async def test_the_campaign_screen_shows_rounds_and_one_key_prepares_the_next_flight(tmp_path: Path) -> None:
+    app = station(tmp_path)
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    folder = app.logs / "campaign-2026-01-31T12-00-00-qball2"
+    done = Round(
+        str(app.logs / "flight-1"), "first flight", 40.0, {}, {}, "explained", ({"effect": "rotor_drag", "rotor": None, "evidence": "Drag."},),
+        {}, {"mass_kg": 1.4}, ("not sharp enough: mass",),
+    )  # fmt: skip
+    plan = find_config("plans", "qball2")
+    stand = Campaign(
+        folder, vehicle, {"mass_kg": 0.005}, 5, 1, (done,), {"why": "to sharpen mass", "plan": str(plan)}
+    ).save()
+    (folder / "vehicle.toml").write_bytes(find_config("vehicles", "qball2").read_bytes())
+    prepared: list[tuple[object, ...]] = []
+    app.prepare_this = lambda *what: prepared.append(what)  # type: ignore[method-assign, assignment]
+    async with app.run_test(size=(120, 40)) as pilot:
+        await pilot.press("7")
+        await until(pilot, lambda: "rotor drag" in screen_text(app) and "next: to sharpen mass" in screen_text(app))
+        await pilot.press("n")
+        await until(pilot, lambda: bool(prepared))
+        setup, flown, begun = prepared[0]
+        assert isinstance(setup, Setup) and setup.vehicle == str(folder / "vehicle.toml")
+        assert isinstance(flown, Plan) and flown.vehicle == "qball2"
+        begun(app.logs / "flight-2")  # type: ignore[operator]
+        assert load_campaign(folder).pending["folder"] == str(app.logs / "flight-2")
+        assert load_campaign(folder).rounds == stand.rounds
+
+
+async def test_signals_for_the_chart_are_chosen_and_escape_leaves_them(core: ScriptedCore, tmp_path: Path) -> None:
+    app = station(tmp_path)
+    signals = {"imu/gyro_x_rad_s": 0.1}
+    async with app.run_test(size=(120, 40)) as pilot:
+        await follow(pilot, core, signals=signals)
+        await pilot.press("c")
+        await until(pilot, lambda: isinstance(app.screen, Choice) and "imu gyro x, rad/s" in screen_text(app))
+        await pilot.press("escape")
+        await until(pilot, lambda: isinstance(app.screen, StationScreen))
+        await pilot.press("c")
+        await until(pilot, lambda: isinstance(app.screen, Choice))
+        await pilot.press("end", "space", "enter")
+        await until(
+            pilot,
+            lambda: "imu gyro x, rad/s, over s" in screen_text(app),
+            lambda: core.say(Phase.EXCITING, signals=signals),
+        )

@@ -28,6 +28,7 @@ from groundstation.trajectory import Plan, load_plan
 from groundstation.tui.app import GroundStation
 from groundstation.tui.setup import Setup, plan_at_hand
 from groundstation.tui.widgets.dialogs import Question
+from tests.one_answer import disagreements
 
 PATIENCE_S = 90.0
 
@@ -41,6 +42,10 @@ async def until(pilot: Pilot, condition: Callable[[], object]) -> None:
 
 def phase(app: GroundStation) -> str:
     return app.core.newest.phase if app.core and app.core.newest else ""
+
+
+def height_m(app: GroundStation) -> float:
+    return app.core.newest.position_m[2] if app.core and app.core.newest else 0.0
 
 
 def short_plan() -> Plan:
@@ -76,6 +81,7 @@ async def test_two_keys_fly_and_end_with_a_report(tmp_path: Path) -> None:
         truth = load_flight(app.core.folder / "flight.mcap").truth
         assert truth is not None
         assert told["low"][-1] < truth.mass_kg < told["high"][-1]
+        assert disagreements(app.core.folder, load_flight(app.core.folder / "flight.mcap").vehicle) == []
         await pilot.press("5")
         await until(pilot, lambda: "verdict:" in screen_text(app))
 
@@ -172,7 +178,7 @@ async def test_kill_asks_and_then_the_vehicle_falls(tmp_path: Path) -> None:
     app = station(tmp_path / "logs", real_time=True)
     async with app.run_test(size=(80, 24)) as pilot:
         await pilot.press("r", "s")
-        await until(pilot, lambda: phase(app) == Phase.AIRBORNE and app.core.newest.position_m[2] > 0.55)
+        await until(pilot, lambda: phase(app) == Phase.AIRBORNE and height_m(app) > 0.55)
         await pilot.press("ctrl+o", "n")
         await pilot.pause(0.3)
         assert phase(app) == Phase.AIRBORNE

@@ -91,3 +91,11 @@ def test_a_taken_port_is_a_sentence() -> None:
         taken.listen()
         with pytest.raises(BadInput, match="cannot be used"):
             serve(taken.getsockname()[1])
+
+
+async def test_no_page_may_frame_what_is_served(address: str) -> None:
+    async with aiohttp.ClientSession() as session:
+        for path in ("/", "/static/js/textual.js", "/nothing-here"):
+            async with session.get(f"http://{address}{path}") as answer:
+                assert answer.headers["Content-Security-Policy"] == "frame-ancestors 'none'", path
+                assert answer.headers["X-Frame-Options"] == "DENY", path

@@ -68,6 +68,7 @@ class MavlinkCodec:
     Args:
         system, component: who we are.
         signing: sign and verify every frame; None leaves MAVLink unsigned.
+        gated: refuse what says something impossible. A vehicle's own end must not: a field that is NaN tells it "unknown".
 
     Attributes:
         counters: per (system, component) heard.
@@ -76,9 +77,10 @@ class MavlinkCodec:
     """
 
     def __init__(
-        self, system: int = STATION_SYSTEM, component: int = STATION_COMPONENT, signing: Signing | None = None
-    ):
-        self.signing = signing
+        self, system: int = STATION_SYSTEM, component: int = STATION_COMPONENT, signing: Signing | None = None, *,
+        gated: bool = True,
+    ):  # fmt: skip
+        self.signing, self._gated = signing, gated
         self.framer = Framer()
         self.counters: dict[tuple[int, int], Counters] = {}
         self.refused: dict[str, Refusal] = {}
@@ -112,7 +114,7 @@ class MavlinkCodec:
             return Received(frame, None)
         try:
             message = self._decoder.decode(bytearray(frame.raw))
-            why = refusal(message)
+            why = refusal(message) if self._gated else ""
         except Exception as error:  # generated code and foreign bytes: whatever it is, it must not reach who flies
             message, why = None, f"cannot be decoded ({type(error).__name__})"
         if not why:

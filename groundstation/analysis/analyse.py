@@ -106,7 +106,7 @@ def analyse(
         BadInput: a flight is malformed.
     """
     from groundstation.identification.pipeline import identify
-    from groundstation.reporting import write_report
+    from groundstation.reporting.report import write_report
 
     folder.mkdir(parents=True, exist_ok=True)
     try:

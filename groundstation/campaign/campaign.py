@@ -7,6 +7,7 @@ there: a flight that was flown is not flown again, and a round that was not fini
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -14,17 +15,21 @@ from typing import Any, Protocol
 
 from groundstation.campaign.deciding import Decision, first_plan, flights_needed, next_plan
 from groundstation.campaign.judging import Errors, at_floor, prediction_errors, without_effects
-from groundstation.campaign.targets import reached
+from groundstation.campaign.pooling import day_of, pooled, widened
 from groundstation.documents import read_diagnosis
 from groundstation.errors import BadInput, Refused
 from groundstation.flightdata import FlightData
 from groundstation.outside import read_json
+from groundstation.paths import find_config
+from groundstation.planning.plan import AUTOPILOT
+from groundstation.targets import parse_targets, reached
 from groundstation.trajectory import load_plan
-from groundstation.vehicle import Vehicle, vehicle_from_dict, vehicle_to_dict
+from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
 from groundstation.writing import write_whole
 
 SCHEMA = "groundstation.campaign/1"
 FILE = "campaign.json"
+VEHICLE = "vehicle.toml"
 PLAN_S = 6.0
 """Seconds of search for each plan."""
 
@@ -60,9 +65,10 @@ class Round:
         seen: errors of this round's model on the flights it was made of, their mean.
         verdict: of the diagnosis over all flights so far.
         findings: documents of what it found.
-        estimates: canonical parameters now: name -> {"value", "std"}.
+        estimates: canonical parameters now, widened by the scatter between flights: name -> {"value", "std"}.
         reached: half widths over targets; 1 or less is met.
         not_settled: why the campaign did not end here; empty where it did.
+        levels: by parameter what belongs to the vehicle, the days and the flights (:class:`~groundstation.campaign.pooling.Levels`).
     """
 
     folder: str
@@ -75,6 +81,7 @@ class Round:
     estimates: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     reached: Mapping[str, float] = field(default_factory=dict)
     not_settled: tuple[str, ...] = ()
+    levels: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def names(self) -> tuple[str, ...]:
         """What was found, with rotors: "weak_rotor 2"."""
@@ -150,17 +157,61 @@ def run(campaign: Campaign, flyer: Flyer, *, say: Say = lambda text: None, **lim
     Args:
         flyer: flies a plan; what it raises leaves the campaign as it was before that flight.
     """
-    while not campaign.outcome:
-        if not campaign.pending:
-            campaign = _decide(campaign, say, limits).save()
-        folder = Path(campaign.pending["folder"]) if campaign.pending.get("folder") else None
-        if folder is None or not flyer.was_flown(folder):
-            folder = flyer.place()
-            campaign = replace(campaign, pending={**campaign.pending, "folder": str(folder)}).save()
-            flyer.fly(Path(campaign.pending["plan"]), folder)
-        campaign = take_in(campaign, folder, campaign.pending["why"], say=say)
+    while True:
+        campaign = advance(campaign, flyer.was_flown, say=say, limits=limits)
+        if campaign.outcome:
+            return campaign
+        folder = flyer.place()
+        campaign = replace(campaign, pending={**campaign.pending, "folder": str(folder)}).save()
+        flyer.fly(Path(campaign.pending["plan"]), folder)
+
+
+def advance(
+    campaign: Campaign, flown: Callable[[Path], bool], *, say: Say = lambda text: None, limits: Mapping[str, float]
+) -> Campaign:
+    """Up to the next flight: what was flown is taken in, and the next is decided; or the campaign's end. Each step is written down.
+
+    Args:
+        flown: whether the flight in a folder ended as planned.
+        limits: of plans.
+    """
+    folder = campaign.pending.get("folder")
+    if folder and not campaign.outcome and flown(Path(folder)):
+        campaign = take_in(campaign, Path(folder), campaign.pending["why"], say=say)
         campaign = replace(campaign, pending={}).save()
-    return campaign
+    if campaign.pending or campaign.outcome:
+        return campaign
+    return _decide(campaign, say, limits).save()
+
+
+def begin(logs: Path, vehicle: str, until: str, *, at_most: int = 5, seed: int = 1) -> Campaign:
+    """A new campaign in a folder of its own, with a copy of the vehicle's file.
+
+    Raises:
+        BadInput: there is no such vehicle, or a target is none.
+    """
+    source = find_config("vehicles", vehicle).resolve()
+    declared = load_vehicle(source)
+    folder = logs.resolve() / f"campaign-{time.strftime('%Y-%m-%dT%H-%M-%S')}-{declared.name}"
+    stand = Campaign(folder, declared, parse_targets(until), at_most, seed).save()
+    (folder / VEHICLE).write_bytes(source.read_bytes())
+    return stand
+
+
+def was_flown(folder: Path) -> bool:
+    """Whether the core of a flight's folder ended it as planned."""
+    from groundstation.flight.client.client import outcome
+
+    try:
+        return (folder / "flight.mcap").is_file() and outcome(folder)[0] in (0, Refused.exit_status)
+    except BadInput:
+        return False
+
+
+def autopilot_limits(vehicle: Vehicle) -> dict[str, float]:
+    """Of plans for an autopilot whose tuning is not known."""
+    asked = vehicle.limits.acceleration_max_m_s2 or AUTOPILOT["acceleration_max_m_s2"]
+    return {**AUTOPILOT, "acceleration_max_m_s2": min(asked, AUTOPILOT["acceleration_max_m_s2"])}
 
 
 def _decide(campaign: Campaign, say: Say, limits: Mapping[str, float]) -> Campaign:
@@ -212,10 +263,13 @@ def take_in(campaign: Campaign, folder: Path, why: str, *, say: Say = lambda tex
     write_model(campaign.folder / f"rigid-{number}.toml", rigid)
     write_json(campaign.folder / f"diagnosis-{number}.json", diagnosis.to_dict())
     seen = _mean([prediction_errors(model, each) for each in flights])
-    estimates = {**model["model"], **model["parameters"]}
+    folders = [*(Path(r.folder) for r in campaign.rounds), folder]
+    by_level = pooled(diagnosis.by_flight, [day_of(each.name) for each in folders])
+    estimates = widened({**model["model"], **model["parameters"]}, by_level, diagnosis.by_flight)
     done = Round(
         str(folder), why, _seconds(flight), judged, seen, diagnosis.verdict,
         tuple(f.to_dict() for f in diagnosis.findings), estimates, reached(estimates, campaign.targets),
+        levels={name: each.to_dict() for name, each in by_level.items()},
     )  # fmt: skip
     return _next(campaign, replace(done, not_settled=tuple(_open(campaign, done))))
 
@@ -295,9 +349,9 @@ def _exhausted(campaign: Campaign, done: Round) -> str:
 
 
 def _seconds(flight: FlightData) -> float:
-    """Of excitation, by the plan; of the recording's motors without one."""
-    if flight.plan is not None:
-        return float(flight.plan.series().duration_s)
+    """Of excitation; of the recording's motors where its window is not known."""
+    if flight.window_s is not None:
+        return float(flight.window_s[1] - flight.window_s[0])
     motors = flight.motors
     return 0.0 if motors is None or not len(motors) else float(motors.t_s[-1] - motors.t_s[0])
 

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from groundstation.campaign.targets import HALF_95
 from groundstation.errors import BadInput, GroundStationError
-from groundstation.planning import plan_excitation
+from groundstation.planning import paper_plan, plan_excitation
 from groundstation.planning.information import DEFAULT_NOISE, Noise, predicted_std
 from groundstation.reporting.units import label
+from groundstation.targets import HALF_95
 from groundstation.trajectory import Plan
 from groundstation.vehicle import Inertia, Vehicle
 
@@ -54,7 +54,7 @@ def next_plan(
         vehicle: as declared; the plan is made for the vehicle as it is estimated now.
         diagnosis: of schema groundstation.diagnosis/1, over all flights so far.
         estimates: canonical parameters now, name -> {"value", "std"}.
-        reached: of :func:`~groundstation.campaign.targets.reached`.
+        reached: of :func:`~groundstation.targets.reached`.
     """
     if any(finding["alternatives"] for finding in diagnosis.get("findings", ())):
         from groundstation.diagnosis.next_flight import odds_sentence, plan_next
@@ -106,6 +106,24 @@ def flights_needed(
         goal = (share * value / HALF_95) ** 2
         now = entry["std"] ** 2 if entry else np.inf
         out[name] = max(0.0, (1.0 / goal - 1.0 / now) * predicted[name] ** 2)
+    return out
+
+
+def paper_seconds(
+    vehicle: Vehicle, estimates: Mapping[str, Any], plans: Sequence[Plan], names: Sequence[str]
+) -> dict[str, float]:
+    """Seconds of the paper's trajectory, repeated, that tell each parameter as well as flown plans do, by predicted information.
+
+    Both are predicted with the same noise, so its size does not matter. Parameters that one of them does not reveal are left out.
+    """
+    known, noise = as_estimated(vehicle, estimates), DEFAULT_NOISE
+    repeated = predicted_std((paper := paper_plan().series()), known, noise)
+    flown = [predicted_std(plan.series(), known, noise) for plan in plans]
+    out = {}
+    for name in names:
+        information = sum(each[name] ** -2 for each in flown if each.get(name, np.inf) > 0.0)
+        if 0.0 < repeated.get(name, np.inf) < np.inf and information > 0.0:
+            out[name] = paper.duration_s * information * repeated[name] ** 2
     return out
 
 

@@ -7,11 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.campaign.campaign import Campaign, Round
-from groundstation.campaign.targets import HALF_95
+from groundstation.campaign.deciding import paper_seconds
+from groundstation.campaign.pooling import level_of
+from groundstation.errors import BadInput
 from groundstation.identification.results import Estimate
 from groundstation.reporting.markup import Child, Markup, definition_list, element, fragment, sentence_list, table
 from groundstation.reporting.page import Page
 from groundstation.reporting.units import fixed, label, quantity, scale_for, significant, split_unit
+from groundstation.targets import HALF_95
+from groundstation.trajectory import load_plan
 from groundstation.writing import write_whole
 
 QUANTITIES = ("position_m", "velocity_m_s", "attitude_rad", "body_rate_rad_s")
@@ -77,7 +81,71 @@ def write_campaign_report(path: Path, campaign: Campaign) -> Path:
             table("Targets, flight by flight", ("parameter", *(f"flight {n}" for n in range(1, len(campaign.rounds) + 1))), _interval_rows(campaign)),
             page.figure(_interval_figure(campaign), "Half widths of the 95 % intervals over their targets; below 1 the target is met"),
         )  # fmt: skip
+        _levels_section(page, campaign)
+        _cost_section(page, campaign)
     return write_whole(path, page.html(head, element("p", "Intervals are 95 %.")))
+
+
+def _levels_section(page: Page, campaign: Campaign) -> None:
+    """What belongs to the vehicle, to the days and to the flights; where there is more than one flight."""
+    found = campaign.rounds[-1].levels
+    if not found:
+        return
+    count = len(campaign.rounds)
+    rows: list[Sequence[Child]] = []
+    for name, each in found.items():
+        cells = [_level(name, level) for level in (each["vehicle"], *each["flights"])]
+        rows.append(
+            (
+                _level_label(name),
+                level_of(name),
+                *cells,
+                *(significant(each[k]) for k in ("scatter_days", "scatter_flights")),
+            )
+        )
+    page.section(
+        "levels", "Vehicle, day, flight",
+        element("p", "What another flight is expected to have, and each flight by itself, with 95 % intervals; beside them the scatter between days "
+                "and between flights that no interval covers. Mass and tensor here leave out the error of the thrust constant, which all flights share."),
+        table("Each parameter by level", ("parameter", "belongs to the", "vehicle", *(f"flight {n}" for n in range(1, count + 1)), "between days", "between flights"), rows),
+    )  # fmt: skip
+
+
+def _level_label(name: str) -> str:
+    effect, _, parameter = name.rpartition(".")
+    return f"{effect.replace('_', ' ')}: {label(parameter)}" if effect else label(name)
+
+
+def _level(name: str, level: Mapping[str, float]) -> Child:
+    parameter = name.rpartition(".")[2]
+    estimate = Estimate.normal(level["value"], level["std"])
+    return (
+        quantity(parameter, estimate)
+        if scale_for(split_unit(parameter)[1], [level["value"]])
+        else significant(level["value"])
+    )
+
+
+def _cost_section(page: Page, campaign: Campaign) -> None:
+    """Flown seconds against the paper's trajectory repeated to the same accuracy."""
+    plans = []
+    for done in campaign.rounds:
+        try:
+            plan = load_plan(Path(done.folder) / "plan.toml")
+        except BadInput:
+            return  # a given flight without a plan: what it told cannot be predicted
+        plans.append(plan.as_flown(done.seconds))
+    seconds = sum(r.seconds for r in campaign.rounds)
+    repeated = paper_seconds(campaign.vehicle, campaign.rounds[-1].estimates, plans, list(campaign.targets))
+    if not repeated:
+        return
+    rows = [(label(n), f"{seconds:.0f} s", f"{value:.0f} s", f"{value / seconds:.1f}") for n, value in repeated.items()]
+    page.section(
+        "cost", "What it cost",
+        element("p", "Seconds of excitation that were flown, and those that the paper's trajectory, repeated, would take to the same accuracy, by the "
+                "information that both plans promise for the vehicle as it is estimated now."),
+        table("Seconds of excitation", ("parameter", "campaign", "paper's trajectory repeated", "times"), rows),
+    )  # fmt: skip
 
 
 def _round(number: int, done: Round) -> Markup:

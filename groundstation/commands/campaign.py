@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +14,6 @@ from groundstation.errors import BadInput, Refused
 if TYPE_CHECKING:
     from groundstation.campaign.campaign import Campaign
     from groundstation.flight.client.interrupts import Interrupts
-    from groundstation.vehicle import Vehicle
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 
@@ -44,46 +42,29 @@ def campaign(
     It ends when nothing is left open, the targets are met, and the model predicts a flight that no estimate has seen as well
     as its own; or it says what was not reached. Killed at any moment, --resume goes on.
     """
-    from groundstation.campaign.campaign import Campaign, load_campaign, run, take_in
+    from groundstation.campaign.campaign import VEHICLE, autopilot_limits, begin, load_campaign, run, take_in
     from groundstation.campaign.report import lines, write_campaign_report
-    from groundstation.campaign.targets import parse_targets
     from groundstation.flight.client.interrupts import Interrupts
-    from groundstation.paths import find_config
-    from groundstation.vehicle import load_vehicle
 
     line = ProgressLine()
     if resume is not None:
         stand = load_campaign(resume)
-        vehicle_file = resume / "vehicle.toml"
     else:
         if vehicle is None:
             raise BadInput("name the vehicle with --vehicle, or a campaign that was begun with --resume.")
-        source = find_config("vehicles", vehicle).resolve()
-        declared = load_vehicle(source)
-        folder = logs.resolve() / f"campaign-{time.strftime('%Y-%m-%dT%H-%M-%S')}-{declared.name}"
-        stand = Campaign(folder, declared, parse_targets(until), at_most, seed).save()
-        vehicle_file = folder / "vehicle.toml"
-        vehicle_file.write_bytes(source.read_bytes())
+        stand = begin(logs, vehicle, until, at_most=at_most, seed=seed)
         for flight in given:
             stand = take_in(stand, flight, "given", say=line.say).save()
     how = {"scenario": scenario, "link": link, "station": station, "yes_simulated": yes_simulated}
     with Interrupts() as stop:
-        flyer = _Flyer(stand, vehicle_file, logs.resolve(), line, stop, **how)
-        stand = run(stand, flyer, say=line.say, **(_autopilot_limits(stand.vehicle) if link is not None else {}))
+        flyer = _Flyer(stand, stand.folder / VEHICLE, logs.resolve(), line, stop, **how)
+        stand = run(stand, flyer, say=line.say, **(autopilot_limits(stand.vehicle) if link is not None else {}))
     line.end()
     report = write_campaign_report(stand.folder / "report.html", stand)
     document = {"schema": "groundstation.campaign/1", "folder": str(stand.folder), "outcome": stand.outcome, "sentence": stand.sentence,
                 "flights": [r.folder for r in stand.rounds], "estimates": dict(stand.rounds[-1].estimates) if stand.rounds else {}}  # fmt: skip
     text = "\n".join([*lines(stand), f"report: {report}", f"model: {stand.folder / f'model-{len(stand.rounds)}.toml'}"])
     return Result(document, text, 0 if stand.outcome == "settled" else Refused.exit_status)
-
-
-def _autopilot_limits(vehicle: Vehicle) -> dict[str, float]:
-    """Of plans for an autopilot whose tuning is not known."""
-    from groundstation.commands.flying import AUTOPILOT
-
-    asked = vehicle.limits.acceleration_max_m_s2 or AUTOPILOT["acceleration_max_m_s2"]
-    return {**AUTOPILOT, "acceleration_max_m_s2": min(asked, AUTOPILOT["acceleration_max_m_s2"])}
 
 
 class _Flyer:
@@ -118,12 +99,9 @@ class _Flyer:
 
     def was_flown(self, folder: Path) -> bool:
         """Whether the core of that folder ended its flight as planned."""
-        from groundstation.flight.client.client import outcome
+        from groundstation.campaign.campaign import was_flown
 
-        try:
-            return (folder / "flight.mcap").is_file() and outcome(folder)[0] == 0
-        except BadInput:
-            return False
+        return was_flown(folder)
 
     def fly(self, plan: Path, folder: Path) -> None:
         """Fly a plan."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ import click
 
 from groundstation.commands.common import ProgressLine, Result, example, json_option, logs_option
 from groundstation.errors import BadInput, Refused
+from groundstation.targets import DEFAULT, parse_targets
 
 if TYPE_CHECKING:
     from groundstation.flight.client.interrupts import Interrupts
@@ -22,11 +23,17 @@ LOG_S = 120.0
 
 PLAN_S = 6.0
 """Seconds a rehearsal gives the planner."""
-AUTOPILOT = {"frequency_max_hz": 0.5, "acceleration_max_m_s2": 1.5}
-"""Of a plan for a vehicle on a link: ArduCopter's firmware, tuned for another vehicle, was 0.45 m off at most within these
-limits, and lost a plan of 0.8 Hz and 2 m/s^2 (docs/firmware.md). A plan made with ``groundstation plan`` may ask for more."""
 MAVLINK_VEHICLE = "x500"
 """What the simulated autopilot flies unless told otherwise."""
+
+
+def until_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """How long the excitation lasts, where that is decided in flight."""
+    most = click.option(
+        "--excitation-at-most-s", type=click.FloatRange(min=1.0), default=None, help="Excitation of an --until flight at the most; 80 s by default."
+    )  # fmt: skip
+    until = click.option("--until", default=None, metavar="TARGETS", help=f"Fly until this is known, e.g. {DEFAULT}.")
+    return until(most(function))
 
 
 @click.command(
@@ -64,9 +71,12 @@ def sim(ctx: click.Context, arguments: tuple[str, ...]) -> None:
 )
 @click.option("--seed", type=int, default=1, show_default=True, help="Of the simulated noise and the true vehicle.")
 @click.option("--real-time", is_flag=True, help="Let the simulated drone fly at the wall clock's pace.")
+@until_options
 @logs_option
 @json_option
-def rehearse(vehicle: str, scenario: str, plan_file: Path | None, seed: int, real_time: bool, logs: Path) -> Result:
+def rehearse(
+    vehicle: str, scenario: str, plan_file: Path | None, seed: int, real_time: bool, logs: Path, **until: Any
+) -> Result:
     """Fly the whole loop in simulation: plan, upload over zenoh, fly, record, identify, diagnose, report.
 
     Ctrl-C aborts: before arming nothing is armed, afterwards the simulated drone lands. Killing this program does not end
@@ -76,7 +86,7 @@ def rehearse(vehicle: str, scenario: str, plan_file: Path | None, seed: int, rea
 
     line = ProgressLine()
     with Interrupts() as stop:
-        flown = _rehearsed(vehicle, scenario, plan_file, seed, real_time, logs, line, stop)
+        flown = _rehearsed(vehicle, scenario, plan_file, seed, real_time, logs, line, stop, until)
     line.end()
     return _flight_result(flown)
 
@@ -90,6 +100,7 @@ def _rehearsed(
     logs: Path,
     line: ProgressLine,
     stop: Interrupts,
+    until: Mapping[str, Any],
 ) -> FlightResult:
     from groundstation.flight.client.client import new_flight_folder
     from groundstation.flight.client.rehearse import fly as fly_plan
@@ -109,6 +120,7 @@ def _rehearsed(
             )
     else:
         chosen = _new_plan(declared, line)
+    chosen = _lasting(chosen, declared.until, until, automatic=True)
     stop.check()
     folder = new_flight_folder(logs.resolve(), declared.name)
     plan_path = _keep_plan(chosen, folder)
@@ -116,9 +128,26 @@ def _rehearsed(
     return fly_plan(folder, plan=plan_path, vehicle=vehicle_file, drone=drone, say=line.say, stop=stop)
 
 
+def _lasting(chosen: Any, declared: Any, asked: Mapping[str, Any], *, automatic: bool) -> Any:
+    """The plan, and where something is to be known by it, its length left to the flight."""
+    from groundstation.flight.until import lasting_until
+    from groundstation.vehicle import Until
+
+    if asked["until"] is None and asked["excitation_at_most_s"] is not None and declared is None:
+        raise BadInput("--excitation-at-most-s needs targets: give --until, or [until] in the vehicle or station file.")
+    given = {} if declared is None else declared.model_dump()
+    given |= {} if asked["until"] is None else {"targets": asked["until"]}
+    given |= {} if asked["excitation_at_most_s"] is None else {"at_most_s": asked["excitation_at_most_s"]}
+    if not given:
+        return chosen
+    parse_targets(given["targets"])
+    return lasting_until(chosen, Until(**given), automatic=automatic)
+
+
 def _plan_for_link(declared: Any, line: ProgressLine) -> Any:
     """A plan that an autopilot follows whose tuning is not known."""
     from groundstation.planning import plan_excitation
+    from groundstation.planning.plan import AUTOPILOT
 
     asked = declared.limits.acceleration_max_m_s2
     limits: dict[str, Any] = dict(AUTOPILOT)
@@ -207,6 +236,7 @@ def link_options(function: Callable[..., Any]) -> Callable[..., Any]:
         click.option(
             "--key-file", type=click.Path(path_type=Path, dir_okay=False), help="32-byte MAVLink signing key."
         ),
+        until_options,
         logs_option,
         json_option,
     )
@@ -215,7 +245,9 @@ def link_options(function: Callable[..., Any]) -> Callable[..., Any]:
     return function
 
 
-def _link_flight(vehicle: str, plan_file: Path | None, logs: Path, line: ProgressLine, **link: Any) -> dict[str, Any]:
+def _link_flight(
+    vehicle: str, plan_file: Path | None, logs: Path, line: ProgressLine, *, automatic: bool = False, **link: Any
+) -> dict[str, Any]:
     """Folder, plan, vehicle and link process of a flight on a MAVLink link."""
     from groundstation.flight.client.client import new_flight_folder
     from groundstation.flight.client.rehearse import linked_vehicle
@@ -224,10 +256,12 @@ def _link_flight(vehicle: str, plan_file: Path | None, logs: Path, line: Progres
     from groundstation.trajectory import load_plan
     from groundstation.vehicle import load_vehicle
 
-    load_station(link["station"])
+    station = load_station(link["station"])
     vehicle_file = find_config("vehicles", vehicle).resolve()
     declared = load_vehicle(vehicle_file)
     chosen = load_plan(plan_file) if plan_file is not None else _plan_for_link(declared, line)
+    until = {name: link.pop(name) for name in ("until", "excitation_at_most_s")}
+    chosen = _lasting(chosen, declared.until or station.until, until, automatic=automatic)
     folder = new_flight_folder(logs.resolve(), declared.name)
     drone = linked_vehicle(folder, vehicle_file, **link)
     return {"folder": folder, "plan": _keep_plan(chosen, folder), "vehicle": vehicle_file, "drone": drone}
@@ -279,7 +313,7 @@ def fly(
         if take_over is not None:
             flight = _interrupted(vehicle, logs, line, **link)
             return _flight_result(fly_plan(**flight, say=line.say, stop=stop, take_over=take_over))
-        flight = _link_flight(vehicle, plan_file, logs, line, **link)
+        flight = _link_flight(vehicle, plan_file, logs, line, automatic=yes_simulated, **link)
         stop.check()
         try:
             flown = fly_plan(
@@ -299,6 +333,8 @@ def fly(
 def _interrupted(vehicle: str, logs: Path, line: ProgressLine, **link: Any) -> dict[str, Any]:
     """Folder, plan, vehicle and link process of a flight that its station left in the air."""
     from groundstation.flight.client.client import interrupted_flight, new_flight_folder
+
+    link = {k: v for k, v in link.items() if k not in ("until", "excitation_at_most_s")}
     from groundstation.flight.client.rehearse import linked_vehicle
     from groundstation.paths import find_config
     from groundstation.vehicle import load_vehicle

@@ -32,6 +32,10 @@ LIMIT_OPTIONS = {
 """Option -> limit of the vehicle file that it overrides; options in degrees set limits in radians."""
 
 
+BUDGET_S = 8.0
+"""Of --compare and --discriminate where none is given."""
+
+
 def limit_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """One option per limit."""
     for option, limit in reversed(LIMIT_OPTIONS.items()):
@@ -55,7 +59,8 @@ def limits_in_si(values: dict[str, float | None]) -> dict[str, float]:
 @click.option("--frequency-max-hz", type=float, default=None, help="No harmonic above it where the base is free.")
 @click.option("--limit", "more_limits", multiple=True, metavar="NAME=VALUE", help="Any limit by its name, SI.")
 @click.option("--seed", type=int, default=3, show_default=True, help="Of the random starts.")
-@click.option("--time-budget-s", type=float, default=8.0, show_default=True, help="Seconds to search.")
+@click.option("--time-budget-s", type=float, default=None,
+              help="Seconds to search on from random starts; without it the first answer is enough.")  # fmt: skip
 @click.option("--compare", is_flag=True, help="Compare families of signals under the same limits, as a table.")
 @click.option("--discriminate", type=click.Path(path_type=Path, dir_okay=False), default=None,
               help="diagnosis.json of a flight: plan the one that tells apart what it left open.")  # fmt: skip
@@ -72,7 +77,7 @@ def plan(
     frequency_max_hz: float | None,
     more_limits: tuple[str, ...],
     seed: int,
-    time_budget_s: float,
+    time_budget_s: float | None,
     compare: bool,
     discriminate: Path | None,
     output: Path | None,
@@ -83,7 +88,7 @@ def plan(
         if paper or compare or criterion or harmonics or base_frequency_deg_s or frequency_max_hz:
             raise BadInput("--discriminate chooses criterion and frequencies itself; leave those options out.")
         bounds = limits_in_si(limits) | known_limits(assignments(more_limits))
-        return _discriminating(discriminate, vehicle, duration_s, seed, time_budget_s, output, bounds)
+        return _discriminating(discriminate, vehicle, duration_s, seed, time_budget_s or BUDGET_S, output, bounds)
     from groundstation import api
     from groundstation.planning import paper_problem, plan_document
 
@@ -104,7 +109,7 @@ def plan(
     if compare:
         from groundstation.planning.compare import compare_families
 
-        table = compare_families(seed=seed, time_budget_s=time_budget_s, progress=line.fraction, **problem)
+        table = compare_families(seed=seed, time_budget_s=time_budget_s or BUDGET_S, progress=line.fraction, **problem)
         line.end()
         return Result(table.to_dict(), table.to_text())
     found = api.plan_excitation(seed=seed, time_budget_s=time_budget_s, progress=line.fraction, **problem)
@@ -199,5 +204,6 @@ def plan_text(found: Plan, output: Path | None) -> str:
         for name, std in found.predicted_std.items():
             scale = scale_for(split_unit(name)[1], [std])
             lines.append(f"  {label(name):<12} {significant(std * scale.factor)} {scale.unit}")
+    lines += [f"note: {found.note}"] if found.note else []
     lines.append(f"written to {output}" if output else "not written: give --output FILE to keep it")
     return "\n".join(lines)

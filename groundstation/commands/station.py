@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import platform
 import shutil
@@ -87,11 +86,10 @@ def _serial() -> Check:
 
 
 def _mocap() -> Check:
-    modules = {"natnet": "OptiTrack", "qtm_rt": "Qualisys", "motioncapture": "Vicon, VRPN"}
-    found = [f"{module} ({system})" for module, system in modules.items() if importlib.util.find_spec(module)]
-    if not found:
-        return Check("motion capture", "note", "no client library installed", "pip install 'groundstation[mocap]'")
-    return Check("motion capture", "ok", ", ".join(found))
+    from drivers.mocap.session import SYSTEMS
+
+    readers = ", ".join(system.maker for system in SYSTEMS.values())
+    return Check("motion capture", "ok", f"{readers}; `groundstation doctor --mocap` looks for them")
 
 
 def _clock() -> Check:
@@ -149,11 +147,29 @@ def _what_holds(vehicle: str, station: str) -> list[Setting]:
 
 @click.command(epilog=example("groundstation doctor --vehicle x500"))
 @click.option("--vehicle", default=None, help="Also print the settings that hold for this vehicle, and where from.")
-@click.option("--station", default="default", show_default=True, help="Station file for that.")
+@click.option("--station", default="default", show_default=True, help="Station file for that, and for --mocap.")
+@click.option(
+    "--mocap", is_flag=True, help="Look for motion capture on the network: bodies, rates, clocks, what is wrong."
+)
+@click.option("--host", multiple=True, help="With --mocap: a computer to ask that answers no broadcast (Vicon, VRPN).")
+@click.option(
+    "--seconds",
+    type=click.FloatRange(1.0, 60.0),
+    default=3.0,
+    show_default=True,
+    help="With --mocap: how long to watch.",
+)
+@click.option("--link", help="With --mocap and --vehicle: compare with its gyro and accelerometer; turn it meanwhile.")
 @logs_option
 @json_option
-def doctor(vehicle: str | None, station: str, logs: Path) -> Result:
+def doctor(
+    vehicle: str | None, station: str, mocap: bool, host: tuple[str, ...], seconds: float, link: str | None, logs: Path
+) -> Result:
     """Say what is installed, reachable and wrong here, and what to do about it."""
+    if mocap:
+        from groundstation.commands.mocap import mocap_report
+
+        return mocap_report(station, host, seconds, link, vehicle)
     settings = _what_holds(vehicle, station) if vehicle is not None else []
     looks: list[Callable[[], Check]] = [
         _python,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.discrepancy import Discrepancy, allowance
 from groundstation.diagnosis.effect import Effect, library
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, Solution
+from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import (
     INSTANTS,
     Entry,
@@ -39,6 +40,7 @@ class Named:
         evidence: margin of its Wald statistic over chance and over what the other effects' formulas may miss.
         gain: fall of the whitened squared error on blocks no estimate saw, when it is put in last.
         alternatives: effects that explain as much; confidence: its posterior share among them and nothing at all.
+        measured: the finding, where other means than the joint estimate give its numbers.
     """
 
     candidate: Candidate
@@ -47,6 +49,7 @@ class Named:
     gain: float
     alternatives: tuple[str, ...]
     confidence: float
+    measured: Finding | None = None
 
 
 def candidates(vehicle: Vehicle, signals: Signals, effects: Iterable[Effect] | None = None) -> list[Candidate]:
@@ -387,7 +390,7 @@ class Selection:
         instruments = np.concatenate([self.evidence.z, *(columns.instrument for _, columns in after)], axis=1)
         _, channels, _ = self.evidence.time_of_rows()
         gains = np.zeros(len(CHANNELS))
-        for train, test in folds(self.evidence):
+        for train, test in held_out(self.evidence):
             old = root * self.evidence.remainder(before, self.evidence.solve(before, train))
             new = root * self.evidence.remainder(after, self.evidence.solve(after, train))
             for channel in np.unique(channels):
@@ -395,6 +398,23 @@ class Selection:
                 basis = orthonormal(root[rows, None] * instruments[rows])
                 gains[channel] += np.sum((basis.T @ old[rows]) ** 2) - np.sum((basis.T @ new[rows]) ** 2)
         return gains
+
+
+WHOLE_FLIGHTS = 3
+"""Flights from which each is held out as a whole: two are left to estimate from, whose wind, battery and clock it does not share."""
+
+Rows = NDArray[np.bool_]
+
+
+def held_out(evidence: Evidence) -> list[tuple[Rows, Rows]]:
+    """Train and test rows: each flight by all others where there are three or more, else blocks of time by the rest.
+
+    Blocks of one flight share its wind, battery and clock; what is learnt of these helps on other blocks, and on no other flight.
+    """
+    if evidence.suspects < WHOLE_FLIGHTS:
+        return folds(evidence)
+    _, _, flights = evidence.time_of_rows()
+    return [(flights != number, flights == number) for number in range(evidence.suspects)]
 
 
 def folds(

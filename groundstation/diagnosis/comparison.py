@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.attribution import folds
-from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, Solution
-from groundstation.diagnosis.thresholds import THRESHOLDS
+from groundstation.diagnosis.attribution import folds, held_out
+from groundstation.diagnosis.evidence import FLIGHTS_OWN, Candidate, Columns, Evidence, FlightEvidence, Solution
+from groundstation.diagnosis.form_error import form_covariance
 from groundstation.identification.anchoring import anchored, anchored_covariance
 from groundstation.identification.prediction_error import Fitted, output_error
 from groundstation.identification.preparation import Prepared
@@ -41,8 +41,10 @@ class Split:
     plain: Fitted | None = None
 
 
-def splits_of(evidence: Evidence, unseen: Sequence[Prepared], count: int = THRESHOLDS.held_out_blocks) -> list[Split]:
-    """The flights that no estimate saw, where there are some; else ``count`` blocks of time, each judged by the others."""
+def splits_of(evidence: Evidence, unseen: Sequence[Prepared], count: int | None = None) -> list[Split]:
+    """The flights that no estimate saw, where there are some; else each flight by the others, or blocks of time (``count``, where it is
+    given) by the rest.
+    """
     if unseen:
         others = [evidence.flights[0].of(item) for item in unseen]
         return [Split(None, tuple((flight, np.ones(len(flight.model.t_s), dtype=bool)) for flight in others))]
@@ -53,9 +55,10 @@ def splits_of(evidence: Evidence, unseen: Sequence[Prepared], count: int = THRES
             tuple(
                 (flight, np.isin(flight.model.t_s, times[(numbers == number) & test]))
                 for number, flight in enumerate(evidence.flights[: evidence.suspects])
+                if np.any(test & (numbers == number))
             ),
         )
-        for train, test in folds(evidence, count)
+        for train, test in (held_out(evidence) if count is None else folds(evidence, count))
     ]
 
 
@@ -64,22 +67,56 @@ def with_plain(splits: Sequence[Split], evidence: Evidence, vehicle: Vehicle) ->
     return [replace(split, plain=as_declared(evidence, vehicle, split.train)) for split in splits]
 
 
-def _base_estimates(evidence: Evidence, vehicle: Vehicle, solution: Solution) -> dict[str, Estimate]:
-    """Mass and tensor of a linearised joint estimate, under the anchor."""
-    estimates, constants = anchored(vehicle, RIGID_BODY, *_rigid_body(evidence, solution))
+def _base_estimates(evidence: Evidence, vehicle: Vehicle, chosen: Chosen) -> dict[str, Estimate]:
+    """Mass and tensor of the linearised joint estimate with some effects, under the anchor."""
+    estimates, constants = anchored(vehicle, RIGID_BODY, *_joint(evidence, chosen))
     return {**estimates, **constants}
 
 
 def base_covariance(evidence: Evidence, vehicle: Vehicle, chosen: Chosen) -> NDArray[np.float64]:
     """Covariance (7, 7) of mass and tensor with the effects put in, under the anchor."""
-    return anchored_covariance(vehicle, RIGID_BODY, *_rigid_body(evidence, evidence.solve(chosen)))
+    return anchored_covariance(vehicle, RIGID_BODY, *_joint(evidence, chosen))
 
 
-def _rigid_body(evidence: Evidence, solution: Solution) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def flight_parameters(evidence: Evidence, chosen: Chosen) -> list[dict[str, Estimate]]:
+    """Of each suspected flight by its own rows: mass, tensor and the effects' parameters ("rotor_drag.d_x_kg_s"), without what the anchor
+    adds: its error is the same on every flight.
+    """
+    _, _, numbers = evidence.time_of_rows()
+    out = []
+    for number in range(evidence.suspects):
+        solution = evidence.solve(chosen, numbers == number)
+        values, covariance = _rigid_body(evidence, solution)
+        found = dict(zip(RIGID_BODY, zip(values, np.sqrt(np.diag(covariance)), strict=True), strict=True))
+        offset = 0
+        for candidate, _ in chosen:
+            names = candidate.effect.names()
+            part, spread = solution.part(offset, len(names))
+            rotor = f"_{candidate.settings['rotor']:g}" if candidate.effect.of_one_rotor else ""
+            pairs = zip(part, np.sqrt(np.diag(spread)), strict=True)
+            found |= dict(zip((f"{candidate.identifier}{rotor}.{name}" for name in names), pairs, strict=True))
+            offset += len(names)
+        out.append(
+            {n: Estimate.normal(float(v), float(s)) for n, (v, s) in found.items() if np.isfinite(v) and s > 0.0}
+        )
+    return out
+
+
+def _joint(evidence: Evidence, chosen: Chosen) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mass and tensor with the effects put in, and their covariance with what the effects' formulas leave open in it."""
+    solution = evidence.solve(chosen)
+    return _rigid_body(evidence, solution, form_covariance(evidence, chosen, solution))
+
+
+def _rigid_body(
+    evidence: Evidence, solution: Solution, form: Array | float = 0.0
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mass and tensor of a joint estimate and their covariance, that of the effects' ``form`` added."""
     names = list(evidence.names)
     index = [names.index(n) for n in RIGID_BODY]
     values, jacobian = evidence.flights[0].rigid_body(solution)
-    return values, jacobian @ solution.covariance[np.ix_(index, index)] @ jacobian.T
+    covariance = solution.covariance[np.ix_(index, index)] + form
+    return values, jacobian @ covariance @ jacobian.T
 
 
 def base_parameters(
@@ -90,11 +127,11 @@ def base_parameters(
     plain: Fitted | None,
 ) -> tuple[dict[str, Estimate], dict[str, Estimate]]:
     """Base parameters with the effects left out and put in. Left out means re-estimated without them, lag included."""
-    after = _base_estimates(evidence, vehicle, evidence.solve(chosen))
+    after = _base_estimates(evidence, vehicle, chosen)
     if plain is not None:
         before, constants = anchored(vehicle, plain.names, plain.values, plain.covariance)
         return {**before, **constants}, after
-    return _base_estimates(evidence, vehicle, evidence.solve(baseline)), after
+    return _base_estimates(evidence, vehicle, baseline), after
 
 
 def declared_model(flight: FlightEvidence) -> RecordModel:
@@ -115,11 +152,15 @@ def as_declared(evidence: Evidence, vehicle: Vehicle, train: NDArray[np.bool_] |
     models = [declared_model(flight) for flight in evidence.flights]
     if train is not None:
         times, _, numbers = evidence.time_of_rows()
-        for number, model in enumerate(models):
+        models = [m for number, m in enumerate(models) if np.any(train & (numbers == number))]
+        seen = [number for number in range(len(evidence.flights)) if np.any(train & (numbers == number))]
+        for place, (number, model) in enumerate(zip(seen, models, strict=True)):
             left_out = times[(numbers == number) & ~train]
+            if not len(left_out):
+                continue
             t = model.record.t_s
             keep = model.record.keep & ~((t >= left_out.min()) & (t <= left_out.max()))
-            models[number] = RecordModel(replace(model.record, keep=keep), (), None)
+            models[place] = RecordModel(replace(model.record, keep=keep), (), None)
     return output_error(models, declared_parameters(vehicle, lag_s=0.0), options)
 
 
@@ -145,9 +186,9 @@ def residual_wrench(flight: FlightEvidence, residual: Array, p: Parameters) -> A
     return out
 
 
-def _remaining(flight: FlightEvidence, chosen: Chosen, solution: Solution) -> Array:
+def remaining(flight: FlightEvidence, chosen: Chosen, solution: Solution) -> Array:
     """Unwhitened residual of one flight after a joint estimate."""
-    out = flight.residual - flight.sensitivity @ solution.theta[: solution.base]
+    out = flight.residual - flight.sensitivity @ solution.theta[: len(flight.names)]
     first = solution.base
     for candidate, _ in chosen:
         count = len(candidate.effect.parameters)
@@ -155,7 +196,30 @@ def _remaining(flight: FlightEvidence, chosen: Chosen, solution: Solution) -> Ar
         wrench = candidate.effect.wrench(flight.signals, flight.prepared.record.vehicle, candidate.settings)
         out = out - flight.predicted(wrench) @ theta
         first += count
+    if solution.base > len(flight.names):
+        return _without_own_bias(flight, out)
     return out
+
+
+def _without_own_bias(flight: FlightEvidence, residual: Array) -> Array:
+    """A residual less what the flight's own accelerometer biases make of it: no other flight can tell them, and no model is judged by them."""
+    own = [index for index, name in enumerate(flight.names) if name in FLIGHTS_OWN]
+    kept = np.isfinite(residual).all(axis=1)
+    columns = flight.sensitivity[kept][:, :, own].reshape(-1, len(own))
+    if not len(own) or not columns.any():
+        return residual
+    values = np.linalg.lstsq(columns, residual[kept].reshape(-1), rcond=1e-10)[0]
+    return residual - flight.sensitivity[:, :, own] @ values
+
+
+def residual_rms(evidence: Evidence, chosen: Chosen, solution: Solution) -> dict[int, float]:
+    """RMS of the residual wrench by channel, N or N m, the largest of the suspected flights."""
+    flights = evidence.flights[: evidence.suspects]
+    rms = [
+        np.sqrt(np.nanmean(residual_wrench(f, remaining(f, chosen, solution), f.parameters) ** 2, axis=0))
+        for f in flights
+    ]
+    return {channel: float(max(each[channel] for each in rms)) for channel in flights[0].channels}
 
 
 def held_out_errors(
@@ -193,9 +257,9 @@ def residual_series(
     before = (
         declared_model(flight).residual(plain.parameters)
         if plain is not None
-        else _remaining(flight, baseline, evidence.solve(baseline))
+        else remaining(flight, baseline, evidence.solve(baseline))
     )
-    after = _remaining(flight, chosen, evidence.solve(chosen))
+    after = remaining(flight, chosen, evidence.solve(chosen))
     series = {"t_s": flight.model.t_s}
     for suffix, residual in (("", before), ("/after", after)):
         wrench = residual_wrench(flight, residual, flight.parameters)
@@ -217,5 +281,5 @@ def _collect(
         if stage == "before" and plain is not None:
             residual = declared_model(flight).residual(plain.parameters)
         else:
-            residual = _remaining(flight, chosen, solution)
+            residual = remaining(flight, chosen, solution)
         stages[stage].append(residual_wrench(flight, residual, p)[inside])

@@ -204,9 +204,7 @@ def from_thrust(vehicle: Vehicle, thrust: Array) -> Array:
     """Body wrench (k, 6) of rotor thrusts (k, n)."""
     from groundstation.model.rotors import wrench_matrix
 
-    out = np.zeros((len(thrust), 6))
-    out[:, 2:] = thrust @ wrench_matrix(vehicle).T
-    return out
+    return np.asarray(thrust @ wrench_matrix(vehicle).T, dtype=float)
 
 
 def ramp(t_s: Array, at_s: float, within_s: float) -> Array:
@@ -221,15 +219,6 @@ def sharper(settings: Settings, instant: str) -> tuple[Settings, ...]:
     return tuple(
         {**settings, instant: settings[instant] + s * length, "within_s": 0.5 * length} for s in shifts.tolist()
     )
-
-
-def hover_share(signals: Signals, vehicle: Vehicle) -> Array:
-    """Sum of rotor speeds over its value at hover, shape (k,): how much rotor there is to be dragged."""
-    if vehicle.rotors.input == "wrench":
-        return np.ones(len(signals.t_s))
-    speed = np.sqrt(np.maximum(signals.thrust_n, 0.0))
-    hover = vehicle.rotors.count * np.sqrt(vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.rotors.count)
-    return speed.sum(axis=1) / hover
 
 
 def has_rotors(vehicle: Vehicle) -> bool:

@@ -68,6 +68,10 @@ class Columns:
     number: int = field(default_factory=count().__next__)
 
 
+FLIGHTS_OWN = ("accel_bias_x_m_s2", "accel_bias_y_m_s2", "accel_bias_z_m_s2")
+"""Base parameters that flights of one vehicle do not share."""
+
+
 @dataclass(frozen=True, slots=True)
 class Solution:
     """A joint estimate: base parameters first, then the candidates' in order."""
@@ -298,15 +302,42 @@ class Evidence:
         self.flights = tuple(flights)
         self.names = flights[0].names
         self.y = np.concatenate([f.y for f in flights])
-        self.x = np.concatenate([f.x for f in flights])
-        self.z = np.concatenate([f.z for f in flights])
-        self.prior = np.diag(_joint_precision(flights[0])) + lag_split_precision(self.names)
+        own = self.of_each_flight()
+        self.x = np.concatenate(
+            [np.concatenate([f.x for f in flights]), self._each_its_own([f.x[:, own] for f in flights])], axis=1
+        )
+        self.z = np.concatenate(
+            [np.concatenate([f.z for f in flights]), self._each_its_own([f.z[:, own] for f in flights])], axis=1
+        )
+        shared = np.diag(_joint_precision(flights[0])) + lag_split_precision(self.names)
+        repeated = np.tile(np.diag(shared)[own], len(flights) - 1)
+        self.prior = np.block(
+            [
+                [shared, np.zeros((len(shared), len(repeated)))],
+                [np.zeros((len(repeated), len(shared))), np.diag(repeated)],
+            ]
+        )
         self._base = Columns(self.x, self.z, np.zeros(6))
         self._output = Columns(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
         self._products: dict[tuple[int, int], tuple[Array, Array]] = {}
         self._priors: dict[str, Array] = {}
         self.weight = np.ones(len(self.y))
         self.weight = np.minimum(1.0, THRESHOLDS.outlier_std / np.maximum(np.abs(self._plain_remainder()), 1e-9))
+
+    def of_each_flight(self) -> list[int]:
+        """Base parameters that are another on every flight: the accelerometer's biases, which change from power-on to power-on."""
+        return [index for index, name in enumerate(self.names) if name in FLIGHTS_OWN]
+
+    @staticmethod
+    def _each_its_own(columns: Sequence[Array]) -> Array:
+        """Columns by which each flight behind the first departs from it: its own in its own rows, zero elsewhere."""
+        starts = np.cumsum([0, *(len(c) for c in columns)])
+        out = np.zeros((starts[-1], sum(c.shape[1] for c in columns[1:])))
+        at = 0
+        for number, own in enumerate(columns[1:], 1):
+            out[starts[number] : starts[number + 1], at : at + own.shape[1]] = own
+            at += own.shape[1]
+        return out
 
     def _plain_remainder(self) -> Array:
         """What base and known effects leave in the least squares sense: an effect's own rows are not outliers."""
@@ -369,7 +400,9 @@ class Evidence:
                 zx[row, column] += pair[0]
                 zz[row, column] += pair[1]
             zy[row] = self._product(a, self._output, rows)[0][:, 0]
-        inverse = pseudo_inverse(zx, np.sqrt(np.diag(zz)))
+        scale = np.sqrt(np.diag(zz))
+        scale[scale == 0.0] = 1.0  # what no row is of, as another flight's bias, stays as it is
+        inverse = pseudo_inverse(zx, scale)
         return Solution(inverse @ zy, inverse @ zz @ inverse.T, self.x.shape[1])
 
     def _precision(self, chosen: Sequence[tuple[Candidate, Columns]]) -> Array:

@@ -116,7 +116,7 @@ def force_findings(selected: Selected) -> list[Finding]:
     offset = sum(len(candidate.effect.parameters) for candidate, _ in selected.baseline)
     out = []
     for item in selected.named:
-        out.append(_finding(item, selected.solution, offset))
+        out.append(item.measured or _finding(item, selected.solution, offset))
         offset += len(item.candidate.effect.parameters)
     return out
 

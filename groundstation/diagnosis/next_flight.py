@@ -21,7 +21,7 @@ from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.errors import BadInput, Refused
 from groundstation.frames import quat_from_euler
-from groundstation.model.rotors import wrench_matrix
+from groundstation.model.rotors import thrusts_for
 from groundstation.model.signals import Signals
 from groundstation.planning import discriminate
 from groundstation.planning.criteria import inertia_regressor
@@ -161,7 +161,7 @@ def signals_of(vehicle: Vehicle, t_s: Array, motion: RigidMotion) -> Signals:
 
     Thrusts follow by inverse dynamics.
     """
-    thrust = _nominal_wrench(vehicle, motion)[:, 2:] @ np.linalg.pinv(wrench_matrix(vehicle)).T
+    thrust = _nominal_wrench(vehicle, motion)[:, 2:] @ thrusts_for(vehicle).T
     motor = thrust if vehicle.rotors.input == "wrench" else vehicle.motor_for_thrust(thrust)
     load = np.sum(np.maximum(thrust, 0.0) ** 1.5, axis=1)
     hover = vehicle.rotors.count * (vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.rotors.count) ** 1.5

@@ -7,22 +7,29 @@ from dataclasses import replace
 from typing import Any
 
 from groundstation.diagnosis.augmented import known_candidates
-from groundstation.diagnosis.base import base_fit, for_evidence
+from groundstation.diagnosis.base import Base, base_fit, for_evidence
 from groundstation.diagnosis.case import Case, case_of, sensors, thrust_exponent
-from groundstation.diagnosis.comparison import base_covariance
+from groundstation.diagnosis.comparison import base_covariance, flight_parameters
 from groundstation.diagnosis.effect import catalogue
 from groundstation.diagnosis.judging import Judged, judge
 from groundstation.diagnosis.next_flight import rival_entries
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
 from groundstation.diagnosis.screen import dependences
-from groundstation.diagnosis.selection import Progress, Selected, pool_of, select
+from groundstation.diagnosis.selection import Progress, Selected, pool_of, select_beside
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
+from groundstation.diagnosis.unplanned import Told, tell_unplanned
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
+from groundstation.identification.anchoring import anchored, anchored_covariance
 from groundstation.identification.declarations import check_declarations, said_first
+from groundstation.identification.identifiability import unrevealed
+from groundstation.identification.low_frequency import without_plan
 from groundstation.identification.preparation import Prepared
+from groundstation.identification.results import MASS_AND_TENSOR
+from groundstation.identification.unplanned import applies as low_frequencies_apply
+from groundstation.identification.unplanned import by_low_frequencies
 from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
 
 
@@ -60,8 +67,9 @@ def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress:
         case, departure = thrust_exponent(case)
         progress(0.25, "base fit")
         base = base_fit(case)
+        air = [] if case.healthy else tell_unplanned(case.suspects, base.fitted.parameters)
         case = case.map(for_evidence)
-        selected = select(case, base, augmented, progress)
+        selected = select_beside(air, case, base, augmented, progress)
         progress(0.9, "what is left")
         left = dependences(selected.evidence, selected.chosen)
     except Refused as refusal:
@@ -71,10 +79,27 @@ def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress:
         )
     judged = judge(case, selected, kinematic, departure, left, progress)
     progress(1.0, "done")
-    return _diagnosis(name, case, selected, judged)
+    return _with_low_frequencies(_diagnosis(name, case, selected, judged, air), case, base)
 
 
-def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged) -> Diagnosis:
+def _with_low_frequencies(found: Diagnosis, case: Case, base: Base) -> Diagnosis:
+    """Mass and moments as an identification of the same flights tells them, where telemetry without a plan loses the fast torque."""
+    if not low_frequencies_apply(case.suspects):
+        return found
+    low = by_low_frequencies(case.suspects, base.fitted)
+    hidden = unrevealed(low, case.suspects)
+    estimates, constants = anchored(case.vehicle, low.names, low.values, low.covariance)
+    own = {name: value for name, value in estimates.items() if name not in hidden}
+    beside = {name: value for name, value in found.parameters_after.items() if name not in MASS_AND_TENSOR}
+    return replace(
+        found,
+        parameters_before={name: value for name, value in found.parameters_before.items() if name not in hidden},
+        parameters_after={**own, **beside, **constants},
+        covariance_after=anchored_covariance(case.vehicle, low.names, low.values, low.covariance),
+    )
+
+
+def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged, air: Sequence[Told]) -> Diagnosis:
     """All of it as the result that is written and shown."""
     reason = _reason(judged.verdict, judged.findings, judged.unexplained)
     return Diagnosis(
@@ -87,10 +112,11 @@ def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged) -> Dia
         parameters_before=judged.before,
         parameters_after=judged.after,
         covariance_after=base_covariance(selected.evidence, case.vehicle, selected.chosen),
+        by_flight=tuple(flight_parameters(selected.evidence, selected.chosen)) if len(case.suspects) > 1 else (),
         next_flight=_next_flight(judged.findings, judged.unexplained),
         reason=" ".join(filter(None, (judged.worse, reason))),
         warnings=tuple(_warnings(case.suspects)),
-        notes=judged.notes,
+        notes=(*judged.notes, *(told.missed() for told in air if not told.stands)),
         adopted=not judged.worse,
         candidates=tuple(_candidate_entries(case, selected)),
         residual=judged.residual,
@@ -144,7 +170,7 @@ def _by_trim(name: str, case: Case) -> Diagnosis:
             "thrust curve. Yaw alone tells a load from a weak rotor there, and a battery or another day changes it, too; a gyro "
             "and rotor speeds would show inertia, and tell them apart.",
         ),
-        notes=("Prediction and closed-loop simulation are left out: body rates were not measured.",),
+        notes=(*found.notes, "Prediction and closed-loop simulation are left out: body rates were not measured."),
     )
 
 
@@ -177,9 +203,10 @@ def _reason(verdict: str, findings: Sequence[Finding], remaining: Sequence[Unexp
 
 def _warnings(suspects: Sequence[Prepared]) -> list[str]:
     out = []
-    if any(item.planned is None for item in suspects):
+    if any(without_plan(item) for item in suspects):
         out.append(
-            "No plan or setpoints are recorded: without instruments a flexible effect of the inputs can soak up a disturbance."
+            "No plan or setpoints are recorded, and the path flown is no plan: what the controller answers a disturbance with "
+            "can pass for an effect of the inputs. Drag, inflow, lift, flapping and damping are told by past motion instead."
         )
     if any(item.source != "imu" for item in suspects):
         out.append("Rates and accelerations are derived, not measured: small torques cannot be told.")

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.attribution import folds
+from groundstation.diagnosis.attribution import held_out
 from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, weight
 from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
 from groundstation.diagnosis.results import Unexplained
@@ -205,7 +205,7 @@ def _alike(one: tuple[Candidate, Columns], other: tuple[Candidate, Columns]) -> 
 def _held_out_gain(evidence: Evidence, before: Chosen, entry: tuple[Candidate, Columns]) -> float:
     """Fall of the whitened squared residual on blocks no estimate saw when ``entry`` is added."""
     gain = 0.0
-    for train, test in folds(evidence):
+    for train, test in held_out(evidence):
         old = evidence.remainder(before, evidence.solve(before, train))[test]
         new = evidence.remainder([*before, entry], evidence.solve([*before, entry], train))[test]
         gain += float(np.sum(evidence.weight[test] * (old**2 - new**2)))

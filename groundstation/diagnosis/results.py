@@ -70,6 +70,7 @@ class Diagnosis(Tabular):
         error: {"held_out": {"before": {channel: rms}, "after": {...}, "nominal": {...},
             "prediction_0.1_s_before": {quantity: rms}, ..., "simulation_before": {signal: rms}, "simulation_after": {...}}}.
         covariance_after: of mass and tensor with the findings put in, (7, 7) in the order of MASS_AND_TENSOR.
+        by_flight: of several flights, each one's own mass, tensor and parameters of the findings; the anchor's error is left out.
         adopted: whether the findings are put into the estimate; not where they make the prediction worse.
         notes: what these errors are of, and which of them are left out, and why.
         residual: time series that the report draws: "t_s", each channel before, and "channel/after" with the findings.
@@ -92,6 +93,7 @@ class Diagnosis(Tabular):
     notes: tuple[str, ...] = ()
     candidates: tuple[Mapping[str, Any], ...] = ()
     adopted: bool = True
+    by_flight: tuple[Mapping[str, Estimate], ...] = ()
     residual: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
 
     def records(self) -> list[Record]:
@@ -125,6 +127,7 @@ class Diagnosis(Tabular):
             "error": {k: {stage: dict(v) for stage, v in stages.items()} for k, stages in self.error.items()},
             "parameters_before": {k: v.to_dict() for k, v in self.parameters_before.items()},
             "parameters_after": {k: v.to_dict() for k, v in self.parameters_after.items()},
+            "by_flight": [{n: e.to_dict() for n, e in each.items()} for each in self.by_flight],
             "next_flight": self.next_flight,
             "reason": self.reason,
             "declarations": [dict(check) for check in self.declarations],

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.comparison import residual_rms
 from groundstation.diagnosis.discrepancy import Discrepancy
 from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, from_thrust
 from groundstation.diagnosis.evidence import WRENCH_ROW, Candidate, Columns, Evidence
@@ -98,6 +99,9 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
     kept = first.prepared.record.keep
     discrepancy = Discrepancy(evidence)
     solution = evidence.solve(chosen)
+    left = residual_rms(evidence, chosen, solution)
+    scales = {c: THRESHOLDS.material_share * weight * (vehicle.arm_m() if c < 3 else 1.0) for c in first.channels}
+    channels = [c for c in first.channels if left[c] >= scales[c]]  # nothing material can hide in less
     energy = discrepancy.energies(chosen, solution).sum(axis=0) + discrepancy.of_lag(solution)
     lift = from_thrust(vehicle, first.signals.thrust_n)[:, :, None]
     known = [c.effect.wrench(first.signals, vehicle, c.settings) for c, _ in chosen]
@@ -112,7 +116,10 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
         if len(knots) < 4:
             continue
         hats, count = _hats(name, knots), len(knots) - 1
-        for channel, columns in evidence.along(hats).items():
+        by_channel = evidence.along(hats)
+        for channel in channels:
+            if (columns := by_channel.get(channel)) is None:
+                continue
             candidate = Candidate(_probe(name, channel, count), {})
             solution = evidence.solve([*chosen, (candidate, columns)])
             margin = (
@@ -125,8 +132,7 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
             size = _own_size(
                 hats(first.signals), *solution.part(offset, count), explained[:, WRENCH_ROW[channel], :], kept
             )
-            scale = weight * (vehicle.arm_m() if channel < 3 else 1.0)
-            if size < THRESHOLDS.material_share * scale:
+            if size < scales[channel]:
                 continue
             disturbance = disturbance_std(evidence, channel)
             found.append(Dependence(CHANNELS[channel], name, margin, size**2 / (size**2 + disturbance**2)))

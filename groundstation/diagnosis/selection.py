@@ -12,6 +12,7 @@ from groundstation.diagnosis.case import Case
 from groundstation.diagnosis.effect import library, shared_by_healthy
 from groundstation.diagnosis.evidence import Candidate, Evidence, FlightEvidence, Solution
 from groundstation.diagnosis.rivals import Entry
+from groundstation.diagnosis.unplanned import Told
 from groundstation.vehicle import Vehicle
 
 Progress = Callable[[float, str], None]
@@ -38,7 +39,13 @@ class Selected:
         return [*self.baseline, *((n.candidate, n.columns) for n in self.named)]
 
 
-def select(case: Case, base: Base, augmented: tuple[Candidate, ...], progress: Progress) -> Selected:
+def select(
+    case: Case,
+    base: Base,
+    augmented: tuple[Candidate, ...],
+    progress: Progress,
+    settled: frozenset[str] = frozenset(),
+) -> Selected:
     """The effects that stand.
 
     An effect swells the noise it is judged against, and bends the base it is judged about: what was found is kept out of the noise, the
@@ -49,17 +56,45 @@ def select(case: Case, base: Base, augmented: tuple[Candidate, ...], progress: P
         base: the fit to begin about.
         augmented: effects known from an earlier flight.
         progress: told the fraction done and what is being done.
+        settled: effects that are told by other means, and not named here.
     """
-    first = _select(case, base, augmented, (), progress)
+    first = _select(case, base, augmented, (), progress, settled)
     if not first.named:
         return first
     known = tuple(n.candidate for n in first.named)
     about = replace(base, fitted=first.evidence.flights[0].updated_base(base.fitted, first.solution))
-    return _select(case, about, augmented, known, progress)
+    return _select(case, about, augmented, known, progress, settled)
+
+
+def select_beside(
+    air: Sequence[Told], case: Case, base: Base, augmented: tuple[Candidate, ...], progress: Progress
+) -> Selected:
+    """:func:`select` beside what flights without a plan tell by past motion.
+
+    What stands there is there in any case; what was looked for there and does not stand is not named by instruments that feedback
+    bends.
+    """
+    standing = [told for told in air if told.stands and not is_among(told.candidate, augmented)]
+    known = (*augmented, *(told.candidate for told in standing))
+    found = select(case, base, known, progress, frozenset(told.effect.identifier for told in air))
+    own = {id(told.candidate.effect): told for told in standing}
+    baseline = [entry for entry in found.baseline if id(entry[0].effect) not in own]
+    ours = [entry for entry in found.baseline if id(entry[0].effect) in own]
+    named = [
+        Named(candidate, columns, told.wald - told.chance, told.gain, (), told.finding().confidence, told.finding())
+        for candidate, columns in ours
+        for told in [own[id(candidate.effect)]]
+    ]
+    return replace(found, baseline=baseline, named=[*named, *found.named])
 
 
 def _select(
-    case: Case, base: Base, augmented: tuple[Candidate, ...], known: Sequence[Candidate], progress: Progress
+    case: Case,
+    base: Base,
+    augmented: tuple[Candidate, ...],
+    known: Sequence[Candidate],
+    progress: Progress,
+    settled: frozenset[str],
 ) -> Selected:
     """Evidence with a noise model that leaves the known effects out, and what it asks for."""
     progress(0.5, "noise of each channel")
@@ -68,7 +103,11 @@ def _select(
         [FlightEvidence(flight, base.fitted, base.options) for flight in case.healthy],
     )
     vehicle, references = case.suspects[0].record.vehicle, bool(case.healthy)
-    pool = [c for c in pool_of(vehicle, evidence, references=references) if not is_among(c, augmented)]
+    pool = [
+        c
+        for c in pool_of(vehicle, evidence, references=references)
+        if not is_among(c, augmented) and c.identifier not in settled
+    ]
     baseline = _baseline(evidence, vehicle, augmented, references=references)
     selection = Selection(evidence, pool, baseline, lambda f: progress(0.55 + 0.25 * f, "effects one by one"))
     progress(0.8, "selecting")

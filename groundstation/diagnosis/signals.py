@@ -9,7 +9,7 @@ from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import quat_normalise, quat_rotate
 from groundstation.identification.preparation import Prepared
 from groundstation.model.parameters import Parameters
-from groundstation.model.rotors import wrench_matrix
+from groundstation.model.rotors import thrusts_for
 from groundstation.model.signals import Signals
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ def planned_signals(prepared: Prepared, p: Parameters) -> Signals | None:
     rate = plan.rate_rad_s
     torque = plan.angular_acceleration_rad_s2 @ p.tensor + np.cross(rate, rate @ p.tensor)
     wrench = np.concatenate([p.mass_kg * plan.specific_thrust_m_s2[:, None], torque], axis=1)
-    thrust = wrench @ np.linalg.pinv(wrench_matrix(vehicle)).T
+    thrust = wrench @ thrusts_for(vehicle).T
     motor = thrust if vehicle.rotors.input == "wrench" else vehicle.motor_for_thrust(thrust)
     quaternion = quat_normalise(plan.quaternion)
     return Signals(

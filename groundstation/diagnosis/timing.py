@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,7 @@ def lag_findings(evidence: Evidence, solution: Solution) -> list[Finding]:
     covariance = solution.covariance[np.ix_(index, index)]
     at = names.index(SLOPE)
     slope = Estimate.normal(float(p.lag_slope + solution.theta[at]), float(np.sqrt(solution.covariance[at, at])))
-    lags = (declared.up_s, declared.down_s, slope)
+    lags = _Beside(declared.up_s, declared.down_s, slope, float(np.median(np.diff(first.prepared.flight.motors.t_s))))
 
     def wald(part: Sequence[int]) -> float:
         v, c = values[list(part)], covariance[np.ix_(part, part)]
@@ -54,43 +55,63 @@ def lag_findings(evidence: Evidence, solution: Solution) -> list[Finding]:
     if min(only_delay_explains, only_lag_explains) > THRESHOLDS.timing_wald and lag > LAG.least and delay > DELAY.least:
         return [
             _lag(values, covariance, lags, only_lag_explains, (THRESHOLDS.timing_wald - only_lag_explains,)),
-            _delay(delay, covariance[2, 2], only_delay_explains, (THRESHOLDS.timing_wald - only_delay_explains,)),
+            _delay(
+                delay,
+                covariance[2, 2],
+                lags.step_s,
+                only_delay_explains,
+                (THRESHOLDS.timing_wald - only_delay_explains,),
+            ),
         ]
     lead = only_lag_explains - only_delay_explains
     if lead >= 0.0 or delay < DELAY.least:
         alone = _conditional(values, covariance)
         return [_lag(*alone, lags, everything, (chance, -lead), lead < THRESHOLDS.inseparable)]
-    return [_delay(lag + delay, covariance[2, 2], everything, (chance, lead), -lead < THRESHOLDS.inseparable)]
+    close = -lead < THRESHOLDS.inseparable
+    return [_delay(lag + delay, covariance[2, 2], lags.step_s, everything, (chance, lead), close)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Beside:
+    """What stands beside the lags' departures: the declared lags, how the rate goes with the speed, the interval of the commands."""
+
+    up_s: float
+    down_s: float
+    slope: Estimate
+    step_s: float
 
 
 def _lag(
     values: Array,
     covariance: Array,
-    beside: tuple[float, float, Estimate],
+    beside: _Beside,
     gain: float,
     rivals: Sequence[float],
     close: bool = False,
 ) -> Finding:
-    """The finding; ``beside`` the lags' departures stand the declared lags and how the rate goes with the speed."""
-    up, down = values[0] + beside[0], values[1] + beside[1]
+    """The finding; its intervals carry what the interval of the recorded commands leaves open, as those of an identification do."""
+    up, down = float(values[0] + beside.up_s), float(values[1] + beside.down_s)
+    std = np.sqrt(np.diag(covariance))
     return Finding(
         effect=LAG.identifier,
         parameters={
-            NAMES[0]: Estimate.normal(float(up), float(np.sqrt(covariance[0, 0]))),
-            NAMES[1]: Estimate.normal(float(down), float(np.sqrt(covariance[1, 1]))),
-            SLOPE: beside[2],
+            NAMES[0]: Estimate.time(up, float(std[0]), beside.step_s),
+            NAMES[1]: Estimate.time(down, float(std[1]), beside.step_s),
+            SLOPE: beside.slope,
         },
-        evidence=told(LAG.sentence, **{NAMES[0]: float(up), NAMES[1]: float(down)}),
+        evidence=told(LAG.sentence, **{NAMES[0]: up, NAMES[1]: down}),
         confidence=posterior(rivals),
         alternatives=(DELAY.identifier,) if close else (),
         gain=gain,
     )
 
 
-def _delay(value: float, variance: float, gain: float, rivals: Sequence[float], close: bool = False) -> Finding:
+def _delay(
+    value: float, variance: float, step_s: float, gain: float, rivals: Sequence[float], close: bool = False
+) -> Finding:
     return Finding(
         effect=DELAY.identifier,
-        parameters={NAMES[2]: Estimate.normal(float(value), float(np.sqrt(variance)))},
+        parameters={NAMES[2]: Estimate.time(value, float(np.sqrt(variance)), step_s)},
         evidence=told(DELAY.sentence, **{NAMES[2]: float(value)}),
         confidence=posterior(rivals),
         alternatives=(LAG.identifier,) if close else (),

@@ -4,14 +4,14 @@ In the mean a vehicle that hovers or goes back and forth turns and climbs nowher
 torque. What changed since the healthy flights changes the commanded wrench :math:`w = A \bar T(u)` so as to counter it:
 
     rotor i           F, tau_x, tau_y rise by A e_i T_i q, q = loss / (1 - loss); yaw by q + 1 - d of its torque, d the torque per
-                      thrust that is left: 1 for a weak motor, the diameter's share for a shorter propeller (thrust D^4, torque D^5)
+                      thrust that is left: 1 for a weak motor, the diameter's share for a shorter propeller (thrust D^4, torque D^5),
+                      above 1 for one that is taped or chipped
     load at (x, y)    F rises by its weight G, tau_x by +y G, tau_y by -x G, yaw by nothing
 
 Healthy flights differ from each other besides (battery, its place, its voltage). The covariance of that is unknown: it has an
 inverse Wishart prior whose scale the healthy flights choose; integrated out it leaves Student's distribution in all components
 together (Gelman et al., Bayesian Data Analysis, 3.6). The suspect flights were made in one state and count as one more draw, however many they
-are. Every explanation has its marginal likelihood, over all sizes and places it could have, and one prior share; "nothing
-changed" is one of them.
+are. The hypotheses, sets of rotors and places among them, stand in :mod:`.trim_hypotheses`.
 """
 
 from __future__ import annotations
@@ -23,12 +23,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.results import Finding
-from groundstation.diagnosis.rivals import posterior
 from groundstation.diagnosis.sentences import told
 from groundstation.diagnosis.thresholds import THRESHOLDS
+from groundstation.diagnosis.trim_hypotheses import (
+    PAIR,
+    SHOWN,
+    Explanation,
+    Scatter,
+    explanations,
+    healthy_scatter,
+    least_shown,
+    load_somewhere,
+    posteriors,
+    weak_pair,
+    weak_rotor,
+)
 from groundstation.identification.preparation import Prepared
-from groundstation.identification.results import Estimate
-from groundstation.model.rotors import wrench_matrix
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -39,66 +49,19 @@ LOADED = (
 )
 WEAKER = "Compared with the healthy flights, rotor {rotor} is asked for {asked:%|more|less} thrust."
 SHORTER = (
-    "At the same thrust its torque is {ratio:% change|higher|lower}: a shorter propeller with {sure:%} probability."
+    "At the same thrust its torque is {ratio:% change|higher|lower}: a {kind} propeller with {sure:%} probability."
 )
-RIVALS = {"weak_rotor": "a weak rotor", "com_offset": "a shifted centre of mass"}
-SIZES, RATIOS, SCALES, PRIORS = 150, 16, 16, 6
-"""Points of the integrals: over a size, the torque per thrust, the scale of Student's distribution, and of the prior."""
-
-
-@dataclass(frozen=True, slots=True)
-class Scatter:
-    """How trims of a healthy vehicle differ from their mean, components as shares of the weight: a mixture of Student's
-    distributions, ``matrices`` (k, 4, 4) with one number of degrees of freedom and ``shares`` (k,).
-    """
-
-    matrices: Array
-    shares: Array
-    freedom: float
-
-    def log_density(self, left: Array) -> Array:
-        """Of differences (..., 4)."""
-        from scipy.special import gammaln, logsumexp
-
-        count = left.shape[-1]
-        white = left[..., None, None, :] @ np.linalg.cholesky(np.linalg.inv(self.matrices))
-        square = np.sum(white[..., 0, :] ** 2, axis=-1)
-        total = 0.5 * (self.freedom + count)
-        constant = gammaln(total) - gammaln(0.5 * self.freedom) - 0.5 * count * np.log(self.freedom * np.pi)
-        each = constant - 0.5 * np.linalg.slogdet(self.matrices)[1] - total * np.log1p(square / self.freedom)
-        return np.asarray(logsumexp(each + np.log(self.shares), axis=-1), dtype=float)
-
-    def normal_parts(self) -> tuple[Array, Array]:
-        """The same as a mixture of normal distributions: covariances (m, 4, 4) and the logarithms of their shares (m,)."""
-        from scipy.stats import gamma
-
-        middle = (np.arange(SCALES) + 0.5) / SCALES
-        precision = gamma.ppf(middle, 0.5 * self.freedom, scale=2.0 / self.freedom)
-        covariances = self.matrices[:, None] / precision[:, None, None]
-        shares = np.repeat(np.log(self.shares / SCALES), SCALES)
-        return covariances.reshape(-1, *self.matrices.shape[1:]), shares
-
-    def exceeded(self, left: Array) -> float:
-        """Probability that healthy scatter is larger than a difference (4,)."""
-        from scipy.stats import f
-
-        square = np.einsum("i,kij,j->k", left, np.linalg.inv(self.matrices), left)
-        return float(self.shares @ f.sf(square / len(left), len(left), self.freedom))
-
-
-@dataclass(frozen=True, slots=True)
-class Explanation:
-    """An explanation: its marginal log-likelihood, its parameters, and the mean change of wrench it makes (4,).
-
-    ``shorter`` is, of a weak rotor, the probability that its propeller is short and not its motor weak.
-    """
-
-    effect: str
-    evidence: float
-    change: Array
-    parameters: dict[str, Estimate]
-    rotor: int | None = None
-    shorter: float = 0.0
+FAULTS = ("weak_rotor", "com_offset")
+OTHERS = "a difference between two vehicles"
+STRANGE = (
+    "The references may not be of the same vehicle: with {sure:%} probability the difference is as between two individuals of one make. "
+    "Give healthy flights of this very vehicle."
+)
+MISSED = "No fault is shown. The least that would have been: a rotor with {loss:%} less thrust, or a load of {load:g} beside a rotor."
+STRANGE_SHARE = 0.2
+"""Share of the probability from which it is said that the references may be of another vehicle: one in five."""
+LISTED_SHARE = 0.05
+"""Share of the probability from which a rival is listed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +72,7 @@ class Trim:
     before: dict[str, float]
     after: dict[str, float]
     explained: bool
+    notes: tuple[str, ...] = ()
 
 
 def applies(suspects: Sequence[Prepared], references: Sequence[Prepared]) -> bool:
@@ -126,21 +90,48 @@ def compare_trims(suspects: Sequence[Prepared], references: Sequence[Prepared]) 
     suspect, reference = (np.array([mean_thrust(item) for item in group]) for group in (suspects, references))
     healthy = reference.mean(axis=0)
     scale = healthy.sum() * np.array([1.0, *([vehicle.arm_m()] * 2), vehicle.rotors.torque_to_thrust_m or 1.0])
-    matrix = wrench_matrix(vehicle) / scale[:, None]
+    matrix = vehicle.allocation() / scale[:, None]
     suspect, reference = suspect @ matrix.T, reference @ matrix.T
     scatter, changes = healthy_scatter(reference), suspect - reference.mean(axis=0)
-    ranked = sorted(
-        explanations(vehicle, matrix * healthy, changes.mean(axis=0), scatter),
-        key=lambda explanation: -explanation.evidence,
-    )
+    patterns = matrix * healthy
+    ranked, shares = _ranked(explanations(vehicle, patterns, changes.mean(axis=0), scatter))
     best = ranked[0]
-    left = [one - _refitted(best, vehicle, matrix * healthy, rest, scatter) for one, rest in _leave_one_out(changes)]
+    left = [one - _refitted(best, vehicle, patterns, rest, scatter) for one, rest in _leave_one_out(changes)]
     return Trim(
-        () if best.effect == "none" else (_finding(ranked, vehicle, len(reference)),),
+        _findings(ranked, shares, vehicle, len(reference)),
         _rms(changes * scale),
         _rms(np.array(left) * scale),
-        scatter.exceeded(changes.mean(axis=0) - best.change) > THRESHOLDS.trim_healthy_chance,
+        ranked[0].strange < 0.5
+        and scatter.exceeded(changes.mean(axis=0) - best.change) > THRESHOLDS.trim_healthy_chance,
+        tuple(_notes(ranked, shares, vehicle, patterns, scatter)),
     )
+
+
+def _ranked(found: Sequence[Explanation]) -> tuple[list[Explanation], list[float]]:
+    """Explanations and their shares, the likeliest first; a fault before a difference of vehicles, if no healthy scatter makes it.
+
+    A difference of two vehicles may hold a fault as well: which rotor or load would be looked at first is said, with its share.
+    """
+    shares = posteriors(found)
+    order = sorted(range(len(found)), key=lambda index: -shares[index])
+    if found[order[0]].effect == "other":
+        fault = next(index for index in order if found[index].effect in FAULTS)
+        faulty = sum(share for share, each in zip(shares, found, strict=True) if each.effect in FAULTS)
+        if faulty > SHOWN * sum(share for share, each in zip(shares, found, strict=True) if each.effect == "none"):
+            order = [fault, *(index for index in order if index != fault)]
+    return [found[index] for index in order], [shares[index] for index in order]
+
+
+def _notes(
+    ranked: Sequence[Explanation], shares: Sequence[float], vehicle: Vehicle, patterns: Array, scatter: Scatter
+) -> list[str]:
+    """That the references may be of another vehicle, and where nothing is found the least that would have been."""
+    other = sum(share * each.strange for each, share in zip(ranked, shares, strict=True))
+    notes = [told(STRANGE, sure=other)] if other > STRANGE_SHARE else []
+    if ranked[0].effect == "none":
+        loss, load = least_shown(vehicle, patterns, scatter)
+        notes.append(told(MISSED, loss=loss, load=load))
+    return notes
 
 
 def mean_thrust(prepared: Prepared) -> Array:
@@ -155,88 +146,17 @@ def mean_thrust(prepared: Prepared) -> Array:
     return thrust[settled if settled.any() else keep & aloft].mean(axis=0)
 
 
-def healthy_scatter(reference: Array) -> Scatter:
-    """Of a flight of another session about the mean of healthy ones (n, 4), covariance and the prior's scale integrated out."""
-    flights, count = reference.shape
-    apart = reference - reference.mean(axis=0)
-    prior = count + 2  # the fewest degrees of freedom with which the prior has a mean: the square of the scale
-    spread = np.geomspace(*THRESHOLDS.trim_scatter_shares, PRIORS)[:, None, None] ** 2 * np.eye(count) + apart.T @ apart
-    freedom = prior + flights - count
-    return Scatter(spread * (1.0 + 1.0 / flights) / freedom, np.full(PRIORS, 1.0 / PRIORS), float(freedom))
-
-
-def explanations(vehicle: Vehicle, patterns: Array, change: Array, scatter: Scatter) -> list[Explanation]:
-    """All explanations of a change of wrench (4,); ``patterns`` is what each rotor's healthy thrust makes, (4, n)."""
-    nothing = Explanation("none", float(scatter.log_density(change)), np.zeros(4), {})
-    weak = [_weak_rotor(rotor, patterns, change, scatter) for rotor in range(1, patterns.shape[1] + 1)]
-    return [nothing, *weak, _load(vehicle, change, scatter)]
-
-
-def _weak_rotor(rotor: int, patterns: Array, change: Array, scatter: Scatter) -> Explanation:
-    """A weak motor or a shorter propeller, as likely before; all rotors together have the prior share of one explanation."""
-    pattern = patterns[:, rotor - 1]
-    loss = THRESHOLDS.trim_loss_most * np.arange(1, SIZES + 1) / SIZES
-    shorter = (1.0 - THRESHOLDS.trim_propeller_shortest) * np.linspace(0.0, 1.0, RATIOS)
-    prior = np.full(RATIOS, 0.5 / RATIOS)
-    prior[0] += 0.5
-    more = loss / (1.0 - loss)
-    yaw = np.array([0.0, 0.0, 0.0, pattern[3]])
-    left = change - more[:, None, None] * pattern - shorter[None, :, None] * yaw
-    evidence, weight = _integrated(scatter.log_density(left) + np.log(prior) - np.log(SIZES))
-    parameters = {
-        "loss": _moments(weight, np.broadcast_to(loss[:, None], weight.shape)),
-        "torque_to_thrust_ratio": _moments(weight, np.broadcast_to(1.0 - shorter, weight.shape)),
-    }
-    mean = float(np.sum(weight * more[:, None])) * pattern + float(np.sum(weight * shorter)) * yaw
-    return Explanation(
-        "weak_rotor", evidence - np.log(patterns.shape[1]), mean, parameters, rotor, float(np.sum(weight[:, 1:]))
-    )
-
-
-def _load(vehicle: Vehicle, change: Array, scatter: Scatter) -> Explanation:
-    """A load somewhere on the vehicle, its place integrated in closed form."""
-    share = THRESHOLDS.trim_load_most * np.arange(1, SIZES + 1) / SIZES
-    arm = vehicle.arm_m()
-    reach = float(np.max(np.abs(vehicle.rotors.position_m))) + vehicle.rotors.radius_m
-    place = reach**2 / 3.0 / arm**2  # variance of a place anywhere on the vehicle
-    columns = np.zeros((SIZES, 1, 4, 2))
-    columns[:, 0, 2, 0], columns[:, 0, 1, 1] = -share, share  # of x and y, in arms
-    left = change - share[:, None] * np.array([1.0, 0.0, 0.0, 0.0])
-    noise, shares = scatter.normal_parts()
-    covariance = noise + place * (columns @ columns.swapaxes(2, 3))
-    inverse = np.linalg.inv(covariance)
-    square = np.einsum("si,smij,sj->sm", left, inverse, left, optimize=True)
-    density = -0.5 * square - 0.5 * np.linalg.slogdet(2.0 * np.pi * covariance)[1]
-    evidence, weight = _integrated(density + shares - np.log(SIZES))
-    gain = place * columns.swapaxes(2, 3) @ inverse
-    where = np.einsum("smjk,sk->smj", gain, left)
-    spread = place * (1.0 - np.einsum("smjk,smkj->smj", gain, np.broadcast_to(columns, (*gain.shape[:2], 4, 2))))
-    lever = (share / (1.0 + share))[:, None] * arm
-    parameters = {"mass_change_kg": _moments(weight, share[:, None] * vehicle.mass_kg)}
-    for axis, name in enumerate(("com_offset_x_m", "com_offset_y_m")):
-        parameters[name] = _moments(weight, lever * where[..., axis], lever**2 * spread[..., axis])
-    moved = np.einsum("sm,s,smj->j", weight, share, where)
-    mean = np.array([float(np.sum(weight * share[:, None])), moved[1], -moved[0], 0.0])
-    return Explanation("com_offset", evidence, mean, parameters)
-
-
-def _integrated(log_terms: Array) -> tuple[float, Array]:
-    """Log of the sum of exponentials, and each term's share of it."""
-    top = float(log_terms.max())
-    terms = np.exp(log_terms - top)
-    return top + float(np.log(terms.sum())), terms / terms.sum()
-
-
-def _moments(weight: Array, values: Array, variance: Array | float = 0.0) -> Estimate:
-    mean = float(np.sum(weight * values))
-    return Estimate.normal(mean, float(np.sqrt(np.sum(weight * ((values - mean) ** 2 + variance)))))
-
-
 def _refitted(best: Explanation, vehicle: Vehicle, patterns: Array, change: Array, scatter: Scatter) -> Array:
     """The change of wrench that the explanation ``best`` makes when it is fitted to another change."""
-    if best.rotor is not None:
-        return _weak_rotor(best.rotor, patterns, change, scatter).change
-    return best.change if best.effect == "none" else _load(vehicle, change, scatter).change
+    if best.effect == "weak_rotor":
+        one, *more = best.rotors
+        fitted = (
+            weak_pair((one, more[0]), patterns, change, PAIR, scatter)
+            if more
+            else weak_rotor(one, patterns, change, scatter)
+        )
+        return fitted.change
+    return load_somewhere(vehicle, change, scatter).change if best.effect == "com_offset" else best.change
 
 
 def _leave_one_out(changes: Array) -> list[tuple[Array, Array]]:
@@ -250,38 +170,60 @@ def _rms(wrenches: Array) -> dict[str, float]:
     return dict(zip(CHANNELS, map(float, np.sqrt(np.mean(wrenches**2, axis=0))), strict=True))
 
 
-def _finding(ranked: Sequence[Explanation], vehicle: Vehicle, healthy: int) -> Finding:
+def _findings(
+    ranked: Sequence[Explanation], shares: Sequence[float], vehicle: Vehicle, healthy: int
+) -> tuple[Finding, ...]:
+    """What the best explanation names: a load, a rotor, or two; nothing where it is healthy scatter or something else."""
     best, *rivals = ranked
-    behind = [2.0 * (explanation.evidence - best.evidence) for explanation in rivals]
-    near = [
-        s.effect
-        for s, far in zip(rivals, behind, strict=True)
-        if far > -THRESHOLDS.inseparable and s.effect != best.effect
+    if best.effect not in FAULTS:
+        return ()
+    behind = [2.0 * (each.evidence - best.evidence) for each in rivals]
+    near = [each for each, far in zip(rivals, behind, strict=True) if far > -THRESHOLDS.inseparable]
+    alternatives = tuple(dict.fromkeys(each.effect for each in near if each.effect in FAULTS))
+    listed = [
+        f"{_said(each)} ({100.0 * share:.0f} %)"
+        for each, share in zip(rivals, shares[1:], strict=True)
+        if share > LISTED_SHARE
     ]
-    alternatives = tuple(dict.fromkeys(name for name in near if name != "none"))
-    rotor = best.rotor or _nearest_rotor(best, vehicle)
-    said = " or ".join(
-        [*(RIVALS[name] for name in alternatives), *(["a difference between two days"] if "none" in near else [])]
-    )
-    limit = f" With {healthy} healthy flights and no gyro, {said} cannot be excluded." if said else ""
-    return Finding(
-        effect=best.effect,
-        parameters=best.parameters,
-        evidence=f"{_sentence(best, rotor)}{limit}",
-        confidence=posterior(behind),
-        alternatives=alternatives,
-        rotor=rotor,
-        gain=2.0
-        * (best.evidence - next(explanation.evidence for explanation in ranked if explanation.effect == "none")),
+    limit = f" With {healthy} healthy flights and no gyro, {' or '.join(listed)} cannot be excluded." if listed else ""
+    gain = 2.0 * (best.evidence - next(each.evidence for each in ranked if each.effect == "none"))
+    return tuple(
+        Finding(
+            effect=best.effect,
+            parameters={
+                name.removesuffix("/2"): value
+                for name, value in best.parameters.items()
+                if len(best.rotors) < 2 or name.endswith("/2") == (place == 1)
+            },
+            evidence=f"{_sentence(best, place, rotor)}{limit}",
+            confidence=shares[0],
+            alternatives=tuple(name for name in alternatives if name != best.effect),
+            rotor=rotor,
+            gain=gain,
+        )
+        for place, rotor in enumerate(best.rotors or (_nearest_rotor(best, vehicle),))
     )
 
 
-def _sentence(explanation: Explanation, rotor: int) -> str:
+def _said(explanation: Explanation) -> str:
+    """An explanation in a few words."""
+    if explanation.effect == "weak_rotor":
+        rotors = " and ".join(map(str, explanation.rotors))
+        return f"rotor{'s' if len(explanation.rotors) > 1 else ''} {rotors} weaker"
+    words = {"com_offset": "a load", "none": "a difference between two days", "other": OTHERS}
+    return words[explanation.effect]
+
+
+def _sentence(explanation: Explanation, place: int, rotor: int) -> str:
     if explanation.effect == "com_offset":
         return told(LOADED, rotor=str(rotor), mass_change_kg=explanation.parameters["mass_change_kg"].value)
-    loss, ratio = explanation.parameters["loss"].value, explanation.parameters["torque_to_thrust_ratio"].value
+    suffix = "/2" if place else ""
+    loss = explanation.parameters[f"loss{suffix}"].value
+    ratio = explanation.parameters[f"torque_to_thrust_ratio{suffix}"].value
     text = told(WEAKER, rotor=str(rotor), asked=loss / (1.0 - loss))
-    return f"{text} {told(SHORTER, ratio=ratio, sure=explanation.shorter)}" if explanation.shorter > 0.5 else text
+    sure = explanation.ratio_off[place]
+    kind = "shorter" if ratio < 1.0 else "taped or chipped"
+    return f"{text} {told(SHORTER, ratio=ratio, sure=sure, kind=kind)}" if sure > 0.5 else text
 
 
 def _nearest_rotor(load: Explanation, vehicle: Vehicle) -> int:

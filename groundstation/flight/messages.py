@@ -15,8 +15,9 @@ WAY = "the trajectory is flown "
 IN_FLIGHT = "the vehicle is armed and in flight"
 """Begins the sentence in which a link refuses a vehicle that somebody left in the air."""
 
-CommandName = Literal["start", "land", "abort", "kill"]
-"""``start``, ``land`` and ``kill`` (rotors off, it falls) belong to the holder of the lease; ``abort`` to everyone."""
+CommandName = Literal["start", "agree", "land", "abort", "kill"]
+"""``start``, ``agree`` (to what is proposed, ``CoreStatus.until``), ``land`` and ``kill`` (rotors off, it falls) belong to the holder of the
+lease; ``abort`` to everyone."""
 
 
 class CoreCommand(msgspec.Struct, frozen=True):
@@ -78,6 +79,45 @@ class CheckStatus(msgspec.Struct, frozen=True):
     text: str
 
 
+class KnownStatus(msgspec.Struct, frozen=True):
+    """One parameter of a flight that lasts until it is known; None where the motion has not revealed it.
+
+    Attributes:
+        spent, at_any_time: half width over target, by the interval whose error is spent over the rest points, and by the one that holds at
+            every moment; 1 or less is met.
+        seconds: of excitation until the first is met, as it goes.
+    """
+
+    spent: float | None
+    at_any_time: float | None
+    seconds: float | None
+
+
+class UntilStatus(msgspec.Struct, frozen=True):
+    """Of a flight that lasts until it is known.
+
+    Attributes:
+        parameters: by name.
+        text: how it stands, as a sentence.
+        proposal: what the operator may agree to now; empty where there is nothing, or the station decides by itself.
+        length_s, at_most_s: of the excitation as it stands, and at the most.
+    """
+
+    parameters: dict[str, KnownStatus]
+    text: str
+    proposal: str
+    length_s: float
+    at_most_s: float
+
+
+class SuspectStatus(msgspec.Struct, frozen=True):
+    """What the diagnosis of the flight so far holds for likely: an effect, its odds, and what it cannot be told from yet."""
+
+    effect: str
+    odds: float
+    alternatives: tuple[str, ...] = ()
+
+
 class CoreStatus(msgspec.Struct, frozen=True):
     """What every view shows; published about ten times a second and on every change of phase.
 
@@ -94,7 +134,11 @@ class CoreStatus(msgspec.Struct, frozen=True):
         table: the newest estimates: parameter -> (nominal, estimate, low, high), absent numbers NaN.
         notes: the last sentences of the flight's log.
         checks: the preflight so far, item by item.
+        signals: the newest value of every recorded signal, as ``stream/column``.
+        mocap: what the motion capture's client told last: its server's clock, rate and latency, or what is wrong.
         clock_s: stamp of motion capture minus that of the IMU at one instant, (estimate, half its 95 % interval).
+        until: of a flight that lasts until it is known; None for any other, and before its excitation.
+        suspects: by the diagnosis of the first ``suspects_s`` seconds of excitation; empty before the first, and where nothing is likely.
     """
 
     flight: str
@@ -124,4 +168,9 @@ class CoreStatus(msgspec.Struct, frozen=True):
     table: dict[str, tuple[float, float, float, float]] = {}
     notes: tuple[str, ...] = ()
     checks: tuple[CheckStatus, ...] = ()
+    signals: dict[str, float] = {}
     clock_s: tuple[float, float] | None = None
+    until: UntilStatus | None = None
+    suspects: tuple[SuspectStatus, ...] = ()
+    suspects_s: float = 0.0
+    mocap: str = ""

@@ -229,6 +229,7 @@ class Sequence:
         since_s: when it came there.
         plan_s: duration of the path that was planned.
         started: the vehicle was told to start and has not been seen landed since.
+        excited: the excitation began: what was flown of it is analysed, however the flight ends.
         aborting: why the flight is being ended early; empty if it is not.
         exit_status: of the process, once final.
         reason: the sentence that explains the final phase.
@@ -238,6 +239,7 @@ class Sequence:
     since_s: float = 0.0
     plan_s: float = 0.0
     started: bool = False
+    excited: bool = False
     aborting: str = ""
     exit_status: int | None = None
     reason: str = ""
@@ -296,7 +298,7 @@ def _abort(state: Sequence, reason: str, now_s: float, *, rotors_off: bool = Fal
     kill = Action(Do.KILL, reason)
     if state.phase in (Phase.LANDED, Phase.IDENTIFYING):
         # On the ground with the recording closed: only the analysis is given up.
-        why = f"the analysis was given up: {reason}"
+        why = "; ".join(filter(None, (state.aborting, f"the analysis was given up: {reason}")))
         actions = ((kill,) if rotors_off else ()) + (Action(Do.FINISH, why),)
         return _enter(state, Phase.ABORTED, now_s, *actions, exit_status=FlightAborted.exit_status, reason=why)
     if not state.started:
@@ -352,6 +354,10 @@ def _overdue(state: Sequence, now_s: float) -> Result | None:
 
 
 def _finish(state: Sequence, exit_status: int, reason: str, now_s: float) -> Result:
+    if state.aborting:  # what was flown has been analysed; it is an aborted flight all the same
+        why = f"{state.aborting}; of what was flown: {reason}" if reason else state.aborting
+        finish = Action(Do.FINISH, why)
+        return _enter(state, Phase.ABORTED, now_s, finish, exit_status=FlightAborted.exit_status, reason=why)
     return _enter(state, Phase.DONE, now_s, Action(Do.FINISH, reason), exit_status=exit_status, reason=reason)
 
 
@@ -395,7 +401,7 @@ def _checked(state: Sequence, event: Event, now_s: float) -> Result:
 
 def _airborne(state: Sequence, event: Event, now_s: float) -> Result:
     if isinstance(event, VehicleExciting) and state.phase is Phase.AIRBORNE:
-        return _enter(state, Phase.EXCITING, now_s)
+        return _enter(state, Phase.EXCITING, now_s, excited=True)
     if isinstance(event, LandRequested):
         return _enter(state, Phase.LANDING, now_s, Action(Do.LAND))
     return _coming_down(state, event, now_s)
@@ -424,7 +430,7 @@ def _landing(state: Sequence, event: Event, now_s: float) -> Result:
 
 
 def _landed(state: Sequence, now_s: float) -> Result:
-    if state.aborting:
+    if state.aborting and not state.excited:
         return _aborted(state, state.aborting, now_s)
     landed, _ = _enter(state, Phase.LANDED, now_s, started=False)
     return landed, (Action(Do.CLOSE_RECORDING), Action(Do.ANALYSE))

@@ -5,14 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from groundstation.errors import BadInput
 from groundstation.outside import read_toml
 from groundstation.paths import find_config
+from groundstation.vehicle import Until
 
 Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
+Vector3 = tuple[float, float, float]
 ActionName = Literal["hold", "land", "kill"]
 
 
@@ -92,37 +94,105 @@ class Policy(_Section):
     trajectory: Literal["auto", "setpoints"] = "auto"
 
 
+class MarkerCalibration(_Section):
+    """How the marker body sits on the vehicle, as ``groundstation calibrate`` measured it; SI, body axes.
+
+    Attributes:
+        body: name of the marker body that was measured.
+        measured: day, "2026-11-29".
+        position_m, position_std_m: its origin from the IMU.
+        rotation_rad, rotation_std_rad: rotation vector from its axes to the body's.
+        tilt_rad: of the poses' world against gravity, about x and y.
+        scale: the poses' metre is this much too long, as a share.
+        delay_s, delay_std_s: how much later than the exposure stamps are, beyond what the protocol tells.
+    """
+
+    body: str
+    measured: str
+    position_m: Vector3
+    position_std_m: Vector3 = (0.001, 0.001, 0.001)
+    rotation_rad: Vector3
+    rotation_std_rad: Vector3 = (0.002, 0.002, 0.002)
+    tilt_rad: tuple[float, float] = (0.0, 0.0)
+    scale: Annotated[float, Field(gt=-0.5, lt=1.0)] = 0.0
+    delay_s: Annotated[float, Field(ge=-0.2, le=0.2)] = 0.0
+    delay_std_s: NonNegative = 0.0
+
+
 class MocapSource(_Section):
     """Where poses come from, and how they are passed on to the vehicle.
 
     Attributes:
-        system: which client; ``none`` without motion capture.
-        host: of its server.
-        body: name of the rigid body (its number for NatNet).
+        system: which protocol; ``none`` without motion capture.
+        host: of its server, with ``:port`` where that is not the usual one.
+        body: name or number of the rigid body; the topic for ros2, the system id for mavlink.
+        up: the axis that points up in the system's world.
         needed_hz: preflight refuses below this.
         to_vehicle_hz: rate of poses to the vehicle's estimator; 0 sends none.
         std_m, std_rad: what the estimator is told of their accuracy.
+        latency_s: how much later than its exposure a pose is stamped; declared to the estimator indoors. Each flight with poses
+            measures it and says the line to write.
+        calibration: how the marker body sits; None takes it for the vehicle's declared tracked point.
     """
 
-    system: Literal["none", "natnet", "qtm", "vicon", "vrpn", "optitrack"] = "none"
+    system: Literal["none", "natnet", "qtm", "vicon", "vrpn", "zenoh", "ros2", "mavlink"] = "none"
     host: str = "127.0.0.1"
     body: str = "1"
+    up: Literal["y", "z"] = "z"
     needed_hz: Positive = 50.0
     to_vehicle_hz: NonNegative = 50.0
     std_m: Positive = 0.005
     std_rad: Positive = 0.01
+    latency_s: Annotated[float, Field(ge=0.0, le=0.25)] = 0.0
+    calibration: MarkerCalibration | None = None
+
+    @field_validator("system", mode="before")
+    @classmethod
+    def _maker(cls, value: object) -> object:
+        """OptiTrack is what speaks NatNet."""
+        return "natnet" if value == "optitrack" else value
+
+    @model_validator(mode="after")
+    def _of_this_body(self) -> MocapSource:
+        if self.calibration is not None and self.calibration.body != self.body:
+            raise ValueError(
+                f"calibration is of body '{self.calibration.body}', body is '{self.body}': calibrate it, or delete the section"
+            )
+        return self
 
 
 class Station(_Section):
-    """A station file."""
+    """A station file.
+
+    Attributes:
+        indoors: the vehicle's estimator flies by the poses, without satellites. Left out, it is so where poses are sent to it;
+            false leaves the poses to the recording, and the vehicle to its own estimate.
+        until: how long flights last where that is decided in flight; the vehicle file's goes before it.
+    """
 
     schema_version: str = Field(default="groundstation.station/1", alias="schema")
     name: str = "default"
     system: Annotated[int, Field(ge=1, le=255)] | None = None  # the vehicle's MAVLink system id; None: the first heard
+    indoors: bool | None = None
     box: Box = Box()
     guard: GuardLimits = GuardLimits()
     policy: Policy = Policy()
     mocap: MocapSource = MocapSource()
+    until: Until | None = None
+
+    @model_validator(mode="after")
+    def _poses_indoors(self) -> Station:
+        if self.indoors and (self.mocap.system == "none" or not self.mocap.to_vehicle_hz):
+            raise ValueError(
+                "indoors = true needs poses for the vehicle: name the [mocap] system, with to_vehicle_hz above 0"
+            )
+        return self
+
+    @property
+    def flies_by_poses(self) -> bool:
+        """Whether the vehicle's estimator is to use the poses."""
+        sent = self.mocap.system != "none" and self.mocap.to_vehicle_hz > 0.0
+        return sent if self.indoors is None else self.indoors
 
 
 def station_from_dict(document: dict, source: str = "station") -> Station:

@@ -21,7 +21,7 @@ CORE_CONNECT_S = 15.0
 
 # Core: the vehicle's process
 
-VEHICLE_START_S = 90.0
+VEHICLE_START_S = 120.0
 """For the vehicle's process to appear: the simulator's first start on a machine compiles it."""
 VEHICLE_SILENT_S = 10.0
 """Silence of a vehicle's process that cannot be replaced, until it is given up: a busy machine stalls it for seconds."""
@@ -87,8 +87,9 @@ LOG_FETCH_WAIT_S = 0.005
 
 VEHICLE_HEARD_S = 45.0
 """For the first heartbeat: an autopilot that was just powered boots for half a minute."""
-VEHICLE_READY_S = 45.0
-"""After it, for parameters and rates: a slow line carries a thousand parameters in that time."""
+VEHICLE_READY_S = 75.0
+"""After it, for parameters and rates: a slow line carries a thousand parameters in half of that; indoors the autopilot may have to be
+started again, and its estimator to take the poses."""
 LANDED_STATE_S = 1.5
 """For the vehicle to say whether it is on the ground, where it was found armed."""
 LOG_FETCH_HEARD_S = 15.0
@@ -101,6 +102,14 @@ TAKEN_OVER_HOLD_S = 60.0
 """How long a vehicle found in flight is held before it is landed."""
 PARAMETERS_RESTORED_S = 5.0
 """For the parameters to be put back at the end."""
+RESTART_BEGUN_S = 3.0
+"""After a restart was accepted: until then an autopilot that is about to go may still be heard."""
+RESTARTED_S = 25.0
+"""For its first heartbeat after that."""
+POSES_FUSED_S = 20.0
+"""For an estimator to take external poses: ArduPilot's aligns its yaw first, PX4's resets to them within seconds."""
+POSES_STEADY_S = 3.0
+"""How long it must have used them, its own checks passed: PX4's fail for a second or two after the reset."""
 
 # Link: orders and answers
 
@@ -121,3 +130,12 @@ SCRIPT_HEARD_S = 5.0
 SCRIPT_SILENT_S = 2.0
 """Silence of the script on board that counts as its end. Reports come ten times a second; on a telemetry radio one in a second may get
 through."""
+
+UNTIL_AHEAD_S = 1.0
+"""Before a rest point, when it is decided whether the excitation ends there: time for the order to arrive."""
+UNTIL_SIMULATED_AHEAD_S = 0.2
+"""The same where simulated time stands still until the order is answered."""
+UNTIL_PREVIEW_S = 1.0
+"""Between two looks that only the screen gets."""
+SUSPECTS_EVERY_S = 5.0
+"""Between two diagnoses of a flight while it flies."""

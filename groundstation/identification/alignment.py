@@ -174,10 +174,10 @@ def _turning_and_force(
 
     rate = np.stack([np.interp(grid, motion.t_s, c) for c in motion.rate.T], axis=-1)
     made = interpolate_columns(grid + centre, inputs.start_s, inputs.step_s, wrench)
-    torque = passed(made[:, 1:] @ np.linalg.inv(vehicle.inertia_tensor()))[:, :2]
+    torque = passed(made[:, 3:] @ np.linalg.inv(vehicle.inertia_tensor()))[:, :2]
     turning = passed(np.gradient(rate, STEP_S, axis=0))[:, :2]
     up = np.nan_to_num(np.interp(grid, motion.t_s, motion.force[:, 2]))[:, None]
-    return (turning, torque), (passed(up), passed(made[:, :1]))
+    return (turning, torque), (passed(up), passed(made[:, 2:3]))
 
 
 LATE_S = 0.01

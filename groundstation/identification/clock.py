@@ -30,12 +30,14 @@ def coarse_offset(
     *,
     expected_s: float = 0.0,
     source: str = "motion capture",
+    by_size: bool = False,
 ) -> tuple[float, float]:
     """Pose stamp minus gyro stamp of one instant, to a few milliseconds, by correlating smoothed rates.
 
     Args:
         expected_s: centre of the search, e.g. from arrival times; the search goes as far as half of each record overlaps.
         source: of the attitudes, for the refusal.
+        by_size: compare how fast both turn, not about which axes: for a marker body that is mounted anyhow.
 
     Returns:
         Offset in seconds and the correlation coefficient there.
@@ -43,35 +45,17 @@ def coarse_offset(
     Raises:
         Refused: the records share no motion to align by.
     """
-    from scipy.signal import butter, correlate, sosfiltfilt
-
     pose_rate, t_mid = rates_from_attitude(t_pose, quaternion)
+    if by_size:
+        gyro, pose_rate = (np.linalg.norm(rate, axis=1, keepdims=True) for rate in (gyro, pose_rate))
     step = 1.0 / GRID_HZ
     grid_g = np.arange(t_gyro[0], t_gyro[-1], step)
     grid_p = np.arange(t_mid[0], t_mid[-1], step)
     if min(len(grid_g), len(grid_p)) < GRID_HZ:
         raise Refused("the clocks cannot be aligned: a record is shorter than a second.", "Record the whole flight.")
-    low_pass = butter(4, SMOOTHING_HZ, fs=GRID_HZ, output="sos")
-
-    def smooth(grid: Array, t: Array, rate: Array) -> Array:
-        on_grid = np.stack([np.interp(grid, t, c) for c in rate.T], axis=-1)
-        limit = 8.0 * np.median(np.abs(on_grid), axis=0) + 0.5
-        return sosfiltfilt(low_pass, np.clip(on_grid, -limit, limit), axis=0)
-
-    a, b = smooth(grid_g, t_gyro, gyro), smooth(grid_p, t_mid, pose_rate)
-    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
-    total = np.asarray(sum(correlate(b[:, i], a[:, i], method="fft") for i in range(3)))
-    lags = np.arange(-(len(a) - 1), len(b))
-    # energies of the overlapping parts, so that a short overlap is not punished or favoured by its length
-    ones_a, ones_b = np.ones(len(a)), np.ones(len(b))
-    energy = np.sqrt(
-        np.maximum(correlate((b**2).sum(axis=1), ones_a, method="fft"), 0.0)
-        * np.maximum(correlate(ones_b, (a**2).sum(axis=1), method="fft"), 0.0)
-    )
-    overlap = correlate(ones_b, ones_a, method="fft")
-    enough = overlap > 0.5 * min(len(a), len(b))
-    coefficient = np.where(enough, total / np.maximum(energy, 1e-9 * energy.max() + 1e-30), -1.0)
-    offsets = lags * step + grid_p[0] - grid_g[0]
+    a, b = _smooth_rates(grid_g, t_gyro, gyro), _smooth_rates(grid_p, t_mid, pose_rate)
+    total, coefficient = _correlation(a, b)
+    offsets = np.arange(-(len(a) - 1), len(b)) * step + grid_p[0] - grid_g[0]
     # Far from what arrival times say, the evidence has to be better: a periodic excitation repeats itself.
     score = coefficient - 0.02 * np.abs(offsets - expected_s)
     best = int(np.argmax(score))
@@ -80,12 +64,42 @@ def coarse_offset(
             f"the clocks of {source} and IMU cannot be aligned: their rates correlate by {coefficient[best]:.2f} at best.",
             "Fly with rotation about at least one axis, and check that both streams are of the same vehicle.",
         )
-    if 0 < best < len(total) - 1:
-        y0, y1, y2 = total[best - 1 : best + 2]
-        shift = 0.5 * (y0 - y2) / (y0 - 2 * y1 + y2) if y0 - 2 * y1 + y2 < 0 else 0.0
-    else:
-        shift = 0.0
-    return float(offsets[best] + shift * step), float(coefficient[best])
+    return float(offsets[best] + _peak_shift(total, best) * step), float(coefficient[best])
+
+
+def _smooth_rates(grid: Array, t: Array, rate: Array) -> Array:
+    """Rates on a grid, clipped where they stray, low-passed without phase and without their mean."""
+    from scipy.signal import butter, sosfiltfilt
+
+    on_grid = np.stack([np.interp(grid, t, c) for c in rate.T], axis=-1)
+    limit = 8.0 * np.median(np.abs(on_grid), axis=0) + 0.5
+    low_pass = butter(4, SMOOTHING_HZ, fs=GRID_HZ, output="sos")
+    smooth = sosfiltfilt(low_pass, np.clip(on_grid, -limit, limit), axis=0)
+    return smooth - smooth.mean(axis=0)
+
+
+def _correlation(a: Array, b: Array) -> tuple[Array, Array]:
+    """Correlation of b with a at every lag, and its coefficient; -1 where less than half of the shorter one overlaps."""
+    from scipy.signal import correlate
+
+    total = np.asarray(sum(correlate(b[:, i], a[:, i], method="fft") for i in range(a.shape[1])))
+    # The energies are those of the overlapping parts, so that the length of an overlap counts neither for nor against it.
+    ones_a, ones_b = np.ones(len(a)), np.ones(len(b))
+    energy = np.sqrt(
+        np.maximum(correlate((b**2).sum(axis=1), ones_a, method="fft"), 0.0)
+        * np.maximum(correlate(ones_b, (a**2).sum(axis=1), method="fft"), 0.0)
+    )
+    overlap = correlate(ones_b, ones_a, method="fft")
+    enough = overlap > 0.5 * min(len(a), len(b))
+    return total, np.where(enough, total / np.maximum(energy, 1e-9 * energy.max() + 1e-30), -1.0)
+
+
+def _peak_shift(values: Array, best: int) -> float:
+    """How far the peak of the parabola through three values lies from the middle one, in steps."""
+    if not 0 < best < len(values) - 1:
+        return 0.0
+    y0, y1, y2 = values[best - 1 : best + 2]
+    return 0.5 * (y0 - y2) / (y0 - 2 * y1 + y2) if y0 - 2 * y1 + y2 < 0 else 0.0
 
 
 def fine_offset(t_gyro: Array, gyro: Array, t_pose: Array, quaternion: Array, coarse_s: float) -> float:

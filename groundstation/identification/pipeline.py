@@ -30,6 +30,8 @@ from groundstation.identification.predictive_choice import physical_model, predi
 from groundstation.identification.preparation import Prepared, damping_terms, prepare_all
 from groundstation.identification.record_model import BodyWrench, DynamicRecord, RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification, MethodResult
+from groundstation.identification.unplanned import LOW, LOW_NOTE, LOW_REASON, by_low_frequencies
+from groundstation.identification.unplanned import applies as low_frequencies_apply
 from groundstation.identification.validation import validate
 from groundstation.model.disturbance import TurningDisturbance, pooled, three, turning
 from groundstation.model.parameters import FitOptions, Parameters
@@ -181,8 +183,7 @@ def curve_terms(prepared: Prepared, p: Parameters) -> list[BodyWrench]:
     matrix = wrench_matrix(vehicle)
     terms = []
     for power, (name, declared) in enumerate(zip(CURVE, vehicle.rotors.thrust_curve or (), strict=True)):
-        value = np.zeros((len(lagged), 6))
-        value[:, 2:] = lagged**power @ matrix.T
+        value = lagged**power @ matrix.T
         span = max(abs(declared), 0.2 * vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.rotors.count)
         terms.append(BodyWrench(name, value, prior_std=span))
     return terms
@@ -213,11 +214,12 @@ def identify(
     checks = check_declarations(flights[0])
     prepared = prepare_all(flights, exclude)
     fitted = fit_dynamics(prepared, progress)
-    best = fitted.best
+    low = by_low_frequencies(prepared, fitted.best) if low_frequencies_apply(prepared) else None
+    best = fitted.best if low is None else low
     vehicle = prepared[0].record.vehicle
     combinations = revealed(fitted.models, vehicle, fitted.options)
     hidden = never_moved(combinations) | unrevealed(best, prepared)
-    if fitted.instrumental is None:
+    if fitted.instrumental is None or low is not None:
         hidden |= unphysical(best, prepared)
     else:
         hidden |= unsettled(fitted.instrumental, fitted.filter_error)
@@ -228,6 +230,9 @@ def identify(
     found = {"OE": oe, "FE": fitted.filter_error} | ({} if fitted.instrumental is None else {"IV": fitted.instrumental})
     methods |= {name: _result(fitted, fit, hidden, _METHOD_NOTES[name]) for name, fit in found.items()}
     name, reason = fitted.best_name, _reason(fitted)
+    if low is not None:
+        name, reason = LOW, LOW_REASON
+        methods[name] = _result(fitted, low, hidden, LOW_NOTE)
     warnings = [*said_first(checks), *([] if partial is None else [partial])]
     trouble = physically_consistent(methods[name].parameters)
     if trouble:
@@ -344,12 +349,7 @@ def _disagreement(first: Fitted, second: Fitted) -> tuple[str, float]:
 
 
 def _model(fit: Fitted, prepared: Prepared) -> dict[str, Estimate]:
-    """The other parameters of the model, those that mean something for this vehicle.
-
-    When within an interval of recorded commands h one took effect, and by which steps an autopilot or simulator runs a lag, no record
-    says: a lag tau in Euler steps of h acts as one of -h / ln(1 - h / tau), about tau - h / 2. Lag and dead time carry that as an error
-    that is uniform over h.
-    """
+    """The other parameters of the model, those that mean something for this vehicle."""
     h = float(np.median(np.diff(prepared.flight.motors.t_s)))
     out: dict[str, Estimate] = {}
     for name in fit.names:
@@ -359,7 +359,7 @@ def _model(fit: Fitted, prepared: Prepared) -> dict[str, Estimate]:
         if name in CURVE:
             value += (prepared.record.vehicle.rotors.thrust_curve or (0.0, 0.0, 0.0))[CURVE.index(name)]
         if name in _TIMES:
-            out[name] = _time(value, float(np.hypot(std, h / np.sqrt(12.0))))
+            out[name] = Estimate.time(value, std, h)
         else:
             out[name] = Estimate.normal(value, std)
     if prepared.compatibility is not None:
@@ -373,17 +373,11 @@ def _model(fit: Fitted, prepared: Prepared) -> dict[str, Estimate]:
             if name.startswith(kinds):
                 out[name] = Estimate.normal(found.values[name], found.std[name])
         if prepared.clock is not None:
-            out["stamp_jitter_s"] = _time(found.values["stamp_jitter_s"], found.std["stamp_jitter_s"])
+            out["stamp_jitter_s"] = Estimate.time(found.values["stamp_jitter_s"], found.std["stamp_jitter_s"])
     return out
 
 
 _TIMES = ("input_delay_s", "rotor_lag_up_s", "rotor_lag_down_s")
-
-
-def _time(value: float, std: float) -> Estimate:
-    """A lag or delay, which is not negative, nor is its interval."""
-    low = max(0.0, value - 1.96 * std)
-    return Estimate(max(value, 0.0), std, (low, max(low, value + 1.96 * std)))
 
 
 def _disturbance(models: Sequence[RecordModel], fit: Fitted, options: FitOptions) -> TurningDisturbance:

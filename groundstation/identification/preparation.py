@@ -325,7 +325,9 @@ def _from_imu(flight: FlightData, imu: Stream, pose: Stream | None, state: Strea
         )  # fmt: skip
         v, s = compatibility.values, compatibility.std
         if not fixed_clock:
-            clock = Clock(v["mocap_minus_imu_s"], s["mocap_minus_imu_s"], v["clock_drift"], s["clock_drift"])
+            told = (None, None) if flight.online is None else flight.online.at(0.5 * float(t[0] + t[-1]))
+            clock = Clock(v["mocap_minus_imu_s"], s["mocap_minus_imu_s"], v["clock_drift"], s["clock_drift"], *told)
+            notes += _disagreement(clock)
         rate = gyro - np.array([v[f"gyro_bias_{a}_rad_s"] for a in "xyz"])
         force = accel - np.array([v[f"accel_bias_{a}_m_s2"] for a in "xyz"])
         bias_std = np.array([s[f"accel_bias_{a}_m_s2"] for a in "xyz"])
@@ -339,6 +341,17 @@ def _from_imu(flight: FlightData, imu: Stream, pose: Stream | None, state: Strea
     if np.any(lever != 0.0):
         force = force - _lever_arm(t, rate, lever)
     return _Motion(t, rate, force, smooth, "imu", imu.rate_hz(), causal, bias_std, compatibility, clock)
+
+
+def _disagreement(clock: Clock) -> list[str]:
+    """What to say where the clocks of the link and of the motion differ by more than both allow."""
+    if clock.agrees is not False or clock.online_s is None or clock.online_error_s is None:
+        return []
+    return [
+        f"The link had motion capture {1e3 * clock.online_s:+.2f} +- {1e3 * clock.online_error_s:.2f} ms from the IMU, the motion says "
+        f"{1e3 * clock.mocap_minus_imu_s:+.2f} +- {1.96e3 * clock.std_s:.2f} ms: the stamps have a delay that the link does not know "
+        "(`groundstation calibrate` measures it). The motion's was used."
+    ]
 
 
 def _aligned(flight: FlightData, imu: Stream, pose: Stream, notes: list[str]) -> tuple[Stream | None, float]:

@@ -118,6 +118,7 @@ _POSITION = (
     "mocap_tilt_x_rad", "mocap_tilt_y_rad",
 )  # fmt: skip
 _POSITION_PRIOR = np.array([0.2, 3e-3, *[0.5] * 3, *[0.3] * 3, *[0.1] * 2])
+_SCALE, _SCALE_PRIOR = "mocap_scale", 0.2
 
 
 def reconstruct(
@@ -131,6 +132,7 @@ def reconstruct(
     offset_s: float,
     gravity_m_s2: float,
     mocap_rotation_rad: Array,
+    scale: bool = False,
 ) -> Compatibility:
     """Estimate the kinematic errors of a flight and its smoothed motion.
 
@@ -139,12 +141,13 @@ def reconstruct(
         t_pose: stamps, shape (m,); position (m, 3) and quaternion (m, 4) of the marker body.
         offset_s: coarse pose stamp minus IMU stamp.
         mocap_rotation_rad: declared rotation vector from the body to the marker frame.
+        scale: also estimate by how much the poses' metre is too short (``mocap_scale``), taking the accelerometer's for right.
     """
     recording = _Recording(
         t_imu, gyro, accel, t_pose, position, quaternion, quat_exp(mocap_rotation_rad), 0.5 * (t_imu[0] + t_imu[-1])
     )
     attitude = align_attitude(recording, offset_s)
-    found = align_position(recording, attitude, gravity_m_s2)
+    found = align_position(recording, attitude, gravity_m_s2, scale=scale)
     errors = attitude.errors
     names, theta, covariance = _combine(
         np.array([errors.offset_s, errors.drift, *errors.gyro_bias, *errors.rotation, *errors.gyro_scale]),
@@ -154,7 +157,7 @@ def reconstruct(
         errors.offset_s,
     )
     std = np.sqrt(np.diag(covariance))
-    prior = np.concatenate([_ATTITUDE_PRIOR, _POSITION_PRIOR[2:]])
+    prior = np.concatenate([_ATTITUDE_PRIOR, _POSITION_PRIOR[2:], [_SCALE_PRIOR]])[: len(names)]
     jitter_s, jitter_std_s = attitude.stamp_jitter_s
     return Compatibility(
         names=names,
@@ -274,7 +277,7 @@ def _attitude_columns(
             -rate_world[:, :, None],
             (-rate_world * (tk - recording.middle_s)[:, None])[:, :, None],
             -_interpolate(tk, t_imu, drifted).reshape(-1, 3, 3),
-            r_poses,
+            r_poses @ matrix_from_quat(recording.alignment),  # the rotation is about the marker frame's declared axes
             -_interpolate(tk, t_imu, scaled).reshape(-1, 3, 3),
         ],
         axis=2,
@@ -376,7 +379,9 @@ def _position_columns(
 
 def _fitted_position(error: Array, columns: Array, dt: Array, noise: Array) -> tuple[Array, Array, Array, Array]:
     """Values, covariance, residual (n, 3) and noise after three rounds of fit and noise model."""
-    values, covariance, residual = np.zeros(len(_POSITION)), np.eye(len(_POSITION)), error
+    count = columns.shape[2]
+    prior = np.append(_POSITION_PRIOR, _SCALE_PRIOR)[:count]
+    values, covariance, residual = np.zeros(count), np.eye(count), error
     for _ in range(3):
         noise = _position_noise(residual, dt, noise)
         tight = noise.copy()
@@ -387,14 +392,16 @@ def _fitted_position(error: Array, columns: Array, dt: Array, noise: Array) -> t
         ]
         e = np.concatenate([p[0] for p in parts])
         s = np.concatenate([p[1] for p in parts])
-        fit = _whitened_fit(e[:, 0], e[:, 1:], s, _POSITION_PRIOR)
+        fit = _whitened_fit(e[:, 0], e[:, 1:], s, prior)
         values, covariance = fit.values, fit.covariance
         residual = error - columns @ values
     return values, covariance, residual, noise
 
 
-def align_position(recording: _Recording, attitude: AttitudeFit, gravity_m_s2: float) -> PositionFit:
-    """Accelerometer bias, lever arm and tilt of the world from positions and specific force."""
+def align_position(
+    recording: _Recording, attitude: AttitudeFit, gravity_m_s2: float, *, scale: bool = False
+) -> PositionFit:
+    """Accelerometer bias, lever arm and tilt of the world from positions and specific force; the poses' scale where asked."""
     t_imu = recording.t_imu
     tk = attitude.errors.stamps(recording, attitude.kept)
     dt = np.concatenate([[0.0], np.diff(tk)])
@@ -403,16 +410,21 @@ def align_position(recording: _Recording, attitude: AttitudeFit, gravity_m_s2: f
     error = recording.position[attitude.kept] - _interpolate(tk, t_imu, path)
     noise = _position_noise(error, dt)
     _, _, states, _, _ = position_filter(error, dt, noise)
-    # from the past alone: a velocity that knows this pose's noise would pull the clock towards it
+    # from the past alone: a velocity or place that knows this pose's noise would pull clock and scale towards it
     expected = states[:-1, 1, :] + dt[1:, None] * states[:-1, 2, :]
     velocity = _interpolate(tk, t_imu, speed) + np.concatenate([states[:1, 1, :], expected])
     columns = _position_columns(recording, attitude, tk, velocity, gravity_m_s2)
+    if scale:
+        ahead = states[:-1, 0, :] + dt[1:, None] * states[:-1, 1, :] + 0.5 * dt[1:, None] ** 2 * states[:-1, 2, :]
+        place = _interpolate(tk, t_imu, path) + np.concatenate([states[:1, 0, :], ahead])
+        columns = np.concatenate([columns, (place - place.mean(axis=0))[:, :, None]], axis=2)
     values, covariance, residual, noise = _fitted_position(error, columns, dt, noise)
     _, _, states, pf, pp = position_filter(residual, dt, noise)
     smooth = position_smoother(dt, states, pf, pp)
     named = columns.copy()
     named[:, :, _CLOCK] = 0.0  # clock terms move stamps, not the vehicle
     named[:, :, _LEVER] = 0.0  # neither does the lever arm
+    named[:, :, len(_POSITION) :] = 0.0  # nor the poses' scale
     shift = named @ values
     slope = np.gradient(shift, tk, axis=0) if len(tk) > 2 else np.zeros_like(shift)
 
@@ -495,7 +507,7 @@ def _combine(
     # Gyro and accelerometer chains may lag differently: where the two disagree, the interval says so (Birge ratio).
     disagreement = position[:2] @ np.linalg.solve(p_attitude[:2, :2] + p_position[:2, :2], position[:2]) / 2.0
     covariance_clock = covariance_clock * max(1.0, float(disagreement)) + cross + cross.T
-    names = (*_ATTITUDE, *_POSITION[2:])
+    names = (*_ATTITUDE, *_POSITION[2:], *[_SCALE] * (len(position) - len(_POSITION)))
     theta = np.concatenate([clock, attitude[2:], position[2:]])
     covariance = np.zeros((len(names), len(names)))
     na = len(_ATTITUDE)

@@ -1,9 +1,9 @@
 """The predicted rates and specific forces of one recorded flight, and their sensitivities to the parameters.
 
-    omega(t) = omega(0) + J^-1 H(t),    H = integral of (tau(T) - c x T e_z - omega x J omega)
-    f(t) = (T e_z + extra forces) / m + b
+    omega(t) = omega(0) + J^-1 H(t),    H = integral of (tau(T) - c x F(T) - omega x J omega)
+    f(t) = (F(T) + extra forces) / m + b
 
-T are rotor thrusts behind a lag and a delay. omega x J omega uses the measured rates, whose noise is a part in a thousand
+T are rotor thrusts behind a lag and a delay, F and tau what they make along their axes. omega x J omega uses the measured rates, whose noise is a part in a thousand
 there. Sensitivities are analytic; those of lag and delay are differences of the exact lag. Everything is linear in running
 integrals, so those are averaged to the fit's rate once.
 """
@@ -89,7 +89,7 @@ class BodyWrench:
 
 @dataclass(frozen=True, slots=True)
 class Predicted:
-    """A record's outputs at given parameters: thrusts on the motors' grid, wrench and impulse in blocks, rates, forces."""
+    """A record's outputs at given parameters: thrusts on the motors' grid, wrench and impulse (blocks, 6), rates, forces."""
 
     on_grid: tuple[Array, Array]
     wrench: Array
@@ -102,7 +102,7 @@ class RecordModel:
     """Predicted outputs of one record and their sensitivities, at the fit's rate. Built once per flight; pure in the parameters.
 
     Attributes:
-        matrix: from rotors' thrusts to [F_z, tau], (4, n).
+        matrix: from rotors' thrusts to body force and torque, (6, n).
         t_s, dt, restart: blocks of averaged samples, shape (blocks,); ``restart`` marks the first of a segment.
         rate, force: measured, averaged, (blocks, 3).
         elapsed_s: time since the record's start, (blocks,). gyroscopic: see :meth:`integrated_gyroscopic`.
@@ -122,6 +122,7 @@ class RecordModel:
         self.planned = planned
         self.extra = tuple(extra)
         self.matrix = wrench_matrix(record.vehicle)
+        self._made = np.flatnonzero(self.matrix.any(axis=1))  # upright rotors make no force along x and y
         self._members, self.restart = _blocks(record)
         self._step = np.concatenate([[0.0], np.diff(record.t_s)])
         self.t_s = self.average(record.t_s[:, None])[:, 0]
@@ -170,18 +171,20 @@ class RecordModel:
         return total / self._members.shape[1]
 
     def on_grid(self, up_s: float, down_s: float, slope: float) -> tuple[Array, Array]:
-        """[F_z, tau] by the declared constants behind a lag and its running integral, on the motors' grid, (k, 4) each."""
+        """What rotors make by the declared constants behind a lag and its running integral, on the motors' grid, (k, rows) each."""
         motors = self.record.motors
-        wrench = declared_thrust(self.record.vehicle, motors.lagged(up_s, down_s, slope)) @ self.matrix.T
+        wrench = declared_thrust(self.record.vehicle, motors.lagged(up_s, down_s, slope)) @ self.matrix[self._made].T
         held = not motors.measured and up_s <= 1e-6 and down_s <= 1e-6
         return wrench, cumulative(wrench, motors.step_s, held=held)
 
     def thrusts(self, on_grid: tuple[Array, Array], delay_s: float) -> tuple[Array, Array]:
-        """The same later by a delay, averaged over the blocks, (blocks, 4) each."""
+        """The same later by a delay, averaged over the blocks: force and torque, (blocks, 6) each."""
         motors = self.record.motors
         position = (self.record.t_s - delay_s - motors.start_s) / motors.step_s
-        wrench, impulse = on_grid
-        return _block_means(wrench, position, self._members), _block_means(impulse, position, self._members)
+        means = np.zeros((2, len(self._members), 6))
+        for mean, values in zip(means, on_grid, strict=True):
+            mean[:, self._made] = _block_means(values, position, self._members)
+        return means[0], means[1]
 
     def _predict(self, p: Parameters) -> Predicted:
         if self._last is not None and self._last[0] is p:
@@ -189,11 +192,10 @@ class RecordModel:
         on_grid = self.on_grid(p.lag_up_s, p.lag_down_s, p.lag_slope)
         wrench, impulse = self.thrusts(on_grid, p.delay_s)
         entries = np.array([p.tensor[i, j] for i, j in PAIRS])
-        torque = impulse[:, 1:] - (self.gyroscopic.reshape(-1, len(PAIRS)) @ entries).reshape(-1, 3)
-        torque[:, :2] += np.stack([-p.com_m[1], p.com_m[0]]) * impulse[:, :1]
+        torque = impulse[:, 3:] - (self.gyroscopic.reshape(-1, len(PAIRS)) @ entries).reshape(-1, 3)
+        torque -= np.cross(p.com_m, impulse[:, :3])
         torque[:, 2] += p.yaw_trim_nm * self.elapsed_s
-        force = np.zeros((len(wrench), 3))
-        force[:, 2] = wrench[:, 0]
+        force = wrench[:, :3].copy()
         for coefficient, (integral, push) in zip(p.extra, self.extra_means, strict=True):
             torque += coefficient * (integral[:, 3:] - np.cross(p.com_m, integral[:, :3]))
             force += coefficient * push

@@ -14,7 +14,9 @@ Rippin (1993), Computers & Chemical Engineering 17. Here phi is a hat over two b
 is the difference of two consecutive means of the measured rates over h: noise and vibration above 1/h average out, and no
 signal is differentiated. Hats follow each other at h, which is a new row, hence a new estimate, 12.5 times a second.
 
-The information matrix sum G^T G and the vector sum G^T y grow by each row and shrink by the row that leaves the memory.
+All that rows say of the parameters is kept as the triangular square root of their information, [R z], with R^T R = sum G^T G and
+R theta = z; each row is rotated in (Bierman 1977, Factorization Methods for Discrete Sequential Estimation, ch. IV), which keeps the
+digits that the normal equations would square away.
 Rows overlap and disturbances are coloured, so the covariance is that of :mod:`uncertainty`, from the spectrum of the
 residuals where the regressor listens; it is renewed every fifth row, because it costs most. After T seconds a spectral
 average over 0.5 Hz holds K = 0.5 Hz T ordinates, one of which the fit has taken out: the covariance is multiplied by
@@ -32,6 +34,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored
@@ -139,8 +142,7 @@ class RecursiveEstimator:
         self._rows = self._appended = self._renew_at = 0
         self._gamma = np.zeros((MEMORY, 4, 10))
         self._upsilon = np.zeros((MEMORY, 4))
-        self._information = np.zeros((10, 10))
-        self._vector = np.zeros(10)
+        self._root: Array = np.zeros((11, 11))
         self._covariance = np.zeros((10, 10))
 
     def rest(self, imu: Array) -> None:
@@ -250,25 +252,26 @@ class RecursiveEstimator:
             self._gamma[: self._rows] = self._gamma[-self._rows :].copy()
             self._upsilon[: self._rows] = self._upsilon[-self._rows :].copy()
             kept = self._gamma[: self._rows].reshape(-1, 10)
-            self._information = kept.T @ kept
-            self._vector = self._upsilon[: self._rows].reshape(-1) @ kept
+            self._root = _triangle(np.column_stack([kept, self._upsilon[: self._rows].reshape(-1)]))
         self._gamma[self._rows], self._upsilon[self._rows] = gamma, upsilon
         self._rows += 1
         self._appended += 1
-        self._information += gamma.T @ gamma
-        self._vector += upsilon @ gamma
+        self._root = _triangle(np.concatenate([self._root, np.column_stack([gamma, upsilon])]))
 
     def _estimate(self) -> RecursiveEstimate | None:
-        size = np.sqrt(np.diag(self._information))
+        """From the square root of the information: [R z; 0 e] with R'R = Gamma' Gamma and R theta = z (Bierman 1977, ch. IV)."""
+        root, z = self._root[:10, :10], self._root[:10, 10]
+        size = np.linalg.norm(root, axis=0)
         if not (size > 0.0).all():
             return None
-        scaled = self._information / np.outer(size, size)
-        if np.linalg.eigvalsh(scaled)[0] < 1e-9:
+        scaled = root / size
+        if np.linalg.svd(scaled, compute_uv=False)[-1] ** 2 < 1e-9:
             return None
-        theta = np.linalg.solve(scaled, self._vector / size) / size
+        theta = solve_triangular(scaled, z) / size
         if self._appended >= self._renew_at:
             self._renew_at = self._appended + COVARIANCE_EVERY
-            self._covariance = self._spread(np.linalg.inv(scaled) / np.outer(size, size), theta)
+            inverse = solve_triangular(scaled, np.eye(10))
+            self._covariance = self._spread(inverse @ inverse.T / np.outer(size, size), theta)
         values, covariance = theta[[9, *range(6)]], self._covariance[np.ix_([9, *range(6)], [9, *range(6)])]
         parameters, _ = anchored(self._vehicle, ("mass_kg", *TENSOR), values, covariance)
         shown = {
@@ -326,3 +329,8 @@ def _few_seconds(length_s: float) -> float:
     ordinates = max(2.0 * SMOOTHING_HZ * length_s, 1.5)
     quantile = float(stdtrit(2.0 * (ordinates - 1.0), 0.975))
     return ordinates / (ordinates - 1.0) * (quantile / 1.959964) ** 2
+
+
+def _triangle(rows: Array) -> Array:
+    """R of rows = Q R: what they say of the unknowns, in as many rows as there are columns."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.model.disturbance import TurningDisturbance
 from groundstation.tabular import Record, Tabular
+
+if TYPE_CHECKING:  # numba takes a second to import, and only the type is needed
+    from groundstation.model.disturbance import TurningDisturbance
 
 Array = NDArray[np.float64]
 
@@ -36,6 +38,18 @@ class Estimate:
     def normal(cls, value: float, std: float) -> Estimate:
         """With a Gaussian interval."""
         return cls(float(value), float(std), (float(value - 1.959964 * std), float(value + 1.959964 * std)))
+
+    @classmethod
+    def time(cls, value: float, std: float, step_s: float = 0.0) -> Estimate:
+        """A lag or delay, which is not negative, nor is its interval.
+
+        When within an interval of recorded commands ``step_s`` one took effect, and by which steps an autopilot or simulator runs a
+        lag, no record says: a lag tau in Euler steps of h acts as one of -h / ln(1 - h / tau), about tau - h / 2. Lag and dead time
+        carry that as an error that is uniform over the interval.
+        """
+        std = float(np.hypot(std, step_s / np.sqrt(12.0)))
+        low = max(0.0, value - 1.96 * std)
+        return cls(max(value, 0.0), std, (low, max(low, value + 1.96 * std)))
 
     def to_dict(self) -> dict[str, Any]:
         """JSON form of docs/formats.md."""
@@ -95,12 +109,24 @@ class Revealed:
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """Motion-capture stamp minus IMU stamp of one instant, at the middle of the flight, and its drift (s/s)."""
+    """Motion-capture stamp minus IMU stamp of one instant, at the middle of the flight, and its drift (s/s).
+
+    ``online_s`` within ``online_error_s`` is what the link knew of it in flight, without looking at the motion; None where it told nothing.
+    """
 
     mocap_minus_imu_s: float
     std_s: float
     drift: float = 0.0
     drift_std: float = 0.0
+    online_s: float | None = None
+    online_error_s: float | None = None
+
+    @property
+    def agrees(self) -> bool | None:
+        """Whether both intervals meet; None without the link's."""
+        if self.online_s is None or self.online_error_s is None:
+            return None
+        return abs(self.online_s - self.mocap_minus_imu_s) <= self.online_error_s + 1.959964 * self.std_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +212,9 @@ class Identification(Tabular):
                 "std_s": clock.std_s,
                 "drift": clock.drift,
                 "drift_std": clock.drift_std,
+                "online_s": clock.online_s,
+                "online_error_s": clock.online_error_s,
+                "online_agrees": clock.agrees,
             },
             "not_identifiable": list(self.not_identifiable),
             "remedies": dict(self.not_identifiable),

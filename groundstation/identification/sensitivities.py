@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.model.parameters import BASIS, TENSOR, FitOptions, Parameters, free_entries
+from groundstation.model.rotors import thrusts_for
 
 if TYPE_CHECKING:
     from groundstation.identification.record_model import Predicted, RecordModel
@@ -43,7 +44,7 @@ class Point:
 
     @property
     def impulse(self) -> Array:
-        """Running integral of the rotors' total thrust, (blocks,)."""
+        """Running integral of the rotors' force, (blocks, 3)."""
         raise NotImplementedError
 
 
@@ -56,8 +57,8 @@ class Measured(Point):
 
     @property
     def impulse(self) -> Array:
-        """Of the predicted thrust."""
-        return self.prediction.impulse[:, 0]
+        """Of the predicted force."""
+        return self.prediction.impulse[:, :3]
 
     @property
     def lag_step_s(self) -> float:
@@ -69,11 +70,8 @@ class Measured(Point):
         p, wrench = self.p, self.prediction.wrench
         other = self.model.thrusts(on_grid, delay_s)
         impulse = (other[1] - self.prediction.impulse) / step
-        torque = impulse[:, 1:].copy()
-        torque[:, :2] += np.stack([-p.com_m[1], p.com_m[0]]) * impulse[:, :1]
-        force = self.blank.copy()
-        force[:, 2] = (other[0] - wrench)[:, 0] / step / p.mass_kg
-        return torque @ self.inverse.T, force
+        torque = impulse[:, 3:] - np.cross(p.com_m, impulse[:, :3])
+        return torque @ self.inverse.T, (other[0] - wrench)[:, :3] / step / p.mass_kg
 
     def other_lag(self, *, up_s: float = 0.0, down_s: float = 0.0, slope: float = 0.0) -> Pair:
         """Per unit of a lag or its slope, by one step of it."""
@@ -95,14 +93,14 @@ class Planned(Point):
             raise ValueError("no planned motion was given for this record")
         plan = self.plan = model.planned
         rate = plan.rate_rad_s
-        self.thrust = p.mass_kg * plan.specific_thrust_m_s2[:, None]
-        torque = plan.angular_acceleration_rad_s2 @ p.tensor + np.cross(rate, rate @ p.tensor)
-        self.wrench = np.concatenate([self.thrust, torque], axis=1)
+        self.wrench = np.zeros((len(rate), 6))
+        self.wrench[:, 2] = p.mass_kg * plan.specific_thrust_m_s2
+        self.wrench[:, 3:] = plan.angular_acceleration_rad_s2 @ p.tensor + np.cross(rate, rate @ p.tensor)
 
     @cached_property
     def impulse(self) -> Array:
         """Of the planned thrust."""
-        return self.model.integrated(self.thrust)[:, 0]
+        return self.model.integrated(self.wrench[:, :3])
 
     @cached_property
     def mean_rate(self) -> Array:
@@ -116,18 +114,18 @@ class Planned(Point):
 
     @cached_property
     def slope(self) -> Array:
-        """Rate of change of the planned wrench, (k, 4)."""
+        """Rate of change of the planned wrench, (k, 6)."""
         return np.asarray(np.gradient(self.wrench, self.model.record.t_s, axis=0), dtype=float)
 
     @cached_property
     def to_rotors(self) -> Array:
-        """From wrench to rotors' thrusts, (4, n)."""
-        return np.asarray(np.linalg.pinv(self.model.matrix).T, dtype=float)
+        """From [F_z, tau] to rotors' thrusts, (4, n)."""
+        return thrusts_for(self.model.record.vehicle).T
 
     @cached_property
     def by_rotor(self) -> Array:
         """Rate of change of each rotor's thrust, (k, n)."""
-        return self.slope @ self.to_rotors
+        return self.slope[:, 2:] @ self.to_rotors
 
     @cached_property
     def rising(self) -> Array:
@@ -140,9 +138,9 @@ class Planned(Point):
         return self.behind_lag(np.minimum(self.by_rotor, 0.0), self.p.lag_down_s)
 
     def later(self, values: Array) -> Pair:
-        """What a wrench (k, 4) that is taken away changes."""
-        mean = self.model.integrated(values)
-        return -mean[:, 1:] @ self.inverse.T, self.along(2, -self.model.average(values)[:, 0] / self.p.mass_kg)
+        """What a wrench (k, 6) that is taken away changes."""
+        mean = self.model.integrated(values[:, 3:])
+        return -mean @ self.inverse.T, -self.model.average(values[:, :3]) / self.p.mass_kg
 
     def later_rotors(self, thrusts: Array) -> Pair:
         """The same of rotors' thrusts (k, n)."""
@@ -172,7 +170,7 @@ def _planned_entry(index: int) -> Callable[[Planned], Pair]:
 
 def _planned_slope(at: Planned) -> Pair:
     p, model = at.p, at.model
-    asked = at.wrench @ at.to_rotors + np.where(at.by_rotor > 0.0, p.lag_up_s, p.lag_down_s) * at.by_rotor
+    asked = at.wrench[:, 2:] @ at.to_rotors + np.where(at.by_rotor > 0.0, p.lag_up_s, p.lag_down_s) * at.by_rotor
     above = model.record.vehicle.motor_for_thrust(asked) / model.record.motors.hover - 1.0
     change = p.lag_up_s * at.behind_lag(above * at.rising, p.lag_up_s)
     change += p.lag_down_s * at.behind_lag(above * at.falling, p.lag_down_s)
@@ -188,8 +186,8 @@ def _accel_bias(axis: int) -> Callable[[Point], Pair]:
 
 
 EITHER: dict[str, Callable[[Point], Pair]] = {
-    "com_offset_x_m": lambda at: (at.along(1, at.impulse) @ at.inverse.T, at.blank),
-    "com_offset_y_m": lambda at: (at.along(0, -at.impulse) @ at.inverse.T, at.blank),
+    "com_offset_x_m": lambda at: (-np.cross(np.eye(3)[0], at.impulse) @ at.inverse.T, at.blank),
+    "com_offset_y_m": lambda at: (-np.cross(np.eye(3)[1], at.impulse) @ at.inverse.T, at.blank),
     "yaw_trim_nm": lambda at: (at.along(2, at.model.elapsed_s) @ at.inverse.T, at.blank),
     "accel_bias_x_m_s2": _accel_bias(0),
     "accel_bias_y_m_s2": _accel_bias(1),
@@ -209,7 +207,7 @@ MEASURED: dict[str, Callable[[Measured], Pair]] = {
 }
 
 PLANNED: dict[str, Callable[[Planned], Pair]] = {
-    "mass_kg": lambda at: (at.blank, at.along(2, -at.model.average(at.thrust)[:, 0] / at.p.mass_kg**2)),
+    "mass_kg": lambda at: (at.blank, -at.model.average(at.wrench[:, :3]) / at.p.mass_kg**2),
     **{name: _planned_entry(index) for index, name in enumerate(TENSOR)},
     "input_delay_s": lambda at: at.later(at.slope),
     "rotor_lag_s": lambda at: at.later_rotors(at.rising + at.falling),

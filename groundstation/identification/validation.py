@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import NotIdentifiable
-from groundstation.flightdata import FlightData
+from groundstation.flightdata import FlightData, Stream
 from groundstation.frames import euler_from_quat, quat_conjugate, quat_exp, quat_multiply, quat_rotate
 from groundstation.identification.processing import clean, excitation_window, interpolate, process_flight, slerp
 from groundstation.identification.results import MASS_AND_TENSOR, OUTPUTS, MethodResult, Validation
 from groundstation.identification.seed import Regression, filtered_regression, standard_regression
 from groundstation.identification.wrench import declared_wrench, held_mean
-from groundstation.model.closed_loop import STEP_S, Conditions, Wrench, simulate_closed_loop
+from groundstation.model.closed_loop import STEP_S, ClosedLoop, Conditions, Wrench, simulate_closed_loop
 from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle
 
@@ -123,24 +124,10 @@ def closed_loop_validation(
         missing = "poses" if flight.mocap is None else "a known start of the excitation"
         raise NotIdentifiable(f"A closed-loop comparison needs {missing}.", "Record it, or validate by output error.")
     conditions = conditions or Conditions(pose_hz=flight.mocap.rate_hz())
-    poses, motors = clean(flight.mocap), clean(flight.motors)
-    stamps = poses.t_s - mocap_minus_imu_s
-    start = max(flight.window_s[0] - SETTLE_S, stamps[0], motors.t_s[0])
-    end = min(flight.window_s[1], stamps[-1], motors.t_s[-1])
-    t = np.asarray(start + STEP_S * np.arange(int((end - start) / STEP_S)), dtype=float)
-    flown = _flown(flight.vehicle, t, stamps, poses.values)
-    wrench = declared_wrench(flight.vehicle, motors, flight.battery, t)
-    window = excitation_window(flight)
-    used = (t >= window[0]) & (t <= window[1])
-    for first, last in exclude:
-        used &= (t < first) | (t > last)
-
+    flown = _Flown.of(flight, flight.mocap, flight.window_s, mocap_minus_imu_s, exclude)
     rms = {}
     for name, values in sets.items():
-        upper = [values[key] for key in MASS_AND_TENSOR[1:]]
-        tensor = np.zeros((3, 3))
-        tensor[np.triu_indices(3)] = upper
-        tensor = tensor + tensor.T - np.diag(np.diag(tensor))
+        tensor = _tensor(values)
         if np.linalg.eigvalsh(tensor)[0] <= 0.0 or values["mass_kg"] <= 0.0:
             continue
         simulated = simulate_closed_loop(
@@ -148,30 +135,79 @@ def closed_loop_validation(
             plan.series(),
             mass_kg=values["mass_kg"],
             inertia=tensor,
-            start_s=start - flight.window_s[0],
-            duration_s=float(t[-1] - start),
-            initial=_start_state(t, flown),
+            start_s=flown.t_s[0] - flight.window_s[0],
+            duration_s=float(flown.t_s[-1] - flown.t_s[0]),
+            initial=_start_state(flown.t_s, flown.pose),
             conditions=conditions,
             wrench=(wrenches or {}).get(name),
         )
-        k = min(len(t), len(simulated.t_s))
-        # Both wrenches hold until their next value, so both are averaged over the same cells.
-        applied = held_mean(simulated.t_s, simulated.t_s, simulated.wrench)
-        error = np.column_stack([simulated.position_m, simulated.euler_rad, applied])[:k]
-        error = np.column_stack([flown, wrench])[:k] - error
-        error[:, 5] = np.angle(np.exp(1j * error[:, 5]))
-        error = error[used[:k]]
-        if not np.isfinite(error).all():
-            continue
-        rms[name] = dict(zip(CLOSED_LOOP_SIGNALS, map(float, np.sqrt(np.mean(error**2, axis=0))), strict=True))
+        error = flown.error(simulated)
+        if np.isfinite(error).all():
+            rms[name] = dict(zip(CLOSED_LOOP_SIGNALS, map(float, np.sqrt(np.mean(error**2, axis=0))), strict=True))
     left_out = [name for name in sets if name not in rms]
     note = "The declared controller on the plan, section IV-A's sampling and limits."
     if left_out:
         note += f" Left out, because no body has such a tensor or the loop diverges with it: {', '.join(left_out)}."
-    return Validation("closed_loop", rms, int(np.count_nonzero(used)), note)
+    return Validation("closed_loop", rms, int(np.count_nonzero(flown.used)), note)
 
 
-def _flown(vehicle: Vehicle, t_s: Array, stamps_s: Array, poses: Array) -> Array:
+@dataclass(frozen=True, slots=True)
+class _Flown:
+    """The flight on the simulation's grid.
+
+    Attributes:
+        t_s: instants, from before the excitation, shape (k,).
+        pose: position of the origin (m) and roll, pitch, yaw (rad), shape (k, 6).
+        wrench: declared, N and N m, shape (k, 4).
+        used: whether an instant is compared, shape (k,).
+    """
+
+    t_s: Array
+    pose: Array
+    wrench: Array
+    used: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls,
+        flight: FlightData,
+        mocap: Stream,
+        window_s: tuple[float, float],
+        mocap_minus_imu_s: float,
+        exclude: Sequence[tuple[float, float]],
+    ) -> _Flown:
+        """From what was recorded."""
+        poses, motors = clean(mocap), clean(flight.motors)
+        stamps = poses.t_s - mocap_minus_imu_s
+        start = max(window_s[0] - SETTLE_S, stamps[0], motors.t_s[0])
+        end = min(window_s[1], stamps[-1], motors.t_s[-1])
+        t = np.asarray(start + STEP_S * np.arange(int((end - start) / STEP_S)), dtype=float)
+        window = excitation_window(flight)
+        used = (t >= window[0]) & (t <= window[1])
+        for first, last in exclude:
+            used &= (t < first) | (t > last)
+        wrench = declared_wrench(flight.vehicle, motors, flight.battery, t)
+        return cls(t, _pose(flight.vehicle, t, stamps, poses.values), wrench, used)
+
+    def error(self, simulated: ClosedLoop) -> Array:
+        """Flown less simulated, the instants in use, in the order of ``CLOSED_LOOP_SIGNALS``."""
+        k = min(len(self.t_s), len(simulated.t_s))
+        # Both wrenches hold until their next value, so both are averaged over the same cells.
+        applied = held_mean(simulated.t_s, simulated.t_s, simulated.wrench)
+        error = np.column_stack([simulated.position_m, simulated.euler_rad, applied])[:k]
+        error = np.column_stack([self.pose, self.wrench])[:k] - error
+        error[:, 5] = np.angle(np.exp(1j * error[:, 5]))
+        return error[self.used[:k]]
+
+
+def _tensor(values: Mapping[str, float]) -> Array:
+    """The symmetric tensor of a parameter set, shape (3, 3)."""
+    tensor = np.zeros((3, 3))
+    tensor[np.triu_indices(3)] = [values[key] for key in MASS_AND_TENSOR[1:]]
+    return tensor + tensor.T - np.diag(np.diag(tensor))
+
+
+def _pose(vehicle: Vehicle, t_s: Array, stamps_s: Array, poses: Array) -> Array:
     """Position of the origin and roll, pitch, yaw at the grid times, shape (k, 6)."""
     mounting = vehicle.mocap
     q = quat_multiply(slerp(t_s, stamps_s, poses[:, 3:7]), quat_conjugate(quat_exp(np.asarray(mounting.rotation_rad))))

@@ -103,44 +103,40 @@ def simulate_closed_loop(
         state[:3], state[8] = wanted[0, :3], wanted[0, 9]
     else:
         state = np.array(initial, dtype=float)
-    control, limits = vehicle.control, vehicle.limits
-    gains = np.array(
-        [control.position_p, control.position_i, control.position_d,
-         control.attitude_p, control.attitude_i, control.attitude_d]
-    )  # fmt: skip
-    rotor_max = vehicle.rotor_thrust_max_n() if conditions.rotor_level else np.inf
-    allocation = np.ascontiguousarray(vehicle.allocation())
     tensor = np.ascontiguousarray(inertia, dtype=float)
-    thrust_max = limits.thrust_max_n or vehicle.rotor_thrust_max_n() * vehicle.rotors.count
+    plant = (float(mass_kg), tensor, np.ascontiguousarray(np.linalg.inv(tensor)))
+    believed, gains, limits, allocation, rates = _control_law(vehicle, conditions)
+    mixer = np.ascontiguousarray(vehicle.mixing())
     push = np.zeros((len(t), 6))
     for turn in range(1 if wrench is None else ROUNDS):
-        states, wrenches = fly(
-            wanted,
-            state,
-            push,
-            np.array([vehicle.mass_kg, vehicle.gravity_m_s2, control.derivative_filter_rad_s]),
-            gains,
-            float(mass_kg),
-            tensor,
-            np.ascontiguousarray(np.linalg.inv(tensor)),
-            np.array([thrust_max, limits.torque_max_nm or np.inf, rotor_max]),
-            allocation,
-            np.ascontiguousarray(np.linalg.pinv(allocation)),
-            np.array([conditions.pose_hz, conditions.imu_hz]),
-            STEP_S,
-        )
+        states, wrenches = fly(wanted, state, push, believed, gains, *plant, limits, allocation, mixer, rates, STEP_S)
         flown = ClosedLoop(t, states[:, :3], states[:, 6:9], states[:, 3:6], states[:, 9:], wrenches)
         if wrench is not None and turn < ROUNDS - 1:
             push = np.ascontiguousarray(np.nan_to_num(wrench(_signals(vehicle, flown))))
     return flown
 
 
+def _control_law(vehicle: Vehicle, conditions: Conditions) -> tuple[Array, Array, Array, Array, Array]:
+    """What the kernel takes of the controller: what it reckons with, gains, limits, allocation, and sampling rates."""
+    control, limits = vehicle.control, vehicle.limits
+    gains = np.array(
+        [control.position_p, control.position_i, control.position_d,
+         control.attitude_p, control.attitude_i, control.attitude_d]
+    )  # fmt: skip
+    believed = np.array([vehicle.mass_kg, vehicle.gravity_m_s2, control.derivative_filter_rad_s])
+    rotor_max = vehicle.rotor_thrust_max_n() if conditions.rotor_level else np.inf
+    thrust_max = limits.thrust_max_n or vehicle.rotor_thrust_max_n() * vehicle.rotors.count
+    most = np.array([thrust_max, limits.torque_max_nm or np.inf, rotor_max])
+    rates = np.array([conditions.pose_hz, conditions.imu_hz])
+    return believed, gains, most, np.ascontiguousarray(vehicle.six_row_allocation()), rates
+
+
 def _signals(vehicle: Vehicle, flown: ClosedLoop) -> Signals:
     """What effects depend on, along a simulated flight; there is no battery in it."""
-    from groundstation.model.rotors import wrench_matrix
+    from groundstation.model.rotors import thrusts_for
 
     quaternion = quat_from_euler(*flown.euler_rad.T)
-    thrust = flown.wrench @ np.linalg.pinv(wrench_matrix(vehicle)).T
+    thrust = flown.wrench @ thrusts_for(vehicle).T
     motor = thrust if vehicle.rotors.input == "wrench" else vehicle.motor_for_thrust(thrust)
     unknown = np.full(len(flown.t_s), np.nan)
     return Signals(

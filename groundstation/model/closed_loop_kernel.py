@@ -14,7 +14,7 @@ def _clip(value, low, high):
 
 
 @njit(cache=True)
-def _slope(x, wrench, push, mass, inertia, inverse, gravity, out):
+def _slope(x, wrench, side, push, mass, inertia, inverse, gravity, out):
     """Time derivative of [p, v, eta, omega] (seed eq. 1-4) with a further force and torque, written into ``out``."""
     u, v, w, p, q, r = x[3], x[4], x[5], x[9], x[10], x[11]
     sp, cp, st, ct = sin(x[6]), cos(x[6]), sin(x[7]), cos(x[7])
@@ -22,8 +22,8 @@ def _slope(x, wrench, push, mass, inertia, inverse, gravity, out):
     out[0] = ct * cy * u + (st * cy * sp - sy * cp) * v + (st * cy * cp + sy * sp) * w
     out[1] = ct * sy * u + (st * sy * sp + cy * cp) * v + (st * sy * cp - cy * sp) * w
     out[2] = -st * u + ct * sp * v + ct * cp * w
-    out[3] = r * v - q * w + gravity * st + push[0] / mass
-    out[4] = p * w - r * u - gravity * ct * sp + push[1] / mass
+    out[3] = r * v - q * w + gravity * st + (side[0] + push[0]) / mass
+    out[4] = p * w - r * u - gravity * ct * sp + (side[1] + push[1]) / mass
     out[5] = q * u - p * v - gravity * ct * cp + (wrench[0] + push[2]) / mass
     turning = sp * q + cp * r
     out[6] = p + tt * turning
@@ -101,18 +101,25 @@ def _control(wanted, held, memory, declared, gains, limits, step, first, wrench)
 
 
 @njit(cache=True)
-def _limit_rotors(wrench, allocation, mixing, largest):
-    """Clip each rotor's thrust to [0, largest] and put the wrench together again."""
+def _by_rotors(wrench, side, allocation, mixing, largest):
+    """What the rotors make of a wrench: their sideways force, and where they are limited to [0, largest] the wrench as well."""
     thrusts = np.empty(allocation.shape[1])
     for rotor in range(len(thrusts)):
         thrusts[rotor] = 0.0
         for i in range(4):
             thrusts[rotor] += mixing[rotor, i] * wrench[i]
-        thrusts[rotor] = _clip(thrusts[rotor], 0.0, largest)
+        if largest < inf:
+            thrusts[rotor] = _clip(thrusts[rotor], 0.0, largest)
+    for i in range(2):
+        side[i] = 0.0
+        for rotor in range(len(thrusts)):
+            side[i] += allocation[i, rotor] * thrusts[rotor]
+    if largest == inf:
+        return
     for i in range(4):
         wrench[i] = 0.0
         for rotor in range(len(thrusts)):
-            wrench[i] += allocation[i, rotor] * thrusts[rotor]
+            wrench[i] += allocation[2 + i, rotor] * thrusts[rotor]
 
 
 @njit(cache=True)
@@ -129,8 +136,8 @@ def fly(wanted, start, push, declared, gains, mass, inertia, inverse, limits, al
         inertia: of the plant, shape (3, 3).
         inverse: of ``inertia``.
         limits: thrust, torque, thrust of one rotor (inf: not limited).
-        allocation: thrusts to wrench, shape (4, n).
-        mixing: its pseudo-inverse, shape (n, 4).
+        allocation: thrusts to body force and torque, shape (6, n).
+        mixing: thrusts for [F_z, tau], shape (n, 4).
         rates_hz: of position and yaw, of roll and pitch.
         step: s.
 
@@ -139,14 +146,13 @@ def fly(wanted, start, push, declared, gains, mass, inertia, inverse, limits, al
     """
     k = len(wanted)
     states, wrenches = np.empty((k, 12)), np.empty((k, 4))
-    x, held, memory, wrench = start.copy(), np.zeros(12), np.zeros(8), np.zeros(4)
+    x, held, memory, wrench, side = start.copy(), np.zeros(12), np.zeros(8), np.zeros(4), np.zeros(2)
     stages, probe = np.empty((4, 12)), np.empty(12)
     for i in range(k):
         t = i * step
         _sample(x, held, _ticks(t, step, rates_hz[0]), _ticks(t, step, rates_hz[1]))
         _control(wanted[i], held, memory, declared, gains, limits, step, i == 0, wrench)
-        if limits[2] < inf:
-            _limit_rotors(wrench, allocation, mixing, limits[2])
+        _by_rotors(wrench, side, allocation, mixing, limits[2])
         for j in range(12):
             states[i, j] = x[j]
         for j in range(4):
@@ -155,7 +161,7 @@ def fly(wanted, start, push, declared, gains, mass, inertia, inverse, limits, al
             share = 0.0 if stage == 0 else (step if stage == 3 else 0.5 * step)
             for j in range(12):
                 probe[j] = x[j] + (share * stages[stage - 1, j] if stage > 0 else 0.0)
-            _slope(probe, wrench, push[i], mass, inertia, inverse, declared[1], stages[stage])
+            _slope(probe, wrench, side, push[i], mass, inertia, inverse, declared[1], stages[stage])
         for j in range(12):
             x[j] += step / 6.0 * (stages[0, j] + 2.0 * stages[1, j] + 2.0 * stages[2, j] + stages[3, j])
     return states, wrenches

@@ -438,9 +438,7 @@ class _Motion:
 
     def pushed(self, rotors: Array, extra: Array) -> Array:
         """Body force and torque of rotors' thrusts and of the effects beside them, (k, 6)."""
-        wrench = extra.copy()
-        wrench[:, 2:] += rotors @ self._matrix.T
-        return wrench
+        return extra + rotors @ self._matrix.T
 
 
 def _carried(noise: TurningDisturbance, motion: _Motion, states: FlightStates) -> Carried:

@@ -197,14 +197,13 @@ def course(base: Base, states: FlightStates) -> Course:
     vehicle, motors = states.vehicle, states.motors
     lagged = motors.lagged(base.lag_up_s, base.lag_down_s, base.lag_slope)
     wrench = declared_thrust(vehicle, lagged) @ wrench_matrix(vehicle).T * base.thrust_scale
-    force = np.zeros((len(wrench), 3))
-    force[:, 2] = wrench[:, 0]
-    torque = wrench[:, 1:] - np.cross(np.asarray(base.com_m), force)
+    force = wrench[:, :3]
+    torque = wrench[:, 3:] - np.cross(np.asarray(base.com_m), force)
     inverse = np.asarray(np.linalg.inv(base.tensor), dtype=float)
-    signals = np.concatenate([wrench[:, :1] / base.mass_kg, torque @ inverse.T], axis=1)
+    signals = np.concatenate([force[:, 2:] / base.mass_kg, torque @ inverse.T, force[:, :2] / base.mass_kg], axis=1)
     size = max(1, round(GRID_S / motors.step_s))
     count = max(len(signals) // size, 2)
-    rotor = signals[: count * size].reshape(count, size, 4).mean(axis=1) if len(signals) >= count * size else signals
+    rotor = signals[: count * size].reshape(count, size, 6).mean(axis=1) if len(signals) >= count * size else signals
     q = states.start_quaternion
     pose = bool(np.isfinite(q).all(axis=1).mean() > 0.5)
     known = np.isfinite(q).all(axis=1, keepdims=True)

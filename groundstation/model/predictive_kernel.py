@@ -1,7 +1,8 @@
 """Compiled kernels of the prediction model: rotor signals, the observer that tells the start, windows side by side.
 
 State: position and velocity in the world, attitude, body rates. Accelerations are those of :mod:`.predictive`, whose numbers come
-as one vector in the order of its ``NAMES``. Rotor signals are rows (specific thrust, three angular accelerations) on a uniform grid.
+as one vector in the order of its ``NAMES``. Rotor signals are rows (specific thrust, three angular accelerations, specific forces along x and y)
+on a uniform grid.
 A fit runs these some thousand times. So what does not depend on the numbers is worked out once per flight (:func:`seen`), and eight
 windows advance at once, one in each lane of a vector register.
 """
@@ -29,27 +30,27 @@ DELAY, LEAD, SLOW_SHARE, SLOW_TIME, OBSERVER, MEASURED, FORCE_BANDWIDTH, FORCE_T
 """Where each group of numbers begins in the vector. The observer has bandwidth, gain and time of roll and pitch, then of yaw."""
 LANES = 8
 """Windows side by side: the doubles of the widest vector registers."""
-POSITION, VELOCITY, ATTITUDE, RATE, PUSH, ROTOR, ROWS = (LANES * first for first in (0, 3, 6, 10, 13, 19, 23))
+POSITION, VELOCITY, ATTITUDE, RATE, PUSH, ROTOR, ROWS = (LANES * first for first in (0, 3, 6, 10, 13, 19, 25))
 """Where each quantity begins in the work array of :func:`simulated`, a row of lanes for each of its components."""
 
 
 @njit(cache=True)
 def integrated(u: Array, step_s: float, p: Array) -> Array:
-    """Running integral of the rotor signals as the model takes them, shape (k, 4).
+    """Running integral of the rotor signals as the model takes them, shape (k, 6).
 
     The torque's slow part (first-order low-pass) counts by its share only; all are led by ``lead * du/dt``.
     """
     out = np.empty_like(u)
     keep, share, lead = np.exp(-step_s / p[SLOW_TIME]), p[SLOW_SHARE], p[LEAD]
-    slow = u[0, 1:].copy()
-    total = np.zeros(4)
+    slow = u[0, 1:4].copy()
+    total = np.zeros(6)
     for k in range(len(u)):
         before, after = max(k - 1, 0), min(k + 1, len(u) - 1)
-        for c in range(4):
+        for c in range(6):
             value = u[k, c]
             if after > before:
                 value += lead * (u[after, c] - u[before, c]) / ((after - before) * step_s)
-            if c > 0:
+            if 0 < c < 4:
                 slow[c - 1] = keep * slow[c - 1] + (1.0 - keep) * u[k, c]
                 value -= (1.0 - share) * slow[c - 1]
             out[k, c] = total[c]
@@ -68,7 +69,7 @@ def _mean(integral: Array, start: float, step_s: float, begin: float, end: float
         b = a + 1.0
     i, j = int(a), int(b)
     scale = 1.0 / ((b - a) * step_s)
-    for c in range(4):
+    for c in range(6):
         low = integral[i, c] + (a - i) * (integral[i + 1, c] - integral[i, c])
         high = integral[j, c] + (b - j) * (integral[j + 1, c] - integral[j, c])
         out[first + c * LANES] = (high - low) * scale
@@ -127,7 +128,7 @@ def observed(
     """
     rates, extras = np.empty((len(t), 3)), np.zeros((len(t), 6))
     rate, extra = w[0].copy(), np.zeros(6)
-    u, left, new, force = np.empty(3 * LANES + 1), np.empty(3), np.empty(3), np.empty(3)
+    u, left, new, force = np.empty(5 * LANES + 1), np.empty(3), np.empty(3), np.empty(3)
     usual = -1.0
     for k in range(len(t)):
         h = told[k, 0]
@@ -140,7 +141,8 @@ def observed(
                 usual = h
                 _shares(p, h, left, new)
             b0, b1, b2 = told[k, 1], told[k, 2], told[k, 3]
-            force[0], force[1] = -p[DRAG] * b0, -p[DRAG + 1] * b1
+            force[0] = -p[DRAG] * b0 + p[THRUST] * u[4 * LANES]
+            force[1] = -p[DRAG + 1] * b1 + p[THRUST] * u[5 * LANES]
             force[2] = -p[DRAG + 2] * b2 + p[THRUST] * u[0] * (1.0 + p[LIFT] * (b0 * b0 + b1 * b1))
             for i in range(3):
                 turning = p[TORQUE + i] * u[(1 + i) * LANES] - p[DAMPING + i] * w[k - 1, i] + p[TRIM + i]
@@ -252,7 +254,8 @@ def _advance(s: Array, p: Array, tensor: Array, inverse: Array, g: float, h: flo
             k1 * s[n + ROTOR + 2 * LANES] + trim1 + t1,
             k2 * s[n + ROTOR + 3 * LANES] + trim2 + t2,
         )
-        pushed = e, turn, thrust * s[n + ROTOR]
+        push = e[0] + thrust * s[n + ROTOR + 4 * LANES], e[1] + thrust * s[n + ROTOR + 5 * LANES], e[2]
+        pushed = push, turn, thrust * s[n + ROTOR]
         linear, turning = _accelerations(q, v, w, pushed, shape)
         vm, wm = _moved(v, linear, 0.5 * h), _moved(w, turning, 0.5 * h)
         linear, turning = _accelerations(_turned(q, w, 0.5 * h), vm, wm, pushed, shape)
@@ -302,7 +305,7 @@ def simulated(
                 now = start[first + n] + step * h - p[DELAY]
                 _mean(integral, start_s, step_s, now, now + h, s, ROTOR + n)
             for n in range(count, LANES):
-                for c in range(4):
+                for c in range(6):
                     s[ROTOR + c * LANES + n] = s[ROTOR + c * LANES + count - 1]
             _advance(s, p, tensor, inverse, g, h)
             if step + 1 == marks[m]:

@@ -145,5 +145,10 @@ def declared_thrust(vehicle: Vehicle, lagged: Array) -> Array:
 
 
 def wrench_matrix(vehicle: Vehicle) -> Array:
-    """Map what :func:`declared_thrust` gives to [F_z, tau_x, tau_y, tau_z], shape (4, n)."""
-    return np.eye(4) if vehicle.rotors.input == "wrench" else vehicle.allocation()
+    """Map what :func:`declared_thrust` gives to body force and torque about the declared origin, shape (6, n)."""
+    return np.eye(6)[:, 2:] if vehicle.rotors.input == "wrench" else vehicle.six_row_allocation()
+
+
+def thrusts_for(vehicle: Vehicle) -> Array:
+    """Map [F_z, tau_x, tau_y, tau_z] to what :func:`declared_thrust` gives, shape (n, 4)."""
+    return np.eye(4) if vehicle.rotors.input == "wrench" else vehicle.mixing()

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.frames import quat_rotate_inverse
+from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -48,3 +49,12 @@ class Signals:
     def up_body(self) -> Array:
         """World vertical in body axes, (k, 3)."""
         return quat_rotate_inverse(self.quaternion, np.broadcast_to([0.0, 0.0, 1.0], (len(self.t_s), 3)))
+
+
+def hover_share(signals: Signals, vehicle: Vehicle) -> Array:
+    """Sum of rotor speeds over its value at hover, shape (k,): how much rotor there is to be dragged."""
+    if vehicle.rotors.input == "wrench":
+        return np.ones(len(signals.t_s))
+    speed = np.sqrt(np.maximum(signals.thrust_n, 0.0))
+    hover = vehicle.rotors.count * np.sqrt(vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.rotors.count)
+    return speed.sum(axis=1) / hover

@@ -11,7 +11,7 @@ from groundstation.planning.information import DEFAULT_NOISE, Noise, percentages
 from groundstation.planning.limits import envelope
 from groundstation.planning.plan import FREQUENCY_MAX_HZ, describe, paper_plan, plan_excitation
 from groundstation.planning.problem import Problem
-from groundstation.planning.signals import families, family_series
+from groundstation.planning.signals import Family, families, family_series
 from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle
 
@@ -114,59 +114,58 @@ def compare_families(
     Arguments are those of :func:`plan_excitation`; the time goes to the optimised series, half of it with the base
     frequency free where one was given.
     """
-    common = {
-        "criterion": criterion,
-        "harmonics": harmonics,
-        "duration_s": duration_s,
-        "frequency_max_hz": frequency_max_hz,
-        "start": start,
-        "noise": noise,
-        "seed": seed,
-        **limits,
-    }
-    searches = (
-        [("series", None)]
-        if base_frequency_rad_s is None
-        else [("series", base_frequency_rad_s), ("series, free", None)]
-    )
+    bounds = envelope(vehicle, limits)
+    problem = Problem((vehicle,), (bounds,), criterion, harmonics, 1.0, duration_s, start, noise)
+    common = {"criterion": criterion, "harmonics": harmonics, "duration_s": duration_s, "start": start, "noise": noise}
+    common |= {"frequency_max_hz": frequency_max_hz, "seed": seed, **limits}
+    searched = [None] if base_frequency_rad_s is None else [base_frequency_rad_s, None]
     entries: list[Entry] = []
-    for k, (name, base) in enumerate(searches):
+    for k, base in enumerate(searched):
 
         def part(fraction: float, text: str, done: int = k) -> None:
-            progress(0.9 * (done + fraction) / len(searches), text)
+            progress(0.9 * (done + fraction) / len(searched), text)
 
         plan = plan_excitation(
             vehicle,
             base_frequency_rad_s=base,
-            time_budget_s=time_budget_s / len(searches),
+            time_budget_s=time_budget_s / len(searched),
             progress=part,
             **common,
         )
         where = "the base frequency as given" if base else f"base frequency free below {frequency_max_hz:g} Hz"
+        name = "series, free" if base is None and len(searched) > 1 else "series"
         entries.append(_entry(name, f"Fourier series optimised for {criterion}, {where}", plan, vehicle, noise))
-    bounds = envelope(vehicle, limits)
-    problem = Problem((vehicle,), (bounds,), criterion, harmonics, 1.0, duration_s, start, noise)
-    for family in families(frequency_max_hz):
-        progress(0.95, family.name)
-        try:
-            series = family_series(family, problem)
-        except BadInput as refusal:
-            entries.append(Entry(family.name, str(refusal)))
-            continue
-        flown = replace(series, periods=float(round(duration_s / series.period_s)))
-        plan = describe(flown, vehicle, (bounds,), criterion=family.name, noise=noise)
-        entries.append(_entry(family.name, family.text, plan, vehicle, noise))
+    progress(0.95, "families")
+    entries += [_designed(family, problem) for family in families(frequency_max_hz)]
     if vehicle.name == "qball2":
-        published = paper_plan()
-        flown = replace(published.series(), periods=max(duration_s / published.series().period_s, 1.0))
-        plan = describe(flown, vehicle, (bounds,), criterion="condition", noise=noise)
-        text = "published in Table 2 of the seed paper"
-        if plan.largest_violation:
-            text += f"; exceeds a limit by {plan.largest_violation:.2g}"
-        entries.append(_entry("paper", text, plan, vehicle, noise))
+        entries.append(_published(problem))
     progress(1.0, "done")
     known = sorted(entries, key=lambda e: e.inertia_percent if math.isfinite(e.inertia_percent) else math.inf)
     return Comparison(vehicle.name, duration_s, tuple(known))
+
+
+def _designed(family: Family, problem: Problem) -> Entry:
+    """A family whose signals are designed, not searched, within the problem's limits."""
+    vehicle, noise = problem.vehicles[0], problem.noise
+    try:
+        series = family_series(family, problem)
+    except BadInput as refusal:
+        return Entry(family.name, str(refusal))
+    flown = replace(series, periods=float(round(problem.duration_s / series.period_s)))
+    plan = describe(flown, vehicle, problem.envelopes, criterion=family.name, noise=noise)
+    return _entry(family.name, family.text, plan, vehicle, noise)
+
+
+def _published(problem: Problem) -> Entry:
+    """The trajectory of Table 2, over the same time."""
+    vehicle, noise = problem.vehicles[0], problem.noise
+    published = paper_plan().series()
+    flown = replace(published, periods=max(problem.duration_s / published.period_s, 1.0))
+    plan = describe(flown, vehicle, problem.envelopes, criterion="condition", noise=noise)
+    text = "published in Table 2 of the seed paper"
+    if plan.largest_violation:
+        text += f"; exceeds a limit by {plan.largest_violation:.2g}"
+    return _entry("paper", text, plan, vehicle, noise)
 
 
 def _entry(name: str, text: str, plan: Plan, vehicle: Vehicle, noise: Noise) -> Entry:

@@ -184,35 +184,13 @@ def plan_discrimination(
         Refused: no motion within the limits tells them apart.
     """
     bounds = envelope(vehicle, limits)
-    fitting = [k for k in periods if k * harmonics / duration_s <= frequency_max_hz * (1 + 1e-9)] or [min(periods)]
-    rng = np.random.default_rng(seed)
-    used = np.arange(1, harmonics + 1)
-    tasks = [
-        Problem((vehicle,), (bounds,), "A", harmonics, 2.0 * math.pi * k / duration_s, duration_s, start, noise)
-        for k in fitting
-    ]
-    tasks = [replace(task, start=roomy_start(task)) for task in tasks]
-    best, best_waves, best_task, best_odds, reach = None, np.zeros((4, 2, harmonics)), tasks[0], -math.inf, 0.5
+    one = Problem((vehicle,), (bounds,), "A", harmonics, 1.0, duration_s, start, noise)
+    search = _Search(tuple(candidates), _tasks(one, periods, frequency_max_hz), np.random.default_rng(seed))
     for trial in range(trials):
-        exploring = trial < trials // 2
-        task = tasks[trial % len(tasks)] if exploring else best_task
-        waves = rng.normal(size=(4, 2, harmonics)) / used
-        if not exploring:
-            waves = best_waves + reach * np.sqrt(np.mean(best_waves**2)) * waves
-        waves = np.stack([resting(wave, used) for wave in waves])
-        series = fill(waves, task)
-        series = replace(series, periods=float(round(duration_s / series.period_s)))
-        odds = min(each for each, _ in _pairs(candidates, series, vehicle, noise).values())
-        if odds > best_odds:
-            size = np.hypot(series.a, series.b).max(axis=1) / np.maximum(
-                np.hypot(*waves.swapaxes(0, 1)).max(axis=1), 1e-12
-            )
-            best, best_waves, best_task, best_odds = series, waves * size[:, None, None], task, odds
-            reach *= 1.0 if exploring else 1.5
-        elif not exploring:
-            reach *= 1.5**-0.25
-        progress((trial + 1) / trials, f"expected log odds {best_odds:.3g}")
-    if best is None or best_odds < 1e-6:
+        search.step(trial, exploring=trial < trials // 2)
+        progress((trial + 1) / trials, f"expected log odds {search.odds:.3g}")
+    best = search.best
+    if best is None or search.odds < 1e-6:
         names = " and ".join(candidate.name for candidate in candidates)
         raise Refused(
             f"no motion within these limits tells {names} apart.",
@@ -224,6 +202,52 @@ def plan_discrimination(
     plan = describe(best, vehicle, (bounds,), criterion="T", noise=noise, note=f"tells {' from '.join(hardest)}")
     shares: dict[str, float] = dict(zip(CHANNELS, (channels / max(total, 1e-300)).tolist(), strict=True))
     return Separation(plan, {pair: odds for pair, (odds, _) in found.items()}, shares)
+
+
+def _tasks(one: Problem, periods: Sequence[int], frequency_max_hz: float) -> tuple[Problem, ...]:
+    """The problem at each number of periods whose harmonics stay below the highest frequency."""
+    highest = frequency_max_hz * (1 + 1e-9)
+    fitting = [k for k in periods if k * one.harmonics / one.duration_s <= highest] or [min(periods)]
+    tasks = [replace(one, base_frequency_rad_s=2.0 * math.pi * k / one.duration_s) for k in fitting]
+    return tuple(replace(task, start=roomy_start(task)) for task in tasks)
+
+
+@dataclass(slots=True)
+class _Search:
+    """(1+1) evolution strategy: random motions, then steps about the best one whose reach follows their success."""
+
+    candidates: tuple[Candidate, ...]
+    tasks: tuple[Problem, ...]
+    rng: np.random.Generator
+    best: FourierSeries | None = None
+    odds: float = -math.inf
+    reach: float = 0.5
+    _task: Problem | None = None
+    _waves: Array | None = None
+
+    def step(self, trial: int, *, exploring: bool) -> None:
+        """Try one motion; keep it if its hardest pair is told apart better."""
+        task = self.tasks[trial % len(self.tasks)] if exploring else (self._task or self.tasks[0])
+        waves = self._drawn(task.harmonics, exploring)
+        series = fill(waves, task)
+        series = replace(series, periods=float(round(task.duration_s / series.period_s)))
+        odds = min(each for each, _ in _pairs(self.candidates, series, task.vehicles[0], task.noise).values())
+        if odds > self.odds:
+            size = np.hypot(series.a, series.b).max(axis=1)
+            size = size / np.maximum(np.hypot(*waves.swapaxes(0, 1)).max(axis=1), 1e-12)
+            self.best, self._waves, self._task, self.odds = series, waves * size[:, None, None], task, odds
+            self.reach *= 1.0 if exploring else 1.5
+        elif not exploring:
+            self.reach *= 1.5**-0.25
+
+    def _drawn(self, harmonics: int, exploring: bool) -> Array:
+        """Sines and cosines of each channel, at rest at both ends, shape (4, 2, harmonics)."""
+        used = np.arange(1, harmonics + 1)
+        waves = self.rng.normal(size=(4, 2, harmonics)) / used
+        if not exploring:
+            about = np.zeros((4, 2, harmonics)) if self._waves is None else self._waves
+            waves = about + self.reach * np.sqrt(np.mean(about**2)) * waves
+        return np.stack([resting(wave, used) for wave in waves])
 
 
 def _pairs(

@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 
 UNITS = {"m": "m", "rad": "rad", "m_s": "m/s", "rad_s": "rad/s", "m_s2": "m/s^2", "n": "N", "nm": "N m"}
 
+STEP_S = 0.0005
+"""Limits are verified at such steps."""
+
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
@@ -30,7 +33,7 @@ class Envelope:
         limits: of the vehicle file, with overrides; None is no limit.
         rotor_thrust_n: least and greatest thrust of one rotor.
         mass_kg, inertia_kg_m2: nominal, to turn a motion into a wrench.
-        mixing: rotor thrusts from [F_z, tau_x, tau_y, tau_z], least squares where there are more than four, shape (n, 4).
+        mixing: rotor thrusts for [F_z, tau_x, tau_y, tau_z], shape (n, 4).
         gravity_m_s2: local gravity.
     """
 
@@ -79,17 +82,18 @@ def envelope(vehicle: Vehicle, overrides: dict[str, float] | None = None) -> Env
         first = error.errors()[0]
         raise BadInput(f"limit {first['loc'][0]} = {first['input']}: {first['msg'].lower()}; correct it.") from None
     allocation = vehicle.allocation()
-    if np.linalg.matrix_rank(allocation, tol=1e-9 * np.abs(allocation).max()) < 4:
+    rank = np.linalg.matrix_rank(allocation, tol=1e-9 * np.abs(allocation).max())
+    if rank < 4 and not (rank == 3 and vehicle.turns_freely()):
         raise BadInput(
             f"{vehicle.name}: the rotors cannot make thrust and three torques independently, so no attitude can be "
-            "flown; correct position_m and spin in [rotors]."
+            "flown; correct position_m, axis and spin in [rotors]."
         )
     result = Envelope(
         limits=limits,
         rotor_thrust_n=rotor_thrust_range_n(vehicle),
         mass_kg=vehicle.mass_kg,
         inertia_kg_m2=vehicle.inertia_tensor(),
-        mixing=np.asarray(np.linalg.pinv(allocation), dtype=float),
+        mixing=vehicle.mixing(),
         gravity_m_s2=vehicle.gravity_m_s2,
     )
     _check_hover(result, vehicle.name)
@@ -182,12 +186,12 @@ def excesses(motion: RigidMotion, envelope: Envelope) -> dict[str, float]:
     return result
 
 
-def series_excesses(series: FourierSeries, envelope: Envelope, step_s: float = 0.0005) -> dict[str, float]:
+def series_excesses(series: FourierSeries, envelope: Envelope, step_s: float = STEP_S) -> dict[str, float]:
     """:func:`excesses` over one period, sampled so finely that no coarser grid can see more than rounding beyond it."""
     t = np.linspace(0.0, min(series.period_s, series.duration_s), int(np.ceil(series.period_s / step_s)) + 1)
     return excesses(rigid_motion(series.sample(t), envelope.gravity_m_s2), envelope)
 
 
-def largest_violation(series: FourierSeries, envelopes: tuple[Envelope, ...]) -> float:
+def largest_violation(series: FourierSeries, envelopes: tuple[Envelope, ...], step_s: float = STEP_S) -> float:
     """The largest excess over any limit of any vehicle; zero when all are kept."""
-    return max(0.0, *(max(series_excesses(series, each).values()) for each in envelopes))
+    return max(0.0, *(max(series_excesses(series, each, step_s).values()) for each in envelopes))

@@ -1,9 +1,9 @@
-"""Several starts, the best feasible plan kept: coarse program, exchange of limit points, and a last repair.
+"""From starts to the best feasible plan: a coarse program, exchange of limit points, and a last repair.
 
 Limits hold at every instant, a program holds them at finitely many phases. A coarse program finds the basin; then the
 phases at which a limit is nearly reached on a fine grid join the program (an exchange method for semi-infinite programs,
-Hettich and Kortanek 1993) until nothing is exceeded that matters. What is left is removed by drawing the motion
-together by that much: hovering at the start keeps every limit.
+Hettich and Kortanek 1993). What is left is removed by drawing the motion together by that much: hovering at the start
+keeps every limit. The first starts are plans that were solved before, scaled to the task (``library``); the others are random.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from threadpoolctl import threadpool_limits
 
 from groundstation.planning.criteria import condition_number
 from groundstation.planning.information import information
-from groundstation.planning.limits import largest_violation
+from groundstation.planning.library import Solved, scaled_starts
+from groundstation.planning.limits import STEP_S, largest_violation
 from groundstation.planning.problem import Problem
-from groundstation.planning.program import Program
+from groundstation.planning.program import COLD, HOT, WARM, Program
 from groundstation.planning.samples import limit_groups
 from groundstation.trajectory import FourierSeries
 from groundstation.vehicle import Vehicle
@@ -34,8 +35,15 @@ VIOLATION_TOLERANCE = 1e-7
 
 _COARSE = 24  # phases per period and harmonic on which a limit is held from the beginning
 _FINE = 200  # phases per period and harmonic on which the exchange looks for points
-_NEAR = 0.05  # a point joins when this close to its bound, as a share of it
-_REACHES = (0.02, 0.003, 0.0003)  # how far the unknowns may move in each round of the exchange
+_NEAR = 0.03  # a point joins when this close to its bound, as a share of it
+_EDGE = np.arange(-16, 17) / 4.0  # coarse steps about the start at which a height that starts on the floor is held
+_REACHES = (0.02, 0.003)  # how far the unknowns may move in each round of the exchange
+_ROUGH = 60  # steps per period and harmonic at which limits are looked at first
+_DRAWN = 0.1  # share by which a random start is drawn in, so that it lies well inside
+_SCALED = 0.01  # the same of a scaled solution
+_KEPT = 1e-3  # the same of a coarse solution, to begin the next round of the exchange
+ROUGHLY = 3e-4  # gap of a coarse solution
+_LITTLE = 1e-4  # an excess that drawing in removes at no cost to speak of
 _LAZY = ("thrust", "torque", "rotors")  # held only once a plan comes near them
 _SLACK = 0.2  # how near a starting motion may come, as a share of the bound (of hover thrust for rotors)
 
@@ -48,6 +56,8 @@ class Outcome:
         series: one period.
         cost: its criterion (see :func:`cost`), smaller is better.
         violation: largest excess over any limit.
+        sampled_bound: the best that a search found where limits hold at sampled phases only, less its gap: no plan within the
+            limits was seen to go below; nan without a search.
         starts: starting points tried.
         seconds: time it took.
     """
@@ -55,6 +65,7 @@ class Outcome:
     series: FourierSeries
     cost: float
     violation: float
+    sampled_bound: float = float("nan")
     starts: int = 0
     seconds: float = 0.0
 
@@ -91,7 +102,7 @@ def inner_motion(problem: Problem, start: Array) -> FourierSeries:
     resting = _starting_at(start, a, 0.0 * b, problem.base_frequency_rad_s)
     if not b.any():
         return resting
-    return blend(repair(moving, problem, resting, step=0.05), resting, 0.5)
+    return blend(_drawn_in(moving, problem, resting, 0.05, _rough_step_s(problem)), resting, 0.5)
 
 
 def _starting_at(start: Array, a: Array, b: Array, base_frequency_rad_s: float) -> FourierSeries:
@@ -112,10 +123,22 @@ def blend(series: FourierSeries, inner: FourierSeries, factor: float) -> Fourier
 
 def repair(series: FourierSeries, problem: Problem, inner: FourierSeries, step: float = 1e-8) -> FourierSeries:
     """The series, drawn toward an inner motion as little as it takes to keep every limit on the fine grid."""
+    return _drawn_in(series, problem, inner, step, _rough_step_s(problem), STEP_S)
+
+
+def _rough_step_s(problem: Problem) -> float:
+    return 2.0 * np.pi / problem.base_frequency_rad_s / (_ROUGH * problem.harmonics)
+
+
+def _drawn_in(
+    series: FourierSeries, problem: Problem, inner: FourierSeries, step: float, *grids_s: float
+) -> FourierSeries:
+    """The same on grids of the given steps, one after the other: the coarse ones spare looks at the fine one."""
     share, candidate = 0.0, series
-    while largest_violation(candidate, problem.envelopes) > VIOLATION_TOLERANCE and share < 50.0:
-        share = step if share == 0.0 else 1.5 * share
-        candidate = blend(series, inner, float(np.exp(-share)))
+    for grid_s in grids_s:
+        while largest_violation(candidate, problem.envelopes, grid_s) > VIOLATION_TOLERANCE and share < 50.0:
+            share = step if share == 0.0 else 1.5 * share
+            candidate = blend(series, inner, float(np.exp(-share)))
     return candidate
 
 
@@ -135,7 +158,7 @@ def random_start(problem: Problem, rng: np.random.Generator) -> Array:
     edge = np.abs(inner.b).any(axis=1)
     resting.a[edge], resting.b[edge] = 0.0, 20.0 * inner.b[edge]
     rough = _starting_at(start, resting.a, resting.b, problem.base_frequency_rad_s)
-    return problem.unknowns_of(repair(rough, problem, inner, step=0.05))
+    return problem.unknowns_of(_drawn_in(rough, problem, inner, 0.05, _rough_step_s(problem)))
 
 
 def _middle(problem: Problem) -> list[float]:
@@ -154,6 +177,10 @@ class _Exchange:
         self._grid = _phases(_COARSE * problem.harmonics)
         self._fine = _phases(_FINE * problem.harmonics)
         self.coarse = [{name: self._grid for name in groups if name not in _LAZY} for groups in self.groups]
+        if problem.start is not None and problem.start[2] in problem.room[2]:
+            edge = np.mod(_EDGE * self._grid[1], 2.0 * np.pi)
+            for groups in self.coarse:
+                groups["z"] = np.union1d(groups["z"], edge)
 
     def _samples(self, series: FourierSeries) -> Array:
         d = series.derivatives(self._fine / series.base_frequency_rad_s, 4)
@@ -169,80 +196,66 @@ class _Exchange:
                     added = True
         return added
 
-    def touched(self, series: FourierSeries) -> list[dict[str, Array]]:
-        """Phases of every local maximum near or over a bound, and one to either side, by vehicle and limit group."""
-        samples, step = self._samples(series), self._fine[1]
+    def near(self, series: FourierSeries) -> list[dict[str, Array]]:
+        """Fine phases at which a limit is nearly reached or exceeded, beside the coarse ones, by vehicle and limit group."""
+        samples = self._samples(series)
         found: list[dict[str, Array]] = []
-        for groups in self.groups:
-            here: dict[str, Array] = {}
-            for name, group in groups.items():
-                excess = group.excess(samples)
-                peak = (excess >= np.roll(excess, 1, axis=1)) & (excess >= np.roll(excess, -1, axis=1))
-                rows, columns = np.nonzero(peak & (excess > -_NEAR))
-                here[name] = np.unique(
-                    [self._fine[columns] + step * k for k in (-2, 0, 2)] + _summit(excess, rows, columns) * step
-                )
-            found.append(here)
+        for groups, coarse in zip(self.groups, self.coarse, strict=True):
+            here = {name: self._fine[(groups[name].excess(samples) > -_NEAR).any(axis=0)] for name in groups}
+            found.append({name: np.union1d(coarse.get(name, np.zeros(0)), phases) for name, phases in here.items()})
         return found
-
-
-def _summit(values: Array, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
-    """Where between its neighbours each peak lies, in steps from -1/2 to 1/2: top of the parabola through the three."""
-    before, here, after = (values[rows, (columns + k) % values.shape[1]] for k in (-1, 0, 1))
-    bend = before - 2.0 * here + after
-    offset = np.where(bend < 0.0, 0.5 * (before - after) / np.where(bend < 0.0, bend, 1.0), 0.0)
-    return np.clip(offset, -0.5, 0.5)
 
 
 def _phases(count: int) -> Array:
     return 2.0 * np.pi * np.arange(count) / count
 
 
-def _merge(first: list[dict[str, Array]], second: list[dict[str, Array]]) -> list[dict[str, Array]]:
-    return [
-        {name: np.union1d(a.get(name, np.zeros(0)), b.get(name, np.zeros(0))) for name in a | b}
-        for a, b in zip(first, second, strict=True)
-    ]
+def _inner_unknowns(problem: Problem, unknowns: Array) -> Array:
+    """Unknowns of the inner motion at the start of a motion."""
+    start = unknowns[-4:] if problem.start is None else np.array(problem.start)
+    return problem.unknowns_of(inner_motion(problem, start))
 
 
 def _polish(problem: Problem, exchange: _Exchange, unknowns: Array, watch: Callable[[Array], None]) -> FourierSeries:
-    """Exchange points within a shrinking reach until the limits hold between them; the last bit by :func:`repair`."""
-    phases = exchange.touched(problem.series(unknowns))
+    """Exchange points until the limits hold between them; the last bit by :func:`repair`."""
+    inner = _inner_unknowns(problem, unknowns)
     for reach in _REACHES:
-        unknowns = Program(problem, exchange.groups, phases, warm=True, watch=watch).solve(unknowns, reach)
-        series = problem.series(unknowns)
-        if largest_violation(series, problem.envelopes) < VIOLATION_TOLERANCE:
+        program = Program(problem, exchange.groups, exchange.near(problem.series(unknowns)), watch=watch)
+        unknowns = program.solve(program.inside(unknowns, inner, _KEPT), mu=HOT, reach=reach)
+        if largest_violation(problem.series(unknowns), problem.envelopes, _rough_step_s(problem) / 4.0) < _LITTLE:
             break
-        phases = _merge(phases, exchange.touched(series))
     return repair_about_start(problem.series(unknowns), problem)
 
 
 def best_of(
     problems: Sequence[Problem],
     *,
+    library: Sequence[Solved] = (),
     seed: int = 3,
-    time_budget_s: float = 8.0,
+    time_budget_s: float | None = None,
     starts: int | None = None,
     progress: Progress = lambda fraction, text: None,
     watch: Watch = lambda series: None,
     clock: Callable[[], float] = time.monotonic,
 ) -> Outcome:
-    """The best feasible plan found in the time given; an interrupt (Ctrl-C) ends the search early and keeps the best.
+    """The best feasible plan found; an interrupt (Ctrl-C) ends the search early and keeps the best.
 
     Args:
         problems: the same task at different base frequencies; each is tried once, then starts go to the best one.
+        library: plans solved before; the nearest to each problem is its first start.
         seed: of the random starting points.
-        time_budget_s: no new start is begun that would probably end later.
-        starts: number of starts; default as many as the time allows, at least one.
-        progress: called with the share of the budget that is used and a line of text.
-        watch: called with each iterate of the solver, feasible or not; KeyboardInterrupt raised in it ends the search.
+        time_budget_s: for more starts; no new one is begun that would probably end later. None: each problem once.
+        starts: number of starts instead.
+        progress: called with the share of the work that is done and a line of text.
+        watch: called with each iterate of the solver; KeyboardInterrupt raised in it ends the search.
         clock: seconds, monotonic.
     """
     began, rng = clock(), np.random.default_rng(seed)
-    searches = [_Search(problem, watch) for problem in problems]
     longest, tried = 0.0, 0
+    first = len(problems) if time_budget_s is None and starts is None else starts
     with threadpool_limits(limits=1):  # the matrices are small: threads would only wait for each other
-        best = searches[0].fallback(rng)
+        searches = [_Search(problem, watch, library) for problem in problems]
+        best = Outcome(searches[0].hover(), float("inf"), 0.0)
         try:
             while True:
                 before = clock()
@@ -253,23 +266,28 @@ def best_of(
                     best = candidate
                 used = clock() - began
                 longest = max(longest, clock() - before)
-                share = tried / starts if starts else used / time_budget_s
+                share = tried / first if first else used / (time_budget_s or 1.0)
                 progress(min(share, 1.0), f"start {tried}: best feasible {best.cost:.5g}")
-                if tried >= starts if starts else used + longest > time_budget_s:
+                if tried >= first if first else used + longest > (time_budget_s or 0.0):
                     break
         except KeyboardInterrupt:
+            best = best if np.isfinite(best.cost) else searches[0].fallback(rng)
             best = min([best, *(each.salvaged() for each in searches if each.rough < best.cost)], key=lambda o: o.cost)
             progress(1.0, f"interrupted; best so far {best.cost:.5g}")
-    return replace(best, starts=tried, seconds=clock() - began)
+        if not np.isfinite(best.cost):
+            best = searches[0].fallback(rng)
+    bound = min((each.rough * float(np.exp(-ROUGHLY)) for each in searches if np.isfinite(each.rough)), default=np.nan)
+    return replace(best, sampled_bound=bound, starts=tried, seconds=clock() - began)
 
 
 class _Search:
-    """Starts on one problem; the coarse program is compiled at the first."""
+    """Starts on one problem: from the library first, then at random."""
 
-    def __init__(self, problem: Problem, watch: Watch) -> None:
+    def __init__(self, problem: Problem, watch: Watch, library: Sequence[Solved]) -> None:
         self._problem = problem
         self._watch: Callable[[Array], None] = lambda unknowns: watch(problem.series(unknowns))
-        self._exchange: _Exchange | None = None
+        self._known = scaled_starts(library, problem)
+        self._exchange = _Exchange(problem)
         self._program: Program | None = None
         self._found = np.zeros(0)
         self.rough = float("inf")
@@ -278,27 +296,35 @@ class _Search:
         """The best coarse solution drawn in to keep its limits, where polishing was interrupted."""
         return _judge(self._problem, repair_about_start(self._problem.series(self._found), self._problem, step=1e-4))
 
+    def hover(self) -> FourierSeries:
+        """No motion at all, until there is a plan."""
+        problem = self._problem
+        return inner_motion(problem, np.array(problem.start if problem.start is not None else _middle(problem)))
+
     def fallback(self, rng: np.random.Generator) -> Outcome:
         """A feasible plan without any optimisation."""
-        return _judge(self._problem, self._problem.series(random_start(self._problem, rng)))
+        start = self._problem.series(random_start(self._problem, rng))
+        return _judge(self._problem, repair_about_start(start, self._problem, step=1e-4))
 
     def try_once(self, rng: np.random.Generator) -> Outcome | None:
         """A feasible plan from one more start; None when its coarse solution is no better than those before."""
-        problem = self._problem
-        if self._exchange is None:
-            self._exchange = _Exchange(problem)
-        start = random_start(problem, rng)
-        if self._exchange.add_groups(problem.series(start), slack=_SLACK) or self._program is None:
-            self._program = Program(problem, self._exchange.groups, self._exchange.coarse, watch=self._watch)
-        found = self._program.solve(start)
-        while self._exchange.add_groups(problem.series(found)):
-            self._program = Program(problem, self._exchange.groups, self._exchange.coarse, watch=self._watch)
-            found = self._program.solve(random_start(problem, rng))
+        problem, exchange = self._problem, self._exchange
+        known = self._known.pop(0) if self._known else None
+        start = random_start(problem, rng) if known is None else known
+        if exchange.add_groups(problem.series(start), slack=_SLACK) or self._program is None:
+            self._program = Program(problem, exchange.groups, exchange.coarse, watch=self._watch)
+        inner = _inner_unknowns(problem, start)
+        inside = self._program.inside(start, inner, _DRAWN if known is None else _SCALED)
+        found = self._program.solve(inside, mu=COLD if known is None else WARM, gap=ROUGHLY)
+        while exchange.add_groups(problem.series(found)):
+            self._program = Program(problem, exchange.groups, exchange.coarse, watch=self._watch)
+            inner = _inner_unknowns(problem, found)
+            found = self._program.solve(self._program.inside(found, inner, _SCALED), mu=WARM)
         rough = cost(problem.series(found), problem)
         if not rough < self.rough:
             return None
         self.rough, self._found = rough, found
-        return _judge(problem, _polish(problem, self._exchange, found, self._watch))
+        return _judge(problem, _polish(problem, exchange, found, self._watch))
 
 
 def _judge(problem: Problem, series: FourierSeries) -> Outcome:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from groundstation.errors import BadInput
-from groundstation.paths import find_config
+from groundstation.paths import configs_dir, find_config
 from groundstation.planning.criteria import CRITERIA, condition_number
 from groundstation.planning.information import DEFAULT_NOISE, Noise, percentages, predicted_std
 from groundstation.planning.limits import Envelope, check_start, envelope, largest_violation, series_excesses
 from groundstation.trajectory import FourierSeries, Plan, coefficients_from_arrays, load_plan, plan_to_dict
 from groundstation.vehicle import Vehicle, load_vehicle
+
+if TYPE_CHECKING:
+    from groundstation.planning.library import Solved
 
 PAPER_START = (0.0, 0.0, 0.7, 0.0)
 """x, y, z, yaw at both ends in the seed paper (section III-B); Table 2 keeps it to its four printed digits."""
@@ -24,6 +28,10 @@ PAPER_DURATION_S = 40.0  # section III-D identifies on 10 s < t < 50 s
 
 FREQUENCY_MAX_HZ = 1.0
 """Highest harmonic where the base frequency is free: a position loop on a 30 Hz motion capture follows little above it."""
+
+AUTOPILOT = {"frequency_max_hz": 0.5, "acceleration_max_m_s2": 1.5}
+"""Of a plan for a vehicle on a link: ArduCopter's firmware, tuned for another vehicle, was 0.45 m off at most within these
+limits, and lost a plan of 0.8 Hz and 2 m/s^2 (docs/firmware.md). A plan made with ``groundstation plan`` may ask for more."""
 
 _HARMONICS = (3, 5, 8)
 _NEARLY = 0.005  # a limit is reached when this share of it is left
@@ -59,7 +67,7 @@ def plan_excitation(
     noise: Noise = DEFAULT_NOISE,
     effects: Sequence[str] = (),
     seed: int = 3,
-    time_budget_s: float = 8.0,
+    time_budget_s: float | None = None,
     starts: int | None = None,
     progress: Callable[[float, str], None] = lambda fraction, text: None,
     watch: Callable[[FourierSeries], None] = lambda series: None,
@@ -78,7 +86,8 @@ def plan_excitation(
         noise: the disturbance and sensor noise to expect.
         effects: identifiers of effects whose parameters are estimated with mass and inertia (criteria D, A and E).
         seed: of the random starting points.
-        time_budget_s: for the search; an interrupt (Ctrl-C) ends it early and keeps the best so far.
+        time_budget_s: seconds for random starts beside the solved rooms that ship; None: one start at each base frequency, from the
+            solved room most like this one. An interrupt (Ctrl-C) ends the search early and keeps the best so far.
         starts: number of starting points instead of a time.
         progress: called with the share of the work that is done and a line of text.
         watch: called with each trajectory that the solver tries; KeyboardInterrupt raised in it ends the search.
@@ -109,9 +118,23 @@ def plan_excitation(
             raise
         base = Problem(vehicles, envelopes, criterion, count, 1.0, duration, start, noise, tuple(effects))
         problems += [replace(base, base_frequency_rad_s=2.0 * math.pi * k / duration) for k in periods]
-    found = best_of(problems, seed=seed, time_budget_s=time_budget_s, starts=starts, progress=progress, watch=watch)
+    search = {"seed": seed, "time_budget_s": time_budget_s, "starts": starts, "progress": progress, "watch": watch}
+    found = best_of(problems, library=solved_rooms(), **search)
     series = replace(found.series, periods=float(round(problems[0].duration_s / found.series.period_s)))
-    return describe(series, vehicles[0], envelopes, criterion=criterion, noise=noise, effects=effects)
+    plan = describe(series, vehicles[0], envelopes, criterion=criterion, noise=noise, effects=effects)
+    if math.isfinite(found.sampled_bound):
+        said = f"criterion {found.cost:.5g}; with limits held at sampled instants only, the search reached {found.sampled_bound:.5g}"
+        plan = plan.model_copy(update={"note": f"{plan.note}; {said}"})
+    return plan
+
+
+def solved_rooms() -> list[Solved]:
+    """The library of solved rooms that ships; ``python -m benchmarks.plan_library`` makes it."""
+    from groundstation.planning.library import Solved
+
+    path = configs_dir() / "library" / "plans.json"
+    document = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {"plans": []}
+    return [Solved.from_dict(each) for each in document["plans"]]
 
 
 def describe(
@@ -185,12 +208,12 @@ def _timing(
     return wanted, sorted({max(round(most / share), 1) for share in (1.0, 1.3, 1.7, 2.2, 3.0, 4.0)}, reverse=True)
 
 
-def _check(criterion: str, harmonics: int | None, time_budget_s: float) -> None:
+def _check(criterion: str, harmonics: int | None, time_budget_s: float | None) -> None:
     if criterion not in CRITERIA:
         raise BadInput(f"{criterion} is not a criterion; there are {', '.join(CRITERIA)}.")
     if harmonics is not None and harmonics < 2:
         raise BadInput(f"{harmonics} harmonics cannot start and end at rest; use 2 or more.")
-    if not time_budget_s > 0.0:
+    if time_budget_s is not None and not time_budget_s > 0.0:
         raise BadInput(f"the time budget must be positive, not {time_budget_s:g} s; correct it.")
 
 

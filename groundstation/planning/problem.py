@@ -80,7 +80,10 @@ class Problem:
         """
         edges = zip(self.start or (), self.room, strict=False)
         touching = [not low < at < high for at, (low, high) in edges] or [False] * 4
-        return tuple(rest_basis(self.harmonics, on_edge) for on_edge in touching)
+        bases = [rest_basis(self.harmonics, on_edge) for on_edge in touching]
+        if any(vehicle.turns_freely() for vehicle in self.vehicles):
+            bases[3] = bases[3][:, :0]  # nobody steers yaw: it stays where it is
+        return tuple(bases)
 
     @property
     def unknowns(self) -> int:

@@ -7,6 +7,7 @@ the trajectory, independently of the closed forms in ``groundstation.trajectory`
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -50,26 +51,38 @@ class SampleFunction:
             "jacobian": ca.Function("jacobian", [flat], [ca.densify(ca.vec(jacobian[:, active]))]),
             "hessian": ca.Function("hessian", [flat, weight], [ca.densify(ca.vec(hessian))]),
         }
-        self._maps: dict[tuple[str, int], ca.Function] = {}
+        self._maps: dict[tuple[str, int], tuple[Callable[[], None], list[Array], Array, object]] = {}
 
-    def _mapped(self, kind: str, count: int) -> ca.Function:
+    def _evaluated(self, kind: str, *inputs: Array) -> Array:
+        """Outputs for columns of inputs, by memory that is shared with CasADi: its own matrices cost more than the numbers."""
+        count = inputs[0].shape[1]
         if (kind, count) not in self._maps:
-            self._maps[kind, count] = self._single[kind].map(count)
-        return self._maps[kind, count]
+            mapped = self._single[kind].map(count)
+            buffer, call = mapped.buffer()
+            given = [np.zeros(mapped.numel_in(i)) for i in range(len(inputs))]
+            found = np.zeros(mapped.numel_out(0))
+            for i, each in enumerate(given):
+                buffer.set_arg(i, memoryview(each))
+            buffer.set_res(0, memoryview(found))
+            self._maps[kind, count] = call, given, found, buffer
+        call, given, found, _ = self._maps[kind, count]
+        for each, values in zip(given, inputs, strict=True):
+            each.reshape(count, -1)[:] = values.T
+        call()
+        return found.copy()
 
     def value(self, samples: Array) -> Array:
         """Outputs at samples of shape (18, k), shape (size, k)."""
-        return np.array(self._mapped("value", samples.shape[1])(samples))
+        return self._evaluated("value", samples).reshape((self.size, -1), order="F")
 
     def jacobian(self, samples: Array) -> Array:
         """Derivative of outputs by active inputs, shape (size, active, k)."""
-        count = samples.shape[1]
-        return np.array(self._mapped("jacobian", count)(samples)).reshape((self.size, -1, count), order="F")
+        return self._evaluated("jacobian", samples).reshape((self.size, -1, samples.shape[1]), order="F")
 
     def hessian(self, samples: Array, weights: Array) -> Array:
         """Second derivative of each sample's weighted sum of outputs by active inputs, shape (active, active, k)."""
-        count, active = samples.shape[1], len(self.active)
-        return np.array(self._mapped("hessian", count)(samples, weights)).reshape((active, active, count), order="F")
+        active = len(self.active)
+        return self._evaluated("hessian", samples, weights).reshape((active, active, -1), order="F")
 
 
 @dataclass(frozen=True, slots=True)

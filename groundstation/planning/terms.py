@@ -23,42 +23,61 @@ from groundstation.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 
+_MOVED = 1e-6
+"""A row of a limit that its unknowns move less than this share of the others is left out: a start on the floor."""
+
+
 class HeldLimit:
-    """A limit group held at some phases."""
+    """What is left to the bounds of a limit group at some phases; rows that no unknown moves are left out."""
 
     def __init__(self, problem: Problem, group: LimitGroup, phase: Array) -> None:
         self._function: SampleFunction = group.function
         self._matrix, self._constant = problem.flat_basis(phase)
         self._active = self._matrix[group.function.active]
-        self.lower, self.upper = np.tile(group.lower, len(phase)), np.tile(group.upper, len(phase))
-        self.size = len(self.lower)
-        reached = (self._active != 0.0).any(axis=1)
-        self.pattern = np.tile(group.function.pattern @ reached, (len(phase), 1))
+        self._rows = np.ones(group.function.size * len(phase), dtype=bool)
+        lower, upper = np.tile(group.lower, len(phase)), np.tile(group.upper, len(phase))
         self._line: tuple[Array, Array] | None = None
         if group.function.linear:
             nowhere = np.zeros(problem.unknowns)
-            self._line = self._jacobian(nowhere), self.value(nowhere)
+            slope, offset = self._jacobian(nowhere), self._function.value(self._samples(nowhere)).ravel(order="F")
+            moved = np.abs(slope).max(axis=1)
+            self._rows = moved > _MOVED * moved.max(initial=0.0)
+            self._line = slope[self._rows], offset[self._rows]
+        self._above = np.isfinite(upper[self._rows])
+        self._below = np.isfinite(lower[self._rows])
+        self._upper, self._lower = upper[self._rows][self._above], lower[self._rows][self._below]
+        self.size = int(self._above.sum() + self._below.sum())
 
     def _samples(self, unknowns: Array) -> Array:
         return self._matrix @ unknowns + self._constant
 
-    def value(self, unknowns: Array) -> Array:
+    def room(self, unknowns: Array) -> Array:
+        """Room to the upper bounds, then to the lower ones; negative beyond."""
         if self._line is not None:
-            return self._line[0] @ unknowns + self._line[1]
-        return self._function.value(self._samples(unknowns)).ravel(order="F")
+            value = self._line[0] @ unknowns + self._line[1]
+        else:
+            value = self._function.value(self._samples(unknowns)).ravel(order="F")
+        return np.concatenate([self._upper - value[self._above], value[self._below] - self._lower])
 
     def _jacobian(self, unknowns: Array) -> Array:
         inner = self._function.jacobian(self._samples(unknowns))
-        return np.einsum("oak,akx->kox", inner, self._active, optimize=True).reshape(self.size, -1)
+        return np.einsum("oak,akx->kox", inner, self._active, optimize=True).reshape(len(self._rows), -1)
 
-    def jacobian(self, unknowns: Array) -> Array:
-        return self._jacobian(unknowns) if self._line is None else self._line[0]
+    def slope(self, unknowns: Array) -> Array:
+        """Derivative of the room, shape (size, unknowns)."""
+        rows = self._jacobian(unknowns) if self._line is None else self._line[0]
+        return np.concatenate([-rows[self._above], rows[self._below]])
 
-    def hessian(self, unknowns: Array, weights: Array) -> Array | float:
+    def bend(self, unknowns: Array, weights: Array) -> Array | float:
+        """Second derivative of the weighted sum of the room."""
         if self._function.linear:
             return 0.0
-        weight = weights.reshape(self._function.size, -1, order="F")
-        return congruence(self._function.hessian(self._samples(unknowns), weight), self._active)
+        above = int(self._above.sum())
+        weight = np.zeros(len(self._rows))
+        weight[self._above] -= weights[:above]
+        weight[self._below] += weights[above:]
+        shaped = weight.reshape(self._function.size, -1, order="F")
+        return congruence(self._function.hessian(self._samples(unknowns), shaped), self._active)
 
 
 def congruence(blocks: Array, basis: Array) -> Array:

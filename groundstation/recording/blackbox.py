@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInput
-from groundstation.flightdata import BATTERY_COLUMNS, IMU_COLUMNS, Stream, motor_columns
+from groundstation.flightdata import BATTERY_COLUMNS, IMU_COLUMNS, STATE_COLUMNS, Stream, motor_columns
+from groundstation.frames import quat_from_euler
 from groundstation.recording.airframes import BETAFLIGHT_QUAD_X
 from groundstation.recording.autopilot import (
     check_count,
@@ -60,7 +61,7 @@ def read_blackbox(path: Path, vehicle: Vehicle) -> Recording:
     streams: dict[str, Stream] = {}
     streams["motors"], said = _motors(log, t_s, vehicle, str(path))
     notes += [*losses, *said]
-    for name, read in (("imu", _imu), ("battery", _battery)):
+    for name, read in (("imu", _imu), ("battery", _battery), ("state", _state)):
         stream, said = present(name, lambda read=read: read(log, t_s))
         notes += said
         if stream is not None:
@@ -123,6 +124,25 @@ def _battery(log: BlackboxLog, t_s: Array) -> tuple[Stream | None, list[str]]:
     current = next((name for name in ("amperageLatest", "amperage") if name in log), None)
     amperes = log.column(current) / 100.0 if current else np.full(len(t_s), np.nan)
     return Stream(t_s, np.column_stack([log.column(volts) / 100.0, amperes]), BATTERY_COLUMNS), []
+
+
+def _state(log: BlackboxLog, t_s: Array) -> tuple[Stream | None, list[str]]:
+    """INAV's own estimate; no other firmware of this family logs one.
+
+    navPos and navVel are centimetres north, east and up of where it first knew its position; attitude is in tenths of a degree, yaw
+    clockwise from north (imu.c, navigation_pos_estimator.c). Ours is x north, y west, z up.
+    """
+    if not all(log.elements(name) == 3 for name in ("navPos", "navVel", "attitude")):
+        return None, []
+    scale = log.number("gyro_scale", 0.0)
+    if scale <= 0.0:
+        return None, ["state: left out: the header has no gyro_scale."]
+    north_west_up = np.array([0.01, -0.01, 0.01])
+    roll, pitch, yaw = np.radians(0.1 * log.array("attitude")).T
+    rates = np.radians(np.column_stack([log.column(f"gyroADC[{i}]") for i in range(3)]) * scale)
+    values = [log.array("navPos") * north_west_up, log.array("navVel") * north_west_up]
+    values += [quat_from_euler(roll, pitch, -yaw), rates]
+    return Stream(t_s, np.hstack(values), STATE_COLUMNS), ["state: navPos, navVel, attitude and gyroADC."]
 
 
 def _motors(log: BlackboxLog, t_s: Array, vehicle: Vehicle, source: str) -> tuple[Stream, list[str]]:

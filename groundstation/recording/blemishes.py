@@ -7,6 +7,7 @@ so that fast flight, vibration and high rates are no blemishes.
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -239,12 +240,13 @@ def jumps(t_s: Array, position_m: Array, quaternion: Array) -> Mask:
     turns = np.linalg.norm(np.diff(rate, axis=0), axis=1) * dt[1:] > 0.5 * allow_rad
     suspects = np.flatnonzero(np.concatenate([[False], leaps]) | np.append(leaps, False) | np.append(turns, False))
     cuts = [int(at) for at in suspects if not joins(int(at), int(at) + 1)]
-    if not cuts:
-        return np.zeros(count, bool)
-    edges = [0, *[cut + 1 for cut in cuts], count]
-    pieces = list(pairwise(edges))
+    return _apart(list(pairwise([0, *[cut + 1 for cut in cuts], count])), joins)
+
+
+def _apart(pieces: list[tuple[int, int]], joins: Callable[[int, int], bool]) -> Mask:
+    """Which samples lie in pieces that do not join on to the longest one, before or after it."""
     longest = max(range(len(pieces)), key=lambda i: pieces[i][1] - pieces[i][0])
-    bad = np.ones(count, bool)
+    bad = np.ones(pieces[-1][1], bool)
     bad[slice(*pieces[longest])] = False
     first, last = pieces[longest][0], pieces[longest][1] - 1
     for begin, end in pieces[longest + 1 :]:

@@ -6,7 +6,7 @@ import json
 import math
 import os
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -57,47 +57,59 @@ def read_bundle(folder: Path, vehicle: Vehicle | None = None) -> Recording:
     shell = Recording(name=about["name"] or folder.resolve().name, files=verbatim)
     declared = vehicle or shell.vehicle(str(folder))
 
-    streams: dict[str, Stream] = {}
-    extras: dict[str, Stream] = {}
-    texts: dict[str, Texts] = {}
-    notes: list[str] = []
+    tables = _Tables()
     for name in STREAMS:
         path = files.get(f"{name}.csv")
-        if path is None:
-            continue
-        source = f"{folder}/{path.name}"
-        data = read_bytes(path, "a file of a bundle")
-        wanted = _motor_columns(data, declared, source) if name == "motors" else COLUMNS[name]
-        columns = parse_csv(data, source, frozenset((*wanted, "t_s", "received_s")))
-        columns = _without_current(columns) if name == "battery" else columns
-        streams[name], rest, words = _split(columns, wanted, source)
-        if rest is not None:
-            extras[name] = rest
-        if words is not None:
-            texts[name] = words
-        notes.extend(columns.notes)
+        if path is not None:
+            tables.add_stream(name, read_bytes(path, "a file of a bundle"), f"{folder}/{path.name}", declared)
     for name in about["extras"]:
         if f"{name}.csv" not in verbatim:
             raise BadInput(f"{folder}: {shown(name, limit=60)}.csv is missing, which {FLIGHT_FILE} names; put it back.")
-        columns = parse_csv(verbatim.pop(f"{name}.csv"), f"{folder}/{name}.csv")
-        wanted = tuple(key for key in columns.numbers if key not in ("t_s", "received_s"))
-        extras[name] = _split(columns, wanted, name)[0]
+        tables.add_extra(name, verbatim.pop(f"{name}.csv"), f"{folder}/{name}.csv")
     for name, columns_of_log in LOG_COLUMNS.items():
         log = _log(verbatim.get(f"{name}.csv"), columns_of_log, f"{folder}/{name}.csv")
         if log is not None:
-            texts[name] = log
+            tables.texts[name] = log
             verbatim.pop(f"{name}.csv")
     return Recording(
         name=shell.name,
-        streams=streams,
-        extras=extras,
-        texts=texts,
+        streams=tables.streams,
+        extras=tables.extras,
+        texts=tables.texts,
         files=verbatim,
         metadata=about["metadata"],
         window_s=about["window_s"],
-        notes=(*about["notes"], *notes),
-        left_out=tuple(notes),
+        notes=(*about["notes"], *tables.notes),
+        left_out=tuple(tables.notes),
     )
+
+
+@dataclass(slots=True)
+class _Tables:
+    """What the CSV files of a bundle hold, filled file by file."""
+
+    streams: dict[str, Stream] = field(default_factory=dict)
+    extras: dict[str, Stream] = field(default_factory=dict)
+    texts: dict[str, Texts] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def add_stream(self, name: str, data: bytes, source: str, declared: Vehicle | None) -> None:
+        """A stream of a kind that the program knows; its other columns are kept beside it."""
+        wanted = _motor_columns(data, declared, source) if name == "motors" else COLUMNS[name]
+        columns = parse_csv(data, source, frozenset((*wanted, "t_s", "received_s")))
+        columns = _without_current(columns) if name == "battery" else columns
+        self.streams[name], rest, words = _split(columns, wanted, source)
+        if rest is not None:
+            self.extras[name] = rest
+        if words is not None:
+            self.texts[name] = words
+        self.notes.extend(columns.notes)
+
+    def add_extra(self, name: str, data: bytes, source: str) -> None:
+        """A stream that only ``flight.json`` names."""
+        columns = parse_csv(data, source)
+        wanted = tuple(key for key in columns.numbers if key not in ("t_s", "received_s"))
+        self.extras[name] = _split(columns, wanted, name)[0]
 
 
 _NEEDS = "vehicle.toml, motors.csv, and imu.csv, mocap.csv or state.csv"

@@ -41,8 +41,13 @@ def confined(function: Callable[Concatenate[Path, P], R]) -> Callable[Concatenat
     @wraps(function)
     def run(path: Path, *args: P.args, **kwargs: P.kwargs) -> R:
         size, packed = _size(path)
-        if _INSIDE in os.environ or not (packed or size > SMALL):
+        if _INSIDE in os.environ:
             return function(path, *args, **kwargs)
+        if not (packed or size > SMALL):
+            try:
+                return function(path, *args, **kwargs)
+            except MemoryError:  # a damaged size that the library asks memory for before it looks at the file
+                raise BadInput(f"{path}: is damaged (a record longer than the memory); record it again.") from None
         return _elsewhere(function.__name__, path, size, (path, *args), kwargs)
 
     return run

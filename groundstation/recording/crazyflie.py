@@ -14,6 +14,7 @@ import zlib
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from groundstation.errors import BadInput
 from groundstation.flightdata import (
@@ -266,10 +267,7 @@ _STATE_MORE = tuple(f"stateEstimate.{name}" for name in ("roll", "pitch", "ax", 
 def _state(variables: _Variables) -> tuple[Stream | None, list[str]]:
     """The vehicle's own estimate; pitch, where it was not logged, from the specific force.
 
-    With the world's acceleration a (gravity removed) and yaw psi, f = Rz(-psi) (a + g e_z) is the specific force in the
-    heading frame. Where the only force besides gravity acts along body z, f is parallel to
-    Rz(-psi) R e_z = [sin(theta) cos(phi), -sin(phi), cos(theta) cos(phi)], so that tan(theta) = f_x / f_z whatever phi.
-    Drag in the body's plane is what this neglects.
+    Pitch: :func:`_level_from_acceleration`.
     """
     if "stateEstimate.x" not in variables:
         return None, []
@@ -277,40 +275,47 @@ def _state(variables: _Variables) -> tuple[Stream | None, list[str]]:
     t_s, values = variables.together(*wanted)
     columns = dict(zip(wanted, values.T, strict=True))
 
-    def get(name: str) -> Array:
-        return columns[f"stateEstimate.{name}"]
-
+    columns = {name.removeprefix("stateEstimate."): column for name, column in columns.items()}
+    yaw = np.unwrap(np.radians(columns["yaw"]))
+    derived_roll, derived_pitch = _level_from_acceleration(columns, yaw)
+    roll = np.radians(columns["roll"]) if "roll" in columns else derived_roll
+    # The firmware's pitch is negative with the nose up.
+    pitch = -np.radians(columns["pitch"]) if "pitch" in columns else derived_pitch
     notes = []
-    yaw = np.unwrap(np.radians(get("yaw")))
-    force = np.column_stack([get(f"a{axis}") for axis in "xyz"]) * _G if "stateEstimate.ax" in columns else None
-    has = {key.removeprefix("stateEstimate.") for key in columns}
-    pitch = -np.radians(get("pitch")) if "pitch" in has else None  # its sign is the firmware's, nose up negative
-    if force is not None:
-        force[:, 2] += _G
-        ahead = np.cos(yaw) * force[:, 0] + np.sin(yaw) * force[:, 1]
-        left = -np.sin(yaw) * force[:, 0] + np.cos(yaw) * force[:, 1]
-        if pitch is None:
-            pitch = np.arctan2(ahead, force[:, 2])
-            notes.append(
-                "state: pitch was not logged; it is derived from the estimated acceleration and yaw, taking the thrust "
-                "as the only force besides gravity (drag in the body's plane is neglected)."
-            )
-        derived_roll = np.arctan2(-left, np.hypot(ahead, force[:, 2]))
-    else:
-        derived_roll = np.full(len(t_s), np.nan)
-    roll = np.radians(get("roll")) if "roll" in has else derived_roll
-    if pitch is None:
-        pitch = np.full(len(t_s), np.nan)
-    if "roll" in has and "pitch" not in has and force is not None:
-        flying = get("z") > 0.2
-        if flying.any():
-            miss = np.degrees(np.sqrt(np.mean((derived_roll - roll)[flying] ** 2)))
-            notes.append(
-                f"state: roll derived in the same way misses the logged roll by {miss:.1f} degrees rms in flight."
-            )
+    if "pitch" not in columns and "ax" in columns:
+        notes = _said_of_pitch(columns["z"] > 0.2, derived_roll - roll if "roll" in columns else None)
     quaternion = quat_from_euler(roll, pitch, yaw)
     rates = body_rates(t_s, quaternion)
     notes.append("state: body rates are derived from the attitude by central differences.")
-    position_velocity = [get(name) for name in ("x", "y", "z", "vx", "vy", "vz")]
+    position_velocity = [columns[name] for name in ("x", "y", "z", "vx", "vy", "vz")]
     values = np.column_stack([*position_velocity, quaternion, rates])
     return Stream(t_s, values, STATE_COLUMNS), notes
+
+
+def _level_from_acceleration(columns: dict[str, Array], yaw: Array) -> tuple[Array, Array]:
+    """Roll and pitch from the estimated acceleration, rad; NaN where it was not logged.
+
+    With the world's acceleration a (gravity removed) and yaw psi, f = Rz(-psi) (a + g e_z) is the specific force in the
+    heading frame. Where the only force besides gravity acts along body z, f is parallel to
+    Rz(-psi) R e_z = [sin(theta) cos(phi), -sin(phi), cos(theta) cos(phi)], so that tan(theta) = f_x / f_z whatever phi.
+    Drag in the body's plane is what this neglects.
+    """
+    if "ax" not in columns:
+        return np.full(len(yaw), np.nan), np.full(len(yaw), np.nan)
+    force = np.column_stack([columns[f"a{axis}"] for axis in "xyz"]) * _G
+    force[:, 2] += _G
+    ahead = np.cos(yaw) * force[:, 0] + np.sin(yaw) * force[:, 1]
+    left = -np.sin(yaw) * force[:, 0] + np.cos(yaw) * force[:, 1]
+    return np.arctan2(-left, np.hypot(ahead, force[:, 2])), np.arctan2(ahead, force[:, 2])
+
+
+def _said_of_pitch(flying: NDArray[np.bool_], roll_error: Array | None) -> list[str]:
+    """That pitch is derived, and how well roll comes out by the same way where it was logged."""
+    notes = [
+        "state: pitch was not logged; it is derived from the estimated acceleration and yaw, taking the thrust "
+        "as the only force besides gravity (drag in the body's plane is neglected)."
+    ]
+    if roll_error is not None and flying.any():
+        miss = np.degrees(np.sqrt(np.mean(roll_error[flying] ** 2)))
+        notes.append(f"state: roll derived in the same way misses the logged roll by {miss:.1f} degrees rms in flight.")
+    return notes

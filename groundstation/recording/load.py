@@ -19,6 +19,7 @@ from groundstation.recording.crazyflie import is_usd_log, read_usd
 from groundstation.recording.kinds import READABLE, described
 from groundstation.recording.mcapfile import ForeignMcap, read_mcap
 from groundstation.recording.merge import merge_onboard, onboard_log_of
+from groundstation.recording.online_clock import online_clock
 from groundstation.recording.recorded import VEHICLE_FILE, Recording, vehicle_file
 from groundstation.recording.repair import repair
 from groundstation.recording.tables import MissingField
@@ -180,15 +181,19 @@ def checked_flight(recording: Recording, declared: Vehicle, path: str) -> Flight
             f"{path}: the motors are recorded as {has[0]} to {has[-1]}, but the vehicle file asks for {wanted[0]} to "
             f"{wanted[-1]}; give the file of this vehicle, with its own [rotors] input."
         )
+    plan, window = recording.plan(path), recording.window_s
+    if plan is not None and window is not None:
+        plan = plan.as_flown(window[1] - window[0])
     return FlightData(
         name=recording.name,
         vehicle=declared,
         extras=recording.extras,
-        plan=recording.plan(path),
-        window_s=recording.window_s,
+        plan=plan,
+        window_s=window,
         truth=recording.truth(path),
         metadata=recording.metadata,
         notes=recording.notes,
+        online=online_clock(recording.texts.get("events")),
         **recording.streams,
     )
 

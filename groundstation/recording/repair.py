@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from groundstation.errors import BadInput
 from groundstation.flightdata import FlightData, Stream
+from groundstation.identification.clock_steps import cut_steps
 from groundstation.recording import blemishes, plausible
 from groundstation.vehicle import Vehicle
 
@@ -42,7 +43,10 @@ def repair(flight: FlightData) -> FlightData:
             unusable[name] = error
             streams.pop(name, None)
 
-    for name, stream in flight.streams().items():
+    given = flight.streams()
+    if "mocap" in given:
+        given["mocap"], notes[:] = cut_steps(given["mocap"])
+    for name, stream in given.items():
         attempt(name, _with_stamps, stream)
     _refuse_needed(unusable, streams)
     _check_units(streams, vehicle)
@@ -266,7 +270,7 @@ def _repair_motors(stream: Stream, name: str, vehicle: Vehicle) -> tuple[Stream,
     nonfinite = ~np.isfinite(values)
     impossible, spiked = np.zeros_like(nonfinite), np.zeros_like(nonfinite)
     if rotors.input == "rotor_speed":
-        signed = np.nanmedian(np.where(nonfinite, np.nan, values), axis=0) < 0.0
+        signed = 2 * np.count_nonzero(~nonfinite & (values < 0.0), axis=0) > np.count_nonzero(~nonfinite, axis=0)
         if signed.any():
             values = np.where(signed, -values, values)
             stream = replace(stream, values=values)
@@ -282,7 +286,7 @@ def _repair_motors(stream: Stream, name: str, vehicle: Vehicle) -> tuple[Stream,
     if measured:
         low = blemishes.too_slow(stream.t_s, np.where(nonfinite | impossible | spiked, np.nan, values))
     bad = nonfinite | impossible | spiked | low
-    for column, share in zip(stream.columns, bad.mean(axis=0), strict=True):
+    for column, share in zip(stream.columns, np.count_nonzero(bad, axis=0) / max(len(bad), 1), strict=True):
         if share > 0.5:
             raise BadInput(
                 f"{name}: {share:.0%} of {column} is no number, no possible value or far too low in flight; the stream is refused. "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -54,7 +55,7 @@ class Table:
         if name not in self.fields:
             raise MissingField(self.name, name)
         offset, kind, _ = self.fields[name]
-        return gather(self.data, self.where + offset, kind)
+        return gather(self.data, self.where, kind, offset)
 
     def column(self, name: str) -> Array:
         """A column as doubles in its own unit, shape (k,)."""
@@ -104,10 +105,30 @@ def table_of(name: str, columns: Mapping[str, Array], clock: tuple[str, float]) 
     return Table(name, 0, fields, matrix.reshape(-1).view(np.uint8), where, clock)
 
 
-def gather(data: Bytes, where: NDArray[np.int64], kind: str) -> NDArray:
-    """Values of a type that begin at these bytes, shape (k,)."""
+_AT_ONCE = 1 << 18
+"""Records that are gathered together: their places, eight bytes each, are what a column costs besides itself."""
+
+
+_LARGE = 1 << 23
+"""Bytes of a column after which the mapped file's pages are given back; a long log's are most of what it takes else."""
+
+
+def gather(data: Bytes, where: NDArray[np.int64], kind: str, offset: int = 0) -> NDArray:
+    """Values of a type that begin ``offset`` bytes after these places, shape (k,)."""
     dtype = np.dtype(kind)
     out = np.empty((len(where), dtype.itemsize), np.uint8)
-    for byte in range(dtype.itemsize):
-        out[:, byte] = data[where + byte]
+    for first in range(0, len(where), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        places = where[part] + offset
+        for byte in range(dtype.itemsize):
+            out[part, byte] = data[places + byte]
+    if out.nbytes > _LARGE:
+        forget_pages(data)
     return out.reshape(-1).view(dtype)
+
+
+def forget_pages(data: Bytes) -> None:
+    """Give back the memory that holds what was read of a mapped file; it is read again where it is asked for."""
+    mapped = getattr(data, "_mmap", None)
+    if isinstance(mapped, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+        mapped.madvise(mmap.MADV_DONTNEED)

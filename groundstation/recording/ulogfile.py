@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.recording.settings import Settings, settings_of
-from groundstation.recording.tables import Bytes, Table, gather
+from groundstation.recording.tables import Bytes, Table, forget_pages, gather
 
 MAGIC = b"ULog\x01\x12\x35"
 _HEADER = 16
@@ -68,7 +68,9 @@ def decode_ulog(data: Bytes) -> ULogFile:
         position.append(found)
         kind.append(types)
         damaged, missing = damaged + int(skipped), int(lacking)
-    where, types = np.concatenate(position), np.concatenate(kind)
+    where, types = (part[0] if len(part) == 1 else np.concatenate(part) for part in (position, kind))
+    position.clear()
+    forget_pages(data)
     formats = dict(_format(data, at) for at in where[types == _FORMAT].tolist())
     topics, torn = _topics(data, where, types, formats)
     clock = _Clock(data, where[types == _DATA])
@@ -144,11 +146,11 @@ def _topics(
 ) -> tuple[dict[tuple[str, int], Table], int]:
     """Samples of each subscribed topic, and the bytes of those that are torn."""
     samples = where[types == _DATA]
-    ids = gather(data, samples + 3, "<u2")
-    sizes = gather(data, samples, "<u2").astype(np.int64)
+    ids, sizes = gather(data, samples, "<u2", 3), gather(data, samples, "<u2")
     order = np.argsort(ids, kind="stable")
-    known, first = np.unique(ids[order], return_index=True)
-    rows = dict(zip(known.tolist(), np.split(order, first[1:]), strict=True))
+    ids = ids[order]
+    first = np.flatnonzero(np.diff(ids, prepend=~ids[:1]))  # where each topic's rows begin
+    rows = dict(zip(ids[first].tolist(), np.split(order, first[1:]), strict=True))
     topics: dict[tuple[str, int], Table] = {}
     torn = 0
     for at in where[types == _SUBSCRIBE].tolist():
@@ -159,9 +161,12 @@ def _topics(
             continue
         fields, size = _layout(name, formats)
         fitting = sizes[mine] >= size + 2
-        torn += int(np.sum(sizes[mine][~fitting] + 3))
-        topics[name, instance] = Table(name, instance, fields, data, samples[mine[fitting]] + 5)
-    return topics, torn + sum(int(np.sum(sizes[mine] + 3)) for mine in rows.values())
+        torn += int(np.sum(sizes[mine][~fitting], dtype=np.int64)) + 3 * int(np.sum(~fitting))
+        places = samples[mine] if fitting.all() else samples[mine[fitting]]
+        places += 5
+        topics[name, instance] = Table(name, instance, fields, data, places)
+    lost = sum(int(np.sum(sizes[mine], dtype=np.int64)) + 3 * len(mine) for mine in rows.values())
+    return topics, torn + lost
 
 
 def _layout(name: str, formats: Mapping[str, str]) -> tuple[dict[str, tuple[int, str, float]], int]:

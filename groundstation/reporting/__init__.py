@@ -1,5 +1,1 @@
-"""Reports, figures and exports of identified flights."""
-
-from groundstation.reporting.report import report_html, write_report
-
-__all__ = ["report_html", "write_report"]
+"""Reports, figures and exports of identified flights; importing the package imports none of them."""

@@ -178,12 +178,22 @@ FORMATS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "ardupilot-sitl": _simulator(robotics.to_ardupilot_sitl),
     "pybullet": _simulator(robotics.to_pybullet),
     "crazyflow": _simulator(robotics.to_crazyflow),
+    "crazyflie": _simulator(robotics.to_crazyflie),
     "agilicious": _simulator(robotics.to_agilicious),
     "webots": _simulator(robotics.to_webots),
     "matlab": _simulator(robotics.to_matlab),
     "ros2": _simulator(robotics.to_ros2),
 }
 """Writers by the name of the format."""
+
+
+UPRIGHT_ONLY = frozenset({"px4-sih", "rotorpy", "ardupilot-sitl", "pybullet", "crazyflow", "agilicious"})
+"""Formats whose rotors all push along body z."""
+
+
+def mat_file(model: Mapping[str, Any] | str | Path, vehicle: Vehicle | None = None) -> bytes:
+    """An identified model as a MAT-file; arguments and errors are those of :func:`export`."""
+    return robotics.to_matfile(identified_from_document(_document(model, vehicle)))
 
 
 def export(model: Mapping[str, Any] | str | Path, format_name: str, vehicle: Vehicle | None = None) -> str:
@@ -200,8 +210,15 @@ def export(model: Mapping[str, Any] | str | Path, format_name: str, vehicle: Veh
     """
     if format_name not in FORMATS:
         raise BadInput(f"unknown format '{format_name}'; there are {', '.join(FORMATS)}.")
-    if isinstance(model, (str, Path)):
-        document = read_model(model, vehicle)
-    else:
-        document = {**model, "vehicle": vehicle_to_dict(vehicle)} if vehicle is not None else dict(model)
+    document = _document(model, vehicle)
+    if format_name in UPRIGHT_ONLY and identified_from_document(document).vehicle.rotors.tilted:
+        raise BadInput(
+            f"{format_name} has upright rotors only, and this vehicle's are tilted; export mjcf, sdf or webots."
+        )
     return FORMATS[format_name](document)
+
+
+def _document(model: Mapping[str, Any] | str | Path, vehicle: Vehicle | None) -> Mapping[str, Any]:
+    if isinstance(model, (str, Path)):
+        return read_model(model, vehicle)
+    return {**model, "vehicle": vehicle_to_dict(vehicle)} if vehicle is not None else dict(model)

@@ -148,7 +148,10 @@ def path_figure(flown: Array, wanted: Array | None) -> Figure:
     }
     camera = {"eye": {"x": 1.5, "y": -1.5, "z": 0.9}, "center": {"x": 0, "y": 0, "z": -0.1}}
     data = [_path_3d(part, name, i) for i, (name, part) in enumerate(drawn.items())]
-    return {"data": data, "layout": {"height": 440, "scene": {"aspectmode": "cube", "camera": camera, **axes}}}
+    return {
+        "data": data,
+        "layout": {"height": 440, "scene": {"aspectmode": "cube", "dragmode": "turntable", "camera": camera, **axes}},
+    }
 
 
 def _path_3d(points: Array, name: str, style: int) -> dict[str, Any]:

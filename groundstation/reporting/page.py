@@ -25,13 +25,12 @@ class Page:
     sections: list[tuple[str, str, Markup]] = field(default_factory=list)
     figures: dict[str, Any] = field(default_factory=dict)
 
-    def section(self, anchor: str, heading: str, *content: Child) -> None:
-        """Add a section with a heading that the table of contents points at."""
+    def section(self, anchor: str, heading: str, *content: Child, folded: bool = False) -> None:
+        """Add a section with a heading that the table of contents points at; one that is ``folded`` opens at a click, and for print."""
         if self.sections:  # the first one, the verdict, is always seen
+            fold = {"open": None if folded else "", "class_": "fold"}
             body = element(
-                "section",
-                element("details", element("summary", element("h2", heading)), *content, open="", class_="fold"),
-                id=anchor,
+                "section", element("details", element("summary", element("h2", heading)), *content, **fold), id=anchor
             )
         else:
             body = element("section", element("h2", heading), *content, id=anchor)
@@ -45,7 +44,7 @@ class Page:
             "div",
             class_="plot",
             id=name,
-            role="img",
+            role="group",
             aria_labelledby=f"{name}-caption",
             style=f"min-height:{figure['layout'].get('height', 300)}px",
         )

@@ -18,6 +18,7 @@ from groundstation.reporting.sections.flight import add_flight
 from groundstation.reporting.sections.parameters import add_parameters
 from groundstation.reporting.sections.verdict import add_verdict
 from groundstation.reporting.units import fixed
+from groundstation.reporting.wiki import report_markdown
 from groundstation.writing import write_whole
 
 if TYPE_CHECKING:  # the diagnosis is heavy to import, and only its type is needed
@@ -68,11 +69,16 @@ def write_report(
     live: Sequence[str] = (),
     source: str | None = None,
 ) -> Path:
-    """Write :func:`report_html` to ``path`` and return it; without a ``source``, a ``flight.mcap`` beside it is named."""
+    """Write :func:`report_html` to ``path`` and return it, and beside it the same as Markdown.
+
+    Without a ``source``, a ``flight.mcap`` beside it is named.
+    """
     path = Path(path)
     recording = path.with_name("flight.mcap")
     if source is None and recording.is_file():
         source = shlex.quote(str(recording))
+    named = source or flight.metadata.get("source", flight.name)
+    write_whole(path.with_suffix(".md"), report_markdown(flight, identification, diagnosis, named, recording))
     return write_whole(
         path, report_html(flight, identification, diagnosis, live=live, source=source, recording=recording)
     )

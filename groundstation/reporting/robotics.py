@@ -5,6 +5,7 @@ Each states in its head, or beside its numbers where it has no comments, what wa
 
 from __future__ import annotations
 
+import io
 import json
 import xml.etree.ElementTree as ET
 from typing import Any
@@ -25,6 +26,8 @@ from groundstation.reporting.simulators import (
     xml_text,
 )
 
+MAT_TEXT = 116
+"""Bytes of text at the head of a MAT-file (MAT-File Format, version 5, MathWorks, Level 5 header)."""
 RPM = 30.0 / np.pi
 """Revolutions per minute in a radian per second."""
 
@@ -206,10 +209,11 @@ def to_webots(model: Identified) -> str:
         "    controller IS controller",
         "    children [",
     ]
-    for i, (position, spin) in enumerate(zip(vehicle.rotors.position_m, vehicle.rotors.spin, strict=True), start=1):
+    rotors = zip(vehicle.rotors.position_m, vehicle.rotors.spin, vehicle.rotors.axes(), strict=True)
+    for i, (position, spin, axis) in enumerate(rotors, start=1):
         body += [
             "      Propeller {",
-            "        shaftAxis 0 0 1",
+            f"        shaftAxis {numbers(axis)}",
             f"        centerOfThrust {numbers(position)}",
             f"        thrustConstants {number(spin * k)} 0",
             f"        torqueConstants {number(k * vehicle.rotors.torque_to_thrust_m)} 0",
@@ -254,9 +258,54 @@ def to_matlab(model: Identified) -> str:
     tensor = "; ".join(numbers(row) for row in vehicle.inertia_tensor())
     lines += [f"vehicle.inertia_kg_m2 = [{tensor}];"]
     lines += [f"vehicle.rotor_position_m = [{'; '.join(numbers(p) for p in vehicle.rotors.position_m)}];"]
+    lines += [f"vehicle.rotor_axis = [{'; '.join(numbers(a) for a in vehicle.rotors.axes())}];"]
     lines += [f"vehicle.rotor_spin = [{numbers(vehicle.rotors.spin)}];"]
     lines += [f"vehicle.std.{name} = {number(model.std.get(name, 0.0))};" for name in values]
     return "\n".join(lines) + "\n"
+
+
+def to_matfile(model: Identified) -> bytes:
+    """A MAT-file (version 5) with the struct ``vehicle``, as :func:`to_matlab` fills it; the same model gives the same bytes."""
+    from scipy.io import savemat
+
+    vehicle, values = model.vehicle, _flat(model)
+    fields = {
+        "name": identifier(vehicle.name),
+        "provenance": "\n".join(model.provenance()),
+        **values,
+        "inertia_kg_m2": vehicle.inertia_tensor(),
+        "rotor_position_m": np.asarray(vehicle.rotors.position_m),
+        "rotor_axis": vehicle.rotors.axes(),
+        "rotor_spin": np.asarray(vehicle.rotors.spin, dtype=float),
+        "std": {name: model.std.get(name, 0.0) for name in values},
+    }
+    file = io.BytesIO()
+    savemat(file, {"vehicle": fields}, long_field_names=True)
+    head = b"MATLAB 5.0 MAT-file, written by groundstation"  # instead of the date at which it was written
+    return head.ljust(MAT_TEXT) + file.getvalue()[MAT_TEXT:]
+
+
+def to_crazyflie(model: Identified) -> str:
+    """Parameters of the Crazyflie firmware's Lee and Mellinger controllers, as cflib stores them from a file (YAML).
+
+    The firmware holds the mass and, in its Lee controller, principal moments; thrust and lag are compiled in.
+    """
+    vehicle = model.vehicle
+    tensor = vehicle.inertia_kg_m2
+    values = {
+        "ctrlLee.J_x": tensor.xx,
+        "ctrlLee.J_y": tensor.yy,
+        "ctrlLee.J_z": tensor.zz,
+        "ctrlLee.mass": vehicle.mass_kg,
+        "ctrlMel.mass": vehicle.mass_kg,
+    }
+    lines = ["params:"]
+    for name, value in values.items():
+        shown = _yaml(value)
+        lines += [f"  {name}:", f"    default_value: {shown}", "    is_stored: true", f"    stored_value: {shown}"]
+    lines += ["type: persistent_param_state", "version: '1'"]
+    notes = [*model.provenance(), "kg and kg m^2. default_value is not the firmware's own: it is what is stored."]
+    return hash_comment(notes) + "\n".join(lines) + "\n"
 
 
 def to_ros2(model: Identified) -> str:
@@ -269,6 +318,10 @@ def to_ros2(model: Identified) -> str:
     lines += [
         f"{indent}rotor_{a}_m: [{', '.join(_yaml(p[i]) for p in vehicle.rotors.position_m)}]"
         for i, a in enumerate("xyz")
+    ]
+    lines += [
+        f"{indent}rotor_axis_{a}: [{', '.join(_yaml(v) for v in column)}]"
+        for a, column in zip("xyz", vehicle.rotors.axes().T, strict=True)
     ]
     lines += [f"{indent}rotor_spin: [{', '.join(_yaml(s) for s in vehicle.rotors.spin)}]", f"{indent}std:"]
     lines += [f"{indent}  {name}: {_yaml(model.std[name])}" for name in values if name in model.std]

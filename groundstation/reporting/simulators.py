@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from groundstation.errors import BadInput
+from groundstation.frames import matrix_from_quat, quat_from_euler
 from groundstation.reporting.identified import Identified, as_rigid_body
 from groundstation.reporting.units import split_unit
 from groundstation.texts import shown
@@ -188,13 +189,19 @@ def to_urdf(model: Identified) -> str:
     link = child(root, "link", name="base_link")
     add_inertial(link, vehicle.mass_kg, model.com_offset_m, vehicle.inertia_tensor(), urdf=True)
     add_urdf_frame(link, vehicle)
-    for i, position in enumerate(vehicle.rotors.position_m, start=1):
+    for i, (position, axis) in enumerate(zip(vehicle.rotors.position_m, vehicle.rotors.axes(), strict=True), start=1):
         child(root, "link", name=f"rotor_{i}")
         joint = child(root, "joint", name=f"rotor_{i}_joint", type="fixed")
         child(joint, "parent", link="base_link")
         child(joint, "child", link=f"rotor_{i}")
-        child(joint, "origin", xyz=numbers(position), rpy="0 0 0")
+        child(joint, "origin", xyz=numbers(position), rpy=numbers(upright_to(axis)))
     return xml_text(root)
+
+
+def upright_to(axis: np.ndarray) -> tuple[float, float, float]:
+    """Roll, pitch and yaw (zero) that turn body z into a rotor's axis, rad."""
+    x, y, z = (float(v) for v in axis)
+    return float(np.arcsin(-y)) + 0.0, float(np.arctan2(x, z)) + 0.0, 0.0
 
 
 def _arm(position: Sequence[float]) -> tuple[float, float, float]:
@@ -237,7 +244,8 @@ def to_sdf(model: Identified) -> str:
     base_mass = vehicle.mass_kg - len(positions) * each
     centre = (vehicle.mass_kg * model.com_offset_m - each * positions.sum(axis=0)) / base_mass
     about_origin = vehicle.inertia_tensor() + _parallel_axis(vehicle.mass_kg, model.com_offset_m)
-    about_origin -= sum(disc + _parallel_axis(each, position) for position in positions)
+    turned = [matrix_from_quat(quat_from_euler(*upright_to(axis))) for axis in rotors.axes()]
+    about_origin -= sum(r @ disc @ r.T + _parallel_axis(each, p) for r, p in zip(turned, positions, strict=True))
     base_tensor = about_origin - _parallel_axis(base_mass, centre)
 
     root = ET.Element("sdf", version="1.9")
@@ -252,7 +260,7 @@ def to_sdf(model: Identified) -> str:
     add_inertial(base, base_mass, centre, base_tensor, urdf=False)
     for i, position in enumerate(positions):
         link = child(body, "link", name=f"rotor_{i}")
-        child(link, "pose", f"{numbers(position)} 0 0 0")
+        child(link, "pose", f"{numbers(position)} {numbers(upright_to(rotors.axes()[i]))}")
         add_inertial(link, each, np.zeros(3), disc, urdf=False)
         joint = child(body, "joint", name=f"rotor_{i}_joint", type="revolute")
         child(joint, "parent", "base_link")
@@ -348,10 +356,11 @@ def to_mjcf(model: Identified) -> str:
     actuators = child(root, "actuator")
     lag, top = model.mean_lag_s(), vehicle.rotor_thrust_max_n()
     for i, (spin, share) in enumerate(zip(rotors.spin, model.rotor_effectiveness, strict=True), start=1):
+        push = share * rotors.axes()[i - 1]
         attributes = {
             "name": f"rotor{i}",
             "site": f"rotor{i}",
-            "gear": f"0 0 {number(share)} 0 0 {number(-spin * rotors.torque_to_thrust_m * share)}",
+            "gear": f"{numbers(push)} {numbers(-spin * rotors.torque_to_thrust_m * push + 0.0)}",
         }
         if np.isfinite(top):
             attributes["ctrlrange"] = f"0 {number(top)}"

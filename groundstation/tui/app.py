@@ -1,4 +1,4 @@
-"""The terminal UI: six screens over the core process. It computes nothing, and no flight depends on it.
+"""The terminal UI: seven screens over the core process. It computes nothing, and no flight depends on it.
 
 Keys that work everywhere, from inside every field and in front of every question (priority bindings): ``ctrl+g`` or F8
 aborts and lands, ``ctrl+o`` or F9 asks whether to stop the rotors. Neither a terminal, tmux nor an input field takes
@@ -7,14 +7,17 @@ them.
 
 from __future__ import annotations
 
+import importlib
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
-from textual.app import App
+from textual.app import App, SystemCommand
 from textual.binding import Binding
 from textual.css.query import NoMatches
+from textual.screen import Screen
 
 from groundstation.commands.common import LOGS
 from groundstation.errors import GroundStationError
@@ -25,26 +28,27 @@ from groundstation.flight.journal import read_journal
 from groundstation.flight.messages import CommandName, CoreStatus
 from groundstation.flight.sequence import FINAL, IN_FLIGHT, Phase
 from groundstation.texts import shown
-from groundstation.trajectory import Plan
+from groundstation.tui.margins import Announcer, FlightLimits, margins
 from groundstation.tui.results import FlightResults, read_results
 from groundstation.tui.screens.base import StationScreen
-from groundstation.tui.screens.diagnose import Diagnose
-from groundstation.tui.screens.flights import Flights
-from groundstation.tui.screens.fly import Fly
-from groundstation.tui.screens.identify import Identify
-from groundstation.tui.screens.plan import Planner
-from groundstation.tui.screens.station import Station
 from groundstation.tui.setup import Setup, begin_flight, flight_limits, plan_at_hand
 from groundstation.tui.watch import CoreWatch
 from groundstation.tui.widgets.bars import REFRESH_S, SCREENS
 from groundstation.tui.widgets.dialogs import Question, TextPage, TypedQuestion
+
+if TYPE_CHECKING:
+    from groundstation.trajectory import Plan
+    from groundstation.tui.screens.diagnose import Diagnose
+    from groundstation.tui.screens.identify import Identify
+    from groundstation.tui.screens.plan import Planner
 
 AFTER_LANDING = (Phase.LANDED, Phase.IDENTIFYING, Phase.DONE)
 """A view may see any of them first."""
 KEYS = """\
 ^g, F8  abort and land
 ^o, F9  stop the rotors, after a question
-1 … 6   the screens
+^p      every command by name
+1 … 7   the screens
 Escape  leave a field
 l       the run's log
 t       light or dark
@@ -59,6 +63,15 @@ Stop the rotors now? The vehicle falls from where it is.
 Abort and land (^g) brings it down under control."""
 
 
+def _screen(mode: str, name: str) -> Callable[[], StationScreen]:
+    """Makes a screen; its module is imported when the screen is first opened: plots and tables need numerics."""
+
+    def make() -> StationScreen:
+        return getattr(importlib.import_module(f"groundstation.tui.screens.{mode}"), name)()
+
+    return make
+
+
 class GroundStation(App[int]):
     """The application.
 
@@ -70,19 +83,20 @@ class GroundStation(App[int]):
         core: the flight that is followed; None before the first.
         plan: what the next flight flies; None takes the one that ships for the vehicle.
         results: of the flight that Identify and Diagnose show.
+        limits: of the flight that is followed.
         trouble: what went wrong last with the flight, as a sentence.
     """
 
     TITLE = "groundstation"
     CSS_PATH = "groundstation.tcss"
-    ENABLE_COMMAND_PALETTE = False
     MODES: ClassVar = {
-        "station": Station,
-        "plan": Planner,
-        "fly": Fly,
-        "identify": Identify,
-        "diagnose": Diagnose,
-        "flights": Flights,
+        "station": _screen("station", "Station"),
+        "plan": _screen("plan", "Planner"),
+        "fly": _screen("fly", "Fly"),
+        "identify": _screen("identify", "Identify"),
+        "diagnose": _screen("diagnose", "Diagnose"),
+        "flights": _screen("flights", "Flights"),
+        "campaign": _screen("campaign", "Campaign"),
     }
     DEFAULT_MODE = "station"
     BINDINGS: ClassVar = [
@@ -109,7 +123,9 @@ class GroundStation(App[int]):
         self._start_wanted = False
         self._preparing = False
         self._simulated = False
-        self._limits: tuple[Mapping[str, float], Mapping[str, float]] = ({}, {})
+        self.limits = FlightLimits()
+        self._announcer = Announcer()
+        self._offered: object = None
 
     def on_mount(self) -> None:
         """Find a flight that goes on, and refresh from now on."""
@@ -129,7 +145,8 @@ class GroundStation(App[int]):
             self.core.stop()
         self.core, self._shown, self.trouble, self.results = core, None, "", None
         self._simulated = simulated
-        self._limits = flight_limits(core.folder, None if simulated else self.setup.station)
+        self.limits = flight_limits(core.folder, self.setup.station, simulated=simulated)
+        self._announcer = Announcer()
         self.switch_mode("fly")
 
     def _find_flight(self) -> None:
@@ -137,9 +154,16 @@ class GroundStation(App[int]):
         for folder, endpoint in running_cores(self.logs, told=lambda text: self.call_from_thread(self._fail, text))[:1]:
             self.call_from_thread(self.follow, CoreWatch(endpoint, folder))
 
-    def limits(self) -> tuple[Mapping[str, float], Mapping[str, float]]:
-        """Of the flight that is followed: those of its plan, and those of the guard that a view can see."""
-        return self._limits
+    @property
+    def preparing(self) -> bool:
+        """A core is being started."""
+        return self._preparing
+
+    @property
+    def may_take_lease(self) -> bool:
+        """Another client is the operator."""
+        core = self.core
+        return core is not None and core.newest is not None and bool(core.newest.lease) and not core.operator
 
     @property
     def flying(self) -> bool:
@@ -149,19 +173,25 @@ class GroundStation(App[int]):
 
     def prepare_flight(self) -> None:
         """Start a core with what is chosen; it waits for the start."""
+        self.prepare_this(self.setup, None)
+
+    def prepare_this(
+        self, setup: Setup, plan: Plan | None, begun: Callable[[Path], None] = lambda folder: None
+    ) -> None:
+        """Start a core with a plan, or the one at hand; ``begun`` is told the flight's folder, on a thread."""
         if self.flying or self._preparing:
             self.notify("a flight is prepared already; s on Fly starts it, ^g gives it up.")
             return
         self._preparing, self._start_wanted, self.trouble = True, False, ""
-        self._simulated = self.setup.simulated
+        self._simulated = setup.simulated
         self.switch_mode("fly")
-        self.run_worker(self._prepare, thread=True)
+        self.run_worker(lambda: self._prepare(setup, plan, begun), thread=True)
 
-    def _prepare(self) -> None:
-        setup = self.setup
+    def _prepare(self, setup: Setup, chosen: Plan | None, begun: Callable[[Path], None]) -> None:
         try:
-            plan = plan_at_hand(setup, self.plan) or self._new_plan(setup)
+            plan = chosen or plan_at_hand(setup, self.plan) or self._new_plan(setup)
             child, endpoint, folder = begin_flight(setup, plan, self.logs, analyse=self._analyse)
+            begun(folder)
         except (GroundStationError, OSError) as error:
             self.call_from_thread(self._fail, str(error))
         else:
@@ -189,7 +219,7 @@ class GroundStation(App[int]):
             self.notify("no flight is prepared; r prepares one.")
         elif self._simulated:
             self._start_wanted = True
-        elif self._phase() != Phase.CHECKED:
+        elif self.phase != Phase.CHECKED:
             self.notify("not everything is checked yet; start when the state says CHECKED.")
         else:
             self.push_screen(TypedQuestion(CONFIRM, "FLY"), self._on_typed)
@@ -227,7 +257,7 @@ class GroundStation(App[int]):
 
     def action_kill(self) -> None:
         """Stop the rotors, after a question."""
-        if self._phase() not in IN_FLIGHT:
+        if self.phase not in IN_FLIGHT:
             self.notify("nothing flies, so there is nothing to kill.")
         elif not isinstance(self.screen, Question):
             self.push_screen(Question(KILL), self._on_kill)
@@ -236,7 +266,9 @@ class GroundStation(App[int]):
         if yes:
             self.order("kill", "kill: the rotors were told to stop")
 
-    def _phase(self) -> str:
+    @property
+    def phase(self) -> str:
+        """Of the flight that is followed; empty without one."""
         return self.core.newest.phase if self.core and self.core.newest else ""
 
     # The view ---------------------------------------------------------------------------------------------------------
@@ -252,11 +284,13 @@ class GroundStation(App[int]):
             if status is not None and new:
                 screens[-1].show_status(status)
             self._show_results(screens[-1])
+            self._offer(screens[-1])
         except (IndexError, NoMatches):
             return  # the screen is coming up or being taken down; there is another time
         if core is None or status is None or not new:
             return
         before, self._shown = self._shown, status
+        self._announce(status)
         if status.phase == Phase.CHECKED and self._start_wanted:
             self._start_wanted = False
             self.order("start", "started")
@@ -270,12 +304,36 @@ class GroundStation(App[int]):
         if status.phase in FINAL:
             self.show_flight(core.folder)
 
+    def _offer(self, screen: StationScreen) -> None:
+        """The footer shows what can be done now."""
+        status = self.core.newest if self.core else None
+        proposed = status is not None and status.until is not None and bool(status.until.proposal)
+        now = (
+            screen,
+            self.phase,
+            self._preparing,
+            self.plan is None,
+            self.results is None,
+            self.may_take_lease,
+            proposed,
+        )
+        if now != self._offered:
+            self._offered = now
+            screen.refresh_bindings()
+
+    def _announce(self, status: CoreStatus) -> None:
+        """A bell and a line of words when a limit of the guard is approached."""
+        if status.phase in IN_FLIGHT:
+            for sentence in self._announcer.news(margins(status, self.limits)):
+                self.bell()
+                self.notify(sentence, severity="warning", markup=False, timeout=8)
+
     def _watch_child(self) -> None:
         """A core that ended before it could say why is told of."""
         child = self._child
         if child is not None and child.poll() is not None:
             self._child = None
-            if self._phase() not in FINAL and self.core is not None:
+            if self.phase not in FINAL and self.core is not None:
                 said = last_line(self.core.folder / "core.log")
                 self._fail(f"the core ended early{': ' + said if said else ''}; the recording opens as far as it goes.")
 
@@ -288,17 +346,25 @@ class GroundStation(App[int]):
         self.run_worker(read, thread=True)
 
     def _show_results(self, screen: StationScreen) -> None:
-        if self.results is not None and isinstance(screen, Identify | Diagnose) and screen.results is not self.results:
-            screen.show_results(self.results)
-            screen.results = self.results
+        if self.results is None or screen.MODE not in ("identify", "diagnose"):
+            return
+        shows = cast("Identify | Diagnose", screen)
+        if shows.results is not self.results:
+            shows.show_results(self.results)
+            shows.results = self.results
 
     def open_report(self, folder: Path | None = None) -> None:
         """Open a flight's report in the browser."""
         results = read_results(folder) if folder else self.results
         if results is None or results.report is None:
             self.notify("this flight has no report.")
-        elif not webbrowser.open(results.report.resolve().as_uri()):
-            self.notify(f"no browser here; the report is {results.report}", markup=False)
+        else:
+            self.open_page(results.report)
+
+    def open_page(self, path: Path) -> None:
+        """Open a page in the browser."""
+        if not webbrowser.open(path.resolve().as_uri()):
+            self.notify(f"no browser here; the report is {path}", markup=False)
 
     def plan_next(self) -> None:
         """Take the plan that the diagnosis proposes, or search one for the diagnosed vehicle where it proposes none."""
@@ -313,18 +379,37 @@ class GroundStation(App[int]):
                 f"this is the flight that the diagnosis of {results.folder.name} proposes; r on Fly prepares it",
                 markup=False,
             )
-            self.call_after_refresh(lambda: isinstance(self.screen, Planner) and self.screen.on_screen_resume())
+            self._on_planner(lambda planner: planner.on_screen_resume())
             return
         vehicle = str(results.identification.get("vehicle", ""))
-        self.call_after_refresh(lambda: isinstance(self.screen, Planner) and self.screen.plan_for(vehicle))
+        self._on_planner(lambda planner: planner.plan_for(vehicle))
+
+    def _on_planner(self, act: Callable[[Planner], None]) -> None:
+        """On the Plan screen once it is drawn; nothing where another was opened meanwhile."""
+        self.call_after_refresh(
+            lambda: getattr(self.screen, "MODE", "") == "plan" and act(cast("Planner", self.screen))
+        )
 
     # Keys -------------------------------------------------------------------------------------------------------------
+
+    def get_system_commands(self, screen: Screen) -> Iterable[SystemCommand]:
+        """The command palette: what the keys do now, by name."""
+        for mode, title in SCREENS.items():
+            yield SystemCommand(f"Open {title}", f"screen {title}", partial(self.switch_mode, mode))
+        for active in screen.active_bindings.values():
+            binding = active.binding
+            if active.enabled and binding.description and (binding.show or active.node is screen):
+                run = partial(self.run_action, binding.action, active.node)
+                yield SystemCommand(binding.description, f"key {binding.key_display or binding.key}", run)
+        yield SystemCommand("Abort and land", "key ^g", self.action_abort)
+        yield SystemCommand("Stop the rotors", "key ^o; asks first", self.action_kill)
+        yield SystemCommand("Light or dark", "key t", self.action_light)
 
     def action_help(self) -> None:
         """Keys and what the screen does."""
         screen = self.screen
         if isinstance(screen, StationScreen):
-            keys = "\n".join(f"{b.key:<8}{b.description}" for b in screen.BINDINGS if isinstance(b, Binding) and b.show)
+            keys = "\n".join(f"{b.key:<8}{b.description}" for b in screen.BINDINGS if isinstance(b, Binding))
             title = SCREENS[screen.MODE]
             self.push_screen(
                 TextPage(title, f"{' '.join(screen.HELP_TEXT.split())}\n\n{title}\n{keys}\n\nEverywhere\n{KEYS}")
@@ -348,7 +433,7 @@ class GroundStation(App[int]):
 
     def action_leave(self) -> None:
         """Close, after a question while something flies."""
-        if self._phase() in IN_FLIGHT:
+        if self.phase in IN_FLIGHT:
             text = "The flight goes on without this program: the plan is completed and the vehicle lands.\nClose it?"
             self.push_screen(Question(text), self._on_leave)
         else:

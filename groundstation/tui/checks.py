@@ -22,6 +22,7 @@ WHY: Mapping[str, str] = {
     "disk": "a recording that stops is half a flight",
     "poses": "motion capture is what holds the position",
     "frames": "poses in another frame than the estimate fly it into the wall",
+    "marker": "a marker body that moved makes every force seem to act elsewhere",
     "plan": "a plan beyond the vehicle's means is not flown, only begun",
     "room": "the path has to lie inside the box of the station file",
     "vibration": "it drowns accelerations, and it upsets the estimator",

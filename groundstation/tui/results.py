@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from groundstation.documents import read_diagnosis, read_identification
 from groundstation.errors import BadInput
 from groundstation.outside import read_json
-from groundstation.trajectory import Plan, load_plan
+
+if TYPE_CHECKING:
+    from groundstation.trajectory import Plan
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +44,9 @@ class FlightResults:
 
 def read_results(folder: Path) -> FlightResults:
     """Read what there is; a file that is damaged counts as absent."""
+    from groundstation.documents import read_diagnosis, read_identification
+    from groundstation.trajectory import load_plan
+
     names = ("identification.json", "diagnosis.json", "refused.json", "evolution.json")
     readers = (read_identification, read_diagnosis, _table, _table)
     identification, diagnosis, refused, evolution = (

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from drivers.access import Access
 from groundstation.errors import BadInput
 from groundstation.flight.children import Child
 from groundstation.flight.client.client import new_flight_folder, start_core
-from groundstation.flight.client.rehearse import linked_vehicle, simulated_drone
 from groundstation.paths import configs_dir, find_config, shipped_config
 from groundstation.texts import file_name
-from groundstation.trajectory import Plan, load_plan
+from groundstation.tui.margins import FlightLimits
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from groundstation.trajectory import Plan
 
 SIMULATOR = "simulator"
 UDP = "udpin://127.0.0.1:14540"
+PATH_POINTS = 240
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +66,8 @@ def links() -> list[str]:
 
 def plan_at_hand(setup: Setup, newest: Plan | None) -> Plan | None:
     """The newest plan where it was made for what flies, else the one that ships for it, if one does."""
+    from groundstation.trajectory import load_plan
+
     if newest is not None and newest.vehicle == setup.vehicle:
         return newest
     path = configs_dir() / "plans" / f"{file_name(setup.vehicle)}.toml"
@@ -73,8 +81,15 @@ def begin_flight(setup: Setup, plan: Plan, logs: Path, *, analyse: bool = True) 
         BadInput: vehicle, scenario or station do not exist.
     """
     from groundstation.analysis.plans import write_plan
+    from groundstation.flight.client.rehearse import linked_vehicle, simulated_drone
+    from groundstation.flight.station import load_station
+    from groundstation.flight.until import lasting_until
+    from groundstation.vehicle import load_vehicle
 
     vehicle = find_config("vehicles", setup.vehicle).resolve()
+    until = load_vehicle(vehicle).until or load_station(setup.station).until
+    if until is not None:
+        plan = lasting_until(plan, until, automatic=setup.simulated)
     folder = new_flight_folder(logs.resolve(), vehicle.stem)
     if setup.simulated:
         scenario = find_config("scenarios", setup.scenario).resolve()
@@ -87,20 +102,36 @@ def begin_flight(setup: Setup, plan: Plan, logs: Path, *, analyse: bool = True) 
     return core, endpoint, folder
 
 
-def flight_limits(folder: Path, station: str | None) -> tuple[Mapping[str, float], Mapping[str, float]]:
-    """Limits of the plan in a flight's folder, and of the guard: what there is of them."""
+def flight_limits(folder: Path, station: str, *, simulated: bool) -> FlightLimits:
+    """What bounds the flight in a folder: its plan's room and path, and where the guard of a station file acts."""
     from groundstation.flight.station import load_station
+    from groundstation.trajectory import load_plan
     from groundstation.vehicle import load_vehicle
 
-    guard: dict[str, float] = {}
+    try:
+        limits = load_station(station)
+        box = limits.box
+        known = FlightLimits(
+            tracking_m=limits.guard.tracking.limit,
+            tilt_rad=limits.guard.tilt.limit,
+            speed_m_s=limits.guard.speed.limit,
+            box=(box.x_m, box.y_m, box.z_m),
+            station=limits.name,
+            watched=not simulated,
+        )
+    except BadInput:
+        known = FlightLimits()
     try:
         plan = load_plan(folder / "plan.toml")
         empty_v = load_vehicle(shipped_config("vehicles", plan.vehicle)).battery.empty_v
-        if empty_v is not None:
-            guard["empty_v"] = empty_v
-        if station is not None:
-            limits = load_station(station).guard
-            guard |= {"tracking_m": limits.tracking.limit, "tilt_rad": limits.tilt.limit}
     except BadInput:
-        return {}, guard
-    return plan.limits, guard
+        return known
+    return replace(known, room=dict(plan.limits), empty_v=empty_v, path=plan_path(plan))
+
+
+def plan_path(plan: Plan) -> NDArray[np.float64]:
+    """Positions of one period of the excitation, shape (k, 3)."""
+    import numpy as np
+
+    series = plan.series()
+    return series.sample(np.linspace(0.0, min(series.period_s, series.duration_s), PATH_POINTS)).position[0]

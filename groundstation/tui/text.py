@@ -1,34 +1,16 @@
-"""Documents and statuses as rows of text. Pure; the numbers are the core's, here they are only written."""
+"""Statuses as rows of text, for the first screen too: it imports no numerics. Pure; the numbers are the core's."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
 
 from groundstation.flight.messages import CoreStatus
 from groundstation.flight.sequence import Phase
-from groundstation.identification.results import MASS_AND_TENSOR, Estimate
-from groundstation.reporting.canonical import estimate_in, estimate_of
-from groundstation.reporting.units import (
-    decimals,
-    fixed,
-    half_width,
-    interval_text,
-    label,
-    percent,
-    readable,
-    scale_for,
-    significant,
-    split_unit,
-)
 
 Row = tuple[str, ...]
 OWN_CLOCK_S = 10.0
 """A stamp further than this from its arrival is of a clock that began at another time."""
-NEAR = {"m": 0.05, "°": 1.0, "V": 0.0}
-"""A plan uses its limits up, and a vehicle follows it no better than this: beyond it a word is said."""
-
 PHASES: Mapping[str, str] = {
     Phase.IDLE: "the vehicle's process is coming up",
     Phase.PLANNED: "sending the plan to the vehicle",
@@ -66,6 +48,8 @@ def stream_rows(status: CoreStatus) -> list[Row]:
 def stream_notes(status: CoreStatus) -> str:
     """What is wrong with which stream and what to do, then the clocks, losses and the newest sentences of the log."""
     lines = [f"! {name}: {stream.trouble}" for name, stream in sorted(status.streams.items()) if stream.trouble]
+    if status.mocap:
+        lines.append(status.mocap)
     if status.clock_s is not None:
         offset, half = (1e3 * value for value in status.clock_s)
         lines.append(f"clocks: motion capture minus IMU {offset:+.1f} ± {half:.1f} ms (95 %)")
@@ -82,219 +66,12 @@ def stream_notes(status: CoreStatus) -> str:
 
 
 def state_lines(status: CoreStatus) -> str:
-    """Where the vehicle is and how far from where it should be."""
+    """Where the vehicle is and how it lies."""
     roll, pitch, yaw = (math.degrees(angle) for angle in status.euler_rad)
     x, y, z = status.position_m
     return "\n".join(
         [
             f"position {x:+7.3f} {y:+7.3f} {z:+7.3f} m",
             f"attitude {roll:+7.1f} {pitch:+7.1f} {yaw:+7.1f} °",
-            f"off plan {100 * status.tracking_error_m:7.1f} cm",
-            f"to go    {status.time_left_s:7.1f} s",
-            f"battery  {status.battery_v:7.2f} V",
         ]
     )
-
-
-def margin_lines(status: CoreStatus, limits: Mapping[str, float], guard: Mapping[str, float]) -> str:
-    """How much is left to each limit of the plan, and to those of the guard that can be seen from here.
-
-    Args:
-        limits: of the plan, by name; it holds roll and pitch each to its tilt.
-        guard: where the guard lands: ``tracking_m`` from the plan, ``tilt_rad``; and ``empty_v`` of the battery.
-    """
-    x, y, z = status.position_m
-    roll, pitch, _ = status.euler_rad
-    tilt = math.acos(max(-1.0, min(1.0, math.cos(roll) * math.cos(pitch))))
-    plans = {
-        "x_max_m": ("plan: wall, x", lambda top: top - abs(x), "m"),
-        "y_max_m": ("plan: wall, y", lambda top: top - abs(y), "m"),
-        "z_max_m": ("plan: ceiling", lambda top: top - z, "m"),
-        "z_min_m": ("plan: floor", lambda low: z - low, "m"),
-        "tilt_max_rad": ("plan: tilt", lambda top: math.degrees(top - max(abs(roll), abs(pitch))), "°"),
-    }
-    guards = {
-        "tracking_m": ("guard: plan", lambda top: top - status.tracking_error_m, "m"),
-        "tilt_rad": ("guard: tilt", lambda top: math.degrees(top - tilt), "°"),
-        "empty_v": ("battery empty", lambda low: status.battery_v - low, "V"),
-    }
-    lines = []
-    for known, room in ((limits, plans), (guard, guards)):
-        for name, (text, left, unit) in room.items():
-            if name in known:
-                value = left(known[name])
-                past = (
-                    room is guards and value < -NEAR[unit] and z > 0.3
-                )  # a plan's limit is no alarm: the guard lands at its own
-                lines.append(f"to {text:<14}{value:+7.2f} {unit}{' PAST IT' if past else ''}")
-    return "\n".join(lines) or "the plan states no limits"
-
-
-def motor_lines(motors: Sequence[float], top: float, width: int = 16) -> str:
-    """Rotor commands as bars against the largest seen."""
-    if not motors:
-        return "no rotor commands yet"
-    scale = max(top, max(abs(m) for m in motors), 1e-9)
-    return "\n".join(
-        f"{number} {'█' * round(width * max(m, 0.0) / scale):<{width}} {significant(m)}"
-        for number, m in enumerate(motors, 1)
-    )
-
-
-def live_rows(table: Mapping[str, tuple[float, float, float, float]]) -> list[Row]:
-    """Parameter, nominal, estimate ± half width, unit; of a status."""
-    return [
-        (label(name), *_against_nominal(name, nominal, _estimate(value, low, high)))
-        for name, (nominal, value, low, high) in table.items()
-    ]
-
-
-def _estimate(value: float, low: float, high: float) -> Estimate | None:
-    return Estimate(value, 0.0, (low, high)) if math.isfinite(value) else None
-
-
-def _against_nominal(name: str, nominal: float, estimate: Estimate | None) -> Row:
-    known = [v for v in (nominal, estimate.value if estimate else math.nan) if math.isfinite(v)]
-    scale = scale_for(split_unit(name)[1], known)
-    if estimate is None:
-        return fixed(nominal * scale.factor, 3), "not revealed", scale.unit
-    places = decimals(half_width(estimate) * scale.factor)
-    return fixed(nominal * scale.factor, places), interval_text(estimate, scale), scale.unit
-
-
-def method_table(document: Mapping[str, Any], declared: Mapping[str, float], most: int) -> tuple[Row, list[Row]]:
-    """Header and rows of mass and tensor: the one estimate, then the methods, at most so many columns, with 95 % half widths."""
-    source, estimate = estimate_in(document)
-    methods = {**document["methods"], source: {"parameters": estimate}}
-    names = [source, *(name for name in methods if name != source)][:most]
-    header = ("parameter", "unit", "nominal", *(f"{name} (estimate)" if name == source else name for name in names))
-    rows = []
-    for parameter in MASS_AND_TENSOR:
-        found = [estimate_of(methods.get(name, {}).get("parameters", {}).get(parameter)) for name in names]
-        nominal = declared.get(parameter, math.nan)
-        known = [abs(e.value) for e in found if e] + [abs(nominal)]
-        scale = scale_for(split_unit(parameter)[1], [v for v in known if math.isfinite(v)])
-        cells = [interval_text(e, scale) if e else "not revealed" for e in found]
-        shown = fixed(nominal * scale.factor, decimals(half_width(found[0]) * scale.factor) if found[0] else 3)
-        rows.append((label(parameter), scale.unit, shown, *cells))
-    return header, rows
-
-
-def identification_notes(document: Mapping[str, Any]) -> str:
-    """Best method and why, clock, condition, what is not revealed, warnings, and the errors before and after."""
-    lines = [f"best: {readable(document.get('best_reason') or document['best'])}"]
-    if clock := document.get("clock"):
-        offset, std = 1e3 * clock["mocap_minus_imu_s"], 1e3 * clock["std_s"]
-        lines.append(f"clock: motion capture minus IMU {offset:+.2f} ± {1.96 * std:.2f} ms")
-    conditions = {k: m.get("condition_number") for k, m in document["methods"].items()}
-    known = ", ".join(f"{name} {value:.1f}" for name, value in conditions.items() if value)
-    lines.append(f"condition number: {known or 'none given'}")
-    lines += [f"not revealed: {label(name)}: {why}" for name, why in document.get("remedies", {}).items()]
-    lines += [f"warning: {readable(text)}" for text in document.get("warnings", ())]
-    lines += [f"recording: {readable(text)}" for text in document.get("quality", ())]
-    return "\n".join(lines)
-
-
-def validation_rows(document: Mapping[str, Any]) -> list[Row]:
-    """Check, signal, error with the nominal vehicle, with the best method, and their ratio."""
-    rows = []
-    for check in document.get("validation", ()):
-        before, after = check["rms"].get("nominal", {}), check["rms"].get(document["best"], {})
-        for signal, value in after.items():
-            start = before.get(signal)
-            kind = check["kind"].replace("_", " ")
-            model = f", {check['note'].split()[0].lower()}" if kind == "output" and check.get("note") else ""
-            rows.append((kind + model, label(signal), *_change(signal, start, value)))
-    return rows
-
-
-def _change(signal: str, before: float | None, after: float | None) -> Row:
-    known = [v for v in (before, after) if v is not None]
-    scale = scale_for(split_unit(signal)[1], known)
-    texts = ["–" if v is None else f"{significant(v * scale.factor)} {scale.unit}" for v in (before, after)]
-    ratio = "" if not before or after is None else _ratio_text(after / before)
-    return (*texts, ratio)
-
-
-def _ratio_text(ratio: float) -> str:
-    """A change in percent; as a multiple where it grew so much that a percentage of a small base would say nothing."""
-    return percent(ratio - 1.0, 0) if ratio < 2.0 else f"{significant(ratio, 2)} × worse"
-
-
-def error_rows(diagnosis: Mapping[str, Any]) -> list[Row]:
-    """Channel, held-out error with nominal values, identified, and with the findings, and what the findings change."""
-    rows = []
-    for where, stages in diagnosis.get("error", {}).items():
-        before, after, nominal = (stages.get(k, {}) for k in ("before", "after", "nominal"))
-        for channel, value in before.items():
-            shown = _change(channel, value, after.get(channel))
-            start = _change(channel, nominal.get(channel), value)[0]
-            rows.append((f"{label(channel)}, {where.replace('_', ' ')}", start, *shown))
-    return rows
-
-
-def finding_text(diagnosis: Mapping[str, Any]) -> str:
-    """Verdict, findings with their sentences, what stays unexplained, and the flight that would tell more."""
-    lines = [f"verdict: {diagnosis['verdict']}"]
-    if diagnosis.get("reason"):
-        lines.append(diagnosis["reason"])
-    for finding in diagnosis.get("findings", ()):
-        rotor = f", rotor {finding['rotor']}" if finding.get("rotor") is not None else ""
-        lines += ["", f"found: {finding['effect'].replace('_', ' ')}{rotor}, confidence {finding['confidence']:.3f}"]
-        lines.append(f"  {finding['evidence']}")
-        if finding.get("alternatives"):
-            lines.append(f"  or: {', '.join(finding['alternatives']).replace('_', ' ')}")
-    for item in diagnosis.get("unexplained", ()):
-        lines += ["", f"unexplained: {100 * item['share']:.0f} % of {label(item['channel'])}"]
-        if item.get("depends_on"):
-            lines.append(f"  varies with {', '.join(label(name) for name in item['depends_on'])}")
-        if item.get("proposal"):
-            lines.append(f"  {item['proposal']}")
-    lines += [f"warning: {readable(text)}" for text in diagnosis.get("warnings", ())]
-    lines += ["", f"next flight: {diagnosis.get('next_flight') or 'none proposed'}"]
-    return "\n".join(lines)
-
-
-def suspect_rows(diagnosis: Mapping[str, Any]) -> list[Row]:
-    """Effects that were tried: name, settings, and the evidence for them."""
-    rows = []
-    for candidate in diagnosis.get("candidates", ()):
-        settings = ", ".join(f"{name} {value}" for name, value in (candidate.get("settings") or {}).items())
-        evidence = candidate.get("evidence")
-        shown = significant(evidence) if isinstance(evidence, float | int) else str(evidence or "")
-        rows.append((str(candidate.get("effect", "?")).replace("_", " "), settings, shown))
-    return rows
-
-
-LONGEST_NAME = 30
-"""Characters of a flight's name in the list: several flights identified together have all their names."""
-
-
-def flight_row(row: Mapping[str, Any]) -> Row:
-    """One flight of the catalogue: when, flight, vehicle, state, verdict, mass."""
-    mass = row["parameters"].get("mass_kg")
-    shown = f"{significant(mass['value'], 4)} kg" if mass else "–"
-    vehicle = row["vehicle"]
-    name = row["flight"].removesuffix(f"-{vehicle}")
-    return (
-        row["date"][5:16].replace("T", " "),
-        name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…",
-        vehicle or "–",
-        row["state"],
-        row["verdict"] or "–",
-        shown,
-    )
-
-
-def comparison(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[Row]:
-    """Two flights of the catalogue: parameter, unit, the values with half widths, and the change in per cent."""
-    rows = []
-    for name, a in first["parameters"].items():
-        b = second["parameters"].get(name)
-        if b is None:
-            continue
-        scale = scale_for(split_unit(name)[1], [a["value"], b["value"]])
-        cells = [interval_text(Estimate.normal(e["value"], e["std"]), scale) for e in (a, b)]
-        change = percent(b["value"] / a["value"] - 1.0) if a["value"] else ""
-        rows.append((label(name), scale.unit, *cells, change))
-    return rows

@@ -93,6 +93,9 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument(
         "--real-time", type=float, default=1.0, metavar="SPEED", help="at most; 0 as fast as it goes (PX4 over TCP)"
     )
+    parser.add_argument(
+        "--natnet", metavar="HOST:PORT", help="motion capture of it, as an OptiTrack server (127.0.0.1:1510)"
+    )
     return parser.parse_args(argv)
 
 
@@ -119,6 +122,9 @@ def _serve(options: argparse.Namespace, stopped: Callable[[], bool]) -> None:
     count = vehicle.rotors.count
     airframe = SimulatedAirframe(vehicle, scenario, seed=options.seed)
     airframe.step(0.004, (0.0,) * count)  # compiles before the firmware waits
+    if options.natnet:
+        _place(options.natnet)
+        airframe.filmed_from(options.natnet)
     if options.arducopter:
         host, port = _place(options.arducopter)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as place:

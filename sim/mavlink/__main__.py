@@ -41,6 +41,9 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--scripting", action="store_true", help="ArduCopter runs Lua scripts (needs the package lupa)")
     parser.add_argument("--key-file", type=Path, metavar="FILE", help="32 bytes: sign and verify every frame")
     parser.add_argument(
+        "--natnet", metavar="HOST:PORT", help="motion capture of it, as an OptiTrack server (127.0.0.1:1510)"
+    )
+    parser.add_argument(
         "--fault", action="append", default=[], metavar="NAME@SECONDS", help="something goes wrong then; repeatable"
     )
     return parser.parse_args(argv)
@@ -72,6 +75,8 @@ def _service(options: argparse.Namespace, vehicle) -> Service:  # type: ignore[n
     kind = Px4 if options.profile == "px4" else ArduCopter
     airframe = SimulatedAirframe(vehicle, scenario, seed=options.seed)
     airframe.step(kind.TICK_US * 1e-6, (0.0,) * vehicle.rotors.count)  # compiles before the clock starts
+    if options.natnet:
+        airframe.filmed_from(options.natnet)
     drift = DRIFT[options.profile] if options.clock_drift is None else options.clock_drift
     boot_s = 2.25 if options.just_booted else 60.0
     autopilot = kind(vehicle, airframe, boot_s=boot_s, clock_drift=drift, unix_s=time.time(), seed=options.seed)

@@ -102,7 +102,7 @@ class ArduCopter(Autopilot):
         self._startup: list[tuple[float, str]] = []
         self._origin_set = False
         self._using_announced = False
-        self._vision_origin = False
+        self._vision_origin = self._viso_runs = False
         self._last_setpoint_s = -math.inf
         self._prearm_s = self.PREARM_FIRST_S
         self._ekf_failsafe = False
@@ -202,22 +202,27 @@ class ArduCopter(Autopilot):
         if parameter.name in ("EK3_SRC1_POSXY", "VISO_TYPE", "GPS1_TYPE"):
             vision = self.parameters["EK3_SRC1_POSXY"] == VISION
             if vision:
-                self.estimator.source = "vision" if self.parameters["VISO_TYPE"] and self._vision_origin else "none"
+                self.estimator.source = "vision" if self._viso_runs and self._vision_origin else "none"
             else:
                 self.estimator.source = "gps" if self.parameters["GPS1_TYPE"] else "none"
         if self._log is not None:
             self._log.parameter(self, parameter.name, parameter.value)
 
-    def set_origin(self) -> None:
+    def set_origin(self, altitude_m: float) -> None:
         """SET_GPS_GLOBAL_ORIGIN: without GPS the estimator needs to be told where it is."""
         self._vision_origin = True
         index = self.parameters.index("VISO_TYPE") or 0
         self.parameter_changed(self.parameters.all[index])
         self._send_origin()
 
+    @property
+    def vision_delay_s(self) -> float:
+        """VISO_DELAY_MS."""
+        return 1e-3 * self.parameters["VISO_DELAY_MS"]
+
     def vision_accepted(self, name: str, message: Message) -> bool:
-        """With a VISO_TYPE."""
-        if not self.parameters["VISO_TYPE"]:
+        """With a VISO_TYPE that was there when it started."""
+        if not self._viso_runs:
             return False
         if self._log is not None and name == "VISION_POSITION_ESTIMATE":
             self._log.vision(self, (message.x, message.y, message.z), message.yaw)
@@ -251,8 +256,14 @@ class ArduCopter(Autopilot):
         if number == mavlink.MAV_CMD_SCRIPTING and p[0] == mavlink.SCRIPTING_CMD_STOP_AND_RESTART:
             return self._load_scripts()
         if number == mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN:
-            return FAILED if self.armed else ACCEPTED
+            return FAILED if self.armed else self._command_reboot(link, sender)
         return UNSUPPORTED
+
+    def _command_reboot(self, link: Link, sender: Sender) -> None:
+        """Acknowledged before it starts again."""
+        number = mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN
+        link.send(mavlink.MAVLink_command_ack_message(number, ACCEPTED, 0, 0, *sender))
+        self.reboot()
 
     def _command_mode(self, custom: int, link: Link, sender: Sender) -> int | None:
         name = next((m.name for m in self.MODES if m.custom == custom), None)
@@ -425,6 +436,9 @@ class ArduCopter(Autopilot):
             self._log.tick(self)
 
     def _restarted(self) -> None:
+        self._viso_runs, self._vision_origin = bool(self.parameters["VISO_TYPE"]), False
+        if self._viso_runs and "VISO_DELAY_MS" not in self.parameters:  # hidden while VISO_TYPE is 0
+            self.parameters.add(Parameter("VISO_DELAY_MS", mavlink.MAV_PARAM_TYPE_INT16, 10))
         self._startup = list(STARTUP)
         self._origin_set = self._using_announced = False
         self._prearm_s = self.PREARM_FIRST_S

@@ -170,6 +170,11 @@ class Autopilot(ABC):
     def vision_accepted(self, name: str, message: Message) -> bool:
         """Whether the estimator takes a pose of this message."""
 
+    @property
+    @abstractmethod
+    def vision_delay_s(self) -> float:
+        """How late the estimator takes external poses to be stamped."""
+
     @abstractmethod
     def unknown_parameter(self, link: Link, sender: Sender, name: str) -> None:
         """Answer a request for a parameter that does not exist."""
@@ -205,8 +210,14 @@ class Autopilot(ABC):
     def pilot_takes_over(self) -> None:
         """Somebody at the sticks changes the mode and holds."""
 
-    def set_origin(self) -> None:  # noqa: B027 - an event most may ignore
+    @abstractmethod
+    def set_origin(self, altitude_m: float) -> None:
         """SET_GPS_GLOBAL_ORIGIN."""
+
+    @property
+    def vision_height_m(self) -> float:
+        """What is added to the height of external poses."""
+        return 0.0
 
     def mission_stored(self, link: Link) -> None:  # noqa: B027 - an event most may ignore
         """An upload is complete."""
@@ -239,7 +250,7 @@ class Autopilot(ABC):
         self, name: str, kind: str = "companion", *, bytes_per_s: float = math.inf, codec: MavlinkCodec | None = None
     ) -> None:
         """Open a link. ``kind`` chooses what is streamed unasked; ``bytes_per_s`` what the wire carries."""
-        codec = codec or MavlinkCodec(self.SYSTEM, 1)
+        codec = codec or MavlinkCodec(self.SYSTEM, 1, gated=False)
         self.outbox.links[name] = Link(name, kind, codec, self._new_streams(kind), bytes_per_s)
 
     def _new_streams(self, kind: str) -> Streams:

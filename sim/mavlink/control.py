@@ -59,7 +59,7 @@ class Cascade:
         self._gains = gains or Gains()
         self._inertia = vehicle.inertia_tensor()
         self._gravity = vehicle.gravity_m_s2
-        self._mixer = np.linalg.pinv(vehicle.allocation())
+        self._mixer = vehicle.mixing()
         thrust_max = vehicle.rotor_thrust_max_n()
         hover = vehicle.mass_kg * self._gravity / vehicle.rotors.count
         self._thrust_max = thrust_max if math.isfinite(thrust_max) else 2.2 * hover

@@ -55,7 +55,7 @@ def handle(a: Autopilot, link: Link, message: Message) -> None:
         for payload in a.ftp.handle(bytes(message.payload)):
             link.send(mavlink.MAVLink_file_transfer_protocol_message(0, *sender, list(payload)))
     elif name == "SET_GPS_GLOBAL_ORIGIN":
-        a.set_origin()
+        a.set_origin(message.altitude * 1e-3)
     elif name.startswith("LOG_"):
         _logs(a, name, message)
 
@@ -148,7 +148,8 @@ def _vision(a: Autopilot, name: str, m: Message) -> None:
         w, x, y, z = m.q
         stamp, yaw = m.time_usec, math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     if all(map(math.isfinite, (m.x, m.y, m.z, yaw))):
-        a.estimator.vision(flip((m.x, m.y, m.z)), -yaw, a.own_time_s(stamp))
+        x, y, z = flip((m.x, m.y, m.z))
+        a.estimator.vision((x, y, z + a.vision_height_m), -yaw, a.own_time_s(stamp) - a.vision_delay_s)
 
 
 def _timesync(a: Autopilot, link: Link, m: Message) -> None:

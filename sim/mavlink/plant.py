@@ -9,6 +9,7 @@ import numpy as np
 from groundstation.vehicle import Vehicle
 from sim.build import STEP_S
 from sim.mavlink.airframe import AirframeState, ImuSample
+from sim.natnet import NatNetServer
 from sim.plant import ATTITUDE, POSITION, RATE, ROTOR, VELOCITY
 from sim.scenario import Clock, Scenario
 from sim.simulation import Samples, Simulation
@@ -26,6 +27,7 @@ class SimulatedAirframe:
     Attributes:
         poses: what motion capture has delivered since somebody emptied the list: stamps, arrivals, rows (see
             :data:`sim.simulation.Samples`).
+        cameras: a motion-capture server that sends them on; None without.
     """
 
     def __init__(self, declared: Vehicle, scenario: Scenario, *, seed: int = 0):
@@ -38,6 +40,7 @@ class SimulatedAirframe:
         )
         self.simulation = Simulation(declared, world, seed)
         self.poses: list[Samples] = []
+        self.cameras: NatNetServer | None = None
         rotors = declared.rotors
         self._kind, self._top = rotors.input, rotors.speed_max_rad_s or 1.0
         self._thrust_max = declared.rotor_thrust_max_n()
@@ -49,6 +52,15 @@ class SimulatedAirframe:
 
     def step(self, dt_s: float, commands: tuple[float, ...]) -> None:
         """Advance by dt with the commands held; parts of the plant's step are carried over."""
+        self._advance(dt_s, commands)
+        if self.cameras is not None:
+            self.cameras.turn(self.simulation.time_s, self.poses)
+
+    def filmed_from(self, place: str) -> None:
+        """Open a motion-capture server at ``HOST:PORT`` that sees this airframe."""
+        self.cameras = NatNetServer(place, self.simulation.scenario.mocap.clock)
+
+    def _advance(self, dt_s: float, commands: tuple[float, ...]) -> None:
         self._elapsed_s += dt_s
         steps = round(self._elapsed_s / STEP_S) - self.simulation.step
         if steps <= 0:

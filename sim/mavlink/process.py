@@ -115,7 +115,7 @@ def attach(autopilot: Autopilot, urls: tuple[str, ...], *, key: bytes | None = N
         transport = open_link(url)
         transports[url] = transport
         signing = None if key is None else Signing(key, signing_stamp(time.time()), link_id=len(transports))
-        codec = MavlinkCodec(autopilot.SYSTEM, 1, signing)
+        codec = MavlinkCodec(autopilot.SYSTEM, 1, signing, gated=False)
         kind = "station" if url.endswith(f":{STATION_PORT}") else "companion"
         if isinstance(transport, SerialTransport):
             baud = float(url.rpartition(":")[2]) if url.rpartition(":")[2].isdigit() else 57600.0

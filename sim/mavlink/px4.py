@@ -117,6 +117,7 @@ class Px4(Autopilot):
         self._intention_at_arming = "LOITER"
         self._rate_before: Vector = (0.0, 0.0, 0.0)
         self.angular_acceleration_frd: Vector = (0.0, 0.0, 0.0)
+        self._origin_altitude_m = self.ALTITUDE_M
         self.last_vision: tuple[int, Vector, tuple[float, float, float, float]] | None = None
         super().__init__(*args, **options)  # type: ignore[arg-type]
         self._declare_rotors()
@@ -225,6 +226,22 @@ class Px4(Autopilot):
             self.estimator.jump((0.0, 0.0, -self.ALTITUDE_M))
         if self._log is not None:
             self._log.parameter(parameter.name, parameter.is_float, parameter.value)
+
+    @property
+    def vision_delay_s(self) -> float:
+        """EKF2_EV_DELAY."""
+        return 1e-3 * self.parameters["EKF2_EV_DELAY"]
+
+    @property
+    def vision_height_m(self) -> float:
+        """Heights of external poses are altitudes to its filter: less that of the origin, which satellites have set by now."""
+        return -self._origin_altitude_m
+
+    def set_origin(self, altitude_m: float) -> None:
+        """SET_GPS_GLOBAL_ORIGIN, answered with what holds then."""
+        self._origin_altitude_m = altitude_m
+        for link in self.outbox.links.values():
+            link.send(*self.build(mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN))
 
     def vision_accepted(self, name: str, message: Message) -> bool:
         """With EKF2_EV_CTRL, and no ODOMETRY that says it is motion capture."""

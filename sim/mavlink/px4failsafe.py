@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from sim.mavlink.px4 import Px4
 
 LINK_MARGIN_S = 2.4
+GLOBAL_MODES = ("LOITER", "MISSION", "RTL")
+"""They want a place on Earth to arm in, which poses do not give."""
 
 
 def arming_obstacle(a: Px4) -> str | None:
@@ -22,6 +24,8 @@ def arming_obstacle(a: Px4) -> str | None:
         return "no offboard signal"
     if a.modes[a.intention].needs_position and not a.estimate.position_valid:
         return "no valid local position estimate"
+    if a.estimator.source == "vision" and a.intention in GLOBAL_MODES:
+        return "no valid global position estimate"
     if a.battery.percent <= 100 * a.parameters["BAT_CRIT_THR"]:
         return "low battery"
     return None

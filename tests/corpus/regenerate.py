@@ -11,17 +11,31 @@ from pathlib import Path
 
 import tomli_w
 
+from drivers.mocap.session import SYSTEMS
 from drivers.samples import Batch, Battery, Event, Imu, Motors, Pose, Raw, Setpoint, State, encode_batch
+from groundstation.fleet.catalogue import Catalogue
 from groundstation.paths import configs_dir
 from groundstation.recording import container, write_bundle, write_mcap
 from groundstation.recording.mcapfile import read_mcap, write_recording_as_mcap
 from groundstation.vehicle import load_vehicle, vehicle_to_dict
 from tests.recording_flight import flight
+from tests.test_mocap_wire import said
 from tests.test_recording_autopilots import write_dataflash, write_ulog
+from tests.test_recording_blackbox import flown
 from tests.test_recording_crazyflie import IMU_VARIABLES, usd
+from tests.test_recording_mapping import NAMES, TABLE, columns
+from tests.test_recording_rosbag import StoragePlugin, bag, standard
+from tests.written_logs import truth
 
 HERE = Path(__file__).parent
 SHORT_S = 0.08
+
+
+def servers(folder: Path) -> None:
+    """What each motion-capture server says, as ``benchmarks.fuzz_readers`` takes it."""
+    for number, system in enumerate(SYSTEMS):
+        messages = b"".join(len(data).to_bytes(4, "little") + data for data in said(system))
+        (folder / f"{system}.bin").write_bytes(bytes([number]) + messages)
 
 
 def recordings() -> None:
@@ -49,9 +63,33 @@ def recordings() -> None:
         *(Imu(1.0, (0.1, 0.2, 0.3), (0.0, 0.0, 9.8)), Pose(1.0, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0))),
         *(Motors(1.0, (400.0,) * 4), Battery(1.0, 12.1, 3.0), Setpoint(1.0, (0.0, 0.0, 1.0), 0.0)),
         *(Event(1.0, "phase", "armed"), Raw(1.0, "in", b"\xfd\x09")),
-        State(1.0, (0.0, 0.0, 1.0), (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3),
+        State(1.0, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
     )
+    servers(fresh("mocap"))
     (fresh("batch") / "batch").write_bytes(encode_batch(Batch(3, (51.0,) * len(samples), samples)))
+    others()
+
+
+def others() -> None:
+    """A blackbox log, ROS 2 bags of both stores, and a table with the map that says what its columns are."""
+    t, u = truth()
+    few = slice(60, 160)  # a second about take-off
+    flown(fresh("blackbox"), u[few])
+    _, topics = standard()
+    short = {name: (kind, rows[: 20 if name == "/motors" else 12]) for name, (kind, rows) in topics.items()}
+    for plugin in (StoragePlugin.MCAP, StoragePlugin.SQLITE3):
+        shutil.rmtree(HERE / "rosbag" / plugin.name.lower(), ignore_errors=True)
+        (HERE / "rosbag").mkdir(exist_ok=True)
+        bag(HERE / "rosbag" / plugin.name.lower(), plugin, short)
+    folder = fresh("map/table")
+    form = '{{ column = "o{i}", offset = -1000.0, factor = 0.001 }}'
+    (folder / "map.toml").write_text(TABLE.format(motors=columns(form)))
+    lines = [",".join(NAMES)]
+    lines += [
+        ",".join(map(repr, (1000.0 * at, 90.0, 45.0, -30.0, 0.0, 0.5, -1.0, *(1000.0 + 1000.0 * x for x in row))))
+        for at, row in zip(t[few].tolist(), u[few].tolist(), strict=True)
+    ]
+    (folder / "log.csv").write_text("\n".join(lines) + "\n")
 
 
 class Plain:
@@ -164,6 +202,9 @@ def results() -> None:
         (folder / "identification.json").write_text(json.dumps({**identification, "flight": f"f{number}"}))
         (folder / "diagnosis.json").write_text(json.dumps(diagnosis))
         (folder / "refused.json").write_text(json.dumps({"reason": "too short", "remedy": "fly longer"}))
+    shutil.rmtree(HERE / "database", ignore_errors=True)
+    shutil.copytree(HERE / "catalogue", HERE / "database")
+    Catalogue(HERE / "database" / "logs")  # leaves its Parquet file there
     lines = [
         {"monotonic_s": 1.5, "kind": "phase", "text": "armed"},
         {"monotonic_s": 2.5, "kind": "outcome", "text": "done", "exit_status": 0, "reason": ""},

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, hover_share
-from groundstation.model.signals import Signals
+from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank
+from groundstation.model.signals import Signals, hover_share
 from groundstation.vehicle import Vehicle
 
 MOST_KG_S = 100.0

@@ -1,4 +1,4 @@
-"""Angular momentum of the rotors: spin-up reaction about z, and coupling of roll and pitch."""
+"""Angular momentum of the rotors: spin-up reaction about their axes, and coupling of roll and pitch."""
 
 from __future__ import annotations
 
@@ -15,20 +15,19 @@ def _speed_known(vehicle: Vehicle) -> bool:
 
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
-    spin = np.asarray(vehicle.rotors.spin, dtype=float)
     scale = vehicle.rotors.speed_max_rad_s or 1.0 if vehicle.rotors.input == "command" else 1.0
-    momentum = scale * signals.lagged @ spin
-    change = scale * signals.lagged_rate @ spin
+    spins = np.ascontiguousarray((np.asarray(vehicle.rotors.spin, dtype=float)[:, None] * vehicle.rotors.axes()).T)
+    momentum, change = (
+        scale * np.column_stack([values @ axis for axis in spins]) for values in (signals.lagged, signals.lagged_rate)
+    )
     out = blank(signals)
-    out[:, 3, 0] = -signals.rate_rad_s[:, 1] * momentum  # -omega x (h e_z) = (-q h, p h, 0)
-    out[:, 4, 0] = signals.rate_rad_s[:, 0] * momentum
-    out[:, 5, 0] = -change
+    out[:, 3:, 0] = -change - np.cross(signals.rate_rad_s, momentum)
     return out
 
 
 EFFECT = Effect(
     identifier="rotor_gyroscopic",
-    equation="tau = -J_r (sum s_i dOmega_i/dt e_z + omega x e_z sum s_i Omega_i)",
+    equation="tau = -J_r (sum s_i dOmega_i/dt a_i + omega x sum s_i Omega_i a_i), a_i the axes",
     source="Bouabdallah 2007, thesis EPFL 3727, eq. 2.13",
     parameters=(ParameterInfo("rotor_inertia_kg_m2", lambda v: 0.05 * float(v.inertia_tensor()[2, 2]), (0.0, np.inf)),),
     wrench=_wrench,

@@ -142,7 +142,7 @@ def fly(
         take_over: ``land`` or ``hold`` a vehicle found in flight, instead of flying a plan.
 
     Raises:
-        FlightAborted: the flight was aborted and the vehicle is down, or nothing was armed.
+        FlightAborted: the flight was aborted and the vehicle is down, or nothing was armed; what was flown told nothing.
         LinkLost: it ended, and nobody saw the vehicle on the ground.
         Refused: the vehicle or the checks refused to fly.
     """
@@ -171,7 +171,7 @@ def fly(
 
         _as_client(core, endpoint, body)
     status, reason = outcome(folder)
-    if status == FlightAborted.exit_status:
+    if status == FlightAborted.exit_status and not (folder / "identification.json").is_file():
         raise FlightAborted(f"aborted: {reason}. The recording is {folder / 'flight.mcap'}")
     if status == LinkLost.exit_status:
         raise LinkLost(f"{reason}. The recording is {folder / 'flight.mcap'}{_still_changed(folder)}")
@@ -247,6 +247,10 @@ def progress_line(status: CoreStatus) -> str:
     rates = [f"{name} {stream.rate_hz:.0f}" for name, stream in sorted(status.streams.items()) if stream.rate_hz > 0.5]
     if rates:
         parts.append(f"Hz: {', '.join(rates)}  {status.recorded} samples, {status.lost} lost")
+    if status.until is not None:
+        parts.append(status.until.proposal.replace("u agrees", "u on the Fly screen agrees") or status.until.text)
+    if status.suspects:
+        parts.append("likely: " + ", ".join(f"{s.effect} {s.odds:.0f}:1" for s in status.suspects))
     if status.reason:
         parts.append(status.reason)
     return "  ".join(parts)

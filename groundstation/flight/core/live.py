@@ -10,7 +10,7 @@ import math
 import queue
 import threading
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +24,7 @@ from groundstation.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from groundstation.identification.recursive import RecursiveEstimate, RecursiveEstimator
+    from groundstation.identification.results import Estimate
 
 Table = dict[str, tuple[float, float, float, float]]
 Array = NDArray[np.float64]
@@ -87,6 +88,8 @@ class LiveEstimate:
         vehicle: as declared.
 
     Attributes:
+        inline: samples are worked in at once, on the thread that hands them over; for simulated time, which waits.
+        estimates: the newest, by parameter.
         table: parameter -> (nominal, estimate, low, high), NaN where not told yet; empty before the first estimate.
         clock_s: see :class:`LiveClock`; None before it is known.
         trouble: why there will be no more; empty while all is well.
@@ -94,6 +97,8 @@ class LiveEstimate:
 
     def __init__(self, vehicle: Vehicle):
         self.table: Table = {}
+        self.estimates: Mapping[str, Estimate] = {}
+        self.inline = False
         self.trouble = ""
         self.clock_s: tuple[float, float] | None = None
         self._clock = LiveClock()
@@ -105,7 +110,10 @@ class LiveEstimate:
 
     def see(self, samples: Sequence[Sample], phase: Phase) -> None:
         """Hand over samples; returns at once."""
-        if (phase is Phase.EXCITING or phase in _ON_GROUND) and not self._queue.full():
+        if self.inline and not self.trouble:
+            if phase is Phase.EXCITING or phase in _ON_GROUND:
+                self.take(samples, phase)
+        elif (phase is Phase.EXCITING or phase in _ON_GROUND) and not self._queue.full():
             self._queue.put((samples, phase))
 
     def _run(self) -> None:
@@ -140,7 +148,7 @@ class LiveEstimate:
         kind = self._vehicle.rotors.input
         motors = np.array([(s.device_s, *s.values) for s in samples if isinstance(s, Motors) and s.kind == kind])
         if (newest := self._estimator.add(imu, motors)) is not None:
-            self.table = self._rows(newest)
+            self.table, self.estimates = self._rows(newest), newest.parameters
 
     def _judge(self, motors: Sequence[Motors]) -> None:
         """End the estimates, once, where the ESCs' speeds are the commands times a number: the flight goes by the commands."""
@@ -153,7 +161,7 @@ class LiveEstimate:
         speeds, commands = (_stream(seen, kind) for kind in ("rotor_speed", "command"))
         found = commands_behind(speeds, commands) if len(speeds) and len(commands) else None
         if found is not None:
-            self.table = {}
+            self.table, self.estimates = {}, {}
             raise Refused(f"no live estimate: {found[1]}")
 
     def _rows(self, newest: RecursiveEstimate) -> Table:

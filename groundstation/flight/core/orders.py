@@ -77,6 +77,7 @@ class ClientOrders:
         phase: of the flight now.
         later: runs a function on the main thread.
         happen: takes an event into the sequence, on the main thread.
+        agree: the operator takes what a flight until known proposes; says why that cannot be.
     """
 
     def __init__(
@@ -86,8 +87,9 @@ class ClientOrders:
         phase: Callable[[], seq.Phase],
         later: Callable[[Callable[[], None]], None],
         happen: Callable[[seq.Event], None],
+        agree: Callable[[], str],
     ) -> None:
-        self._lease, self._phase, self._later, self._happen = lease, phase, later, happen
+        self._lease, self._phase, self._later, self._happen, self._agree = lease, phase, later, happen, agree
         self._gate = OrderGate(clock)
         self._abort_waits = threading.Event()
 
@@ -98,6 +100,10 @@ class ClientOrders:
             return LeaseAnswer(False, holder, refusal)
         return self._lease.request(request)
 
+    def _who(self, client: str) -> str:
+        """The operator, or a watcher by its name."""
+        return "the operator" if client == self._lease.holder else shown(client, limit=80)
+
     def abort(self, command: CoreCommand) -> bus.Answer:
         """What is asked under the key that every role may use is an abort, whatever it says.
 
@@ -106,7 +112,7 @@ class ClientOrders:
 
         def handle() -> None:
             self._abort_waits.clear()
-            self._happen(seq.AbortRequested(f"aborted by {shown(command.client, limit=80)}"))
+            self._happen(seq.AbortRequested(f"aborted by {self._who(command.client)}"))
 
         if not self._abort_waits.is_set():
             self._abort_waits.set()
@@ -124,10 +130,13 @@ class ClientOrders:
             return bus.Answer(False, refusal)
         if command.name == "start" and (phase := self._phase()) is not seq.Phase.CHECKED:
             return bus.Answer(False, f"the flight is {phase}; it can be started once it is checked.")
+        if command.name == "agree":
+            refusal = self._agree()
+            return bus.Answer(not refusal, refusal)
         event = {
             "start": seq.StartRequested(),
             "land": seq.LandRequested(),
-            "kill": seq.AbortRequested(f"rotors stopped by {shown(command.client, limit=80)}", rotors_off=True),
+            "kill": seq.AbortRequested(f"rotors stopped by {self._who(command.client)}", rotors_off=True),
         }[command.name]
         self._later(lambda: self._happen(event))
         return bus.Answer(True)

@@ -13,7 +13,9 @@ from drivers.samples import Battery, Event, Motors, Sample
 from groundstation.flight.core.ground_check import checklist, with_troubles
 from groundstation.flight.core.live import LiveEstimate
 from groundstation.flight.core.recorder import Recorder
-from groundstation.flight.messages import CheckStatus, CoreStatus
+from groundstation.flight.core.signals import signals, stream_of
+from groundstation.flight.core.until import FlyUntil
+from groundstation.flight.messages import CheckStatus, CoreStatus, SuspectStatus
 from groundstation.flight.sequence import IN_FLIGHT, Phase
 from groundstation.flight.sequence import Sequence as FlightSequence
 from groundstation.vehicle import Vehicle
@@ -31,12 +33,17 @@ class FlightView:
 
     def __init__(self, folder: Path, vehicle: Vehicle):
         self._folder, self._vehicle = folder, vehicle.name
-        self._declared, self._live = vehicle, LiveEstimate(vehicle)
+        self._declared, self.live = vehicle, LiveEstimate(vehicle)
         self._checks: dict[str, CheckStatus] = {}
         self.drone: DroneStatus | None = None
+        self.until: FlyUntil | None = None
+        self.suspects: tuple[SuspectStatus, ...] = ()
+        self.suspects_s = 0.0
         self.battery_v = 0.0
         self.motors: tuple[float, ...] = ()
         self._measured = False
+        self.mocap = ""
+        self._newest: dict[str, Sample] = {}
         self.progress, self.text = 0.0, ""
         self.table: dict[str, tuple[float, float, float, float]] = {}
         self.notes: deque[str] = deque(maxlen=NOTES)
@@ -44,8 +51,9 @@ class FlightView:
 
     def see(self, samples: Sequence[Sample], phase: Phase) -> None:
         """Keep the newest values that views show."""
-        self._live.see(samples, phase)
+        self.live.see(samples, phase)
         for sample in samples:
+            self._newest[stream_of(sample)] = sample
             if isinstance(sample, Battery):
                 self.battery_v = sample.voltage_v
             elif isinstance(sample, Motors):
@@ -54,6 +62,8 @@ class FlightView:
                     self.motors = sample.values
             elif isinstance(sample, Event) and sample.kind == "preflight":
                 self._note_check(sample.text)
+            elif isinstance(sample, Event) and sample.kind in ("clock", "mocap"):
+                self.mocap = sample.text
 
     def _note_check(self, text: str) -> None:
         """A check of the link, as it says it: ``name verdict: what was seen``."""
@@ -67,7 +77,7 @@ class FlightView:
         flying = sequence.phase in IN_FLIGHT
         streams = recorder.streams(host_s) if recorder else {}
         if flying:
-            self.table, self.text = self._live.table, self._live.trouble
+            self.table, self.text = self.live.table, self.live.trouble
         return CoreStatus(
             flight=self._folder.name,
             folder=str(self._folder),
@@ -89,7 +99,12 @@ class FlightView:
             table=self.table,
             notes=tuple(self.notes),
             checks=(*self._checks.values(), *checklist(streams, self.battery_v, self._declared)) if recorder else (),
-            clock_s=self._live.clock_s,
+            signals=signals(self._newest),
+            clock_s=self.live.clock_s,
+            mocap=self.mocap,
+            until=self.until.status() if self.until is not None and flying else None,
+            suspects=self.suspects if flying else (),
+            suspects_s=self.suspects_s,
             **self._motion(),
         )
 

@@ -11,31 +11,31 @@ take time (upload, arm, abort) are asked on a thread of their own, so that credi
 
 from __future__ import annotations
 
-import argparse
 import queue
 import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
-from functools import partial
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 from drivers import bus
-from drivers.access import Login, Secrets, hand_over, new_secrets, own_secrets
 from drivers.samples import Batch, decode_batch
-from groundstation.errors import BadInput, GroundStationError, Refused
+from groundstation.errors import BadInput, GroundStationError
 from groundstation.flight import sequence as seq
 from groundstation.flight import timeouts
-from groundstation.flight.children import Child, module_command, start_child
 from groundstation.flight.core.ground_check import check_ground
 from groundstation.flight.core.lease import OperatorLease
 from groundstation.flight.core.orders import ClientOrders
 from groundstation.flight.core.overview import FlightView
 from groundstation.flight.core.pacing import Pace
 from groundstation.flight.core.recorder import Recorder, open_recording, sound
+from groundstation.flight.core.requests import Requests
+from groundstation.flight.core.settings import Settings, parse
+from groundstation.flight.core.status_events import event_of
+from groundstation.flight.core.suspects import LiveSuspects, Suspicion
+from groundstation.flight.core.until import FlyUntil
+from groundstation.flight.core.vehicle_process import DRONE, VehicleProcess
 from groundstation.flight.core.worker import AnalysisWorker, Progress
 from groundstation.flight.journal import ENDPOINT_FILE, RAW_LOG, WATCH_FILE, Journal
 from groundstation.flight.journal import NAME as JOURNAL
@@ -45,31 +45,8 @@ from groundstation.recording.manifest import write_manifest
 from groundstation.trajectory import Plan, flight_path, load_plan
 from groundstation.vehicle import Vehicle, load_vehicle
 
-DRONE = "vehicle"
 LOCK_STEP_SLACK = 20.0
 """Factor on all deadlines of a lock-stepped flight, which may run slower than the wall's clock."""
-LINK_MODULE = "groundstation.flight.link.process"
-SUCCESSORS = 3
-"""Links started in the place of one that ended in flight, before the vehicle is left to its own failsafe."""
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """What one flight needs to know.
-
-    ``drone`` is the module and arguments of the vehicle's process; ``take_over`` what it does with a vehicle in flight: the
-    folder is then an interrupted flight's, and is continued.
-    """
-
-    folder: Path
-    plan: Path
-    vehicle: Path
-    listen: tuple[str, ...]
-    drone: tuple[str, ...]
-    start: bool = False
-    analyse: bool = True
-    take_over: str = ""
-    secrets: Secrets = field(default_factory=new_secrets, repr=False)
 
 
 class FlightCore:
@@ -93,20 +70,20 @@ class FlightCore:
         self.recorder: Recorder | None = None
         self.pace = Pace(lock_step=False)  # until the vehicle has said what it is
         self.lease = OperatorLease()
-        self._clients = ClientOrders(self.lease, clock, lambda: self.state.phase, self.inbox.put, self._event)
+        self._clients = ClientOrders(
+            self.lease, clock, lambda: self.state.phase, self.inbox.put, self.event, self._agree
+        )
         self.digested_s = self.moment_s = 0.0
         self._first_s: float | None = None
-        self.heard_s = clock()
         self.finished = False
         self._credit_sent = (-1.0, -1e9)
         self._status_sent = -1e9
         self._malformed = 0
         self._abort_heard = False
-        self._successors = 0
         self._keeper: Keeper | None = None
-        self._orders = ThreadPoolExecutor(2, thread_name_prefix="orders")
-        self._drone: Child | None = None
+        self._process = VehicleProcess(settings, clock)
         self._worker: AnalysisWorker | None = None
+        self._suspects: LiveSuspects | None = None
 
     # Main loop --------------------------------------------------------------------------------------------------------
 
@@ -118,8 +95,8 @@ class FlightCore:
             bus.open_session(listen=self.settings.listen, admit=(secrets, DRONE)) as session,
             bus.alive(session, bus.CORE_ALIVE),
         ):
-            self.session = session
-            self.keys = keys = bus.DroneKeys(DRONE)
+            keys = bus.DroneKeys(DRONE)
+            self._requests = Requests(session, keys, self, self.inbox.put, lambda: bool(self.state.aborting))
             self._credit = bus.Publisher(session, keys.credit)
             self._status = bus.Publisher(session, bus.CORE_STATUS)
             self._handles = [
@@ -132,21 +109,13 @@ class FlightCore:
                 bus.watch_alive(session, CLIENT_ALIVE.format(client="*"), self.lease.client_alive),
             ]
             try:
-                self._start_drone(self.settings.take_over)
+                self._process.start(self.settings.take_over)
                 while not self.finished:
                     self._turn()
                 self._publish_status(force=True)
             finally:
                 self._shut_down()
         return self.state.exit_status if self.state.exit_status is not None else 1
-
-    def _start_drone(self, take_over: str = "") -> None:
-        more = ("--take-over", take_over) if take_over else ()
-        self._drone = start_child(
-            module_command(*self.settings.drone, *more, "--drone", DRONE, "--connect", self.settings.listen[0]),
-            self.settings.folder / "vehicle.log",
-            environment=hand_over(Login("drone", self.settings.secrets["drone"])),
-        )
 
     def _turn(self) -> None:
         """Handle what came, or what time brought."""
@@ -157,7 +126,8 @@ class FlightCore:
         except queue.Empty:
             pass
         self._check_children()
-        self._event(seq.Tick())
+        self.event(seq.Tick())
+        self._suspect()
         self._send_credit()
         self._publish_status()
 
@@ -165,19 +135,18 @@ class FlightCore:
         """A handler for zenoh's thread that runs ``handler`` on the main thread."""
         return lambda message: self.inbox.put(lambda: handler(message))
 
-    def _event(self, event: seq.Event) -> None:
+    def event(self, event: seq.Event) -> None:
+        """Take an event into the sequence and do what follows from it."""
         before = self.state
         self.state, actions = seq.step(self.state, event, self.clock())
         if self.state.phase is not before.phase:
-            self._tell(
-                "phase", f"{before.phase} -> {self.state.phase}", reason=self.state.reason or self.state.aborting
-            )
+            self.tell("phase", f"{before.phase} -> {self.state.phase}", reason=self.state.reason or self.state.aborting)
         for action in actions:
             self._do(action)
         if self.state.phase is not before.phase:
             self._publish_status(force=True)
 
-    def _tell(self, kind: str, text: str, **figures: Any) -> None:
+    def tell(self, kind: str, text: str, **figures: Any) -> None:
         """One line in the flight's log, one event in the recording, one sentence for the clients."""
         self.journal.write(kind, text, host_s=self.moment_s, **{k: v for k, v in figures.items() if v != ""})
         reason = figures.get("reason")
@@ -190,27 +159,31 @@ class FlightCore:
     def _on_drone_alive(self, _key: str, is_alive: bool) -> None:
         def handle() -> None:
             if is_alive:
-                self._order(self._describe)
+                self._requests.describe()
             else:
-                if not self._can_land_it():  # a link's end shows in its process, and another is started
-                    self._event(seq.VehicleLost("the vehicle's process vanished from the bus"))
+                if not self._process.can_be_replaced(
+                    self.state
+                ):  # a link's end shows in its process, and another is started
+                    self.event(seq.VehicleLost("the vehicle's process vanished from the bus"))
 
         self.inbox.put(handle)
 
-    def _describe(self) -> None:
-        description = bus.ask(self.session, self.keys.describe, bus.Describe(), bus.Description)
-        self.inbox.put(lambda: self._described(description))
-
-    def _described(self, description: bus.Description) -> None:
+    def described(self, description: bus.Description) -> None:
+        """The vehicle said what it is: record it, and send it the plan."""
         if self.recorder is not None or self.state.final:
             return  # the vehicle's process came back; its flight goes on, or is over
-        self.heard_s = self.clock()
+        self._process.heard()
         self.description, self.pace = description, Pace(lock_step=not description.real_time)
-        sink = open_recording(self.settings.folder, self.settings.plan, self.settings.vehicle, description)
+        if self.plan.until is not None:
+            self.view.until = FlyUntil(self.plan, self.vehicle, lock_step=self.pace.lock_step)
+            self.view.live.inline = self.pace.lock_step
+        sink = open_recording(
+            self.settings.folder, self.settings.plan, self.settings.vehicle, description, self.settings.drone
+        )
         self.recorder = Recorder(
             sink,
             on_digested=lambda host_s: self.inbox.put(lambda: self._digested(host_s)),
-            on_failure=lambda reason: self.inbox.put(lambda: self._event(seq.AbortRequested(reason))),
+            on_failure=lambda reason: self.inbox.put(lambda: self.event(seq.AbortRequested(reason))),
             motor_kind=description.motor_kind,
         )
         self._keeper = Keeper(sink.path, sink.sync, lambda reason: self.inbox.put(lambda: self._unkept(reason)))
@@ -219,14 +192,14 @@ class FlightCore:
             self.state = replace(self.state, deadlines=seq.Deadlines(slack=LOCK_STEP_SLACK))
         duration_s = flight_path(self.plan, (0.0, 0.0, 0.0, 0.0)).duration_s
         if self.settings.take_over:
-            self._event(seq.TakenOver(f"found in flight and taken over ({self.settings.take_over})", duration_s))
+            self.event(seq.TakenOver(f"found in flight and taken over ({self.settings.take_over})", duration_s))
         else:
-            self._event(seq.PlanChosen(duration_s))
+            self.event(seq.PlanChosen(duration_s))
 
     def _unkept(self, reason: str) -> None:
         """What is recorded now would be lost: there is no use in flying on."""
         if self.state.phase not in (seq.Phase.LANDED, seq.Phase.IDENTIFYING):
-            self._event(seq.AbortRequested(f"the recording is not kept: {reason}"))
+            self.event(seq.AbortRequested(f"the recording is not kept: {reason}"))
 
     def _digested(self, host_s: float) -> None:
         self.digested_s = max(self.digested_s, host_s)
@@ -236,7 +209,7 @@ class FlightCore:
             self._check()
 
     def _on_batch(self, batch: Batch) -> None:
-        self.heard_s = self.clock()
+        self._process.heard()
         if not sound(batch, self.vehicle.rotors.count):
             self._malformed += 1
             return
@@ -246,9 +219,11 @@ class FlightCore:
         self.view.see(batch.samples, self.state.phase)
         for status in self.pace.due():
             self._on_status(status)
+        if self.pace.lock_step:
+            self._until_known(batch.until_s)
 
     def _on_word(self, word: bus.DroneStatus) -> None:
-        self.heard_s = self.clock()
+        self._process.heard()
         self.pace.told(word)
         for status in self.pace.due():
             self._on_status(status)
@@ -257,48 +232,66 @@ class FlightCore:
         self.moment_s = status.host_s
         before, self.view.drone = self.view.drone, status
         self._stands(status)
+        if not self.pace.lock_step:
+            self._until_known(status.host_s)
+        if self.recorder is not None and status.phase == "exciting" and status.window_s is not None:
+            self.recorder.window(status.window_s)
+            if self.view.until is not None:
+                self.view.until.follow(status)
         if before is not None and status.phase == before.phase:
             return
         if self.recorder is not None:
             self.recorder.status(status)
         self.journal.write("vehicle", status.phase, host_s=status.host_s, said=status.text)
-        if status.phase == "takeoff":
-            self._event(seq.VehicleAirborne())
-        elif status.phase == "exciting":
-            self._note_window(status)
-            self._event(seq.VehicleExciting())
-        elif status.phase == "landing":
-            self._event(seq.VehicleLanding(self._early(status)))
-        elif status.phase == "landed":
-            self._event(seq.VehicleLanded(self._early(status)))
-        elif status.phase == "crashed":
-            self._event(
-                seq.VehicleLost(
-                    f"the vehicle crashed: {status.text}" if status.text else "the vehicle crashed", down=True
-                )
-            )
+        if (event := event_of(status, self.state.phase)) is not None:
+            self.event(event)
 
     def _stands(self, status: bus.DroneStatus) -> None:
         """An abort was answered, and the vehicle shows that it neither flies nor is armed."""
         if self._abort_heard and status.phase in ("idle", "uploaded") and not status.armed:
-            self._event(seq.VehicleStands())
+            self.event(seq.VehicleStands())
 
-    def _abort_answered(self) -> None:
+    def abort_answered(self) -> None:
+        """The vehicle's status now shows whether there was anything to abort."""
         self._abort_heard = True
         if self.view.drone is not None:
             self._stands(self.view.drone)
 
-    def _note_window(self, status: bus.DroneStatus) -> None:
-        if self.recorder is not None and status.window_s is not None:
-            start, end = status.window_s
-            self.recorder.metadata({"window_start_s": repr(start), "window_end_s": repr(end)})
+    def _until_known(self, host_s: float) -> None:
+        """Shortly before a rest point of a flight until known: whether it ends there or goes on."""
+        until = self.view.until
+        if until is None or self.state.phase is not seq.Phase.EXCITING:
+            return
+        order, told = until.moment(host_s, self.description.batch_s, self.view.live.estimates, self.view.battery_v)
+        if told:
+            self.tell("until", told)
+        if order:
+            self._requests.change_length(order, lambda ok: until.answered(order, ok=ok))
 
-    def _early(self, status: bus.DroneStatus) -> str:
-        """Why the vehicle comes down before the excitation's end although nobody here asked for it; else empty."""
-        asked = self.state.phase is seq.Phase.LANDING
-        if asked or (status.window_s is not None and status.device_s >= status.window_s[1] - 0.1):
-            return ""
-        return status.text or "the vehicle came down by itself before the excitation was over"
+    def _suspect(self) -> None:
+        """A flight at the wall clock's pace is diagnosed while it flies; a simulated one is over before that would tell anything.
+
+        In the hover before the excitation its declarations are checked, which no effect can be told behind.
+        """
+        if (
+            self.state.phase in (seq.Phase.AIRBORNE, seq.Phase.EXCITING)
+            and not self.pace.lock_step
+            and self.settings.analyse
+        ):
+            if self._suspects is None:
+                self._suspects = LiveSuspects(self.settings.folder, self._from_bus(self._suspected))
+            self._suspects.ask(self.clock())
+        elif self._suspects is not None:
+            self._suspects.stop()
+
+    def _suspected(self, found: Suspicion) -> None:
+        self.view.suspects, self.view.suspects_s = found.suspects, found.seconds
+        if found.suspects:
+            likely = ", ".join(f"{s.effect} {s.odds:.0f}:1" for s in found.suspects)
+            self.tell("suspects", f"likely after {found.seconds:.0f} s of excitation: {likely}")
+
+    def _agree(self) -> str:
+        return "this flight has a fixed length." if self.view.until is None else self.view.until.agree()
 
     # Actions ----------------------------------------------------------------------------------------------------------
 
@@ -306,15 +299,15 @@ class FlightCore:
         """Carry out one action of the sequence."""
         match action.do:
             case seq.Do.UPLOAD:
-                self._order(self._upload)
+                self._requests.upload(self.settings.plan)
             case seq.Do.CHECK:
                 self._check()
             case seq.Do.START:
-                self._order(self._start)
+                self._requests.start()
                 self._prepare_analysis()
             case seq.Do.ABORT | seq.Do.KILL | seq.Do.LAND | seq.Do.DISARM:
                 name: bus.CommandName = action.do.value  # type: ignore[assignment]
-                self._order(partial(self._command, name))
+                self._requests.command(name)
             case seq.Do.CLOSE_RECORDING:
                 self._close_recording()
             case seq.Do.ANALYSE:
@@ -338,47 +331,7 @@ class FlightCore:
         """Checksums of files that are complete; the flight goes on without them."""
         inputs = {"plan.toml": self.settings.plan, "vehicle.toml": self.settings.vehicle}
         if failed := write_manifest(self.settings.folder, names, inputs):
-            self._tell("manifest", failed)
-
-    def _order(self, job: Callable[[], object]) -> None:
-        """Run a request that waits for an answer off the main thread."""
-
-        def guarded() -> None:
-            try:
-                job()
-            except (ConnectionError, ValueError) as error:
-                reason = str(error)
-                self.inbox.put(lambda: self._event(seq.AbortRequested(reason)))
-
-        self._orders.submit(guarded)
-
-    def _upload(self) -> None:
-        upload = bus.make_upload(self.settings.plan.read_bytes())
-        answer = bus.ask(self.session, self.keys.upload, upload)
-        if answer.ok and answer.reason:
-            self.inbox.put(lambda: self._tell("upload", answer.reason))
-        self.inbox.put(lambda: self._event(seq.UploadAnswered(answer.ok, answer.reason)))
-
-    def _command(self, name: bus.CommandName) -> bool:
-        answer = bus.ask(self.session, self.keys.command, bus.Command(name))
-        if not answer.ok:
-            reason = answer.reason
-            self.inbox.put(lambda: self._tell("refused", f"the vehicle refused '{name}'", reason=reason))
-            if name in ("arm", "start"):
-                self.inbox.put(lambda: self._event(seq.StartRefused(reason)))
-            elif name == "kill":
-                self.abort(f"the vehicle refused to stop its rotors: {reason}")
-        if name == "abort":  # refused, too: there may be nothing to abort, which the status shows
-            self.inbox.put(self._abort_answered)
-        return answer.ok
-
-    def _start(self) -> None:
-        """Arm and start, unless the flight is aborted meanwhile; an order that left before the abort is taken back."""
-        for name in ("arm", "start"):
-            if self.state.aborting or not self._command(name):
-                break
-        if self.state.aborting:
-            self._command("abort")
+            self.tell("manifest", failed)
 
     def _check(self) -> None:
         """Called as data come in, until it can say yes or no."""
@@ -393,10 +346,10 @@ class FlightCore:
             return
         rates = {name: round(stream.rate_hz, 1) for name, stream in streams.items()}
         told = "streams and battery are as they should be" if answer.ok else "not ready to fly"
-        self._tell("checks", told, reason=answer.reason, rates_hz=rates, battery_v=volts)
-        self._event(answer)
+        self.tell("checks", told, reason=answer.reason, rates_hz=rates, battery_v=volts)
+        self.event(answer)
         if self.settings.start:
-            self._event(seq.StartRequested())
+            self.event(seq.StartRequested())
 
     def _prepare_analysis(self) -> None:
         """Start the worker during the flight, so that it is warm at landing."""
@@ -404,12 +357,12 @@ class FlightCore:
             self._worker = AnalysisWorker(
                 self.settings.folder,
                 on_progress=self._from_bus(self._on_progress),
-                on_end=lambda status, text: self.inbox.put(lambda: self._event(seq.AnalysisFinished(status, text))),
+                on_end=lambda status, text: self.inbox.put(lambda: self.event(seq.AnalysisFinished(status, text))),
             )
 
     def _analyse(self) -> None:
         if self._worker is None:
-            self._event(seq.AnalysisFinished(0, "not asked for"))
+            self.event(seq.AnalysisFinished(0, "" if self.state.aborting else "not asked for"))
             return
         self._worker.go()
         self.state = seq.analysing(self.state, self.clock())
@@ -423,46 +376,30 @@ class FlightCore:
     # Housekeeping -----------------------------------------------------------------------------------------------------
 
     def _check_children(self) -> None:
-        done = self.state.phase in (seq.Phase.LANDED, seq.Phase.IDENTIFYING)
-        if not done and self._drone is not None and (status := self._drone.poll()) is not None:
-            detail = self._drone.last_words()
-            text = f"the vehicle's process ended with status {status}" + (f": {detail}" if detail else "")
-            self._lost(text, refused=detail if status == Refused.exit_status else "")
+        if self.state.phase in (seq.Phase.LANDED, seq.Phase.IDENTIFYING):
             return
-        patience = (
-            timeouts.VEHICLE_START_S
-            if self.recorder is None
-            else timeouts.LINK_SILENT_S
-            if self._can_land_it()
-            else timeouts.VEHICLE_SILENT_S
-        )
-        if self._successors and self.view.drone is None:
-            patience = timeouts.VEHICLE_START_S  # one that was just started
-        owed = self.recorder is None or self.pace.owes(self.state.phase, self.digested_s)
-        if not done and owed and self.clock() - self.heard_s > patience:
-            self._lost(f"nothing was heard from the vehicle's process for {patience:g} s")
-
-    def _can_land_it(self) -> bool:
-        """Whether another link may be started in the place of one that ended or hangs."""
-        linked = self.settings.drone[0] == LINK_MODULE
-        return linked and self.state.started and not self.state.final and self._successors < SUCCESSORS
+        if ended := self._process.ended():
+            self._lost(ended[0], refused=ended[1])
+            return
+        described, seen = self.recorder is not None, self.view.drone is not None
+        owed = not described or self.pace.owes(self.state.phase, self.digested_s)
+        if owed and (silence := self._process.silent(self.state, described=described, seen=seen)):
+            self._lost(silence)
 
     def _lost(self, reason: str, *, refused: str = "") -> None:
         """A link is started again and takes over by landing; another vehicle's process is lost."""
-        if not self._can_land_it():
-            self._event(seq.VehicleLost(refused or reason, refused=bool(refused)))
+        if not self._process.can_be_replaced(self.state):
+            self.event(seq.VehicleLost(refused or reason, refused=bool(refused)))
             return
-        if self._drone is not None:
-            self._drone.kill()  # one that hangs holds the port
-            self._drone.wait()
-        self._successors += 1
-        self._tell("vehicle", "another link is started, and lands the vehicle", reason=reason)
-        self._event(seq.LinkDied(f"{reason}; another link landed it"))
-        self.heard_s, self.view.drone = self.clock(), None
-        self._start_drone("land")
+        self.tell("vehicle", "another link is started, and lands the vehicle", reason=reason)
+        self.event(seq.LinkDied(f"{reason}; another link landed it"))
+        self.view.drone = None
+        self._process.replace()
 
     def _send_credit(self) -> None:
         now, credit = self.clock(), self.pace.credit_s(self.state.phase, self.digested_s)
+        if self.view.until is not None:
+            credit = min(credit, self.view.until.hold_s())
         sent, at = self._credit_sent
         if self.recorder is not None and (credit >= sent + 0.1 or now - at > timeouts.CREDIT_EVERY_S):
             self._credit.put(bus.Credit(credit))
@@ -479,14 +416,15 @@ class FlightCore:
 
     def _shut_down(self) -> None:
         """Leave nothing behind: recording closed, orders given, children gone, the outcome in the log."""
-        self._orders.shutdown(wait=True)
+        self._requests.close()
         if self.recorder is not None:
             self.recorder.close()
         if self._worker is not None:
             self._worker.stop()
-        # A link may still have to bring its vehicle down or restore its parameters: it is never killed.
-        if self._drone is not None and not self._drone.leave(timeouts.VEHICLE_LEAVE_S):
-            self._tell("vehicle", "the vehicle's process goes on by itself", pid=self._drone.pid)
+        if self._suspects is not None:
+            self._suspects.stop()
+        if (pid := self._process.leave()) is not None:
+            self.tell("vehicle", "the vehicle's process goes on by itself", pid=pid)
         elif self.recorder is not None:
             self._seal(RAW_LOG)
         for name in (ENDPOINT_FILE, WATCH_FILE):
@@ -497,32 +435,12 @@ class FlightCore:
 
     def abort(self, reason: str) -> None:
         """Ask for an abort from a signal handler or another thread."""
-        self.inbox.put(lambda: self._event(seq.AbortRequested(reason)))
+        self.inbox.put(lambda: self.event(seq.AbortRequested(reason)))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of the process."""
-    parser = argparse.ArgumentParser(prog="groundstation.flight.core.process", description=__doc__)
-    parser.add_argument("--folder", type=Path, required=True, help="where this flight is kept")
-    parser.add_argument("--plan", type=Path, required=True)
-    parser.add_argument("--vehicle", type=Path, required=True)
-    parser.add_argument("--listen", action="append", required=True, help="zenoh endpoint, e.g. tcp/127.0.0.1:7450")
-    parser.add_argument("--start", action="store_true", help="fly as soon as the checks pass; else wait for a client")
-    parser.add_argument("--no-analysis", action="store_true", help="end after landing")
-    parser.add_argument("--take-over", default="", help="land or hold a vehicle found in flight; continues the folder")
-    parser.add_argument("drone", nargs="+", help="module and arguments of the vehicle's process")
-    options = parser.parse_args(arguments)
-    settings = Settings(
-        options.folder,
-        options.plan,
-        options.vehicle,
-        tuple(options.listen),
-        tuple(options.drone),
-        options.start,
-        not options.no_analysis,
-        options.take_over,
-        own_secrets(),
-    )
+    settings = parse(arguments)
     try:
         core = FlightCore(settings)
     except GroundStationError as error:

@@ -11,7 +11,7 @@ import platform
 import queue
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -21,6 +21,7 @@ import numpy as np
 from drivers.bus import Description, DroneStatus
 from drivers.samples import Batch, Event, Motors, Raw, Sample
 from groundstation.flight.messages import StreamStatus
+from groundstation.paths import commit
 from groundstation.recording.computed_speeds import COMMANDS
 
 if TYPE_CHECKING:
@@ -97,6 +98,10 @@ def sound(batch: Batch, rotors: int) -> bool:
     )
 
 
+WINDOW_MOVED_S = 0.5
+"""By less, a window that is told again is the same one: a link's clock runs a little differently each time."""
+
+
 class Recorder:
     """Writes batches in the order in which they come.
 
@@ -119,6 +124,7 @@ class Recorder:
         self._on_failure = on_failure
         self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._failed = False
+        self._window_end_s: float | None = None
         self._expected: int | None = None
         self._lock = threading.Lock()
         self._meters: dict[str, StreamMeter] = {}
@@ -143,6 +149,13 @@ class Recorder:
     def metadata(self, values: Mapping[str, str]) -> None:
         """Record metadata that is known only now."""
         self._queue.put(lambda: self._sink.set_metadata(values))
+
+    def window(self, window_s: tuple[float, float]) -> None:
+        """Record the excitation's window at its start, and where it ends elsewhere than it was to."""
+        start, end = window_s
+        if self._window_end_s is None or abs(end - self._window_end_s) > WINDOW_MOVED_S:
+            self._window_end_s = end
+            self.metadata({"window_start_s": repr(start), "window_end_s": repr(end)})
 
     def close(self) -> None:
         """Write what is queued and finish the file. Idempotent."""
@@ -187,8 +200,10 @@ class Recorder:
         return isinstance(sample, Motors) and sample.kind == "command" != self._motor_kind
 
 
-def open_recording(folder: Path, plan: Path, vehicle: Path, description: Description) -> McapRecorder:
-    """``flight.mcap`` of a flight, with what has to be known to read it: vehicle, plan, truth if simulated, versions."""
+def open_recording(
+    folder: Path, plan: Path, vehicle: Path, description: Description, drone: Sequence[str] = ()
+) -> McapRecorder:
+    """``flight.mcap`` of a flight, with what has to be known to read it: vehicle, plan, truth if simulated, seed, versions."""
     from groundstation.recording.recorder import McapRecorder
 
     metadata = {
@@ -198,6 +213,8 @@ def open_recording(folder: Path, plan: Path, vehicle: Path, description: Descrip
         "motor_kind": description.motor_kind,
         "python": platform.python_version(),
         "notes": json.dumps(description.notes),
+        **({"seed": drone[drone.index("--seed") + 1]} if "--seed" in drone[:-1] else {}),
+        **({"commit": made_of} if (made_of := commit()) else {}),
         **{name: version(name) for name in ("groundstation", "numpy", "eclipse-zenoh", "mcap")},
     }
     attachments = {"plan.toml": plan.read_bytes(), "vehicle.toml": vehicle.read_bytes()}

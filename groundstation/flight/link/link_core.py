@@ -20,14 +20,18 @@ from drivers.mavlink.signing import Signing
 from drivers.mavlink.telemetry import Telemetry
 from drivers.mavlink.timesync import Timesync
 from drivers.mavlink.transports import Peer
-from drivers.samples import Event, Pose, Raw, Setpoint, State
+from drivers.mocap.health import vehicle_clock_text
+from drivers.samples import Event, Imu, Pose, Raw, Setpoint, State
 from groundstation.errors import BadInput
 from groundstation.flight import timeouts
 from groundstation.flight.link.guard import Guard, Verdict
 from groundstation.flight.link.identity import speaker
 from groundstation.flight.link.inlet import Arrival, Complaints, Inlet, says_who_it_is
+from groundstation.flight.link.marker import MarkerWatch
+from groundstation.flight.link.markers import Markers
 from groundstation.flight.link.options import PLAIN, Options, Output
 from groundstation.flight.link.pilot import GUARDED, IN_AIR, Answered, Phase, Pilot
+from groundstation.flight.link.pose_latency import PoseLatency, latency_sentence
 from groundstation.flight.link.preflight import Check, Situation, failures, run_checks
 from groundstation.flight.link.prepare import Preparation
 from groundstation.flight.link.profiles import profile_for
@@ -100,7 +104,11 @@ class LinkCore:
         self._phase = Phase.IDLE
         self._carried: deque[tuple[State, Pose]] = deque(maxlen=CARRIED)
         self._disagreement = Disagreement()
+        self._latency, self._markers = PoseLatency(), Markers(vehicle.mocap)
         self._pose_to_vehicle_s = -inf
+        calibration = station.mocap.calibration
+        self._mocap_said = ""
+        self._marker = None if calibration is None else MarkerWatch(calibration, vehicle)
 
     # Orders from the core ---------------------------------------------------------------------------------------------
 
@@ -137,8 +145,9 @@ class LinkCore:
         error_s, carried = self.clock.error_s(now_s), tuple(self._carried)
         free = self.free_bytes()
         situation = Situation(
-            now_s, self.view, self.station, self.vehicle, plan, self.parameters, error_s, carried, free
-        )
+            now_s, self.view, self.station, self.vehicle, plan, self.parameters, error_s, carried, free,
+            None if self._marker is None else self._marker.verdict(), self._mocap_said,
+        )  # fmt: skip
         self.checks = run_checks(situation, self.options.force)
         for check in self.checks:
             verdict = "forced" if check.forced else "ok" if check.ok else "failed"
@@ -156,7 +165,7 @@ class LinkCore:
         if name == "start":
             self._abort, self.verdict = "", None
             self._guard = Guard(self.station.guard, self.station.box, self.vehicle.battery.empty_v)
-            self._disagreement = Disagreement()
+            self._disagreement, self._latency = Disagreement(), PoseLatency()
             if self.view is not None:
                 self.view.take_jump()
         return self.pilot.order(name, now_s, reason)
@@ -166,16 +175,36 @@ class LinkCore:
         out = Output(samples=[(pose, received_s)])
         if self.view is None or self.pilot is None:
             return out
+        self._watch_marker(pose, received_s)
+        pose = self._markers.body(pose)
         self.view.sample(pose, received_s)
         self.view.meters.setdefault("POSE", Meter()).add(received_s)
+        if self.pilot.phase in IN_AIR:
+            self._latency.pose(pose.device_s, pose.quaternion)
         if self.view.state is not None and received_s - self.view.state_s < 0.05:
             self._carried.append((self.view.state, pose))
         mocap = self.station.mocap
-        if mocap.to_vehicle_hz > 0.0 and received_s - self._pose_to_vehicle_s >= 0.9 / mocap.to_vehicle_hz:
+        if (
+            self.station.indoors is not False
+            and mocap.to_vehicle_hz > 0.0
+            and received_s - self._pose_to_vehicle_s >= 0.9 / mocap.to_vehicle_hz
+        ):
             self._pose_to_vehicle_s = received_s
             for message in self.view.profile.external_pose(pose, pose.device_s, mocap.std_m, mocap.std_rad, 0):
                 self._send(message, received_s, out)
         return out
+
+    def mocap_told(self, event: Event, received_s: float) -> None:
+        """The motion capture's client says how it is."""
+        fit, text = self.clock.fit(), event.text
+        if event.kind == "clock" and fit is not None:
+            text += vehicle_clock_text(received_s - fit.device(received_s), fit.error_s(received_s))
+        self._mocap_said = "" if event.kind == "clock" else event.text
+        self.note(received_s, event.kind, text)
+
+    def _watch_marker(self, sample: Imu | Pose, host_s: float) -> None:
+        if self._marker is not None and self._phase not in IN_AIR:
+            self._marker.take(sample, host_s)
 
     # One step ---------------------------------------------------------------------------------------------------------
 
@@ -306,7 +335,7 @@ class LinkCore:
             return
         self._inlet.bind(peer, now_s)
         self.view = VehicleView(profile)
-        self.pilot = Pilot(profile, self.station.policy, self.view)
+        self.pilot = Pilot(profile, self.station.policy, self.view, by_poses=self.station.flies_by_poses)
         self._telemetry = Telemetry(
             self.vehicle.rotors.count, system=profile.system, imu=profile.imu, pwm_us=profile.pwm_us
         )
@@ -358,6 +387,10 @@ class LinkCore:
         for sample in self._telemetry.samples(received):
             self.view.sample(sample, now_s)
             out.samples.append((sample, now_s))
+            if isinstance(sample, Imu):
+                self._watch_marker(sample, now_s)
+            if isinstance(sample, State) and (fit := self.clock.fit()) is not None:
+                self._latency.state(fit.host(sample.device_s), sample)
         if received.name == "TIMESYNC":
             self._timesync(received.message, now_s, out)
 
@@ -398,6 +431,9 @@ class LinkCore:
         if self.pilot.phase is not self._phase:
             self._tell(out, now_s, "link", f"{self._phase} -> {self.pilot.phase} {self.pilot.reason}".strip())
             self._phase = self.pilot.phase
+            if self._phase is Phase.LANDED and (found := self._latency.result()) is not None:
+                declared_s = self.station.mocap.latency_s
+                self._tell(out, now_s, "latency", latency_sentence(found, self.clock.error_s(now_s), declared_s))
 
     def converse(self, steps: Steps[T]) -> Conversation[T]:
         """Hold a conversation beside the flight: parameters, files, logs. Watch its ``done``."""

@@ -12,13 +12,14 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from drivers.mavlink.dialect import message_id
 from drivers.mavlink.exchange import Ask, Conversation
 from drivers.mavlink.logs import LogEntry, LogError, Logs
-from drivers.mavlink.transports import open_transport
+from drivers.mavlink.transports import Transport, open_transport
 from groundstation.errors import BadInput, GroundStationError, Refused
 from groundstation.flight import timeouts
 from groundstation.flight.link.arguments import bandwidth_of
@@ -65,68 +66,91 @@ def fetch_onboard_log(
     memory = None if key_file is None else signing_memory(key_file, folder.parent / "signing.json")
     core = LinkCore(vehicle, load_station(), options, None if memory is None else memory.signing)
     core.datagrams = transport.datagrams
-    deadline = clock() + timeout_s
-
-    def turn() -> None:
-        if not core.waiting:
-            transport.wait(timeouts.LOG_FETCH_WAIT_S)
-        for data in core.step(clock(), transport.read()).send:
-            transport.write(data)
-        if core.peer is not None:
-            transport.answer(core.peer)
-
-    def run(steps: Generator[Any, Any, Any]) -> Any:
-        talk: Conversation[Any] = core.converse(steps)
-        while not talk.done:
-            if clock() > deadline:
-                talk.cancel()
-                raise Refused(f"the log did not come within {timeout_s:g} s.")
-            turn()
-        if talk.error is not None:
-            raise talk.error
-        return talk.result
-
+    line = _Line(core, transport, clock, clock(), timeout_s)
     try:
-        found_by = clock() + timeouts.LOG_FETCH_HEARD_S
-        while core.view is None:
-            if clock() > found_by:
-                raise Refused("no vehicle is heard on the link.", transport.trouble or "Check it, and fetch again.")
-            turn()
-        profile = core.view.profile
+        profile = line.profile_heard()
         if options.bytes_per_s is not None:
-            run(silenced(profile))
+            line.run(silenced(profile))
         logs = Logs(profile.system, profile.component)
-        entries: list[LogEntry] = run(logs.list())
-        entry = newest(entries) if number is None else next((e for e in entries if e.number == number), None)
-        if entry is None:
-            known = ", ".join(str(e.number) for e in entries) or "none"
-            raise Refused("the vehicle offers no such log.", f"Logs on board: {known}. Is logging switched on?")
-        part = folder / f"onboard-{entry.number}.part"
-        data = bytearray(part.read_bytes() if part.is_file() else b"")
-        begun, had = clock(), len(data)
-
-        def tell(count: int, size: int) -> None:
-            speed = (count - had) / max(clock() - begun, 1e-3)
-            progress(
-                count / size,
-                f"onboard log {entry.number}: {count / 1e6:.1f} of {size / 1e6:.1f} MB, {speed / 1e3:.0f} kB/s",
-            )
-
-        try:
-            run(logs.fetch(entry, data, tell))
-        except (LogError, Refused) as error:
-            write_whole(part, bytes(data))
-            raise Refused(
-                f"{error}", f"{len(data)} of {entry.size} bytes are in {part}; fetch again to go on."
-            ) from None
+        entry = _wanted(line.run(logs.list()), number)
+        data = _fetched(line, logs, entry, folder / f"onboard-{entry.number}.part", progress)
         path = folder / f"onboard{profile.log_suffix}"
-        write_whole(path, bytes(data))
-        part.unlink(missing_ok=True)
+        write_whole(path, data)
+        (folder / f"onboard-{entry.number}.part").unlink(missing_ok=True)
         return path
     finally:
         transport.close()
         if memory is not None:
             memory.write()
+
+
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """The link of a fetch: one conversation after another, until the time is up."""
+
+    core: LinkCore
+    transport: Transport
+    clock: Callable[[], float]
+    begun_s: float
+    timeout_s: float
+
+    def turn(self) -> None:
+        """Read, answer and write once."""
+        if not self.core.waiting:
+            self.transport.wait(timeouts.LOG_FETCH_WAIT_S)
+        for data in self.core.step(self.clock(), self.transport.read()).send:
+            self.transport.write(data)
+        if self.core.peer is not None:
+            self.transport.answer(self.core.peer)
+
+    def profile_heard(self) -> Profile:
+        """The autopilot's profile, once it is heard."""
+        found_by = self.clock() + timeouts.LOG_FETCH_HEARD_S
+        while self.core.view is None:
+            if self.clock() > found_by:
+                raise Refused(
+                    "no vehicle is heard on the link.", self.transport.trouble or "Check it, and fetch again."
+                )
+            self.turn()
+        return self.core.view.profile
+
+    def run(self, steps: Generator[Any, Any, Any]) -> Any:
+        """The result of a conversation with the vehicle."""
+        talk: Conversation[Any] = self.core.converse(steps)
+        while not talk.done:
+            if self.clock() > self.begun_s + self.timeout_s:
+                talk.cancel()
+                raise Refused(f"the log did not come within {self.timeout_s:g} s.")
+            self.turn()
+        if talk.error is not None:
+            raise talk.error
+        return talk.result
+
+
+def _wanted(entries: list[LogEntry], number: int | None) -> LogEntry:
+    entry = newest(entries) if number is None else next((e for e in entries if e.number == number), None)
+    if entry is None:
+        known = ", ".join(str(e.number) for e in entries) or "none"
+        raise Refused("the vehicle offers no such log.", f"Logs on board: {known}. Is logging switched on?")
+    return entry
+
+
+def _fetched(line: _Line, logs: Logs, entry: LogEntry, part: Path, progress: Callable[[float, str], None]) -> bytes:
+    """The whole log, from where ``part`` stopped; what came stays in ``part`` when it breaks off again."""
+    data = bytearray(part.read_bytes() if part.is_file() else b"")
+    begun, had = line.clock(), len(data)
+
+    def tell(count: int, size: int) -> None:
+        speed = (count - had) / max(line.clock() - begun, 1e-3)
+        told = f"{count / 1e6:.1f} of {size / 1e6:.1f} MB, {speed / 1e3:.0f} kB/s"
+        progress(count / size, f"onboard log {entry.number}: {told}")
+
+    try:
+        line.run(logs.fetch(entry, data, tell))
+    except (LogError, Refused) as error:
+        write_whole(part, bytes(data))
+        raise Refused(f"{error}", f"{len(data)} of {entry.size} bytes are in {part}; fetch again to go on.") from None
+    return bytes(data)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -34,8 +34,11 @@ class Orders:
     policy: Policy
     view: VehicleView
 
-    def arm(self) -> Steps[str]:
-        if self.profile.climbs_by_command:
+    def arm(self, *, led: bool = False) -> Steps[str]:
+        """``led``: setpoints flow already, and it is armed in the mode that follows them."""
+        if led:
+            yield Ask((), _nothing, timeouts.SETPOINTS_FIRST_S, 1)
+        if led or self.profile.climbs_by_command:
             reason = yield from self.mode(self.profile.follow_mode)
             if reason:
                 return reason

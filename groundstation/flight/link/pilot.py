@@ -5,7 +5,8 @@ r"""The link's own state machine of one flight: what leaves towards the vehicle,
 
 Rules that hold whatever else happens:
 
-* Setpoints leave only while ``climbing`` (where the autopilot climbs by setpoints) and ``following``. After any loss they
+* Setpoints leave only while ``climbing`` (where the autopilot climbs by setpoints) and ``following``; where it arms in no
+  other mode (PX4 by poses alone), also before, for a place under the ground that it stands on. After any loss they
   never come back by themselves: PX4 re-enters OFFBOARD on the first one, and takes off again from the ground.
 * A mode we did not command means somebody else decided: released at once. From then on only the operator's ``land`` sends
   anything.
@@ -16,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from math import nextafter
 
 import numpy as np
 
@@ -31,8 +33,10 @@ from groundstation.flight.link.placement import Placement, target_at
 from groundstation.flight.link.profiles import Profile, Target
 from groundstation.flight.link.view import VehicleView
 from groundstation.flight.station import Policy
-from groundstation.trajectory import Plan, Sequence, flight_path
+from groundstation.trajectory import Plan, Sequence, changed_length, flight_path, with_periods
 
+UNDER_GROUND_M = 0.3
+"""How far under it the place lies that an armed vehicle is led to while it stands: near enough to be no order to move."""
 _ABORTED = "the flight was aborted; upload a plan again to"
 
 
@@ -69,6 +73,7 @@ class Pilot:
         profile: the autopilot's manners.
         policy: the station's.
         view: what is known of the vehicle; kept by someone else, read here.
+        by_poses: the vehicle's estimator flies by external poses.
 
     Attributes:
         phase: where the flight is.
@@ -77,7 +82,7 @@ class Pilot:
         target: where the vehicle should be now, in the plan's frame; None while we do not lead.
     """
 
-    def __init__(self, profile: Profile, policy: Policy, view: VehicleView):
+    def __init__(self, profile: Profile, policy: Policy, view: VehicleView, *, by_poses: bool = False):
         self.profile, self.policy, self.view = profile, policy, view
         self._orders = Orders(profile, policy, view)
         self.phase = Phase.IDLE
@@ -103,6 +108,8 @@ class Pilot:
         self._led = False
         self._aborted = False
         self._hold_s = policy.hold_s
+        self._arms_led = by_poses and profile.arms_led
+        self._standing: Target | None = None
 
     # Orders -----------------------------------------------------------------------------------------------------------
 
@@ -124,6 +131,8 @@ class Pilot:
                 return self._arm(now_s)
             case "start":
                 return self._start(now_s)
+            case "finish" | "extend":
+                return self._change_length(name)
             case "abort" | "land":
                 return self._order_landing(name, now_s, reason)
             case "kill" if self.phase in GUARDED:
@@ -138,7 +147,12 @@ class Pilot:
             return Answered(False, f"{_ABORTED} arm.")
         if self.phase is not Phase.UPLOADED:
             return Answered(False, f"arming needs an uploaded plan; the flight is {self.phase}.")
-        return self._begin(self._orders.arm(), now_s)
+        state = self.view.state
+        if self._arms_led and state is not None and self._talk is None:
+            x, y, z = state.position_m
+            still = (0.0, 0.0, 0.0)
+            self._standing = Target((x, y, z - UNDER_GROUND_M), still, still, yaw_of(state.quaternion), 0.0)
+        return self._begin(self._orders.arm(led=self._standing is not None), now_s)
 
     def _start(self, now_s: float) -> Answered:
         if self._aborted:
@@ -156,6 +170,19 @@ class Pilot:
         self._set_path(ground, now_s)
         return self._begin(self._orders.follow(), now_s)
 
+    def _change_length(self, name: str) -> Answered:
+        """End the excitation at its next rest point, or let it go on; never past what was checked on the ground."""
+        if not self.exciting or self.path is None or self.plan is None or self._handed_over:
+            return Answered(False, f"'{name}' is for an excitation that the link leads; the flight is {self.phase}.")
+        changed = changed_length(self.path, self.path_s, name, self.plan.periods)
+        if isinstance(changed, str):
+            return Answered(False, changed)
+        self._take_path(changed)
+        return Answered(True)
+
+    def _take_path(self, path: Sequence) -> None:
+        self.path, self._excitation_lasts_s = path, float(path.parts[3].duration_s)
+
     def _order_landing(self, name: str, now_s: float, reason: str) -> Answered:
         if self.phase in (Phase.IDLE, Phase.LANDED):
             return Answered(True)
@@ -170,7 +197,7 @@ class Pilot:
     def _stand_down(self, now_s: float, reason: str) -> Answered:
         """Before the start: nothing arms or starts any more until a plan is uploaded again."""
         asked = self._talk is not None or self.view.armed
-        self.reason, self._aborted = reason, True
+        self.reason, self._aborted, self._standing = reason, True, None
         self._cancel_talk()
         return self._begin(self._orders.stand_down(), now_s) if asked else Answered(True)
 
@@ -236,6 +263,8 @@ class Pilot:
         )
         if leading and setpoint_due:
             self._setpoint(now_s, out)
+        elif self._standing is not None and setpoint_due:
+            out.append(self.profile.setpoint(self._standing, now_s))
         return out
 
     @property
@@ -269,6 +298,9 @@ class Pilot:
             self._enter(Phase.LANDED, now_s)
         elif self.phase is Phase.ARMED and view.armed is False:
             self._enter(Phase.UPLOADED, now_s)
+            self._standing = None
+        elif self.phase is Phase.ARMED and self._standing is not None and view.mode != self.profile.follow_mode:
+            self._standing = None
         elif self._led and self._taken_over():
             self._release(now_s)
         elif self.phase in (Phase.CLIMBING, Phase.FOLLOWING) and view.restarts != self._restarts:
@@ -298,7 +330,7 @@ class Pilot:
         begin, end = self._window()
         before, self.path_s = self.path_s, self.path_s + dt
         if before < begin <= self.path_s and not self._settled():
-            self.path_s = np.nextafter(begin, 0.0)
+            self.path_s = nextafter(begin, 0.0)
             self._waiting_since_s = now_s if self._waiting_since_s is None else self._waiting_since_s
             if now_s - self._waiting_since_s > self.policy.settle_timeout_s:
                 self.land(now_s, f"the vehicle did not settle within {self.policy.settle_timeout_s:g} s; not excited")
@@ -322,7 +354,7 @@ class Pilot:
     def _hand_over(self, begin: float, now_s: float) -> None:
         """From here the script on board leads; setpoints of ours would contradict it."""
         assert self._script is not None  # noqa: S101 - asked before
-        self.path_s, self._handed_over, self.setpoint_sent_s = np.nextafter(begin, 0.0), True, None
+        self.path_s, self._handed_over, self.setpoint_sent_s = nextafter(begin, 0.0), True, None
         self._begin(self._script.start(), now_s)
 
     def _watch_script(self, now_s: float) -> None:
@@ -334,7 +366,7 @@ class Pilot:
         match self._script.state(now_s):
             case "flying":
                 flown = self._script.progress_s(now_s)
-                self.path_s = min(begin + flown, float(np.nextafter(end, 0.0)))
+                self.path_s = min(begin + flown, nextafter(end, 0.0))
                 self.excitation_s = (self.excitation_s[0] or now_s - flown, None)
                 self.target = target_at(self.path, self.path_s)
             case "complete":
@@ -369,8 +401,7 @@ class Pilot:
         yaw = yaw_of(self.view.state.quaternion) - self.placement.yaw_rad
         yaw = float(np.arctan2(np.sin(yaw), np.cos(yaw)))
         whole = flight_path(self.plan, (*start, yaw), climb_m_s=self.policy.climb_m_s, settle_s=self.policy.settle_s)
-        self.path = Sequence(whole.parts[:-1])
-        self._excitation_lasts_s = float(whole.parts[3].duration_s)
+        self._take_path(with_periods(Sequence(whole.parts[:-1]), self.plan.first_periods))
         self.path_s, self._path_stepped_s, self._waiting_since_s = 0.0, None, None
 
     def _start_height(self) -> float:
@@ -413,6 +444,8 @@ class Pilot:
         answer.ok, answer.reason = not reason, reason
         if self.phase is Phase.UPLOADED and not reason and self.view.armed:
             self._enter(Phase.ARMED, now_s)
+        elif self.phase is Phase.UPLOADED:
+            self._standing = None
         elif self.phase in (Phase.CLIMBING, Phase.FOLLOWING) and reason:
             self.land(now_s, reason)
         elif self.phase is Phase.CLIMBING and self.view.state is not None:
@@ -429,5 +462,7 @@ class Pilot:
     def _enter(self, phase: Phase, now_s: float) -> None:
         if phase is not self.phase:
             self.phase, self._since_s, self._again_s = phase, now_s, -1e9
+        if phase is not Phase.ARMED:
+            self._standing = None
         if phase not in (Phase.CLIMBING, Phase.FOLLOWING):
             self.path, self.target, self.setpoint_sent_s = None, None, None

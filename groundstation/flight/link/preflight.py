@@ -14,6 +14,8 @@ import numpy as np
 from drivers.mavlink.geometry import tilt_cosine, yaw_of
 from drivers.samples import Pose, State
 from groundstation.errors import BadInput
+from groundstation.flight.link.fusion import not_fused
+from groundstation.flight.link.marker import MarkerVerdict
 from groundstation.flight.link.profiles import ParameterRule, Profile
 from groundstation.flight.link.view import VehicleView
 from groundstation.flight.station import Station
@@ -65,6 +67,8 @@ class Situation:
         clock_error_s: of the vehicle's clock against ours.
         disk_free_bytes: where the recording goes; None when nobody keeps one.
         carried: (state, pose) pairs over which the vehicle was moved, to compare their frames.
+        marker: whether the calibrated marker body still sits where it was; None without a calibration.
+        mocap_said: what the motion capture's client told last.
     """
 
     now_s: float
@@ -76,6 +80,8 @@ class Situation:
     clock_error_s: float
     carried: Sequence[tuple[State, Pose]] = ()
     disk_free_bytes: int | None = None
+    marker: MarkerVerdict | None = None
+    mocap_said: str = ""
 
     @property
     def profile(self) -> Profile:
@@ -147,6 +153,9 @@ def _streams(s: Situation) -> Check:
 def _arming(s: Situation) -> Check:
     if s.view.checks_pass is None:
         return Check("arming", True, "the autopilot does not tell beforehand; it will when it is armed")
+    if s.profile.arms_led and s.station.flies_by_poses:
+        follow = s.profile.follow_mode
+        return Check("arming", True, f"by poses alone it arms in {follow} only, and tells when it is armed there")
     texts = [t for t in s.view.texts if "PreArm" in t or "Preflight" in t or t.startswith(("critical", "error"))]
     said = "; ".join(dict.fromkeys(texts)) or f"not well: {', '.join(s.view.unhealthy)}" * bool(s.view.unhealthy)
     return _answer(
@@ -240,10 +249,8 @@ def _disk(s: Situation) -> Check:
 
 
 def _parameters(s: Situation) -> Iterator[Check]:
-    indoors = s.station.mocap.system != "none"
-    for rule in s.profile.parameters:
-        if not rule.concerns(s.view.version, indoors=indoors):
-            continue
+    indoors, latency_s = s.station.flies_by_poses, s.station.mocap.latency_s
+    for rule in s.profile.rules(s.view.version, indoors=indoors, pose_latency_s=latency_s):
         yield _parameter(rule, s.parameters.get(rule.name))
 
 
@@ -270,12 +277,39 @@ def _poses(s: Situation) -> Iterator[Check]:
         yield Check("poses", True, "no motion capture in the station file; the vehicle's own estimate is all there is")
         return
     rate, age = view.rate_hz("POSE", s.now_s), s.now_s - view.pose_changed_s
+    none = ": ".join(filter(None, (f"none from {mocap.system} at {mocap.host}", s.mocap_said)))
     yield _answer(
         "poses", rate >= mocap.needed_hz and age < 0.3,
-        f"{rate:.0f} Hz, the newest {age:.2f} s old" if view.pose else f"none from {mocap.system} at {mocap.host}",
+        f"{rate:.0f} Hz, the newest {age:.2f} s old" if view.pose else none,
         f"start the motion capture, check host and body '{mocap.body}' in the station file",
     )  # fmt: skip
     yield _frames(s)
+    if s.station.flies_by_poses:
+        yield _fusion(s)
+    yield _marker(s)
+
+
+def _fusion(s: Situation) -> Check:
+    """The estimator flies by the poses: its flags, its innovations, and where it says it is."""
+    why = not_fused(s.view)
+    horizontal, vertical, heading = s.view.estimator_ratios
+    return _answer(
+        "fusion", not why,
+        why or f"the estimator uses the poses; innovations at {horizontal:.2f} (position), {vertical:.2f} (height), "
+        f"{heading:.2f} (heading) of their gates",
+        "let --set-parameters set what poses need, or set it by hand and restart the autopilot; then wait some seconds",
+    )  # fmt: skip
+
+
+def _marker(s: Situation) -> Check:
+    """The marker body sits where it was calibrated."""
+    if s.marker is None:
+        return Check(
+            "marker",
+            True,
+            "not calibrated: the marker body is taken for the vehicle's declared tracked point (`groundstation calibrate`)",
+        )
+    return _answer("marker", s.marker.ok, s.marker.seen, "fasten it and calibrate again with `groundstation calibrate`")
 
 
 def _frames(s: Situation) -> Check:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from math import inf
 
 from drivers.mavlink.dialect import Message, mavlink, message_id
 from drivers.mavlink.exchange import Ask, Steps
 from drivers.mavlink.parameters import Parameters
 from groundstation.flight import timeouts
+from groundstation.flight.link.fusion import not_fused
 from groundstation.flight.link.rates import cost_of_line, fit_rates
 from groundstation.flight.link.upload import Way, choose_way
 from groundstation.flight.link.view import VehicleView
@@ -18,6 +20,8 @@ SELDOM = 0.75
 AMPLE = 1.5
 """What comes so many times as often as needed is left alone."""
 ROUNDS = 3
+ORIGIN_TRIES = 20
+"""Once a second: ArduPilot takes no origin before its filter has started, some ten seconds after a restart."""
 _KEPT = frozenset(
     {"HEARTBEAT", "SYS_STATUS", "STATUSTEXT", "COMMAND_ACK", "COMMAND_LONG", "TIMESYNC", "AUTOPILOT_VERSION",
      "PARAM_VALUE", "POSE"}
@@ -70,7 +74,11 @@ class Preparation:
         yield from self._streams()
         self.changed = dict(self._left.get(self.view.key, {}))
         yield from self.restore()
-        yield from self._parameters()
+        if (yield from self._parameters()):
+            yield from self._restart()
+            yield from self._parameters()  # what it showed only after the restart
+        if self.station.flies_by_poses:
+            yield from self._fuse()
         self.way = yield from choose_way(profile, self.station.policy, self.parameters)
         if profile.climbs_by_command and not self.view.armed:
             # After a landing it stands in a mode that it does not arm in, and its own checks fail for that alone.
@@ -148,11 +156,13 @@ class Preparation:
     def _interval(self, name: str, rate_hz: float) -> Message:
         return self.view.profile.interval(message_id(name), rate_hz)
 
-    def _parameters(self) -> Steps[None]:
-        indoors = self.station.mocap.system != "none"
-        rules = [r for r in self.view.profile.parameters if r.concerns(self.view.version, indoors=indoors)]
+    def _parameters(self) -> Steps[bool]:
+        """Read, and set where it is allowed; whether one was set that takes effect at a start of the autopilot."""
+        mocap, indoors = self.station.mocap, self.station.flies_by_poses
+        rules = self.view.profile.rules(self.view.version, indoors=indoors, pose_latency_s=mocap.latency_s)
         found = yield from self._dialogue.read_all([rule.name for rule in rules])
         self.parameters = {rule.name: found.get(rule.name) for rule in rules}
+        restart = False
         for rule in rules:
             value = found.get(rule.name)
             if value is not None and not rule.holds(value) and rule.settable and self._set:
@@ -160,12 +170,47 @@ class Preparation:
                 self._changes.append((rule.name, value, rule.accepted[0]))
                 if (yield from self._dialogue.write(rule.name, rule.accepted[0])):
                     self.parameters[rule.name] = rule.accepted[0]
+                    restart = restart or rule.restart
+        return restart
+
+    def _restart(self) -> Steps[None]:
+        """Disarmed and on the ground, since nothing else is prepared. A firmware that refuses is found not to use the poses."""
+        profile = self.view.profile
+        number = mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN
+        answer = yield Ask((profile.command(number, 1.0),), lambda m: _acknowledges(m, number), 1.0, 3)
+        if answer is None or answer.result != mavlink.MAV_RESULT_ACCEPTED:
+            return
+        yield Ask((), lambda _m: False, timeouts.RESTART_BEGUN_S, 1)
+        yield Ask((), _named("HEARTBEAT"), timeouts.RESTARTED_S, 1)
+        yield from self._streams()
+
+    def _fuse(self) -> Steps[None]:
+        """Tell it where it is, and wait for the estimator to take the poses. The checks say whether it did."""
+        yield Ask((self.view.profile.origin(),), _named("GPS_GLOBAL_ORIGIN"), 1.0, ORIGIN_TRIES)
+        since_s = inf
+
+        def steady(_m: Message) -> bool:
+            """For some of the vehicle's seconds: a reset to the poses makes its own checks fail for a while."""
+            nonlocal since_s
+            state = self.view.state
+            would_arm = self.view.checks_pass is not False or self.view.profile.arms_led
+            if state is None or not would_arm or not_fused(self.view):
+                since_s = inf
+                return False
+            since_s = min(since_s, state.device_s)
+            return state.device_s - since_s >= timeouts.POSES_STEADY_S
+
+        yield Ask((), steady, timeouts.POSES_FUSED_S, 1)
 
 
 def _named(name: str) -> Callable[[Message], bool]:
     return lambda m: m.get_type() == name
 
 
+def _acknowledges(m: Message, command: int) -> bool:
+    return m.get_type() == "COMMAND_ACK" and m.command == command
+
+
 def acknowledges_interval(m: Message) -> bool:
     """The answer to a request for a message's rate; it does not say which."""
-    return m.get_type() == "COMMAND_ACK" and m.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+    return _acknowledges(m, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL)

@@ -25,7 +25,7 @@ from drivers import bus
 from drivers.access import own_login
 from drivers.mavlink import tlog
 from drivers.mavlink.transports import Transport, open_transport
-from drivers.samples import Batch, Motors, Raw, Sample, encode_batch
+from drivers.samples import Batch, Motors, Pose, Raw, Sample, encode_batch
 from groundstation.errors import BadInput, GroundStationError, Refused
 from groundstation.flight import timeouts
 from groundstation.flight.link.arguments import bandwidth_of, free_bytes, parse, signing_of
@@ -106,7 +106,7 @@ class LinkProcess:
         self._told_failures: set[str] = set()
         self._logger = Writer("raw log", self._write_log) if self._log is not None else None
         mocap = core.station.mocap
-        self._poses = PoseSource(mocap) if mocap.system != "none" else None
+        self._poses = PoseSource(mocap, vehicle) if mocap.system != "none" else None
 
     def run(self, endpoint: str) -> int:
         """Serve the core at an endpoint; returns the exit status."""
@@ -228,8 +228,11 @@ class LinkProcess:
         now = self.clock()
         if self._stop_reason and self.core.pilot is not None and self.core.pilot.phase in IN_AIR:
             self.core.order("abort", now, self._stop_reason)
-        for pose, received_s in self._poses.read() if self._poses is not None else ():
-            self._emit(self.core.pose(pose, received_s))
+        for sample, received_s in self._poses.read() if self._poses is not None else ():
+            if isinstance(sample, Pose):
+                self._emit(self.core.pose(sample, received_s))
+            else:
+                self.core.mocap_told(sample, received_s)
         self._emit(self.core.step(now, self.transport.read()))
         if self.core.peer is not None:
             self.transport.answer(self.core.peer)
@@ -373,9 +376,10 @@ class LinkProcess:
             from groundstation.frames import euler_from_quat
 
             roll, pitch, yaw = (float(a) for a in euler_from_quat(view.state.quaternion))
-            flight = {"position_m": view.state.position_m, "euler_rad": (roll, pitch, yaw)}
+            here = pilot.placement.to_plan(view.state.position_m)  # the frame of the plan, of the box and of every view
+            flight = {"position_m": here, "euler_rad": (roll, pitch, yaw)}
         if pilot.target is not None:
-            flight["setpoint_m"] = pilot.placement.to_vehicle(pilot.target).position_m
+            flight["setpoint_m"] = pilot.target.position_m
         if (window := pilot.window_s(now_s)) is not None:
             flight["window_s"] = tuple(device_s + (t - now_s) * self._rate() for t in window)
         text = pilot.reason or core.trouble or self.transport.trouble

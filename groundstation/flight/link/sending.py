@@ -27,6 +27,8 @@ class PlanSending:
 
     def begin(self, way: Way, converse: Callable[[Steps[None]], Conversation[None]]) -> Answered:
         """Send it that way; the answer may come later."""
+        if way.kind == "onboard" and self._plan.until is not None:
+            way = Way("setpoints", "how long it lasts is decided in flight, which the script on board cannot do")
         self._way = way
         if way.kind == "setpoints":
             return self._take(way, onboard=False)

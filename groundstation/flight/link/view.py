@@ -60,6 +60,8 @@ class VehicleView:
         checks_pass: the autopilot's own arming checks, where it tells (ArduPilot, PX4 in SYS_STATUS).
         state, pose, battery: newest samples with ``*_s``, the host time they came.
         pose_changed_s: host time of the newest pose that differs from the one before.
+        estimator_flags: of ESTIMATOR_STATUS or EKF_STATUS_REPORT, which share them; None before the first.
+        estimator_ratios: of its innovations to their gates: horizontal position, height, heading.
         jump_m: largest jump of the estimate since :meth:`take_jump`.
         texts: newest texts of the autopilot.
         restarts: how often its clock began again.
@@ -73,6 +75,7 @@ class VehicleView:
     on_ground: bool | None = None
     checks_pass: bool | None = None
     estimator_flags: int | None = None
+    estimator_ratios: Vector3 = (0.0, 0.0, 0.0)
     vibration_m_s2: Vector3 | None = None
     unhealthy: tuple[str, ...] = ()
     logs: bool | None = None
@@ -132,8 +135,12 @@ class VehicleView:
                 self.log_room_mib = m.available_capacity if m.status else 0.0
             case "BATTERY_STATUS" if m.battery_remaining >= 0 and m.id == 0:
                 self.battery_remaining = m.battery_remaining * 1e-2
-            case "ESTIMATOR_STATUS" | "EKF_STATUS_REPORT":
+            case "ESTIMATOR_STATUS":
                 self.estimator_flags = m.flags
+                self.estimator_ratios = (m.pos_horiz_ratio, m.pos_vert_ratio, m.mag_ratio)
+            case "EKF_STATUS_REPORT":
+                self.estimator_flags = m.flags
+                self.estimator_ratios = (m.pos_horiz_variance, m.pos_vert_variance, m.compass_variance)
             case "VIBRATION":
                 self.vibration_m_s2 = (m.vibration_x, m.vibration_y, m.vibration_z)
             case "AUTOPILOT_VERSION":

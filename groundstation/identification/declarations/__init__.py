@@ -11,6 +11,7 @@ from groundstation.identification.declarations.frames import frame_checks
 from groundstation.identification.declarations.rotors import rotor_checks
 from groundstation.identification.declarations.scale import lag_doubts, scale_checks, tensor_checks
 from groundstation.identification.declarations.signals import flown
+from groundstation.identification.declarations.speeds import speed_checks
 
 __all__ = ["Check", "check_declarations", "go_on", "lag_doubts", "said_first"]
 
@@ -21,9 +22,13 @@ def check_declarations(flight: FlightData) -> tuple[Check, ...]:
         signals = flown(flight)
     except Refused:
         return ()  # it did not fly: the analysis says so
-    vehicle = flight.vehicle
-    found = [*frame_checks(flight), *rotor_checks(signals, vehicle), *scale_checks(signals, vehicle)]
-    found += tensor_checks(vehicle)
+    found = [
+        *frame_checks(flight),
+        *rotor_checks(signals, flight.vehicle),
+        *speed_checks(signals, flight.vehicle),
+        *scale_checks(signals, flight.vehicle),
+        *tensor_checks(flight.vehicle),
+    ]
     rank = {"contradicted": 0, "doubtful": 1, "cannot tell": 2, "agrees": 3}
     return tuple(sorted(found, key=lambda check: rank[check.verdict]))
 

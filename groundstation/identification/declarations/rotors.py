@@ -49,27 +49,24 @@ def rotor_checks(flown: Flown, vehicle: Vehicle) -> list[Check]:
         return []
     thrust = passed(flown.thrust)
     turning = passed(np.gradient(flown.rate, STEP_S, axis=0))
-    position = np.asarray(vehicle.rotors.position_m, dtype=float)
     plain = PLAIN if flown.force is not None else PLAIN_WITHOUT_GYRO
-    check = _order(thrust, turning, position, vehicle, flown.used, plain)
+    check = _order(thrust, turning, vehicle, flown.used, plain)
     return [check, _spin(thrust, turning, vehicle, flown.used, plain)]
 
 
-def _order(
-    thrust: Array, turning: Array, position: Array, vehicle: Vehicle, used: NDArray[np.bool_], plain: float
-) -> Check:
+def _order(thrust: Array, turning: Array, vehicle: Vehicle, used: NDArray[np.bool_], plain: float) -> Check:
     """Roll and pitch acceleration against the torque of each order, each axis in units of its own size."""
     size = np.std(turning[used, :2], axis=0) + 1e-9
     measured = turning[used, :2] / size
     # A thrust behind its lag: the shift that suits the best order suits every one of one set of rotors.
     shifted = {lag: np.roll(thrust, round(lag / STEP_S), axis=0)[used] for lag in LAGS_S}
-    arms = np.stack([position[:, 1], -position[:, 0]])
+    arms = vehicle.allocation()[1:3]
 
     def made(order: tuple[int, ...], lag: float) -> Array:
         torque = shifted[lag] @ arms[:, list(order)].T
         return torque / (np.std(torque, axis=0) + 1e-12)
 
-    tried = orders(len(position))
+    tried = orders(vehicle.rotors.count)
     scores = {(order, lag): similarity(made(order, lag), measured) for order in tried for lag in LAGS_S}
     best, lag = max(scores, key=scores.__getitem__)
     own = max(scores[tried[0], each] for each in LAGS_S)
@@ -90,7 +87,10 @@ def _spin(thrust: Array, turning: Array, vehicle: Vehicle, used: NDArray[np.bool
     """Yaw acceleration against the reaction torque and its change of each pattern of spins.
 
     Drag on a propeller and the momentum of a rotor that speeds up both turn the body against the spin, so both have one sign.
+    Tilted rotors turn it by their levers besides.
     """
+    axes, position = vehicle.rotors.axes(), np.asarray(vehicle.rotors.position_m, dtype=float)
+    levers = np.cross(position, axes)[:, 2] / vehicle.rotors.torque_to_thrust_m
     declared = np.asarray(vehicle.rotors.spin, dtype=float)
     half = int(np.sum(declared > 0))
     patterns = [declared, -declared]
@@ -105,11 +105,13 @@ def _spin(thrust: Array, turning: Array, vehicle: Vehicle, used: NDArray[np.bool
     ways = [(round(lag / STEP_S), mix) for lag in LAGS_S for mix in MOMENTUM_S]
     moved = {way: np.roll(thrust + way[1] * slope, way[0], axis=0)[used] for way in ways}
     scores = {
-        (i, way): similarity(-(moved[way] @ p)[:, None], measured) for i, p in enumerate(patterns) for way in ways
+        (i, way): similarity(-(moved[way] @ (p * axes[:, 2] - levers))[:, None], measured)
+        for i, p in enumerate(patterns)
+        for way in ways
     }
     winner, way = max(scores, key=scores.__getitem__)
     own, top = max(scores[0, each] for each in ways), scores[winner, way]
-    best, as_declared = (-(moved[way] @ patterns[i])[:, None] for i in (winner, 0))
+    best, as_declared = (-(moved[way] @ (patterns[i] * axes[:, 2] - levers))[:, None] for i in (winner, 0))
     t = apart(best, as_declared, measured) if winner else 0.0
     tested = "Yaw acceleration against -sum(spin T) and its change for every pattern of spins"
     evidence = f"correlation {own:.2f} as declared, {top:.2f} at best, t = {t:.1f}"

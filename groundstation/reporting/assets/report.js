@@ -101,7 +101,21 @@
     }
     place.append(line);
   });
+  const folds = [...document.querySelectorAll("details.fold")];
+  if (folds.length) {
+    const line = document.createElement("p");
+    line.className = "folds";
+    for (const [text, open] of [["open all sections", true], ["fold all", false]]) {
+      const button = document.createElement("button");
+      button.type = "button";
+      button.textContent = text;
+      button.addEventListener("click", () => folds.forEach((fold) => { fold.open = open; }));
+      line.append(button);
+    }
+    document.querySelector("main").prepend(line);
+  }
   const unfold = () => {
+    if (location.hash === "#all") folds.forEach((each) => { each.open = true; });
     const target = location.hash && document.getElementById(location.hash.slice(1));
     const fold = target && target.querySelector("details.fold");
     if (fold) fold.open = true;
@@ -116,6 +130,37 @@
   const webgl = () => {
     const canvas = document.createElement("canvas");
     return Boolean(canvas.getContext("webgl2") || canvas.getContext("webgl"));
+  };
+
+  // Figures over the flight's time zoom together; the others keep their own vertical range.
+  const timed = new Set();
+  let following = false;
+  const follow = (place) => {
+    timed.add(place);
+    place.on("plotly_relayout", async (change) => {
+      if (following) return;
+      const range = change["xaxis.range"] || (change["xaxis.range[0]"] !== undefined && [change["xaxis.range[0]"], change["xaxis.range[1]"]]);
+      if (!range && !change["xaxis.autorange"]) return;
+      following = true;
+      zoomed = range ? { "xaxis.range": range } : { "xaxis.autorange": true };
+      await Promise.all([...timed].filter((other) => other !== place).map((other) => Plotly.relayout(other, { ...zoomed })));
+      following = false;
+    });
+  };
+  let zoomed = null;
+  // The path in three dimensions turns about the vertical until it is pressed again.
+  const turn = {
+    name: "turn", title: "Turn about the vertical, or stop", icon: { width: 24, height: 24, path: "M12 4V1l4 4-4 4V6a6 6 0 1 0 6 6h2a8 8 0 1 1-8-8z" },
+    click: (place) => {
+      place.turning = !place.turning;
+      const step = () => {
+        if (!place.turning || !place.isConnected) return;
+        const eye = place.layout.scene.camera.eye, angle = 0.02;
+        const x = eye.x * Math.cos(angle) - eye.y * Math.sin(angle), y = eye.x * Math.sin(angle) + eye.y * Math.cos(angle);
+        Plotly.relayout(place, { "scene.camera.eye": { x, y, z: eye.z } }).then(() => requestAnimationFrame(step));
+      };
+      step();
+    },
   };
 
   const start = async () => {
@@ -134,27 +179,50 @@
       } else {
         const { data, layout } = themed(figure);
         if (root.classList.contains("print")) layout.width = place.clientWidth;
-        await Plotly.react(place, data, layout, { ...CONFIG, modeBarButtonsToAdd: ["svg", "png", "csv"].map((f) => saver(f, figures)) });
+        const buttons = ["svg", "png", "csv"].map((f) => saver(f, figures));
+        await Plotly.react(place, data, layout, { ...CONFIG, modeBarButtonsToAdd: figure.layout.scene ? [turn, ...buttons] : buttons });
+        if (!timed.has(place) && layout.xaxis && layout.xaxis.title && layout.xaxis.title.text === "time (s)") {
+          follow(place);
+          if (zoomed) await Plotly.relayout(place, { ...zoomed });
+        }
       }
       drawn.add(place);
       root.dataset.drawn = `${drawn.size}/${places.length}`;
     };
+    const begun = new Set();
+    const first = async (place) => {
+      if (begun.has(place)) return;
+      begun.add(place);
+      seen.unobserve(place);
+      await draw(place);
+    };
     const seen = new IntersectionObserver((entries) => {
-      for (const entry of entries) {
-        if (!entry.isIntersecting) continue;
-        seen.unobserve(entry.target);
-        draw(entry.target);
-      }
+      for (const entry of entries) if (entry.isIntersecting) first(entry.target);
     }, { rootMargin: "600px" });
     places.forEach((place) => seen.observe(place));
+    // What is not seen yet is drawn while nothing else is to do, so that a capture of the whole page has it.
+    const waiting = () => places.find((place) => !begun.has(place) && place.clientWidth > 0);
+    const idle = window.requestIdleCallback || ((f) => setTimeout(f, 50));
+    const later = async () => {
+      const place = waiting();
+      if (!place) return;
+      await first(place);
+      idle(later);
+    };
+    idle(later);
+    folds.forEach((fold) => fold.addEventListener("toggle", () => idle(later)));
     const redraw = () => drawn.forEach((place) => draw(place));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+    let folded = [];
     addEventListener("beforeprint", () => {
+      folded = [...document.querySelectorAll("details")].filter((each) => !each.open);
+      folded.forEach((each) => { each.open = true; });
       root.classList.add("print");
       places.forEach((place) => draw(place));
     });
     addEventListener("afterprint", () => {
       root.classList.remove("print");
+      folded.forEach((each) => { each.open = false; });
       redraw();
     });
   };

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
+import shlex
 from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
@@ -14,12 +15,13 @@ import numpy as np
 import groundstation
 from groundstation.flightdata import FlightData, Stream
 from groundstation.identification.results import Clock, Identification
+from groundstation.paths import commit
 from groundstation.recording.manifest import provenance
 from groundstation.reporting import figures
 from groundstation.reporting.markup import Markup, definition_list, element, fragment, sentence_list, table
 from groundstation.reporting.page import Page
 from groundstation.reporting.units import fixed, percent, readable, significant
-from groundstation.trajectory import plan_to_dict
+from groundstation.trajectory import Plan, plan_to_dict
 from groundstation.vehicle import vehicle_to_dict
 
 LINE = 80
@@ -59,6 +61,7 @@ def add_data(page: Page, flight: FlightData, identification: Identification | No
         sentence_list(readable(text) for text in dict.fromkeys(sentences))
         if sentences
         else element("p", "Nothing had to be repaired.", class_="note"),
+        folded=True,
     )
 
 
@@ -97,12 +100,11 @@ def _clock(clock: Clock | None) -> Markup:
         return element("p", "Motion-capture and IMU clocks were not compared.", class_="note")
     offset = f"{fixed(1e3 * clock.mocap_minus_imu_s, 3)} ± {fixed(1e3 * 1.959964 * clock.std_s, 3)} ms"
     drift = f"{fixed(1e6 * clock.drift, 1)} ± {fixed(1e6 * 1.959964 * clock.drift_std, 1)} ppm"
-    return fragment(
-        element("h3", "Clocks"),
-        definition_list(
-            [("motion capture − IMU, at the middle of the flight (95 %)", offset), ("drift (95 %)", drift)]
-        ),
-    )
+    rows = [("motion capture − IMU, at the middle of the flight (95 %)", offset), ("drift (95 %)", drift)]
+    if clock.online_s is not None and clock.online_error_s is not None:
+        told = f"{fixed(1e3 * clock.online_s, 3)} ± {fixed(1e3 * clock.online_error_s, 3)} ms"
+        rows.append(("the same as the link knew it in flight", f"{told}: {'agrees' if clock.agrees else 'differs'}"))
+    return fragment(element("h3", "Clocks"), definition_list(rows))
 
 
 def _excluded(identification: Identification | None) -> Markup | None:
@@ -140,8 +142,8 @@ def add_reproduction(
     """Versions, hashes of what went in, what is known about the recording, and the commands that give the same numbers again."""
     versions = [("groundstation", groundstation.__version__), ("Python", platform.python_version())]
     versions += [(name, metadata.version(name)) for name in ("numpy", "scipy")]
-    options = "".join(f" --exclude {a:g}:{b:g}" for a, b in identification.excluded_s) if identification else ""
-    commands = "\n".join(f"groundstation {command} {source}{options}" for command in ("identify", "diagnose", "report"))
+    versions += [("commit", made_of)] if (made_of := commit()) else []
+    commands = "\n".join(reproduction_commands(flight, identification, source))
     said = provenance(recording) if recording is not None else ""
     page.section(
         "reproduce",
@@ -149,12 +151,33 @@ def add_reproduction(
         element("p", said) if said else None,
         element("pre", commands),
         element("h3", "Analysed with"),
-        definition_list([*versions, *_hashes(flight, recording)]),
+        definition_list([*versions, *hashes(flight, recording)]),
         [element("h3", "Recorded with"), _metadata(flight.metadata)] if flight.metadata else None,
+        element("details", element("summary", "The plan"), element("pre", _plan_text(flight.plan)))
+        if flight.plan
+        else None,
+        folded=True,
     )
 
 
-def _hashes(flight: FlightData, recording: Path | None) -> list[tuple[str, str]]:
+def reproduction_commands(flight: FlightData, identification: Identification | None, source: str) -> list[str]:
+    """What flies it again, where it was simulated, and what analyses it again."""
+    options = "".join(f" --exclude {a:g}:{b:g}" for a, b in identification.excluded_s) if identification else ""
+    known = flight.metadata
+    flown = []
+    if flight.truth is not None and known.get("scenario") and known.get("seed"):
+        words = ("--vehicle", flight.vehicle.name, "--scenario", known["scenario"], "--seed", known["seed"])
+        flown = [f"groundstation rehearse {shlex.join(words)} --plan plan.toml"]
+    return [*flown, *(f"groundstation {command} {source}{options}" for command in ("identify", "diagnose", "report"))]
+
+
+def _plan_text(plan: Plan) -> str:
+    import tomli_w
+
+    return tomli_w.dumps(plan_to_dict(plan))
+
+
+def hashes(flight: FlightData, recording: Path | None) -> list[tuple[str, str]]:
     """SHA-256 of the recording, of the plan and of the vehicle as declared; the latter two of their JSON with sorted keys."""
     found = []
     if recording is not None and recording.is_file():

@@ -89,6 +89,7 @@ def add_evolution(page: Page, flight: FlightData, identification: Identification
         element("p", "The estimate from the data up to each instant. ", lines_text, class_="note"),
         key({name: list(identification.methods).index(name) for name in moving}),
         element("div", panels, class_="small"),
+        folded=True,
     )
 
 
@@ -117,7 +118,7 @@ def add_validation(page: Page, identification: Identification) -> None:
         )
     if not parts:
         parts = [element("p", "No validation was run on this flight.", class_="note")]
-    note = "Improvement is 100 (1 − RMS / RMS of nominal): ▾ the error fell, ▴ it grew."
+    note = "Below each error its change from nominal: ▾ it fell, ▴ it grew."
     legend = element("p", note, class_="note") if identification.validation else None
     page.section("validation", "Validation", legend, *parts)
 
@@ -161,4 +162,4 @@ def add_residuals(page: Page, diagnosis: Diagnosis | None) -> None:
             )
         )
     note = "The wrench that is left, smoothed over 0.2 s: above 2 Hz its density falls off by that alone."
-    page.section("residuals", "Residuals", element("p", note, class_="note"), *parts)
+    page.section("residuals", "Residuals", element("p", note, class_="note"), *parts, folded=True)

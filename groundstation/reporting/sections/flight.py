@@ -51,8 +51,13 @@ def add_flight(page: Page, flight: FlightData, identification: Identification | 
     """Path and attitude where there are poses; rotors and battery where they were recorded."""
     motion = flown(flight, identification.clock if identification else None)
     view = View(identification.window_s, identification.excluded_s) if identification else View()
-    hint = "Figures over time start on the analysed part; a double click shows the whole flight. Shaded: excluded."
-    parts: list[Markup | None] = [element("p", hint, class_="note") if view.partial else None]
+    partly = (
+        "start on the analysed part, a double click shows the whole flight, and what is shaded is excluded; they"
+        if view.partial
+        else ""
+    )
+    hint = f"Figures over time {partly} zoom together: what is chosen on one is shown on all.".replace("  ", " ")
+    parts: list[Markup | None] = [element("p", hint, class_="note")]
     if motion is None:
         text = "No pose was recorded: position, attitude and tracking cannot be shown."
         parts.append(element("p", text, class_="note"))
@@ -70,7 +75,8 @@ def _paths(page: Page, motion: Flown, view: View) -> Markup:
     return element(
         "div",
         page.figure(
-            figures.path_figure(path, wanted), f"The path {part}, from {motion.source}. Drag to turn, scroll to zoom."
+            figures.path_figure(path, wanted),
+            f"The path {part}, from {motion.source}. Drag to turn, scroll to zoom; the modebar's arrow turns it by itself.",
         ),
         page.figure(figures.plane_figure(path, wanted, 0, 1), "The same from above, equal scales."),
         class_="pair",

@@ -45,10 +45,10 @@ def row_name(name: str, scale: Scale) -> Markup:
 def error_table(
     caption: str, sets: Mapping[str, Mapping[str, float]], *, reference: str, improved: str | None = None
 ) -> Markup:
-    """RMS errors by signal (rows) and parameter set (columns), each with its improvement over ``reference``.
+    """RMS errors by signal (rows) and parameter set (columns), each with its change from ``reference``.
 
-    The improvement is 100 (1 - RMS / RMS of the reference), as in the seed paper's Tables 4-6: positive is better. Columns
-    left of the reference get none.
+    The change is 100 (RMS / RMS of the reference - 1), the seed paper's improvement (Tables 4-6) with the sign of what the error did:
+    negative where it fell. Columns left of the reference get none.
     """
     signals = list(dict.fromkeys(signal for errors in sets.values() for signal in errors))
     columns = list(sets)
@@ -69,9 +69,9 @@ def _error_cell(value: float | None, base: float | None, scale: Scale) -> Markup
     shown = significant(value * scale.factor)
     if base is None or base <= 0.0:
         return fragment(shown)
-    gain = 1.0 - value / base
-    if abs(gain) < UNCHANGED:
+    growth = value / base - 1.0
+    if abs(growth) < UNCHANGED:
         return fragment(shown, element("small", "unchanged"))
-    kind, arrow = ("better", "▾") if gain > 0.0 else ("worse", "▴")
-    change = percent(gain) if gain > -1.0 else f"{significant(value / base, 2)} ×"
+    kind, arrow = ("better", "▾") if growth < 0.0 else ("worse", "▴")
+    change = percent(growth) if growth < 1.0 else f"{significant(value / base, 2)} ×"
     return fragment(shown, element("small", f"{arrow} {change}", class_=kind))

@@ -123,13 +123,16 @@ def _cards(identification: Identification, diagnosis: Diagnosis | None) -> Marku
     shown = [name for name in ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2") if name in kept]
     shown += [name for name in kept if name.startswith("rotor_lag")][:1]
     note = element("p", f"Estimate: {estimate.source}. {estimate.note}".strip(), class_="note")
-    return fragment(element("div", [_card(name, kept[name]) for name in shown], class_="cards"), note)
+    widened = diagnosis is not None and bool(diagnosis.unexplained)
+    return fragment(element("div", [_card(name, kept[name], widened) for name in shown], class_="cards"), note)
 
 
-def _card(name: str, estimate: Estimate) -> Markup:
+def _card(name: str, estimate: Estimate, widened: bool) -> Markup:
+    """Name, value with interval, unit; an interval that an unexplained residual has widened is called so."""
     scale = scale_for(split_unit(name)[1], [estimate.value])
-    number = element("b", interval_text(estimate, scale))
-    return element("div", element("span", label(name)), number, element("span", scale.unit), class_="card")
+    number = element("b", interval_text(estimate, scale), " ", element("span", scale.unit))
+    doubt = element("span", "interval widened", class_="doubt") if widened else None
+    return element("div", element("span", label(name)), number, doubt, class_="card")
 
 
 def _identifiers(diagnosis: Diagnosis) -> set[str]:
@@ -190,11 +193,13 @@ def _before_after(page: Page, diagnosis: Diagnosis) -> Markup | None:
                 continue
             caption = (
                 f"RMS, {check.replace('_', '-')} data: {title}. Before: mass and inertia re-estimated on the same training "
-                "blocks without the effects. After: with them (▾ the error fell). Nominal: the vehicle as declared."
+                "blocks without the effects. After: with them (▾ it fell). Nominal: the vehicle as declared."
             )
             rms = error_table(caption, known, reference="before", improved="after")
-            figure = _relative(page, known, title) if _differ(known) else element("p", _SAME, class_="note")
-            parts.append(element("div", rms, figure, class_="pair"))
+            if _differ(known):
+                parts.append(element("div", rms, _relative(page, known, title), class_="pair"))
+            else:
+                parts.append(element("details", element("summary", f"{title.capitalize()}: {_SAME}"), rms))
         parts += [part for part in (_prediction(stages),) if part is not None]
     parts += [element("p", note, class_="note") for note in diagnosis.notes]
     if not diagnosis.adopted:
@@ -215,12 +220,9 @@ def _prediction(stages: Mapping[str, Mapping[str, float]]) -> Markup | None:
             values = [stages.get(f"{horizon}_{stage}", {}).get(error, math.nan) for stage in columns]
             scale = scale_for(split_unit(error)[1], values)
             nominal, _, after = (significant(scale.factor * value) for value in values)
-            kind = "worse" if values[-1] > before else "better"
-            ratio = (
-                element("small", f"ratio {significant(before / values[-1])}", class_=kind) if values[-1] > 0.0 else None
-            )
             name_and_unit = fragment(f"{label(error)}, {ahead} s", element("small", scale.unit))
-            rows.append((name_and_unit, nominal, significant(scale.factor * before), fragment(after, ratio)))
+            told = fragment(after, _ratio(before, values[-1]))
+            rows.append((name_and_unit, nominal, significant(scale.factor * before), told))
     caption = (
         "RMS, held-out data: open-loop prediction with the recorded inputs, from what the sensors had said until its start. "
         "Ratio: error before over error after."
@@ -228,7 +230,17 @@ def _prediction(stages: Mapping[str, Mapping[str, float]]) -> Markup | None:
     return table(caption, ("prediction", *columns), rows, highlight=3) if rows else None
 
 
-_SAME = "The findings concern clocks and frames, or there are none: no force is added, and the error stays as it was."
+def _ratio(before: float, after: float) -> Markup | None:
+    """How many times smaller the findings make an error; a word where they change nothing."""
+    if not (after > 0.0 and before > 0.0):
+        return None
+    if abs(after / before - 1.0) < UNCHANGED:
+        return element("small", "unchanged")
+    kind = "worse" if after > before else "better"
+    return element("small", f"ratio {significant(before / after)}", class_=kind)
+
+
+_SAME = "unchanged, as no finding adds a force."
 
 
 def _differ(stages: Mapping[str, Mapping[str, float]]) -> bool:

@@ -1,4 +1,4 @@
-"""What the six screens share: the bars, the footer, and how a status reaches them."""
+"""What the seven screens share: the bars, the footer, and how a status reaches them."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class StationScreen(Screen[None]):
         yield FlightBar()
         with VerticalScroll(id="body", can_focus=False):
             yield from self.body()
-        yield Footer(show_command_palette=False)
+        yield Footer()
 
     def body(self) -> Iterable:
         """The widgets between the bars and the footer."""

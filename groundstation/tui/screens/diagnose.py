@@ -8,9 +8,9 @@ from typing import ClassVar
 from textual.binding import Binding
 from textual.widgets import DataTable, Static
 
+from groundstation.tui.documents import error_rows, finding_text, suspect_rows
 from groundstation.tui.results import FlightResults
 from groundstation.tui.screens.base import StationScreen, fill
-from groundstation.tui.text import error_rows, finding_text, suspect_rows
 
 
 class Diagnose(StationScreen):
@@ -40,6 +40,13 @@ the findings. The suspects are the effects that were tried, with the evidence fo
         )
         yield DataTable(id="errors", show_cursor=False)
         yield DataTable(id="suspects", show_cursor=False)
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Only what can be done now is offered."""
+        results = self.station.results
+        if action == "report":
+            return results is not None and results.report is not None
+        return action != "next_flight" or results is not None
 
     def show_results(self, results: FlightResults) -> None:
         """The diagnosis of a flight, or why there is none."""

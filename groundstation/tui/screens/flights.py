@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
 from textual.binding import Binding
 from textual.widgets import DataTable, Input, Static
 
+from groundstation.tui.documents import comparison, flight_row
 from groundstation.tui.screens.base import StationScreen, fill
-from groundstation.tui.text import comparison, flight_row
 
 COLUMNS = ("UTC", "flight", "vehicle", "state", "verdict", "mass")
 
@@ -21,18 +22,23 @@ class Flights(StationScreen):
     MODE = "flights"
     HELP_TEXT = """\
 Enter shows a flight on Identify and Diagnose; e opens its report in the browser. m marks a flight, and m on a second one
-compares the two. t sorts by the next column, / filters: only flights whose line holds what is typed are shown. d shows how the
-vehicle's parameters moved over its flights. g edits the flight's tags, n its note. b identifies, diagnoses and reports every
+compares the two; w writes that comparison as a page. t sorts by the next column, / filters: only flights whose line holds what is
+typed are shown. i identifies the flight under the cursor, d diagnoses it, r does both and writes its report; v shows how the vehicle's
+parameters moved over its flights. g edits the flight's tags, n its note. b does identification, diagnosis and report of every
 recording here that has no results yet."""
     BINDINGS: ClassVar = [
         Binding("m", "mark", "Compare"),
-        Binding("t", "sort", "Sort"),
-        Binding("slash", "filter", "Filter"),
+        Binding("t", "sort", "Sort", show=False),
+        Binding("slash", "filter", "Filter", show=False),
+        Binding("w", "compared", "Write"),
         Binding("e", "report", "Report"),
-        Binding("d", "trend", "Trend"),
+        Binding("i", "analyse('identify')", "Identify"),
+        Binding("d", "analyse('identify,diagnose')", "Diagnose", show=False),
+        Binding("r", "analyse('identify,diagnose,report')", "Analyse"),
+        Binding("v", "trend", "Trend", show=False),
         Binding("g", "annotate('tags')", "Tags"),
         Binding("n", "annotate('note')", "Note"),
-        Binding("b", "batch", "Batch"),
+        Binding("b", "batch", "Batch", show=False),
     ]
 
     def __init__(self) -> None:
@@ -40,6 +46,7 @@ recording here that has no results yet."""
         self._rows: list[dict[str, Any]] = []
         self._shown: list[dict[str, Any]] = []
         self._marked: dict[str, Any] | None = None
+        self._compared: tuple[Path, ...] = ()
         self._sort = 0
         self._annotated = ""
 
@@ -52,6 +59,23 @@ recording here that has no results yet."""
         yield DataTable(id="catalogue", cursor_type="row")
         yield Static("", id="flights-text", markup=False)
         yield DataTable(id="comparison", show_cursor=False)
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Only what can be done now, with the flight under the cursor, is offered."""
+        row = self._current() if self._shown else None
+        if action == "compared":
+            return bool(self._compared)
+        if action == "analyse":
+            return row is not None and _recording(row) is not None and row["state"] == "recorded"
+        if action == "report":
+            return row is not None and (Path(row["folder"]) / "report.html").is_file()
+        if action in ("mark", "annotate", "trend"):
+            return row is not None
+        return True
+
+    def on_data_table_row_highlighted(self) -> None:
+        """The footer follows the cursor."""
+        self.refresh_bindings()
 
     def on_screen_resume(self) -> None:
         """Read the logs again, on a thread."""
@@ -134,24 +158,53 @@ recording here that has no results yet."""
         lines = trend_lines(Catalogue(self.station.logs), vehicle)
         self.station.call_from_thread(self.say, "#flights-text", "\n".join(lines))
 
+    def action_analyse(self, steps: str) -> None:
+        """Identify, diagnose or report the recording under the cursor, in a process of its own."""
+        row = self._current()
+        recording = _recording(row) if row else None
+        if recording is None:
+            self.say("#flights-text", "this flight has no recording here")
+            return
+        run = partial(self._work, [str(recording)], tuple(steps.split(",")))
+        self.run_worker(run, thread=True, group="batch", exclusive=True)
+
+    def action_compared(self) -> None:
+        """Write the comparison of the two flights as a page."""
+        self.run_worker(self._write_comparison, thread=True, group="compare", exclusive=True)
+
+    def _write_comparison(self) -> None:
+        from groundstation.errors import BadInput
+        from groundstation.reporting.compare import write_comparison
+
+        try:
+            told = f"written: {write_comparison(self.station.logs / 'compare.html', self._compared)}"
+        except BadInput as error:
+            told = str(error)
+        self.station.call_from_thread(self.say, "#flights-text", told)
+
     def action_batch(self) -> None:
         """Identify, diagnose and report what has no results yet, in processes of their own."""
         self.run_worker(self._batch, thread=True, group="batch", exclusive=True)
 
     def _batch(self) -> None:
+        from groundstation.fleet import batch
+
+        sources = [str(path) for row in self._rows if row["state"] == "recorded" and (path := _recording(row))]
+        if sources:
+            self._work(sources, batch.STEPS)
+        else:
+            self.station.call_from_thread(self.say, "#flights-text", "every recording here has results")
+
+    def _work(self, sources: list[str], steps: Sequence[str]) -> None:
+        """On a thread: these recordings through these steps, told as it goes."""
         from groundstation.errors import BadInput
         from groundstation.fleet import batch
 
         def say(text: str) -> None:
             self.station.call_from_thread(self.say, "#flights-text", text)
 
-        folders = [row["folder"] for row in self._rows if row["state"] == "recorded"]
-        sources = [str(path) for folder in folders if (path := Path(folder) / "flight.mcap").is_file()]
-        if not sources:
-            say("every recording here has results")
-            return
-        wanted = batch.tasks(sources, str(self.station.logs), None, batch.STEPS)
-        say(f"analysing {len(wanted)} recordings …")
+        wanted = batch.tasks(sources, str(self.station.logs), None, steps)
+        say(f"{', '.join(steps)}: {len(wanted)} recording{'s' if len(wanted) > 1 else ''} …")
         bad = []
         try:
             for number, result in enumerate(batch.results(wanted, workers=1), 1):
@@ -188,7 +241,9 @@ recording here that has no results yet."""
         first, self._marked = self._marked, None
         header = ("parameter", "unit", first["flight"], row["flight"], "change")
         fill(self.query_one("#comparison", DataTable), header, comparison(first, row))
-        self.say("#flights-text", f"{first['flight']} against {row['flight']}")
+        self.say("#flights-text", f"{first['flight']} against {row['flight']}; w writes it as a page")
+        self._compared = (Path(first["folder"]), Path(row["folder"]))
+        self.refresh_bindings()
 
     def action_report(self) -> None:
         """Open the report of the flight under the cursor."""
@@ -198,3 +253,9 @@ recording here that has no results yet."""
     def _current(self) -> dict[str, Any] | None:
         index = self.query_one("#catalogue", DataTable).cursor_row
         return self._shown[index] if 0 <= index < len(self._shown) else None
+
+
+def _recording(row: dict[str, Any]) -> Path | None:
+    """The recording of a row, where it lies in the flight's folder."""
+    path = Path(row["folder"]) / "flight.mcap"
+    return path if path.is_file() else None

@@ -13,9 +13,9 @@ from groundstation.flight.messages import CoreStatus
 from groundstation.flight.sequence import Phase
 from groundstation.reporting.card import landing_card
 from groundstation.reporting.units import label, scale_for, split_unit
+from groundstation.tui.documents import identification_notes, live_rows, method_table, validation_rows
 from groundstation.tui.results import FlightResults
 from groundstation.tui.screens.base import WIDE, StationScreen, fill
-from groundstation.tui.text import identification_notes, live_rows, method_table, validation_rows
 from groundstation.tui.widgets.plots import Line, Plot
 
 EVOLVING = ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
@@ -64,6 +64,11 @@ The drawings show how the live estimates moved while it flew, between their 95 %
         if status.table:
             header = ("parameter", "nominal", "preliminary", "unit")
             fill(self.query_one("#parameters", DataTable), header, live_rows(status.table))
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Only what can be done now is offered."""
+        results = self.station.results
+        return action != "report" or (results is not None and results.report is not None)
 
     def show_results(self, results: FlightResults) -> None:
         """The results of a flight that was analysed, or why there are none."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from itertools import count
 from pathlib import Path
 from typing import ClassVar
@@ -31,6 +31,28 @@ FIELDS = {
 }
 """Limit -> its text, the unit it is typed in, and that unit in SI. An empty field leaves the vehicle's own limit."""
 PERIOD_POINTS = 300
+LONGEST_S = 3600.0
+"""Of a search that somebody waits for."""
+
+
+def numbers_in(typed: Mapping[str, str]) -> tuple[dict[str, float], list[str]]:
+    """The numbers in the fields by name (empty ones left out), and what is wrong with the others, by their labels."""
+    numbers, wrong = {}, []
+    for name, text in typed.items():
+        label_, unit, _ = FIELDS.get(name, ("search for", "s", 1.0))
+        if not text.strip() and name != "budget":
+            continue
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and value > 0.0):
+            wrong.append(f"{label_}: '{text.strip()}' is no positive number of {unit}")
+        elif name == "budget" and value > LONGEST_S:
+            wrong.append(f"{label_}: at most {LONGEST_S:g} s")
+        else:
+            numbers[name] = value
+    return numbers, wrong
 
 
 class Planner(StationScreen):
@@ -40,11 +62,12 @@ class Planner(StationScreen):
     HELP_TEXT = """\
 p starts the optimiser; the drawings follow what it tries, and c stops it with the best so far. Empty fields keep the vehicle's own
 limits. The criterion "condition" is the seed paper's; A makes the sum of the variances small. The table shows the
-standard deviation to expect of each parameter, beside that of the plan before. w writes the plan to a file in the
+standard deviation to expect of each parameter, beside that of the plan before; u goes back to that one. w writes the plan to a file in the
 folder of the flights; the Fly screen flies the plan that is shown here."""
     BINDINGS: ClassVar = [
         Binding("p", "plan", "Plan"),
         Binding("c", "stop", "Stop with the best"),
+        Binding("u", "undo", "Undo"),
         Binding("w", "write", "Write to a file"),
     ]
 
@@ -98,14 +121,12 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
             return
         try:
             problem = self._problem()
-        except ValueError:
-            self.say("#plan-text", "a field holds something that is no number; correct it, then p.")
-            return
         except BadInput as error:
             self.say("#plan-text", str(error))
             return
         self._enough.clear()
         self.station.plan_worker_running = True
+        self.refresh_bindings()
         self.run_worker(lambda: self._search(problem), thread=True, group="plan")
 
     def plan_for(self, vehicle: str) -> None:
@@ -113,6 +134,27 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
         if vehicle in shipped("vehicles"):
             self.query_one("#plan-vehicle", Select).value = vehicle
         self.action_plan()
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Only what can be done now is offered."""
+        searching = self.station.plan_worker_running
+        if action == "plan":
+            return not searching
+        if action == "stop":
+            return searching
+        if action == "undo":
+            return self._before is not None and not searching
+        if action == "write":
+            return self.station.plan is not None
+        return True
+
+    def action_undo(self) -> None:
+        """Back to the plan before; a second time, forward again."""
+        if self._before is None or self.station.plan is None:
+            return
+        self._before, self.station.plan = self.station.plan, self._before
+        self._show(self.station.plan)
+        self.notify("the plan before is back; u again undoes that.")
 
     def action_stop(self) -> None:
         """Take the best found so far."""
@@ -137,18 +179,23 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
             self.notify(f"written: {path}", markup=False)
 
     def _problem(self) -> dict:
+        """What the fields ask for.
+
+        Raises:
+            BadInput: one sentence that names every field that holds no number it can take.
+        """
         from groundstation import api
 
+        typed = {name: self.query_one(f"#{name}", Input).value for name in FIELDS}
+        numbers, wrong = numbers_in({"budget": self.query_one("#budget", Input).value, **typed})
+        if wrong:
+            raise BadInput(f"{'; '.join(wrong)}. Correct {'it' if len(wrong) == 1 else 'them'}, then p.")
         problem: dict = {
             "vehicle": api.load_vehicle(str(self.query_one("#plan-vehicle", Select).value)),
             "criterion": self.query_one("#criterion", Select).value,
-            "time_budget_s": float(self.query_one("#budget", Input).value),
+            "time_budget_s": numbers.pop("budget"),
         }
-        for name, (_, _, unit_si) in FIELDS.items():
-            typed = self.query_one(f"#{name}", Input).value.strip()
-            if typed:
-                problem[name] = unit_si * float(typed)
-        return problem
+        return problem | {name: FIELDS[name][2] * value for name, value in numbers.items()}
 
     def _search(self, problem: dict) -> None:
         """On a thread: the optimiser gives its best so far when it is interrupted."""
@@ -172,6 +219,7 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
         finally:
             self._trial = None
             station.plan_worker_running = False
+            station.call_from_thread(self.refresh_bindings)
 
     def _tell(self, fraction: float, text: str) -> None:
         """From the thread."""

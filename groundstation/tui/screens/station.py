@@ -58,6 +58,10 @@ IMU are apart. Batches lost on the way and payloads that did not decode are coun
             yield Label("pace")
             yield Checkbox("simulated flight at the wall clock's pace", setup.real_time, id="real-time", compact=True)
 
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Only what can be done now is offered."""
+        return action != "rehearse" or not (self.station.flying or self.station.preparing)
+
     def show_status(self, status: CoreStatus) -> None:
         """Streams and vehicle."""
         fill(self.query_one(DataTable), STREAMS, stream_rows(status))

@@ -1,4 +1,4 @@
-"""The two lines at the top of every screen: the six screens, and the flight with abort and kill."""
+"""The two lines at the top of every screen: the seven screens, and the flight with abort and kill."""
 
 from __future__ import annotations
 
@@ -24,12 +24,13 @@ SCREENS = {
     "identify": "Identify",
     "diagnose": "Diagnose",
     "flights": "Flights",
+    "campaign": "Campaign",
 }
 """Modes of the application, in the order of their number keys, and their titles."""
 
 
 class Tabs(Horizontal):
-    """The six screens by number; a click opens one."""
+    """The seven screens by number; a click opens one."""
 
     def __init__(self, current: str):
         super().__init__(id="tabs")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.containers import Vertical, VerticalScroll
 from textual.screen import ModalScreen
-from textual.widgets import Input, Static
+from textual.widgets import Input, SelectionList, Static
 
 from groundstation.texts import shown
 from groundstation.tui.widgets.bars import FlightBar
@@ -58,6 +59,36 @@ class TypedQuestion(ModalScreen[bool]):
     def action_give_up(self) -> None:
         """No."""
         self.dismiss(False)
+
+
+class Choice(ModalScreen[list[str] | None]):
+    """Some of a list; Enter takes what is marked, Escape leaves it as it was."""
+
+    BINDINGS: ClassVar = [
+        Binding("enter", "take", "Take", priority=True),
+        Binding("escape", "give_up", "Leave it"),
+    ]
+
+    def __init__(self, title: str, offered: Sequence[tuple[str, str]], chosen: Sequence[str], most: int = 3):
+        super().__init__()
+        self._title, self._offered, self._chosen, self._most = title, offered, chosen, most
+
+    def compose(self) -> ComposeResult:
+        """The list, and how it is used."""
+        yield FlightBar()
+        with Vertical(classes="dialog choice"):
+            yield Static(self._title, markup=False)
+            entries = [(shown(text), value, value in self._chosen) for text, value in self._offered]
+            yield SelectionList[str](*entries, id="choice")
+            yield Static("Space marks, Enter takes, Escape leaves it", classes="keys", markup=False)
+
+    def action_take(self) -> None:
+        """What is marked, in the order of marking, the newest of too many."""
+        self.dismiss(self.query_one(SelectionList).selected[-self._most :])
+
+    def action_give_up(self) -> None:
+        """Nothing changes."""
+        self.dismiss(None)
 
 
 MOST = 2_000_000

@@ -51,8 +51,8 @@ class Plot(PlotWidget):
         first, *others = lines
         self._reset(lines)
         self.plot(first.x, first.y, line_style=STYLES[0], hires_mode=HiResMode.BRAILLE)
-        for line, style in zip(others, STYLES[1:], strict=False):
-            self.scatter(line.x, line.y, marker="+", marker_style=style)
+        for line, style, marker in zip(others, STYLES[1:], ("+", "×"), strict=False):
+            self.scatter(line.x, line.y, marker=marker, marker_style=style)
 
     def draw_interval(self, value: Line, low: Line, high: Line) -> None:
         """Show a line between two that bound it; what the bounds were at first is cut off where they were far apart."""

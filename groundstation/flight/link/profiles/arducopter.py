@@ -47,6 +47,8 @@ class ArduCopter(Profile):
     setpoint_timeout_s = 3.0
     log_suffix = ".bin"
     scripting = "SCR_ENABLE"
+    pose_delay = "VISO_DELAY_MS"
+    origin_altitude_mm = 100_000
     streams = (
         StreamWish("RAW_IMU", 300.0, 20.0, "rates and specific force: the motion the inertia shows in"),
         StreamWish("SERVO_OUTPUT_RAW", 300.0, 20.0, "motor commands; the onboard log has them at 10 Hz only"),
@@ -86,11 +88,19 @@ class ArduCopter(Profile):
         ),
         ParameterRule("SCR_ENABLE", (1.0, 0.0), required=False,
                       why="with scripting the trajectory is flown on board, without a radio in the loop"),
-        ParameterRule("VISO_TYPE", (1.0,), indoors=True, why="external poses shall be taken from MAVLink"),
-        ParameterRule("EK3_SRC1_POSXY", (6.0,), indoors=True, why="position shall come from the external poses"),
-        ParameterRule("EK3_SRC1_POSZ", (6.0,), indoors=True, why="height shall come from the external poses"),
-        ParameterRule("EK3_SRC1_YAW", (6.0,), indoors=True, why="yaw shall come from the external poses"),
-        ParameterRule("GPS1_TYPE", (0.0,), indoors=True, why="no satellites indoors"),
+        ParameterRule("VISO_TYPE", (1.0,), settable=True, indoors=True, restart=True,
+                      why="external poses shall be taken from MAVLink"),
+        ParameterRule("GPS1_TYPE", (0.0,), settable=True, indoors=True, restart=True, why="no satellites indoors"),
+        *(
+            ParameterRule(name, (value,), settable=True, indoors=True, why=f"{what} shall come from the external poses")
+            for name, value, what in (
+                ("EK3_SRC1_POSXY", 6.0, "position"), ("EK3_SRC1_POSZ", 6.0, "height"), ("EK3_SRC1_YAW", 6.0, "yaw"),
+            )
+        ),
+        *(
+            ParameterRule(name, (0.0, 6.0), settable=True, indoors=True, why="the external poses bring no velocity")
+            for name in ("EK3_SRC1_VELXY", "EK3_SRC1_VELZ")
+        ),
         ParameterRule("INS_RAW_LOG_OPT", (9.0, 1.0, 13.0), settable=True, required=False,
                       why="raw IMU logging gives the onboard log 1 kHz instead of 25 Hz"),
     )  # fmt: skip

@@ -13,7 +13,8 @@ from drivers.samples import Pose, Vector3
 
 FORCE_DISARM = 21196.0
 """Magic second parameter of MAV_CMD_COMPONENT_ARM_DISARM: stop the motors in the air too."""
-
+PLACE = (473977418, 85455939)
+"""Latitude and longitude of an origin that satellites do not tell, 1e-7 degrees: ArduPilot takes none at 0, 0."""
 
 Version = tuple[int, int]
 
@@ -58,6 +59,7 @@ class ParameterRule:
         why: in one sentence.
         settable: offered to be set for the flight and restored afterwards; otherwise the operator must.
         indoors: only without satellites, when poses come from motion capture.
+        restart: takes effect when the autopilot starts; where it is set for the flight, it is restarted on the ground.
         required: preflight fails on another value; else it only says so.
         or_more, or_less: a value above, or below, the first is right too.
         since, before: firmware versions (major, minor) that know it by this name and in this unit.
@@ -68,6 +70,7 @@ class ParameterRule:
     why: str
     settable: bool = False
     indoors: bool = False
+    restart: bool = False
     required: bool = True
     or_more: bool = False
     or_less: bool = False
@@ -100,6 +103,9 @@ class Profile:
         bytewise_parameters: integers travel as their bits inside the float (PX4) or as their value (ArduPilot).
         streams: messages to ask for.
         parameters: what to check or set.
+        arms_led: without satellites it arms in no mode but the one that follows setpoints, while they flow.
+        origin_altitude_mm: of an origin that satellites do not tell.
+        pose_delay: the parameter that tells its estimator how late external poses are stamped, ms.
         pwm_us: servo output at command 0 and 1.
         setpoint_timeout_s: how long after the last setpoint the autopilot reacts by itself.
         log_suffix: of its onboard log.
@@ -123,6 +129,9 @@ class Profile:
     setpoint_timeout_s: ClassVar[float]
     log_suffix: ClassVar[str]
     scripting: ClassVar[str] = ""
+    arms_led: ClassVar[bool] = False
+    pose_delay: ClassVar[str]
+    origin_altitude_mm: ClassVar[int]
     prearm_in_health_alone: ClassVar[bool] = False
 
     system: int = 1
@@ -182,6 +191,22 @@ class Profile:
             int(max(0.0, device_s) * 1e3) & 0xFFFFFFFF, self.system, self.component, mavlink.MAV_FRAME_LOCAL_NED, 0,
             x, y, z, vx, vy, vz, ax, ay, az, -target.yaw_rad, -target.yaw_rate_rad_s,
         )  # fmt: skip
+
+    def rules(self, version: Version | None, *, indoors: bool, pose_latency_s: float) -> list[ParameterRule]:
+        """What this firmware shall be set to for this station."""
+        rules = [rule for rule in self.parameters if rule.concerns(version, indoors=indoors)]
+        if indoors:
+            why = "the estimator shall know how late the poses are stamped (latency_s of the station file)"
+            rules.append(ParameterRule(self.pose_delay, (float(round(1e3 * pose_latency_s)),), why, settable=True))
+        return rules
+
+    def origin(self) -> Message:
+        """SET_GPS_GLOBAL_ORIGIN, for a position that satellites do not tell.
+
+        ArduCopter has no position without one, and takes an altitude of 0 for none, so that it resets its height every second. PX4 takes the height of a pose for an altitude, and tells its own as what that is above
+        the origin's: one that satellites set before would put the vehicle hundreds of metres under the floor.
+        """
+        return mavlink.MAVLink_set_gps_global_origin_message(self.system, *PLACE, self.origin_altitude_mm)
 
     def external_pose(self, pose: Pose, stamp_s: float, std_m: float, std_rad: float, resets: int) -> Sequence[Message]:
         """A motion-capture pose for the estimator, stamped with its capture time on the clock we answer TIMESYNC with."""

@@ -43,6 +43,9 @@ class Px4(Profile):
     setpoint_timeout_s = 1.0
     log_suffix = ".ulg"
     prearm_in_health_alone = True
+    pose_delay = "EKF2_EV_DELAY"
+    arms_led = True
+    origin_altitude_mm = 0
     streams = (
         StreamWish("HIGHRES_IMU", 250.0, 20.0, "rates and specific force: the motion the inertia shows in"),
         StreamWish("ACTUATOR_OUTPUT_STATUS", 250.0, 0.0, "motor commands with full digits", "SERVO_OUTPUT_RAW"),
@@ -82,11 +85,13 @@ class Px4(Profile):
                           why="at 0 there is no geofence, whatever GF_ACTION says (a polygon on the vehicle is not read)")
             for name in ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST")
         ),
-        ParameterRule("EKF2_EV_CTRL", (15.0, 11.0), settable=False, indoors=True,
-                      why="the estimator shall fuse position, velocity and yaw of the external poses"),
-        ParameterRule("EKF2_HGT_REF", (3.0,), settable=False, indoors=True,
+        ParameterRule("EKF2_GPS_CTRL", (0.0,), settable=True, indoors=True, why="no satellites indoors"),
+        ParameterRule("EKF2_MAG_TYPE", (5.0,), settable=True, indoors=True,
+                      why="yaw shall come from the external poses alone: steel and cables turn the field indoors"),
+        ParameterRule("EKF2_HGT_REF", (3.0,), settable=True, indoors=True,
                       why="height shall come from the external poses; never change it in flight"),
-        ParameterRule("EKF2_GPS_CTRL", (0.0,), settable=False, indoors=True, why="no satellites indoors"),
+        ParameterRule("EKF2_EV_CTRL", (11.0, 15.0), settable=True, indoors=True,
+                      why="the estimator shall fuse position and yaw of the external poses"),
         ParameterRule("SDLOG_PROFILE", (25.0, 27.0, 17.0, 19.0, 1.0), settable=True, required=False,
                       why="high-rate logging gives 250 Hz motor commands and IMU after landing"),
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What a campaign is to reach: half widths of 95 % intervals as shares of their parameters."""
+"""What flights are to reach: half widths of 95 % intervals as shares of their parameters."""
 
 from __future__ import annotations
 

@@ -1,0 +1,153 @@
+"""Section of ``benchmarks.speed``: the same work by other tools, in one run: ``make bench-peers``.
+
+The packages are the optional extra ``peers``; a tool that is not installed has no row.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import statistics
+from collections.abc import Callable
+
+import numpy as np
+
+from benchmarks import planner, simulator
+from benchmarks.speed import Row, seconds
+from groundstation.paths import find_config
+from groundstation.planning import paper_plan
+from groundstation.planning.criteria import regressor
+from groundstation.trajectory import RigidMotion, rigid_motion
+from groundstation.vehicle import load_vehicle
+
+TITLE = "Beside other tools"
+ABOUT = """Processor time of one core on the same machine in one run; the last column counts in times of ours for the same row's task.
+
+| tool | what it computes | what it leaves out |
+| --- | --- | --- |
+| ours, regressor | thrust and torque rows for mass and six inertias, Gram matrix, solution | centre of mass |
+| FIGAROH 1.0, regressor | six wrench rows for the ten parameters of a body by Pinocchio, sample by sample; Gram matrix, solution | noise, lag, clocks, intervals |
+| ours, simulator | rigid body, rotors, battery, PID, estimator, IMU, poses, clocks, disturbance; Runge-Kutta at 1 ms | |
+| RotorPy | rigid body, rotors, SE3 controller, IMU; SciPy's integrator | pose sensor, clocks, battery, estimator |
+| MuJoCo | one free body with four rotor forces; Runge-Kutta at 1 ms | controller, sensors, motors, everything else |
+| crazyflow | 1024 worlds at once: rigid body, first-order motors, attitude controller, compiled by JAX for the processor | sensors, clocks, disturbance |
+| ours, planner | the paper's problem to within 1 % of the best known, from random starts | |
+| SLSQP | the same program by finite differences | |
+
+AeroID is in the extra too and has no row: one filter-error estimate of a flight takes it a minute and more."""
+SAMPLES = 30_000
+"""A minute at 500 Hz."""
+RUNS = 3
+WRENCH = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+WORLDS, WORLD_STEPS = 1024, 200
+MUJOCO_STEPS = 20_000
+BUDGET_S = 20.0
+"""Processor seconds that SLSQP gets."""
+BODY = """<mujoco><option timestep="0.001" integrator="RK4"/><worldbody><body><freejoint/>
+<inertial pos="0 0 0" mass="1.79" diaginertia="0.03 0.03 0.04"/>
+<site name="a" pos=".2 0 0"/><site name="b" pos="-.2 0 0"/><site name="c" pos="0 .2 0"/><site name="d" pos="0 -.2 0"/>
+</body></worldbody><actuator><motor site="a" gear="0 0 1 0 0 .01"/><motor site="b" gear="0 0 1 0 0 .01"/>
+<motor site="c" gear="0 0 1 0 0 -.01"/><motor site="d" gear="0 0 1 0 0 -.01"/></actuator></mujoco>"""
+
+
+def _median(function: Callable[[], object], runs: int = RUNS) -> float:
+    function()  # loads and compiles
+    return statistics.median(seconds(function) for _ in range(runs))
+
+
+def _motion() -> RigidMotion:
+    series = paper_plan().series()
+    return rigid_motion(series.sample(np.linspace(0.0, series.duration_s, SAMPLES, endpoint=False)))
+
+
+def _solve(w: np.ndarray) -> np.ndarray:
+    theta = np.ones(w.shape[1])
+    return np.linalg.pinv(w.T @ w, hermitian=True) @ (w.T @ (w @ theta))
+
+
+def _regressors() -> list[Row]:
+    motion = _motion()
+    ours = _median(lambda: _solve(regressor(motion).reshape(-1, 7)))
+    rows = [Row("regressor and least squares, a minute at 500 Hz: ours", ours, "s", ratio=1.0)]
+    if importlib.util.find_spec("figaroh"):
+        import pinocchio as pin
+        from figaroh.tools.regressor import RegressorBuilder, RegressorConfig
+
+        model = pin.Model()
+        joint = model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "body")
+        model.appendBodyToJoint(joint, pin.Inertia(1.79, np.zeros(3), np.diag([0.03, 0.03, 0.04])), pin.SE3.Identity())
+
+        class Robot:
+            """What FIGAROH asks of a robot."""
+
+            def __init__(self) -> None:
+                self.model, self.data = model, model.createData()
+
+        config = RegressorConfig(is_joint_torques=False, is_external_wrench=True, force_torque=list(WRENCH))
+        builder = RegressorBuilder(Robot(), config)
+        q = np.column_stack([motion.position_m, np.zeros((SAMPLES, 3)), np.ones(SAMPLES)])
+        v = np.column_stack([motion.velocity_world_m_s, motion.angular_velocity_body_rad_s])
+        a = np.column_stack([motion.acceleration_world_m_s2, motion.angular_acceleration_body_rad_s2])
+        theirs = _median(lambda: _solve(builder.build_basic_regressor(q, v, a)))
+        rows.append(Row("the same: FIGAROH", theirs, "s", ratio=theirs / ours))
+    return rows
+
+
+def _simulators() -> list[Row]:
+    vehicle, plan = load_vehicle(find_config("vehicles", "qball2")), paper_plan()
+    rate, _ = simulator.ours(vehicle, plan)
+    theirs = simulator.rotorpy(vehicle, plan)
+    rows = [
+        Row("simulator, one flight: ours", rate, "steps/s", ratio=1.0),
+        Row("the same: RotorPy", theirs, "steps/s", ratio=theirs / rate),
+    ]
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(BODY)
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 1.79 * 9.81 / 4.0
+
+    def fly() -> None:
+        for _ in range(MUJOCO_STEPS):
+            mujoco.mj_step(model, data)
+
+    rate_mujoco = MUJOCO_STEPS / _median(fly)
+    rows.append(Row("a free body with four forces: MuJoCo", rate_mujoco, "steps/s", ratio=rate_mujoco / rate))
+    if importlib.util.find_spec("crazyflow"):
+        rows.append(_crazyflow(rate))
+    return rows
+
+
+def _crazyflow(rate: float) -> Row:
+    from crazyflow.control import Control
+    from crazyflow.dynamics import Dynamics
+    from crazyflow.sim import Sim
+
+    worlds = Sim(n_worlds=WORLDS, dynamics=Dynamics.first_principles, control=Control.attitude, freq=500)
+    worlds.reset()
+    command = np.zeros((WORLDS, 1, 4), dtype=np.float32)
+    command[..., 3] = 0.3
+
+    def fly() -> None:
+        worlds.attitude_control(command)
+        worlds.step(WORLD_STEPS)
+        np.asarray(worlds.data.states.pos)  # waits until it is done
+
+    found = WORLDS * WORLD_STEPS / _median(fly)
+    return Row(f"{WORLDS} worlds at once, per processor second: crazyflow", found, "steps/s", ratio=found / rate)
+
+
+def _planners() -> list[Row]:
+    task = planner.problem()
+    planner.ours(task, 0, BUDGET_S)
+    ours = statistics.median(planner.ours(task, seed, BUDGET_S) for seed in range(1, RUNS + 1))
+    rows = [Row("a plan within 1 % of the best known: ours", ours, "s", ratio=1.0)]
+    theirs = planner.finite_differences(task, 1, BUDGET_S)
+    reached = np.isfinite(theirs)
+    what = "the same: SLSQP" if reached else f"the same: SLSQP, not reached within {BUDGET_S:g} s"
+    value = theirs if reached else BUDGET_S
+    return [*rows, Row(what, value, "s", ratio=value / ours)]
+
+
+def measure() -> list[Row]:
+    """All tools that are installed."""
+    return [*_regressors(), *_simulators(), *_planners()]

@@ -1,0 +1,144 @@
+"""Effects of the air on flights that nobody planned: found where the data show them, without the rotors' fast torque.
+
+On a flight without plan or setpoints the regression of the motion on the rotors' wrench lies: telemetry that is filtered or late
+loses the torque, and the controller answers the disturbance. The equations turned round hold in the band where telemetry is right
+(:mod:`groundstation.identification.low_frequency`). Each is solved with past motion as instruments, in parts of the flights that check
+each other (:mod:`groundstation.identification.lagged_instruments`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.diagnosis.effect import Effect, has_rotors, library
+from groundstation.diagnosis.evidence import Candidate
+from groundstation.diagnosis.results import Finding
+from groundstation.diagnosis.rivals import posterior
+from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.thresholds import THRESHOLDS
+from groundstation.identification.lagged_instruments import Equation, PartEstimate, Parts, Pooled, pooled, two_stage
+from groundstation.identification.low_frequency import (
+    force_equations,
+    lift_equations,
+    parts_of,
+    slow,
+    torque_equations,
+    without_plan,
+)
+from groundstation.identification.preparation import Prepared
+from groundstation.identification.results import Estimate
+from groundstation.model.parameters import Parameters
+
+Array = NDArray[np.float64]
+
+Members = Mapping[str, tuple[str, ...]]
+TORQUE: Members = {
+    "angular_damping": ("damping_x_nms", "damping_y_nms", "damping_z_nms"),
+    "flapping_moment": ("k_nm_s_m",),
+}
+FORCE: Members = {"rotor_drag": ("d_x_kg_s", "d_y_kg_s")}
+LIFT: Members = {"climb_inflow": ("k_kg_s",), "translational_lift": ("lift_s2_m2",)}
+"""Effects of each equation and their parameters, as the library names them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What these equations say of one effect.
+
+    Attributes:
+        values: of each parameter.
+        wald: sum of squares of values over deviations; chance: what noise alone passes once in 1 / ``effect_chance`` times.
+        gain: fall of the squared error of each part with the values of the others.
+        share: RMS of what it does, as a share of weight (forces) or weight times arm (torques).
+        stands: beats chance, is of a plausible sign, matters, and holds on parts that did not choose it.
+    """
+
+    effect: Effect
+    values: Mapping[str, Pooled]
+    wald: float
+    chance: float
+    gain: float
+    share: float
+    stands: bool
+
+    @property
+    def candidate(self) -> Candidate:
+        """For the joint estimate."""
+        return Candidate(self.effect, {})
+
+    def finding(self) -> Finding:
+        """As a finding, with where it comes from; a formula misses up to a tenth, which is two deviations of its part of the interval."""
+        form = 0.5 * THRESHOLDS.form_error_share
+        values = {n: Estimate.normal(p.value, float(np.hypot(p.std, form * p.value))) for n, p in self.values.items()}
+        sentence = told(self.effect.sentence, **{name: p.value for name, p in self.values.items()})
+        return Finding(
+            effect=self.effect.identifier,
+            parameters=values,
+            evidence=f"{sentence} No plan is recorded: past motion is the instrument, and parts of the flights check each other.",
+            confidence=posterior([self.chance - self.wald]),
+            gain=self.gain,
+        )
+
+    def missed(self) -> str:
+        """What is said of it where it does not stand: the least that would have been seen."""
+        least = ", ".join(f"{name} {np.sqrt(self.chance) * p.std:.2g}" for name, p in self.values.items())
+        return f"{self.effect.identifier} is not shown; the least that these flights could have shown: {least}."
+
+
+def tell_unplanned(flights: Sequence[Prepared], p: Parameters) -> list[Told]:
+    """What flights without a plan show of the air's effects; nothing where one has a plan, or rates or poses are missing.
+
+    Args:
+        flights: of one vehicle.
+        p: the base fit, for mass, lag and dead time.
+    """
+    vehicle = flights[0].record.vehicle
+    fit = all(
+        without_plan(f) and f.source == "imu" and np.isfinite(f.velocity_m_s[f.record.keep]).all() for f in flights
+    )
+    if not fit or not has_rotors(vehicle):
+        return []
+    parts = [part for flight in flights for part in parts_of(slow(flight, p))]
+    groups = ((TORQUE, torque_equations), (FORCE, force_equations), (LIFT, lift_equations))
+    found: list[Told] = []
+    for members, equations in groups:
+        names = {name for parameters in members.values() for name in parameters}
+        seen: dict[str, list[tuple[Equation, PartEstimate, int]]] = {name: [] for name in names}
+        for part in parts:
+            for equation, own in equations(part):
+                estimate = two_stage(equation)
+                if estimate is not None:
+                    for index, name in enumerate(own):
+                        seen[name].append((equation, estimate, index))
+        for identifier, parameters in members.items():
+            if all(len(seen[name]) > 1 for name in parameters):
+                found.append(_judged(identifier, {name: seen[name] for name in parameters}))
+    return found
+
+
+def _judged(identifier: str, seen: Mapping[str, Parts]) -> Told:
+    from scipy.stats import f
+
+    effect = library()[identifier]
+    values = {name: pooled(parts) for name, parts in seen.items()}
+    wald = sum((p.value / p.std) ** 2 for p in values.values())
+    freedom = min(p.freedom for p in values.values())
+    chance = len(values) * float(f.isf(THRESHOLDS.effect_chance, len(values), max(freedom, 1.0)))
+    gain = sum(p.gain for p in values.values())
+    margin = THRESHOLDS.plausible_margin_std
+    ranges = {p.name: p.plausible for p in effect.parameters}
+    plausible = all(
+        ranges[n][0] - margin * p.std <= p.value <= ranges[n][1] + margin * p.std for n, p in values.items()
+    )
+    share = max(_size(seen[name], pool.value) for name, pool in values.items())
+    stands = wald > chance and plausible and gain > 0.0 and share > THRESHOLDS.material_share
+    return Told(effect, values, wald, chance, gain, share, stands)
+
+
+def _size(parts: Parts, value: float) -> float:
+    """RMS of what a parameter does, in the equations' units."""
+    return abs(value) * float(np.sqrt(np.mean([np.mean(e.columns[e.used, i] ** 2) for e, _, i in parts])))

@@ -1,0 +1,1 @@
+"""Motion-capture servers in software: each speaks its maker's documented wire format, fed by whatever moves here."""

@@ -1,0 +1,57 @@
+"""Mass and moments of flights without a plan: right within their intervals, or not told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from benchmarks.unplanned import flights_of
+from groundstation.diagnosis.pipeline import diagnose
+from groundstation.identification.low_frequency import without_plan
+from groundstation.identification.pipeline import identify
+from groundstation.identification.preparation import prepare
+from groundstation.identification.unplanned import applies
+
+MOMENTS = ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
+
+
+@pytest.mark.parametrize("seed", [4008, 4011])
+def test_what_is_published_lies_in_its_interval_where_lift_and_late_telemetry_bend_a_fit(seed: int):
+    print("seed", seed)
+    (flight, _), truth, *_ = flights_of(seed)
+    found = identify([flight])
+    assert found.best == "LF" and "neither plan nor setpoints" in found.best_reason
+    published, true = found.methods["LF"].parameters, truth.parameters()
+    assert abs(published["mass_kg"].value / true["mass_kg"] - 1.0) < 0.004
+    for name, estimate in published.items():
+        assert abs(estimate.value - true[name]) < 2.5 * estimate.std, name
+    assert {"ixy_kg_m2", "ixz_kg_m2", "iyz_kg_m2"} <= set(found.not_identifiable)
+
+
+def test_moments_that_a_slow_figure_of_eight_does_not_show_are_not_told():
+    print("seed", 4009)
+    (flight, _), *_ = flights_of(4009)
+    found = identify([flight])
+    assert not set(MOMENTS) & set(found.methods[found.best].parameters)
+    assert set(MOMENTS) <= set(found.not_identifiable)
+
+
+def test_a_diagnosis_tells_the_same_masses_and_moments_as_an_identification():
+    print("seed", 4002)
+    (flight, _), *_ = flights_of(4002)
+    found, diagnosis = identify([flight]), diagnose([flight])
+    own = found.methods["LF"].parameters
+    assert set(own) == set(diagnosis.parameters_after) & {"mass_kg", *MOMENTS}
+    for name, estimate in own.items():
+        assert diagnosis.parameters_after[name].value == pytest.approx(estimate.value, rel=0.01)
+    assert "climb_inflow" in {finding.effect for finding in diagnosis.findings}
+
+
+def test_a_flight_with_a_plan_is_not_told_this_way():
+    (flight, _), *_ = flights_of(4002)
+    prepared = prepare(flight)
+    assert without_plan(prepared) and applies([prepared])
+    setpoint = flight.motors
+    planned = replace(prepared, flight=replace(flight, setpoint=setpoint))
+    assert not without_plan(planned) and not applies([planned])
