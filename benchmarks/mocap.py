@@ -31,8 +31,9 @@ from drivers.samples import Pose
 from groundstation.errors import GroundStationError
 from groundstation.flightdata import MOCAP_COLUMNS, FlightData, Stream
 from groundstation.frames import quat_conjugate, quat_exp, quat_log, quat_multiply
+from groundstation.identification.anchoring import anchored
 from groundstation.identification.handheld import calibrate_by_hand
-from groundstation.identification.pipeline import identify
+from groundstation.identification.pipeline import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.paths import find_config
 from groundstation.trajectory import load_plan
@@ -53,14 +54,14 @@ KEPT = Path("docs/results/mocap.json")
 SCENARIO = {
     "name": "one clock",
     "imu": {
-        "rate_hz": 500.0,
+        "rate_hz": 250.0,
         "gyro_density": 1e-4,
         "accel_density": 1.5e-3,
         "gyro_bias_std": 2e-3,
         "accel_bias_std": 2e-2,
     },
     "mocap": {"rate_hz": RATE_HZ, "position_std_m": 1.5e-4, "attitude_std_rad": 1e-3, "clock": {}},
-    "motors": {"rate_hz": 500.0, "noise_share": 0.002, "clock": {}},
+    "motors": {"rate_hz": 250.0, "noise_share": 0.002, "clock": {}},
     "disturbance": {"force_share": 0.003, "torque_share": 0.002, "correlation_s": 0.5},
     "truth": {"mass_factor": 1.03, "inertia_factor": [1.2, 0.9, 0.95], "lag": {"up_s": 0.04, "down_s": 0.05}},
 }
@@ -73,6 +74,7 @@ SCENARIO = {
 def flown(seed: int) -> FlightData:
     """The flight whose poses are served."""
     vehicle, plan = load_vehicle(find_config("vehicles", "qball2")), load_plan(find_config("plans", "paper_table2"))
+    plan = plan.model_copy(update={"periods": 0.5 * plan.periods})
     return flight_data(simulate(vehicle, plan, scenario_from_dict(SCENARIO), seed), f"served {seed}")
 
 
@@ -106,8 +108,10 @@ def served(flight: FlightData, system: str) -> tuple[Array, Array, Array, str]:
             source.kill()
             source.wait()
     stamps, arrivals = np.array([(p.device_s - began_s, r - began_s) for p, r in got]).T
-    index = np.argmin(np.abs(t[None, :] - stamps[:, None]), axis=1)
-    same = np.linalg.norm(rows[index, :3] - np.array([p.position_m for p, _ in got]), axis=1) < 2e-6
+    near = np.clip(np.searchsorted(t, stamps)[:, None] + np.arange(-3, 4), 0, len(t) - 1)
+    seen = np.array([p.position_m for p, _ in got])
+    apart = np.linalg.norm(rows[near, :3] - seen[:, None, :], axis=2)  # each pose is known by its place
+    index, same = near[np.arange(len(near)), np.argmin(apart, axis=1)], np.min(apart, axis=1) < 2e-6
     return t[index][same], stamps[same], arrivals[same], told
 
 
@@ -154,11 +158,13 @@ def driver_row(flight: FlightData, system: str) -> Row:
 
 def identified(flight: FlightData, error_s: float) -> Row:
     """Parameters with standard deviations, and the clock afterwards against the stamps' true error."""
-    result = identify([flight])
-    clock, best = result.clock, result.methods[result.best].parameters
+    prepared = prepare(flight)
+    best = fit_dynamics([prepared]).best
+    found, _ = anchored(prepared.record.vehicle, best.names, best.values, best.covariance)
+    clock = prepared.clock
     assert clock is not None
     return {
-        "parameters": {n: [best[n].value, best[n].std] for n in PARAMETERS if n in best},
+        "parameters": {n: [found[n].value, found[n].std] for n in PARAMETERS},
         "after_ms": 1e3 * clock.mocap_minus_imu_s,
         "after_std_ms": 1e3 * clock.std_s,
         "after_inside": bool(abs(clock.mocap_minus_imu_s - error_s) <= 1.96 * clock.std_s + 5e-5),
@@ -266,7 +272,7 @@ def hand_row(seed: int) -> Array:
     )  # fmt: skip
     carried = carry(seed, truth, Sensors(imu_hz=float(rng.choice([100.0, 200.0]))))
     t, gyro, accel = carried.imu
-    found = calibrate_by_hand((t, gyro, (1.0 + 0.005 * rng.standard_normal()) * accel), carried.poses)
+    found = calibrate_by_hand((t, gyro, (1.0 + 0.005 * rng.standard_normal(3)) * accel), carried.poses)
     turn = quat_log(quat_multiply(quat_conjugate(quat_exp(np.array(truth.rotation_rad))), quat_exp(found.rotation_rad)))
     middle = 0.5 * (t[0] + t[-1])
     return np.concatenate([
@@ -297,16 +303,44 @@ def hand(seeds: int) -> Row:
     }
 
 
+def table(kept: Mapping[str, Row]) -> str:
+    """The drivers' rows as Markdown."""
+    head = (
+        "driver",
+        "rate, Hz",
+        "latency p50, ms",
+        "p99, ms",
+        "clock error, ms",
+        "told, ms",
+        "how known",
+        "after, ms",
+        "mass, kg",
+    )
+    lines = ["| " + " | ".join(head) + " |", "| --- " * len(head) + "|"]
+    for row in kept["drivers"]["rows"]:  # type: ignore[union-attr]
+        mass, std = row["parameters"]["mass_kg"]
+        online = ["", "", "", "", "", ""]
+        if "rate_hz" in row:
+            numbers = (f"{row['rate_hz']:.0f}", f"{row['latency_p50_ms']:.1f}", f"{row['latency_p99_ms']:.1f}")
+            online = [*numbers, f"{row['clock_error_ms']:+.2f}", f"{row['told_ms'] or 0:.2f}", row["method"]]
+        after = f"{row['after_ms']:+.2f} ± {1.96 * row['after_std_ms']:.2f}"
+        lines.append("| " + " | ".join([row["driver"], *online, after, f"{mass:.4f} ± {1.96 * std:.4f}"]) + " |")
+    return "\n".join(lines)
+
+
 PARTS: Mapping[str, Callable[[int], Row]] = {"drivers": drivers, "clocks": clocks, "hand": hand}
 
 
 def main() -> int:
     """Run a part and keep it."""
     parser = argparse.ArgumentParser(prog="benchmarks.mocap", description=__doc__)
-    parser.add_argument("--part", choices=tuple(PARTS), required=True)
+    parser.add_argument("--part", choices=(*PARTS, "table"), required=True)
     parser.add_argument("--seeds", type=int, default=40)
     parser.add_argument("--json", type=Path, default=KEPT)
     options = parser.parse_args()
+    if options.part == "table":
+        print(table(json.loads(options.json.read_text())))
+        return 0
     found = PARTS[options.part](options.seeds)
     kept = json.loads(options.json.read_text()) if options.json.is_file() else {"schema": "groundstation.mocap/1"}
     options.json.write_text(json.dumps(kept | {options.part: found}, indent=1) + "\n")

@@ -37,6 +37,7 @@ class Shell:
     """A shell in tmux."""
 
     def __init__(self, folder: Path):
+        self._steps = 0
         self._name = f"newcomer-{os.getpid()}"
         path = f"PATH={Path(sys.executable).parent}:$PATH"
         self._tmux(
@@ -70,18 +71,24 @@ class Shell:
     def until(self, text: str) -> float:
         """Wait until it is shown; the seconds it took."""
         began = time.monotonic()
-        while text not in self._tmux("capture-pane", "-p", "-S", "-200"):
+        while text not in self._shown():
             if time.monotonic() - began > PATIENCE_S:
-                raise SystemExit(f"waited {PATIENCE_S:.0f} s for '{text}':\n{self._tmux('capture-pane', '-p')}")
+                raise SystemExit(f"waited {PATIENCE_S:.0f} s for '{text}':\n{self._shown()}")
             time.sleep(0.2)
         return time.monotonic() - began
 
     def done(self, command: str) -> float:
         """Run a command to its end, which must be a good one; the seconds it took."""
-        self._tmux("clear-history")
-        self.type(f"clear; {command}; echo ended with $?.")
-        took = self.until("ended with 0.")
+        self._steps += 1
+        ended = f"step {self._steps} ended with"
+        self.type(f"clear; {command}; echo {ended} $?.")
+        took = self.until(f"\n{ended}")
+        if f"\n{ended} 0." not in self._shown():
+            raise SystemExit(f"{command} failed:\n{self._shown()}")
         return took
+
+    def _shown(self) -> str:
+        return self._tmux("capture-pane", "-p")
 
     def close(self) -> None:
         """End it."""

@@ -16,6 +16,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -74,17 +75,21 @@ def fly(seed: int) -> Flown:
     return Flown(seed, tuple(rests), tuple(looks))
 
 
-def criticals(flown: Flown, name: str, target: float) -> dict[str, list[float]]:
-    """Critical values of each kind of interval at each rest point."""
-    spending = Spending(len(flown.rest_s))
-    out: dict[str, list[float]] = {"looked at once": [], "spent": [], "at any time": []}
-    for look in flown.looks:
-        value, std = look.get(name, (math.nan, math.inf))
-        out["looked at once"].append(at_one_moment())
-        out["spent"].append(spending.look(std))
-        sharpest = target * abs(value) / at_one_moment() if math.isfinite(value) else std
-        out["at any time"].append(at_any_time(std, sharpest))
-    return out
+@cache
+def spent(stds: tuple[float, ...]) -> tuple[float, ...]:
+    """Critical values of looks at estimates with these standard deviations."""
+    spending = Spending(len(stds))
+    return tuple(spending.look(std) for std in stds)
+
+
+def criticals(flown: Flown, name: str, target: float, kind: str) -> tuple[float, ...]:
+    """Critical values of one kind of interval at each rest point."""
+    known = [look.get(name, (math.nan, math.inf)) for look in flown.looks]
+    if kind == "looked at once":
+        return (at_one_moment(),) * len(known)
+    if kind == "spent":
+        return spent(tuple(std for _, std in known))
+    return tuple(at_any_time(std, target * abs(value) / at_one_moment()) for value, std in known)
 
 
 def target_of(name: str, target: float) -> float:
@@ -107,7 +112,7 @@ def tally(flights: Sequence[Flown], kind: str) -> tuple[Count, list[float], list
     count, seconds, met_share = Count(), [], []
     for flown in flights:
         for target in TARGETS:
-            by_name = {n: criticals(flown, n, target_of(n, target))[kind] for n in SHOWN}
+            by_name = {n: criticals(flown, n, target_of(n, target), kind) for n in SHOWN}
             stop = _stop(flown, by_name, target)
             met = stop is not None
             at = len(flown.looks) - 1 if stop is None else stop
@@ -129,7 +134,7 @@ def tally(flights: Sequence[Flown], kind: str) -> tuple[Count, list[float], list
     return count, seconds, met_share
 
 
-def _stop(flown: Flown, critical: Mapping[str, list[float]], target: float) -> int | None:
+def _stop(flown: Flown, critical: Mapping[str, Sequence[float]], target: float) -> int | None:
     for k, look in enumerate(flown.looks):
         if all(n in look and critical[n][k] * look[n][1] <= target_of(n, target) * look[n][0] for n in SHOWN):
             return k

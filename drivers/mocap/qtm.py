@@ -65,7 +65,7 @@ class Qtm:
         self.malformed = 0
         self._buffer = bytearray()
         self._asked_s: float | None = None
-        self._pending: list[float] = []
+        self._tripped_s: float | None = None
         self._stage = 0  # greeted, version agreed, settings asked, streaming
 
     def due(self, now_s: float) -> list[bytes]:
@@ -76,9 +76,12 @@ class Qtm:
         if self._stage == 3:
             self._stage = 4
             return [self._ask("GetParameters 6D General", now_s), command("StreamFrames AllFrames 6DRes")]
-        if self._stage == 4 and not self.names and self._asked_s is not None and now_s - self._asked_s > ASK_EVERY_S:
+        if self._stage < 4 or (self._asked_s is not None and now_s - self._asked_s < ASK_EVERY_S):
+            return []
+        if not self.names:
             return [self._ask("GetParameters 6D General", now_s)]
-        return []
+        self._tripped_s = now_s
+        return [self._ask("Version", now_s)]  # for how long the way there and back takes
 
     def _ask(self, text: str, now_s: float) -> bytes:
         self._asked_s = now_s
@@ -125,9 +128,9 @@ class Qtm:
             return []
         if self._stage == 2:
             self._stage, self.server = 3, f"QTM, RT protocol {VERSION}"
-            if self._asked_s is not None and received_s >= self._asked_s:
-                return [RoundTrip(received_s - self._asked_s)]
-        return []
+            self._tripped_s = self._asked_s
+        sent_s, self._tripped_s = self._tripped_s, None
+        return [RoundTrip(received_s - sent_s)] if sent_s is not None and received_s >= sent_s else []
 
     def _settings(self, text: bytes) -> None:
         if b"<!ENTITY" in text or b"<!DOCTYPE" in text:

@@ -31,10 +31,10 @@ LEAST_TURNING_RAD_S = 0.25
 CLEARLY = 0.05
 """Share of the strongest acceleration that the weakest axis must have before a mirror is named: less is noise."""
 _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
+AXES_SCALE = 0.005
+"""Standard deviation of each accelerometer axis's own scale, of which the fit knows their mean alone."""
 UPRIGHT_RAD = 0.2
 """A calibration square is laid to within a degree or two; an angle beyond 11 degrees is another axis."""
-ACCELEROMETER_SCALE = 0.005
-"""Standard deviation of a MEMS accelerometer's scale after its factory trim; the poses' scale is no surer than that."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +200,7 @@ def _result(found: Compatibility, marker: Array, position: Array, quaternion: Ar
         rotation_rad=quat_log(quat_multiply(marker, quat_exp(turn))), rotation_std_rad=turn_std,
         tilt_rad=-tilt, tilt_std_rad=tilt_std,
         scale=found.values["mocap_scale"],
-        scale_std=float(np.hypot(found.std["mocap_scale"], ACCELEROMETER_SCALE)),
+        scale_std=float(np.hypot(found.std["mocap_scale"], AXES_SCALE)),
         mocap_minus_imu_s=found.values["mocap_minus_imu_s"], clock_std_s=found.std["mocap_minus_imu_s"],
         drift=found.values["clock_drift"],
         residual_m=found.pose_noise[0], residual_rad=found.pose_noise[1],

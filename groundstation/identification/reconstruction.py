@@ -118,7 +118,9 @@ _POSITION = (
     "mocap_tilt_x_rad", "mocap_tilt_y_rad",
 )  # fmt: skip
 _POSITION_PRIOR = np.array([0.2, 3e-3, *[0.5] * 3, *[0.3] * 3, *[0.1] * 2])
-_SCALE, _SCALE_PRIOR = "mocap_scale", 0.2
+_SCALES = ("mocap_scale", "accel_scale")
+_SCALE_PRIOR = np.array([0.2, 0.005])
+"""A MEMS accelerometer's scale after its factory trim: the poses' scale can be no surer than that."""
 
 
 def reconstruct(
@@ -141,7 +143,7 @@ def reconstruct(
         t_pose: stamps, shape (m,); position (m, 3) and quaternion (m, 4) of the marker body.
         offset_s: coarse pose stamp minus IMU stamp.
         mocap_rotation_rad: declared rotation vector from the body to the marker frame.
-        scale: also estimate by how much the poses' metre is too short (``mocap_scale``), taking the accelerometer's for right.
+        scale: also estimate the scales of poses and accelerometer (``mocap_scale``, ``accel_scale``), as shares.
     """
     recording = _Recording(
         t_imu, gyro, accel, t_pose, position, quaternion, quat_exp(mocap_rotation_rad), 0.5 * (t_imu[0] + t_imu[-1])
@@ -157,7 +159,7 @@ def reconstruct(
         errors.offset_s,
     )
     std = np.sqrt(np.diag(covariance))
-    prior = np.concatenate([_ATTITUDE_PRIOR, _POSITION_PRIOR[2:], [_SCALE_PRIOR]])[: len(names)]
+    prior = np.concatenate([_ATTITUDE_PRIOR, _POSITION_PRIOR[2:], _SCALE_PRIOR])[: len(names)]
     jitter_s, jitter_std_s = attitude.stamp_jitter_s
     return Compatibility(
         names=names,
@@ -380,7 +382,7 @@ def _position_columns(
 def _fitted_position(error: Array, columns: Array, dt: Array, noise: Array) -> tuple[Array, Array, Array, Array]:
     """Values, covariance, residual (n, 3) and noise after three rounds of fit and noise model."""
     count = columns.shape[2]
-    prior = np.append(_POSITION_PRIOR, _SCALE_PRIOR)[:count]
+    prior = np.concatenate([_POSITION_PRIOR, _SCALE_PRIOR])[:count]
     values, covariance, residual = np.zeros(count), np.eye(count), error
     for _ in range(3):
         noise = _position_noise(residual, dt, noise)
@@ -417,14 +419,16 @@ def align_position(
     if scale:
         ahead = states[:-1, 0, :] + dt[1:, None] * states[:-1, 1, :] + 0.5 * dt[1:, None] ** 2 * states[:-1, 2, :]
         place = _interpolate(tk, t_imu, path) + np.concatenate([states[:1, 0, :], ahead])
-        columns = np.concatenate([columns, (place - place.mean(axis=0))[:, :, None]], axis=2)
+        _, felt = _twice(force, recording.dt_imu)
+        both = np.stack([place - place.mean(axis=0), -_interpolate(tk, t_imu, felt)], axis=2)
+        columns = np.concatenate([columns, both], axis=2)
     values, covariance, residual, noise = _fitted_position(error, columns, dt, noise)
     _, _, states, pf, pp = position_filter(residual, dt, noise)
     smooth = position_smoother(dt, states, pf, pp)
     named = columns.copy()
     named[:, :, _CLOCK] = 0.0  # clock terms move stamps, not the vehicle
     named[:, :, _LEVER] = 0.0  # neither does the lever arm
-    named[:, :, len(_POSITION) :] = 0.0  # nor the poses' scale
+    named[:, :, len(_POSITION) : len(_POSITION) + 1] = 0.0  # nor the poses' scale
     shift = named @ values
     slope = np.gradient(shift, tk, axis=0) if len(tk) > 2 else np.zeros_like(shift)
 
@@ -507,7 +511,7 @@ def _combine(
     # Gyro and accelerometer chains may lag differently: where the two disagree, the interval says so (Birge ratio).
     disagreement = position[:2] @ np.linalg.solve(p_attitude[:2, :2] + p_position[:2, :2], position[:2]) / 2.0
     covariance_clock = covariance_clock * max(1.0, float(disagreement)) + cross + cross.T
-    names = (*_ATTITUDE, *_POSITION[2:], *[_SCALE] * (len(position) - len(_POSITION)))
+    names = (*_ATTITUDE, *_POSITION[2:], *_SCALES[: len(position) - len(_POSITION)])
     theta = np.concatenate([clock, attitude[2:], position[2:]])
     covariance = np.zeros((len(names), len(names)))
     na = len(_ATTITUDE)
