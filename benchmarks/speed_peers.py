@@ -34,7 +34,7 @@ ABOUT = """Processor time of one core on the same machine in one run; the last c
 | MuJoCo | one free body with four rotor forces; Runge-Kutta at 1 ms | controller, sensors, motors, everything else |
 | crazyflow | 1024 worlds at once: rigid body, first-order motors, attitude controller, compiled by JAX for the processor | sensors, clocks, disturbance |
 | ours, planner | the paper's problem to within 1 % of the best known, from random starts | |
-| SLSQP | the same program by finite differences | |
+| SLSQP | the same program by finite differences, one run | |
 
 AeroID is in the extra too and has no row: one filter-error estimate of a flight takes it a minute and more."""
 SAMPLES = 30_000
