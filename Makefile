@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 FIND_PYTHON = for p in $(PYTHON) python3.11 python3.12 python3.13 python3.14 python3; do \
   "$$p" -c 'import sys, ensurepip, venv; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && { command -v "$$p"; break; }; done
 
-.PHONY: help fuzz setup rehearse test test-fast docs lint study blind bench campaign faults firmware-test reproduce plan-library lock clean
+.PHONY: help fuzz setup rehearse test test-fast docs lint study blind bench campaign faults firmware-test reproduce plan-library bench-peers lock clean
 
 help:  ## what can be made
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -53,6 +53,10 @@ blind: $(READY)  ## diagnosis of effects it was not told about
 
 bench: $(READY)  ## speed of planner, simulator, estimators, recorder, log readers, catalogue, start-up; evenness of setpoints
 	@for each in startup simulator planner estimators recorder logs setpoint_jitter catalogue; do OMP_NUM_THREADS=1 $(PY) -m benchmarks.$$each || exit; done
+
+bench-peers: $(READY)  ## speed beside other tools, which it installs: docs/results/speed.md
+	@$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev,peers]'
+	@$(PY) -m benchmarks.speed starts peers
 
 plan-library: $(READY)  ## the solved rooms that plans start from, made anew
 	@$(PY) -m benchmarks.plan_library $(ARGS)

@@ -53,7 +53,9 @@ from sim.mavlink.px4 import Px4
 from sim.scenario import load_scenario
 
 OUT = Path("docs/results/indoors.json")
-PHASES = ("before arming", "climbing", "settling", "exciting", "landing")
+PHASES = ("before arming", "climbing", "settling", "exciting", "landing", "never")
+ABORTED = {"landing": 5.0, "never": 20.0}
+"""Seconds of excitation after which the operator ends the flight."""
 WHOLE = ("whole", "declared")
 YAW_RAD = 0.7
 """The vehicle does not look along the room's x: a yaw that is not taken from the poses would show."""
@@ -230,12 +232,13 @@ class Cut:
             "settling": lambda: self.world.moments[-1].position_m[2] > 0.9,
             "exciting": lambda: any(t.endswith("-> exciting") for t in self._texts()),
             "landing": lambda: any(t.endswith("-> landing") for t in self._texts()),
+            "never": lambda: any(t.endswith("-> landing") for t in self._texts()),
         }
         end, excited_s = time.monotonic() + 240.0, None
         while time.monotonic() < end and self.core.poll() is None:
-            if self.phase == "landing" and excited_s is None and seen["exciting"]():
+            if self.phase in ABORTED and excited_s is None and seen["exciting"]():
                 excited_s = time.monotonic()
-            if self.phase == "landing" and excited_s is not None and time.monotonic() > excited_s + 5.0:
+            if excited_s is not None and time.monotonic() > excited_s + ABORTED[self.phase]:
                 os.kill(self.core.pid, signal.SIGTERM)  # an abort: the autopilot's own landing, with the cameras on
                 excited_s = math.inf
             if seen[self.phase]():
@@ -246,7 +249,8 @@ class Cut:
         return False
 
     def _dark(self) -> dict[str, Any]:
-        self.world.dark()
+        if self.phase != "never":
+            self.world.dark()
         dark_s = time.monotonic()
         there = self.world.moments[-1].position_m
         end = dark_s + DOWN_S
@@ -268,8 +272,14 @@ class Cut:
             "ground_s": round(ground_s - dark_s, 2) if flown and ground_s is not None else None,
             "stopped_s": round(still_s - dark_s, 2) if flown and still_s is not None else None,
             "drift_m": round(drift, 2),
-            "by": who(reason, bool(flown)),
+            "by": who(reason, bool(flown)), "latency": self._latency(), "latency_declared_s": self.latency_s,
         }  # fmt: skip
+
+    def _latency(self) -> str:
+        """What the link measured of the poses; empty where it measured none."""
+        events = read_recording(self.folder / "flight.mcap").texts.get("events")
+        said = [row[1] for row in events.rows] if events is not None else []
+        return next((text for text in said if text.startswith("poses are stamped")), "")
 
     def _outcome(self) -> tuple[int | None, str]:
         with contextlib.suppress(subprocess.TimeoutExpired):

@@ -29,7 +29,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 FILE = ROOT / "docs" / "results" / "speed.json"
 TABLE = ROOT / "docs" / "results" / "speed.md"
-SECTIONS = ("estimation",)
+SECTIONS = ("estimation", "starts", "peers")
 """In the order of the page."""
 
 

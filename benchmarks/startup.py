@@ -32,7 +32,7 @@ def start_s(arguments: tuple[str, ...]) -> tuple[float, float]:
     before, began = os.times(), time.perf_counter()
     command = [sys.executable, "-P", "-m", "groundstation.cli", *arguments]
     subprocess.run(command, capture_output=True, check=True)
-    return time.perf_counter() - began, _children_s(before)
+    return time.perf_counter() - began, children_s(before)
 
 
 def first_frame_s() -> tuple[float, float]:
@@ -59,10 +59,11 @@ def first_frame_s() -> tuple[float, float]:
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
         os.close(terminal)
-    return wall, _children_s(before)
+    return wall, children_s(before)
 
 
-def _children_s(before: os.times_result) -> float:
+def children_s(before: os.times_result) -> float:
+    """Processor seconds of the children that ended since."""
     after = os.times()
     return after.children_user + after.children_system - before.children_user - before.children_system
 

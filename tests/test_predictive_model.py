@@ -11,7 +11,17 @@ from groundstation.errors import BadInput
 from groundstation.identification.predictive_choice import chosen_predictor, section
 from groundstation.identification.predictive_fit import fitted, free_numbers, judged, shooting
 from groundstation.model.prediction import FlightStates, VehicleModel, declared_model, predict
-from groundstation.model.predictive import NAMES, NUMBERS, Base, PredictiveModel, course, run, simulate, starting
+from groundstation.model.predictive import (
+    NAMES,
+    NUMBERS,
+    Base,
+    PredictiveModel,
+    course,
+    run,
+    simulate,
+    starting,
+    windows,
+)
 from groundstation.model.rotors import motor_input
 from groundstation.vehicle import Vehicle, vehicle_from_dict
 
@@ -57,7 +67,7 @@ def still(vehicle: Vehicle, seconds: float, seed: int = SEED, size: float = 6.0)
 def flown(model: PredictiveModel, states: FlightStates, noise_rad_s: float = 0.0) -> FlightStates:
     """The states of a vehicle that is exactly the model, and their measured rates."""
     marks = states.t_s[1:]
-    path = run(model.values, course(model.base, states), np.array([0]), list(marks), 0.01)[:, 0]
+    path = run(model.values, windows(course(model.base, states), np.array([0])), list(marks), 0.01)[:, 0]
     path = np.concatenate([[[0.0] * 6 + [1.0] + [0.0] * 6], path])
     rate = path[:, 10:] + noise_rad_s * np.random.default_rng(SEED).standard_normal((len(path), 3))
     parts = (path[:, :3], path[:, 3:6], path[:, 6:10], rate)
@@ -121,7 +131,9 @@ def test_an_untrustworthy_torque_and_a_damping_are_found_from_what_lies_ahead() 
     shot = shooting(states, 0, np.ones(len(states.t_s), bool), 300)
     assert shot is not None
     start = starting(declared_model(small()))
-    found = fitted([shot], [course(start.base, states)], start, free_numbers(pose=True, torque=True))
+    found = fitted(
+        [shot], [windows(course(start.base, states), shot.index)], start, free_numbers(pose=True, torque=True)
+    )
     for name, tolerance in (
         ("torque_gain_x", 0.06),
         ("torque_gain_z", 0.08),

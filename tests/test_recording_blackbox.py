@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 
 from groundstation.errors import BadInput
 from groundstation.frames import quat_from_euler
-from groundstation.recording import read_recording
+from groundstation.recording import load_flight, read_recording
 from groundstation.recording.airframes import BETAFLIGHT_QUAD_X
 from groundstation.recording.blackboxfile import decode_blackbox
 from tests.test_recording_settings import like
@@ -214,3 +216,10 @@ def test_inavs_own_estimate_is_the_state(tmp_path):
     assert state[:6].tolist() == pytest.approx([2.0, -1.0, 3.0, 0.0, -1.5, -0.2])
     assert state[6:10] == pytest.approx(quat_from_euler(np.radians(10.0), np.radians(-5.0), np.radians(-45.0)))
     assert state[10:] == pytest.approx([np.pi / 2, -np.pi / 4, np.pi / 6])
+
+
+def test_a_log_of_a_tenth_of_a_second_is_read_without_a_warning(tmp_path):
+    _, u = truth()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(load_flight(flown(tmp_path, u[60:160]), vehicle=QUAD).motors) == 100

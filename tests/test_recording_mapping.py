@@ -135,6 +135,7 @@ def test_faults_of_a_map_are_named(tmp_path):
         (good.replace("[motors]", '[motors]\nsource = "other"'), "has no table 'other'"),
         (good.replace("[imu]", "[imuu]").replace("[imu.columns]", "[imuu.columns]"), "imuu"),
         ("x = [", "not valid TOML"),
+        ("x = " + "9" * 4400, "4300 digits"),
         (good[: good.index("[imu]")], "needs the motion too"),
     ):
         with pytest.raises(BadInput, match=said):

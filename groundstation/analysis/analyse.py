@@ -51,9 +51,11 @@ def parameter_table(
     return _rows(canonical(identification, diagnosis).parameters, declared)
 
 
-def _rows(parameters: Mapping[str, Estimate], declared: Mapping[str, float]) -> Table:
+def _rows(
+    parameters: Mapping[str, Estimate], declared: Mapping[str, float], names: Sequence[str] = MASS_AND_TENSOR
+) -> Table:
     rows: Table = {}
-    for name in MASS_AND_TENSOR:
+    for name in names:
         estimate = parameters.get(name)
         value, (low, high) = (math.nan, (math.nan, math.nan)) if estimate is None else (estimate.value, estimate.ci95)
         rows[name] = (declared.get(name, math.nan), value, low, high)
@@ -61,10 +63,11 @@ def _rows(parameters: Mapping[str, Estimate], declared: Mapping[str, float]) -> 
 
 
 def preliminary(flight: FlightData) -> Table:
-    """The seed's filtered least squares: ready in seconds, biased where rotors lag; a first look, not the answer."""
-    from groundstation.identification.seed import identify_seed
+    """Weighted least squares with a centre of mass: ready in a third of a second; a first look, not the answer."""
+    from groundstation.identification.preliminary import NAMES, first_estimate
 
-    return _rows(identify_seed(flight)["FMLS"].parameters, flight.vehicle.parameters())
+    declared = flight.vehicle.parameters()
+    return _rows(first_estimate(flight), {name: declared.get(name, 0.0) for name in NAMES}, NAMES)
 
 
 def evolution(flight: FlightData) -> dict[str, Any]:
@@ -221,14 +224,14 @@ def _say(fraction: float, text: str, table: Table | None = None) -> None:
 def warm_up() -> None:
     """Import what takes seconds while the flight still goes on, behind everything that flies."""
     os.nice(5)
-    for module in ("recording", "identification.seed", "reporting", "diagnosis"):
+    for module in ("recording", "identification.preliminary", "identification.seed", "reporting", "diagnosis"):
         importlib.import_module(f"groundstation.{module}")
 
 
 def first_look(flight: FlightData) -> None:
     """Show the preliminary table. What goes wrong here is told, and never costs the analysis proper."""
     try:
-        _say(0.04, "preliminary: filtered least squares", preliminary(flight))
+        _say(0.04, "preliminary: weighted least squares", preliminary(flight))
     except NotIdentifiable as error:
         _say(0.04, str(error))
     except Exception as error:

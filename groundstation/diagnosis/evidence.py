@@ -9,7 +9,7 @@ evidence is its Wald statistic in the joint estimate. Without a plan Z = A.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
 
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import Effect, Settings, library
+from groundstation.diagnosis.joint import pseudo_inverse, updated_rigid_body
 from groundstation.diagnosis.signals import planned_signals, thinned
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.whitening import Whitening, orthonormal
@@ -26,8 +27,6 @@ from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import RecordModel
 from groundstation.identification.sensitivities import planned_sensitivities
 from groundstation.model.parameters import (
-    BASIS,
-    PAIRS,
     RIGID_BODY,
     FitOptions,
     PriorContext,
@@ -35,8 +34,12 @@ from groundstation.model.parameters import (
     values_of,
     with_values,
 )
+from groundstation.model.signals import Signals
 
 Array = NDArray[np.float64]
+
+WRENCH_ROW = {0: 3, 1: 4, 2: 5, 3: 0, 4: 1, 5: 2}
+"""Of each channel, where its force or torque stands in a wrench."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,7 +253,7 @@ class FlightEvidence:
         wrench = candidate.effect.wrench(self.signals, vehicle, candidate.settings)
         if not np.isfinite(wrench).all():
             return None
-        rms = np.sqrt(np.einsum("k,kij,kij->ij", self._share, wrench, wrench))
+        rms = np.sqrt(self._share @ (wrench * wrench).reshape(len(wrench), -1)).reshape(wrench.shape[1:])
         if self.planned is None:
             sensitivity = self.whitening.apply(self.predicted(wrench))
             return Columns(sensitivity, sensitivity, rms)
@@ -259,6 +262,30 @@ class FlightEvidence:
             return None
         white = self.whitening.apply(self.predicted(np.concatenate([wrench, wished], axis=2)))
         return Columns(white[:, : wrench.shape[2]], white[:, wrench.shape[2] :], rms)
+
+    def along(self, basis: Array, wished: Array | None) -> dict[int, Columns]:
+        """Columns of the same functions of time (k, p) as torque or force of each known channel, by channel.
+
+        Args:
+            basis: along the measured motion; wished: along the planned one, where there is one.
+        """
+        both = basis if wished is None else np.concatenate([basis, wished], axis=1)
+        count, blocks = basis.shape[1], len(self.model.t_s)
+        turning, pushing = self.model.integrated(both), self.model.average(both) / self.parameters.mass_kg
+        parts = [self.whitening.channel(n, turning if c < 3 else pushing) for n, c in enumerate(self.channels)]
+        size = np.sqrt(self._share @ (basis * basis))
+        out: dict[int, Columns] = {}
+        for channel in self.channels:
+            white, rms = np.zeros((len(self.channels), blocks, both.shape[1])), np.zeros((6, count))
+            for n, c in enumerate(self.channels):
+                if channel < 3 and c < 3:
+                    white[n] = self._inverse[c, channel] * parts[n]
+                elif c == channel:
+                    white[n] = parts[n]
+            rms[WRENCH_ROW[channel]] = size
+            flat = white.reshape(-1, both.shape[1])
+            out[channel] = Columns(flat[:, :count], flat[:, :count] if wished is None else flat[:, count:], rms)
+        return out
 
 
 class Evidence:
@@ -293,6 +320,7 @@ class Evidence:
         self._base = Columns(self.x, self.z, np.zeros(6))
         self._output = Columns(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
         self._products: dict[tuple[int, int], tuple[Array, Array]] = {}
+        self._priors: dict[str, Array] = {}
         self.weight = np.ones(len(self.y))
         self.weight = np.minimum(1.0, THRESHOLDS.outlier_std / np.maximum(np.abs(self._plain_remainder()), 1e-9))
 
@@ -331,10 +359,27 @@ class Evidence:
                 nothing = np.zeros((len(flight.y), count))
                 part = Columns(nothing, nothing, np.zeros((6, count)))
             known.append(part)
-        rms = np.sqrt(np.mean([part.wrench_rms**2 for part in known[: self.suspects]], axis=0))
-        return Columns(
-            np.concatenate([p.sensitivity for p in known]), np.concatenate([p.instrument for p in known]), rms
+        return self._joined(known)
+
+    def _joined(self, parts: Sequence[Columns]) -> Columns:
+        rms = np.sqrt(np.mean([part.wrench_rms**2 for part in parts[: self.suspects]], axis=0))
+        sensitivity, instrument = (
+            np.concatenate([getattr(p, n) for p in parts]) for n in ("sensitivity", "instrument")
         )
+        return Columns(sensitivity, instrument, rms)
+
+    def along(self, function: Callable[[Signals], Array]) -> dict[int, Columns]:
+        """Columns of functions of the signals (k, p) as torque or force of each channel; empty where one is unknown."""
+        found: list[dict[int, Columns]] = []
+        for flight in self.flights[: self.suspects]:
+            basis, wished = function(flight.signals), None if flight.planned is None else function(flight.planned)
+            if not np.isfinite(basis).all() or (wished is not None and not np.isfinite(wished).all()):
+                return {}
+            found.append(flight.along(basis, wished))
+        count = next(iter(found[0].values())).sensitivity.shape[1]
+        blank = [np.zeros((len(flight.y), count)) for flight in self.flights[self.suspects :]]
+        rest = [Columns(nothing, nothing, np.zeros((6, count))) for nothing in blank]
+        return {channel: self._joined([*(each[channel] for each in found), *rest]) for channel in found[0]}
 
     def solve(self, chosen: Sequence[tuple[Candidate, Columns]], rows: NDArray[np.bool_] | None = None) -> Solution:
         """Joint instrumental estimate of base and chosen candidates.
@@ -344,22 +389,34 @@ class Evidence:
             rows: which rows to use (all). Products over all rows are remembered.
         """
         members = [self._base, *(columns for _, columns in chosen)]
-        prior = self._precision(chosen)
-        products = [[self._product(a, b, rows) for b in members] for a in members]
-        zx = np.block([[cell[0] for cell in line] for line in products]) + prior
-        zz = np.block([[cell[1] for cell in line] for line in products]) + prior
-        zy = np.concatenate([self._product(a, self._output, rows)[0][:, 0] for a in members])
+        sizes = [columns.sensitivity.shape[1] for columns in members]
+        ends = np.cumsum(sizes)
+        places = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+        zx, zy = self._precision(chosen), np.empty(ends[-1])
+        zz = zx.copy()
+        for a, row in zip(members, places, strict=True):
+            for b, column in zip(members, places, strict=True):
+                pair = self._product(a, b, rows)
+                zx[row, column] += pair[0]
+                zz[row, column] += pair[1]
+            zy[row] = self._product(a, self._output, rows)[0][:, 0]
         scale = np.sqrt(np.diag(zz))
         scale[scale == 0.0] = 1.0  # what no row is of, as another flight's bias, stays as it is
-        inverse = np.linalg.pinv(zx / np.outer(scale, scale), rcond=1e-12) / np.outer(scale, scale)
+        inverse = pseudo_inverse(zx, scale)
         return Solution(inverse @ zy, inverse @ zz @ inverse.T, self.x.shape[1])
 
     def _precision(self, chosen: Sequence[tuple[Candidate, Columns]]) -> Array:
         """Prior precision of base and chosen candidates together."""
-        from scipy.linalg import block_diag
-
-        vehicle = self.flights[0].prepared.record.vehicle
-        return np.asarray(block_diag(self.prior, *(np.diag(c.effect.precision(vehicle)) for c, _ in chosen)))
+        vehicle, base = self.flights[0].prepared.record.vehicle, len(self.prior)
+        for candidate, _ in chosen:
+            if candidate.identifier not in self._priors:
+                self._priors[candidate.identifier] = candidate.effect.precision(vehicle)
+        known = [self._priors[candidate.identifier] for candidate, _ in chosen]
+        total = base + sum(map(len, known))
+        out = np.zeros((total, total))
+        out[:base, :base] = self.prior
+        out.ravel()[base * (total + 1) :: total + 1] = np.concatenate([np.zeros(0), *known])
+        return out
 
     def threshold(self, columns: Columns, chance: float, members: Sequence[int] | None = None) -> float:
         r"""Wald statistic that noise passes with this probability.
@@ -440,25 +497,6 @@ class Evidence:
                 channels.append(np.full(len(flight.model.t_s), channel))
                 flights.append(np.full(len(flight.model.t_s), number))
         return np.concatenate(times), np.concatenate(channels), np.concatenate(flights)
-
-
-def updated_rigid_body(about: Array, step: Array) -> tuple[Array, Array] | None:
-    """Mass and tensor, in the order of RIGID_BODY, that a linear step from others means, and their Jacobian by the step.
-
-    What a wrench does is linear in the inverses of mass and tensor, d(1/m) = -dm / m0^2 and d(J^-1) = -J0^-1 dJ J0^-1: taken in these,
-    a far step lands where one in m and J would not. None where it is as large as what it starts from: no rigid body lies there.
-    """
-    lightness = 1.0 - step[0] / about[0]
-    tensor, change = (np.einsum("k,kij->ij", values[1:], BASIS) for values in (about, step))
-    left = tensor - change
-    if lightness <= 0.0 or np.linalg.eigvalsh(left)[0] <= 0.0:
-        return None
-    turn = tensor @ np.linalg.inv(left)
-    jacobian = np.zeros((7, 7))
-    jacobian[0, 0] = lightness**-2
-    rows, columns = np.array(PAIRS).T
-    jacobian[1:, 1:] = (turn @ BASIS @ turn.T)[:, rows, columns].T
-    return np.array([about[0] / lightness, *(turn @ tensor)[rows, columns]]), jacobian
 
 
 def _joint_precision(flight: FlightEvidence) -> Array:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.comparison import residual_rms
 from groundstation.diagnosis.discrepancy import Discrepancy
-from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, from_thrust
-from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
+from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, from_thrust
+from groundstation.diagnosis.evidence import WRENCH_ROW, Candidate, Columns, Evidence
 from groundstation.diagnosis.results import Unexplained
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import euler_from_quat
@@ -25,8 +25,6 @@ from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-
-_WRENCH_ROW = {0: 3, 1: 4, 2: 5, 3: 0, 4: 1, 5: 2}
 
 
 def _yaw(signals: Signals) -> Array:
@@ -63,18 +61,8 @@ class Dependence:
     share: float
 
 
-def _probe(name: str, channel: int, knots: Array) -> Effect:
-    variable = VARIABLES[name]
-    count = len(knots) - 1
-
-    def wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
-        values = variable(signals)
-        out = np.zeros((len(values), 6, count))
-        for j in range(count):
-            peak = np.zeros(len(knots))
-            peak[j + 1] = 1.0
-            out[:, _WRENCH_ROW[channel], j] = np.interp(values, knots, peak)
-        return out
+def _probe(name: str, channel: int, count: int) -> Effect:
+    """What the joint estimate has to know of ``count`` hat functions in a channel: their prior."""
 
     def scale(vehicle: Vehicle) -> float:
         weight = vehicle.mass_kg * vehicle.gravity_m_s2
@@ -85,11 +73,21 @@ def _probe(name: str, channel: int, knots: Array) -> Effect:
         equation="hat functions",
         source="screen",
         parameters=tuple(ParameterInfo(f"h{j}", scale) for j in range(count)),
-        wrench=wrench,
+        wrench=lambda signals, vehicle, settings: blank(signals, count),
         sentence="",
         confused_with=(),
         manoeuvre="",
     )
+
+
+def _hats(name: str, knots: Array) -> Callable[[Signals], Array]:
+    """Hat functions of a variable over knots, but the first, (k, knots - 1)."""
+
+    def hats(signals: Signals) -> Array:
+        values = VARIABLES[name](signals)
+        return np.stack([np.interp(values, knots, peak) for peak in np.eye(len(knots))[1:]], axis=1)
+
+    return hats
 
 
 def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]]) -> list[Dependence]:
@@ -117,13 +115,13 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
         knots = np.unique(np.quantile(values[kept], np.linspace(0.0, 1.0, THRESHOLDS.dependence_knots)))
         if len(knots) < 4:
             continue
+        hats, count = _hats(name, knots), len(knots) - 1
+        by_channel = evidence.along(hats)
         for channel in channels:
-            candidate = Candidate(_probe(name, channel, knots), {})
-            columns = evidence.columns(candidate)
-            if columns is None:
+            if (columns := by_channel.get(channel)) is None:
                 continue
+            candidate = Candidate(_probe(name, channel, count), {})
             solution = evidence.solve([*chosen, (candidate, columns)])
-            count = len(candidate.effect.parameters)
             margin = (
                 solution.wald(offset, range(count))
                 - evidence.threshold(columns, THRESHOLDS.dependence_chance / pairs)
@@ -131,8 +129,9 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
             )
             if margin <= 0.0:
                 continue
-            part = candidate.effect.wrench(first.signals, vehicle, {})[:, _WRENCH_ROW[channel], :]
-            size = _own_size(part, *solution.part(offset, count), explained[:, _WRENCH_ROW[channel], :], kept)
+            size = _own_size(
+                hats(first.signals), *solution.part(offset, count), explained[:, WRENCH_ROW[channel], :], kept
+            )
             if size < scales[channel]:
                 continue
             disturbance = disturbance_std(evidence, channel)

@@ -41,13 +41,15 @@ class Whitening:
 
     def apply(self, columns: Array) -> Array:
         """Stack the whitened channels of (blocks, 6, m) below each other, (channels * blocks, m)."""
-        parts = []
-        for channel, colour, gain in zip(self.channels, self.colours, self._gains, strict=True):
-            e, s = innovations(columns[:, channel, :], self._dt, self._restart, colour, integrated=channel < 3)
-            good = np.isfinite(s)
-            white = np.where(good[:, None], e / np.sqrt(np.where(good, s, 1.0))[:, None], 0.0)
-            parts.append(np.fft.irfft(np.fft.rfft(white, axis=0) * gain[:, None], len(white), axis=0))
-        return np.concatenate(parts)
+        return np.concatenate([self.channel(n, columns[:, c, :]) for n, c in enumerate(self.channels)])
+
+    def channel(self, number: int, columns: Array) -> Array:
+        """Whitened columns (blocks, m) of one channel, by its place among the known ones."""
+        colour, gain = self.colours[number], self._gains[number]
+        e, s = innovations(columns, self._dt, self._restart, colour, integrated=self.channels[number] < 3)
+        good = np.isfinite(s)
+        white = np.where(good[:, None], e / np.sqrt(np.where(good, s, 1.0))[:, None], 0.0)
+        return np.fft.irfft(np.fft.rfft(white, axis=0) * gain[:, None], len(white), axis=0)
 
     def spread(self, columns: Array) -> tuple[Array, Array]:
         """How the energy of whitened columns (rows, p), each of size one, lies over channels and bands, and each one's degrees of freedom.

@@ -139,3 +139,5 @@ UNTIL_PREVIEW_S = 1.0
 """Between two looks that only the screen gets."""
 SUSPECTS_EVERY_S = 5.0
 """Between two diagnoses of a flight while it flies."""
+WINDOW_MOVED_S = 0.5
+"""By less, an excitation's window that is told again is the same one: a link's clock runs a little differently each time."""

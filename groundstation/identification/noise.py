@@ -15,10 +15,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from groundstation.identification.noise_kernel import direct_costs, integrated_costs
+
 Array = NDArray[np.float64]
 
-LOGARITHM_EVERY = 8
-"""Variances are multiplied before their logarithm is taken, few enough that the product stays within a double's range."""
 DIFFERENCE = 1e-3
 """Step in the logarithm of a noise by which the likelihood's slope is taken."""
 
@@ -150,87 +150,13 @@ def innovations(
     return kernel(np.ascontiguousarray(z), dt, restart, colour.vector())
 
 
-@njit(cache=True)
-def _take_logarithm(cost: Array, product: Array) -> None:
-    """Move products of variances into the costs before they leave the range of floats; both of shape (n,)."""
-    for n in range(len(cost)):
-        cost[n] += 0.5 * np.log(product[n])
-        product[n] = 1.0
-
-
-@njit(cache=True)
-def _integrated_costs(z: Array, dt: Array, phi: Array, restart: NDArray[np.bool_], noises: Array) -> Array:
-    """:func:`minus_log_likelihood` of an integrated channel z (k,) under each of several noises (n, 4), shape (n,).
-
-    The filters of all noises run side by side, as each only waits for itself. phi = exp(-dt / tau), (k, n).
-    """
-    lanes = len(noises)
-    x0, x1 = np.zeros(lanes), np.zeros(lanes)
-    p00, p01, p11 = np.zeros(lanes), np.zeros(lanes), np.zeros(lanes)
-    cost, product = np.zeros(lanes), np.ones(lanes)
-    for i in range(len(z)):
-        if i % LOGARITHM_EVERY == 0:
-            _take_logarithm(cost, product)
-        if restart[i] or i == 0:
-            for n in range(lanes):
-                x0[n], x1[n] = z[i], 0.0
-                p00[n], p01[n], p11[n] = noises[n, 3] ** 2, 0.0, noises[n, 0] ** 2
-            continue
-        h = dt[i]
-        for n in range(lanes):
-            s2, tau, white = noises[n, 0] ** 2, noises[n, 1], noises[n, 2] ** 2 * h
-            r2, f = noises[n, 3] ** 2, phi[i, n]
-            g = tau * (1.0 - f)
-            q00 = max(s2 * tau * (2.0 * h - tau * (3.0 - 4.0 * f + f * f)) + white, white)
-            n00 = p00[n] + 2.0 * g * p01[n] + g * g * p11[n] + q00
-            n01 = f * (p01[n] + g * p11[n]) + s2 * tau * (1.0 - f) * (1.0 - f)
-            n11 = f * f * p11[n] + s2 * (1.0 - f * f)
-            s = n00 + r2
-            k0, k1 = n00 / s, n01 / s
-            level = x0[n] + g * x1[n]
-            e = z[i] - level
-            x0[n], x1[n] = level + k0 * e, f * x1[n] + k1 * e
-            p00[n], p01[n], p11[n] = n00 - k0 * n00, n01 - k0 * n01, n11 - k1 * n01
-            cost[n] += 16.0 * (np.sqrt(1.0 + e * e / s / 16.0) - 1.0)
-            product[n] *= s
-    return cost + 0.5 * np.log(product)
-
-
-@njit(cache=True)
-def _direct_costs(z: Array, dt: Array, phi: Array, restart: NDArray[np.bool_], noises: Array) -> Array:
-    """The same for z = d + white."""
-    lanes = len(noises)
-    x, p = np.zeros(lanes), np.zeros(lanes)
-    cost, product = np.zeros(lanes), np.ones(lanes)
-    for i in range(len(z)):
-        if i % LOGARITHM_EVERY == 0:
-            _take_logarithm(cost, product)
-        fresh = restart[i] or i == 0
-        h = 1.0 if fresh else dt[i]
-        for n in range(lanes):
-            s2, f = noises[n, 0] ** 2, 0.0 if fresh else phi[i, n]
-            level = f * x[n]
-            spread = f * f * p[n] + s2 * (1.0 - f * f)
-            s = spread + noises[n, 3] ** 2 + noises[n, 2] ** 2 / h
-            gain = spread / s
-            e = z[i] - level
-            x[n] = level + gain * e
-            p[n] = spread - gain * spread
-            cost[n] += 16.0 * (np.sqrt(1.0 + e * e / s / 16.0) - 1.0)
-            product[n] *= s
-    return cost + 0.5 * np.log(product)
-
-
-def _costs(residual: Array, dt: Array, restart: NDArray[np.bool_], noises: Array, integrated: bool) -> Array:
-    kernel = _integrated_costs if integrated else _direct_costs
-    return kernel(residual, dt, np.exp(-dt[:, None] / noises[:, 1]), restart, noises)
-
-
 def minus_log_likelihood(
     residual: Array, dt: Array, restart: NDArray[np.bool_], colour: NoiseModel, integrated: bool
 ) -> float:
     """Half the Gaussian minus-log-likelihood of a residual, robustified (pseudo-Huber at 4 sigma), constants dropped."""
-    return float(_costs(np.ascontiguousarray(residual), dt, restart, colour.vector()[None, :], integrated)[0])
+    kernel = integrated_costs if integrated else direct_costs
+    noises = colour.vector()[None, :]
+    return float(kernel(np.ascontiguousarray(residual), dt, restart, noises, float(np.median(dt)))[0])
 
 
 def fit_noise_model(
@@ -261,13 +187,13 @@ def fit_noise_model(
     floor = np.log([1e-5 * unit, 2.0 * step, 1e-5 * unit * np.sqrt(step), 1e-4 * scale])
     ceiling = np.log([1e3 * unit, max(length / 4.0, 4.0 * step), 1e2 * unit * np.sqrt(step), 1e2 * scale])
 
-    series = np.ascontiguousarray(residual)
+    series, kernel = np.ascontiguousarray(residual), integrated_costs if integrated else direct_costs
 
     def cost_and_slope(vector: Array) -> tuple[float, Array]:
         """Cost, and its slope by a difference in each logarithm, inwards at the ceiling."""
         step_of = np.where(vector + DIFFERENCE > ceiling, -DIFFERENCE, DIFFERENCE)
         points = np.concatenate([vector[None, :], vector + np.diag(step_of)])
-        cost = _costs(series, dt, restart, np.exp(np.clip(points, floor, ceiling)), integrated)
+        cost = kernel(series, dt, restart, np.exp(np.clip(points, floor, ceiling)), step)
         return float(cost[0]), (cost[1:] - cost[0]) / step_of
 
     best, lowest = starts[0].logarithms(), np.inf

@@ -13,6 +13,7 @@ from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored, anchored_covariance
 from groundstation.identification.consistency import nearest_rigid_body, physically_consistent
 from groundstation.identification.declarations import check_declarations, lag_doubts, said_first
+from groundstation.identification.disagreement import with_doubts
 from groundstation.identification.identifiability import (
     angular_acceleration,
     never_moved,
@@ -266,6 +267,7 @@ def identify(
         mocap_minus_imu_s=0.0 if first.clock is None else first.clock.mocap_minus_imu_s,
         exclude=exclude,
     )
+    methods = with_doubts(methods, name)
     disturbance, prediction = _disturbance(fitted.models, best, fitted.options), {}
     if predictive:
         progress(0.96, "prediction model")

@@ -20,12 +20,14 @@ from groundstation.model.predictive import (
     NAMES,
     NUMBERS,
     WITHOUT_TORQUE,
-    Course,
     PredictiveModel,
+    Windows,
     course,
     run,
     starting,
+    windows,
 )
+from groundstation.model.predictive_kernel import missed
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -34,9 +36,11 @@ HORIZONS_S = (0.01, 0.1, 0.5)
 """What a fit looks at: half a second is what a planner needs, 0.1 s what a controller needs, 0.01 s holds the start to the measured state."""
 WEIGHTS = (0.2, 0.36, 1.0)
 """Of the horizons: the shorter one is, the more of its error is noise of the measured state."""
-WINDOWS = 900
-"""Most windows of a fit, over all flights: ten times as many change no error by a percent, and take ten times as long."""
+WINDOWS = 450
+"""Most windows of a fit, over all flights: on the nano-drone benchmark twice as many change no error by half a percent."""
 FIT_STEP_S = 0.01
+WIDEST = 1e3
+"""Error, in those of constant velocity, beyond which a model has run away, and how far does not matter."""
 SHRINK = 0.02
 """Cost of one spread away from a number's start; the errors themselves cost about 5 together, one prediction of constant velocity 11."""
 EVALUATIONS = 14
@@ -144,12 +148,12 @@ def _differences(found: Array, truth: Array) -> Array:
 
 
 def fitted(
-    shots: Sequence[Shooting], courses: Sequence[Course], start: PredictiveModel, free: Sequence[str]
+    shots: Sequence[Shooting], begun: Sequence[Windows], start: PredictiveModel, free: Sequence[str]
 ) -> PredictiveModel:
     """The numbers ``free`` of the model by least squares over all windows, shrunk towards the start.
 
     Args:
-        shots, courses: of each flight; courses are of the start's base.
+        shots, begun: of each flight; windows are of the start's base.
     """
     from scipy.optimize import least_squares
 
@@ -162,7 +166,7 @@ def fitted(
     def residual(x: Array) -> Array:
         values = start.values.copy()
         values[at] = x * spread
-        rows = [_weighted(shot, flown, values) * share for shot, flown in zip(shots, courses, strict=True)]
+        rows = [_weighted(shot, flown, values) * share for shot, flown in zip(shots, begun, strict=True)]
         return np.concatenate([*rows, np.sqrt(SHRINK) * (x - origin)])
 
     begin = np.clip(origin, low + 1e-6, high - 1e-6)
@@ -170,15 +174,11 @@ def fitted(
     return start.with_values(free, found.x * spread)
 
 
-@np.errstate(over="ignore", invalid="ignore")
-def _weighted(shot: Shooting, flown: Course, values: Array) -> Array:
+def _weighted(shot: Shooting, begun: Windows, values: Array) -> Array:
     """Rows whose squares add up to the sizes of the errors, in units of constant velocity's."""
-    found = run(values, flown, shot.index, HORIZONS_S, FIT_STEP_S)
-    away = _differences(found, shot.truth) / shot.scale[:, None, :, None]
-    away = np.clip(np.nan_to_num(away, nan=1e3, posinf=1e3, neginf=-1e3), -1e3, 1e3)
-    size = np.sqrt(np.sum(away**2, axis=-1, keepdims=True) + 1e-4)
-    weight = np.sqrt(np.array(WEIGHTS) / away.shape[1])
-    return (away / np.sqrt(size) * weight[:, None, None, None]).ravel()
+    found = run(values, begun, HORIZONS_S, FIT_STEP_S)
+    weight = np.sqrt(np.array(WEIGHTS) / len(shot.index))
+    return missed(found, shot.truth, shot.scale, weight, WIDEST).ravel()
 
 
 def free_numbers(pose: bool, torque: bool) -> tuple[str, ...]:
@@ -190,8 +190,8 @@ def _fit(shots: Sequence[Shooting], model: VehicleModel, torque: bool) -> Predic
     start = starting(model)
     if not torque:
         start = start.with_values(WITHOUT_TORQUE[:3], np.zeros(3))
-    courses = [course(start.base, shot.states) for shot in shots]
-    return fitted(shots, courses, start, free_numbers(all(c.pose for c in courses), torque))
+    begun = [windows(course(start.base, shot.states), shot.index) for shot in shots]
+    return fitted(shots, begun, start, free_numbers(all(each.flown.pose for each in begun), torque))
 
 
 def _folds(shots: Sequence[Shooting]) -> list[list[NDArray[np.bool_]]]:
@@ -250,7 +250,7 @@ def _sizes(model: PredictiveModel | VehicleModel | None, shot: Shooting) -> Arra
     path = (
         _constant(shot.states, shot.index, HORIZONS_S)
         if model is None
-        else run(model.values, course(model.base, shot.states), shot.index, HORIZONS_S)
+        else run(model.values, windows(course(model.base, shot.states), shot.index), HORIZONS_S)
     )
     return np.linalg.norm(_differences(path, shot.truth), axis=-1)
 

@@ -140,6 +140,11 @@ class RecordModel:
         known = [True] * 3 + [bool(np.isfinite(self.force[:, axis]).all()) for axis in range(3)]
         return tuple(c for c in options.channels if known[c] and c not in self.silent)
 
+    def coarser(self, times: int) -> RecordModel:
+        """The same record in blocks of so many of its own."""
+        record = replace(self.record, block=times * self.record.block)
+        return RecordModel(record, self.extra, self.planned, self.silent)
+
     def restarted(self, restart: Mask) -> RecordModel:
         """The same record with other segment starts."""
         other = RecordModel(self.record, self.extra, self.planned, self.silent)
@@ -186,7 +191,8 @@ class RecordModel:
             return self._last[1]
         on_grid = self.on_grid(p.lag_up_s, p.lag_down_s, p.lag_slope)
         wrench, impulse = self.thrusts(on_grid, p.delay_s)
-        torque = impulse[:, 3:] - self.gyroscopic @ np.array([p.tensor[i, j] for i, j in PAIRS])
+        entries = np.array([p.tensor[i, j] for i, j in PAIRS])
+        torque = impulse[:, 3:] - (self.gyroscopic.reshape(-1, len(PAIRS)) @ entries).reshape(-1, 3)
         torque -= np.cross(p.com_m, impulse[:, :3])
         torque[:, 2] += p.yaw_trim_nm * self.elapsed_s
         force = wrench[:, :3].copy()

@@ -21,12 +21,11 @@ from groundstation.frames import (
     quat_log,
     quat_multiply,
     quat_normalise,
-    quat_rotate,
-    quat_rotate_inverse,
 )
 from groundstation.model.disturbance import Carried, TurningDisturbance, carried, fading, gains
 from groundstation.model.parameters import FREE, RIGID_BODY, Parameters, declared_parameters
 from groundstation.model.predictive import PredictiveModel, simulate
+from groundstation.model.rigid_kernel import Body, stepped, turned
 from groundstation.model.rotors import (
     MotorInput,
     cumulative,
@@ -404,9 +403,8 @@ class _Motion:
         self._model, self._motors, self._start_s = model, states.motors, states.t_s[0]
         self.inputs = _Inputs.of(model, states.motors)
         self._matrix = wrench_matrix(model.vehicle)
-        self._inverse = np.linalg.inv(model.tensor)
+        self._inverse = np.asarray(np.linalg.inv(model.tensor), dtype=float)
         self._com, self._damping = np.asarray(model.com_m), np.asarray(model.damping_nms)
-        self._gravity = np.array([0.0, 0.0, -model.vehicle.gravity_m_s2])
 
     def at(self, values: Array, when: Array) -> Array:
         """Columns of the motors' grid at times of the flight."""
@@ -431,21 +429,16 @@ class _Motion:
         )
         return np.nan_to_num(self._model.wrench(signals))
 
-    def accelerations(self, v: Array, q: Array, w: Array, rotors: Array, extra: Array) -> tuple[Array, Array]:
-        """In the world, and of the body rates."""
-        model = self._model
-        wrench = rotors @ self._matrix.T
-        torque = wrench[:, 3:] + extra[:, 3:] - self._damping * w
-        torque[:, 2] += model.yaw_trim_nm
-        force = extra[:, :3].copy()
-        force[:, :2] += wrench[:, :2]
-        climb = np.nan_to_num(
-            quat_rotate_inverse(q, v)[:, 2]
-        )  # unknown without poses: rates are predicted all the same
-        force[:, 2] += wrench[:, 2] - model.climb_damping_kg_s * climb
-        torque = torque - np.cross(self._com, force)
-        turning = (torque - np.cross(w, w @ model.tensor)) @ self._inverse.T
-        return quat_rotate(q, force) / model.mass_kg + self._gravity, turning
+    @property
+    def body(self) -> Body:
+        """What the kernel needs of the model."""
+        m = self._model
+        parts = self._com, self._damping, float(m.yaw_trim_nm), m.climb_damping_kg_s, m.vehicle.gravity_m_s2
+        return m.mass_kg, np.ascontiguousarray(m.tensor, dtype=float), self._inverse, *parts
+
+    def pushed(self, rotors: Array, extra: Array) -> Array:
+        """Body force and torque of rotors' thrusts and of the effects beside them, (k, 6)."""
+        return extra + rotors @ self._matrix.T
 
 
 def _carried(noise: TurningDisturbance, motion: _Motion, states: FlightStates) -> Carried:
@@ -456,7 +449,7 @@ def _carried(noise: TurningDisturbance, motion: _Motion, states: FlightStates) -
     rotors = motion.at(motion.inputs.thrust, t_s)
     p, v = states.start_position_m, states.start_velocity_m_s
     extra = motion.wrench(t_s, p, v, q, w, rotors, states.voltage_v)
-    _, turning = motion.accelerations(v, q, w, rotors, extra)
+    turning = turned(v, q, w, motion.pushed(rotors, extra), motion.body)
     step = np.diff(t_s, prepend=t_s[0])[:, None]
     return carried(noise, t_s, w - np.cumsum(np.nan_to_num(turning) * step, axis=0))
 
@@ -465,14 +458,15 @@ def _carried(noise: TurningDisturbance, motion: _Motion, states: FlightStates) -
 def _simulate(
     model: VehicleModel, states: FlightStates, index: NDArray[np.int64], horizons: list[float], h: float = STEP_S
 ) -> dict[float, dict[str, Array]]:
-    """RK4 over all windows at once; returns the states at each horizon."""
+    """Over all windows at once, in compiled steps; returns the states at each horizon."""
     motion = _Motion(model, states)
     impulse = motion.inputs.impulse
     start = states.t_s[index]
     known = np.isfinite(states.start_quaternion[index]).all(axis=1, keepdims=True)
-    p, v = states.start_position_m[index], states.start_velocity_m_s[index]
     q = np.where(known, states.start_quaternion[index], [1.0, 0.0, 0.0, 0.0])
-    w = states.start_rate_rad_s[index]
+    parts = (states.start_position_m[index], states.start_velocity_m_s[index], q, states.start_rate_rad_s[index])
+    x = np.concatenate(parts, axis=1)
+    p, v, q, w = x[:, :3], x[:, 3:6], x[:, 6:10], x[:, 10:]
     voltage = states.voltage_v[index]
     steps = round(horizons[-1] / h)
     marks = {round(horizon / h): horizon for horizon in horizons}
@@ -483,29 +477,19 @@ def _simulate(
         pace = 1.0 / np.asarray(model.disturbance.turning_correlation_s)
         back = gains(model.disturbance, found.covariance, h, steps)
     out: dict[float, dict[str, Array]] = {}
+    before = motion.at(impulse, start)
     for step in range(steps):
         now = start + step * h
-        rotors = (motion.at(impulse, now + h) - motion.at(impulse, now)) / h
+        after = motion.at(impulse, now + h)
+        rotors = (after - before) / h
+        before = after
         extra = motion.wrench(now + 0.5 * h, p, v, q, w, rotors, voltage)
-
-        def derivative(
-            v: Array, q: Array, w: Array, rotors: Array = rotors, extra: Array = extra, pushed: Array = pushed
-        ) -> tuple[Array, Array, Array]:
-            linear, turning = motion.accelerations(v, q, w, rotors, extra)
-            return linear, turning + pushed, w
-
-        a1, b1, w1 = derivative(v, q, w)
-        a2, b2, w2 = derivative(v + 0.5 * h * a1, quat_multiply(q, quat_exp(0.5 * h * w1)), w + 0.5 * h * b1)
-        a3, b3, w3 = derivative(v + 0.5 * h * a2, quat_multiply(q, quat_exp(0.5 * h * w2)), w + 0.5 * h * b2)
-        a4, b4, w4 = derivative(v + h * a3, quat_multiply(q, quat_exp(h * w3)), w + h * b3)
-        p = p + h * v + h * h / 6.0 * (a1 + a2 + a3)
-        v = v + h / 6.0 * (a1 + 2 * a2 + 2 * a3 + a4)
-        q = quat_multiply(q, quat_exp(h / 6.0 * (w1 + 2 * w2 + 2 * w3 + w4)))
-        turning = (b1 + 2 * b2 + 2 * b3 + b4) / 6.0
-        w = w + h * turning
+        turning = stepped(x, motion.pushed(rotors, extra), pushed, motion.body, h)
         away = turning + pace * w
-        w, pushed = w - back[step, 0] * away, keep * pushed - back[step, 1] * away
+        w -= back[step, 0] * away
+        pushed = keep * pushed - back[step, 1] * away
         if step + 1 in marks:
             blank = np.where(known, 1.0, np.nan)
-            out[marks[step + 1]] = {"position": p * blank, "velocity": v * blank, "quaternion": q * blank, "rate": w}
+            names = ("position", "velocity", "quaternion", "rate")
+            out[marks[step + 1]] = dict(zip(names, (p * blank, v * blank, q * blank, w.copy()), strict=True))
     return out

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInput
-from groundstation.model.predictive_kernel import FLAPPING, integrated, observed, simulated
+from groundstation.model.predictive_kernel import FLAPPING, integrated, observed, seen, simulated
 from groundstation.model.rotors import declared_thrust, wrench_matrix
 
 if TYPE_CHECKING:
@@ -34,6 +34,8 @@ Array = NDArray[np.float64]
 
 GRID_S = 0.005
 """Grid of the rotor signals: well below the time in which a rotor answers."""
+OBSERVED_S = 0.008
+"""Between two stamps that the observer takes: of denser ones it takes each n-th, and where a window starts. Its gains act over longer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,23 +222,51 @@ def course(base: Base, states: FlightStates) -> Course:
     )
 
 
-def run(
-    values: Array, flown: Course, index: NDArray[np.int64], horizons: Sequence[float], step_s: float = GRID_S
-) -> Array:
-    """States (position, velocity, attitude, rates) of the windows from ``index`` at each horizon (ascending), (m, k, 13)."""
+@dataclass(frozen=True, slots=True)
+class Windows:
+    """Starts on a course, and what the kernels need of the course for them, whatever the numbers are.
+
+    Attributes:
+        flown: the course.
+        t_s, rate, told: stamps that the observer takes, measured rates there, and what it needs of them (:func:`.seen`).
+        at: which of those the windows start from, (k,).
+        start_s, pose: times of the starts, and positions, velocities and attitudes there, (k, 10).
+    """
+
+    flown: Course
+    t_s: Array
+    rate: Array
+    told: Array
+    at: NDArray[np.int64]
+    start_s: Array
+    pose: Array
+
+
+def windows(flown: Course, index: NDArray[np.int64]) -> Windows:
+    """The windows that start from stamps ``index`` of a course."""
     c = flown
+    every = max(1, int(OBSERVED_S / max(float(np.median(np.diff(c.t_s))), 1e-4)))
+    taken = np.union1d(np.arange(0, len(c.t_s), every), index)
+    pose = np.concatenate([c.position, c.velocity, c.quaternion], axis=1)
+    told = seen(
+        c.t_s[taken], c.velocity[taken], c.quaternion[taken], c.rate[taken], c.tensor, c.inverse, c.gravity_m_s2
+    )
+    at = np.searchsorted(taken, index)
+    return Windows(c, c.t_s[taken], c.rate[taken], told, at, c.t_s[index], np.ascontiguousarray(pose[index]))
+
+
+def run(values: Array, begun: Windows, horizons: Sequence[float], step_s: float = GRID_S) -> Array:
+    """States (position, velocity, attitude, rates) of windows at each horizon (ascending), (m, k, 13)."""
+    c = begun.flown
     if not c.pose:  # velocities are unknown, and what depends on them is left out
         values = values.copy()
         values[FLAPPING : FLAPPING + 2] = 0.0
     integral = integrated(c.rotor, GRID_S, values)
-    shape = (c.tensor, c.inverse, c.gravity_m_s2)
-    rates, extras = observed(
-        c.t_s, c.velocity, c.quaternion, c.rate, integral, c.rotor_start_s, GRID_S, values, *shape, c.pose
-    )
+    rates, extras = observed(begun.t_s, begun.rate, begun.told, integral, c.rotor_start_s, GRID_S, values, c.pose)
     marks = np.array([max(1, round(h / step_s)) for h in horizons], dtype=np.int64)
     return simulated(
-        c.t_s[index], c.position[index], c.velocity[index], c.quaternion[index], rates[index], extras[index],
-        integral, c.rotor_start_s, GRID_S, values, *shape, step_s, marks,
+        (begun.start_s, begun.pose), rates[begun.at], extras[begun.at], (integral, c.rotor_start_s, GRID_S),
+        values, (c.tensor, c.inverse, c.gravity_m_s2), step_s, marks,
     )  # fmt: skip
 
 
@@ -244,7 +274,7 @@ def simulate(
     model: PredictiveModel, states: FlightStates, index: NDArray[np.int64], horizons: Sequence[float]
 ) -> dict[float, dict[str, Array]]:
     """The states at each horizon, as :func:`groundstation.model.prediction.predict` judges them; NaN where no pose is known."""
-    found = run(model.values, course(model.base, states), index, horizons)
+    found = run(model.values, windows(course(model.base, states), index), horizons)
     known = np.isfinite(states.start_quaternion[index]).all(axis=1, keepdims=True)
     blank = np.where(known, 1.0, np.nan)
     return {

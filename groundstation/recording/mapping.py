@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,10 +12,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from groundstation.errors import BadInput
 from groundstation.flightdata import Stream, motor_columns
+from groundstation.outside import read_toml
 from groundstation.recording.autopilot import z_up, z_up_quaternion
 from groundstation.recording.recorded import COLUMNS, Recording
 from groundstation.recording.sources import Source, sources_of
 from groundstation.recording.tables import MissingField, Table
+from groundstation.texts import shown
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -72,14 +73,12 @@ def load_map(path: str | Path) -> LogMap:
         BadInput: it is missing, no TOML, or wrong; all faults at once.
     """
     try:
-        return LogMap.model_validate(tomllib.loads(Path(path).read_text(encoding="utf-8")))
-    except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); write one with --map-template.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BadInput(f"{path}: is not valid TOML ({error}); correct that line.") from None
+        return LogMap.model_validate(read_toml(Path(path), "a map file (--map-template writes one)"))
     except ValidationError as error:
         faults = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg'].lower()}" for e in error.errors())
-        raise BadInput(f"{path}: {faults}. Correct it; --map-template writes one with every key.") from None
+        raise BadInput(
+            f"{path}: {shown(faults, limit=1000)}. Correct it; --map-template writes one with every key."
+        ) from None
 
 
 def read_mapped(path: Path, wanted: LogMap, vehicle: Vehicle) -> Recording:

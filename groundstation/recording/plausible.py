@@ -158,7 +158,7 @@ def _ratio_to_rotors(t_s: Array, gyro: Array, motors: Stream, vehicle: Vehicle) 
 def _changes(t_s: Array, values: Array) -> Array:
     """Changes from one 0.1 s mean to the next, less their median."""
     changes = np.diff(_window_means(t_s, values), axis=0)
-    return changes - np.median(changes, axis=0)
+    return changes - np.median(changes, axis=0) if len(changes) else changes
 
 
 def _hold(t_s: Array, values: Array, at_s: Array) -> Array:

@@ -20,6 +20,7 @@ import numpy as np
 
 from drivers.bus import Description, DroneStatus
 from drivers.samples import Batch, Event, Motors, Raw, Sample
+from groundstation.flight import timeouts
 from groundstation.flight.messages import StreamStatus
 from groundstation.paths import commit
 from groundstation.recording.computed_speeds import COMMANDS
@@ -98,10 +99,6 @@ def sound(batch: Batch, rotors: int) -> bool:
     )
 
 
-WINDOW_MOVED_S = 0.5
-"""By less, a window that is told again is the same one: a link's clock runs a little differently each time."""
-
-
 class Recorder:
     """Writes batches in the order in which they come.
 
@@ -153,7 +150,7 @@ class Recorder:
     def window(self, window_s: tuple[float, float]) -> None:
         """Record the excitation's window at its start, and where it ends elsewhere than it was to."""
         start, end = window_s
-        if self._window_end_s is None or abs(end - self._window_end_s) > WINDOW_MOVED_S:
+        if self._window_end_s is None or abs(end - self._window_end_s) > timeouts.WINDOW_MOVED_S:
             self._window_end_s = end
             self.metadata({"window_start_s": repr(start), "window_end_s": repr(end)})
 

@@ -9,7 +9,7 @@ from groundstation.flightdata import FlightData
 from groundstation.identification.declarations.check import Check
 from groundstation.identification.declarations.frames import frame_checks
 from groundstation.identification.declarations.rotors import rotor_checks
-from groundstation.identification.declarations.scale import lag_doubts, scale_checks
+from groundstation.identification.declarations.scale import lag_doubts, scale_checks, tensor_checks
 from groundstation.identification.declarations.signals import flown
 from groundstation.identification.declarations.speeds import speed_checks
 
@@ -27,6 +27,7 @@ def check_declarations(flight: FlightData) -> tuple[Check, ...]:
         *rotor_checks(signals, flight.vehicle),
         *speed_checks(signals, flight.vehicle),
         *scale_checks(signals, flight.vehicle),
+        *tensor_checks(flight.vehicle),
     ]
     rank = {"contradicted": 0, "doubtful": 1, "cannot tell": 2, "agrees": 3}
     return tuple(sorted(found, key=lambda check: rank[check.verdict]))

@@ -14,6 +14,7 @@ from groundstation.identification.declarations.check import Check
 from groundstation.identification.declarations.signals import (
     STEP_S,
     alike,
+    correlations,
     in_words,
     long_enough,
     on_grid,
@@ -156,10 +157,8 @@ def _world(imu: Stream, pose: Stream, quaternion: Array, offset: float, gravity:
     smooth = passed(on_grid(grid, pose.t_s - offset, pose.values[:, :3]), band)
     seen = np.gradient(np.gradient(smooth, STEP_S, axis=0), STEP_S, axis=0)
     names = signed_permutations()
-    scores = []
-    for matrix in names:
-        late = [alike(*_overlap(felt @ matrix.T, seen, shift)) for shift in range(-15, 16, 3)]
-        scores.append(max(late))
+    late = [correlations(*_overlap(felt, seen, shift)) for shift in range(-15, 16, 3)]
+    scores = [max(alike(found, matrix) for found in late) for matrix in names]
     winner, own = int(np.argmax(scores)), scores[0]
     top = scores[winner]
     tested = (
@@ -204,7 +203,8 @@ def _velocity(state: Stream) -> list[Check]:
     told = passed(on_grid(grid, state.t_s, state.values[:, 3:6]), (0.1, 2.0))
     seen = np.gradient(place, STEP_S, axis=0)
     names = signed_permutations()
-    scores = [alike(told @ matrix.T, seen) for matrix in names]
+    found = correlations(told, seen)
+    scores = [alike(found, matrix) for matrix in names]
     winner = int(np.argmax(scores))
     tested = "The state's velocity against the change of its position, for every naming of the axes"
     evidence = f"correlation {scores[0]:.2f} as declared, {scores[winner]:.2f} at best"

@@ -56,6 +56,27 @@ def scale_checks(flown: Flown, vehicle: Vehicle) -> list[Check]:
     return [Check("thrust", tested, evidence, "contradicted" if off > WRONG else "doubtful", says, " ".join(line))]
 
 
+THICKNESS = 1.02
+"""A plate's largest moment is the sum of the other two; declared numbers are rounded to a percent or two."""
+
+
+def tensor_checks(vehicle: Vehicle) -> list[Check]:
+    """Check "tensor": whether any rigid body has the declared one. It says nothing where one has.
+
+    No moment of a body exceeds the sum of the other two (the triangle inequality: Wensing, Kim and Slotine 2018, IEEE RA-L 3(1)).
+    """
+    moments = np.linalg.eigvalsh(vehicle.inertia_tensor())
+    tested = "Principal moments of the declared tensor"
+    evidence = ", ".join(f"{moment:.4g}" for moment in moments) + " kg m^2"
+    if moments[0] > 0.0 and moments[2] <= THICKNESS * (moments[0] + moments[1]):
+        return []
+    why = "is not positive" if moments[0] <= 0.0 else "is larger than the other two together"
+    which = "smallest" if moments[0] <= 0.0 else "largest"
+    says = f"No rigid body has the declared tensor: its {which} principal moment {why}."
+    line = "[vehicle.inertia_kg_m2] with every moment below the sum of the other two; look for a unit, a swapped axis or a product's sign"
+    return [Check("tensor", tested, evidence, "doubtful", says, line)]
+
+
 def _unit(speed: float) -> str:
     """A factor of rotor speed that a unit makes."""
     known = {1.0 / 6.2832: "turns per second", 9.5493: "rpm", 6.0: "electrical rad/s of 12 poles",

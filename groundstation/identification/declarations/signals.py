@@ -65,10 +65,19 @@ def similarity(first: Array, second: Array) -> float:
     return float(np.sum(first * second)) / size if size > 0.0 else 0.0
 
 
-def alike(first: Array, second: Array) -> float:
-    """Mean correlation of the columns, so that an axis that moves little has a say."""
-    size = np.std(first, axis=0) * np.std(second, axis=0) + 1e-12
-    return float(np.mean(np.mean((first - first.mean(axis=0)) * (second - second.mean(axis=0)), axis=0) / size))
+def correlations(first: Array, second: Array) -> Array:
+    """Correlation of each column of the first with each of the second, (d, d)."""
+    size = np.outer(np.std(first, axis=0), np.std(second, axis=0)) + 1e-12
+    return (first - first.mean(axis=0)).T @ (second - second.mean(axis=0)) / len(first) / size
+
+
+def alike(found: Array, matrix: Array) -> float:
+    """Mean correlation of the columns under a naming of the first one's axes, so that an axis that moves little has a say.
+
+    Args:
+        found: of :func:`correlations`.
+    """
+    return float(np.sum(matrix * found.T)) / len(found)
 
 
 def apart(better: Array, declared: Array, measured: Array) -> float:
