@@ -62,8 +62,8 @@ class SampleFunction:
             given = [np.zeros(mapped.numel_in(i)) for i in range(len(inputs))]
             found = np.zeros(mapped.numel_out(0))
             for i, each in enumerate(given):
-                buffer.set_arg(i, memoryview(each))
-            buffer.set_res(0, memoryview(found))
+                buffer.set_arg(i, each.data)  # pyright: ignore[reportCallIssue]: typed as C++ has it, with a size
+            buffer.set_res(0, found.data)  # pyright: ignore[reportCallIssue]
             self._maps[kind, count] = call, given, found, buffer
         call, given, found, _ = self._maps[kind, count]
         for each, values in zip(given, inputs, strict=True):

@@ -143,10 +143,13 @@ class LiveEstimate:
         for sample in samples:
             if isinstance(sample, Battery):
                 self._estimator.battery(sample.voltage_v)
+        rotors = self._vehicle.rotors
+        spun = [
+            s for s in samples if isinstance(s, Motors) and len(s.values) == (4 if s.kind == "wrench" else rotors.count)
+        ]
         if self._unjudged is not None:
-            self._judge([s for s in samples if isinstance(s, Motors)])
-        kind = self._vehicle.rotors.input
-        motors = np.array([(s.device_s, *s.values) for s in samples if isinstance(s, Motors) and s.kind == kind])
+            self._judge(spun)
+        motors = np.array([(s.device_s, *s.values) for s in spun if s.kind == rotors.input])
         if (newest := self._estimator.add(imu, motors)) is not None:
             self.table, self.estimates = self._rows(newest), newest.parameters
 
