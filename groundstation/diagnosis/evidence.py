@@ -16,7 +16,7 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.effect import Effect, Settings, library
+from groundstation.diagnosis.effect import Effect, Settings, library, weight
 from groundstation.diagnosis.joint import pseudo_inverse, updated_rigid_body
 from groundstation.diagnosis.signals import planned_signals, thinned
 from groundstation.diagnosis.thresholds import THRESHOLDS
@@ -320,7 +320,10 @@ class Evidence:
         self._base = Columns(self.x, self.z, np.zeros(6))
         self._output = Columns(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
         self._products: dict[tuple[int, int], tuple[Array, Array]] = {}
+        self._beside: tuple[tuple[int, ...], tuple[Array, Array, Array]] | None = None
         self._priors: dict[str, Array] = {}
+        vehicle = flights[0].prepared.record.vehicle
+        self.scale = weight(vehicle) * np.array([1.0] * 3 + [vehicle.arm_m()] * 3)
         self.weight = np.ones(len(self.y))
         self.weight = np.minimum(1.0, THRESHOLDS.outlier_std / np.maximum(np.abs(self._plain_remainder()), 1e-9))
 
@@ -389,21 +392,43 @@ class Evidence:
             rows: which rows to use (all). Products over all rows are remembered.
         """
         members = [self._base, *(columns for _, columns in chosen)]
-        sizes = [columns.sensitivity.shape[1] for columns in members]
-        ends = np.cumsum(sizes)
-        places = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
-        zx, zy = self._precision(chosen), np.empty(ends[-1])
-        zz = zx.copy()
-        for a, row in zip(members, places, strict=True):
-            for b, column in zip(members, places, strict=True):
-                pair = self._product(a, b, rows)
-                zx[row, column] += pair[0]
-                zz[row, column] += pair[1]
-            zy[row] = self._product(a, self._output, rows)[0][:, 0]
+        precision = self._precision(chosen)
+        zx, zz, zy = self._products_of(members, rows)
+        zx, zz = zx + precision, zz + precision
         scale = np.sqrt(np.diag(zz))
         scale[scale == 0.0] = 1.0  # what no row is of, as another flight's bias, stays as it is
         inverse = pseudo_inverse(zx, scale)
         return Solution(inverse @ zy, inverse @ zz @ inverse.T, self.x.shape[1])
+
+    def _products_of(self, members: Sequence[Columns], rows: NDArray[np.bool_] | None) -> tuple[Array, Array, Array]:
+        """Z^T W C, Z^T W Z and Z^T W y of all members together.
+
+        A selection tries one candidate after another beside the same members: those are put together once and remembered.
+        """
+        first, last = members[:-1], members[-1]
+        if not first:
+            zx, zz = self._product(last, last, rows)
+            return zx, zz, self._product(last, self._output, rows)[0][:, 0]
+        key = tuple(columns.number for columns in first)
+        if rows is not None:
+            before = self._products_of(first, rows)
+        elif self._beside is not None and self._beside[0] == key:
+            before = self._beside[1]
+        else:
+            before = self._products_of(first, None)
+            self._beside = key, before
+        place = len(before[2])
+        total = place + last.sensitivity.shape[1]
+        zx, zz, zy = np.empty((total, total)), np.empty((total, total)), np.empty(total)
+        zx[:place, :place], zz[:place, :place], zy[:place] = before
+        end = 0
+        for columns in first:
+            start, end = end, end + columns.sensitivity.shape[1]
+            zx[start:end, place:], zz[start:end, place:] = self._product(columns, last, rows)
+            zx[place:, start:end], zz[place:, start:end] = self._product(last, columns, rows)
+        zx[place:, place:], zz[place:, place:] = self._product(last, last, rows)
+        zy[place:] = self._product(last, self._output, rows)[0][:, 0]
+        return zx, zz, zy
 
     def _precision(self, chosen: Sequence[tuple[Candidate, Columns]]) -> Array:
         """Prior precision of base and chosen candidates together."""

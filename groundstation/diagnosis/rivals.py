@@ -43,11 +43,8 @@ def preferred(sets: Sequence[Sequence[Entry]], scores: Sequence[float], misfit: 
 
 def material(evidence: Evidence, columns: Columns, values: Array) -> bool:
     """Whether an effect of these values is large enough to matter to anyone."""
-    vehicle = evidence.flights[0].prepared.record.vehicle
-    weight = vehicle.mass_kg * vehicle.gravity_m_s2
     size = np.abs(columns.wrench_rms @ np.abs(values))
-    scale = np.array([weight] * 3 + [weight * vehicle.arm_m()] * 3)
-    return bool(np.any(size / scale > THRESHOLDS.material_share))
+    return bool(np.any(size / evidence.scale > THRESHOLDS.material_share))
 
 
 def plausible(candidate: Candidate, values: Array, covariance: Array) -> bool:
