@@ -1,4 +1,4 @@
-"""How fast the station is: sections of measurements, kept in docs/results/speed.json and shown by docs/results/speed.md.
+"""How fast the station is: sections of measurements, kept in docs/results/speed.json and shown by its page beside it.
 
     python -m benchmarks.speed SECTION [...]            measure sections anew and write file and table
     python -m benchmarks.speed SECTION --before         keep what is measured as the "before" of the section
@@ -28,7 +28,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 FILE = ROOT / "docs" / "results" / "speed.json"
-TABLE = ROOT / "docs" / "results" / "speed.md"
+TABLE = FILE.with_suffix(".md")
 SECTIONS = ("estimation", "starts", "peers")
 """In the order of the page."""
 

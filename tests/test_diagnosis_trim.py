@@ -10,14 +10,13 @@ import numpy as np
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.trim import compare_trims, mean_thrust
-from groundstation.model.rotors import wrench_matrix
 from groundstation.paths import find_config
 from groundstation.vehicle import load_vehicle
 
 VEHICLE = load_vehicle(find_config("vehicles", "x500"))
 WEIGHT = VEHICLE.mass_kg * VEHICLE.gravity_m_s2
 HOVER = np.full(4, WEIGHT / VEHICLE.rotors.count)
-MATRIX = wrench_matrix(VEHICLE)
+MATRIX = VEHICLE.allocation()
 HUBS = np.asarray(VEHICLE.rotors.position_m)[:, :2]
 SCALE = WEIGHT * np.array([1.0, VEHICLE.arm_m(), VEHICLE.arm_m(), VEHICLE.rotors.torque_to_thrust_m or 1.0])
 

@@ -18,6 +18,9 @@ FLIGHT = Path(timeouts.__file__).parent
 MEASURES = {"CLOCK_S", "HEARTBEAT_S", "CLOCK_ERROR_S", "GROUND_S", "STRETCH_S", "BROKEN_S", "JUDGED_AFTER_S"} | {
     "RATE_WINDOW_S",
     "LATEST_S",
+    "KEPT_S",
+    "CARRIED_S",
+    "LATE_S",
 }
 """Limits and windows of data, in seconds: they say how something is judged, not how long anyone waits."""
 

@@ -17,7 +17,7 @@ from groundstation.identification.preparation import prepare
 from groundstation.identification.record_model import RecordModel
 from groundstation.model import parameters
 from groundstation.model.parameters import FitOptions, declared_parameters
-from groundstation.model.prediction import VehicleModel, _Motion
+from groundstation.model.rigid_kernel import stepped
 from groundstation.paths import find_config
 from groundstation.planning.limits import envelope
 from groundstation.reporting.exports import export
@@ -157,14 +157,12 @@ def test_exports_hold_the_axes_or_refuse_by_name():
 
 def test_the_prediction_pushes_sideways_where_the_rotors_do():
     vehicle = shipped("hexa-tilted")
-    motion = object.__new__(_Motion)
-    motion._model = VehicleModel(vehicle, vehicle.mass_kg, vehicle.inertia_tensor())
-    motion._matrix, motion._inverse = vehicle.six_row_allocation(), np.linalg.inv(vehicle.inertia_tensor())
-    motion._com, motion._damping, motion._gravity = np.zeros(3), np.zeros(3), np.zeros(3)
-    thrust = np.array([[5.0, 4.0, 4.0, 4.0, 4.0, 4.0]])
-    still = np.zeros((1, 3))
-    linear, turning = motion.accelerations(still, np.array([[1.0, 0.0, 0.0, 0.0]]), still, thrust, np.zeros((1, 6)))
-    made = vehicle.six_row_allocation() @ thrust[0]
-    assert np.allclose(linear[0], made[:3] / vehicle.mass_kg)
-    assert np.allclose(turning[0], np.linalg.solve(vehicle.inertia_tensor(), made[3:]))
-    assert abs(linear[0, 0]) > 0.1
+    tensor = vehicle.inertia_tensor()
+    body = (vehicle.mass_kg, tensor, np.linalg.inv(tensor), np.zeros(3), np.zeros(3), 0.0, 0.0, 0.0)
+    made = vehicle.six_row_allocation() @ np.array([5.0, 4.0, 4.0, 4.0, 4.0, 4.0])
+    state, step_s = np.zeros((1, 13)), 1e-6
+    state[0, 6] = 1.0
+    turning = stepped(state, made[None], np.zeros((1, 3)), body, step_s)
+    assert np.allclose(state[0, 3:6], step_s * made[:3] / vehicle.mass_kg, rtol=1e-4)
+    assert np.allclose(turning[0], np.linalg.solve(tensor, made[3:]), rtol=1e-4)
+    assert abs(made[0] / vehicle.mass_kg) > 0.1

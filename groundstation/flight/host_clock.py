@@ -6,7 +6,7 @@ import re
 import shutil
 import subprocess
 
-ASK_S = 2.0
+from groundstation.flight import timeouts
 
 
 def host_time_sync() -> list[str]:
@@ -27,7 +27,9 @@ def _asked(command: tuple[str, ...]) -> str | None:
     if shutil.which(command[0]) is None:
         return None
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=ASK_S, errors="replace")
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=timeouts.CLOCK_DAEMON_S, errors="replace"
+        )
     except (OSError, subprocess.TimeoutExpired):
         return None
     return done.stdout if done.returncode == 0 else None

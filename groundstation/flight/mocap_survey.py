@@ -11,10 +11,10 @@ import numpy as np
 from drivers.mocap.discovery import Found
 from drivers.mocap.health import Health, Summary
 from drivers.mocap.session import SYSTEMS, Session
+from groundstation.flight import timeouts
 from groundstation.flight.mocap_judging import Track, body_row, faults
 
 MOST_BODIES = 50
-FIRST_FRAME_S = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ def survey_all(systems: Iterable[Found], seconds: float = 3.0) -> list[SystemSur
 
 
 def _watch(session: Session, watched: dict[str, _Watched], seconds: float) -> None:
-    until_s, seen = time.monotonic() + FIRST_FRAME_S, False
+    until_s, seen = time.monotonic() + timeouts.MOCAP_FIRST_FRAME_S, False
     while time.monotonic() < until_s:
         for arrived in session.poll():
             if not seen:

@@ -141,3 +141,9 @@ SUSPECTS_EVERY_S = 5.0
 """Between two diagnoses of a flight while it flies."""
 WINDOW_MOVED_S = 0.5
 """By less, an excitation's window that is told again is the same one: a link's clock runs a little differently each time."""
+
+CLOCK_DAEMON_S = 2.0
+"""What the host's own clock daemon (chrony, PTP) may take to answer a question; without it its state is left out."""
+
+MOCAP_FIRST_FRAME_S = 3.0
+"""How long a survey waits for a camera system's first frame: a connection and a few frames of the slowest one."""
