@@ -267,34 +267,15 @@ def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: 
     extra = len(models[0].extra)
     if not options.lag:
         return fit(models, declared_parameters(vehicle, lag_s=0.0, extra=extra), options)
-    best = _one_lag(models, vehicle, options)
+    first = replace(options, symmetric_lag=True, delay=False, colour_rounds=1, autoregression=0)
+    tried = [fit(models, declared_parameters(vehicle, lag_s=lag, extra=extra), first) for lag in (0.02, 0.08)]
+    best = min(tried, key=lambda found: found.cost)
     channels = [model.channels(options) for model in models]
     best = fit(models, divided_anew(models, best, options), options, per_flight(best.colours, channels))
     start = divided_anew(models, best, options)
     if start is best.parameters:
         return best
     return min(best, fit(models, start, options, per_flight(best.colours, channels)), key=lambda found: found.cost)
-
-
-COARSER = 3
-"""Blocks that the search for one lag takes for one: it shows below 25 Hz."""
-
-
-def _one_lag(models: Sequence[RecordModel], vehicle: Vehicle, options: FitOptions) -> Fitted:
-    """The likelier of the fits with one lag and no dead time from two starts, at a coarser rate, with its noise at the models' own."""
-    coarse = [model.coarser(COARSER) for model in models]
-    if any(len(model.t_s) < 200 for model in coarse):
-        coarse = list(models)
-    first = replace(options, symmetric_lag=True, delay=False, colour_rounds=1, autoregression=0)
-    extra = len(models[0].extra)
-    tried = [fit(coarse, declared_parameters(vehicle, lag_s=lag, extra=extra), first) for lag in (0.02, 0.08)]
-    best = min(tried, key=lambda found: found.cost)
-    channels = [model.channels(options) for model in models]
-    colours = [
-        noise_model(model, model.residual(best.parameters), chosen, known, 0)[0]
-        for model, chosen, known in zip(models, channels, per_flight(best.colours, channels), strict=True)
-    ]
-    return replace(best, colours=tuple(colour for each in colours for colour in each))
 
 
 DIVISION_S = 0.002

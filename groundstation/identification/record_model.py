@@ -140,11 +140,6 @@ class RecordModel:
         known = [True] * 3 + [bool(np.isfinite(self.force[:, axis]).all()) for axis in range(3)]
         return tuple(c for c in options.channels if known[c] and c not in self.silent)
 
-    def coarser(self, times: int) -> RecordModel:
-        """The same record in blocks of so many of its own."""
-        record = replace(self.record, block=times * self.record.block)
-        return RecordModel(record, self.extra, self.planned, self.silent)
-
     def restarted(self, restart: Mask) -> RecordModel:
         """The same record with other segment starts."""
         other = RecordModel(self.record, self.extra, self.planned, self.silent)
