@@ -10,8 +10,10 @@ import pytest
 from scipy.stats import chi2, f
 
 from benchmarks.flown import flight_data
+from groundstation.diagnosis.attribution import Selection
 from groundstation.diagnosis.base import for_evidence
-from groundstation.diagnosis.evidence import Columns, Evidence, FlightEvidence, updated_rigid_body
+from groundstation.diagnosis.effect import library
+from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, updated_rigid_body
 from groundstation.diagnosis.linearisation import linearisation
 from groundstation.diagnosis.scale import scale_findings
 from groundstation.diagnosis.whitening import bands_of, coefficients
@@ -162,3 +164,16 @@ def test_only_a_weighed_mass_tells_another_thrust_constant():
     )
     assert scale_findings(unsure, found) == []  # the declaration itself is not surer than that
     assert scale_findings(vehicle, {"mass_kg": Estimate.normal(2.0, 0.001)}) == []
+
+
+def test_two_candidates_that_drive_each_other_out_do_not_take_turns_for_ever(monkeypatch):
+    """On measured flights without a plan this kept the diagnosis busy without end."""
+    entries = [
+        (Candidate(effect, {}), Columns(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros(6)))
+        for effect in list(library().values())[:3]
+    ]
+    start, one, other = entries
+    selection = object.__new__(Selection)
+    monkeypatch.setattr(selection, "_best_addition", lambda chosen, _: other if chosen[-1] is one else one)
+    monkeypatch.setattr(selection, "_pruned", lambda chosen: [start, chosen[-1]])
+    assert len(selection._grown(start)) == 2

@@ -217,12 +217,13 @@ class Selection:
 
     def _grown(self, start: Entry) -> list[Entry]:
         """Forward selection from one candidate, without rivals for a place."""
-        chosen = [start]
+        chosen, been = [start], {frozenset({start[1].number})}
         while len(chosen) < THRESHOLDS.effects_most and (entry := self._best_addition(chosen, set())) is not None:
-            before = [c for c, _ in chosen]
             chosen = self._pruned([*chosen, entry])
-            if [c for c, _ in chosen] == before:
+            now = frozenset(columns.number for _, columns in chosen)
+            if now in been:  # two that drive each other out would take turns for ever
                 break
+            been.add(now)
         return chosen
 
     def _polished(self, chosen: list[Entry]) -> list[Entry]:

@@ -87,6 +87,8 @@ def _with_low_frequencies(found: Diagnosis, case: Case, base: Base) -> Diagnosis
     if not low_frequencies_apply(case.suspects):
         return found
     low = by_low_frequencies(case.suspects, base.fitted)
+    if low is None:
+        return found
     hidden = unrevealed(low, case.suspects)
     estimates, constants = anchored(case.vehicle, low.names, low.values, low.covariance)
     own = {name: value for name, value in estimates.items() if name not in hidden}

@@ -84,8 +84,15 @@ def slow(prepared: Prepared, p: Parameters) -> Slow:
     sos = butter(2, edge, fs=rate_hz, output="sos")
     cut = slice(None, None, max(1, round(rate_hz / (SAMPLES_PER_BAND * edge))))
 
+    margin = round(EDGE_S * rate_hz)
+    stretches = [slice(*ends) for ends in _runs(record.keep) if ends[1] - ends[0] > 2 * margin]
+
     def low(values: Array) -> Array:
-        return np.asarray(sosfiltfilt(sos, np.nan_to_num(values), axis=0))
+        """Each stretch by itself: what stands in a gap is of no flight."""
+        out = np.zeros(values.shape)
+        for stretch in stretches:
+            out[stretch] = sosfiltfilt(sos, np.nan_to_num(values[stretch]), axis=0)
+        return out
 
     signals = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
     anchor = vehicle.mass_kg / p.mass_kg if vehicle.identification.anchor == "mass" else 1.0
@@ -94,9 +101,11 @@ def slow(prepared: Prepared, p: Parameters) -> Slow:
     velocity = signals.velocity_body_m_s()
     rate = low(record.rate_rad_s)
     turning = np.gradient(rate, record.t_s, axis=0)
-    near = np.convolve(~record.keep, np.ones(2 * round(EDGE_S * rate_hz) + 1), mode="same") > 0.5
+    used = np.zeros(len(record.keep), bool)
+    for stretch in stretches:
+        used[stretch.start + margin : stretch.stop - margin] = True
     return Slow(
-        used=(record.keep & ~near)[cut],
+        used=used[cut],
         step_s=float(cut.step) / rate_hz,
         torque=wrench[cut, 3:],
         thrust=wrench[cut, 2],
@@ -112,6 +121,12 @@ def slow(prepared: Prepared, p: Parameters) -> Slow:
         scale_n=vehicle.mass_kg * vehicle.gravity_m_s2,
         arm_m=vehicle.arm_m(),
     )
+
+
+def _runs(keep: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and one past the last of each run of what is kept."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], keep, [False]]).astype(np.int8)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def parts_of(whole: Slow) -> list[Slow]:

@@ -66,8 +66,8 @@ def applies(prepared: Sequence[Prepared]) -> bool:
     )
 
 
-def by_low_frequencies(prepared: Sequence[Prepared], fitted: Fitted) -> Fitted:
-    """The fit with mass and moments by low frequencies; products of inertia unknown.
+def by_low_frequencies(prepared: Sequence[Prepared], fitted: Fitted) -> Fitted | None:
+    """The fit with mass and moments by low frequencies, products of inertia unknown; None where no stretch is long enough for that.
 
     Args:
         prepared: the flights.
@@ -76,7 +76,10 @@ def by_low_frequencies(prepared: Sequence[Prepared], fitted: Fitted) -> Fitted:
     parts = [part for item in prepared for part in parts_of(slow(_by_thrust(item), fitted.parameters))]
     trace = float(np.trace(parts[0].tensor))
     found = dict.fromkeys(MASS_AND_TENSOR, (0.0, trace))
-    found["mass_kg"] = _mass([lightness_equation(part) for part in parts], prepared)
+    mass = _mass([lightness_equation(part) for part in parts], prepared)
+    if mass is None:
+        return None
+    found["mass_kg"] = mass
     equations = [moment_equations(part) for part in parts]
     for axis, name in enumerate(MOMENTS):
         value, std = _pooled([_plain(each[axis]) for each in equations])
@@ -103,9 +106,11 @@ def _by_thrust(prepared: Prepared) -> Prepared:
     )
 
 
-def _mass(equations: Sequence[Equation], prepared: Sequence[Prepared]) -> tuple[float, float]:
-    """Mass by one over its inverse, with the accelerometer's bias and what the effects beside it leave open."""
+def _mass(equations: Sequence[Equation], prepared: Sequence[Prepared]) -> tuple[float, float] | None:
+    """Mass by one over its inverse, with the accelerometer's bias and what the effects beside it leave open; None where none shows."""
     value, std = _pooled([_plain(equation) for equation in equations])
+    if not np.isfinite(std) or value <= 0.0:
+        return None
     gravity = prepared[0].record.vehicle.gravity_m_s2
     bias = min(float(item.record.force_bias_std[2]) for item in prepared) / gravity
     return 1.0 / value, float(np.hypot(std / value, bias)) / value
