@@ -99,11 +99,10 @@ class DriverContract:
             assert frame.body(str(found.number)) == found
 
     def test_a_body_that_is_lost_is_told_and_found_again(self, client):
-        if not self.hides:
-            pytest.skip("the protocol goes silent with its only body")
         client.collect(20)
         client.server.scene.hidden.add("drone")
-        client.collect(1, after=lambda a: a.frame.body(self.body) is None and self.body in a.frame.lost)
+        if self.hides:  # else the protocol goes silent with its only body
+            client.collect(1, after=lambda a: a.frame.body(self.body) is None and self.body in a.frame.lost)
         client.server.scene.hidden.clear()
         client.collect(5, after=lambda a: a.frame.body(self.body) is not None)
 

@@ -91,10 +91,8 @@ def test_damaged_messages_are_skipped_and_the_next_ones_read(system, data):
         reader.due(1.0)
 
 
-@pytest.mark.parametrize("system", SYSTEMS)
+@pytest.mark.parametrize("system", [name for name, system in SYSTEMS.items() if system.kind == "tcp"])
 def test_streams_may_be_cut_anywhere(system):
-    if SYSTEMS[system].kind != "tcp":
-        pytest.skip("datagrams are whole")
     whole, cut = SYSTEMS[system].reader(), SYSTEMS[system].reader()
     stream = b"".join(said(system))
     expected = whole.feed(stream, 1.0)

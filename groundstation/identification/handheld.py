@@ -25,7 +25,7 @@ from groundstation.identification.reconstruction import Compatibility, reconstru
 
 Array = NDArray[np.float64]
 
-LEAST_S = 10.0
+LEAST_S = 8.0
 LEAST_TURNING_RAD_S = 0.25
 """Root mean square of the rates about the second axis: a slow turn of the wrist; less tells no rotation."""
 CLEARLY = 0.05
