@@ -247,15 +247,22 @@ def misfit(
     polynomials: Sequence[Sequence[Array]],
 ) -> float:
     """Half the robust squared innovations and the logarithms of their deviations, at ``p`` under given noise models."""
-    total = 0.0
-    for index, model in enumerate(models):
-        residual = model.residual(p)
-        blank = np.zeros((*residual.shape, 0))
-        ys, _, logs = whiten(model, residual, blank, channels[index], state[index], polynomials[index])
-        total += logs
-        for y in ys:
-            total += float(np.sum(np.where(huber(y) < 1.0, 3.0 * np.abs(y) - 4.5, 0.5 * y**2)))
-    return total
+    return sum(
+        innovation_cost(model, model.residual(p), channels[index], state[index], polynomials[index])
+        for index, model in enumerate(models)
+    )
+
+
+def innovation_cost(
+    model: RecordModel,
+    residual: Array,
+    channels: Sequence[int],
+    colours: Sequence[NoiseModel],
+    polynomials: Sequence[Array],
+) -> float:
+    """The same of one record's residual."""
+    ys, _, logs = whiten(model, residual, np.zeros((*residual.shape, 0)), channels, colours, polynomials)
+    return logs + sum(float(np.sum(np.where(huber(y) < 1.0, 3.0 * np.abs(y) - 4.5, 0.5 * y**2))) for y in ys)
 
 
 def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: FitOptions) -> Fitted:
@@ -292,7 +299,11 @@ def divided_anew(models: Sequence[RecordModel], found: Fitted, options: FitOptio
     tried = [p] + [
         replace(p, lag_up_s=p.lag_up_s - s, lag_down_s=p.lag_down_s - s, delay_s=p.delay_s + s) for s in shifts if s
     ]
-    return min(tried, key=lambda each: misfit(models, each, channels, *noise))
+    costs = np.zeros(len(tried))
+    for index, model in enumerate(models):
+        own = channels[index], noise[0][index], noise[1][index]
+        costs += [innovation_cost(model, residual, *own) for residual in model.residuals(tried)]
+    return tried[int(np.argmin(costs))]
 
 
 SHOOTING_S = 2.0

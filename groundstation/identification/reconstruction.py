@@ -24,7 +24,10 @@ from groundstation.frames import (
     quat_normalise,
     quat_rotate,
 )
+from groundstation.identification.newton import minimum
 from groundstation.identification.noise import NoiseModel, fit_noise_model, innovations
+from groundstation.identification.noise_kernel import LANES
+from groundstation.identification.position_kernel import position_costs
 from groundstation.identification.smoothing import integrate_rates, local_level, position_filter, position_smoother
 
 Array = NDArray[np.float64]
@@ -461,6 +464,12 @@ def _stamp_jitter(residual: Array, turning: Array, variance: Array, outlier: Mas
 
 # No capture system resolves less than a micrometre; a simulated one without noise must not make the filter singular.
 _FINEST = np.array([1e-6, 1e-5, 1e-5])
+_COARSEST = np.array([1e2, 1e3, 1e3])
+"""Metres of pose noise, and g of acceleration over a second: nothing that is measured is worse."""
+_STEPS = 20
+"""Of the search for the noise of positions."""
+INITIAL_M_S2 = 0.3
+"""What of an acceleration is unknown at first."""
 
 
 def _local_noise(residual: Array, dt: Array, restart: Mask, start: NoiseModel | None = None) -> NoiseModel:
@@ -471,27 +480,19 @@ def _local_noise(residual: Array, dt: Array, restart: Mask, start: NoiseModel | 
 
 def _position_noise(error: Array, dt: Array, start: Array | None = None) -> Array:
     """Most likely (pose noise, white acceleration, acceleration walk, initial acceleration) of position errors."""
-    from scipy.optimize import minimize
-
     if start is None:
         third = np.diff(error, 3, axis=0)
         rough = float(np.median(np.abs(third)) / 0.6745 / np.sqrt(20.0)) + 1e-7
         start = np.array([rough, 0.01, 0.01, 0.3])
+    series = np.ascontiguousarray(error)
 
-    def noise_of(logs: Array) -> Array:
-        return np.array([*np.maximum(np.exp(logs), _FINEST), 0.3])
+    def costs(points: Array) -> Array:
+        noises = np.column_stack([np.exp(points), np.full(len(points), INITIAL_M_S2)])
+        parts = [position_costs(series, dt, noises[i : i + LANES]) for i in range(0, len(noises), LANES)]
+        return np.concatenate(parts)
 
-    def cost(logs: Array) -> float:
-        noise = noise_of(logs)
-        e, s, *_ = position_filter(error, dt, noise)
-        keep = np.isfinite(s)
-        square = np.minimum(e[keep] ** 2 / np.maximum(s[keep, None], 1e-30), 25.0)
-        return 0.5 * float(3.0 * np.sum(np.log(np.maximum(s[keep], 1e-30))) + np.sum(square))
-
-    found = minimize(
-        cost, np.log(start[:3]), method="Nelder-Mead", options={"maxiter": 80, "xatol": 0.05, "fatol": 0.1}
-    )
-    return noise_of(found.x)
+    found, _ = minimum(costs, np.log(start[:3]), np.log(_FINEST), np.log(_COARSEST), _STEPS)
+    return np.array([*np.exp(found), INITIAL_M_S2])
 
 
 SHARED = 0.5
