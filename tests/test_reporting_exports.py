@@ -521,7 +521,9 @@ def _ardupilot_wrench(frame: dict[str, Any], commands: np.ndarray, speed_m_s: fl
         u = (pulse - low) / (high - low)
         thrust = weight / frame["num_motors"] / frame["hoverThrOut"] * ((1.0 - e) * u + e * u**2)
         twist = np.array([0.0, 0.0, frame[f"motor{i}_yaw"] * u * 0.05 * frame["diagonal_size"] * thrust])
-        drag = frame["mdrag_coef"] * np.sqrt(rho * frame["disc_area"] / frame["num_motors"]) * speed_m_s * np.sqrt(thrust)
+        drag = (
+            frame["mdrag_coef"] * np.sqrt(rho * frame["disc_area"] / frame["num_motors"]) * speed_m_s * np.sqrt(thrust)
+        )
         push = np.array([-drag, 0.0, -thrust])
         force += push
         torque += np.cross(frame[f"motor{i}_position"], push) + twist
