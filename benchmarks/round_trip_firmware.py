@@ -6,7 +6,7 @@ The first flight is our simulator's (x500, scenario hall, findings put in), or t
 ``px4-sih`` parameters, ArduCopter's simulator the ``ardupilot-sitl`` frame, each with our plan, uploaded and led by ``groundstation fly``
 as with any vehicle, and identified from what came over the link. The second identification starts from the declared vehicle, with the thrust
 curve that the simulator has. z is the difference to what the file holds, in standard deviations of the second estimate; what a simulator does
-not hold is zero there. Kept in docs/results/exports_round_trip.json. Ports UDP 14540 and TCP 5760 must be free.
+not hold is zero there. Kept in docs/results/exports_round_trip.json. Each runs as its instance 7, beside others: UDP 14547, TCP 5830.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from groundstation.reporting.exports import read_model
 from groundstation.reporting.identified import identified_from_document
 from groundstation.vehicle import vehicle_from_dict, vehicle_to_dict
 
-NOT_READY, READY_S = 3, 300.0
+NOT_READY, READY_S, INSTANCE = 3, 300.0, 7
 ALTITUDE_M = 593.0
 """ArduPilot's reference height, at which the exported thrust holds."""
 HOME = f"-35.363262,149.165237,{ALTITUDE_M:g},353"
@@ -67,7 +67,8 @@ def in_px4(binary: Path, model: Mapping[str, Any], folder: Path) -> There:
     holds = {name: turned.get(name, 1.0) * sih[f"SIH_{key}"] for name, key in names.items()}
     holds |= dict.fromkeys(BESIDE, sih["SIH_T_TAU"])
     return There(
-        "PX4 v1.17.0-alpha1, SIH", "udpin://127.0.0.1:14540", px4_command(binary, folder),
+        "PX4 v1.17.0-alpha1, SIH", f"udpin://127.0.0.1:{14540 + INSTANCE}",
+        [*px4_command(binary, folder), "-i", str(INSTANCE)],
         SIH_ENVIRONMENT | {f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in sih.items()}, declared, holds,
         "centre of mass; thrust by the square of the command (linear, matched at hover)",
     )  # fmt: skip
@@ -81,9 +82,9 @@ def in_arducopter(binary: Path, model: Mapping[str, Any], folder: Path) -> There
     named = {name: value for name, value in vehicle.parameters().items() if name in MASS_AND_TENSOR}
     holds = named | dict.fromkeys(PRODUCTS, 0.0) | dict.fromkeys(BESIDE, 0.0)
     volts = f"SIM_BATT_VOLTAGE {vehicle.battery.full_v:g}\nSCR_ENABLE 1\n"
-    command = [*arducopter_command(binary, folder, volts, model=f"quad:{frame}"), "--home", HOME]
+    command = [*arducopter_command(binary, folder, volts, model=f"quad:{frame}"), "--home", HOME, f"-I{INSTANCE}"]
     return There(
-        "ArduCopter 4.7.0-dev, SITL", "tcp://127.0.0.1:5760", command, {}, dict(model["vehicle"]), holds,
+        "ArduCopter 4.7.0-dev, SITL", f"tcp://127.0.0.1:{5760 + 10 * INSTANCE}", command, {}, dict(model["vehicle"]), holds,
         "products of inertia; lag; reaction torque in proportion to thrust (slope matched at hover)",
     )  # fmt: skip
 

@@ -16,6 +16,7 @@ from groundstation.commands.common import (
     json_option,
     load_flights,
     logs_option,
+    require_there,
     result_folder,
     seconds_pair,
 )
@@ -268,6 +269,7 @@ def predict(
     end_s: float | None,
 ) -> Result:
     """Simulate open loop from every sample of FLIGHT with MODEL (identification.toml), and say how far off it is."""
+    require_there(model)
     loaded = load_flights((flight,), vehicle, start_s, end_s)[0]
     from groundstation import api
     from groundstation.reporting.exports import read_model
