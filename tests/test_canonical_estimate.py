@@ -57,7 +57,7 @@ def test_every_place_shows_the_same_digits(kind, tmp_path: Path):
     cells = {row[0]: row[3] for row in table}
     report = write_report(tmp_path / "report.html", flight, identification, diagnosis).read_text()
     assert estimate.source in text and header[3].startswith(estimate.source)
-    assert f"Estimate: {estimate.source}" in report
+    assert f"Estimate by {method_text(estimate.source)}" in report
     predicted = model_from_document(model, flight.vehicle)
     assert predicted.mass_kg == estimate.parameters["mass_kg"].value
     assert identified.vehicle.mass_kg == estimate.parameters["mass_kg"].value

@@ -10,7 +10,7 @@ from groundstation.errors import Refused
 from groundstation.identification.results import Estimate, Identification
 from groundstation.reporting import figures
 from groundstation.reporting.canonical import canonical
-from groundstation.reporting.card import landing_card
+from groundstation.reporting.card import difference, landing_card
 from groundstation.reporting.markup import Markup, element, fragment, sentence_list, table
 from groundstation.reporting.page import Page
 from groundstation.reporting.sections.parameters import reason
@@ -19,6 +19,7 @@ from groundstation.reporting.units import (
     half_width,
     interval_text,
     label,
+    method_text,
     percent,
     quantity,
     readable,
@@ -50,8 +51,10 @@ def effect_name(effect: str) -> str:
     return _NAMES.get(effect, effect.replace("_", " ").capitalize())
 
 
-def add_verdict(page: Page, identification: Identification | Refused, diagnosis: Diagnosis | None) -> None:
-    """The section a reader sees first."""
+def add_verdict(
+    page: Page, identification: Identification | Refused, diagnosis: Diagnosis | None, declared: Mapping[str, float]
+) -> None:
+    """The section a reader sees first; the tiles tell what differs from what was declared."""
     warnings = _warnings(identification, diagnosis)
     if isinstance(identification, Refused):
         content = _banner(
@@ -66,7 +69,7 @@ def add_verdict(page: Page, identification: Identification | Refused, diagnosis:
             "Verdict",
             _banner("open", "Identified; not diagnosed.", best),
             warnings,
-            _cards(identification, None),
+            _cards(identification, None, declared),
         )
         return
     page.section(
@@ -74,7 +77,7 @@ def add_verdict(page: Page, identification: Identification | Refused, diagnosis:
         "Verdict",
         _judgement(identification, diagnosis),
         warnings,
-        _cards(identification, diagnosis),
+        _cards(identification, diagnosis, declared),
         _findings(diagnosis),
         _unexplained(diagnosis),
         _before_after(page, diagnosis),
@@ -87,8 +90,10 @@ def add_verdict(page: Page, identification: Identification | Refused, diagnosis:
 def _judgement(identification: Identification, diagnosis: Diagnosis) -> Markup:
     """The verdict with the landing card's word on trust and on what is next: a tick stands only where nothing is in doubt."""
     trust, _, following = landing_card(identification.to_dict(), diagnosis.to_dict(), {})
-    doubtful = diagnosis.verdict in ("clean", "explained") and not trust.startswith("Trust: yes")
-    reason_ = readable(diagnosis.reason, _identifiers(diagnosis))
+    trusted = trust.startswith("Trust: yes")
+    doubtful = diagnosis.verdict in ("clean", "explained") and not trusted
+    repeated = diagnosis.verdict == "clean" and trusted  # the title and the word on trust say it already
+    reason_ = "" if repeated else readable(diagnosis.reason, _identifiers(diagnosis))
     return _banner("open" if doubtful else diagnosis.verdict, VERDICTS[diagnosis.verdict], trust, reason_, following)
 
 
@@ -116,23 +121,25 @@ def _missing(names: tuple[str, ...]) -> Markup | None:
     return element("p", "No number is given for: ", ", ".join(label(n) for n in names), ".") if names else None
 
 
-def _cards(identification: Identification, diagnosis: Diagnosis | None) -> Markup:
+def _cards(identification: Identification, diagnosis: Diagnosis | None, declared: Mapping[str, float]) -> Markup:
     """Mass, moments and lag of the one estimate, and what it is to be read with."""
     estimate = canonical(identification, diagnosis)
     kept = estimate.parameters
     shown = [name for name in ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2") if name in kept]
     shown += [name for name in kept if name.startswith("rotor_lag")][:1]
-    note = element("p", f"Estimate: {estimate.source}. {estimate.note}".strip(), class_="note")
+    note = element("p", f"Estimate by {method_text(estimate.source)}. {estimate.note}".strip(), class_="note")
     widened = diagnosis is not None and bool(diagnosis.unexplained)
-    return fragment(element("div", [_card(name, kept[name], widened) for name in shown], class_="cards"), note)
+    return fragment(element("div", [_card(name, kept[name], declared.get(name), widened) for name in shown], class_="cards"), note)
 
 
-def _card(name: str, estimate: Estimate, widened: bool) -> Markup:
-    """Name, value with interval, unit; an interval that an unexplained residual has widened is called so."""
+def _card(name: str, estimate: Estimate, declared: float | None, widened: bool) -> Markup:
+    """Name, value with interval, unit, how far from the declared value; an interval that a residual has widened is called so."""
     scale = scale_for(split_unit(name)[1], [estimate.value])
     number = element("b", interval_text(estimate, scale), " ", element("span", scale.unit))
     doubt = element("span", "interval widened", class_="doubt") if widened else None
-    return element("div", element("span", label(name)), number, doubt, class_="card")
+    more = difference(estimate, declared)
+    against = element("span", f"{more} than declared" if more else "as declared") if declared else None
+    return element("div", element("span", label(name)), number, against, doubt, class_="card")
 
 
 def _identifiers(diagnosis: Diagnosis) -> set[str]:
