@@ -21,7 +21,7 @@ from groundstation.reporting.canonical import canonical, correlated
 from groundstation.reporting.exports import model_document, read_model
 from groundstation.reporting.identified import identified_from_document
 from groundstation.reporting.report import write_report
-from groundstation.reporting.units import interval_text, label, scale_for, split_unit
+from groundstation.reporting.units import interval_text, label, method_text, scale_for, split_unit
 from groundstation.tui.documents import method_table
 from tests.one_answer import disagreements
 

@@ -13,7 +13,15 @@ from groundstation.reporting.canonical import Canonical, canonical
 from groundstation.reporting.card import landing_card
 from groundstation.reporting.compare import cell, markdown_table
 from groundstation.reporting.sections.data import hashes, reproduction_commands
-from groundstation.reporting.units import interval_text, label, method_text, readable, scale_for, significant, split_unit
+from groundstation.reporting.units import (
+    interval_text,
+    label,
+    method_text,
+    readable,
+    scale_for,
+    significant,
+    split_unit,
+)
 
 if TYPE_CHECKING:  # the diagnosis is heavy to import, and only its type is needed
     from groundstation.diagnosis.results import Diagnosis

@@ -78,6 +78,7 @@ def add_verdict(
         _judgement(identification, diagnosis),
         warnings,
         _cards(identification, diagnosis, declared),
+        _reason(diagnosis),
         _findings(diagnosis),
         _unexplained(diagnosis),
         _before_after(page, diagnosis),
@@ -90,11 +91,16 @@ def add_verdict(
 def _judgement(identification: Identification, diagnosis: Diagnosis) -> Markup:
     """The verdict with the landing card's word on trust and on what is next: a tick stands only where nothing is in doubt."""
     trust, _, following = landing_card(identification.to_dict(), diagnosis.to_dict(), {})
-    trusted = trust.startswith("Trust: yes")
-    doubtful = diagnosis.verdict in ("clean", "explained") and not trusted
-    repeated = diagnosis.verdict == "clean" and trusted  # the title and the word on trust say it already
-    reason_ = "" if repeated else readable(diagnosis.reason, _identifiers(diagnosis))
-    return _banner("open" if doubtful else diagnosis.verdict, VERDICTS[diagnosis.verdict], trust, reason_, following)
+    doubtful = diagnosis.verdict in ("clean", "explained") and not trust.startswith("Trust: yes")
+    refused = readable(diagnosis.reason) if diagnosis.verdict == "refused" else ""
+    return _banner("open" if doubtful else diagnosis.verdict, VERDICTS[diagnosis.verdict], trust, refused, following)
+
+
+def _reason(diagnosis: Diagnosis) -> Markup | None:
+    """What the verdict rests on, below the tiles; a refusal has it in its banner."""
+    if diagnosis.verdict == "refused":
+        return None
+    return element("p", readable(diagnosis.reason, _identifiers(diagnosis)))
 
 
 def _banner(kind: str, title: str, *sentences: str) -> Markup:
@@ -113,8 +119,8 @@ def _warnings(identification: Identification | Refused, diagnosis: Diagnosis | N
     found |= {*(diagnosis.warnings if diagnosis else ())}
     if not found:
         return None
-    text = "One warning" if len(found) == 1 else f"{len(found)} warnings"
-    return element("p", element("a", f"{text}: read them before you use these numbers.", href="#warnings"))
+    text = "One warning: read it" if len(found) == 1 else f"{len(found)} warnings: read them"
+    return element("p", element("a", f"{text} before you use these numbers.", href="#warnings"))
 
 
 def _missing(names: tuple[str, ...]) -> Markup | None:
@@ -127,9 +133,12 @@ def _cards(identification: Identification, diagnosis: Diagnosis | None, declared
     kept = estimate.parameters
     shown = [name for name in ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2") if name in kept]
     shown += [name for name in kept if name.startswith("rotor_lag")][:1]
-    note = element("p", f"Estimate by {method_text(estimate.source)}. {estimate.note}".strip(), class_="note")
+    note = f"Estimate by {method_text(estimate.source)}; percentages are against the declared vehicle. {estimate.note}"
     widened = diagnosis is not None and bool(diagnosis.unexplained)
-    return fragment(element("div", [_card(name, kept[name], declared.get(name), widened) for name in shown], class_="cards"), note)
+    return fragment(
+        element("div", [_card(name, kept[name], declared.get(name), widened) for name in shown], class_="cards"),
+        element("p", note.strip(), class_="note"),
+    )
 
 
 def _card(name: str, estimate: Estimate, declared: float | None, widened: bool) -> Markup:
@@ -137,9 +146,9 @@ def _card(name: str, estimate: Estimate, declared: float | None, widened: bool) 
     scale = scale_for(split_unit(name)[1], [estimate.value])
     number = element("b", interval_text(estimate, scale), " ", element("span", scale.unit))
     doubt = element("span", "interval widened", class_="doubt") if widened else None
-    more = difference(estimate, declared)
-    against = element("span", f"{more} than declared" if more else "as declared") if declared else None
-    return element("div", element("span", label(name)), number, against, doubt, class_="card")
+    more = percent(estimate.value / declared - 1.0) if declared and difference(estimate, declared) else None
+    head = element("span", element("span", label(name)), element("span", more, title="against declared"), class_="name")
+    return element("div", head, number, doubt, class_="card")
 
 
 def _identifiers(diagnosis: Diagnosis) -> set[str]:
