@@ -14,6 +14,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from textual.widgets import Static
 
 from drivers import bus
 from drivers.access import Access, Login, new_secrets
@@ -33,6 +34,9 @@ from groundstation.flight.share.files import fetch, read_part
 from groundstation.flight.share.messages import PART_BYTES
 from groundstation.flight.share.passes import Pass
 from groundstation.flight.share.sharing import Cameras, publish_poses, share
+from groundstation.paths import find_config
+from groundstation.tui.app import GroundStation
+from groundstation.tui.remote import StationWatch
 
 PATIENCE_S = 20.0
 NOW = datetime.datetime.now(datetime.UTC)
@@ -364,3 +368,39 @@ def test_a_pass_from_invitation_to_the_end(home: Path, capfd: pytest.CaptureFixt
     old = msgspec.structs.replace(passes.accepted()[0], certificate=past.certificate.decode())
     passes.write_pass(file, old)
     assert "held until" in said("--accept", str(file), status=2)["error"]
+
+
+async def test_the_screens_follow_another_station_and_abort_its_flight(place: Place, tmp_path: Path) -> None:
+    wall = invited(place, "wall", "watch")
+    (place.core.folder / "plan.toml").write_bytes(find_config("plans", "paper_table2").read_bytes())
+    watch = StationWatch(place.host, wall, tmp_path / "kept")
+    app = GroundStation(tmp_path / "logs", remote=watch)
+
+    async def until(condition: Callable[[], object]) -> None:
+        end_s = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < end_s, "waited in vain"
+            place.core.say()
+            await pilot.pause(0.05)
+
+    def line() -> str:
+        return "".join(str(widget.content) for widget in app.screen.query("#flight-line").results(Static))
+
+    async with app.run_test(size=(120, 40)) as pilot:
+        await until(lambda: watch.flight == "flight" and app.limits.room and "ready to start" in line())
+        assert wall.station in line() and watch.folder == tmp_path / "kept" / wall.station / "flight"
+        app.prepare_flight()
+        assert not app.preparing and not app.may_take_lease
+        assert "may watch and abort" in watch.order("start")
+        await pilot.press("ctrl+g")
+        await until(lambda: place.core.events)
+        assert place.core.events == [seq.AbortRequested("aborted by wall")]
+        place.core.phase = seq.Phase.ABORTED
+        (place.core.folder / "refused.json").write_text("{}")
+        await until(lambda: watch.newest is not None and watch.newest.phase == seq.Phase.ABORTED)
+        assert (watch.folder / "refused.json").is_file() and not watch.following
+
+
+def test_a_station_without_a_pass_is_not_shown(home: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["--station", "lab"]) == 2
+    assert "no pass was accepted here" in capfd.readouterr().err

@@ -21,6 +21,8 @@ CORE_CONNECT_S = 15.0
 
 # Gate: a station's views on other machines
 
+GATE_TURN_S = 0.1
+"""Between two looks at whether the list of passes changed: a pass that is withdrawn is good for nothing so soon."""
 GATE_LOOK_S = 0.5
 """Between two looks for a flight to share, and for its core to let the gate in."""
 GATE_SAYS_S = 1.0
@@ -31,6 +33,8 @@ GATE_FOUND_S = 8.0
 """For a gate to be reached: a handshake over a network that loses one packet in ten."""
 GATE_HEARD_S = 3.0
 """After that, for its first word; without one, the pass was withdrawn."""
+POSES_AGAIN_S = 0.5
+"""Until a camera computer asks its capture system again."""
 
 # Core: the vehicle's process
 

@@ -18,6 +18,7 @@ from groundstation.texts import file_name
 from groundstation.tui.watch import CoreWatch
 
 AGAIN_S = 2.0
+"""Until a station that was not there is looked for again."""
 
 
 class StationWatch(CoreWatch):

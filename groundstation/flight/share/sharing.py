@@ -17,12 +17,11 @@ from drivers.mocap.shared import PREFIX, UNSEEN
 from drivers.samples import Batch, Pose, encode_batch
 from drivers.secure import poses_rules, secured
 from groundstation.errors import BadInput
+from groundstation.flight import timeouts
 from groundstation.flight.share import passes
 from groundstation.flight.share.gate import Gate
 from groundstation.flight.share.passes import Pass
 
-TURN_S = 0.1
-AGAIN_S = 0.5
 Say = Callable[[str], None]
 
 
@@ -67,7 +66,7 @@ def _listen(gate: Gate, endpoint: str, own: Pass, stop: threading.Event, say: Sa
     people = ", ".join(f"{name} ({role})" for name, role in roles.items() if role != "poses")
     say(f"sharing at {endpoint} with {people or 'nobody: `groundstation station --invite NAME` makes a pass'}")
     try:
-        while not stop.wait(TURN_S) and _changed() == changed:
+        while not stop.wait(timeouts.GATE_TURN_S) and _changed() == changed:
             gate.turn()
     finally:
         close()
@@ -100,7 +99,7 @@ def publish_poses(cameras: Cameras, endpoint: str, own: Pass, stop: threading.Ev
                 if (sentence := f"{cameras.system} at {cameras.host}: {error}; trying again") != said:
                     said = sentence
                     say(sentence)
-            stop.wait(AGAIN_S)
+            stop.wait(timeouts.POSES_AGAIN_S)
 
 
 class Poses:
