@@ -115,13 +115,13 @@ def test_a_large_log_is_read_in_two_passes_and_gives_what_one_would(tmp_path, mo
 
 
 def test_a_long_logs_memory_goes_by_what_is_used_of_it(tmp_path):
-    """Eleven minutes at 1 kHz: read whole, they take 2.5 times their samples, which is nine times what is used of them."""
+    """Of eleven minutes at 1 kHz three are used. They take 2.7 times their samples; read whole, the log takes 6.2 times as much."""
     file, write = long_logs.WRITERS["PX4 ULog"]
     write(tmp_path / "short.ulg", 0.1)
     write(tmp_path / file, 11.0)
     base, found = logs.measured(tmp_path / "short.ulg"), logs.measured(tmp_path / file)
     assert found["used_mb"] == pytest.approx(16.5, abs=0.5)
-    assert found["peak_mb"] - base["peak_mb"] < logs.FACTOR * found["used_mb"]
+    assert found["peak_mb"] - base["peak_mb"] < 4.5 * found["used_mb"] < logs.FACTOR * found["used_mb"]
 
 
 @pytest.mark.parametrize("parameter", [300.0, 630.0])

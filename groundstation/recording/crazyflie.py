@@ -107,7 +107,7 @@ def _is_whole(data: Bytes, position: int) -> bool:
         return False
     found = 0
     for first in range(0, len(data) - 4, _BLOCK):
-        found = zlib.crc32(data[first : min(first + _BLOCK, len(data) - 4)], found)
+        found = zlib.crc32(data[first : min(first + _BLOCK, len(data) - 4)].tobytes(), found)
         forget_pages(data)
     return int.from_bytes(data[-4:].tobytes(), "little") == found
 
@@ -127,7 +127,7 @@ def _places(
     offsets = {event: array("q") for event in sizes}
     before: dict[int, int] = {}
     read = struct.Struct("<H" + kind[1:])
-    bytes_read, given_back = memoryview(data), position
+    bytes_read, given_back = data.data, position
     while position + read.size <= end:
         event, stamp = read.unpack_from(bytes_read, position)
         size = sizes.get(event)

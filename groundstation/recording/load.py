@@ -61,8 +61,8 @@ def read_recording(path: str | Path, vehicle: Vehicle | None = None, part: Part 
         BadInput: it is missing, of no known format, or malformed.
     """
     path = flight_file(path)
-    if path.is_dir() and (path / "metadata.yaml").is_file():
-        recording = _bag(path, vehicle)
+    if path.is_dir() and (bag := _bag_in(path)) is not None:
+        recording = _bag(bag, vehicle, part)
     elif path.is_dir():
         recording = read_bundle(path, vehicle)
     else:
@@ -76,9 +76,9 @@ def read_recording(path: str | Path, vehicle: Vehicle | None = None, part: Part 
             try:
                 recording = read_mcap(path)
             except ForeignMcap:
-                recording = _bag(path, vehicle)
+                recording = _bag(path, vehicle, part)
         elif head.startswith(_SQLITE_MAGIC):
-            recording = _bag(path, vehicle)
+            recording = _bag(path, vehicle, part)
         else:
             recording = _foreign(path, head, vehicle, part)
     if vehicle is not None:
@@ -102,13 +102,30 @@ def _with_its_own_input(recording: Recording, source: str) -> Recording:
     return replace(recording, files={**recording.files, VEHICLE_FILE: taken}, notes=(*recording.notes, note))
 
 
-def _bag(path: Path, vehicle: Vehicle | None) -> Recording:
+def _bag_in(folder: Path) -> Path | None:
+    """A folder that is a ROS 2 bag, or the one file of a bag whose metadata are missing.
+
+    Raises:
+        BadInput: they are missing, and it has several files.
+    """
+    if (folder / "metadata.yaml").is_file():
+        return folder
+    files = sorted(file for kind in ("*.mcap", "*.db3") for file in folder.glob(kind))
+    if len(files) > 1 and not (folder / "motors.csv").is_file():
+        raise BadInput(
+            f"{folder}: holds {len(files)} files of a ROS 2 bag, and no metadata.yaml that joins them; write it with `ros2 bag reindex`, "
+            "or name one of the files."
+        )
+    return files[0] if len(files) == 1 and not (folder / "motors.csv").is_file() else None
+
+
+def _bag(path: Path, vehicle: Vehicle | None, part: Part) -> Recording:
     """A ROS 2 bag."""
     from groundstation.recording.rosbag import read_bag
 
     if vehicle is None:
         raise BadInput(f"{path}: carries no vehicle; give its file with --vehicle FILE.")
-    return read_bag(path, vehicle)
+    return read_bag(path, vehicle, part)
 
 
 def _foreign(path: Path, head: bytes, vehicle: Vehicle | None, part: Part) -> Recording:
@@ -192,7 +209,7 @@ def _stretch_of_large_log(
 
     None of a log that is read whole. To find what tells most, the log is read once with a sample of each kind every 20 ms.
     """
-    if not path.is_file() or path.stat().st_size < LARGE_BYTES:
+    if _size_of(path) < LARGE_BYTES:
         return None
     if given is not None:
         return Stretch(
@@ -235,6 +252,12 @@ def checked_flight(recording: Recording, declared: Vehicle, path: str) -> Flight
         online=online_clock(recording.texts.get("events")),
         **recording.streams,
     )
+
+
+def _size_of(path: Path) -> int:
+    """Bytes of a file, or of the files of a folder."""
+    files = path.iterdir() if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files if file.is_file())
 
 
 def _thinned(flight: FlightData, stretch: Stretch | None) -> FlightData:
