@@ -17,8 +17,8 @@ from benchmarks.many import add_options, outcomes
 from benchmarks.study import draw
 from benchmarks.tally import HALF_95, wilson
 from groundstation.identification.anchoring import anchored
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.identifiability import unrevealed
-from groundstation.identification.pipeline import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.identification.results import MASS_AND_TENSOR
 

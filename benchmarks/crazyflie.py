@@ -15,7 +15,8 @@ import numpy as np
 
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
-from groundstation.identification.pipeline import fit_dynamics, identify
+from groundstation.identification.dynamic_fit import fit_dynamics
+from groundstation.identification.pipeline import identify
 from groundstation.identification.preparation import flight_states, prepare
 from groundstation.model.prediction import VehicleModel, declared_model, model_from_document, predict
 from groundstation.paths import find_config

@@ -32,8 +32,8 @@ from groundstation.errors import GroundStationError
 from groundstation.flightdata import MOCAP_COLUMNS, FlightData, Stream
 from groundstation.frames import quat_conjugate, quat_exp, quat_log, quat_multiply
 from groundstation.identification.anchoring import anchored
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.handheld import calibrate_by_hand
-from groundstation.identification.pipeline import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.paths import find_config
 from groundstation.trajectory import load_plan

@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.flown import flight_data
 from groundstation.identification.anchoring import anchored
-from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.paths import find_config

@@ -27,7 +27,7 @@ from groundstation import api
 from groundstation.diagnosis.unplanned import tell_unplanned
 from groundstation.errors import FlightAborted, GroundStationError
 from groundstation.flightdata import FlightData, Stream
-from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import Prepared, prepare
 from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.model.parameters import declared_parameters

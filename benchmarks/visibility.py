@@ -17,7 +17,7 @@ from groundstation.diagnosis.effect import Effect, ParameterInfo, library
 from groundstation.diagnosis.evidence import Candidate, Evidence, FlightEvidence
 from groundstation.flightdata import FlightData
 from groundstation.frames import quat_rotate_inverse
-from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle

@@ -17,7 +17,7 @@ from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, Fligh
 from groundstation.diagnosis.linearisation import linearisation
 from groundstation.diagnosis.scale import scale_findings
 from groundstation.diagnosis.whitening import bands_of, coefficients
-from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.identification.results import Estimate
 from groundstation.paths import find_config

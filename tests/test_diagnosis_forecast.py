@@ -19,7 +19,7 @@ from groundstation.diagnosis.evidence import Evidence, FlightEvidence
 from groundstation.diagnosis.forecast import HORIZONS_S, models_of, unknown_loop, window_starts
 from groundstation.diagnosis.results import Diagnosis
 from groundstation.flightdata import FlightData
-from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.options import AnalysisOptions
 from groundstation.paths import find_config

@@ -14,8 +14,9 @@ from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored
 from groundstation.identification.consistency import nearest_rigid_body, physically_consistent
+from groundstation.identification.dynamic_fit import DynamicFit, fit_dynamics
 from groundstation.identification.instrumental import _root_of_inverse
-from groundstation.identification.pipeline import DynamicFit, fit_dynamics, identify
+from groundstation.identification.pipeline import identify
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import flight_states, prepare
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from benchmarks.flown import flight_data
 from groundstation.flightdata import FlightData
-from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.identification.stretches import airborne, gaps, runs_of, within
 from groundstation.paths import find_config

@@ -12,7 +12,7 @@ import pytest
 from benchmarks.golden import simulated
 from groundstation.diagnosis.effect import catalogue
 from groundstation.identification import sensitivities
-from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import Prepared, prepare
 from groundstation.identification.record_model import RecordModel
 from groundstation.model import parameters
