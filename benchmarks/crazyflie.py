@@ -17,7 +17,8 @@ from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.pipeline import identify
-from groundstation.identification.preparation import flight_states, prepare
+from groundstation.identification.preparation import prepare
+from groundstation.identification.starts import flight_states
 from groundstation.model.prediction import VehicleModel, declared_model, model_from_document, predict
 from groundstation.paths import find_config
 from groundstation.recording import load_flight

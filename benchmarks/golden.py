@@ -33,7 +33,7 @@ from benchmarks.flown import flight_data
 from groundstation.diagnosis import diagnose
 from groundstation.flightdata import FlightData
 from groundstation.identification.pipeline import identify
-from groundstation.identification.preparation import flight_states
+from groundstation.identification.starts import flight_states
 from groundstation.model.prediction import model_from_document, predict
 from groundstation.options import AnalysisOptions
 from groundstation.paths import find_config

@@ -23,7 +23,8 @@ from benchmarks.hidden import declared, sizes
 from groundstation.diagnosis.effect import wrench_of
 from groundstation.diagnosis.trim import compare_trims, mean_thrust
 from groundstation.flightdata import FlightData
-from groundstation.identification.preparation import Prepared, flight_states, prepare
+from groundstation.identification.preparation import Prepared, prepare
+from groundstation.identification.starts import flight_states
 from groundstation.model.prediction import declared_model, model_from_document, predict
 from groundstation.paths import find_config
 from groundstation.recording import load_flight

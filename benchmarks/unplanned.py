@@ -26,7 +26,7 @@ from benchmarks.study import draw_scenario, draw_vehicle
 from groundstation import api
 from groundstation.diagnosis.unplanned import tell_unplanned
 from groundstation.errors import FlightAborted, GroundStationError
-from groundstation.flightdata import FlightData, Stream
+from groundstation.flightdata import FlightData, Stream, resampled
 from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import Prepared, prepare
 from groundstation.identification.results import MASS_AND_TENSOR
@@ -81,7 +81,7 @@ def spline_path(times: Array, points: Array, smoothing: float = 0.0) -> Path4:
     from scipy.ndimage import gaussian_filter1d
 
     fine = np.arange(0.0, times[-1] + 1e-9, 0.05)
-    values = np.stack([np.interp(fine, times, column) for column in points.T], axis=1)
+    values = resampled(fine, times, points)
     if smoothing > 0.0:
         values = gaussian_filter1d(values, smoothing / 0.05, axis=0, mode="nearest")
     return Path4(make_interp_spline(fine, values, k=5), float(fine[-1]))

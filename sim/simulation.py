@@ -267,7 +267,7 @@ class Simulation:
         rotors = self.declared.rotors
         scale = self.scenario.motors.noise_share * self.world.plant.rotors.hover_value
         noise = scale * self._random["speed_noise"].standard_normal(values.shape)
-        if rotors.input == "rotor_speed" and rotors.speed_source == "telemetry":
+        if rotors.measured:
             return *times["speed"][1:], np.where(values > 0.0, values + noise, 0.0)
         if rotors.input == "wrench":
             commands = commands @ self.declared.allocation().T

@@ -18,8 +18,9 @@ from groundstation.identification.dynamic_fit import DynamicFit, fit_dynamics
 from groundstation.identification.instrumental import _root_of_inverse
 from groundstation.identification.pipeline import identify
 from groundstation.identification.prediction_error import Fitted
-from groundstation.identification.preparation import flight_states, prepare
+from groundstation.identification.preparation import prepare
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
+from groundstation.identification.starts import flight_states
 from groundstation.model.parameters import declared_parameters
 from groundstation.model.prediction import declared_model, model_from_document, predict
 from groundstation.paths import find_config

@@ -11,8 +11,8 @@ from benchmarks import crazyflie
 from groundstation.diagnosis import diagnose
 from groundstation.flightdata import FlightData
 from groundstation.identification.pipeline import identify
-from groundstation.identification.preparation import flight_states
 from groundstation.identification.results import Identification
+from groundstation.identification.starts import flight_states
 from groundstation.model.prediction import model_from_document, predict
 from groundstation.paths import find_config
 from groundstation.recording import load_flight

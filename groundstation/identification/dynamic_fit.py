@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import NotIdentifiable
+from groundstation.identification.damping import damping_terms
 from groundstation.identification.identifiability import angular_acceleration
 from groundstation.identification.instrumental import instrumental
 from groundstation.identification.prediction_error import Fitted, fit, fit_from_declared
-from groundstation.identification.preparation import Prepared, damping_terms
+from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import BodyWrench, RecordModel
 from groundstation.model.parameters import FitOptions, Parameters
 from groundstation.model.rotors import wrench_matrix

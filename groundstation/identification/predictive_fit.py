@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.flightdata import resampled
 from groundstation.frames import quat_conjugate, quat_exp, quat_log, quat_multiply, quat_normalise
 from groundstation.model.prediction import QUANTITIES, FlightStates, VehicleModel, declared_model, error_norms
 from groundstation.model.predictive import (
@@ -128,7 +129,7 @@ def _at(states: FlightStates, at_s: Array) -> Array:
     nearest = np.clip(np.searchsorted(states.t_s, at_s - 0.5 * np.median(np.diff(states.t_s))), 0, len(states.t_s) - 1)
 
     def columns(values: Array) -> Array:
-        return np.stack([np.interp(at_s, states.t_s, c) for c in values.T], axis=-1)
+        return resampled(at_s, states.t_s, values)
 
     parts = (columns(states.position_m), columns(states.velocity_m_s), states.quaternion[nearest])
     return np.concatenate([*parts, columns(states.rate_rad_s)], axis=1)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInput, Refused
+from groundstation.flightdata import resampled
 from groundstation.frames import (
     quat_conjugate,
     quat_exp,
@@ -347,7 +348,7 @@ def error_norms(
 @np.errstate(over="ignore", invalid="ignore")  # a model that runs away has no error that is a number
 def _norms(states: FlightStates, at_s: Array, found: Mapping[str, Array]) -> dict[str, Array]:
     def reference(values: Array) -> Array:
-        return np.stack([np.interp(at_s, states.t_s, c) for c in values.T], axis=-1)
+        return resampled(at_s, states.t_s, values)
 
     nearest = np.clip(np.searchsorted(states.t_s, at_s), 0, len(states.t_s) - 1)
     truth = states.quaternion[nearest]
