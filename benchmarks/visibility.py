@@ -13,8 +13,10 @@ import numpy as np
 from benchmarks.hidden import Table
 from groundstation.diagnosis.attribution import candidates
 from groundstation.diagnosis.base import for_evidence
+from groundstation.diagnosis.columns import Candidate
 from groundstation.diagnosis.effect import Effect, ParameterInfo, library
-from groundstation.diagnosis.evidence import Candidate, Evidence, FlightEvidence
+from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.flightdata import FlightData
 from groundstation.frames import quat_rotate_inverse
 from groundstation.identification.dynamic_fit import fit_dynamics

@@ -12,8 +12,11 @@ from scipy.stats import chi2, f
 from benchmarks.flown import flight_data
 from groundstation.diagnosis.attribution import Selection
 from groundstation.diagnosis.base import for_evidence
+from groundstation.diagnosis.columns import Candidate, Columns
 from groundstation.diagnosis.effect import library
-from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, updated_rigid_body
+from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.flight_evidence import FlightEvidence
+from groundstation.diagnosis.joint import updated_rigid_body
 from groundstation.diagnosis.linearisation import linearisation
 from groundstation.diagnosis.scale import scale_findings
 from groundstation.diagnosis.whitening import bands_of, coefficients

@@ -15,7 +15,8 @@ from benchmarks.flown import flight_data
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.base import for_evidence
 from groundstation.diagnosis.comparison import as_declared, splits_of
-from groundstation.diagnosis.evidence import Evidence, FlightEvidence
+from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.forecast import HORIZONS_S, models_of, unknown_loop, window_starts
 from groundstation.diagnosis.results import Diagnosis
 from groundstation.flightdata import FlightData

@@ -9,7 +9,8 @@ import pytest
 from test_diagnosis_flights import _flight
 
 from groundstation.diagnosis.base import for_evidence
-from groundstation.diagnosis.evidence import Evidence, FlightEvidence
+from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.proposal import dictionary, induced_velocity, select, with_proposals
 from groundstation.diagnosis.results import Unexplained
 from groundstation.identification.dynamic_fit import fit_dynamics

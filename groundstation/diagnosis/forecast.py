@@ -13,8 +13,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.columns import Solution
 from groundstation.diagnosis.comparison import Chosen, Split
-from groundstation.diagnosis.evidence import Evidence, Solution
+from groundstation.diagnosis.evidence import Evidence
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.identification.starts import smoothed_states
