@@ -19,7 +19,8 @@ from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.pipeline import identify
 from groundstation.identification.preparation import prepare
 from groundstation.identification.starts import flight_states
-from groundstation.model.prediction import VehicleModel, declared_model, model_from_document, predict
+from groundstation.model.prediction import predict
+from groundstation.model.vehicle_model import VehicleModel, declared_model, model_from_document
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
 from groundstation.reporting.exports import model_document

@@ -34,7 +34,8 @@ from groundstation.diagnosis import diagnose
 from groundstation.flightdata import FlightData
 from groundstation.identification.pipeline import identify
 from groundstation.identification.starts import flight_states
-from groundstation.model.prediction import model_from_document, predict
+from groundstation.model.prediction import predict
+from groundstation.model.vehicle_model import model_from_document
 from groundstation.options import AnalysisOptions
 from groundstation.paths import find_config
 from groundstation.planning import plan_excitation

@@ -25,7 +25,8 @@ from groundstation.diagnosis.trim import compare_trims, mean_thrust
 from groundstation.flightdata import FlightData
 from groundstation.identification.preparation import Prepared, prepare
 from groundstation.identification.starts import flight_states
-from groundstation.model.prediction import declared_model, model_from_document, predict
+from groundstation.model.prediction import predict
+from groundstation.model.vehicle_model import declared_model, model_from_document
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
 from groundstation.reporting.exports import read_model

@@ -22,7 +22,8 @@ from groundstation.identification.preparation import prepare
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
 from groundstation.identification.starts import flight_states
 from groundstation.model.parameters import declared_parameters
-from groundstation.model.prediction import declared_model, model_from_document, predict
+from groundstation.model.prediction import predict
+from groundstation.model.vehicle_model import declared_model, model_from_document
 from groundstation.paths import find_config
 from groundstation.reporting.exports import model_document
 from groundstation.trajectory import load_plan

@@ -13,7 +13,8 @@ from groundstation.flightdata import FlightData
 from groundstation.identification.pipeline import identify
 from groundstation.identification.results import Identification
 from groundstation.identification.starts import flight_states
-from groundstation.model.prediction import model_from_document, predict
+from groundstation.model.prediction import predict
+from groundstation.model.vehicle_model import model_from_document
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
 from groundstation.reporting.exports import model_document

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from groundstation.flightdata import resampled
 from groundstation.frames import quat_conjugate, quat_exp, quat_log, quat_multiply, quat_normalise
-from groundstation.model.prediction import QUANTITIES, FlightStates, VehicleModel, declared_model, error_norms
+from groundstation.model.flight_states import FlightStates
+from groundstation.model.prediction import QUANTITIES, error_norms
 from groundstation.model.predictive import (
     NAMES,
     NUMBERS,
@@ -29,6 +30,7 @@ from groundstation.model.predictive import (
     windows,
 )
 from groundstation.model.predictive_kernel import missed
+from groundstation.model.vehicle_model import VehicleModel, declared_model
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

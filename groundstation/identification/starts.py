@@ -9,7 +9,7 @@ from groundstation.flightdata import FlightData
 from groundstation.frames import quat_continuous
 from groundstation.identification.preparation import Prepared, prepare
 from groundstation.identification.streams import clean
-from groundstation.model.prediction import FlightStates
+from groundstation.model.flight_states import FlightStates
 
 
 def flight_states(flight: FlightData, *, own: bool = False) -> FlightStates:
