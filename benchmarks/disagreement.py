@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.flown import flight_data
 from groundstation.flightdata import FlightData
 from groundstation.identification.estimators import least_squares
 from groundstation.identification.filters import matched_pair, seed_pair
@@ -24,6 +23,7 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
 from sim.flight import simulate
 from sim.scenario import scenario_from_dict
+from studies.flown import flight_data
 
 PAPER = {"ixx": 0.01200 / 0.00749, "iyy": 0.01537 / 0.00976, "izz": 0.08295 / 0.05130, "mass": 1.82246 / 1.82245}
 DIAGONAL = (1, 4, 6)

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.hidden import declared, sizes
 from groundstation.diagnosis.effect import wrench_of
 from groundstation.diagnosis.trim import compare_trims, mean_thrust
 from groundstation.flightdata import FlightData
@@ -31,6 +30,7 @@ from groundstation.paths import find_config
 from groundstation.recording import load_flight
 from groundstation.reporting.exports import read_model
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict
+from studies.hidden import declared, sizes
 
 Array = NDArray[np.float64]
 

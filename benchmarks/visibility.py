@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from benchmarks.hidden import Table
 from groundstation.diagnosis.attribution import candidates
 from groundstation.diagnosis.base import for_evidence
 from groundstation.diagnosis.columns import Candidate
@@ -25,6 +24,7 @@ from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 from sim.effects.surroundings import magnet, wall
 from sim.scenario import scenario_from_dict
+from studies.hidden import Table
 
 FIELDS = ("attracting_wall", "magnet")
 """Invented ones that are a force at a place: the simulator's own formula says how detectable they are."""

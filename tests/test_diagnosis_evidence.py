@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, f
 
-from benchmarks.flown import flight_data
 from groundstation.diagnosis.attribution import Selection
 from groundstation.diagnosis.base import for_evidence
 from groundstation.diagnosis.columns import Candidate, Columns
@@ -28,6 +27,7 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle, vehicle_from_dict, vehicle_to_dict
 from sim.flight import simulate
 from sim.scenario import load_scenario
+from studies.flown import flight_data
 
 LINES = np.array([0.0, 0.6, 2.0, 6.0, 30.0])
 """Hz, between which the mean power is looked at."""

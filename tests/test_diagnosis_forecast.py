@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.flown import flight_data
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.base import for_evidence
 from groundstation.diagnosis.comparison import as_declared, splits_of
@@ -28,6 +27,7 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
 from sim.scenario import scenario_from_dict
+from studies.flown import flight_data
 
 QUANTITIES = {"position_m", "velocity_m_s", "attitude_rad", "body_rate_rad_s"}
 WEAK = {"weak_rotor": {"rotor": 3, "loss": 0.08}}

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.flown import flight_data
 from groundstation.flightdata import FlightData, resampled
 from groundstation.identification.preparation import prepare
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
+from studies.flown import flight_data
 from tests.flights import laboratory, rest_to_rest_plan
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"

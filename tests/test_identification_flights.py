@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from flights import laboratory
 
-from benchmarks.flown import flight_data
 from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored
@@ -30,6 +29,7 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
 from sim.flight import simulate
 from sim.scenario import RotorLag, load_scenario
+from studies.flown import flight_data
 
 SEEDS = (1, 2)
 TRUE_OFFSET_S = -0.018

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import crazyflie
 from groundstation.diagnosis import diagnose
 from groundstation.flightdata import FlightData
 from groundstation.identification.pipeline import identify
@@ -19,6 +18,7 @@ from groundstation.paths import find_config
 from groundstation.recording import load_flight
 from groundstation.reporting.exports import model_document
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict
+from studies import crazyflie
 
 PX4_LOG = Path(__file__).resolve().parents[2] / "shared" / "data" / "px4-sih" / "excitation.ulg"
 

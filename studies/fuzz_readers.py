@@ -1,4 +1,4 @@
-"""What reads files from outside, each as one function of a path that uses all it read; for :mod:`benchmarks.fuzz`."""
+"""What reads files from outside, each as one function of a path that uses all it read; for :mod:`studies.fuzz`."""
 
 from __future__ import annotations
 
