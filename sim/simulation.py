@@ -215,9 +215,10 @@ class Simulation:
             setpoints: what that autopilot follows, for the record, shape (ticks, 11).
         """
         ticks = len(self.control_ticks(steps))
-        rows = np.ascontiguousarray(
-            np.broadcast_to(np.asarray(motors, dtype=float), (ticks, self.declared.rotors.count))
-        )
+        rows = np.empty(
+            (ticks, self.declared.rotors.count)
+        )  # a writable array: compiled code has no second form for others
+        rows[:] = motors
         return self._run(steps, EXTERNAL, np.zeros((ticks, SETPOINT_SIZE)) if setpoints is None else setpoints, rows)
 
     def _run(self, steps: int, mode: int, setpoints: Array, motors: Array | None) -> dict[str, Samples]:
