@@ -17,9 +17,10 @@ from groundstation.flightdata import (
     SETPOINT_COLUMNS,
     STATE_COLUMNS,
     Stream,
+    resampled,
 )
+from groundstation.frames import quat_normalise, slerp
 from groundstation.recording.autopilot import one_line, present, slow_note, z_up, z_up_quaternion
-from groundstation.recording.derive import slerp
 from groundstation.recording.part import WHOLE, Part
 from groundstation.recording.px4_motors import SETTINGS_REMEDY, Topics, read_motors
 from groundstation.recording.recorded import Recording
@@ -188,7 +189,7 @@ def _imu(topics: Mapping[str, Table], settings: Settings) -> tuple[Stream | None
         t_s, t_accel = _sampled(rate), _sampled(accel)
         inside = (t_s >= t_accel[0]) & (t_s <= t_accel[-1])
         force = z_up(accel.array("xyz", 3))
-        force = np.column_stack([np.interp(t_s[inside], t_accel, column) for column in force.T])
+        force = resampled(t_s[inside], t_accel, force)
         values = np.hstack([z_up(rate.array("xyz", 3))[inside], force])
         stream = Stream(t_s[inside], values, IMU_COLUMNS)
         cut = {key: settings.value(key, np.inf, np.nan) for key in ("IMU_GYRO_CUTOFF", "IMU_ACCEL_CUTOFF")}
@@ -226,7 +227,7 @@ def _joined(position: Table, attitude: Table) -> tuple[Array, Array, Array]:
     t_attitude = _sampled(attitude)[t_attitude]
     inside = (t_s >= t_attitude[0]) & (t_s <= t_attitude[-1])
     xyz = z_up(np.column_stack([position.column(axis) for axis in "xyz"]))
-    return t_s[inside], xyz[inside], slerp(t_attitude, q, t_s[inside])
+    return t_s[inside], xyz[inside], slerp(t_s[inside], t_attitude, quat_normalise(q))
 
 
 def _rising(t_s: Array) -> NDArray[np.int64]:
@@ -244,7 +245,7 @@ def _state(topics: Mapping[str, Table], settings: Settings) -> tuple[Stream | No
     velocity = z_up(np.column_stack([position.column(f"v{axis}") for axis in "xyz"]))
     velocity = velocity[np.isin(_sampled(position), t_s)]
     t_rate = _sampled(rate)
-    rates = np.column_stack([np.interp(t_s, t_rate, column) for column in z_up(rate.array("xyz", 3)).T])
+    rates = resampled(t_s, t_rate, z_up(rate.array("xyz", 3)))
     inside = (t_s >= t_rate[0]) & (t_s <= t_rate[-1])
     values = np.hstack([xyz, velocity, q, rates])[inside]
     return Stream(t_s[inside], values, STATE_COLUMNS), [
