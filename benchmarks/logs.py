@@ -9,43 +9,16 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.long_logs import WRITERS
+from studies.log_memory import FACTOR, measured
+from studies.long_logs import WRITERS
 
-FACTOR = 6.0
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "results" / "long_logs.json"
-
-
-def peak_mb() -> float:
-    """The most memory this process has held so far. A child of a large process inherits that one's ``ru_maxrss``, so Linux's own count."""
-    status = Path("/proc/self/status")
-    if status.exists():
-        return int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024.0
-    import resource
-
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (2.0**20 if sys.platform == "darwin" else 1024.0)
-
-
-def read_long(path: Path, everything: bool) -> dict[str, float]:
-    """In this process: seconds, peak memory and the samples used, in MB."""
-    from groundstation.paths import find_config
-    from groundstation.recording import load_flight
-    from groundstation.vehicle import load_vehicle, vehicle_from_dict, vehicle_to_dict
-
-    document = vehicle_to_dict(load_vehicle(find_config("vehicles", "x500")))
-    document["rotors"]["input"] = "command"
-    vehicle = vehicle_from_dict(document)
-    begun = time.monotonic()
-    flight = load_flight(path, vehicle=vehicle, everything=everything)
-    used = sum(s.values.nbytes + s.t_s.nbytes for s in flight.streams().values())
-    return {"s": time.monotonic() - begun, "peak_mb": peak_mb(), "used_mb": used / 2.0**20}
 
 
 def against_libraries(ulog: Path) -> None:
@@ -96,31 +69,22 @@ def dataflash_against_library() -> None:
     print(f"DataFlash of {len(table)} records: ours {ours:.3f} s, DFReader {theirs:.2f} s, {theirs / ours:.0f} times")
 
 
-def measured(path: Path, *extra: str) -> dict[str, float]:
-    """A log read in a process of its own."""
-    command = [sys.executable, "-m", "benchmarks.logs", "--one", str(path), *extra]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        raise SystemExit(f"{path.name}: {done.stderr.strip().splitlines()[-1]}")
-    return json.loads(done.stdout)
-
-
 def rows_of(name: str, folder: Path, minutes: float) -> list[dict[str, object]]:
     """A long log of a format, thinned and whole; the base is what six seconds of the same format take."""
     file, write = WRITERS[name]
     (folder / "short").mkdir()
     write(folder / "short" / file, 0.1)
     write(folder / file, minutes)
-    base, rows = measured(folder / "short" / file)["peak_mb"], []
-    for extra in ((), ("--all",)):
-        found = measured(folder / file, *extra)
+    base, rows = measured(folder / "short" / file, False)["peak_mb"], []
+    for everything in (False, True):
+        found = measured(folder / file, everything)
         beyond = found["peak_mb"] - base
         rows.append(
             {
                 "format": name,
                 "minutes": minutes,
                 "mb": round(size_of(folder / file) / 1e6),
-                "read": "all" if extra else "thinned",
+                "read": "all" if everything else "thinned",
                 "used_mb": round(found["used_mb"], 1),
                 "base_mb": round(base),
                 "peak_mb": round(found["peak_mb"]),
@@ -149,13 +113,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--formats", nargs="*", default=list(WRITERS), choices=list(WRITERS))
-    parser.add_argument("--one", type=Path, help="read this log in this process")
-    parser.add_argument("--all", action="store_true")
     parser.add_argument("--out", type=Path, nargs="?", const=RESULTS, help="keep the rows as JSON")
     options = parser.parse_args()
-    if options.one is not None:
-        print(json.dumps(read_long(options.one, options.all)))
-        return
     print(f"Logs of {options.minutes:g} min at 1 kHz; the limit is {FACTOR:g} times the samples used, beside the base.")
     print(
         "| format | MB | read | samples used, MB | base, MB | peak, MB | (peak - base) / used | s |\n"

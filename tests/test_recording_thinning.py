@@ -8,7 +8,6 @@ import threading
 import numpy as np
 import pytest
 
-from benchmarks import logs, long_logs
 from groundstation.commands.common import ProgressLine
 from groundstation.errors import BadInput
 from groundstation.flightdata import IMU_COLUMNS, Stream, motor_columns
@@ -16,6 +15,7 @@ from groundstation.paths import find_config
 from groundstation.recording import load, load_flight, read_recording, write_bundle
 from groundstation.recording.thinning import KEPT_S, LONG_S, informative_stretch
 from groundstation.vehicle import load_vehicle, vehicle_from_dict, vehicle_to_dict
+from studies import log_memory, long_logs
 from tests.recording_flight import flight
 
 
@@ -119,9 +119,9 @@ def test_a_long_logs_memory_goes_by_what_is_used_of_it(tmp_path):
     file, write = long_logs.WRITERS["PX4 ULog"]
     write(tmp_path / "short.ulg", 0.1)
     write(tmp_path / file, 11.0)
-    base, found = logs.measured(tmp_path / "short.ulg"), logs.measured(tmp_path / file)
+    base, found = log_memory.measured(tmp_path / "short.ulg", False), log_memory.measured(tmp_path / file, False)
     assert found["used_mb"] == pytest.approx(16.5, abs=0.5)
-    assert found["peak_mb"] - base["peak_mb"] < 4.5 * found["used_mb"] < logs.FACTOR * found["used_mb"]
+    assert found["peak_mb"] - base["peak_mb"] < 4.5 * found["used_mb"] < log_memory.FACTOR * found["used_mb"]
 
 
 @pytest.mark.parametrize("parameter", [300.0, 630.0])
