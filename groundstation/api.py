@@ -28,13 +28,17 @@ if TYPE_CHECKING:
     from groundstation.analysis.analyse import Analysis
     from groundstation.diagnosis.effect import EffectInfo
     from groundstation.diagnosis.results import Diagnosis
+    from groundstation.fleet.comparison import Comparison
     from groundstation.flightdata import FlightData
     from groundstation.identification.results import Identification
     from groundstation.model.prediction import Prediction
     from groundstation.planning.discriminate import Separation
+    from groundstation.reporting.compare import Flown
     from groundstation.reporting.plots import Plottable
     from groundstation.trajectory import Plan
     from groundstation.vehicle import Vehicle
+
+    Comparable = FlightData | Analysis | Identification | str | Path
 
 __all__ = [
     "BadInput",
@@ -42,6 +46,7 @@ __all__ = [
     "NotIdentifiable",
     "Refused",
     "analyse",
+    "compare",
     "diagnose",
     "export",
     "identify",
@@ -319,8 +324,9 @@ def predict(
     """
     from groundstation.diagnosis.effect import library, wrench_of
     from groundstation.identification.predictive_choice import chosen_name, chosen_predictor
-    from groundstation.identification.preparation import flight_states
-    from groundstation.model.prediction import model_from_document, predict
+    from groundstation.identification.starts import flight_states
+    from groundstation.model.prediction import predict
+    from groundstation.model.vehicle_model import model_from_document
     from groundstation.reporting.exports import read_model
     from groundstation.vehicle import vehicle_from_dict
 
@@ -403,6 +409,52 @@ def analyse(
 
     options = AnalysisOptions(tuple(exclude), tuple(references), tuple(held_out))
     return analyse(_listed(flights), Path(folder), options, progress=progress, source=source)
+
+
+def compare(
+    first: Comparable | Sequence[Comparable],
+    second: Comparable | Sequence[Comparable],
+    *,
+    progress: Progress = _quiet,
+) -> Comparison:
+    """What differs between two flights, or between two groups of flights: the numbers of ``compare`` and ``flights --compare``.
+
+    Args:
+        first, second: each a flight or a list of flights: the folder of one that was analysed, the result of :func:`analyse` or
+            :func:`identify`, or a recording (:func:`load_flight`), which is analysed now.
+        progress: told how far that is.
+
+    Returns:
+        ``parameters`` maps each name that both sides tell to ``first``, ``second``, ``size`` (second less first), ``std``, ``z``,
+        ``p`` (corrected for the number of parameters), ``differs`` and ``change`` (in words); ``summary`` is a sentence. A
+        group's value is the random-effects mean of its flights, so flights that scatter more than they say count for less.
+    """
+    from groundstation.fleet.comparison import compare_flights
+
+    sides = [[_flown(one, progress) for one in _one_or_more(side)] for side in (first, second)]
+    return compare_flights(*sides)
+
+
+def _one_or_more(given: Comparable | Sequence[Comparable]) -> Sequence[Comparable]:
+    return given if isinstance(given, Sequence) and not isinstance(given, str) else [given]
+
+
+def _flown(given: Comparable, progress: Progress) -> Flown:
+    """A flight's documents, as the analysis leaves them."""
+    from groundstation.analysis.analyse import Analysis, identification_document
+    from groundstation.flightdata import FlightData
+    from groundstation.identification.results import Identification
+    from groundstation.reporting.compare import Flown, read_flown
+
+    if isinstance(given, FlightData):
+        with tempfile.TemporaryDirectory(prefix="groundstation-") as folder:
+            given = analyse(given, folder, progress=progress)
+    if isinstance(given, Identification):
+        return Flown(given.flight, identification_document(given), {})
+    if isinstance(given, Analysis):
+        found = identification_document(given.identification, given.diagnosis)
+        return Flown(given.identification.flight, found, given.diagnosis.to_dict())
+    return read_flown(Path(given))
 
 
 def export(

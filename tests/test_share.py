@@ -200,7 +200,7 @@ def test_who_has_no_pass_of_this_station_is_not_let_in(place: Place) -> None:
 
 
 def test_a_camera_s_certificate_opens_no_view_and_a_viewer_s_is_no_station(home: Path) -> None:
-    wall, cameras = (passes.invite(n, r, ["127.0.0.2"], NOW) for n, r in (("wall", "watch"), ("cameras", "poses")))
+    wall, cameras = passes.invite("wall", "watch", (), NOW), passes.invite("cameras", "poses", ["127.0.0.2"], NOW)
     endpoint = f"tls/127.0.0.2:{bus.free_port()}"
     for listener, client in ((wall, cameras), (cameras, cameras), (wall, wall)):
         session = bus.open_session(listen=[endpoint], secure=secured(listener.identity, rules=poses_rules()))

@@ -370,6 +370,8 @@ def _fetch_log(url: str, vehicle: Path, flown: FlightResult, line: ProgressLine,
         line.say(f"onboard log: {path}; `groundstation identify {path} --vehicle {vehicle}` uses its rates")
     except (GroundStationError, ConnectionError, ValueError) as error:
         line.say(f"no onboard log ({error}); identified from what came over the link")
+    except KeyboardInterrupt:
+        line.say("no onboard log (stopped by Ctrl-C); identified from what came over the link")
 
 
 def _offered(refusal: str, line: ProgressLine) -> str:

@@ -251,6 +251,8 @@ class Sequence:
         return self.phase in FINAL
 
 
+GIVEN_UP = "the analysis was given up"
+"""What is said of a flight that is down and recorded, and whose analysis somebody ended."""
 MAY_FLY = "the link died; the vehicle may still be flying: go and look, with the remote control at hand"
 """What is said of a vehicle that nobody saw on the ground."""
 
@@ -298,7 +300,7 @@ def _abort(state: Sequence, reason: str, now_s: float, *, rotors_off: bool = Fal
     kill = Action(Do.KILL, reason)
     if state.phase in (Phase.LANDED, Phase.IDENTIFYING):
         # On the ground with the recording closed: only the analysis is given up.
-        why = "; ".join(filter(None, (state.aborting, f"the analysis was given up: {reason}")))
+        why = "; ".join(filter(None, (state.aborting, f"{GIVEN_UP}: {reason}")))
         actions = ((kill,) if rotors_off else ()) + (Action(Do.FINISH, why),)
         return _enter(state, Phase.ABORTED, now_s, *actions, exit_status=FlightAborted.exit_status, reason=why)
     if not state.started:

@@ -98,12 +98,16 @@ def comparison_rows(flights: Sequence[Flown]) -> list[tuple[str, ...]]:
 def summary(flights: Sequence[Flown]) -> str:
     """What differs between the first flight and the last, in a sentence."""
     rows = comparison_rows(flights)
-    if not rows:
-        return "These flights share no parameter that both reveal."
     moved = [f"{row[0]} {row[-2]}" for row in rows if row[-1].startswith("differs")]
-    first, last = flights[0].name, flights[-1].name
+    return comparison_sentence(flights[0].name, flights[-1].name, len(rows), moved)
+
+
+def comparison_sentence(first: str, last: str, compared: int, moved: Sequence[str]) -> str:
+    """What moved ("mass +2.0 %") between two flights or groups, of how many parameters."""
+    if not compared:
+        return "These flights share no parameter that both reveal."
     if not moved:
-        return f"Nothing differs between {first} and {last} beyond the intervals, over {len(rows)} parameters."
+        return f"Nothing differs between {first} and {last} beyond the intervals, over {compared} parameters."
     return f"From {first} to {last} these differ beyond their intervals: {', '.join(moved)}."
 
 

@@ -85,6 +85,10 @@ def to_vehicle_toml(model: Identified) -> str:
     return hash_comment(model.provenance()) + tomli_w.dumps(vehicle_to_dict(model.vehicle))
 
 
+SIH_STEP_S = 0.005
+"""Longest step of SIH, which divides by the lag and steps it by Euler's rule: a shorter lag would not be stable (sih.cpp)."""
+
+
 def sih_order(model: Identified) -> tuple[int, int, int, int]:
     """Our rotor numbers (from 0) in the order of PX4's SIH quadrotor: front right, rear left, front left, rear right.
 
@@ -145,7 +149,7 @@ def to_px4_sih(model: Identified) -> str:
         "SIH_L_PITCH": float(np.mean(np.abs(position[:, 0]))),
         "SIH_KDV": max(0.0, float(np.mean(model.rotor_drag_kg_s))),
         "SIH_KDW": max(0.0, float(np.mean(model.damping_nms))),
-        "SIH_T_TAU": model.mean_lag_s(),
+        "SIH_T_TAU": max(model.mean_lag_s(), SIH_STEP_S),
     }
     offset = " ".join(number(v) for v in model.com_offset_m)
     notes = [

@@ -27,11 +27,16 @@ if TYPE_CHECKING:
 
 
 class CoreClient:
-    """A connection to a core. Use :func:`connect`."""
+    """A connection to a core. Use :func:`connect`.
+
+    Attributes:
+        seen: the newest status it was asked for; None before the first.
+    """
 
     def __init__(self, session: zenoh.Session, name: str):
         self._session = session
         self.name = name
+        self.seen: CoreStatus | None = None
         self._sequence = 0
         self._inbox: queue.SimpleQueue[CoreStatus] = queue.SimpleQueue()
         self._subscription = bus.subscribe(
@@ -45,9 +50,9 @@ class CoreClient:
         """The newest status; waits for one, and returns None when none came in time."""
         newest = None
         try:
-            newest = self._inbox.get(timeout=timeout_s)
+            newest = self.seen = self._inbox.get(timeout=timeout_s)
             while True:
-                newest = self._inbox.get_nowait()
+                newest = self.seen = self._inbox.get_nowait()
         except queue.Empty:
             return newest
 
