@@ -23,10 +23,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import many
-from benchmarks.flown import flight_data
-from benchmarks.hidden import INVENTED, Random, declared, sizes, world
-from benchmarks.tally import Outcome, report
 from benchmarks.visibility import visibility
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.results import Diagnosis
@@ -37,6 +33,10 @@ from groundstation.planning import plan_excitation
 from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle, load_vehicle
 from sim.flight import simulate
+from studies import many
+from studies.flown import flight_data
+from studies.hidden import INVENTED, Random, declared, sizes, world
+from studies.tally import Outcome, report
 
 VEHICLES = ("qball2", "x500")
 DURATION_S = 40.0

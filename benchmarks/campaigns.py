@@ -21,10 +21,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import many
-from benchmarks.flown import flight_data
-from benchmarks.hidden import COMMANDED, INVENTED, Random, declared, sizes, world
-from benchmarks.tally import wilson
 from groundstation.campaign.campaign import Campaign, run
 from groundstation.diagnosis import diagnose
 from groundstation.errors import GroundStationError
@@ -36,6 +32,10 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
 from groundstation.writing import write_whole
 from sim.flight import simulate
+from studies import many
+from studies.flown import flight_data
+from studies.hidden import COMMANDED, INVENTED, Random, declared, sizes, world
+from studies.tally import wilson
 
 VEHICLES = ("qball2", "x500", "qball2-commanded")
 TARGETS = "ixx,iyy,izz:2%,mass:0.5%"

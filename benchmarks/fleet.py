@@ -28,9 +28,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.flown import flight_data
-from benchmarks.hidden import world
-from benchmarks.study import draw
 from groundstation.diagnosis import diagnose
 from groundstation.fleet import batch
 from groundstation.fleet.runner import run
@@ -43,6 +40,9 @@ from groundstation.reporting.exports import model_document
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
+from studies.flown import flight_data
+from studies.hidden import world
+from studies.study import draw
 
 STEPS = ("identify", "diagnose")
 FLIGHTS, CHANGED, SHARE, AGEING = 30, 17, 1.02, 0.003

@@ -31,7 +31,6 @@ from typing import Any
 
 import tomli_w
 
-from benchmarks.firmware import PX4_ENVIRONMENT, arducopter_command, px4_command
 from benchmarks.rig import PLAN, free_port
 from groundstation.errors import BadInput, GroundStationError
 from groundstation.flight.client.client import outcome, start_core
@@ -51,6 +50,7 @@ from sim.mavlink.plant import SimulatedAirframe
 from sim.mavlink.process import Service, attach
 from sim.mavlink.px4 import Px4
 from sim.scenario import load_scenario
+from studies.firmware import PX4_ENVIRONMENT, arducopter_command, px4_command
 
 OUT = Path("docs/results/indoors.json")
 PHASES = ("before arming", "climbing", "settling", "exciting", "landing", "never")

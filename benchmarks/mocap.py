@@ -21,8 +21,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.flown import flight_data
-from benchmarks.study import draw
 from drivers.mavlink.timesync import Timesync
 from drivers.mocap.health import told_clock
 from drivers.mocap.serverclock import ServerClock
@@ -32,8 +30,8 @@ from groundstation.errors import GroundStationError
 from groundstation.flightdata import MOCAP_COLUMNS, FlightData, Stream
 from groundstation.frames import quat_conjugate, quat_exp, quat_log, quat_multiply
 from groundstation.identification.anchoring import anchored
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.handheld import calibrate_by_hand
-from groundstation.identification.pipeline import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.paths import find_config
 from groundstation.trajectory import load_plan
@@ -43,6 +41,8 @@ from sim.mocap.hand import Mounting, Sensors, carry
 from sim.mocap.scene import Replay
 from sim.mocap.server import Server, Setup
 from sim.scenario import scenario_from_dict
+from studies.flown import flight_data
+from studies.study import draw
 
 Array = NDArray[np.float64]
 Row = dict[str, object]

@@ -17,14 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.flown import flight_data
-from benchmarks.hidden import Table, declared, sizes, world
-from benchmarks.tally import share
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.next_flight import odds_sentence, plan_next
 from groundstation.errors import FlightAborted, Refused
 from groundstation.trajectory import Plan, coefficients_from_arrays
 from sim.flight import simulate
+from studies.flown import flight_data
+from studies.hidden import Table, declared, sizes, world
+from studies.tally import share
 
 PAIRS = (
     ("clock_offset", "motor_lag"),

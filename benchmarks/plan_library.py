@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.study import draw_vehicle
 from groundstation.errors import BadInput
 from groundstation.paths import configs_dir
 from groundstation.planning.library import Solved, solved
 from groundstation.planning.limits import envelope
 from groundstation.planning.optimiser import best_of
 from groundstation.planning.problem import Problem
+from studies.study import draw_vehicle
 
 SEED = 20
 HARMONICS = (5, 5, 5, 3, 8)

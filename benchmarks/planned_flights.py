@@ -13,7 +13,6 @@ import argparse
 
 import numpy as np
 
-from benchmarks.flown import flight_data
 from groundstation.identification.seed import identify_seed
 from groundstation.planning import paper_plan, paper_problem, percentages, plan_excitation
 from groundstation.planning.criteria import PARAMETERS
@@ -22,6 +21,7 @@ from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle
 from sim.flight import simulate
 from sim.scenario import Scenario, scenario_from_dict
+from studies.flown import flight_data
 
 PUBLISHED_TILT_RAD = np.radians(6.2155)
 DIAGONAL = ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")

@@ -18,7 +18,6 @@ from typing import Any
 
 import tomli_w
 
-from benchmarks.firmware import PX4_ENVIRONMENT, arducopter_command, px4_command
 from groundstation.errors import BadInput, Refused
 from groundstation.flight.client.client import outcome, start_core
 from groundstation.flight.client.rehearse import linked_vehicle
@@ -26,6 +25,7 @@ from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.journal import read_journal
 from groundstation.paths import find_config
 from groundstation.trajectory import plan_from_dict
+from studies.firmware import PX4_ENVIRONMENT, arducopter_command, px4_command
 
 START_S, FIRMWARE_READY_S = 90.0, 150.0
 PLAN = {

@@ -18,7 +18,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from benchmarks.flown import flight_data
 from groundstation.errors import GroundStationError
 from groundstation.flightdata import FlightData
 from groundstation.identification.pipeline import identify
@@ -29,6 +28,7 @@ from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehi
 from groundstation.writing import write_whole
 from sim.flight import simulate
 from sim.scenario import load_scenario
+from studies.flown import flight_data
 
 SEED = 20261129
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "results" / "rotor_layouts.json"

@@ -24,12 +24,12 @@ from rotorpy.controllers.quadrotor_control import SE3Control
 from rotorpy.vehicles.hummingbird_params import quad_params
 from rotorpy.vehicles.multirotor import Multirotor
 
-from benchmarks.tally import share
 from groundstation.diagnosis import diagnose
 from groundstation.flightdata import IMU_COLUMNS, MOCAP_COLUMNS, FlightData, Stream, motor_columns
 from groundstation.planning import plan_excitation
 from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle, vehicle_from_dict
+from studies.tally import share
 
 Array = NDArray[np.float64]
 Random = np.random.Generator

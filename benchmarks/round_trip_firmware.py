@@ -25,13 +25,13 @@ from typing import Any
 import tomli_w
 
 from benchmarks.exports_round_trip_table import CERTAIN, RESULTS
-from benchmarks.firmware import SIH_ENVIRONMENT, arducopter_command, process, px4_command
 from groundstation import api
 from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.reporting.canonical import estimate_in
 from groundstation.reporting.exports import read_model
 from groundstation.reporting.identified import identified_from_document
 from groundstation.vehicle import vehicle_from_dict, vehicle_to_dict
+from studies.firmware import SIH_ENVIRONMENT, arducopter_command, process, px4_command
 
 NOT_READY, READY_S, INSTANCE = 3, 300.0, 7
 ALTITUDE_M = 593.0

@@ -13,9 +13,8 @@ import sys
 
 import numpy as np
 
-from benchmarks.flown import flight_data
 from groundstation.identification.anchoring import anchored
-from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.paths import find_config
@@ -23,6 +22,7 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
 from sim.scenario import load_scenario
+from studies.flown import flight_data
 
 
 def main() -> None:

@@ -21,7 +21,7 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -49,13 +49,6 @@ class Row:
     unit: str
     goal: float | None = None
     ratio: float | None = None
-
-
-def seconds(function: Callable[[], object]) -> float:
-    """Processor time of a call, of all threads together."""
-    began = time.process_time()
-    function()
-    return time.process_time() - began
 
 
 def circumstances() -> dict[str, Any]:

@@ -22,8 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.estimators import loop_least_squares, problem
-from benchmarks.speed import ROOT, Row, seconds
+from benchmarks.speed import ROOT, Row
 from groundstation.flightdata import (
     BATTERY_COLUMNS,
     IMU_COLUMNS,
@@ -34,6 +33,8 @@ from groundstation.flightdata import (
     Stream,
     motor_columns,
 )
+from studies.estimators import loop_least_squares, problem
+from studies.timing import seconds
 
 TITLE = "Identification and diagnosis"
 SEED = 2001
@@ -65,7 +66,7 @@ def flown(length_s: float, rate_hz: float) -> Path:
     folder = Path(tempfile.gettempdir()) / "groundstation-speed"
     path = folder / f"{SEED}-{length_s:g}-{rate_hz:g}.npz"
     if not path.exists():
-        from benchmarks.study import draw
+        from studies.study import draw
 
         flight = draw(SEED, length_s / PLAN_S, rate_hz)[0]
         arrays = {name: stream for name in STREAMS if (stream := getattr(flight, name)) is not None}
@@ -79,7 +80,7 @@ def flown(length_s: float, rate_hz: float) -> Path:
 
 def read(path: Path, length_s: float) -> FlightData:
     """The flight of the file."""
-    from benchmarks.study import draw_plan, draw_vehicle
+    from studies.study import draw_plan, draw_vehicle
 
     random = np.random.default_rng([4, SEED])
     vehicle = draw_vehicle(random)

@@ -15,12 +15,13 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks import planner, simulator
-from benchmarks.speed import Row, seconds
+from benchmarks.speed import Row
 from groundstation.paths import find_config
 from groundstation.planning import paper_plan
 from groundstation.planning.criteria import regressor
 from groundstation.trajectory import RigidMotion, rigid_motion
 from groundstation.vehicle import load_vehicle
+from studies.timing import seconds
 
 TITLE = "Beside other tools"
 ABOUT = """Processor time of one core on the same machine in one run; the last column counts in times of ours for the same row's task.

@@ -19,16 +19,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.hidden import declared, sizes
 from groundstation.diagnosis.effect import wrench_of
 from groundstation.diagnosis.trim import compare_trims, mean_thrust
 from groundstation.flightdata import FlightData
-from groundstation.identification.preparation import Prepared, flight_states, prepare
-from groundstation.model.prediction import declared_model, model_from_document, predict
+from groundstation.identification.preparation import Prepared, prepare
+from groundstation.identification.starts import flight_states
+from groundstation.model.prediction import predict
+from groundstation.model.vehicle_model import declared_model, model_from_document
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
 from groundstation.reporting.exports import read_model
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict
+from studies.hidden import declared, sizes
 
 Array = NDArray[np.float64]
 

@@ -21,14 +21,14 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import many
-from benchmarks.flown import flight_data
-from benchmarks.study import draw_plan, draw_scenario, draw_vehicle
-from benchmarks.tally import wilson
 from groundstation.identification.recursive import SHOWN, replay
 from groundstation.identification.sequential import Spending, at_any_time, at_one_moment
 from groundstation.vehicle import Vehicle
 from sim.flight import simulate
+from studies import many
+from studies.flown import flight_data
+from studies.study import draw_plan, draw_scenario, draw_vehicle
+from studies.tally import wilson
 
 PLANNED_S, AT_MOST_S, RATE_HZ, AHEAD_S = 40.0, 80.0, 250.0, 0.3
 TARGETS = (0.01, 0.015, 0.02, 0.03, 0.05)

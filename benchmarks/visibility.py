@@ -10,19 +10,21 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from benchmarks.hidden import Table
 from groundstation.diagnosis.attribution import candidates
 from groundstation.diagnosis.base import for_evidence
+from groundstation.diagnosis.columns import Candidate
 from groundstation.diagnosis.effect import Effect, ParameterInfo, library
-from groundstation.diagnosis.evidence import Candidate, Evidence, FlightEvidence
+from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.flightdata import FlightData
 from groundstation.frames import quat_rotate_inverse
-from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 from sim.effects.surroundings import magnet, wall
 from sim.scenario import scenario_from_dict
+from studies.hidden import Table
 
 FIELDS = ("attracting_wall", "magnet")
 """Invented ones that are a force at a place: the simulator's own formula says how detectable they are."""

@@ -324,8 +324,9 @@ def predict(
     """
     from groundstation.diagnosis.effect import library, wrench_of
     from groundstation.identification.predictive_choice import chosen_name, chosen_predictor
-    from groundstation.identification.preparation import flight_states
-    from groundstation.model.prediction import model_from_document, predict
+    from groundstation.identification.starts import flight_states
+    from groundstation.model.prediction import predict
+    from groundstation.model.vehicle_model import model_from_document
     from groundstation.reporting.exports import read_model
     from groundstation.vehicle import vehicle_from_dict
 

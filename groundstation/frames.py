@@ -83,6 +83,25 @@ def quat_log(quaternion: ArrayLike) -> Array:
     return scale * q[..., 1:]
 
 
+def slerp(at_s: ArrayLike, stamps_s: ArrayLike, quaternion: ArrayLike) -> Array:
+    """Unit quaternions (n, 4) at other times, along the great circle between neighbours, held at the ends, shape (k, 4).
+
+    Signs are continuous.
+    """
+    at, stamps = np.asarray(at_s, dtype=float), np.asarray(stamps_s, dtype=float)
+    q = quat_continuous(quaternion)
+    left = np.clip(np.searchsorted(stamps, at, side="right") - 1, 0, len(stamps) - 2)
+    share = np.clip((at - stamps[left]) / (stamps[left + 1] - stamps[left]), 0.0, 1.0)
+    turn = quat_log(quat_multiply(quat_conjugate(q[left]), q[left + 1]))
+    return quat_continuous(quat_multiply(q[left], quat_exp(share[:, None] * turn)))
+
+
+def lever_arm(rate: ArrayLike, rate_derivative: ArrayLike, position_m: ArrayLike) -> Array:
+    """dw/dt x r + w x (w x r): what an accelerometer at r feels beyond the origin, body axes, m/s^2."""
+    r = np.asarray(position_m, dtype=float)
+    return np.cross(rate_derivative, r) + np.cross(rate, np.cross(rate, r))
+
+
 def matrix_from_quat(quaternion: ArrayLike) -> Array:
     """Rotation matrix, body to world."""
     w, x, y, z = np.moveaxis(np.asarray(quaternion, dtype=float), -1, 0)

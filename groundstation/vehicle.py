@@ -78,6 +78,11 @@ class Rotors(_Section):
     thrust_curve: Vector3 | None = None
     lag: RotorLag = RotorLag()
 
+    @property
+    def measured(self) -> bool:
+        """Whether recorded inputs are speeds that were measured, not what was asked of the rotors."""
+        return self.input == "rotor_speed" and self.speed_source == "telemetry"
+
     @field_validator("position_m")
     @classmethod
     def _enough_rotors(cls, value: tuple[Vector3, ...]) -> tuple[Vector3, ...]:

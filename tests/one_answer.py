@@ -73,7 +73,7 @@ def _line(text: str, start: str) -> str:
 
 
 def _predicted(model: dict, vehicle: Vehicle) -> dict[str, float]:
-    from groundstation.model.prediction import model_from_document
+    from groundstation.model.vehicle_model import model_from_document
 
     physical = model_from_document(model, vehicle)
     return {

@@ -16,7 +16,6 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.fuzz import fuzz
 from drivers import bus
 from drivers.access import Access, Login, new_secrets
 from drivers.samples import Batch, Imu, Motors, decode_batch, encode_batch
@@ -32,6 +31,7 @@ from groundstation.recording.container import MAGIC, read_container
 from groundstation.recording.mcapfile import write_recording_as_mcap
 from groundstation.recording.recorded import recording_of
 from groundstation.texts import file_name, shown
+from studies.fuzz import fuzz
 from tests.polling import eventually
 from tests.recording_flight import flight
 

@@ -16,7 +16,7 @@ from groundstation.diagnosis.results import Diagnosis, Unexplained
 from groundstation.fleet.rows import CANONICAL, _parameters
 from groundstation.flight.client.rehearse import result_table
 from groundstation.identification.results import MASS_AND_TENSOR
-from groundstation.model.prediction import model_from_document
+from groundstation.model.vehicle_model import model_from_document
 from groundstation.reporting.canonical import canonical, correlated
 from groundstation.reporting.exports import model_document, read_model
 from groundstation.reporting.identified import identified_from_document

@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.declarations import WRONG, unplanned, verdict, with_state
-from benchmarks.flown import flight_data
 from groundstation.analysis.suspects import suspicion
 from groundstation.cli import main
 from groundstation.errors import Refused
@@ -22,6 +20,8 @@ from groundstation.recording import load_flight
 from groundstation.recording.bundle import write_bundle
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
+from studies.declarations import WRONG, unplanned, verdict, with_state
+from studies.flown import flight_data
 from tests.flights import laboratory, rest_to_rest_plan
 from tests.test_identification_logs import PX4_LOG, sih_vehicle
 

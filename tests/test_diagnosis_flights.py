@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from flights import laboratory
 
-from benchmarks.flown import flight_data
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.results import Diagnosis
 from groundstation.flightdata import FlightData
@@ -19,6 +18,7 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import RotorLag, load_vehicle
 from sim.flight import simulate
 from sim.scenario import load_scenario
+from studies.flown import flight_data
 
 PERIODS = 4.0
 SEED = 7

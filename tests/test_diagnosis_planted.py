@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from flights import laboratory
 
-from benchmarks.flown import flight_data
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.kinematic import kinematic_findings
 from groundstation.diagnosis.results import Finding
@@ -24,6 +23,7 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
 from sim.flight import simulate
 from sim.scenario import RotorLag
+from studies.flown import flight_data
 
 SEED = 7
 ONCE_IN_A_THOUSAND = 3.3

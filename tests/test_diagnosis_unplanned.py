@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.unplanned import flights_of
 from groundstation.diagnosis.unplanned import Told, tell_unplanned
 from groundstation.flightdata import FlightData, Stream
 from groundstation.identification.lagged_instruments import Equation, pooled, two_stage
@@ -17,6 +16,7 @@ from groundstation.identification.preparation import Prepared, prepare
 from groundstation.model.parameters import declared_parameters
 from groundstation.recording.load import load_flight
 from groundstation.vehicle import Vehicle
+from studies.unplanned import flights_of
 
 STEP_S = 0.08
 

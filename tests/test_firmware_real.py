@@ -12,7 +12,6 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.firmware import PX4_ENVIRONMENT, arducopter_command, process, px4_command
 from drivers.mavlink.codec import MavlinkCodec
 from drivers.mavlink.dialect import mavlink
 from drivers.mavlink.transports import Transport, open_transport
@@ -20,6 +19,7 @@ from groundstation.paths import find_config
 from groundstation.vehicle import load_vehicle
 from sim.build import true_vehicle
 from sim.scenario import load_scenario
+from studies.firmware import PX4_ENVIRONMENT, arducopter_command, process, px4_command
 
 ARDUCOPTER, PX4 = os.environ.get("ARDUCOPTER", ""), os.environ.get("PX4", "")
 NOT_READY = 3

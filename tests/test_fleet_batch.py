@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.study import draw
 from groundstation.errors import BadInput
 from groundstation.fleet import batch
 from groundstation.fleet.runner import run
 from groundstation.recording import write_mcap
+from studies.study import draw
 
 
 def double(number):

@@ -9,24 +9,27 @@ import numpy as np
 import pytest
 from flights import laboratory
 
-from benchmarks.flown import flight_data
 from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored
 from groundstation.identification.consistency import nearest_rigid_body, physically_consistent
+from groundstation.identification.dynamic_fit import DynamicFit, fit_dynamics
 from groundstation.identification.instrumental import _root_of_inverse
-from groundstation.identification.pipeline import DynamicFit, fit_dynamics, identify
+from groundstation.identification.pipeline import identify
 from groundstation.identification.prediction_error import Fitted
-from groundstation.identification.preparation import flight_states, prepare
+from groundstation.identification.preparation import prepare
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
+from groundstation.identification.starts import flight_states
 from groundstation.model.parameters import declared_parameters
-from groundstation.model.prediction import declared_model, model_from_document, predict
+from groundstation.model.prediction import predict
+from groundstation.model.vehicle_model import declared_model, model_from_document
 from groundstation.paths import find_config
 from groundstation.reporting.exports import model_document
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
 from sim.flight import simulate
 from sim.scenario import RotorLag, load_scenario
+from studies.flown import flight_data
 
 SEEDS = (1, 2)
 TRUE_OFFSET_S = -0.018

@@ -7,17 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import crazyflie
 from groundstation.diagnosis import diagnose
 from groundstation.flightdata import FlightData
 from groundstation.identification.pipeline import identify
-from groundstation.identification.preparation import flight_states
 from groundstation.identification.results import Identification
-from groundstation.model.prediction import model_from_document, predict
+from groundstation.identification.starts import flight_states
+from groundstation.model.prediction import predict
+from groundstation.model.vehicle_model import model_from_document
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
 from groundstation.reporting.exports import model_document
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict
+from studies import crazyflie
 
 PX4_LOG = Path(__file__).resolve().parents[2] / "shared" / "data" / "px4-sih" / "excitation.ulg"
 

@@ -10,7 +10,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.flown import flight_data
 from drivers.samples import Battery, Imu, Motors, Pose
 from groundstation.flight.core.live import QUEUE, LiveClock, LiveEstimate
 from groundstation.flight.sequence import Phase
@@ -21,6 +20,7 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import RotorLag, Vehicle, load_vehicle
 from sim.flight import simulate
 from sim.scenario import load_scenario
+from studies.flown import flight_data
 
 
 @cache

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.flown import flight_data
 from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import FlightData
 from groundstation.identification.identifiability import never_moved, revealed
@@ -21,6 +20,7 @@ from groundstation.trajectory import Coefficients, Plan, load_plan
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
 from sim.scenario import load_scenario
+from studies.flown import flight_data
 
 
 def channels(**scale: float) -> Plan:

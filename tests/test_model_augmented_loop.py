@@ -10,9 +10,11 @@ import pytest
 
 from groundstation.frames import quat_from_euler, quat_rotate
 from groundstation.model.closed_loop import STEP_S, simulate_closed_loop
-from groundstation.model.prediction import FlightStates, declared_model, predict
+from groundstation.model.flight_states import FlightStates
+from groundstation.model.prediction import predict
 from groundstation.model.rotors import motor_input
 from groundstation.model.signals import Signals
+from groundstation.model.vehicle_model import declared_model
 from groundstation.paths import find_config
 from groundstation.planning import paper_plan
 from groundstation.vehicle import load_vehicle

@@ -13,8 +13,10 @@ from scipy.signal import lfilter
 
 from groundstation.errors import BadInput
 from groundstation.model.disturbance import TurningDisturbance, carried, gains, pooled, turning
-from groundstation.model.prediction import FlightStates, declared_model, predict
+from groundstation.model.flight_states import FlightStates
+from groundstation.model.prediction import predict
 from groundstation.model.rotors import motor_input
+from groundstation.model.vehicle_model import declared_model
 from groundstation.paths import find_config
 from groundstation.vehicle import load_vehicle
 

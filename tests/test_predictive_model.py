@@ -10,7 +10,8 @@ import pytest
 from groundstation.errors import BadInput
 from groundstation.identification.predictive_choice import chosen_predictor, section
 from groundstation.identification.predictive_fit import fitted, free_numbers, judged, shooting
-from groundstation.model.prediction import FlightStates, VehicleModel, declared_model, predict
+from groundstation.model.flight_states import FlightStates
+from groundstation.model.prediction import predict
 from groundstation.model.predictive import (
     NAMES,
     NUMBERS,
@@ -23,6 +24,7 @@ from groundstation.model.predictive import (
     windows,
 )
 from groundstation.model.rotors import motor_input
+from groundstation.model.vehicle_model import VehicleModel, declared_model
 from groundstation.vehicle import Vehicle, vehicle_from_dict
 
 SEED = 20261129

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from groundstation.errors import BadInput
+from groundstation.flightdata import resampled
 from groundstation.frames import matrix_from_quat, quat_rotate
 from groundstation.paths import configs_dir
 from groundstation.recording import convert, load_flight
@@ -325,7 +326,7 @@ def test_the_px4_flight_obeys_newton_in_our_frames():
     flown = load_flight(DATA / "px4-sih" / "excitation.ulg", vehicle=vehicle, start_s=25.0, end_s=58.0)
     pose, imu = flown.mocap, flown.imu
     # Specific force in the world is the second derivative of position plus gravity, both over 0.2 s.
-    force = np.column_stack([np.interp(pose.t_s, imu.t_s, column) for column in _smooth(imu.values[:, 3:], 50).T])
+    force = resampled(pose.t_s, imu.t_s, _smooth(imu.values[:, 3:], 50))
     world = quat_rotate(pose.values[:, 3:], force) - [0.0, 0.0, 9.80665]
     step = 5
     second = (pose.values[2 * step :, :3] - 2 * pose.values[step:-step, :3] + pose.values[: -2 * step, :3]) / 0.1**2
@@ -335,7 +336,7 @@ def test_the_px4_flight_obeys_newton_in_our_frames():
         slope = np.sum(second[:, axis] * middle[:, axis]) / np.sum(middle[:, axis] ** 2)
         assert slope == pytest.approx(1.0, abs=0.15), axis
     turned = body_rates(pose.t_s, pose.values[:, 3:])
-    gyro = np.column_stack([np.interp(pose.t_s, imu.t_s, column) for column in _smooth(imu.values[:, :3], 10).T])
+    gyro = resampled(pose.t_s, imu.t_s, _smooth(imu.values[:, :3], 10))
     for axis in range(3):
         assert np.corrcoef(turned[:, axis], gyro[:, axis])[0, 1] > 0.9, axis
     assert min(changes_agree(flown, vehicle, 0.04, (0, 1, 2))) > 0.6

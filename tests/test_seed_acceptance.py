@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from benchmarks.flown import flight_data
 from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.identification.seed import identify_seed
 from groundstation.paths import find_config
@@ -11,6 +10,7 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
 from sim.scenario import load_scenario
+from studies.flown import flight_data
 
 
 def fly(scenario, seed):

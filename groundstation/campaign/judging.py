@@ -9,8 +9,9 @@ import numpy as np
 
 from groundstation.diagnosis.effect import library, wrench_of
 from groundstation.flightdata import FlightData
-from groundstation.identification.preparation import flight_states
-from groundstation.model.prediction import model_from_document, predict
+from groundstation.identification.starts import flight_states
+from groundstation.model.prediction import predict
+from groundstation.model.vehicle_model import model_from_document
 from groundstation.vehicle import vehicle_from_dict
 
 HORIZON_S = 0.5

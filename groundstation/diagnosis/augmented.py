@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from groundstation.diagnosis.columns import Candidate
 from groundstation.diagnosis.effect import library
-from groundstation.diagnosis.evidence import Candidate
 
 
 def known_candidates(effects: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[Candidate, ...]:

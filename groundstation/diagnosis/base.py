@@ -9,7 +9,7 @@ import numpy as np
 from groundstation.diagnosis.case import Case
 from groundstation.diagnosis.linearisation import linearisation
 from groundstation.diagnosis.thresholds import THRESHOLDS
-from groundstation.identification.pipeline import fit_dynamics, options_for
+from groundstation.identification.dynamic_fit import fit_dynamics, options_for
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared
 from groundstation.model.parameters import FitOptions

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.attribution import folds, held_out
-from groundstation.diagnosis.evidence import FLIGHTS_OWN, Candidate, Columns, Evidence, FlightEvidence, Solution
+from groundstation.diagnosis.columns import Candidate, Columns, Solution
+from groundstation.diagnosis.evidence import FLIGHTS_OWN, Evidence
+from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.form_error import form_covariance
 from groundstation.identification.anchoring import anchored, anchored_covariance
 from groundstation.identification.prediction_error import Fitted, output_error

@@ -13,14 +13,17 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.columns import Solution
 from groundstation.diagnosis.comparison import Chosen, Split
-from groundstation.diagnosis.evidence import Evidence, Solution
-from groundstation.identification.preparation import Prepared, smoothed_states
+from groundstation.diagnosis.evidence import Evidence
+from groundstation.identification.preparation import Prepared
 from groundstation.identification.results import MASS_AND_TENSOR
+from groundstation.identification.starts import smoothed_states
 from groundstation.identification.validation import closed_loop_validation
 from groundstation.model.parameters import BASIS, PAIRS, Parameters, table, values_of, with_values
-from groundstation.model.prediction import VehicleModel, declared_model, error_norms
+from groundstation.model.prediction import error_norms
 from groundstation.model.signals import Signals
+from groundstation.model.vehicle_model import VehicleModel, declared_model
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]

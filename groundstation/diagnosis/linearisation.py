@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import Effect, bending
 from groundstation.diagnosis.thresholds import THRESHOLDS
+from groundstation.identification.dynamic_fit import DynamicFit
 from groundstation.identification.identifiability import unsettled
-from groundstation.identification.pipeline import DynamicFit
 from groundstation.identification.prediction_error import Fitted, fit
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import BodyWrench, RecordModel

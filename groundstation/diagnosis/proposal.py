@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.attribution import held_out
+from groundstation.diagnosis.columns import Candidate, Columns
 from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, weight
-from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
+from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.results import Unexplained
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import euler_from_quat, quat_rotate_inverse

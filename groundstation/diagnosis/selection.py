@@ -9,8 +9,10 @@ from groundstation.diagnosis.attribution import Named, Selection, candidates
 from groundstation.diagnosis.augmented import is_among
 from groundstation.diagnosis.base import Base
 from groundstation.diagnosis.case import Case
+from groundstation.diagnosis.columns import Candidate, Solution
 from groundstation.diagnosis.effect import library, shared_by_healthy
-from groundstation.diagnosis.evidence import Candidate, Evidence, FlightEvidence, Solution
+from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.rivals import Entry
 from groundstation.diagnosis.unplanned import Told
 from groundstation.vehicle import Vehicle

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.columns import Solution
 from groundstation.diagnosis.effect import is_commanded
 from groundstation.diagnosis.effects.input_delay import EFFECT as DELAY
 from groundstation.diagnosis.effects.motor_lag import EFFECT as LAG
-from groundstation.diagnosis.evidence import Evidence, Solution
+from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import posterior
 from groundstation.diagnosis.sentences import told

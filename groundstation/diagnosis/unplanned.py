@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.columns import Candidate
 from groundstation.diagnosis.effect import Effect, has_rotors, library
-from groundstation.diagnosis.evidence import Candidate
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import posterior
 from groundstation.diagnosis.sentences import told

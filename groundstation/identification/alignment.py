@@ -12,10 +12,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.flightdata import FlightData, Stream
-from groundstation.frames import quat_rotate
+from groundstation.flightdata import FlightData, Stream, resampled
+from groundstation.frames import quat_rotate, slerp
 from groundstation.identification.instruments import FlownMotion
-from groundstation.identification.reconstruction import slerp
 from groundstation.model.rotors import MotorInput, declared_thrust, interpolate_columns, wrench_matrix
 
 Array = NDArray[np.float64]
@@ -172,7 +171,7 @@ def _turning_and_force(
     def passed(values: Array) -> Array:
         return np.asarray(sosfiltfilt(low_pass, values, axis=0), dtype=float)
 
-    rate = np.stack([np.interp(grid, motion.t_s, c) for c in motion.rate.T], axis=-1)
+    rate = resampled(grid, motion.t_s, motion.rate)
     made = interpolate_columns(grid + centre, inputs.start_s, inputs.step_s, wrench)
     torque = passed(made[:, 3:] @ np.linalg.inv(vehicle.inertia_tensor()))[:, :2]
     turning = passed(np.gradient(rate, STEP_S, axis=0))[:, :2]
@@ -210,10 +209,10 @@ def with_one_stamp(
     def passed(values: Array) -> Array:
         return np.asarray(sosfiltfilt(band, values, axis=0), dtype=float)
 
-    position = np.stack([np.interp(grid, when, c) for c in pose.values[:, :3].T], axis=-1)
+    position = resampled(grid, when, pose.values[:, :3])
     seen = np.gradient(np.gradient(passed(position), STEP_S, axis=0), STEP_S, axis=0)
     felt = quat_rotate(slerp(t_imu, when, pose.values[:, 3:7]), accel) - np.array([0.0, 0.0, gravity_m_s2])
-    felt = passed(np.stack([np.interp(grid, t_imu, c) for c in felt.T], axis=-1))
+    felt = passed(resampled(grid, t_imu, felt))
     axes = [
         lag_between(felt[:, i : i + 1], seen[:, i : i + 1], STEP_S, reach_s=0.5, own_s=(-LATE_S, LATE_S))
         for i in range(3)
@@ -222,7 +221,7 @@ def with_one_stamp(
     if abs(late) < max(LATE_S, 4.0 * std):
         return pose, []
     at = np.clip(pose.t_s + late, pose.t_s[0], pose.t_s[-1])
-    moved = np.stack([np.interp(at, pose.t_s, c) for c in pose.values[:, :3].T], axis=-1)
+    moved = resampled(at, pose.t_s, pose.values[:, :3])
     inside = (pose.t_s + late >= pose.t_s[0]) & (pose.t_s + late <= pose.t_s[-1])
     text = (
         f"Positions are {late * 1e3:+.0f} +- {std * 1e3:.0f} ms late against the attitudes of the same poses "

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import Refused
+from groundstation.flightdata import resampled
 from groundstation.frames import quat_conjugate, quat_exp, quat_log, quat_multiply, quat_rotate
 
 Array = NDArray[np.float64]
@@ -71,7 +72,7 @@ def _smooth_rates(grid: Array, t: Array, rate: Array) -> Array:
     """Rates on a grid, clipped where they stray, low-passed without phase and without their mean."""
     from scipy.signal import butter, sosfiltfilt
 
-    on_grid = np.stack([np.interp(grid, t, c) for c in rate.T], axis=-1)
+    on_grid = resampled(grid, t, rate)
     limit = 8.0 * np.median(np.abs(on_grid), axis=0) + 0.5
     low_pass = butter(4, SMOOTHING_HZ, fs=GRID_HZ, output="sos")
     smooth = sosfiltfilt(low_pass, np.clip(on_grid, -limit, limit), axis=0)
@@ -117,7 +118,7 @@ def fine_offset(t_gyro: Array, gyro: Array, t_pose: Array, quaternion: Array, co
     """
     step = 1.0 / INTEGRATION_HZ
     grid = np.arange(t_gyro[0], t_gyro[-1], step)
-    rate = np.stack([np.interp(grid, t_gyro, column) for column in gyro.T], axis=-1)
+    rate = resampled(grid, t_gyro, gyro)
     turns = quat_exp(0.5 * step * (rate[1:] + rate[:-1]))
     attitude = np.empty((len(grid), 4))
     attitude[0] = quaternion[0]
@@ -126,7 +127,7 @@ def fine_offset(t_gyro: Array, gyro: Array, t_pose: Array, quaternion: Array, co
     at = t_pose - coarse_s
     inside = (at > grid[0]) & (at < grid[-1])
     place = np.clip(np.searchsorted(grid, at[inside]) - 1, 0, len(grid) - 2)
-    local = np.stack([np.interp(at[inside], grid, column) for column in rate.T], axis=-1)
+    local = resampled(at[inside], grid, rate)
     here = quat_multiply(attitude[place], quat_exp(local * (at[inside] - grid[place])[:, None]))
     error = quat_log(quat_multiply(quaternion[inside], quat_conjugate(here)))
     turning = quat_rotate(here, local)

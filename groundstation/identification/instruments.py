@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.flightdata import FlightData, Stream
+from groundstation.flightdata import FlightData, Stream, resampled
 from groundstation.frames import euler_from_quat, quat_continuous, quat_from_euler, quat_rotate_inverse
-from groundstation.identification.processing import clean
 from groundstation.identification.record_model import PlannedMotion
+from groundstation.identification.streams import clean
 from groundstation.trajectory import FlatState, RigidMotion, rigid_motion
 
 Array = NDArray[np.float64]
@@ -103,7 +103,7 @@ def _delay(reference: Reference, motion: FlownMotion, keep: Mask, gravity: float
     t = motion.t_s
     step, reach = 0.02, 1.5
     grid = np.arange(t[keep][0], t[keep][-1], step)
-    actual = np.stack([np.interp(grid, t, c) for c in motion.rate.T], axis=-1)
+    actual = resampled(grid, t, motion.rate)
     pad = round(reach / step)
     wide = grid[0] + step * np.arange(-pad, len(grid) + pad)
     planned = rigid_motion(reference(wide), gravity).angular_velocity_body_rad_s

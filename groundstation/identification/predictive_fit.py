@@ -14,8 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.flightdata import resampled
 from groundstation.frames import quat_conjugate, quat_exp, quat_log, quat_multiply, quat_normalise
-from groundstation.model.prediction import QUANTITIES, FlightStates, VehicleModel, declared_model, error_norms
+from groundstation.model.flight_states import FlightStates
+from groundstation.model.prediction import QUANTITIES, error_norms
 from groundstation.model.predictive import (
     NAMES,
     NUMBERS,
@@ -28,6 +30,7 @@ from groundstation.model.predictive import (
     windows,
 )
 from groundstation.model.predictive_kernel import missed
+from groundstation.model.vehicle_model import VehicleModel, declared_model
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -128,7 +131,7 @@ def _at(states: FlightStates, at_s: Array) -> Array:
     nearest = np.clip(np.searchsorted(states.t_s, at_s - 0.5 * np.median(np.diff(states.t_s))), 0, len(states.t_s) - 1)
 
     def columns(values: Array) -> Array:
-        return np.stack([np.interp(at_s, states.t_s, c) for c in values.T], axis=-1)
+        return resampled(at_s, states.t_s, values)
 
     parts = (columns(states.position_m), columns(states.velocity_m_s), states.quaternion[nearest])
     return np.concatenate([*parts, columns(states.rate_rad_s)], axis=1)

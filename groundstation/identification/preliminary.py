@@ -21,9 +21,10 @@ from groundstation.identification.alignment import arrival_difference
 from groundstation.identification.anchoring import anchored
 from groundstation.identification.clock import coarse_offset
 from groundstation.identification.filters import zero_phase_low_pass
-from groundstation.identification.processing import Signals, clean, process_flight
 from groundstation.identification.regressors import standard_regressor
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
+from groundstation.identification.seed_signals import Processing, SeedSignals, process_flight
+from groundstation.identification.streams import clean
 from groundstation.identification.wrench import declared_wrench
 from groundstation.vehicle import Vehicle
 
@@ -52,7 +53,7 @@ def first_estimate(flight: FlightData) -> dict[str, Estimate]:
     Raises:
         NotIdentifiable: the streams overlap for too short, or the motion reveals nothing.
     """
-    signals = process_flight(flight, mocap_minus_imu_s=_pose_offset_s(flight))
+    signals = process_flight(flight, Processing(mocap_minus_imu_s=_pose_offset_s(flight)))
     if signals.specific_force is None:
         raise NotIdentifiable("Nothing tells the specific force.", "Record an accelerometer or poses.")
     values, covariance = _fitted(flight, signals)
@@ -87,7 +88,7 @@ def _pose_offset_s(flight: FlightData) -> float:
         return 0.0
 
 
-def _fitted(flight: FlightData, signals: Signals) -> tuple[Array, Array]:
+def _fitted(flight: FlightData, signals: SeedSignals) -> tuple[Array, Array]:
     """Values and covariance (10, 10) of NAMES."""
     late = _answers_late(flight.vehicle)
     step = max(1, round(1.0 / (RATE_HZ * signals.period_s)))
@@ -110,7 +111,7 @@ def _fitted(flight: FlightData, signals: Signals) -> tuple[Array, Array]:
     return theta[: len(NAMES)], covariance[: len(NAMES), : len(NAMES)]
 
 
-def _wrench(flight: FlightData, signals: Signals, lag_s: float) -> Array:
+def _wrench(flight: FlightData, signals: SeedSignals, lag_s: float) -> Array:
     """The wrench of rotors behind a lag, through the signals' low-pass, (k, 4)."""
     lag = flight.vehicle.rotors.lag.model_copy(update={"up_s": lag_s, "down_s": lag_s})
     rotors = flight.vehicle.rotors.model_copy(update={"lag": lag})

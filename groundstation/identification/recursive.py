@@ -128,7 +128,7 @@ class RecursiveEstimator:
     def __init__(self, vehicle: Vehicle):
         rotors = vehicle.rotors
         self._vehicle = vehicle
-        measured = rotors.input == "rotor_speed" and rotors.speed_source == "telemetry"
+        measured = rotors.measured
         lag = () if measured or rotors.input == "wrench" else (rotors.lag.up_s, rotors.lag.down_s)
         self._lag = lag if any(lag) else ()
         self._lagged: tuple[float, Array, Array] | None = None

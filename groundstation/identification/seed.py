@@ -13,7 +13,6 @@ from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import thrust_constants
 from groundstation.identification.estimators import LinearEstimate, gradient_descent, least_squares
 from groundstation.identification.filters import FilterPair, seed_pair
-from groundstation.identification.processing import Signals, process_flight
 from groundstation.identification.regressors import (
     assemble,
     rate_products,
@@ -21,6 +20,7 @@ from groundstation.identification.regressors import (
     transport_and_gravity,
 )
 from groundstation.identification.results import MASS_AND_TENSOR, OUTPUTS, Estimate, Evolution, MethodResult
+from groundstation.identification.seed_signals import Processing, SeedSignals, process_flight
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -54,7 +54,7 @@ class Regression:
     note: str = ""
 
 
-def standard_regression(signals: Signals) -> Regression:
+def standard_regression(signals: SeedSignals) -> Regression:
     """The standard model (34): accelerations from differentiated signals."""
     rate, derivative = signals.rate, signals.rate_derivative
     first = np.zeros(len(rate)) if signals.specific_force is None else signals.specific_force[:, 2]
@@ -62,7 +62,7 @@ def standard_regression(signals: Signals) -> Regression:
 
 
 def filtered_regression(
-    signals: Signals,
+    signals: SeedSignals,
     pair: Callable[[float, float], FilterPair] = seed_pair,
     *,
     cutoff_rad_s: float = FILTER_CUTOFF_RAD_S,
@@ -114,12 +114,12 @@ def identify_seed(
     Raises:
         NotIdentifiable: this motion reveals none of the parameters, or the streams do not overlap.
     """
-    signals = process_flight(flight, mocap_minus_imu_s=mocap_minus_imu_s, exclude=exclude)
+    signals = process_flight(flight, Processing(mocap_minus_imu_s=mocap_minus_imu_s, exclude=exclude))
     return seed_methods(signals, flight.vehicle)
 
 
 def seed_methods(
-    signals: Signals, vehicle: Vehicle, *, filter_period_s: float | None = None, refuse: bool = True
+    signals: SeedSignals, vehicle: Vehicle, *, filter_period_s: float | None = None, refuse: bool = True
 ) -> dict[str, MethodResult]:
     """The four methods on processed signals; see :func:`identify_seed`.
 

@@ -21,7 +21,7 @@ def declared_wrench(vehicle: Vehicle, motors: Stream, battery: Stream | None, t_
     stamps, values = motors.t_s, motors.values
     if vehicle.rotors.input == "wrench":
         return held_mean(t_s, stamps, values)
-    measured = vehicle.rotors.input == "rotor_speed" and vehicle.rotors.speed_source == "telemetry"
+    measured = vehicle.rotors.measured
     if measured:
         columns = [np.interp(t_s, stamps, column) for column in values.T]
         return vehicle.thrust(np.stack(columns, axis=1)) @ vehicle.allocation().T

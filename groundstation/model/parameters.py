@@ -372,12 +372,11 @@ def with_values(p: Parameters, names: Sequence[str], values: Array, extra_names:
 def declared_parameters(vehicle: Vehicle, *, lag_s: float = 0.0, extra: int = 0) -> Parameters:
     """The declared vehicle with a lag for where none is declared; speeds that were measured have their lag behind them."""
     rotors = vehicle.rotors
-    measured = rotors.input == "rotor_speed" and rotors.speed_source == "telemetry"
     return Parameters(
         mass_kg=vehicle.mass_kg,
         tensor=vehicle.inertia_tensor(),
-        lag_up_s=0.0 if measured else rotors.lag.up_s or lag_s,
-        lag_down_s=0.0 if measured else rotors.lag.down_s or lag_s,
+        lag_up_s=0.0 if rotors.measured else rotors.lag.up_s or lag_s,
+        lag_down_s=0.0 if rotors.measured else rotors.lag.down_s or lag_s,
         delay_s=0.0,
         com_m=np.zeros(3),
         yaw_trim_nm=0.0,

@@ -18,17 +18,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInput
+from groundstation.model.flight_states import FlightStates
 from groundstation.model.predictive_kernel import FLAPPING, integrated, observed, seen, simulated
 from groundstation.model.rotors import declared_thrust, wrench_matrix
-
-if TYPE_CHECKING:
-    from groundstation.model.prediction import FlightStates, VehicleModel
+from groundstation.model.vehicle_model import VehicleModel
 
 Array = NDArray[np.float64]
 

@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from groundstation.flightdata import resampled
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -99,7 +100,7 @@ def motor_input(
     t_s = np.asarray(t_s, dtype=float)
     grid = t_s[0] + step_s * np.arange(int(np.floor((t_s[-1] - t_s[0]) / step_s)) + 1)
     if measured:
-        value = np.stack([np.interp(grid, t_s, column) for column in values.T], axis=-1)
+        value = resampled(grid, t_s, values)
     else:
         value = values[np.clip(np.searchsorted(t_s, grid + 1e-9, side="right") - 1, 0, len(t_s) - 1)]
     return MotorInput(float(t_s[0]), step_s, np.ascontiguousarray(value, dtype=float), measured, hover)

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from groundstation.flightdata import Stream, motor_columns
+from groundstation.flightdata import Stream, motor_columns, resampled
 from groundstation.recording.recorded import Recording
 
 COMMANDS = "motor_commands"
@@ -92,7 +92,7 @@ def motors_by_data(speeds: Stream, commands: Stream) -> list[int] | None:
     if len(speeds.columns) != count or min(len(speeds), len(commands)) < _LEAST:
         return None
     inside = (speeds.t_s >= commands.t_s[0]) & (speeds.t_s <= commands.t_s[-1])
-    sent = np.column_stack([np.interp(speeds.t_s[inside], commands.t_s, column) for column in commands.values.T])
+    sent = resampled(speeds.t_s[inside], commands.t_s, commands.values)
     made = speeds.values[inside]
     on = (sent.mean(axis=1) > 0.1 * sent.mean(axis=1).max(initial=0.0)) & np.all(made > 0.0, axis=1)
     sent, made = sent[on], made[on]

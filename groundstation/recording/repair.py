@@ -264,7 +264,7 @@ def _repair_state(stream: Stream, name: str, vehicle: Vehicle) -> tuple[Stream, 
 
 def _repair_motors(stream: Stream, name: str, vehicle: Vehicle) -> tuple[Stream, list[str]]:
     rotors = vehicle.rotors
-    measured = rotors.input == "rotor_speed" and rotors.speed_source == "telemetry"
+    measured = rotors.measured
     notes: list[str] = []
     values = stream.values
     nonfinite = ~np.isfinite(values)

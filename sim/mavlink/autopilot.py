@@ -435,7 +435,7 @@ class Autopilot(ABC):
     def has_esc_telemetry(self) -> bool:
         """Whether the vehicle's ESCs report their speed."""
         rotors = self.vehicle.rotors
-        return rotors.input == "rotor_speed" and rotors.speed_source == "telemetry"
+        return rotors.measured
 
     @property
     def distance_from_home(self) -> tuple[float, float]:

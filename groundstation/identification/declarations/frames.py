@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.flightdata import FlightData, Stream
-from groundstation.frames import quat_conjugate, quat_exp, quat_multiply, quat_rotate
+from groundstation.flightdata import FlightData, Stream, resampled
+from groundstation.frames import quat_conjugate, quat_exp, quat_multiply, quat_rotate, slerp
 from groundstation.identification.clock import rates_from_attitude
 from groundstation.identification.declarations.check import Check
 from groundstation.identification.declarations.signals import (
@@ -17,11 +17,9 @@ from groundstation.identification.declarations.signals import (
     correlations,
     in_words,
     long_enough,
-    on_grid,
     passed,
     signed_permutations,
 )
-from groundstation.identification.reconstruction import slerp
 
 Array = NDArray[np.float64]
 
@@ -66,7 +64,7 @@ def _rates(pose: Stream, quaternion: Array, grid: Array) -> Array:
     """Body rates of attitudes on a grid, in the band."""
     rate, middle = rates_from_attitude(pose.t_s, quaternion)
     limit = 8.0 * np.median(np.abs(rate), axis=0) + 1.0
-    return passed(on_grid(grid, middle, np.clip(rate, -limit, limit)), (0.3, 4.0))
+    return passed(resampled(grid, middle, np.clip(rate, -limit, limit)), (0.3, 4.0))
 
 
 def _best_shift(first: Array, second: Array) -> int:
@@ -88,7 +86,7 @@ def _attitude(imu: Stream, pose: Stream, mounting: Array) -> tuple[str, float | 
     """Under which reading of quaternions and naming of axes gyro and attitudes agree."""
     grid = np.arange(imu.t_s[0], imu.t_s[-1], STEP_S)
     when = np.arange(pose.t_s[0], pose.t_s[-1], STEP_S)
-    gyro = passed(on_grid(grid, imu.t_s, imu.values[:, :3]), (0.3, 4.0))
+    gyro = passed(resampled(grid, imu.t_s, imu.values[:, :3]), (0.3, 4.0))
     names = signed_permutations()
     results = {}
     for reading in READINGS:
@@ -153,8 +151,8 @@ def _world(imu: Stream, pose: Stream, quaternion: Array, offset: float, gravity:
         return []
     felt = quat_rotate(slerp(imu.t_s, pose.t_s - offset, quaternion), imu.values[:, 3:6])
     upward = np.median(felt, axis=0) / gravity
-    felt = passed(on_grid(grid, imu.t_s, felt - np.array([0.0, 0.0, gravity])), band)
-    smooth = passed(on_grid(grid, pose.t_s - offset, pose.values[:, :3]), band)
+    felt = passed(resampled(grid, imu.t_s, felt - np.array([0.0, 0.0, gravity])), band)
+    smooth = passed(resampled(grid, pose.t_s - offset, pose.values[:, :3]), band)
     seen = np.gradient(np.gradient(smooth, STEP_S, axis=0), STEP_S, axis=0)
     names = signed_permutations()
     late = [correlations(*_overlap(felt, seen, shift)) for shift in range(-15, 16, 3)]
@@ -199,8 +197,8 @@ def _velocity(state: Stream) -> list[Check]:
     grid = np.arange(state.t_s[0], state.t_s[-1], STEP_S)
     if len(grid) < 300:
         return []
-    place = passed(on_grid(grid, state.t_s, state.values[:, :3]), (0.1, 2.0))
-    told = passed(on_grid(grid, state.t_s, state.values[:, 3:6]), (0.1, 2.0))
+    place = passed(resampled(grid, state.t_s, state.values[:, :3]), (0.1, 2.0))
+    told = passed(resampled(grid, state.t_s, state.values[:, 3:6]), (0.1, 2.0))
     seen = np.gradient(place, STEP_S, axis=0)
     names = signed_permutations()
     found = correlations(told, seen)

@@ -8,8 +8,8 @@ from itertools import pairwise, permutations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.flightdata import FlightData, Stream
-from groundstation.identification.processing import clean, flown_stretches
+from groundstation.flightdata import FlightData, Stream, resampled
+from groundstation.identification.streams import clean, flown_stretches
 from groundstation.identification.stretches import within
 from groundstation.identification.wrench import voltage_ratio
 
@@ -46,11 +46,6 @@ def passed(values: Array, band_hz: tuple[float, float] = BAND_HZ) -> Array:
 
     sos = butter(2, band_hz, btype="band", fs=1.0 / STEP_S, output="sos")
     return np.asarray(sosfiltfilt(sos, values, axis=0), dtype=float)
-
-
-def on_grid(grid: Array, t_s: Array, values: Array) -> Array:
-    """Linear interpolation of columns, (k, d)."""
-    return np.stack([np.interp(grid, t_s, column) for column in values.T], axis=-1)
 
 
 def long_enough(stream: Stream | None) -> Stream | None:
@@ -129,14 +124,14 @@ def flown(flight: FlightData) -> Flown:
     source = imu if imu is not None else _rates_of(flight)
     rate = force = None
     if source is not None:
-        rate = on_grid(grid - offset, source.t_s, source.values[:, :3])
-        force = on_grid(grid - offset, source.t_s, source.values[:, 3:6]) if imu is not None else None
+        rate = resampled(grid - offset, source.t_s, source.values[:, :3])
+        force = resampled(grid - offset, source.t_s, source.values[:, 3:6]) if imu is not None else None
     thrust = None
     if flight.vehicle.rotors.input != "wrench":
         values = motors.values
         if flight.vehicle.rotors.input == "command":
             values = values * voltage_ratio(flight.vehicle, flight.battery, motors.t_s)[:, None]
-        thrust = on_grid(grid, motors.t_s, flight.vehicle.thrust(values))
+        thrust = resampled(grid, motors.t_s, flight.vehicle.thrust(values))
     return Flown(grid, within(grid, stretches), rate, force, thrust)
 
 

@@ -31,7 +31,7 @@ T_LEAD = 5.0
 def speed_checks(flown: Flown, vehicle: Vehicle) -> list[Check]:
     """Check "speed_source", where speeds are declared as telemetry and an IMU is recorded."""
     rotors = vehicle.rotors
-    measured = rotors.input == "rotor_speed" and rotors.speed_source == "telemetry"
+    measured = rotors.measured
     if not measured or flown.thrust is None or flown.rate is None or flown.force is None:
         return []
     if flown.used.sum() * STEP_S < SHORTEST_S:
