@@ -1,8 +1,10 @@
-"""Time of the catalogue over many flights: first reading, listing, SQL over all parameters. The flights are made, not flown.
+"""Time of the catalogue over many flights: first reading, listing, SQL over all parameters. The flights are made, not
+flown.
 
     python -m benchmarks.catalogue --flights 10000 --json docs/results/catalogue.json
 
-Beside each time stands a plain loop of the same run (parse every flight's JSON once), since times of a shared machine mean little alone.
+Beside each time stands a plain loop of the same run (parse every flight's JSON once), since times of a shared machine
+mean little alone.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ NAMES = ("mass_kg", "ixx_kg_m2", "ixy_kg_m2", "ixz_kg_m2", "iyy_kg_m2", "iyz_kg_
 MODEL = ("rotor_lag_up_s", "rotor_lag_down_s", "gyro_bias_x_rad_s", "accel_bias_x_m_s2", "input_delay_s")
 QUERIES = {
     "mean of every parameter by method": "SELECT method, name, avg(value), avg(std) FROM parameters GROUP BY ALL",
-    "worst moment of each vehicle": "SELECT vehicle, max(std / value) FROM parameters WHERE name LIKE 'i__\\_kg\\_m2' ESCAPE '\\' GROUP BY ALL",
+    "worst moment of each vehicle": "SELECT vehicle, max(std / value) FROM parameters WHERE name LIKE 'i__\\_kg\\_m2' "
+    "ESCAPE '\\' GROUP BY ALL",
     "findings by effect": "SELECT effect, count(*), avg(confidence) FROM findings GROUP BY ALL",
 }
 

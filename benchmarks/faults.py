@@ -1,10 +1,11 @@
-"""Every fault of line, processes and senders, in flight, by real processes: noticed, mode, ground, disarmed, by whom, status.
+"""Every fault of line, processes and senders, in flight, by real processes: noticed, mode, ground, disarmed, by whom,
+status.
 
 make faults    (or: python -m benchmarks.faults [FAULT ...] [--profile px4] [--px4 BINARY] [--arducopter BINARY])
 
-What the vehicle does is told by the relay between it and the station (benchmarks/relay.py), which knows MAVLink by itself.
-Twice as many faults on virtual time: python -m benchmarks.faults_virtual. Results: docs/results/faults.json; of real firmware,
-whose binaries are given: docs/results/faults_firmware.json.
+What the vehicle does is told by the relay between it and the station (benchmarks/relay.py), which knows MAVLink by
+itself. Twice as many faults on virtual time: python -m benchmarks.faults_virtual. Results: docs/results/faults.json; of
+real firmware, whose binaries are given: docs/results/faults_firmware.json.
 """
 
 from __future__ import annotations

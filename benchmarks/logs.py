@@ -1,7 +1,7 @@
 """Speed and memory of the log readers: a long log, and our decoders against the libraries that others keep.
 
-``python -m benchmarks.logs [--minutes 30]``. Ratios are of the same run. The limit of memory is six times the samples that
-are used, as doubles; ``make bench`` prints it.
+``python -m benchmarks.logs [--minutes 30]``. Ratios are of the same run. The limit of memory is six times the samples
+that are used, as doubles; ``make bench`` prints it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ def write_long_ulog(path: Path, minutes: float) -> None:
 
     count = int(minutes * 60.0 * RATE_HZ)
     formats = {
-        "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;uint32_t gyro_integral_dt;float[3] accelerometer_m_s2;",
+        "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;uint32_t gyro_integral_dt;float[3] "
+        "accelerometer_m_s2;",
         "actuator_motors": "uint64_t timestamp;uint64_t timestamp_sample;float[12] control;",
         "vehicle_attitude": "uint64_t timestamp;uint64_t timestamp_sample;float[4] q;",
     }
@@ -100,7 +101,8 @@ def against_libraries(ulog: Path) -> None:
     ULog(str(ulog))
     theirs = time.monotonic() - begun
     print(
-        f"ULog of {ulog.stat().st_size / 1e6:.0f} MB, every column: ours {ours:.2f} s, pyulog {theirs:.2f} s, {theirs / ours:.1f} times"
+        f"ULog of {ulog.stat().st_size / 1e6:.0f} MB, every column: ours {ours:.2f} s, pyulog {theirs:.2f} s, "
+        f"{theirs / ours:.1f} times"
     )
 
 
@@ -149,7 +151,8 @@ def main() -> None:
             found = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
             whole = found["used_mb"] if extra else None
             print(
-                f"log of {options.minutes:g} min at 1 kHz ({path.stat().st_size / 1e6:.0f} MB){' --all' if extra else ''}: "
+                f"log of {options.minutes:g} min at 1 kHz ({path.stat().st_size / 1e6:.0f} "
+                f"MB){' --all' if extra else ''}: "
                 f"{found['s']:.1f} s, peak {found['peak_mb']:.0f} MB, samples used {found['used_mb']:.0f} MB"
                 + (f", {found['peak_mb'] / whole:.1f} times (limit {FACTOR:g})" if whole else "")
             )

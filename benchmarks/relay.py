@@ -2,11 +2,11 @@
 
 python benchmarks/relay.py STATION_PORT [VEHICLE_PORT]
 
-It knows MAVLink by itself (the standard library alone; no code of the link's): frames, checksums, four messages. The vehicle
-speaks to ``vehicle_port``, which the first line of output names; the station waits on STATION_PORT. Orders come as lines of
-JSON on standard input: {"cut": seconds, "way": "up" | "down" | "both"}, {"loss": share}, {"delay": seconds},
-{"frames": name, "count": n, "per_s": rate} (see KINDS), {"stranger": name, "per_s": rate, "seconds": s}. What it sees leaves as
-lines of JSON, at most ten a second and on each change.
+It knows MAVLink by itself (the standard library alone; no code of the link's): frames, checksums, four messages. The
+vehicle speaks to ``vehicle_port``, which the first line of output names; the station waits on STATION_PORT. Orders come
+as lines of JSON on standard input: {"cut": seconds, "way": "up" | "down" | "both"}, {"loss": share}, {"delay":
+seconds}, {"frames": name, "count": n, "per_s": rate} (see KINDS), {"stranger": name, "per_s": rate, "seconds": s}. What
+it sees leaves as lines of JSON, at most ten a second and on each change.
 """
 
 from __future__ import annotations
@@ -46,7 +46,9 @@ def pack(number: int, payload: bytes, system: int = 1, component: int = 1, seque
 
 
 def frames(data: bytes):
-    """(message, system, component, payload) of the MAVLink 2 frames of one datagram; checksums are the other ends' business."""
+    """(message, system, component, payload) of the MAVLink 2 frames of one datagram; checksums are the other ends'
+    business.
+    """
     at = 0
     while at + 12 <= len(data) and data[at] == 0xFD:
         size = data[at + 1]
@@ -75,7 +77,9 @@ class Hostile:
         return self._packed(ATTITUDE, struct.pack("<I6f", 1000, float("inf"), 0, 0, 0, 0, 0))
 
     def impossible(self) -> bytes:
-        """A message the link uses, in the autopilot's name, its floats impossible; never a word about mode or arming."""
+        """A message the link uses, in the autopilot's name, its floats impossible; never a word about mode or
+        arming.
+        """
         number = self.random.choice([n for n in SIZES if n not in (HEARTBEAT, EXTENDED, 22, 77, 111, 253, 1)])
         payload = b"".join(self.random.choice(IMPOSSIBLE) for _ in range((SIZES[number] + 3) // 4))
         return self._packed(number, payload[: SIZES[number]])

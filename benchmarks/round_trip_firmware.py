@@ -2,11 +2,12 @@
 
 python -m benchmarks.round_trip_firmware [--px4 PATH] [--arducopter PATH] [--model identification.toml]
 
-The first flight is our simulator's (x500, scenario hall, findings put in), or the given model's. PX4's simulation in hardware flies the
-``px4-sih`` parameters, ArduCopter's simulator the ``ardupilot-sitl`` frame, each with our plan, uploaded and led by ``groundstation fly``
-as with any vehicle, and identified from what came over the link. The second identification starts from the declared vehicle, with the thrust
-curve that the simulator has. z is the difference to what the file holds, in standard deviations of the second estimate; what a simulator does
-not hold is zero there. Kept in docs/results/exports_round_trip.json. Ports UDP 14540 and TCP 5760 must be free.
+The first flight is our simulator's (x500, scenario hall, findings put in), or the given model's. PX4's simulation in
+hardware flies the ``px4-sih`` parameters, ArduCopter's simulator the ``ardupilot-sitl`` frame, each with our plan,
+uploaded and led by ``groundstation fly`` as with any vehicle, and identified from what came over the link. The second
+identification starts from the declared vehicle, with the thrust curve that the simulator has. z is the difference to
+what the file holds, in standard deviations of the second estimate; what a simulator does not hold is zero there. Kept
+in docs/results/exports_round_trip.json. Ports UDP 14540 and TCP 5760 must be free.
 """
 
 from __future__ import annotations
@@ -157,7 +158,8 @@ def main() -> int:
         print(f"\n{there.reader}: worst |z| {told['worst_z']:.2f}, {'agrees' if told['agrees'] else 'DIFFERS'}")
         for parameter, row in told["parameters"].items():
             print(
-                f"  {parameter:<18} held {row['exported']:.6g}  again {row['again']:.6g} ± {1.96 * row['std']:.2g}  z {row['z']:+.2f}"
+                f"  {parameter:<18} held {row['exported']:.6g}  again {row['again']:.6g} ± {1.96 * row['std']:.2g}  z "
+                f"{row['z']:+.2f}"
             )
         RESULTS.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     return 0 if all(each["agrees"] for each in results["readers"].values()) else 1

@@ -2,9 +2,10 @@
 
     python -m benchmarks.setpoint_jitter
 
-Core, link and emulated PX4 fly as real processes; between link and autopilot stands a tap whose socket has each datagram
-stamped by the kernel on arrival, so that a late tap does not show. Beside the link, in the same seconds, a plain sender
-does what a script would: sleep to the next fiftieth of a second, send. Printed is how far the intervals are from 20 ms.
+Core, link and emulated PX4 fly as real processes; between link and autopilot stands a tap whose socket has each
+datagram stamped by the kernel on arrival, so that a late tap does not show. Beside the link, in the same seconds, a
+plain sender does what a script would: sleep to the next fiftieth of a second, send. Printed is how far the intervals
+are from 20 ms.
 """
 
 from __future__ import annotations

@@ -2,9 +2,10 @@
 
 python -m benchmarks.soak [--seconds 100] [--out docs/results/soak.json]
 
-Six recordings, one after the other, each by a process of its own at full load: IMU at 1 kHz, poses of three bodies at 360 Hz,
-four rotor speeds at 400 Hz, setpoints at 50 Hz and raw MAVLink frames at 400 Hz, through the flight's own recorder, file and
-keeper. Each has a small disk of its own (tmpfs; ext4 in a file where it turns read-only). What comes back is counted by the MCAP library's reader, not by ours.
+Six recordings, one after the other, each by a process of its own at full load: IMU at 1 kHz, poses of three bodies at
+360 Hz, four rotor speeds at 400 Hz, setpoints at 50 Hz and raw MAVLink frames at 400 Hz, through the flight's own
+recorder, file and keeper. Each has a small disk of its own (tmpfs; ext4 in a file where it turns read-only). What comes
+back is counted by the MCAP library's reader, not by ours.
 """
 
 from __future__ import annotations
@@ -184,7 +185,8 @@ def table(document: dict) -> str:
             else f"{r['lost_before_the_fault_s']:.2f} s"
         )
         lines.append(
-            f"| {r['fault']} | {r['put_before_the_fault']} | {r['read_back']} | {lost} | {noticed} | {r['longest_put_ms']:.1f} ms | {r['told'] or '—'} |"
+            f"| {r['fault']} | {r['put_before_the_fault']} | {r['read_back']} | {lost} | {noticed} | "
+            f"{r['longest_put_ms']:.1f} ms | {r['told'] or '—'} |"
         )
     return "\n".join(lines)
 

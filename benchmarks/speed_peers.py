@@ -122,7 +122,9 @@ def _simulators() -> list[Row]:
 
 
 def crazyflow() -> float:
-    """Steps a processor second of all worlds together; in a process of its own, for it wants SciPy's settings before SciPy."""
+    """Steps a processor second of all worlds together; in a process of its own, for it wants SciPy's settings before
+    SciPy.
+    """
     from crazyflow.control import Control
     from crazyflow.dynamics import Dynamics
     from crazyflow.sim import Sim

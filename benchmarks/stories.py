@@ -1,8 +1,8 @@
 """The figures and numbers of docs/stories: `python -m benchmarks.stories blind|weight|lag`
 
-``blind`` draws what is hidden (two effects, their sizes, the true vehicle, the laboratory) from a seed, lets the console
-commands fly, diagnose, export and fly again, and prints what they printed. ``weight`` and ``lag`` read measured logs
-(``--data``). Each writes a figure into ``docs/stories``.
+``blind`` draws what is hidden (two effects, their sizes, the true vehicle, the laboratory) from a seed, lets the
+console commands fly, diagnose, export and fly again, and prints what they printed. ``weight`` and ``lag`` read measured
+logs (``--data``). Each writes a figure into ``docs/stories``.
 """
 
 from __future__ import annotations
@@ -78,7 +78,9 @@ def _save(figure: Any, name: str) -> None:
 
 
 def errors_by_horizon(flight: FlightData, document: dict[str, Any]) -> dict[str, dict[str, list[float]]]:
-    """RMS error of the open-loop prediction by horizon: as declared, as identified without the effects, and with them."""
+    """RMS error of the open-loop prediction by horizon: as declared, as identified without the effects, and with
+    them.
+    """
     vehicle = vehicle_from_dict(document["vehicle"], "the model")
     bare = {**document, "effects": {}}
     with_effects = model_from_document(document, vehicle, wrench_of(document["effects"], vehicle))
@@ -252,7 +254,9 @@ def _one_by_one(flights: dict[str, list[Prepared]]) -> None:
 
 
 def _weight_figure(vehicle: Vehicle, flights: dict[str, list[Prepared]]) -> None:
-    """Where the mean commanded thrust in settled flight stands, and the yaw torque it makes, by the declared constants."""
+    """Where the mean commanded thrust in settled flight stands, and the yaw torque it makes, by the declared
+    constants.
+    """
     allocation = vehicle.allocation()
     towards = np.asarray(vehicle.rotors.position_m)[2, :2]
     towards = towards / np.linalg.norm(towards)

@@ -1,4 +1,6 @@
-"""The console command ``groundstation``: finds the command, runs it, prints its result or its refusal, sets the status."""
+"""The console command ``groundstation``: finds the command, runs it, prints its result or its refusal, sets the
+status.
+"""
 
 from __future__ import annotations
 
@@ -168,7 +170,9 @@ def _json(document: Any) -> str:
 
 @contextmanager
 def _standard_output(as_json: bool) -> Iterator[TextIO]:
-    """Standard output; with ``--json`` kept for the document alone: what else writes there, solvers too, goes to stderr."""
+    """Standard output; with ``--json`` kept for the document alone: what else writes there, solvers too, goes to
+    stderr.
+    """
     if not as_json:
         yield sys.stdout
         return

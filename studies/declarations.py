@@ -1,6 +1,8 @@
-"""Wrong declarations on drawn flights, with a plan and without, and what the checks say of them (``benchmarks.declarations``).
+"""Wrong declarations on drawn flights, with a plan and without, and what the checks say of them
+(``benchmarks.declarations``).
 
-Flights are drawn as in the study (vehicles of 30 g to 3 kg, gentle and fast, with disturbance, noise, latency and clock offsets).
+Flights are drawn as in the study (vehicles of 30 g to 3 kg, gentle and fast, with disturbance, noise, latency and clock
+offsets).
 """
 
 from __future__ import annotations
@@ -117,7 +119,9 @@ WRONG: dict[str, Change] = {
 
 
 def unplanned(flight: FlightData) -> FlightData:
-    """The same flight as anyone records it: no plan, no setpoints, no known window, rotor speeds at 100 Hz behind a 20 ms filter."""
+    """The same flight as anyone records it: no plan, no setpoints, no known window, rotor speeds at 100 Hz behind a 20
+    ms filter.
+    """
     from scipy.signal import lfilter
 
     motors = flight.motors

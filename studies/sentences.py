@@ -1,4 +1,6 @@
-"""Every sentence a finding may say, with typical values of either sign (``benchmarks.sentences`` writes docs/sentences.md)."""
+"""Every sentence a finding may say, with typical values of either sign (``benchmarks.sentences`` writes
+docs/sentences.md).
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,8 @@ VEHICLE = load_vehicle(find_config("vehicles", "qball2"))
 SIGNALS = cast("Any", SimpleNamespace(t_s=np.linspace(0.0, 60.0, 601)))
 """All that the variants of effects ask of a flight."""
 TYPICAL = 0.1
-"""Of a parameter's prior standard deviation; what is estimated without a prior takes four times the least that matters."""
+"""Of a parameter's prior standard deviation; what is estimated without a prior takes four times the least that matters.
+"""
 
 
 def sentences() -> dict[str, list[str]]:

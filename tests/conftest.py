@@ -1,4 +1,6 @@
-"""Set before numpy is imported: the suite's workers share the cores, where threads over matrices as small as ours only wait."""
+"""Set before numpy is imported: the suite's workers share the cores, where threads over matrices as small as ours only
+wait.
+"""
 
 import os
 

@@ -344,7 +344,9 @@ CITIZEN = (
 
 
 def test_one_file_makes_an_effect_a_full_citizen(tmp_path, monkeypatch):
-    """Nothing outside the file names it: healthy flights, the base fit, a replay's instants, rotors and the scenario read its fields."""
+    """Nothing outside the file names it: healthy flights, the base fit, a replay's instants, rotors and the scenario
+    read its fields.
+    """
     package = importlib.import_module("groundstation.diagnosis.effects")
     (tmp_path / "toy_citizen.py").write_text(CITIZEN, encoding="utf-8")
     monkeypatch.setattr(package, "__path__", [*package.__path__, str(tmp_path)])

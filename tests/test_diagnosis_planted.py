@@ -1,4 +1,6 @@
-"""What no force model tells, planted in whole flights: clocks, frames, lag, dead time and scales, found within their intervals."""
+"""What no force model tells, planted in whole flights: clocks, frames, lag, dead time and scales, found within their
+intervals.
+"""
 
 from __future__ import annotations
 
@@ -169,7 +171,9 @@ def test_lag_and_dead_time_are_told_apart_and_lie_within_their_intervals(hidden)
 
 
 def test_a_lag_of_less_than_5_ms_beside_a_dead_time_is_counted_with_it():
-    """Noise in what is recorded of the commands is smoothed by a small lag: docs/diagnosis.md takes less than 5 ms for no finding."""
+    """Noise in what is recorded of the commands is smoothed by a small lag: docs/diagnosis.md takes less than 5 ms for
+    no finding.
+    """
     vehicle = _qball(rotors={"speed_source": "command"})
     small = {"lag": RotorLag(up_s=0.003, down_s=0.003)}
     (finding,) = diagnose([_flown(vehicle, truth=small, input_delay={"delay_s": 0.025})]).findings

@@ -1,4 +1,6 @@
-"""The prediction model: its dynamics against the physical one's, its document, its fit, and the choice between it and simpler ones."""
+"""The prediction model: its dynamics against the physical one's, its document, its fit, and the choice between it and
+simpler ones.
+"""
 
 from __future__ import annotations
 

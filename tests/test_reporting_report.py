@@ -1,4 +1,6 @@
-"""The report: one file that stands by itself, says what it must, in order, and lets no name from a log become markup."""
+"""The report: one file that stands by itself, says what it must, in order, and lets no name from a log become
+markup.
+"""
 
 from __future__ import annotations
 

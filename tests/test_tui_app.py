@@ -1,4 +1,7 @@
-"""The terminal UI against a core on the loopback bus: orders, views, faults. What the core says is scripted, the bus is real."""
+"""The terminal UI against a core on the loopback bus: orders, views, faults.
+
+What the core says is scripted, the bus is real.
+"""
 
 from __future__ import annotations
 

@@ -27,7 +27,8 @@ def lines(campaign: Campaign) -> list[str]:
     for number, done in enumerate(campaign.rounds, 1):
         out.append(f"flight {number} ({done.seconds:.0f} s): {done.why}")
         out.append(
-            f"  {done.verdict or 'refused'}: {', '.join(done.names()).replace('_', ' ') or 'nothing found'}; {_error_line(done)}"
+            f"  {done.verdict or 'refused'}: {', '.join(done.names()).replace('_', ' ') or 'nothing found'}; "
+            f"{_error_line(done)}"
         )
         out += [f"  {text}" for text in done.not_settled]
     out.append(campaign.sentence or "not finished")

@@ -72,7 +72,8 @@ def identify(
 ) -> Result:
     """Estimate mass, inertia and the rest from one flight, or from several together, with intervals.
 
-    FLIGHTS are MCAP recordings, bundle folders, PX4 ULog, ArduPilot DataFlash, blackbox, ROS 2 bags or Crazyflie usd logs.
+    FLIGHTS are MCAP recordings, bundle folders, PX4 ULog, ArduPilot DataFlash, blackbox, ROS 2 bags or Crazyflie usd
+    logs.
     """
     left_out = tuple(seconds_pair(pair) for pair in exclude)
     loaded = load_flights(flights, vehicle, start_s, end_s, everything)
@@ -165,7 +166,8 @@ def diagnose(
         *(f"{finding.effect} ({finding.confidence:.0%}): {finding.evidence}" for finding in found.findings),
         *(
             readable(
-                f"unexplained: {item.share:.0%} of {item.channel}, varies with {', '.join(item.depends_on) or 'nothing known'}"
+                f"unexplained: {item.share:.0%} of {item.channel}, varies with "
+                f"{', '.join(item.depends_on) or 'nothing known'}"
             )
             for item in found.unexplained
         ),

@@ -39,8 +39,8 @@ def campaign(
 ) -> Result:  # fmt: skip
     """Fly, judge the model on the new flight, find what is missing, plan what settles it, until the targets are met.
 
-    It ends when nothing is left open, the targets are met, and the model predicts a flight that no estimate has seen as well
-    as its own; or it says what was not reached. Killed at any moment, --resume goes on.
+    It ends when nothing is left open, the targets are met, and the model predicts a flight that no estimate has seen as
+    well as its own; or it says what was not reached. Killed at any moment, --resume goes on.
     """
     from groundstation.campaign.campaign import VEHICLE, autopilot_limits, begin, load_campaign, run, take_in
     from groundstation.campaign.report import lines, write_campaign_report

@@ -1,8 +1,8 @@
 """The compiled decoder of blackbox frames. Import where it is used: numba takes a third of a second to load.
 
-Encodings and predictors follow Betaflight's "Blackbox internals" documentation. Frame kinds are numbered I 0, P 1, S 2, G 3,
-H 4; E (events) are skipped by their own lengths. A frame counts where a known mark follows it; past a damaged place frames
-count again from the next I.
+Encodings and predictors follow Betaflight's "Blackbox internals" documentation. Frame kinds are numbered I 0, P 1, S 2,
+G 3, H 4; E (events) are skipped by their own lengths. A frame counts where a known mark follows it; past a damaged
+place frames count again from the next I.
 """
 
 from __future__ import annotations

@@ -80,7 +80,9 @@ def read_recording(path: str | Path, vehicle: Vehicle | None = None) -> Recordin
 
 
 def _with_its_own_input(recording: Recording, source: str) -> Recording:
-    """With ``input = "command"`` where the vehicle file says rotor speeds, nobody measured them, and top speed is declared."""
+    """With ``input = "command"`` where the vehicle file says rotor speeds, nobody measured them, and top speed is
+    declared.
+    """
     motors, vehicle = recording.streams.get("motors"), recording.vehicle(source)
     if motors is None or vehicle is None or vehicle.rotors.input != "rotor_speed":
         return recording
@@ -89,7 +91,8 @@ def _with_its_own_input(recording: Recording, source: str) -> Recording:
     rotors = vehicle.rotors.model_copy(update={"input": "command", "speed_source": "command"})
     taken = vehicle_file(vehicle.model_copy(update={"rotors": rotors}))
     note = (
-        "motors: rotor speeds are not recorded, commands are; a command is taken as a fraction of speed_max_rad_s at the "
+        "motors: rotor speeds are not recorded, commands are; a command is taken as a fraction of speed_max_rad_s at "
+        "the "
         'full battery\'s voltage (declare input = "command", and a thrust_curve if thrust goes otherwise).'
     )
     return replace(recording, files={**recording.files, VEHICLE_FILE: taken}, notes=(*recording.notes, note))
@@ -206,7 +209,8 @@ def _thinned(flight: FlightData) -> FlightData:
     start, end = stretch
     whole = flight.motors.t_s[-1] - flight.motors.t_s[0]
     note = (
-        f"flight: of {whole:.0f} s those from {start:.1f} to {end:.1f} s are used, in which the vehicle turns and climbs most; "
+        f"flight: of {whole:.0f} s those from {start:.1f} to {end:.1f} s are used, in which the vehicle turns and "
+        "climbs most; "
         "choose others with --from and --to, or use all with --all."
     )
     cut = _cut(flight, start, end)
@@ -214,7 +218,9 @@ def _thinned(flight: FlightData) -> FlightData:
 
 
 def _with_onboard_log(path: Path, recording: Recording, vehicle: Vehicle) -> Recording:
-    """With the streams of the log that was fetched beside a recording, ``onboard.ulg`` or ``onboard.bin``, if there is one."""
+    """With the streams of the log that was fetched beside a recording, ``onboard.ulg`` or ``onboard.bin``, if there is
+    one.
+    """
     log = onboard_log_of(path) if path.suffix == ".mcap" else None
     if log is None:
         return recording
@@ -225,7 +231,9 @@ def _with_onboard_log(path: Path, recording: Recording, vehicle: Vehicle) -> Rec
 
 
 def _cut(flight: FlightData, start_s: float | None, end_s: float | None) -> FlightData:
-    """The part between two times on the motors' clock, on every stream's own clock as far as arrival times relate them."""
+    """The part between two times on the motors' clock, on every stream's own clock as far as arrival times relate
+    them.
+    """
     motors = flight.motors
     start = float(motors.t_s[0]) if start_s is None else start_s
     end = float(motors.t_s[-1]) if end_s is None else end_s

@@ -147,7 +147,9 @@ def half_width(estimate: Estimate) -> float:
 
 
 def interval_text(estimate: Estimate, scale: Scale) -> str:
-    """Value and 95 % half width without the unit: "1.8254 ± 0.0012"; the value alone where nothing is known of its width."""
+    """Value and 95 % half width without the unit: "1.8254 ± 0.0012"; the value alone where nothing is known of its
+    width.
+    """
     width = half_width(estimate) * scale.factor
     if width <= 0.0 or not math.isfinite(width):
         return significant(estimate.value * scale.factor)

@@ -142,7 +142,8 @@ def fly(
         take_over: ``land`` or ``hold`` a vehicle found in flight, instead of flying a plan.
 
     Raises:
-        FlightAborted: the flight was aborted and the vehicle is down, or nothing was armed; what was flown told nothing.
+        FlightAborted: the flight was aborted and the vehicle is down, or nothing was armed; what was flown told
+            nothing.
         LinkLost: it ended, and nobody saw the vehicle on the ground.
         Refused: the vehicle or the checks refused to fly.
     """

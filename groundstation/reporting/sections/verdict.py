@@ -85,7 +85,9 @@ def add_verdict(page: Page, identification: Identification | Refused, diagnosis:
 
 
 def _judgement(identification: Identification, diagnosis: Diagnosis) -> Markup:
-    """The verdict with the landing card's word on trust and on what is next: a tick stands only where nothing is in doubt."""
+    """The verdict with the landing card's word on trust and on what is next: a tick stands only where nothing is in
+    doubt.
+    """
     trust, _, following = landing_card(identification.to_dict(), diagnosis.to_dict(), {})
     doubtful = diagnosis.verdict in ("clean", "explained") and not trust.startswith("Trust: yes")
     reason_ = readable(diagnosis.reason, _identifiers(diagnosis))
@@ -192,7 +194,8 @@ def _before_after(page: Page, diagnosis: Diagnosis) -> Markup | None:
             if "before" not in known:
                 continue
             caption = (
-                f"RMS, {check.replace('_', '-')} data: {title}. Before: mass and inertia re-estimated on the same training "
+                f"RMS, {check.replace('_', '-')} data: {title}. Before: mass and inertia re-estimated on the same "
+                "training "
                 "blocks without the effects. After: with them (▾ it fell). Nominal: the vehicle as declared."
             )
             rms = error_table(caption, known, reference="before", improved="after")
@@ -224,7 +227,8 @@ def _prediction(stages: Mapping[str, Mapping[str, float]]) -> Markup | None:
             told = fragment(after, _ratio(before, values[-1]))
             rows.append((name_and_unit, nominal, significant(scale.factor * before), told))
     caption = (
-        "RMS, held-out data: open-loop prediction with the recorded inputs, from what the sensors had said until its start. "
+        "RMS, held-out data: open-loop prediction with the recorded inputs, from what the sensors had said until its "
+        "start. "
         "Ratio: error before over error after."
     )
     return table(caption, ("prediction", *columns), rows, highlight=3) if rows else None

@@ -1,4 +1,6 @@
-"""Fly: the checks and the plan before a flight, then the room, the distances to the guard's limits, and the first estimates."""
+"""Fly: the checks and the plan before a flight, then the room, the distances to the guard's limits, and the first
+estimates.
+"""
 
 from __future__ import annotations
 

@@ -256,7 +256,8 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
         was = f" (before: {before.condition_number:.2f})" if before and before.condition_number and condition else ""
         self.say(
             "#plan-text",
-            f"{plan.vehicle}: {series.duration_s:.0f} s, {series.a.shape[1]} harmonics, criterion {plan.criterion}{condition}{was}."
+            f"{plan.vehicle}: {series.duration_s:.0f} s, {series.a.shape[1]} harmonics, criterion "
+            f"{plan.criterion}{condition}{was}."
             f"\n{readable(plan.note)}",
         )
         fill(
