@@ -127,9 +127,17 @@ def campaign(item: tuple[int, str, tuple[str, ...]]) -> Outcome:
         if r.judged
     ]
     return Outcome(
-        name, names, done.rounds[0].names(), last.names(), done.outcome, len(done.rounds), sum(r.seconds for r in done.rounds),
-        _paper_seconds(vehicle, scenario, last.reached, int(random.integers(2**31))), z, tuple(errors),
-    )  # fmt: skip
+        name,
+        names,
+        done.rounds[0].names(),
+        last.names(),
+        done.outcome,
+        len(done.rounds),
+        sum(r.seconds for r in done.rounds),
+        _paper_seconds(vehicle, scenario, last.reached, int(random.integers(2**31))),
+        z,
+        tuple(errors),
+    )
 
 
 def _paper_seconds(vehicle: Any, scenario: Any, goal: Mapping[str, float], seed: int) -> float:

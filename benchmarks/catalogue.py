@@ -35,19 +35,21 @@ QUERIES = {
 def make(logs: Path, count: int, random: np.random.Generator) -> None:
     """Folders with the documents of an identified and diagnosed flight: 54 estimates each."""
     for number in range(count):
-        folder = (
-            logs
-            / f"2026-{1 + number // 2500 % 12:02}-{1 + number // 90 % 28:02}T{number % 24:02}-{number % 60:02}-{number // 60 % 60:02}-{number}"
-        )
+        day = f"2026-{1 + number // 2500 % 12:02}-{1 + number // 90 % 28:02}"
+        folder = logs / f"{day}T{number % 24:02}-{number % 60:02}-{number // 60 % 60:02}-{number}"
         folder.mkdir(parents=True)
         (folder / "flight.mcap").touch()
         draws = iter(random.normal(1.0, 0.01, 200))
         estimate = lambda: {"value": float(v := next(draws)), "std": 0.01, "ci95": [v - 0.02, v + 0.02]}  # noqa: B023, E731
         document = {
-            "schema": "groundstation.identification/1", "flight": folder.name, "vehicle": f"vehicle-{number % 20}", "best": "IV",
+            "schema": "groundstation.identification/1",
+            "flight": folder.name,
+            "vehicle": f"vehicle-{number % 20}",
+            "best": "IV",
             "methods": {m: {"parameters": {n: estimate() for n in NAMES}} for m in METHODS},
-            "model": {n: estimate() for n in MODEL}, "quality": ["3 samples repaired."],
-        }  # fmt: skip
+            "model": {n: estimate() for n in MODEL},
+            "quality": ["3 samples repaired."],
+        }
         (folder / "identification.json").write_text(json.dumps(document))
         found = (
             [{"effect": "rotor_drag", "confidence": 0.99, "parameters": {"d_x_kg_s": estimate()}}] if number % 3 else []

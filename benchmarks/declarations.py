@@ -56,8 +56,21 @@ def main() -> None:
     )
     print("\n".join(alarms))
     OUT.parent.mkdir(parents=True, exist_ok=True)
-    OUT.write_text(json.dumps({"schema": "groundstation.benchmark.declarations/1", "seeds": seeds, "found": total[0], "wrong": total[1],
-                               "false_alarms": alarms, "right": checked, "by": tally}, indent=1) + "\n")  # fmt: skip
+    OUT.write_text(
+        json.dumps(
+            {
+                "schema": "groundstation.benchmark.declarations/1",
+                "seeds": seeds,
+                "found": total[0],
+                "wrong": total[1],
+                "false_alarms": alarms,
+                "right": checked,
+                "by": tally,
+            },
+            indent=1,
+        )
+        + "\n"
+    )
 
 
 if __name__ == "__main__":

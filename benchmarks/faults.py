@@ -106,10 +106,18 @@ def measure(profile: str, name: str, binary: Path | None) -> dict[str, Any]:
             return None if t is None or through else round(t - begun, 2)
 
         return {
-            "fault": name, "autopilot": profile, "noticed_s": after(noticed), "mode_s": after(mode), "ground_s": after(ground),
-            "disarmed_s": after(down["at_s"] if down else None), "by": by, "status": status, "reason": reason,
-            "setpoints_through": setpoints, "stranger_got": seen[-1]["stranger_got"],
-        }  # fmt: skip
+            "fault": name,
+            "autopilot": profile,
+            "noticed_s": after(noticed),
+            "mode_s": after(mode),
+            "ground_s": after(ground),
+            "disarmed_s": after(down["at_s"] if down else None),
+            "by": by,
+            "status": status,
+            "reason": reason,
+            "setpoints_through": setpoints,
+            "stranger_got": seen[-1]["stranger_got"],
+        }
     finally:
         flight.close()
 

@@ -192,9 +192,15 @@ def runs(flights: int, seed: int) -> dict[str, Any]:
         with cluster() as (address, pids):
             dask, third = worked(recordings, Path(folder), kill=pids, scheduler=address)
     return {
-        "flights": len(recordings), "seed": seed, "bytes_a_flight": round(size), "one_core_s": one, "two_workers_s": two,
-        "dask_with_a_worker_killed_s": dask, "efficiency_at_2": one / two / 2.0, "same_table": first == second == third,
-    }  # fmt: skip
+        "flights": len(recordings),
+        "seed": seed,
+        "bytes_a_flight": round(size),
+        "one_core_s": one,
+        "two_workers_s": two,
+        "dask_with_a_worker_killed_s": dask,
+        "efficiency_at_2": one / two / 2.0,
+        "same_table": first == second == third,
+    }
 
 
 def main() -> None:

@@ -29,10 +29,8 @@ def main() -> int:
         return 0
     golden = frozen()
     same = environment() == golden["environment"]
-    print(
-        f"golden results of {golden['commit']}, seed {SEED}; "
-        f"{'bit by bit' if same else f'another machine: what was found, and estimates within {ELSEWHERE:g} standard deviations'}"
-    )
+    elsewhere = f"another machine: what was found, and estimates within {ELSEWHERE:g} standard deviations"
+    print(f"golden results of {golden['commit']}, seed {SEED}; {'bit by bit' if same else elsewhere}")
     failed = 0
     for case in SHORT if options.short else (*SHORT, *LONG):
         start = time.process_time()

@@ -58,10 +58,15 @@ def fly(profile: str, kind: str, left: int) -> dict[str, Any]:
         status, reason = flight.ended()
         last = flight.seen[-1]
         return {
-            "sent_in_air": last["injected_in_air"], "sent": last["injected"], "link_crashed": link_ended, "status": status,
-            "reason": reason, "down": down is not None, "longest_silence_s": last["longest_up_gap_s"],
+            "sent_in_air": last["injected_in_air"],
+            "sent": last["injected"],
+            "link_crashed": link_ended,
+            "status": status,
+            "reason": reason,
+            "down": down is not None,
+            "longest_silence_s": last["longest_up_gap_s"],
             "memory_mb": {name: round(value, 1) for name, value in most.items()},
-        }  # fmt: skip
+        }
     finally:
         flight.close()
 

@@ -113,7 +113,10 @@ def running(*commands: list[str]) -> Iterator[None]:
 
 def analysis(flight: Path) -> list[str]:
     """Identify a flight over and over."""
-    code = "import sys; from groundstation.cli import main\nwhile True:\n  main(['identify', sys.argv[1]], standalone_mode=False)"
+    code = (
+        "import sys; from groundstation.cli import main\nwhile True:\n  main(['identify', sys.argv[1]], "
+        "standalone_mode=False)"
+    )
     return [sys.executable, "-P", "-c", code, str(flight)]
 
 

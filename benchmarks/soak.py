@@ -131,8 +131,13 @@ def measure(fault: str, seconds: float) -> dict[str, object]:
     folder = disk / "flight"
     if not mounted and fault in ("disk full", "read-only"):
         return {"fault": fault, "skipped": "needs to mount a small disk (root)"}
-    command = [sys.executable, "-P", "-c", f"import sys; sys.path.insert(0, {str(Path.cwd())!r})\nfrom benchmarks.soak import worker\n"
-               f"from pathlib import Path\nworker(Path({str(folder)!r}), {seconds}, {fault == 'clock jump'})"]  # fmt: skip
+    command = [
+        sys.executable,
+        "-P",
+        "-c",
+        f"import sys; sys.path.insert(0, {str(Path.cwd())!r})\nfrom benchmarks.soak import worker\n"
+        f"from pathlib import Path\nworker(Path({str(folder)!r}), {seconds}, {fault == 'clock jump'})",
+    ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     broken_s, put_then, put, longest, told, told_s = None, 0, 0, 0.0, "", None
@@ -156,11 +161,16 @@ def measure(fault: str, seconds: float) -> dict[str, object]:
     total = sum(RATES_HZ.values())
     whole = put_then if broken_s is not None else put
     result = {
-        "fault": fault, "seconds": round(time.monotonic() - begun, 1), "put": put, "put_before_the_fault": whole,
-        "read_back": found, "lost_before_the_fault_s": round(max(0, whole - found) / total, 3),
-        "noticed_after_s": None if told_s is None or broken_s is None else round(told_s - broken_s, 2), "told": told.replace(str(folder), "FOLDER"),
+        "fault": fault,
+        "seconds": round(time.monotonic() - begun, 1),
+        "put": put,
+        "put_before_the_fault": whole,
+        "read_back": found,
+        "lost_before_the_fault_s": round(max(0, whole - found) / total, 3),
+        "noticed_after_s": None if told_s is None or broken_s is None else round(told_s - broken_s, 2),
+        "told": told.replace(str(folder), "FOLDER"),
         "longest_put_ms": round(1e3 * longest, 2),
-    }  # fmt: skip
+    }
     if mounted:
         tool("umount", "-l", str(disk))
         disk.with_suffix(".img").unlink(missing_ok=True)

@@ -173,8 +173,10 @@ def _lag_figure(log: Path, results: Path) -> None:
     diagnosis = json.loads((results / "diagnosis.json").read_text(encoding="utf-8"))
     before, after = ({n: diagnosis[part][n] for n in TENSOR} for part in ("parameters_before", "parameters_after"))
     for name in TENSOR:
-        told = [f"{1e6 * part[name]['value']:.1f} ({1e6 * part[name]['ci95'][0]:.1f} .. {1e6 * part[name]['ci95'][1]:.1f})"
-                for part in (before, after)]  # fmt: skip
+        told = [
+            f"{1e6 * part[name]['value']:.1f} ({1e6 * part[name]['ci95'][0]:.1f} .. {1e6 * part[name]['ci95'][1]:.1f})"
+            for part in (before, after)
+        ]
         print(f"{name} in 1e-6: without lag {told[0]}, with findings {told[1]}")
     vehicle = vehicle_from_dict(document["vehicle"], "the model")
     unseen = load_flight(log, vehicle=vehicle, start_s=75.0, end_s=90.0)

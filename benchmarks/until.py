@@ -165,10 +165,14 @@ def table(flights: Sequence[Flown]) -> str:
         return f"{100 * count / max(of, 1):.1f} % ({100 * low:.1f}-{100 * high:.1f})"
 
     hold, total = fixed(flights)
-    rows = [f"{len(flights)} flights; at 40 s, no rule, the interval looked at once holds the truth in {share(hold, total)}", "",
-            "| the rule stops by the interval | holds at the stop | holds at every look | seconds flown for 2 %, "
-            "median (10th-90th) | met within 80 s |",
-            "|---|---|---|---|---|"]  # fmt: skip
+    rows = [
+        f"{len(flights)} flights; at 40 s, no rule, the interval looked at once holds the truth in "
+        f"{share(hold, total)}",
+        "",
+        "| the rule stops by the interval | holds at the stop | holds at every look | seconds flown for 2 %, "
+        "median (10th-90th) | met within 80 s |",
+        "|---|---|---|---|---|",
+    ]
     for kind in ("looked at once", "spent", "at any time"):
         count, seconds, met = tally(flights, kind)
         low, middle, high = np.percentile(seconds, [10, 50, 90])

@@ -120,7 +120,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 return 0
             if "--debug" in arguments:
                 raise
-            text = f"this is a defect of groundstation ({type(error).__name__}: {error}); `groundstation --debug ...` shows where"
+            text = (
+                f"this is a defect of groundstation ({type(error).__name__}: {error}); `groundstation --debug ...` "
+                "shows where"
+            )
             return _fail(text, 1, as_json, out)
         if isinstance(result, Result):
             from groundstation.analysis.documents import finite

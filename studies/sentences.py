@@ -19,8 +19,10 @@ from groundstation.vehicle import load_vehicle
 PAGE = Path(__file__).resolve().parents[1] / "docs/sentences.md"
 HEAD = """# What findings say
 
-Made by `python -m benchmarks.sentences` from the templates beside the effects (`groundstation/diagnosis/effects/`), with a typical value of
-either sign where a parameter can have both. A test holds this page to the templates. How places are filled: `groundstation/diagnosis/sentences.py`.
+Made by `python -m benchmarks.sentences` from the templates beside the effects (`groundstation/diagnosis/effects/`), \
+with a typical value of
+either sign where a parameter can have both. A test holds this page to the templates. How places are filled: \
+`groundstation/diagnosis/sentences.py`.
 """
 VEHICLE = load_vehicle(find_config("vehicles", "qball2"))
 SIGNALS = cast("Any", SimpleNamespace(t_s=np.linspace(0.0, 60.0, 601)))

@@ -129,8 +129,14 @@ def test_sensors_that_agree_say_nothing():
 
 @pytest.mark.parametrize(
     ("spoil", "least"),
-    [(_late_stamps, 2e-3), (_turned_imu, np.deg2rad(0.3)), (_turned_markers, np.deg2rad(0.3)), (_shifted_markers, 5e-3), (_tilted_room, np.deg2rad(0.3))],
-)  # fmt: skip
+    [
+        (_late_stamps, 2e-3),
+        (_turned_imu, np.deg2rad(0.3)),
+        (_turned_markers, np.deg2rad(0.3)),
+        (_shifted_markers, 5e-3),
+        (_tilted_room, np.deg2rad(0.3)),
+    ],
+)
 def test_what_is_a_third_below_the_least_size_is_no_finding_and_what_is_a_third_above_is_one(spoil, least):
     rest = () if spoil is _late_stamps else (0.0,) if spoil is _tilted_room else (0.0, 0.0)
     assert _told_by_the_sensors(spoil, least * 2.0 / 3.0, *rest) == []

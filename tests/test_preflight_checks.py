@@ -48,8 +48,23 @@ def test_a_vehicle_that_is_ready_passes_everything(ready):
     assert failures(checks) == ""
     names = [c.name for c in checks]
     assert len(names) == len(set(names))
-    assert {"link", "streams", "arming", "disarmed", "estimate", "clock", "battery", "log", "disk", "poses", "plan", "room",
-            "vibration", "oscillation", "COM_OBL_RC_ACT"} <= set(names)  # fmt: skip
+    assert {
+        "link",
+        "streams",
+        "arming",
+        "disarmed",
+        "estimate",
+        "clock",
+        "battery",
+        "log",
+        "disk",
+        "poses",
+        "plan",
+        "room",
+        "vibration",
+        "oscillation",
+        "COM_OBL_RC_ACT",
+    } <= set(names)
     assert all(c.reason for c in checks)
 
 

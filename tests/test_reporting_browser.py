@@ -133,7 +133,8 @@ ZOOMED = """(async () => {
   await Plotly.relayout(timed[0], { "xaxis.range": [11, 12] });
   await new Promise((r) => setTimeout(r, 500));
   const scene = document.querySelector('[data-title^="Turn about the vertical"]');
-  return { timed: timed.length, ranges: timed.map((p) => p.layout.xaxis.range.map(Math.round).join()), turns: scene !== null };
+  return { timed: timed.length, ranges: timed.map((p) => p.layout.xaxis.range.map(Math.round).join()), turns: scene \
+!== null };
 })()"""
 
 

@@ -145,9 +145,16 @@ def load_campaign(folder: Path) -> Campaign:
             for r in document["rounds"]
         )
         return Campaign(
-            folder, vehicle_from_dict(document["vehicle"], str(folder / FILE)), document["targets"], int(document["at_most"]),
-            int(document["seed"]), tuple(_infinite(r) for r in rounds), document["pending"], document["outcome"], document["sentence"],
-        )  # fmt: skip
+            folder,
+            vehicle_from_dict(document["vehicle"], str(folder / FILE)),
+            document["targets"],
+            int(document["at_most"]),
+            int(document["seed"]),
+            tuple(_infinite(r) for r in rounds),
+            document["pending"],
+            document["outcome"],
+            document["sentence"],
+        )
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise BadInput(
             f"{folder / FILE}: is damaged ({error}); begin a new campaign with --from and its flights."

@@ -111,8 +111,12 @@ def identify(
 @flight_options
 @click.option("--reference", multiple=True, type=FLIGHT, help="Healthy flight of the same vehicle (repeatable).")
 @click.option("--held-out", multiple=True, type=FLIGHT, help="Flight kept for judging (repeatable).")
-@click.option("--model", type=FLIGHT, default=None,
-              help="identification.toml of an earlier flight: what it holds is known, findings are what it lacks.")  # fmt: skip
+@click.option(
+    "--model",
+    type=FLIGHT,
+    default=None,
+    help="identification.toml of an earlier flight: what it holds is known, findings are what it lacks.",
+)
 def diagnose(
     flights: tuple[Path, ...],
     vehicle: str | None,
@@ -251,8 +255,13 @@ def report(
 @click.option("--horizon", type=float, default=0.5, show_default=True, help="Seconds to predict.")
 @click.option("--state", type=click.Choice(["smoothed", "own"]), default="smoothed", show_default=True,
               help="Start from and judge by the smoothed state, or the vehicle's own estimate.")  # fmt: skip
-@click.option("--use", type=click.Choice(["prediction", "physical"]), default="prediction", show_default=True,
-              help="The model that predicts best, or the physical one; without a [prediction] section it is the physical one.")  # fmt: skip
+@click.option(
+    "--use",
+    type=click.Choice(["prediction", "physical"]),
+    default="prediction",
+    show_default=True,
+    help="The model that predicts best, or the physical one; without a [prediction] section it is the physical one.",
+)
 @click.option("--save", type=click.Path(path_type=Path, dir_okay=False), default=None, help="CSV of predicted states.")
 @click.option("--vehicle", default=None, help="Vehicle file or shipped name; overrides the recorded one.")
 @click.option("--from", "start_s", type=float, default=None, help="Use the flight from this time on, s.")

@@ -30,8 +30,11 @@ MAVLINK_VEHICLE = "x500"
 def until_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """How long the excitation lasts, where that is decided in flight."""
     most = click.option(
-        "--excitation-at-most-s", type=click.FloatRange(min=1.0), default=None, help="Excitation of an --until flight at the most; 80 s by default."
-    )  # fmt: skip
+        "--excitation-at-most-s",
+        type=click.FloatRange(min=1.0),
+        default=None,
+        help="Excitation of an --until flight at the most; 80 s by default.",
+    )
     until = click.option("--until", default=None, metavar="TARGETS", help=f"Fly until this is known, e.g. {DEFAULT}.")
     return until(most(function))
 

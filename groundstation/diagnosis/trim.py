@@ -61,7 +61,10 @@ STRANGE = (
     "individuals of one make. "
     "Give healthy flights of this very vehicle."
 )
-MISSED = "No fault is shown. The least that would have been: a rotor with {loss:%} less thrust, or a load of {load:g} beside a rotor."
+MISSED = (
+    "No fault is shown. The least that would have been: a rotor with {loss:%} less thrust, or a load of {load:g} "
+    "beside a rotor."
+)
 STRANGE_SHARE = 0.2
 """Share of the probability from which it is said that the references may be of another vehicle: one in five."""
 LISTED_SHARE = 0.05

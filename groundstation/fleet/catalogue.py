@@ -39,7 +39,8 @@ _COLUMNS = {
 _VIEWS = """
 CREATE VIEW flights AS SELECT * EXCLUDE (parameters, findings, quality, inputs, fingerprint),
   list_filter(parameters, lambda p: p.method = 'canonical' AND p.name = 'mass_kg')[1].value AS mass_kg FROM catalogue;
-CREATE VIEW parameters AS SELECT flight, folder, date, vehicle, p.* FROM (SELECT *, unnest(parameters) AS p FROM catalogue);
+CREATE VIEW parameters AS
+    SELECT flight, folder, date, vehicle, p.* FROM (SELECT *, unnest(parameters) AS p FROM catalogue);
 CREATE VIEW findings AS SELECT flight, folder, date, vehicle, f.* FROM (SELECT *, unnest(findings) AS f FROM catalogue);
 CREATE VIEW quality AS SELECT flight, folder, date, vehicle, unnest(quality) AS sentence FROM catalogue;
 CREATE VIEW inputs AS SELECT flight, folder, i.* FROM (SELECT *, unnest(inputs) AS i FROM catalogue);
@@ -148,7 +149,10 @@ class Catalogue:
         Raises:
             BadInput: another ending, or the file cannot be written.
         """
-        query = "SELECT p.*, f.state, f.verdict, array_to_string(f.tags, ' ') AS tags FROM parameters p JOIN flights f USING (folder)"
+        query = (
+            "SELECT p.*, f.state, f.verdict, array_to_string(f.tags, ' ') AS tags FROM parameters p JOIN flights f "
+            "USING (folder)"
+        )
         names, rows = self.sql(f"{query} ORDER BY ALL")
         kinds = {n: "DOUBLE" if n in ("value", "std", "low", "high") else "VARCHAR" for n in names}
         return write_rows(path, [dict(zip(names, row, strict=True)) for row in rows], kinds)
@@ -211,7 +215,8 @@ class Catalogue:
 
 
 _MOVES = """
-CREATE TABLE moves AS SELECT folder, list(name ORDER BY name) AS moved_names, list((value - before) / hypot ORDER BY name) AS moves FROM (
+CREATE TABLE moves AS
+SELECT folder, list(name ORDER BY name) AS moved_names, list((value - before) / hypot ORDER BY name) AS moves FROM (
   SELECT folder, name, value, before, sqrt(std * std + std_before * std_before) AS hypot FROM (
     SELECT folder, name, value, std, lag(value) OVER w AS before, lag(std) OVER w AS std_before, flight_number,
       lag(flight_number) OVER w AS number_before

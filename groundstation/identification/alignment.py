@@ -156,7 +156,10 @@ def motor_offset(flight: FlightData, motion: FlownMotion, inputs: MotorInput) ->
         )
         return offset, [text]
     if centre != 0.0:
-        text = f"The motors' stamps run {centre * 1e3:+.0f} ms against the IMU's by their arrival; they were shifted by that."
+        text = (
+            f"The motors' stamps run {centre * 1e3:+.0f} ms against the IMU's by their arrival; they were shifted by "
+            "that."
+        )
         return centre, [text]
     return 0.0, []
 

@@ -167,7 +167,10 @@ def partial_answer(fit: Fitted, hidden: Mapping[str, str], prepared: Sequence[Pr
     asked = first.flight.plan is not None or first.flight.setpoint is not None
     hover = not heaves and (rate < STILL_RAD_S or (asked and first.planned is None and line is None))
     if hover:
-        reason = f"this flight is a hover: the largest body rate is {rate:.3f} rad/s RMS, and inertia shows only when the body turns."
+        reason = (
+            f"this flight is a hover: the largest body rate is {rate:.3f} rad/s RMS, and inertia shows only when the "
+            "body turns."
+        )
     elif line is not None and moments:
         reason = f"this flight turns about one axis only ({line}), so it shows at most one moment of inertia."
     else:

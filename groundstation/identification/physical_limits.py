@@ -23,7 +23,10 @@ REACH = 2.0
 """Arms within which all of a vehicle's mass lies: rotors end at less than two."""
 LONGEST_LAG_S = 1.0
 """No vehicle whose thrust takes longer to follow its command can be held in the air by attitude control."""
-ELSE = "; something else is wrong (rotor numbering, units, time stamps, or an effect the model lacks), so it is not published"
+ELSE = (
+    "; something else is wrong (rotor numbering, units, time stamps, or an effect the model lacks), so it is not "
+    "published"
+)
 
 
 def outside(vehicle: Vehicle, parameters: Mapping[str, Estimate], model: Mapping[str, Estimate]) -> dict[str, str]:
@@ -67,7 +70,10 @@ def _centre(vehicle: Vehicle, model: Mapping[str, Estimate]) -> dict[str, str]:
     point = np.array([model[name].value for name in names])
     if inside_polygon(point, np.asarray(vehicle.rotors.position_m, dtype=float)[:, :2]):
         return {}
-    text = f"a centre of mass at ({1e3 * point[0]:.0f}, {1e3 * point[1]:.0f}) mm came out, outside the rotors, where nothing hovers{ELSE}"
+    text = (
+        f"a centre of mass at ({1e3 * point[0]:.0f}, {1e3 * point[1]:.0f}) mm came out, outside the rotors, where "
+        f"nothing hovers{ELSE}"
+    )
     return dict.fromkeys(names, text)
 
 

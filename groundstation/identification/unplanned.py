@@ -42,7 +42,10 @@ LEAST = 0.1
 """Of the declared moment, below which an estimate is none."""
 MOMENTS = ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
 LOW = "LF"
-LOW_NOTE = "Low frequencies: torque and thrust regressed on the motion below 1.5 Hz, with what feedback can do in the intervals."
+LOW_NOTE = (
+    "Low frequencies: torque and thrust regressed on the motion below 1.5 Hz, with what feedback can do in the "
+    "intervals."
+)
 LOW_REASON = (
     "LF: neither plan nor setpoints are recorded and rotor speeds are telemetry, which loses the fast torque; below "
     "1.5 Hz it is "

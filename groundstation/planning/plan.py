@@ -127,7 +127,10 @@ def plan_excitation(
     series = replace(found.series, periods=float(round(problems[0].duration_s / found.series.period_s)))
     plan = describe(series, vehicles[0], envelopes, criterion=criterion, noise=noise, effects=effects)
     if math.isfinite(found.sampled_bound):
-        said = f"criterion {found.cost:.5g}; with limits held at sampled instants only, the search reached {found.sampled_bound:.5g}"
+        said = (
+            f"criterion {found.cost:.5g}; with limits held at sampled instants only, the search reached "
+            f"{found.sampled_bound:.5g}"
+        )
         plan = plan.model_copy(update={"note": f"{plan.note}; {said}"})
     return plan
 
@@ -178,7 +181,10 @@ def _note(series: FourierSeries, vehicle: Vehicle, envelopes: Sequence[Envelope]
     poor = {name: share for name, share in percentages(std, vehicle).items() if not share <= _POOR_PERCENT}
     if poor:
         worst = max(poor, key=lambda name: poor[name])
-        text += f"; hardly reveals {', '.join(poor)} ({worst} to {poor[worst]:.3g} %): widen the limits reached or fly longer"
+        text += (
+            f"; hardly reveals {', '.join(poor)} ({worst} to {poor[worst]:.3g} %): widen the limits reached or fly "
+            "longer"
+        )
     return text
 
 

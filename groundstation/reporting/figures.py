@@ -238,9 +238,15 @@ def _interval(name: str, style: int, value: float, low: float, high: float) -> d
         "arrayminus": [value - low],
     }
     return {
-        "type": "scatter", "mode": "markers", "x": [value], "y": [name], "name": name, "showlegend": False, "error_x": whisker,
+        "type": "scatter",
+        "mode": "markers",
+        "x": [value],
+        "y": [name],
+        "name": name,
+        "showlegend": False,
+        "error_x": whisker,
         "marker": {"color": f"@{style % COLOURS + 1}", "symbol": MARKERS[style % len(MARKERS)], "size": 9},
-    }  # fmt: skip
+    }
 
 
 def spectrum(t_s: Array, values: Array) -> tuple[Array, Array]:

@@ -16,7 +16,10 @@ from sim.mavlink.ulog import ULogWriter
 if TYPE_CHECKING:
     from sim.mavlink.px4 import Px4
 
-_LOCAL_POSITION = "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;float vx;float vy;float vz;bool xy_valid;bool z_valid;"
+_LOCAL_POSITION = (
+    "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;float vx;float vy;float vz;bool "
+    "xy_valid;bool z_valid;"
+)
 FORMATS = {
     "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;uint32_t gyro_integral_dt;int32_t "
                        "accelerometer_timestamp_relative;float[3] accelerometer_m_s2;uint32_t "

@@ -28,7 +28,8 @@ SWITCHES = (
 
 _BINDINGS = """
 return function(python)
-  local host = {}  -- looked up once: a wrapper made at each call would be garbage, collected in the middle of another call
+  -- Looked up once: a wrapper made at each call would be garbage, collected in the middle of another call.
+  local host = {}
   for _, k in ipairs({"millis", "mode", "flying", "armed", "parameter", "text", "named", "target", "file"}) do
     host[k] = python[k]
   end

@@ -30,8 +30,13 @@ class FlyUntil:
         assert plan.until is not None  # noqa: S101 - asked by the caller
         period_s = plan.series().period_s
         goal = Goal(
-            plan.until.targets, period_s, plan.until.planned_periods, round(plan.periods), plan.until.automatic, vehicle.battery.empty_v or 0.0
-        )  # fmt: skip
+            plan.until.targets,
+            period_s,
+            plan.until.planned_periods,
+            round(plan.periods),
+            plan.until.automatic,
+            vehicle.battery.empty_v or 0.0,
+        )
         self._known = UntilKnown(goal)
         self._lock_step = lock_step
         self._start_s: float | None = None

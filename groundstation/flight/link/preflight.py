@@ -332,10 +332,12 @@ def _frames(s: Situation) -> Check:
     if verdict is None:
         distance = sqrt(sum((a - b) ** 2 for a, b in zip(s.view.pose.position_m, s.view.state.position_m, strict=True)))
         return _answer(
-            "frames", distance < 0.3, f"standing, poses and estimate lie {distance:.2f} m apart, yaw {np.degrees(gap):.0f} degrees",
+            "frames",
+            distance < 0.3,
+            f"standing, poses and estimate lie {distance:.2f} m apart, yaw {np.degrees(gap):.0f} degrees",
             f"the estimator does not use the poses, or axes are swapped: carry the vehicle {MOVED_M:g} m along x, then "
             "y, and check again",
-        )  # fmt: skip
+        )
     return verdict
 
 

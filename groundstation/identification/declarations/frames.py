@@ -171,7 +171,10 @@ def _world(imu: Stream, pose: Stream, quaternion: Array, offset: float, gravity:
     found = []
     if winner and own < FAR * top:
         words = in_words(names[winner])
-        says = f"Positions are in another world than attitudes and accelerometer: they move as its axes {words}{_world_word(names[winner])}."
+        says = (
+            "Positions are in another world than attitudes and accelerometer: they move as its axes "
+            f"{words}{_world_word(names[winner])}."
+        )
         line = f"give x_m, y_m, z_m and attitudes in one right-handed world with z up: positions are {words} of it"
         return [Check("world_frame", tested, evidence, "contradicted", says, line)]
     found.append(Check("world_frame", tested, evidence, "agrees"))

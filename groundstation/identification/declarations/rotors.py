@@ -84,7 +84,10 @@ def _order(thrust: Array, turning: Array, vehicle: Vehicle, used: NDArray[np.boo
     if best == tried[0] or own > FAR * top or t < T_FAR:
         return Check("rotor_order", tested, evidence, "agrees" if own > FAR * top else "cannot tell")
     places = [list(vehicle.rotors.position_m[i]) for i in best]
-    says = f"The rotors are in another order: motors 1 to {len(best)} sit where {', '.join(str(i + 1) for i in best)} are declared."
+    says = (
+        f"The rotors are in another order: motors 1 to {len(best)} sit where {', '.join(str(i + 1) for i in best)} are "
+        "declared."
+    )
     return Check("rotor_order", tested, evidence, "contradicted", says, f"position_m = {places}")
 
 

@@ -77,7 +77,10 @@ def tensor_checks(vehicle: Vehicle) -> list[Check]:
     why = "is not positive" if moments[0] <= 0.0 else "is larger than the other two together"
     which = "smallest" if moments[0] <= 0.0 else "largest"
     says = f"No rigid body has the declared tensor: its {which} principal moment {why}."
-    line = "[vehicle.inertia_kg_m2] with every moment below the sum of the other two; look for a unit, a swapped axis or a product's sign"
+    line = (
+        "[vehicle.inertia_kg_m2] with every moment below the sum of the other two; look for a unit, a swapped axis or "
+        "a product's sign"
+    )
     return [Check("tensor", tested, evidence, "doubtful", says, line)]
 
 
