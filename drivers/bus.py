@@ -41,19 +41,17 @@ handler: requests are answered ``ok = False`` with the reason, publications are 
 from __future__ import annotations
 
 import json
-import os
 import socket
-import tempfile
 import zlib
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import msgspec
 
-from drivers.access import Login, Secrets, rules
+from drivers.access import Login, Secrets
+from drivers.admission import admission, keep_inside
 
 if TYPE_CHECKING:
     import zenoh
@@ -262,6 +260,7 @@ def open_session(
     connect_timeout_s: float = 5.0,
     login: Login | None = None,
     admit: tuple[Secrets, str] | None = None,
+    secure: Mapping[str, Any] | None = None,
 ) -> zenoh.Session:
     """Open a peer session that meets only the endpoints named.
 
@@ -271,11 +270,16 @@ def open_session(
         connect_timeout_s: how long the first connection may take.
         login: as whom to open the session.
         admit: secrets of the roles and the vehicle's name: only sessions that log in are accepted, each for its role.
+        secure: settings of a session between machines (:func:`drivers.secure.secured`). Without them nothing listens beyond
+            this machine.
 
     Raises:
-        ConnectionError: an endpoint cannot be opened or reached.
+        ConnectionError: an endpoint cannot be opened or reached, or would listen beyond this machine without certificates.
     """
     import zenoh
+
+    secure = secure or {}
+    keep_inside(listen, secure)
 
     settings = {
         "mode": "peer",
@@ -292,8 +296,8 @@ def open_session(
         settings["transport/auth/usrpwd"] = {"user": login.role, "password": login.secret}
     config = zenoh.Config()
     try:
-        with _admission(admit) as admission:
-            for key, value in {**settings, **admission}.items():
+        with admission(admit) as admitting:
+            for key, value in {**settings, **admitting, **secure}.items():
                 config.insert_json5(key, json.dumps(value))
             return zenoh.open(config)
     except zenoh.ZError as error:
@@ -301,48 +305,6 @@ def open_session(
         raise ConnectionError(
             f"the bus at {places} cannot be opened ({error}); is the port right and the core up?"
         ) from None
-
-
-PENDING = 4096
-"""Connections that may be in the making: idle ones cost a descriptor each and leave after ``ACCEPT_S``."""
-ACCEPT_S = 1.0
-SESSIONS = 64
-
-
-@contextmanager
-def _admission(admit: tuple[Secrets, str] | None) -> Iterator[dict[str, Any]]:
-    """Settings of a listener that admits sessions by role; the file that zenoh reads the secrets from is gone after
-    it.
-    """
-    if admit is None:
-        yield {}
-        return
-    flight, vehicle = admit
-    _allow_descriptors()
-    descriptor, name = tempfile.mkstemp(prefix="groundstation-")  # readable by its owner alone
-    try:
-        with os.fdopen(descriptor, "w", encoding="ascii") as file:
-            file.writelines(f"{role}:{secret}\n" for role, secret in flight.items())
-        yield {
-            "transport/auth/usrpwd": {"user": "core", "password": flight["core"], "dictionary_file": name},
-            "transport/unicast/accept_timeout": int(1000 * ACCEPT_S),
-            "transport/unicast/accept_pending": PENDING,
-            "transport/unicast/max_sessions": SESSIONS,
-            "access_control": rules(vehicle),
-        }
-    finally:
-        Path(name).unlink(missing_ok=True)
-
-
-def _allow_descriptors() -> None:
-    """As many open connections as the system allows this process, so that idle ones do not use them up."""
-    try:
-        import resource
-    except ImportError:  # a system without such a limit
-        return
-    most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
-    with suppress(OSError, ValueError):
-        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 class Publisher:

@@ -40,6 +40,7 @@ COMMANDS = {
     "doctor": "station",
     "completion": "station",
     "reproduce": "station",
+    "station": "sharing",
 }
 """Command -> module of ``groundstation.commands`` that holds it."""
 
@@ -84,20 +85,25 @@ class LazyGroup(click.Group):
 @click.version_option(__version__, prog_name="groundstation")
 @click.option("--debug", is_flag=True, help="Show where an error comes from.")
 @click.option("--serve", is_flag=True, help="Offer the terminal UI to a browser, on this machine alone.")
+@click.option("--station", metavar="HOST", help="Show the station on another machine, which gave a pass for it.")
 @click.pass_context
-def cli(ctx: click.Context, debug: bool, serve: bool) -> Any:
+def cli(ctx: click.Context, debug: bool, serve: bool, station: str | None) -> Any:
     """Turn one short flight of a quadrotor into a model of it that can be trusted.
 
     Without a command it opens the terminal UI.
     """
     if ctx.invoked_subcommand is not None:
+        if station is not None:
+            raise click.UsageError("--station opens the terminal UI; it takes no command.")
         return None
+    if serve and station is not None:
+        raise click.UsageError("--serve shows this station; give --station without it.")
     try:
         ui = importlib.import_module("groundstation.tui.serve" if serve else "groundstation.tui.app")
     except ModuleNotFoundError:
         click.echo(ctx.get_help())
         return None
-    return ui.serve() if serve else ui.run()
+    return ui.serve() if serve else ui.run(station)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -9,6 +9,7 @@ anything else.
 from __future__ import annotations
 
 import json
+import os
 import stat
 import tomllib
 from pathlib import Path
@@ -22,6 +23,7 @@ DOCUMENT_BYTES = 64 * 1024 * 1024
 DEPTH = 40
 """Tables within tables. Our documents have 6; parsers and writers recurse, and Python allows them about 300."""
 _INTEGER = 2**63
+_SECRET_BYTES = 64 * 1024
 
 
 def inside(folder: Path, name: str) -> Path:
@@ -78,6 +80,20 @@ def require_file(path: Path, wanted: str, limit: int | None = None) -> None:
         raise BadInput(f"{path}: is {kind}; give the path of {wanted}, a regular file.")
     if limit is not None and status.st_size > limit:
         raise BadInput(f"{path}: has {status.st_size} bytes, more than the {limit} of {wanted}; give another file.")
+
+
+def require_own(path: Path, wanted: str, remedy: str) -> None:
+    """Raise unless a file with a secret is one that this user alone can have written and can read.
+
+    Raises:
+        BadInput: it is a link, no regular file, or somebody else's; ``remedy`` ends the sentence.
+    """
+    if path.is_symlink():
+        raise BadInput(f"{path}: is a link. {remedy}")
+    require_file(path, wanted, _SECRET_BYTES)
+    status = path.stat()
+    if hasattr(os, "getuid") and (status.st_uid != os.getuid() or stat.S_IMODE(status.st_mode) & 0o077):
+        raise BadInput(f"{path}: belongs to somebody else, or others may read it. {remedy}")
 
 
 def read_toml(path: Path, wanted: str) -> dict[str, Any]:

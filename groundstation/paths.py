@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 from functools import cache
 from pathlib import Path
@@ -17,6 +18,12 @@ def configs_dir() -> Path:
         if candidate.is_dir():
             return candidate
     raise BadInput("the configs folder is missing from this installation; install groundstation again.")
+
+
+def settings_dir() -> Path:
+    """The folder of this user's own keys and passes, whether it is there or not."""
+    home = os.environ.get("XDG_CONFIG_HOME") or Path("~/.config").expanduser()
+    return Path(home) / "groundstation"
 
 
 @cache

@@ -56,7 +56,9 @@ def rows(encoding, data, count, predictor=0, last=None):
     frames = [("I", data)] if last is None else [("I", b"".join(map(signed, last))), ("P", data)]
     kinds = {"I": [encoding] * count if last is None else [0] * count, "P": [encoding] * count}
     steps = {"I": [predictor if last is None else 0] * count, "P": [predictor] * count}
-    (found,) = decode_blackbox(log(frames, names, kinds, steps, {"minthrottle": "1070", "motorOutput": "158,2047"}))
+    (found,) = decode_blackbox(
+        np.frombuffer(log(frames, names, kinds, steps, {"minthrottle": "1070", "motorOutput": "158,2047"}), np.uint8)
+    )
     assert found.damaged == 0
     assert found.ended
     return found.rows[-1].tolist()

@@ -11,9 +11,11 @@ from __future__ import annotations
 import struct
 
 from drivers.mocap.readings import LONGEST_MESSAGE, MOST_BODIES, Body, Cursor, Damaged, Frame, Reading, tracked, unit
-from drivers.samples import Pose, decode_batch
+from drivers.samples import Pose, Quaternion, Vector3, decode_batch
 
 PREFIX = "mocap/"
+UNSEEN: tuple[Vector3, Quaternion] = ((float("nan"), float("nan"), float("nan")), (1.0, 0.0, 0.0, 0.0))
+"""Published for a body that the cameras know and do not see."""
 _LENGTH = struct.Struct("<H")
 _POSE_BYTES = 56
 _BEHIND_POSE = (0, 8 * (36 + 6 + 36))

@@ -20,6 +20,23 @@ STATUS_EVERY_S = 0.1
 CORE_CONNECT_S = 15.0
 """For the core to be found on the bus: a fresh interpreter has to start and import."""
 
+# Gate: a station's views on other machines
+
+GATE_TURN_S = 0.1
+"""Between two looks at whether the list of passes changed: a pass that is withdrawn is good for nothing so soon."""
+GATE_LOOK_S = 0.5
+"""Between two looks for a flight to share, and for its core to let the gate in."""
+GATE_SAYS_S = 1.0
+"""Between two words of a gate that has nothing new: less than the silence a view is told of."""
+GATE_ANSWER_S = 2.0
+"""For the core to answer an order from the gate: less than the 5 s that who asked waits for the gate."""
+GATE_FOUND_S = 8.0
+"""For a gate to be reached: a handshake over a network that loses one packet in ten."""
+GATE_HEARD_S = 3.0
+"""After that, for its first word; without one, the pass was withdrawn."""
+POSES_AGAIN_S = 0.5
+"""Until a camera computer asks its capture system again."""
+
 # Core: the vehicle's process
 
 VEHICLE_START_S = 120.0

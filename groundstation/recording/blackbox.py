@@ -27,6 +27,7 @@ from groundstation.recording.autopilot import (
     wanted_input,
 )
 from groundstation.recording.blackboxfile import BlackboxLog, decode_blackbox
+from groundstation.recording.part import WHOLE, Part
 from groundstation.recording.recorded import Recording
 from groundstation.vehicle import Vehicle
 
@@ -40,20 +41,20 @@ _FIRST_DIGITAL = 5.0  # motor_pwm_protocol: PWM, OneShot125, OneShot42, Multisho
 _USED = ("loopIteration", "time", "vbatLatest", "amperageLatest", "vbat", "amperage")
 
 
-def read_blackbox(path: Path, vehicle: Vehicle) -> Recording:
-    """The longest log of the file: gyro and accelerometer, motor values as commands, or the ESCs' speeds.
+def read_blackbox(path: Path, vehicle: Vehicle, part: Part = WHOLE) -> Recording:
+    """The longest log of the file, or a part: gyro and accelerometer, motor values as commands, or the ESCs' speeds.
 
     Raises:
         BadInput: it is damaged, holds no flight, or one of another vehicle.
     """
     try:
-        logs = decode_blackbox(path.read_bytes())
+        logs = decode_blackbox(np.memmap(path, np.uint8, mode="r"), part)
     except (ValueError, IndexError) as error:
         raise BadInput(f"{path}: a header is damaged ({one_line(error)}); copy the log again.") from None
     if not logs:
         raise BadInput(f"{path}: holds no frames of flight; copy the log again, or log for longer.")
     log = max(logs, key=lambda log: len(log.rows))
-    t_s = _stamps(log)
+    t_s = log.column("time") / 1e6
     notes, losses = [], _losses(path, log)
     if len(logs) > 1:
         notes.append(
@@ -68,7 +69,7 @@ def read_blackbox(path: Path, vehicle: Vehicle) -> Recording:
         notes += said
         if stream is not None:
             streams[name] = stream
-    extras = {"blackbox": Stream(t_s, log.rows.astype(float), log.names)}
+    extras = {"blackbox": Stream(t_s, log.rows.astype(float), log.names)} if part == WHOLE else {}
     revision = log.headers.get("Firmware revision", "")
     return Recording(
         name=path.stem,
@@ -78,12 +79,6 @@ def read_blackbox(path: Path, vehicle: Vehicle) -> Recording:
         notes=tuple(notes),
         left_out=tuple(losses),
     )
-
-
-def _stamps(log: BlackboxLog) -> Array:
-    """Seconds; the 32 bits of microseconds run over after 71 minutes."""
-    ticks = log.column("time")
-    return (ticks + 2.0**32 * np.cumsum(np.diff(ticks, prepend=ticks[:1]) < -(2.0**31))) / 1e6
 
 
 def _losses(path: Path, log: BlackboxLog) -> list[str]:

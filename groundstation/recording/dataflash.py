@@ -21,6 +21,7 @@ from groundstation.frames import quat_from_euler, quat_normalise, slerp
 from groundstation.recording.autopilot import present, slow_note, z_up, z_up_quaternion
 from groundstation.recording.dataflash_motors import Tables, read_motors
 from groundstation.recording.dataflashfile import DataFlashFile, decode_dataflash
+from groundstation.recording.part import WHOLE, Part
 from groundstation.recording.recorded import Recording
 from groundstation.recording.tables import Table
 from groundstation.vehicle import Vehicle
@@ -47,8 +48,8 @@ _IMU_REMEDY = (
 )
 
 
-def read_dataflash(path: Path, vehicle: Vehicle) -> Recording:
-    """Read the messages that identification needs.
+def read_dataflash(path: Path, vehicle: Vehicle, part: Part = WHOLE) -> Recording:
+    """Read the messages that identification needs, of a part of the log.
 
     GYR and ACC where raw logging was on, else IMU (first instance of each), RCOU as commands or ESC as speeds, the
     filter's position and attitude as the vehicle's own state, VISP (or in simulation SIM and SIM2) for motion capture,
@@ -57,7 +58,7 @@ def read_dataflash(path: Path, vehicle: Vehicle) -> Recording:
     Raises:
         BadInput: it is damaged at the start, holds no motor outputs, or those of another vehicle.
     """
-    log = decode_dataflash(np.memmap(path, np.uint8, mode="r"))
+    log = decode_dataflash(np.memmap(path, np.uint8, mode="r"), part)
     tables = {name: table for name, table in log.tables.items() if len(table) > 1}
     lost = _losses(path, log)
     streams: dict[str, Stream] = {}

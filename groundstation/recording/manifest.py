@@ -21,6 +21,7 @@ from typing import Any
 
 from groundstation.errors import BadInput
 from groundstation.outside import inside, read_bytes, read_json
+from groundstation.paths import settings_dir
 from groundstation.recording.merge import onboard_log_of
 from groundstation.writing import write_whole
 
@@ -62,8 +63,7 @@ def _signature(body: Mapping[str, Any], key: bytes) -> str:
 
 def key_file() -> Path:
     """Where the key of this station lies."""
-    home = os.environ.get("XDG_CONFIG_HOME") or Path("~/.config").expanduser()
-    return Path(home) / "groundstation" / "manifest.key"
+    return settings_dir() / "manifest.key"
 
 
 def station_key(*, make: bool = False) -> bytes | None:

@@ -33,6 +33,8 @@ from groundstation.vehicle import Vehicle
 Array = NDArray[np.float64]
 Topics = Mapping[tuple[str, int], Table]
 
+PX4_MOTORS = ("actuator_motors", "actuator_outputs", "esc_status")
+"""Topics that tell of the motors."""
 SETTINGS_REMEDY = "set SDLOG_PROFILE to 25, and IMU_INTEG_RATE and IMU_GYRO_RATEMAX to 1000."
 _FIRST_FUNCTION, _MOST_MOTORS = 101, 12  # actuator function Motor 1, and how many there are
 _DSHOT_FULL = 1999.0

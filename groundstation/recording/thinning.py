@@ -7,6 +7,8 @@ greatest. One stretch is taken, not several, since samples on both sides of a se
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,9 +28,17 @@ flight's.
 _BLOCK_S = 1.0
 
 
-def informative_stretch(imu: Stream | None, motors: Stream) -> tuple[float, float] | None:
-    """Start and end (on the motors' clock) of what to use of a long flight; None where it is short, or has no IMU, or
-    its stamps stray.
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """A part of a flight on the motors' clock, and how long the flight is."""
+
+    start_s: float
+    end_s: float
+    of_s: float = np.inf
+
+
+def informative_stretch(imu: Stream | None, motors: Stream) -> Stretch | None:
+    """What to use of a long flight; None where it is short, or has no IMU, or its stamps stray.
 
     Blocks of a second in which the motors stand still count nothing, and no block more than the twentieth part of them
     exceeds: a landing, or a vehicle that is carried about, is no flight.
@@ -46,7 +56,7 @@ def informative_stretch(imu: Stream | None, motors: Stream) -> tuple[float, floa
     width = round(KEPT_S / _BLOCK_S)
     total = np.convolve(told, np.ones(width), mode="valid")
     begin = float(edges[int(np.argmax(total))])
-    return begin, begin + KEPT_S
+    return Stretch(begin, begin + KEPT_S, span_s)
 
 
 def _variation(imu: Stream, edges: Array) -> Array:

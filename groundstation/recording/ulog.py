@@ -21,6 +21,7 @@ from groundstation.flightdata import (
 )
 from groundstation.frames import quat_normalise, slerp
 from groundstation.recording.autopilot import one_line, present, slow_note, z_up, z_up_quaternion
+from groundstation.recording.part import WHOLE, Part
 from groundstation.recording.px4_motors import SETTINGS_REMEDY, Topics, read_motors
 from groundstation.recording.recorded import Recording
 from groundstation.recording.settings import Settings
@@ -52,21 +53,21 @@ TOPICS = (
 )
 
 
-def load_ulog(path: Path) -> ULogFile:
-    """The file, decoded.
+def load_ulog(path: Path, part: Part = WHOLE) -> ULogFile:
+    """The file, or a part, decoded.
 
     Raises:
         BadInput: its definitions are torn.
     """
     data = np.memmap(path, np.uint8, mode="r")
     try:
-        return decode_ulog(data)
+        return decode_ulog(data, part)
     except (ValueError, IndexError) as error:
         raise BadInput(f"{path}: its definitions are damaged ({one_line(error)}); download the log again.") from None
 
 
-def read_ulog(path: Path, vehicle: Vehicle) -> Recording:
-    """Read the topics that identification needs.
+def read_ulog(path: Path, vehicle: Vehicle, part: Part = WHOLE) -> Recording:
+    """Read the topics that identification needs, of a part of the log.
 
     IMU: ``sensor_combined``, or ``vehicle_angular_velocity`` with ``vehicle_acceleration`` where those are faster.
     Motors: ``actuator_motors`` (or ``actuator_outputs``) as commands, ``esc_status`` as speeds, sorted into the vehicle
@@ -75,7 +76,7 @@ def read_ulog(path: Path, vehicle: Vehicle) -> Recording:
     Raises:
         BadInput: it is damaged at the start, holds no motor outputs, or those of another vehicle.
     """
-    log = load_ulog(path)
+    log = load_ulog(path, part)
     topics = {key: topic for key, topic in log.topics.items() if len(topic) > 1}
     lost = _losses(path, log)
     streams: dict[str, Stream] = {}
