@@ -270,11 +270,12 @@ def open_session(
         connect_timeout_s: how long the first connection may take.
         login: as whom to open the session.
         admit: secrets of the roles and the vehicle's name: only sessions that log in are accepted, each for its role.
-        secure: settings of a session between machines (:func:`drivers.secure.secured`). Without them nothing listens beyond
-            this machine.
+        secure: settings of a session between machines (:func:`drivers.secure.secured`). Without them nothing listens
+            beyond this machine.
 
     Raises:
-        ConnectionError: an endpoint cannot be opened or reached, or would listen beyond this machine without certificates.
+        ConnectionError: an endpoint cannot be opened or reached, or would listen beyond this machine without
+            certificates.
     """
     import zenoh
 

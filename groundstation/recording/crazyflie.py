@@ -92,7 +92,8 @@ def decode_usd(data: Bytes, source: str, part: Part = WHOLE) -> UsdLog:
     notes = []
     if end == len(data):
         notes.append(
-            f"{source}: the log was cut off or damaged (its checksum does not match); read up to byte {stop} of {len(data)}."
+            f"{source}: the log was cut off or damaged (its checksum does not match); read up to byte {stop} of "
+            f"{len(data)}."
         )
     t_s, columns = {}, {}
     for event, (name, record) in records.items():

@@ -34,7 +34,10 @@ _DATAFLASH_MAGIC = b"\xa3\x95\x80"
 
 
 LARGE_BYTES = 1 << 24
-"""A log from here on is read in two passes, so that a part of it costs that part. A smaller one fits in memory anyway."""
+"""A log from here on is read in two passes, so that a part of it costs that part.
+
+A smaller one fits in memory anyway.
+"""
 _SURVEY_STEP_S = 0.02  # 50 samples in each of the seconds that thinning compares
 _MARGIN_S = 1.0  # read on both sides of a stretch, for what is interpolated at its ends
 
@@ -116,7 +119,8 @@ def _bag_in(folder: Path) -> Path | None:
     files = sorted(file for kind in ("*.mcap", "*.db3") for file in folder.glob(kind))
     if len(files) > 1 and not (folder / "motors.csv").is_file():
         raise BadInput(
-            f"{folder}: holds {len(files)} files of a ROS 2 bag, and no metadata.yaml that joins them; write it with `ros2 bag reindex`, "
+            f"{folder}: holds {len(files)} files of a ROS 2 bag, and no metadata.yaml that joins them; write it with "
+            "`ros2 bag reindex`, "
             "or name one of the files."
         )
     return files[0] if len(files) == 1 and not (folder / "motors.csv").is_file() else None
@@ -210,7 +214,8 @@ def _stretch_of_large_log(
 ) -> Stretch | None:
     """What will be used of a log too large to be read whole for the sake of a part: what was asked for, or tells most.
 
-    None of a log that is read whole. To find what tells most, the log is read once with a sample of each kind every 20 ms.
+    None of a log that is read whole. To find what tells most, the log is read once with a sample of each kind every 20
+    ms.
     """
     if _size_of(path) < LARGE_BYTES:
         return None
@@ -274,7 +279,8 @@ def _thinned(flight: FlightData, stretch: Stretch | None) -> FlightData:
     if stretch is None:
         return flight
     note = (
-        f"flight: of {stretch.of_s:.0f} s those from {stretch.start_s:.1f} to {stretch.end_s:.1f} s are used, in which the "
+        f"flight: of {stretch.of_s:.0f} s those from {stretch.start_s:.1f} to {stretch.end_s:.1f} s are used, in which "
+        "the "
         "vehicle turns and climbs most; choose others with --from and --to, or use all with --all."
     )
     cut = _cut(flight, stretch.start_s, stretch.end_s)
