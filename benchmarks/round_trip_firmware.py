@@ -2,11 +2,12 @@
 
 python -m benchmarks.round_trip_firmware [--px4 PATH] [--arducopter PATH] [--model identification.toml]
 
-The first flight is our simulator's (x500, scenario hall, findings put in), or the given model's. PX4's simulation in hardware flies the
-``px4-sih`` parameters, ArduCopter's simulator the ``ardupilot-sitl`` frame, each with our plan, uploaded and led by ``groundstation fly``
-as with any vehicle, and identified from what came over the link. The second identification starts from the declared vehicle, with the thrust
-curve that the simulator has. z is the difference to what the file holds, in standard deviations of the second estimate; what a simulator does
-not hold is zero there. Kept in docs/results/exports_round_trip.json. Each runs as its instance 7, beside others: UDP 14547, TCP 5830.
+The first flight is our simulator's (x500, scenario hall, findings put in), or the given model's. PX4's simulation in
+hardware flies the ``px4-sih`` parameters, ArduCopter's simulator the ``ardupilot-sitl`` frame, each with our plan,
+uploaded and led by ``groundstation fly`` as with any vehicle, and identified from what came over the link. The second
+identification starts from the declared vehicle, with the thrust curve that the simulator has. z is the difference to
+what the file holds, in standard deviations of the second estimate; what a simulator does not hold is zero there. Kept
+in docs/results/exports_round_trip.json. Each runs as its instance 7, beside others: UDP 14547, TCP 5830.
 """
 
 from __future__ import annotations
@@ -82,9 +83,10 @@ def in_arducopter(binary: Path, model: Mapping[str, Any], folder: Path) -> There
     named = {name: value for name, value in vehicle.parameters().items() if name in MASS_AND_TENSOR}
     holds = named | dict.fromkeys(PRODUCTS, 0.0) | dict.fromkeys(BESIDE, 0.0)
     volts = f"SIM_BATT_VOLTAGE {vehicle.battery.full_v:g}\nSCR_ENABLE 1\n"
+    link = f"tcp://127.0.0.1:{5760 + 10 * INSTANCE}"
     command = [*arducopter_command(binary, folder, volts, model=f"quad:{frame}"), "--home", HOME, f"-I{INSTANCE}"]
     return There(
-        "ArduCopter 4.7.0-dev, SITL", f"tcp://127.0.0.1:{5760 + 10 * INSTANCE}", command, {}, dict(model["vehicle"]), holds,
+        "ArduCopter 4.7.0-dev, SITL", link, command, {}, dict(model["vehicle"]), holds,
         "products of inertia; lag; reaction torque in proportion to thrust (slope matched at hover)",
     )  # fmt: skip
 
@@ -158,7 +160,8 @@ def main() -> int:
         print(f"\n{there.reader}: worst |z| {told['worst_z']:.2f}, {'agrees' if told['agrees'] else 'DIFFERS'}")
         for parameter, row in told["parameters"].items():
             print(
-                f"  {parameter:<18} held {row['exported']:.6g}  again {row['again']:.6g} ± {1.96 * row['std']:.2g}  z {row['z']:+.2f}"
+                f"  {parameter:<18} held {row['exported']:.6g}  again {row['again']:.6g} ± {1.96 * row['std']:.2g}  z "
+                f"{row['z']:+.2f}"
             )
         RESULTS.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     return 0 if all(each["agrees"] for each in results["readers"].values()) else 1

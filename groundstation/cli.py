@@ -1,4 +1,6 @@
-"""The console command ``groundstation``: finds the command, runs it, prints its result or its refusal, sets the status."""
+"""The console command ``groundstation``: finds the command, runs it, prints its result or its refusal, sets the
+status.
+"""
 
 from __future__ import annotations
 
@@ -124,7 +126,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 return 0
             if "--debug" in arguments:
                 raise
-            text = f"this is a defect of groundstation ({type(error).__name__}: {error}); `groundstation --debug ...` shows where"
+            text = (
+                f"this is a defect of groundstation ({type(error).__name__}: {error}); `groundstation --debug ...` "
+                "shows where"
+            )
             return _fail(text, 1, as_json, out)
         if isinstance(result, Result):
             from groundstation.analysis.documents import finite
@@ -136,7 +141,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _called(error: click.ClickException) -> str:
-    """A fault of the command line as one sentence; where something is missing or too much, with what shows how it is called."""
+    """A fault of the command line; where something is missing or too much, with what shows how it is called."""
     text = error.format_message()
     context = getattr(error, "ctx", None)
     if context is None or (isinstance(error, click.BadParameter) and not isinstance(error, click.MissingParameter)):
@@ -183,7 +188,9 @@ def _json(document: Any) -> str:
 
 @contextmanager
 def _standard_output(as_json: bool) -> Iterator[TextIO]:
-    """Standard output; with ``--json`` kept for the document alone: what else writes there, solvers too, goes to stderr."""
+    """Standard output; with ``--json`` kept for the document alone: what else writes there, solvers too, goes to
+    stderr.
+    """
     if not as_json:
         yield sys.stdout
         return

@@ -1,8 +1,9 @@
 """The gate for what others wrote: files, names and texts from outside become bounded values here, or one sentence.
 
-Three kinds of input pass: a *file* (regular, of bounded size), a *document* in it (TOML or JSON of bounded depth, numbers
-within 64 bits), and a *text* that names a file or is shown to somebody. Whatever the bytes, these functions return a value
-that the rest of the program can hold, or raise :class:`BadInput`; they never wait and never raise anything else.
+Three kinds of input pass: a *file* (regular, of bounded size), a *document* in it (TOML or JSON of bounded depth,
+numbers within 64 bits), and a *text* that names a file or is shown to somebody. Whatever the bytes, these functions
+return a value that the rest of the program can hold, or raise :class:`BadInput`; they never wait and never raise
+anything else.
 """
 
 from __future__ import annotations

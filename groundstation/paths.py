@@ -28,7 +28,9 @@ def settings_dir() -> Path:
 
 @cache
 def commit() -> str:
-    """The commit of the program where it runs from a checkout ("+" where files differ from it); empty where it is installed."""
+    """The commit of the program where it runs from a checkout ("+" where files differ from it); empty where it is
+    installed.
+    """
     top = Path(__file__).resolve().parent.parent
     if not (top / ".git").exists():
         return ""

@@ -92,7 +92,9 @@ def test_findings_that_predict_worse_are_said_and_those_that_do_not_are_not():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_covariance_belongs_to_the_intervals_that_are_shown(kind, tmp_path: Path):
-    """Its diagonal is the square of every published deviation, in the document and in the model file; it is a covariance."""
+    """Its diagonal is the square of every published deviation, in the document and in the model file; it is a
+    covariance.
+    """
     rng = np.random.default_rng(16)
     print("seed 16")
     square = rng.standard_normal((7, 9))

@@ -20,7 +20,9 @@ DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs
 
 
 def printed_commands() -> list[tuple[str, str]]:
-    """Every line of a fenced block or inline code that begins with ``groundstation``, with the document it stands in."""
+    """Every line of a fenced block or inline code that begins with ``groundstation``, with the document it stands
+    in.
+    """
     found = []
     for path in DOCUMENTS:
         text = path.read_text(encoding="utf-8")
@@ -57,7 +59,8 @@ def test_every_command_that_the_documents_print_parses(document, line, monkeypat
     except click.BadOptionUsage as error:
         assert line.endswith(error.option_name), (document, line)  # running text that names an option without its value
     except click.MissingParameter as error:
-        # A line in running text may name a command and leave its arguments out, but no option that it prints may be wrong.
+        # A line in running text may name a command and leave its arguments out, but no option that it prints may be
+        # wrong.
         assert "`" not in line and error.param is not None, (document, line)
 
 

@@ -41,7 +41,9 @@ HINTS = ("willReadFrequently", "GL Driver Message")
 
 
 def opened(report: Path, profile: Path) -> tuple[str, list[str], list[str]]:
-    """The page as it stands after its scripts ran, what the console said, and the hosts that were asked for something."""
+    """The page as it stands after its scripts ran, what the console said, and the hosts that were asked for
+    something.
+    """
     net_log = profile / "net.json"
     command = [
         str(CHROMIUM),
@@ -131,12 +133,15 @@ ZOOMED = """(async () => {
   await Plotly.relayout(timed[0], { "xaxis.range": [11, 12] });
   await new Promise((r) => setTimeout(r, 500));
   const scene = document.querySelector('[data-title^="Turn about the vertical"]');
-  return { timed: timed.length, ranges: timed.map((p) => p.layout.xaxis.range.map(Math.round).join()), turns: scene !== null };
+  return { timed: timed.length, ranges: timed.map((p) => p.layout.xaxis.range.map(Math.round).join()), turns: scene \
+!== null };
 })()"""
 
 
 async def all_drawn(page: browser.Page, address: str) -> int:
-    """Open a page with every section open, and wait until every figure is drawn, without scrolling; how many there are."""
+    """Open a page with every section open, and wait until every figure is drawn, without scrolling; how many there
+    are.
+    """
     await page.open(f"{address}#all")
     for _ in range(1200):
         told = await page.value_of("document.documentElement?.dataset.drawn || '0/1'")
@@ -192,7 +197,9 @@ def test_each_figure_offers_svg_png_and_csv(page):
 
 @pytest.mark.skipif(axe_source() is None, reason=ABSENT)
 async def test_axe_finds_nothing_serious_in_a_report_or_a_comparison(tmp_path):
-    """Contrast, landmarks, names, order of headings: with every section open and every figure drawn, in light and dark."""
+    """Contrast, landmarks, names, order of headings: with every section open and every figure drawn, in light and
+    dark.
+    """
     source = axe_source()
     assert source is not None
     report = write_report(tmp_path / "report.html", fixture.flight(), fixture.identification(), fixture.diagnosis())

@@ -63,8 +63,8 @@ class UdpTransport:
     """UDP: ``listen`` waits for a vehicle to speak and answers it there; otherwise we speak first.
 
     Only the first peer heard is answered, until it has been silent for ``forget_s`` or :meth:`answer` says who is: from
-    then on nobody else is, however long that one is silent. A second sender on the port (another simulator, a stray tool)
-    must not receive this vehicle's setpoints.
+    then on nobody else is, however long that one is silent. A second sender on the port (another simulator, a stray
+    tool) must not receive this vehicle's setpoints.
     """
 
     datagrams = True
@@ -161,7 +161,9 @@ class StreamTransport:
         return [(self._name, data)] if data else []
 
     def write(self, data: bytes) -> None:
-        """Queue and push; more than 64 KiB behind, the newest is dropped (a frozen line must not delay what comes later)."""
+        """Queue and push; more than 64 KiB behind, the newest is dropped (a frozen line must not delay what comes
+        later).
+        """
         if self._handle is None or len(self._pending) > 1 << 16:
             return
         self._pending += data

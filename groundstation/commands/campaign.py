@@ -34,13 +34,22 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 @logs_option
 @json_option
 def campaign(
-    vehicle: str | None, scenario: str | None, link: str | None, station: str, yes_simulated: bool, until: str, at_most: int,
-    seed: int, given: tuple[Path, ...], resume: Path | None, logs: Path,
-) -> Result:  # fmt: skip
+    vehicle: str | None,
+    scenario: str | None,
+    link: str | None,
+    station: str,
+    yes_simulated: bool,
+    until: str,
+    at_most: int,
+    seed: int,
+    given: tuple[Path, ...],
+    resume: Path | None,
+    logs: Path,
+) -> Result:
     """Fly, judge the model on the new flight, find what is missing, plan what settles it, until the targets are met.
 
-    It ends when nothing is left open, the targets are met, and the model predicts a flight that no estimate has seen as well
-    as its own; or it says what was not reached. Killed at any moment, --resume goes on.
+    It ends when nothing is left open, the targets are met, and the model predicts a flight that no estimate has seen as
+    well as its own; or it says what was not reached. Killed at any moment, --resume goes on.
     """
     from groundstation.campaign.campaign import VEHICLE, autopilot_limits, begin, load_campaign, run, take_in
     from groundstation.campaign.report import lines, write_campaign_report
@@ -62,8 +71,14 @@ def campaign(
         stand = run(stand, flyer, say=line.say, **(autopilot_limits(stand.vehicle) if link is not None else {}))
     line.end()
     report = write_campaign_report(stand.folder / "report.html", stand)
-    document = {"schema": "groundstation.campaign/1", "folder": str(stand.folder), "outcome": stand.outcome, "sentence": stand.sentence,
-                "flights": [r.folder for r in stand.rounds], "estimates": dict(stand.rounds[-1].estimates) if stand.rounds else {}}  # fmt: skip
+    document = {
+        "schema": "groundstation.campaign/1",
+        "folder": str(stand.folder),
+        "outcome": stand.outcome,
+        "sentence": stand.sentence,
+        "flights": [r.folder for r in stand.rounds],
+        "estimates": dict(stand.rounds[-1].estimates) if stand.rounds else {},
+    }
     text = "\n".join([*lines(stand), f"report: {report}", f"model: {stand.folder / f'model-{len(stand.rounds)}.toml'}"])
     return Result(document, text, 0 if stand.outcome == "settled" else Refused.exit_status)
 
@@ -72,7 +87,7 @@ def _check_flown(scenario: str | None, link: str | None, *, yes_simulated: bool)
     """Refuse a campaign that could not fly before its folder is made.
 
     Raises:
-        BadInput: nothing or two things fly, a shipped scenario is misspelt, or a real vehicle has nobody at its terminal.
+        BadInput: nothing or two things fly, no such scenario ships, or nobody is at the terminal of a real vehicle.
     """
     from groundstation.paths import find_config
 

@@ -118,7 +118,9 @@ class Choice(click.Choice[str]):
 
 
 class ProgressLine:
-    """Progress on standard error: on a terminal one line that is rewritten and fits, with the time left; else a line now and then."""
+    """Progress on standard error: on a terminal one line that is rewritten and fits, with the time left; else a line
+    now and then.
+    """
 
     def __init__(self, every_s: float = 1.0, clock: Callable[[], float] = time.monotonic):
         self._terminal = sys.stderr.isatty()
@@ -137,7 +139,9 @@ class ProgressLine:
         self._show(f"{100 * fraction:3.0f} %  {self._left(fraction)}{text}", force=fraction >= 1.0)
 
     def _left(self, fraction: float) -> str:
-        """Time left, once a second and a twentieth of the work are behind; it assumes that the work goes on as it went."""
+        """Time left, once a second and a twentieth of the work are behind; it assumes that the work goes on as it
+        went.
+        """
         now = self._clock()
         if self._began is None:
             self._began = now
@@ -168,7 +172,9 @@ class ProgressLine:
 
     @contextmanager
     def ticking(self, text: str) -> Iterator[None]:
-        """Say how long something takes that tells nothing of itself, whenever the line was quiet for a second and a half."""
+        """Say how long something takes that tells nothing of itself, whenever the line was quiet for a second and a
+        half.
+        """
         done, begun = threading.Event(), self._clock()
 
         def tick() -> None:

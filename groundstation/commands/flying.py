@@ -30,8 +30,11 @@ MAVLINK_VEHICLE = "x500"
 def until_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """How long the excitation lasts, where that is decided in flight."""
     most = click.option(
-        "--excitation-at-most-s", type=click.FloatRange(min=1.0), default=None, help="The longest excitation of an --until flight, s; 80 by default."
-    )  # fmt: skip
+        "--excitation-at-most-s",
+        type=click.FloatRange(min=1.0),
+        default=None,
+        help="The longest excitation of an --until flight, s; 80 by default.",
+    )
     until = click.option("--until", default=None, metavar="TARGETS", help=f"Fly until this is known, e.g. {DEFAULT}.")
     return until(most(function))
 
@@ -45,8 +48,8 @@ def until_options(function: Callable[..., Any]) -> Callable[..., Any]:
 def sim(ctx: click.Context, arguments: tuple[str, ...]) -> None:
     """Start the simulated drone as a process that another program flies.
 
-    With --mavlink it is an autopilot on UDP, for `preflight` and `fly`. Without it, it waits for a core on the bus; `rehearse` starts
-    one by itself and needs no `sim`. The arguments follow.
+    With --mavlink it is an autopilot on UDP, for `preflight` and `fly`. Without it, it waits for a core on the bus;
+    `rehearse` starts one by itself and needs no `sim`. The arguments follow.
     """
     from groundstation.flight.children import module_command
 
@@ -81,8 +84,8 @@ def rehearse(
 ) -> Result:
     """Fly the whole loop in simulation: plan, upload over zenoh, fly, record, identify, diagnose, report.
 
-    Ctrl-C aborts: before arming nothing is armed, afterwards the simulated drone lands. Killing this program does not end
-    the flight.
+    Ctrl-C aborts: before arming nothing is armed, afterwards the simulated drone lands. Killing this program does not
+    end the flight.
     """
     from groundstation.flight.client.interrupts import Interrupts
 
@@ -263,7 +266,7 @@ def link_options(function: Callable[..., Any]) -> Callable[..., Any]:
 def _link_flight(
     vehicle: str, plan_file: Path | None, logs: Path, line: ProgressLine, *, automatic: bool = False, **link: Any
 ) -> dict[str, Any]:
-    """Folder, plan, vehicle and link process of a flight on a MAVLink link; what is wrong is said before a plan is made."""
+    """Folder, plan, vehicle and link process of a flight on a MAVLink link; faults are told before a plan is made."""
     from drivers.mavlink.transports import parse_url
     from groundstation.flight.client.client import new_flight_folder
     from groundstation.flight.client.rehearse import linked_vehicle
@@ -313,7 +316,8 @@ def preflight(vehicle: str, plan_file: Path | None, logs: Path, **link: Any) -> 
 @click.option(
     "--take-over",
     type=click.Choice(["land", "hold"]),
-    help="A vehicle is in flight, and its station ended: land it, or hold it for a minute and land; its folder goes on.",
+    help="A vehicle is in flight, and its station ended: land it, or hold it for a minute and land; its folder goes "
+    "on.",
 )
 def fly(
     vehicle: str, plan_file: Path | None, logs: Path, yes_simulated: bool, take_over: str | None, **link: Any
@@ -396,7 +400,9 @@ def _fetch_log(url: str, vehicle: Path, flown: FlightResult, line: ProgressLine,
 
 
 def _offered(refusal: str, line: ProgressLine) -> str:
-    """What the operator at a terminal wants done with a vehicle that is in flight; empty leaves it to its own failsafe."""
+    """What the operator at a terminal wants done with a vehicle that is in flight; empty leaves it to its own
+    failsafe.
+    """
     from groundstation.flight.messages import IN_FLIGHT
 
     if not refusal.startswith(IN_FLIGHT) or not sys.stdin.isatty():

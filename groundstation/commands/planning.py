@@ -161,7 +161,9 @@ def _discriminating(
 
 
 def _vehicle_of(path: Path, document: dict[str, Any], given: str | None) -> Vehicle:
-    """The vehicle as given, else as declared in the identification beside the diagnosis, else the shipped one of its name."""
+    """The vehicle as given, else as declared in the identification beside the diagnosis, else the shipped one of its
+    name.
+    """
     from groundstation.paths import find_config, shipped_config
     from groundstation.reporting.exports import read_model
     from groundstation.vehicle import load_vehicle, vehicle_from_dict

@@ -3,9 +3,10 @@
 PX4's simulator link reports ``esc_rpm = 6000 control`` whatever turns at the other end (``send_esc_telemetry`` in its
 ``SimulatorMavlink.cpp``). Taken for measurements, such speeds give every force and inertia on the scale of that number.
 A rotor's speed lags its command by tens of milliseconds and sags with the battery, so that it is not the command of the
-same instant times one number, down to the last digit of both, on every rotor at once: where it is, at more than half of all
-instants, the command is all that is known. Half, because on a late or lossy line a speed stands beside the command before
-or after its own; of measured rotors hardly one instant in a hundred agrees like that (tests/test_recording_computed_speeds.py).
+same instant times one number, down to the last digit of both, on every rotor at once: where it is, at more than half of
+all instants, the command is all that is known. Half, because on a late or lossy line a speed stands beside the command
+before or after its own; of measured rotors hardly one instant in a hundred agrees like that
+(tests/test_recording_computed_speeds.py).
 """
 
 from __future__ import annotations
@@ -62,7 +63,8 @@ def commands_behind(speeds: Stream, commands: Stream) -> tuple[Stream, str] | No
     if gain is None:
         return None
     note = (
-        f"motors: the ESCs' speeds are the commands times {gain / _RPM:.0f} rpm at every instant, to the last digit: the "
+        f"motors: the ESCs' speeds are the commands times {gain / _RPM:.0f} rpm at every instant, to the last digit: "
+        "the "
         "autopilot's simulator computed them, nobody measured them; the commands are used."
     )
     if commands.rate_hz() >= speeds.rate_hz():

@@ -28,7 +28,8 @@ def landing_card(
     Args:
         identification, diagnosis: the documents; empty where there is none.
         declared: parameters as the vehicle file declares them.
-        refusal: why there is no identification; planned: the file of the flight that would tell more, where one is proposed.
+        refusal: why there is no identification; planned: the file of the flight that would tell more, where one is
+            proposed.
     """
     if not identification:
         return (

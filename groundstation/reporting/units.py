@@ -97,7 +97,7 @@ _METHODS: Mapping[str, str] = {
 
 
 def method_text(source: str) -> str:
-    """A method, or a method "+ findings", in words: "IV + findings" is "instrumental variables (IV), findings put in"."""
+    """A method in words: "IV + findings" is "instrumental variables (IV), findings put in"."""
     method, plus, _ = source.partition(" + findings")
     words = f"{_METHODS[method]} ({method})" if method in _METHODS else method
     return f"{words}, findings put in" if plus else words
@@ -169,7 +169,9 @@ def half_width(estimate: Estimate) -> float:
 
 
 def interval_text(estimate: Estimate, scale: Scale) -> str:
-    """Value and 95 % half width without the unit: "1.8254 ± 0.0012"; the value alone where nothing is known of its width."""
+    """Value and 95 % half width without the unit: "1.8254 ± 0.0012"; the value alone where nothing is known of its
+    width.
+    """
     width = half_width(estimate) * scale.factor
     if width <= 0.0 or not math.isfinite(width):
         return significant(estimate.value * scale.factor)

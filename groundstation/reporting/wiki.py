@@ -1,4 +1,6 @@
-"""A flight's report as Markdown, for a lab's wiki or a merge request: the same numbers as the page, without its figures."""
+"""A flight's report as Markdown, for a lab's wiki or a merge request: the same numbers as the page, without its
+figures.
+"""
 
 from __future__ import annotations
 

@@ -32,7 +32,8 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0, help="of all noise")
     parser.add_argument(
         "--link", action="append", default=[], metavar="URL",
-        help="udpout://HOST:PORT, udpin://HOST:PORT, tcpin://HOST:PORT, tcp://HOST:PORT or serial://DEVICE:BAUD; repeatable",
+        help="udpout://HOST:PORT, udpin://HOST:PORT, tcpin://HOST:PORT, tcp://HOST:PORT or serial://DEVICE:BAUD; "
+             "repeatable",
     )  # fmt: skip
     parser.add_argument("--real-time", type=float, default=1.0, metavar="SPEED", help="simulated seconds per second")
     parser.add_argument(

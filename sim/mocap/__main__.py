@@ -1,4 +1,6 @@
-"""Entry point: ``python -P -m sim.mocap --system natnet``: emulated cameras that see a drone on a figure, until Ctrl-C."""
+"""Entry point: ``python -P -m sim.mocap --system natnet``: emulated cameras that see a drone on a figure, until
+Ctrl-C.
+"""
 
 from __future__ import annotations
 

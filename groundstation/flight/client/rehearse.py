@@ -114,7 +114,7 @@ def _as_client(core: Child, endpoint: Access, body: Callable[[CoreClient], None]
         if not connected and core.poll() is None:
             core.interrupt()
             raise BadInput(
-                f"the core did not answer within {timeouts.CORE_CONNECT_S:g} s; the machine may be too busy: try again. "
+                f"the core did not answer within {timeouts.CORE_CONNECT_S:g} s; the machine may be busy: try again. "
                 "Its log is core.log in the flight's folder."
             ) from None
     core.wait()
@@ -146,7 +146,8 @@ def fly(
         take_over: ``land`` or ``hold`` a vehicle found in flight, instead of flying a plan.
 
     Raises:
-        FlightAborted: the flight was aborted and the vehicle is down, or nothing was armed; what was flown told nothing.
+        FlightAborted: the flight was aborted and the vehicle is down, or nothing was armed; what was flown told
+            nothing.
         LinkLost: it ended, and nobody saw the vehicle on the ground.
         Refused: the vehicle or the checks refused to fly.
     """

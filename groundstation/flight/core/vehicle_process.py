@@ -1,4 +1,6 @@
-"""The process that stands for the vehicle, as the core watches it: a link that ends or hangs in flight gets a successor, which lands."""
+"""The process that stands for the vehicle, as the core watches it: a link that ends or hangs in flight gets a
+successor, which lands.
+"""
 
 from __future__ import annotations
 
@@ -87,7 +89,10 @@ class VehicleProcess:
         return f"nothing was heard from the vehicle's process for {patience:g} s"
 
     def leave(self) -> int | None:
-        """Wait for its end; its process id where it goes on by itself, to bring its vehicle down or restore parameters. Never killed."""
+        """Wait for its end; its process id where it goes on by itself, to bring its vehicle down or restore parameters.
+
+        Never killed.
+        """
         if self._child is None or self._child.leave(timeouts.VEHICLE_LEAVE_S):
             return None
         return self._child.pid

@@ -89,7 +89,9 @@ def add_verdict(
 
 
 def _judgement(identification: Identification, diagnosis: Diagnosis) -> Markup:
-    """The verdict with the landing card's word on trust and on what is next: a tick stands only where nothing is in doubt."""
+    """The verdict with the landing card's word on trust and on what is next: a tick stands only where nothing is in
+    doubt.
+    """
     trust, _, following = landing_card(identification.to_dict(), diagnosis.to_dict(), {})
     doubtful = diagnosis.verdict in ("clean", "explained") and not trust.startswith("Trust: yes")
     refused = readable(diagnosis.reason) if diagnosis.verdict == "refused" else ""
@@ -142,7 +144,7 @@ def _cards(identification: Identification, diagnosis: Diagnosis | None, declared
 
 
 def _card(name: str, estimate: Estimate, declared: float | None, widened: bool) -> Markup:
-    """Name, value with interval, unit, how far from the declared value; an interval that a residual has widened is called so."""
+    """Name, how far from the declared value, value with interval, unit; a widened interval is called so."""
     scale = scale_for(split_unit(name)[1], [estimate.value])
     number = element("b", interval_text(estimate, scale), " ", element("span", scale.unit))
     doubt = element("span", "interval widened", class_="doubt") if widened else None
@@ -208,7 +210,8 @@ def _before_after(page: Page, diagnosis: Diagnosis) -> Markup | None:
             if "before" not in known:
                 continue
             caption = (
-                f"RMS, {check.replace('_', '-')} data: {title}. Before: mass and inertia re-estimated on the same training "
+                f"RMS, {check.replace('_', '-')} data: {title}. Before: mass and inertia re-estimated on the same "
+                "training "
                 "blocks without the effects. After: with them (▾ it fell). Nominal: the vehicle as declared."
             )
             rms = error_table(caption, known, reference="before", improved="after")
@@ -240,7 +243,8 @@ def _prediction(stages: Mapping[str, Mapping[str, float]]) -> Markup | None:
             told = fragment(after, _ratio(before, values[-1]))
             rows.append((name_and_unit, nominal, significant(scale.factor * before), told))
     caption = (
-        "RMS, held-out data: open-loop prediction with the recorded inputs, from what the sensors had said until its start. "
+        "RMS, held-out data: open-loop prediction with the recorded inputs, from what the sensors had said until its "
+        "start. "
         "Ratio: error before over error after."
     )
     return table(caption, ("prediction", *columns), rows, highlight=3) if rows else None
