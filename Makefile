@@ -35,7 +35,7 @@ docs: $(READY)  ## the documentation site in build/site; any warning is an error
 	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --quiet $(ARGS)
 
 test: $(READY)  ## the whole test suite
-	@$(PY) -m pytest -n 2 $(ARGS)
+	@$(PY) -m pytest -n 2 --reruns 1 -raR $(ARGS)
 
 lint: $(READY)  ## format, lint, types, import rules
 	$(VENV)/bin/ruff format --check .

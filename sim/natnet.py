@@ -1,7 +1,9 @@
-"""An OptiTrack server fed by the simulated cameras: NatNet 4.1, unicast, one rigid body (the SDK's PacketClient sample).
+"""An OptiTrack server fed by the simulated cameras: NatNet 4.1, unicast, one rigid body (the SDK's PacketClient
+sample).
 
-A frame leaves when the scenario's latency has passed since its exposure. Its stamps are of the cameras' clock: exposure and
-transmission in ticks, and the exposure in seconds as older clients read it. Echo requests are answered with that clock's time.
+A frame leaves when the scenario's latency has passed since its exposure. Its stamps are of the cameras' clock: exposure
+and transmission in ticks, and the exposure in seconds as older clients read it. Echo requests are answered with that
+clock's time.
 """
 
 from __future__ import annotations

@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.declarations import WRONG, unplanned, verdict, with_state
-from benchmarks.flown import flight_data
 from groundstation.analysis.suspects import suspicion
 from groundstation.cli import main
 from groundstation.errors import Refused
@@ -22,6 +20,8 @@ from groundstation.recording import load_flight
 from groundstation.recording.bundle import write_bundle
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
+from studies.declarations import WRONG, unplanned, verdict, with_state
+from studies.flown import flight_data
 from tests.flights import laboratory, rest_to_rest_plan
 from tests.test_identification_logs import PX4_LOG, sih_vehicle
 
@@ -121,12 +121,23 @@ def test_a_declared_lag_15_percent_off_is_asked_about(lag_s: float, asked: bool)
 
 
 MEASURED = [
-    *((f"nanodrone/{name}", None) for name in ("multisine_20251017_run1", "random1_20251017_run2", "square_20251017_run3")),
-    *((f"crazypad/{name}", "crazyflie21") for name in (
-        "normal_flight/E9_log00", "normal_flight/E9_log02", "add_weight_W1_near_M3/E9_log04", "cut_propeller_M3_4mm_4mm_39mm/E8_log01",
-    )),
-    ("crazyflie-1khz/log10", "crazyflie21"), ("crazyflie-1khz/log15", "crazyflie21"), ("crazyflie-1khz/log16", "crazyflie21"),
-]  # fmt: skip
+    *(
+        (f"nanodrone/{name}", None)
+        for name in ("multisine_20251017_run1", "random1_20251017_run2", "square_20251017_run3")
+    ),
+    *(
+        (f"crazypad/{name}", "crazyflie21")
+        for name in (
+            "normal_flight/E9_log00",
+            "normal_flight/E9_log02",
+            "add_weight_W1_near_M3/E9_log04",
+            "cut_propeller_M3_4mm_4mm_39mm/E8_log01",
+        )
+    ),
+    ("crazyflie-1khz/log10", "crazyflie21"),
+    ("crazyflie-1khz/log15", "crazyflie21"),
+    ("crazyflie-1khz/log16", "crazyflie21"),
+]
 
 
 @pytest.mark.parametrize(("name", "vehicle"), MEASURED)

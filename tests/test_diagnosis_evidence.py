@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, f
 
-from benchmarks.flown import flight_data
 from groundstation.diagnosis.attribution import Selection
 from groundstation.diagnosis.base import for_evidence
+from groundstation.diagnosis.columns import Candidate, Columns
 from groundstation.diagnosis.effect import library
-from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, updated_rigid_body
+from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.flight_evidence import FlightEvidence
+from groundstation.diagnosis.joint import updated_rigid_body
 from groundstation.diagnosis.linearisation import linearisation
 from groundstation.diagnosis.scale import scale_findings
 from groundstation.diagnosis.whitening import bands_of, coefficients
-from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.identification.results import Estimate
 from groundstation.paths import find_config
@@ -25,6 +27,7 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle, vehicle_from_dict, vehicle_to_dict
 from sim.flight import simulate
 from sim.scenario import load_scenario
+from studies.flown import flight_data
 
 LINES = np.array([0.0, 0.6, 2.0, 6.0, 30.0])
 """Hz, between which the mean power is looked at."""
@@ -32,7 +35,9 @@ LINES = np.array([0.0, 0.6, 2.0, 6.0, 30.0])
 
 @pytest.fixture(scope="module")
 def evidence() -> Evidence:
-    """A flight of the reference scenario in a disturbance of second order, which the noise model's first order is not."""
+    """A flight of the reference scenario in a disturbance of second order, which the noise model's first order is
+    not.
+    """
     vehicle = load_vehicle(find_config("vehicles", "qball2"))
     lab = load_scenario(find_config("scenarios", "lab"))
     air = lab.disturbance.model_copy(update={"order": 2, "correlation_s": 0.5})

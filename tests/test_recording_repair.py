@@ -170,7 +170,9 @@ def test_39_percent_frozen_poses_pass_and_60_percent_are_refused(made):
 
 
 def test_a_noise_free_vehicle_at_rest_is_not_frozen(made):
-    """Ideal poses repeat while the vehicle stands and creep away as it starts: most of the stream, and all of it sound."""
+    """Ideal poses repeat while the vehicle stands and creep away as it starts: most of the stream, and all of it
+    sound.
+    """
     stream = made.mocap
     t = stream.t_s - stream.t_s[0]
     height = np.where(t > 4.0, 0.5 * 0.3 * (t - 4.0) ** 2, 0.0)

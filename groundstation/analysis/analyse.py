@@ -1,8 +1,10 @@
-"""What happens to a recording after landing: identify, diagnose, report. One function for the core's worker and the CLI.
+"""What happens to a recording after landing: identify, diagnose, report. One function for the core's worker and the
+CLI.
 
     python -P -m groundstation.analysis.analyse FOLDER
 
-waits for a line on standard input and prints one JSON document per line on standard output: ``{"progress": 0.4, "text": "...", "table": {...}}``.
+waits for a line on standard input and prints one JSON document per line on standard output: ``{"progress": 0.4, "text":
+"...", "table": {...}}``.
 """
 
 from __future__ import annotations
@@ -45,7 +47,9 @@ class Analysis:
 def parameter_table(
     identification: Identification, declared: Mapping[str, float], diagnosis: Diagnosis | None = None
 ) -> Table:
-    """Rows nominal, estimate, low, high of mass and tensor as every place shows them; NaN where the flight does not tell."""
+    """Rows nominal, estimate, low, high of mass and tensor as every place shows them; NaN where the flight does not
+    tell.
+    """
     from groundstation.reporting.canonical import canonical
 
     return _rows(canonical(identification, diagnosis).parameters, declared)

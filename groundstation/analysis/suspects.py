@@ -2,8 +2,8 @@
 
     python -P -m groundstation.analysis.suspects FOLDER
 
-answers each line on standard input with a JSON document on standard output: ``{"seconds": 21.3, "suspects": [{"effect": "rotor drag",
-"odds": 40.0, "alternatives": []}]}``. It runs at low priority, and what it cannot tell yet it leaves out.
+answers each line on standard input with a JSON document on standard output: ``{"seconds": 21.3, "suspects": [{"effect":
+"rotor drag", "odds": 40.0, "alternatives": []}]}``. It runs at low priority, and what it cannot tell yet it leaves out.
 """
 
 from __future__ import annotations
@@ -57,7 +57,9 @@ def wrongly_declared(flight: FlightData) -> list[Suspect]:
 
 
 def suspicion(folder: Path) -> Suspicion:
-    """Of the recording in a flight's folder, as it is now; without suspects where it is too short or cannot be read yet."""
+    """Of the recording in a flight's folder, as it is now; without suspects where it is too short or cannot be read
+    yet.
+    """
     from groundstation.diagnosis import diagnose
     from groundstation.recording import load_flight
 

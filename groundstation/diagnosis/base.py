@@ -9,7 +9,7 @@ import numpy as np
 from groundstation.diagnosis.case import Case
 from groundstation.diagnosis.linearisation import linearisation
 from groundstation.diagnosis.thresholds import THRESHOLDS
-from groundstation.identification.pipeline import fit_dynamics, options_for
+from groundstation.identification.dynamic_fit import fit_dynamics, options_for
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared
 from groundstation.model.parameters import FitOptions
@@ -24,7 +24,10 @@ class Base:
 
 
 def base_fit(case: Case) -> Base:
-    """Of the flights that estimates see. What divides a lag from a dead time lies above the evidence's rate: it keeps its own there."""
+    """Of the flights that estimates see.
+
+    What divides a lag from a dead time lies above the evidence's rate: it keeps its own there.
+    """
     flights = [*case.suspects, *case.healthy]
     free = options_for(flights[0])
     fitted = fit_dynamics(flights if free.lag else [for_evidence(flight) for flight in flights])

@@ -80,7 +80,8 @@ def write_calibration(path: Path, calibration: MarkerCalibration) -> None:
 def told(found: HandCalibration, calibration: MarkerCalibration) -> str:
     """For people: value, 95 % half width, and what to make of it."""
     lines = [
-        f"measured over {found.seconds:.0f} s, carried {found.moved_m:.2f} m rms, turned by up to {np.degrees(found.turned_rad):.0f} degrees"
+        f"measured over {found.seconds:.0f} s, carried {found.moved_m:.2f} m rms, turned by up to "
+        f"{np.degrees(found.turned_rad):.0f} degrees"
     ]
     for name, values, std, factor, unit in (
         ("offset", found.position_m, found.position_std_m, 1e3, "mm"),
@@ -98,7 +99,8 @@ def told(found: HandCalibration, calibration: MarkerCalibration) -> str:
         + ("" if calibration.scale else ", left at 1")
     )
     lines.append(
-        f"delay     {1e3 * calibration.delay_s:.2f} +- {1.96e3 * calibration.delay_std_s:.2f} ms of stamps after the exposure"
+        f"delay     {1e3 * calibration.delay_s:.2f} +- {1.96e3 * calibration.delay_std_s:.2f} ms of stamps after the "
+        "exposure"
     )
     lines.append(f"noise     {1e3 * found.residual_m:.2f} mm, {np.degrees(found.residual_rad):.2f} degrees")
     return "\n".join(lines)

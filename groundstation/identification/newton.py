@@ -1,8 +1,8 @@
 """The minimum of a smooth function of a few unknowns whose value at several points costs as much as at one.
 
-Gradient and curvature are differences over points around the present one, so that a step is Newton's; its length is the best of several.
-A noise's likelihood in logarithms is such a function: from a previous fit it takes one or two steps (Dennis and Schnabel 1983, section 5.5
-for the curvature made positive).
+Gradient and curvature are differences over points around the present one, so that a step is Newton's; its length is the
+best of several. A noise's likelihood in logarithms is such a function: from a previous fit it takes one or two steps
+(Dennis and Schnabel 1983, section 5.5 for the curvature made positive).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LONGEST = 2.0
 LENGTHS = np.array([1.0, 0.5, 0.25, 0.125, 1.5, 2.0, 0.03, 0.004])
 """Of a step that are tried at once."""
 ENOUGH = 1e-3
-"""Fall of the cost, in nats, below which a step is not worth another look: a thousandth of what a standard deviation costs."""
+"""Fall of the cost, in nats, below which a step is not worth another look: a standard deviation costs half of one."""
 
 
 def minimum(costs: Costs, start: Array, floor: Array, ceiling: Array, most: int) -> tuple[Array, float]:

@@ -1,4 +1,5 @@
-"""The likelihood of position errors under eight noises at once, one in each lane of a vector register (see :mod:`.noise_kernel`).
+"""The likelihood of position errors under eight noises at once, one in each lane of a vector register (see
+:mod:`.noise_kernel`).
 
 The filter is that of :func:`.smoothing.position_filter`; only the cost of its innovations is kept.
 """
@@ -21,7 +22,9 @@ PLACE, SPEED, PUSH = (LANES * 3 * row for row in range(3))
 P00, P01, P02, P11, P12, P22, A, B, R, COST, PRODUCT, SQUARES, K0, K1, K2, ROWS = (
     LANES * (9 + row) for row in range(16)
 )
-"""Where the rows begin: states of three axes; covariances; densities and the poses' variance; the cost; squares and gains of a step."""
+"""Where the rows begin: states of three axes; covariances; densities and the poses' variance; the cost; what squares
+count and the gains of a step.
+"""
 
 
 @njit(cache=True, error_model="numpy")
@@ -78,7 +81,7 @@ def _axis(s: Array, place: int, y: float, h: float) -> None:
 
 @njit(cache=True, error_model="numpy")
 def position_costs(z: Array, dt: Array, noises: Array) -> Array:
-    """Half the minus-log-likelihood of z (k, 3) under each of at most LANES noises (n, 4), constants dropped, shape (n,)."""
+    """Half the minus-log-likelihood of z (k, 3) under each of at most LANES noises (n, 4), constants dropped, (n,)."""
     s = _prepared(noises, z[0])
     for i in range(1, len(z)):
         _covariances(s, dt[i], i >= FREE)

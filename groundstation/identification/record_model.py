@@ -3,9 +3,9 @@
     omega(t) = omega(0) + J^-1 H(t),    H = integral of (tau(T) - c x F(T) - omega x J omega)
     f(t) = (F(T) + extra forces) / m + b
 
-T are rotor thrusts behind a lag and a delay, F and tau what they make along their axes. omega x J omega uses the measured rates, whose noise is a part in a thousand
-there. Sensitivities are analytic; those of lag and delay are differences of the exact lag. Everything is linear in running
-integrals, so those are averaged to the fit's rate once.
+T are rotor thrusts behind a lag and a delay, F and tau what they make along their axes. omega x J omega uses the
+measured rates, whose noise is a part in a thousand there. Sensitivities are analytic; those of lag and delay are
+differences of the exact lag. Everything is linear in running integrals, so those are averaged to the fit's rate once.
 """
 
 from __future__ import annotations
@@ -38,10 +38,8 @@ Mask = NDArray[np.bool_]
 CHANNELS = ("torque_x_nm", "torque_y_nm", "torque_z_nm", "force_x_n", "force_y_n", "force_z_n")
 
 
-
-
 def _turning() -> Array:
-    """omega x J omega per entry of the tensor and product of two rates, both in the order of PAIRS, (3, 6, 6)."""
+    """Omega x J omega per entry of the tensor and product of two rates, both in the order of PAIRS, (3, 6, 6)."""
     out = np.zeros((3, len(PAIRS), len(PAIRS)))
     for entry, basis in enumerate(BASIS):
         for product, (i, j) in enumerate(PAIRS):
@@ -61,7 +59,8 @@ class DynamicRecord:
     Attributes:
         t_s: stamps, (k,). keep: samples inside the window and outside exclusions, (k,).
         rate_rad_s: rates less their bias, (k, 3).
-        force_m_s2: specific force of the declared origin less bias and lever arm, (k, 3); NaN when there is no accelerometer.
+        force_m_s2: specific force of the declared origin less bias and lever arm, (k, 3); NaN when there is no
+            accelerometer.
         force_bias_std: what is left unknown of the bias, (3,).
         motors: on the motors' clock.
         block: samples averaged into one for the fit, the same on both sides of the equation.
@@ -115,7 +114,9 @@ class BodyWrench:
 
 @dataclass(frozen=True, slots=True)
 class Predicted:
-    """A record's outputs at given parameters: wrench and impulse (blocks, 6), rates, forces; differences of both by lags and dead time."""
+    """A record's outputs at given parameters: wrench and impulse (blocks, 6), rates, forces; differences of wrench and
+    impulse by lags and dead time.
+    """
 
     moved: Mapping[str, tuple[Array, Array]]
     wrench: Array
@@ -125,7 +126,8 @@ class Predicted:
 
 
 class RecordModel:
-    """Predicted outputs of one record and their sensitivities, at the fit's rate. Built once per flight; pure in the parameters.
+    """Predicted outputs of one record and their sensitivities, at the fit's rate. Built once per flight; pure in the
+    parameters.
 
     Attributes:
         matrix: from rotors' thrusts to body force and torque, (6, n).
@@ -159,6 +161,7 @@ class RecordModel:
         self.gyroscopic = self.integrated_gyroscopic(record.rate_rad_s)
         self.extra_means = tuple((self.integrated(e.value), self.average(e.value[:, :3])) for e in self.extra)
         self._last: tuple[Parameters, Predicted] | None = None
+        self._made: tuple[list[tuple[Lag, float]], list[tuple[Array, Array]]] | None = None
         self._asked = FitOptions(lag=False, delay=False)
 
     def channels(self, options: FitOptions) -> tuple[int, ...]:
@@ -176,7 +179,8 @@ class RecordModel:
         """The same record by another vehicle's thrust, with neither terms nor plan."""
         other = copy(self)
         other.record, other.matrix = replace(self.record, vehicle=vehicle), wrench_matrix(vehicle)
-        other.planned, other.extra, other.extra_means, other._last = None, (), (), None
+        other.planned, other.extra, other.extra_means = None, (), ()
+        other._last = other._made = None
         return other
 
     def integrated(self, values: Array) -> Array:
@@ -199,18 +203,24 @@ class RecordModel:
         return total / self._members.shape[1]
 
     def thrusts(self, wanted: Sequence[tuple[Lag, float]]) -> list[tuple[Array, Array]]:
-        """What rotors make by the declared constants behind each lag and dead time, averaged over the blocks, and its running integral.
+        """Force and torque of the rotors by the declared constants behind each lag and dead time, averaged over the
+        blocks, and their running integrals, (blocks, 6) each.
 
-        Force and torque, (blocks, 6) each.
+        The last ones are kept: a fit whose rotors have neither lag nor dead time to find asks for the same again.
         """
-        record = self.record
-        lags, delays = (list(dict.fromkeys(part)) for part in zip(*wanted, strict=True))
-        means = mean_thrusts(record.vehicle, record.motors, lags, delays, (record.t_s, self._members))
-        found = [means[lags.index(lag)][delays.index(delay)] for lag, delay in wanted]
-        return [(each[:, 0] @ self.matrix.T, each[:, 1] @ self.matrix.T) for each in found]
+        if self._made is None or self._made[0] != list(wanted):
+            record = self.record
+            lags, delays = (list(dict.fromkeys(part)) for part in zip(*wanted, strict=True))
+            means = mean_thrusts(record.vehicle, record.motors, lags, delays, (record.t_s, self._members))
+            found = [means[lags.index(lag)][delays.index(delay)] for lag, delay in wanted]
+            self._made = (
+                list(wanted),
+                [(each[:, 0] @ self.matrix.T, each[:, 1] @ self.matrix.T) for each in found],
+            )
+        return self._made[1]
 
     def _predict(self, p: Parameters, options: FitOptions | None = None) -> Predicted:
-        """At ``p``, with the differences that the sensitivities of these options need; None for those that were asked for last.
+        """At ``p``, with the differences that the sensitivities of these options need (None: those asked for last).
 
         Differences cost little beside the prediction, and a search that ends at ``p`` goes on from there.
         """
@@ -280,7 +290,9 @@ class RecordModel:
 
 @njit(cache=True)
 def _integral_means(values: Array, step: Array, members: NDArray[np.int64]) -> Array:
-    """Block means of the running integral by the trapezoidal rule of columns (k, n), with ``step`` before each sample, (blocks, n)."""
+    """Block means of the running integral by the trapezoidal rule of columns (k, n), with ``step`` before each sample,
+    (blocks, n).
+    """
     count = values.shape[1]
     blocks, size = members.shape
     out = np.zeros((blocks, count))

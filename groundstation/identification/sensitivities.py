@@ -1,7 +1,8 @@
 """What each parameter of the table (:mod:`groundstation.model.parameters`) changes of the rates and specific forces.
 
-Two forms: along the measured motion, and along the planned one, which owes nothing to a flight's disturbances (the instruments).
-Each gives d(prediction)/d(parameter) as rates (blocks, 3) and specific forces (blocks, 3) at the fit's rate.
+Two forms: along the measured motion, and along the planned one, which owes nothing to a flight's disturbances (the
+instruments). Each gives d(prediction)/d(parameter) as rates (blocks, 3) and specific forces (blocks, 3) at the fit's
+rate.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ Array = NDArray[np.float64]
 Pair = tuple[Array, Array]
 
 
+TIMING = ("input_delay_s", "rotor_lag_s", "rotor_lag_up_s", "rotor_lag_down_s", "rotor_lag_slope")
+"""Parameters whose sensitivity is a difference."""
 DELAY_STEP_S = 1e-3
 SLOPE_STEP = 0.05
 """Of differences by the dead time and by a lag's slope."""
@@ -87,7 +90,9 @@ class Point:
 
 
 class Measured(Point):
-    """Along the measured motion: sensitivities are analytic, those of lag and delay are differences of the exact lag."""
+    """Along the measured motion: sensitivities are analytic, those of lag and delay are differences of the exact
+    lag.
+    """
 
     def __init__(self, model: RecordModel, p: Parameters, prediction: Predicted):
         super().__init__(model, p)
@@ -108,8 +113,9 @@ class Measured(Point):
 class Planned(Point):
     """Along the planned motion.
 
-    A thrust y behind a lag: y' = (u - y) / tau, so dy/dtau = -y' through the same lag, of rising or falling rotors. Where its rate is
-    (1 + s x) / tau, dy/ds = tau x y' through the lag, with x of the command u = y + tau y' above hover's.
+    A thrust y behind a lag: y' = (u - y) / tau, so dy/dtau = -y' through the same lag, of rising or falling rotors.
+    Where its rate is (1 + s x) / tau, dy/ds = tau x y' through the lag, with x of the command u = y + tau y' above
+    hover's.
     """
 
     def __init__(self, model: RecordModel, p: Parameters):
@@ -227,7 +233,7 @@ EITHER: dict[str, Callable[[Point], Pair]] = {
 MEASURED: dict[str, Callable[[Measured], Pair]] = {
     "mass_kg": lambda at: (at.blank, -at.prediction.force / at.p.mass_kg**2),
     **{name: _measured_entry(index) for index, name in enumerate(TENSOR)},
-    **{name: _moved(name) for name in ("input_delay_s", "rotor_lag_s", "rotor_lag_up_s", "rotor_lag_down_s", "rotor_lag_slope")},
+    **{name: _moved(name) for name in TIMING},
     "accel_delay_s": lambda at: _forces_alone(MEASURED["input_delay_s"](at)),
 }
 

@@ -1,8 +1,9 @@
-"""Block means of what rotors make behind a lag, for several lags and dead times at once, a rotor of one in each lane of vector registers.
+"""Block means of what rotors make behind a lag, for several lags and dead times at once.
 
-The motors' grid is a millisecond, a fit's blocks are many: what the rotors make on the grid is kept for a chunk at a time and gathered
-into the blocks from there, so that nothing of the grid's length is written. All that the lanes keep lies in one array, a row of LANES for
-each quantity: rows lie a constant distance apart, so the compiler knows that lanes do not touch each other.
+Each rotor behind each lag has a lane of vector registers. The motors' grid is a millisecond, a fit's blocks are many: what
+the rotors make on the grid is kept for a chunk at a time and gathered into the blocks from there, so that nothing of the
+grid's length is written. All that the lanes keep lies in one array, a row of LANES for each quantity: rows lie a constant
+distance apart, so the compiler knows that lanes do not touch each other.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ NEARLY_INSTANT_S = 1e-6
 INPUT, LAGGED, RISING, FALLING, THRUST, SUM, UP, DOWN, STILL, MORE, PASSES, BEFORE, NOW, ROWS = (
     LANES * row for row in range(14)
 )
-"""Where the rows begin: the signals; steps over lags, the rate's parts, whether the input passes, weights of a running sum."""
+"""Where rows begin: signals; steps over lags, the rate's parts, whether the input passes, a running sum's weights."""
 TWELFTH = 1.0 / 12.0
 
 
@@ -74,7 +75,7 @@ def _paced_fast(s: Array) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _turned(s: Array, c0: float, c1: float, c2: float, counts: float) -> None:
-    """Thrusts now, their running sums, and the lagged values a step later; ``counts`` is zero at the grid's first point."""
+    """Thrusts now, their running sums, and lagged values a step later; ``counts`` is zero at the grid's first point."""
     for n in range(LANES):
         u, held, rise, fall = s[INPUT + n], s[LAGGED + n], s[RISING + n], s[FALLING + n]
         x = u if s[PASSES + n] > 0.0 else held
@@ -131,7 +132,9 @@ def block_means(
     t_s: Array,
     members: NDArray[np.int64],
 ) -> Array:
-    """Means over blocks of rotors' thrusts and of their running integrals, (delays, blocks, 2, LANES), rotors of the first lag first.
+    """Means over blocks of rotors' thrusts and of their running integrals, (delays, blocks, 2, LANES).
+
+    Rotors of the first lag come first.
 
     Args:
         value: motor values on the grid, held over a step, (k, rotors).

@@ -1,10 +1,11 @@
 """Rotor thrusts over time from what a flight recorded of its motors: commands through a lag, or measured speeds.
 
 A command holds until the next one; a measured speed is interpolated linearly (it is a sample of something continuous).
-The lag x' = (1 + s (u/u_h - 1)) (u - x)/tau, with tau by the sign of u - x, is solved exactly over each step of a fine grid.
-A first-order lag has s = 0. The torque of a motor falls in proportion to its speed and its propeller's drag grows with the
-square, so small changes about a speed fade at the rate (a + b u), which is linearised about hover's command u_h: s is the
-propeller's share of the damping there (Bangura and Mahony 2014, Thrust control for multirotor aerial vehicles, for the torques).
+The lag x' = (1 + s (u/u_h - 1)) (u - x)/tau, with tau by the sign of u - x, is solved exactly over each step of a fine
+grid. A first-order lag has s = 0. The torque of a motor falls in proportion to its speed and its propeller's drag grows
+with the square, so small changes about a speed fade at the rate (a + b u), which is linearised about hover's command
+u_h: s is the propeller's share of the damping there (Bangura and Mahony 2014, Thrust control for multirotor aerial
+vehicles, for the torques).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from groundstation.flightdata import resampled
 from groundstation.model.rotor_kernel import LANES, NEARLY_INSTANT_S, SLOWEST, block_means, gain
 from groundstation.vehicle import Vehicle
 
@@ -31,7 +33,8 @@ Lag = tuple[float, float, float]
 def _lagged(value: Array, up: float, down: float, step: float, slope: float, hover: float) -> Array:
     """Each column of a piecewise constant input behind the lag, shape kept.
 
-    What a step moves a rotor depends on the command alone, so it is worked out where that changes: the rotor waits for one product.
+    What a step moves a rotor depends on the command alone, so it is worked out where that changes: the rotor waits for
+    one product.
     """
     count, columns = value.shape
     out = np.empty_like(value)
@@ -93,7 +96,7 @@ def motor_input(
     t_s = np.asarray(t_s, dtype=float)
     grid = t_s[0] + step_s * np.arange(int(np.floor((t_s[-1] - t_s[0]) / step_s)) + 1)
     if measured:
-        value = np.stack([np.interp(grid, t_s, column) for column in values.T], axis=-1)
+        value = resampled(grid, t_s, values)
     else:
         value = values[np.clip(np.searchsorted(t_s, grid + 1e-9, side="right") - 1, 0, len(t_s) - 1)]
     return MotorInput(float(t_s[0]), step_s, np.ascontiguousarray(value, dtype=float), measured, hover)
@@ -126,7 +129,9 @@ def interpolate_columns(query_s: Array, start_s: float, step_s: float, values: A
 
 
 def hover_value(vehicle: Vehicle) -> float:
-    """Motor value at which a rotor carries its share of the declared weight; one where none does (a wrench as input)."""
+    """Motor value at which a rotor carries its share of the declared weight; one where none does (a wrench as
+    input).
+    """
     if vehicle.rotors.input == "wrench":
         return 1.0
     share = vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.rotors.count
@@ -151,7 +156,9 @@ def thrust_polynomial(vehicle: Vehicle) -> Array:
 def mean_thrusts(
     vehicle: Vehicle, motors: MotorInput, lags: Sequence[Lag], delays_s: Sequence[float], blocks: tuple[Array, Array]
 ) -> list[Array]:
-    """Block means of :func:`declared_thrust` behind each lag and dead time, and of its running integral, (delays, blocks, 2, n) of each lag.
+    """Block means of :func:`declared_thrust` behind each lag and dead time, and of its running integral.
+
+    Of each lag an array (delays, blocks, 2, n).
 
     Args:
         blocks: stamps of the samples (k,), and the samples of each block (blocks, size).

@@ -71,7 +71,9 @@ def live_rows(table: Mapping[str, tuple[float, float, float, float]]) -> list[Ro
 
 
 def until_lines(status: CoreStatus) -> str:
-    """Time to target of each parameter, what is proposed, and what the flight so far lets suspect; empty where there is none of it."""
+    """Time to target of each parameter, what is proposed, and what the flight so far lets suspect; empty where there is
+    none of it.
+    """
     lines = []
     if (until := status.until) is not None:
         lines.append(f"until known: {until.length_s:.0f} s as it stands, {until.at_most_s:.0f} s at the most")
@@ -94,7 +96,9 @@ def _to_target(known: KnownStatus) -> str:
 
 
 def round_row(number: int, done: Round) -> Row:
-    """One flight of a campaign: number, seconds, verdict, what is found, how far the worst target is, error before and after the effects."""
+    """One flight of a campaign: number, seconds, verdict, what is found, how far the worst target is, error before and
+    after the effects.
+    """
     worst = max(done.reached, key=lambda name: done.reached[name], default="")
     far = f"{label(worst)} {done.reached[worst]:.2f}" if worst else "–"
     errors = "–"
@@ -133,7 +137,9 @@ def _against_nominal(name: str, nominal: float, estimate: Estimate | None) -> Ro
 
 
 def method_table(document: Mapping[str, Any], declared: Mapping[str, float], most: int) -> tuple[Row, list[Row]]:
-    """Header and rows of mass and tensor: the one estimate, then the methods, at most so many columns, with 95 % half widths."""
+    """Header and rows of mass and tensor: the one estimate, then the methods, at most so many columns, with 95 % half
+    widths.
+    """
     source, estimate = estimate_in(document)
     methods = {**document["methods"], source: {"parameters": estimate}}
     names = [source, *(name for name in methods if name != source)][:most]

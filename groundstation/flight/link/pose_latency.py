@@ -1,10 +1,11 @@
 r"""How late the poses are stamped, measured in flight from the attitude: poses against the vehicle's estimate. Pure.
 
-A pose stamped ``t`` that shows the vehicle at ``t - L`` has the attitude :math:`q(t)\exp(-L\omega(t))`. The small rotation from the
-estimate to the pose, in the body, is therefore :math:`e_k = c - L\,\omega_k` with a constant c (how the rigid body lies in the
-vehicle), and L is the slope of a line, least squares over all poses and axes (textbook linear regression; first order in
-:math:`L\omega`, so that 30 ms at 0.5 Hz are off by 0.3 %). The estimate follows the gyros over the plan's periods, whatever
-delay the estimator was told; its stamps are mapped to the host's clock by TIMESYNC.
+A pose stamped ``t`` that shows the vehicle at ``t - L`` has the attitude :math:`q(t)\exp(-L\omega(t))`. The small
+rotation from the estimate to the pose, in the body, is therefore :math:`e_k = c - L\,\omega_k` with a constant c (how
+the rigid body lies in the vehicle), and L is the slope of a line, least squares over all poses and axes (textbook
+linear regression; first order in :math:`L\omega`, so that 30 ms at 0.5 Hz are off by 0.3 %). The estimate follows the
+gyros over the plan's periods, whatever delay the estimator was told; its stamps are mapped to the host's clock by
+TIMESYNC.
 """
 
 from __future__ import annotations

@@ -14,7 +14,9 @@ from groundstation.vehicle import Vehicle
 PARTS = 6
 
 DOUBTFUL = 1.15
-"""A vehicle is weighed, and its thrust taken from a bench, to a few percent; 15 % off is worth a question before anything else."""
+"""A vehicle is weighed, and its thrust taken from a bench, to a few percent; 15 % off is worth a question before
+anything else.
+"""
 WRONG = 1.5
 """No battery, payload or wear comes near: it is another vehicle, another constant or another unit."""
 
@@ -50,7 +52,8 @@ def scale_checks(flown: Flown, vehicle: Vehicle) -> list[Check]:
         line.append(f"or thrust_coefficient_n_s2 = {(vehicle.rotors.thrust_coefficient_n_s2 or 0.0) / ratio:.4g}")
     unit = _unit(float(np.sqrt(ratio)))
     says = (
-        f"Is this the right vehicle? The declared rotors make {ratio:.2f} times the thrust that the declared mass needs; "
+        f"Is this the right vehicle? The declared rotors make {ratio:.2f} times the thrust that the declared mass "
+        "needs; "
         f"the {trusted} is trusted, so the other follows it{unit}."
     )
     return [Check("thrust", tested, evidence, "contradicted" if off > WRONG else "doubtful", says, " ".join(line))]
@@ -63,7 +66,8 @@ THICKNESS = 1.02
 def tensor_checks(vehicle: Vehicle) -> list[Check]:
     """Check "tensor": whether any rigid body has the declared one. It says nothing where one has.
 
-    No moment of a body exceeds the sum of the other two (the triangle inequality: Wensing, Kim and Slotine 2018, IEEE RA-L 3(1)).
+    No moment of a body exceeds the sum of the other two (the triangle inequality: Wensing, Kim and Slotine 2018, IEEE
+    RA-L 3(1)).
     """
     moments = np.linalg.eigvalsh(vehicle.inertia_tensor())
     tested = "Principal moments of the declared tensor"
@@ -73,7 +77,10 @@ def tensor_checks(vehicle: Vehicle) -> list[Check]:
     why = "is not positive" if moments[0] <= 0.0 else "is larger than the other two together"
     which = "smallest" if moments[0] <= 0.0 else "largest"
     says = f"No rigid body has the declared tensor: its {which} principal moment {why}."
-    line = "[vehicle.inertia_kg_m2] with every moment below the sum of the other two; look for a unit, a swapped axis or a product's sign"
+    line = (
+        "[vehicle.inertia_kg_m2] with every moment below the sum of the other two; look for a unit, a swapped axis or "
+        "a product's sign"
+    )
     return [Check("tensor", tested, evidence, "doubtful", says, line)]
 
 
@@ -97,7 +104,8 @@ def lag_doubts(found: Mapping[str, Estimate], vehicle: Vehicle) -> list[str]:
         away = abs(estimate.value - declared)
         if away > (DOUBTFUL - 1.0) * declared and away > 3.0 * estimate.std:
             said.append(
-                f"Is this the right vehicle? Its rotors lag by {1e3 * estimate.value:.0f} +- {1e3 * estimate.std:.0f} ms ({key}), "
+                f"Is this the right vehicle? Its rotors lag by {1e3 * estimate.value:.0f} +- {1e3 * estimate.std:.0f} "
+                f"ms ({key}), "
                 f"where {1e3 * declared:.0f} ms are declared. Write: [rotors.lag] {key} = {estimate.value:.4g}"
             )
     return said

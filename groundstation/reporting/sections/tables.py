@@ -47,8 +47,8 @@ def error_table(
 ) -> Markup:
     """RMS errors by signal (rows) and parameter set (columns), each with its change from ``reference``.
 
-    The change is 100 (RMS / RMS of the reference - 1), the seed paper's improvement (Tables 4-6) with the sign of what the error did:
-    negative where it fell. Columns left of the reference get none.
+    The change is 100 (RMS / RMS of the reference - 1), the seed paper's improvement (Tables 4-6) with the sign of what
+    the error did: negative where it fell. Columns left of the reference get none.
     """
     signals = list(dict.fromkeys(signal for errors in sets.values() for signal in errors))
     columns = list(sets)
