@@ -15,10 +15,10 @@ from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from groundstation.frames import skew
+from groundstation.identification.block_kernel import integral_means, wrench_means
 from groundstation.identification.sensitivities import (
     Measured,
     lag_of,
@@ -185,13 +185,18 @@ class RecordModel:
 
     def integrated(self, values: Array) -> Array:
         """Block means of the running integral of values (k, ...) at the IMU's stamps, (blocks, ...)."""
-        means = _integral_means(values.reshape(len(values), -1), self._step, self._members)
+        means = integral_means(values.reshape(len(values), -1), self._step, self._members)
         return means.reshape(len(means), *values.shape[1:])
 
     def integrated_gyroscopic(self, rate: Array) -> Array:
         """Block means of the integral of omega x J omega per entry of the tensor, (blocks, 3, 6)."""
         products = np.stack([rate[:, i] * rate[:, j] for i, j in PAIRS], axis=-1)
         return (self.integrated(products) @ TURNING.reshape(-1, len(PAIRS)).T).reshape(-1, 3, len(PAIRS))
+
+    def of_wrench(self, wrench: Array) -> Array:
+        """Block means of the running integrals of torques and of forces, torques first, of a wrench (k, 6, p)."""
+        flat = np.ascontiguousarray(wrench, dtype=float).reshape(len(wrench), -1)
+        return wrench_means(flat, self._step, self._members).reshape(-1, 6, wrench.shape[2])
 
     def average(self, values: Array) -> Array:
         """Block means of samples (k, ...) at the IMU's stamps, (blocks, ...)."""
@@ -286,29 +291,6 @@ class RecordModel:
         prediction = self._predict(p, options)
         found = measured_sensitivities(Measured(self, p, prediction), options)
         return self._residual(p, prediction), stacked(found), tuple(found)
-
-
-@njit(cache=True)
-def _integral_means(values: Array, step: Array, members: NDArray[np.int64]) -> Array:
-    """Block means of the running integral by the trapezoidal rule of columns (k, n), with ``step`` before each sample,
-    (blocks, n).
-    """
-    count = values.shape[1]
-    blocks, size = members.shape
-    out = np.zeros((blocks, count))
-    impulse = np.zeros(count)
-    at = 0
-    for b in range(blocks):
-        for m in range(size):
-            while at < members[b, m]:
-                at += 1
-                for j in range(count):
-                    impulse[j] += 0.5 * (values[at, j] + values[at - 1, j]) * step[at]
-            for j in range(count):
-                out[b, j] += impulse[j]
-        for j in range(count):
-            out[b, j] /= size
-    return out
 
 
 def _blocks(record: DynamicRecord) -> tuple[NDArray[np.int64], Mask]:

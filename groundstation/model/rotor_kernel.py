@@ -1,9 +1,9 @@
 """Block means of what rotors make behind a lag, for several lags and dead times at once.
 
-Each rotor behind each lag has a lane of vector registers. The motors' grid is a millisecond, a fit's blocks are many: what
-the rotors make on the grid is kept for a chunk at a time and gathered into the blocks from there, so that nothing of the
-grid's length is written. All that the lanes keep lies in one array, a row of LANES for each quantity: rows lie a constant
-distance apart, so the compiler knows that lanes do not touch each other.
+Each rotor behind each lag has a lane of vector registers. The motors' grid is a millisecond, a fit's blocks are many:
+what the rotors make on the grid is kept for a chunk at a time and gathered into the blocks from there, so that nothing
+of the grid's length is written. All that the lanes keep lies in one array, a row of LANES for each quantity: rows lie a
+constant distance apart, so the compiler knows that lanes do not touch each other.
 """
 
 from __future__ import annotations
