@@ -187,12 +187,12 @@ class FlightEvidence:
         seen = self.predicted(wrench)
         if self.planned is None:
             sensitivity = self.whitening.apply(seen)
-            return Columns(sensitivity, sensitivity, rms)
+            return Columns.of(sensitivity, sensitivity, rms)
         wished = candidate.effect.wrench(self.planned, vehicle, candidate.settings)
         if not np.isfinite(wished.sum()):
             return None
         white = self.whitening.apply(np.concatenate([seen, self.predicted(wished)], axis=2))
-        return Columns(white[:, : wrench.shape[2]], white[:, wrench.shape[2] :], rms)
+        return Columns.of(white[:, : wrench.shape[2]], white[:, wrench.shape[2] :], rms)
 
     def along(self, basis: Array, wished: Array | None) -> dict[int, Columns]:
         """Columns of the same functions of time (k, p) as torque or force of each known channel, by channel.
@@ -215,7 +215,7 @@ class FlightEvidence:
                     white[n] = parts[n]
             rms[WRENCH_ROW[channel]] = size
             flat = white.reshape(-1, both.shape[1])
-            out[channel] = Columns(flat[:, :count], flat[:, :count] if wished is None else flat[:, count:], rms)
+            out[channel] = Columns.of(flat[:, :count], flat[:, :count] if wished is None else flat[:, count:], rms)
         return out
 
 

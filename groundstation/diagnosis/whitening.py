@@ -182,11 +182,18 @@ def coefficients(gram: Array, cross: Array, random: np.random.Generator | None) 
 
 def orthonormal(basis: Array) -> Array:
     """An orthonormal basis of what columns span."""
-    size = np.linalg.norm(basis, axis=0)
-    used = basis[:, size > 1e-7 * max(float(size.max(initial=0.0)), 1e-30)]
-    if used.shape[1] == 0 or float(size.max()) < 1e-12:
-        return np.zeros((len(basis), 0))
-    used = used / np.linalg.norm(used, axis=0)
-    values, vectors = np.linalg.eigh(used.T @ used)
+    return basis @ spanning(basis.T @ basis)
+
+
+def spanning(gram: Array) -> Array:
+    """What columns of these products (n, n) are to be multiplied by to become orthonormal, (n, r)."""
+    size = np.sqrt(np.diag(gram))
+    largest = float(size.max(initial=0.0))
+    used = size > 1e-7 * max(largest, 1e-30)
+    if not used.any() or largest < 1e-12:
+        return np.zeros((len(gram), 0))
+    values, vectors = np.linalg.eigh(gram[np.ix_(used, used)] / np.outer(size[used], size[used]))
     keep = values > 1e-6 * values[-1]
-    return used @ (vectors[:, keep] / np.sqrt(values[keep]))
+    out = np.zeros((len(gram), int(keep.sum())))
+    out[used] = vectors[:, keep] / np.sqrt(values[keep]) / size[used, None]
+    return out
