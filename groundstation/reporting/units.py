@@ -133,6 +133,15 @@ def scale_for(unit: str, magnitudes: Iterable[float]) -> Scale:
     return Scale(10.0**-exponent, f"10{str(exponent).translate(_SUPERSCRIPT)} {unit}")
 
 
+ROUNDING = 1e-12
+"""An error below this, in SI, is the arithmetic's own: no sensor here tells a millionth of a millionth."""
+
+
+def beyond_rounding(value: float) -> float:
+    """The error, or zero where it is rounding alone."""
+    return value if abs(value) >= ROUNDING else 0.0
+
+
 def decimals(uncertainty: float, digits: int = 2) -> int:
     """Decimals that show ``digits`` significant digits of an uncertainty; at least 0, at most 9."""
     if not math.isfinite(uncertainty) or uncertainty <= 0.0:
