@@ -11,6 +11,7 @@ import pytest
 
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.columns import Columns, Recent
+from groundstation.identification import instruments
 from groundstation.identification.noise import NoiseModel, innovation_products, innovations
 from groundstation.identification.pipeline import identify
 from groundstation.identification.position_kernel import position_costs
@@ -27,8 +28,6 @@ from studies.timing import seconds
 SEED = 2001
 DIAGNOSE_LOOPS = 160.0
 """A loose bound: 2 s of processor for 20 s of flight were 65 plain loops over 10 s when this was written."""
-MB_PER_SECOND = 4.0
-"""Of arrays at the most, for each second of flight at 500 Hz; samples and motion are 0.3 of them."""
 
 
 def test_a_diagnosis_after_an_identification_says_the_same_for_less() -> None:
@@ -46,17 +45,23 @@ def test_a_diagnosis_after_an_identification_says_the_same_for_less() -> None:
     assert after_s < 0.85 * alone_s < 0.85 * DIAGNOSE_LOOPS * loop_s
 
 
-def test_the_motion_of_a_flight_is_worked_out_in_parts() -> None:
+def test_a_planned_motion_in_parts_is_that_of_the_whole_and_takes_less_room(monkeypatch: pytest.MonkeyPatch) -> None:
     print("study seed", SEED)
-    flight, _, _ = draw(SEED, 1.5)
-    prepare(flight)
-    tracemalloc.start()
-    prepare(flight)
-    _, most = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert flight.imu is not None
-    length_s = float(np.ptp(flight.imu.t_s))
-    assert most / 2**20 < MB_PER_SECOND * length_s
+    flight, _, _ = draw(SEED, 0.5)
+    found, most = [], []
+    for part in (10**9, 1000):
+        monkeypatch.setattr(instruments, "PART", part)
+        prepare(flight)
+        tracemalloc.start()
+        planned = prepare(flight).planned
+        most.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert planned is not None
+        found.append(planned)
+    whole, parts = found
+    for name in ("rate_rad_s", "angular_acceleration_rad_s2", "specific_thrust_m_s2", "position_m", "quaternion"):
+        assert getattr(parts, name) == pytest.approx(getattr(whole, name), rel=1e-9, abs=1e-9)
+    assert most[1] < 0.7 * most[0]
 
 
 def test_columns_that_find_no_room_are_made_anew() -> None:
