@@ -98,7 +98,13 @@ class Vehicle:
             bus.serve(self.session, self.keys.upload, bus.Upload, self.upload),
             bus.serve(self.session, self.keys.command, bus.Command, self.command),
             bus.serve(self.session, self.keys.describe, bus.Describe, lambda _ask: described),
+            bus.watch_alive(self.session, bus.CORE_ALIVE, self.core_went),
         ]
+
+    def core_went(self, _key: str, alive: bool) -> None:
+        """Nobody is left to fly for."""
+        if not alive:
+            os._exit(0)
 
     def upload(self, request: Any) -> Any:
         """Take the plan."""
