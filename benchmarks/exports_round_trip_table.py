@@ -1,4 +1,7 @@
-"""The table of round trips in docs/exports.md, made from docs/results/exports_round_trip.json. `python -m benchmarks.exports_round_trip_table`"""
+"""The table of round trips in docs/exports.md, made from docs/results/exports_round_trip.json.
+
+`python -m benchmarks.exports_round_trip_table`
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,8 @@ def tables(results: Mapping[str, Any]) -> str:
         "| --- | --- | --- | --- | --- | --- |",
     ]
     lines += [
-        f"| `{FORMATS[name]}` | {reader(name, told)} | {told.get('flown', '20 s of excitation')} | {told.get('lacks', '–')} | "
+        f"| `{FORMATS[name]}` | {reader(name, told)} | {told.get('flown', '20 s of excitation')} | "
+        f"{told.get('lacks', '–')} | "
         f"{told['worst_z']:.2f} | {'agrees' if told['agrees'] else 'differs'} |"
         for name, told in readers.items()
     ]

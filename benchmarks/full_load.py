@@ -1,11 +1,13 @@
-"""The recorder at full load through a whole core, with the UI attached: what is lost, what it costs, what is counted, what a kill costs.
+"""The recorder at full load through a whole core, with the UI attached: what is lost, what it costs, what is counted,
+what a kill costs.
 
 python -m benchmarks.full_load [--minutes 10] [--out docs/results/full_load.json]
 
-A vehicle's process of its own puts on the bus, in real time: IMU at 1 kHz, poses of three bodies at 360 Hz each, four rotor speeds at
-400 Hz, setpoints at 50 Hz, raw MAVLink frames at 400 Hz. The core records as in any flight, and the terminal UI follows it. Faults are planted into the streams: single samples
-left out, doubled and swapped, and a device clock that is set forward and back; the record has to count each. Then a second, shorter flight
-is killed (SIGKILL) in the air. What was recorded is counted by the MCAP library's reader.
+A vehicle's process of its own puts on the bus, in real time: IMU at 1 kHz, poses of three bodies at 360 Hz each, four
+rotor speeds at 400 Hz, setpoints at 50 Hz, raw MAVLink frames at 400 Hz. The core records as in any flight, and the
+terminal UI follows it. Faults are planted into the streams: single samples left out, doubled and swapped, and a device
+clock that is set forward and back; the record has to count each. Then a second, shorter flight is killed (SIGKILL) in
+the air. What was recorded is counted by the MCAP library's reader.
 """
 
 from __future__ import annotations
@@ -150,7 +152,8 @@ class Vehicle:
                 time.sleep(max(0.0, begun_s + (int((now_s - begun_s) / STEP_S) + 1) * STEP_S - time.monotonic()))
 
     def down(self, now_s: float) -> bool:
-        """On the ground: the last samples have a second and a half to arrive before the word that it has landed closes the recording."""
+        """On the ground: the last samples have a second and a half to arrive before the word that it has landed closes
+        the recording."""
         return bool(self.start_s) and now_s - self.start_s > 2.5 + self.options.seconds
 
     def fly(self, now_s: float) -> None:
@@ -249,7 +252,8 @@ class Flight:
 
 
 def recorded(path: Path) -> tuple[int, float, dict[str, Any]]:
-    """Messages in the file by the MCAP library (those of one sample once), the newest log time, and what was counted of each stream."""
+    """Messages in the file by the MCAP library (those of one sample once), the newest log time, and what was counted of
+    each stream."""
     from benchmarks.soak import readable
     from groundstation.recording.load import read_recording
 
@@ -303,11 +307,14 @@ def verdict(document: dict[str, Any]) -> list[str]:
 def told_of(document: dict[str, Any]) -> str:
     """For people."""
     run, kill = document["whole"], document["killed"]
+    put, (begin, end) = sum(run["put"].values()), run["memory_mb"]
     lines = [
-        f"full load   {run['seconds_in_the_air']:.0f} s in the air, {sum(run['put'].values())} samples put in {run['batches']} batches (load average {run['load_average']:.1f})",
-        f"lost        {run['batches_lost']} batches, {sum(run['put'].values()) - run['recorded']} samples; {run['read_back']} messages read back",
-        f"core        {run['core_share']:.2f} of a processor core (recorder, bus, sequence and live estimate; UI attached)",
-        f"memory      {run['memory_mb'][0]:.0f} MB after a tenth of the flight, {run['memory_mb'][1]:.0f} MB at its end",
+        f"full load   {run['seconds_in_the_air']:.0f} s in the air, {put} samples put in {run['batches']} batches "
+        f"(load average {run['load_average']:.1f})",
+        f"lost        {run['batches_lost']} batches, {put - run['recorded']} samples; "
+        f"{run['read_back']} messages read back",
+        f"core        {run['core_share']:.2f} of a core (recorder, bus, sequence, live estimate; UI attached)",
+        f"memory      {begin:.0f} MB after a tenth of the flight, {end:.0f} MB at its end",
         f"IMU faults  planted {run['planted']}",
         f"            counted {run['counted']}",
         *(f"{name:<11} {json.dumps(counts)}" for name, counts in run["streams"].items() if name != "imu"),

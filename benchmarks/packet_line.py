@@ -1,6 +1,7 @@
 """Two network namespaces with a line between them that delays, loses and cuts packets. As root on Linux.
 
-The line is a pair of TUN devices whose packets pass this process, since the kernel's own emulator (netem) is not in every kernel.
+The line is a pair of TUN devices whose packets pass this process, since the kernel's own emulator (netem) is not in
+every kernel.
 """
 
 from __future__ import annotations

@@ -2,11 +2,12 @@
 
 python -m benchmarks.round_trip_firmware [--px4 PATH] [--arducopter PATH] [--model identification.toml]
 
-The first flight is our simulator's (x500, scenario hall, findings put in), or the given model's. PX4's simulation in hardware flies the
-``px4-sih`` parameters, ArduCopter's simulator the ``ardupilot-sitl`` frame, each with our plan, uploaded and led by ``groundstation fly``
-as with any vehicle, and identified from what came over the link. The second identification starts from the declared vehicle, with the thrust
-curve that the simulator has. z is the difference to what the file holds, in standard deviations of the second estimate; what a simulator does
-not hold is zero there. Kept in docs/results/exports_round_trip.json. Ports UDP 14540 and TCP 5760 must be free.
+The first flight is our simulator's (x500, scenario hall, findings put in), or the given model's. PX4's simulation in
+hardware flies the ``px4-sih`` parameters, ArduCopter's simulator the ``ardupilot-sitl`` frame, each with our plan,
+uploaded and led by ``groundstation fly`` as with any vehicle, and identified from what came over the link. The second
+identification starts from the declared vehicle, with the thrust curve that the simulator has. z is the difference to
+what the file holds, in standard deviations of the second estimate; what a simulator does not hold is zero there. Kept
+in docs/results/exports_round_trip.json. Each runs as its instance 7, beside others: UDP 14547, TCP 5830.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,13 +29,14 @@ import tomli_w
 from benchmarks.exports_round_trip_table import CERTAIN, RESULTS
 from groundstation import api
 from groundstation.identification.results import MASS_AND_TENSOR
+from groundstation.paths import find_config
 from groundstation.reporting.canonical import estimate_in
 from groundstation.reporting.exports import read_model
 from groundstation.reporting.identified import identified_from_document
 from groundstation.vehicle import vehicle_from_dict, vehicle_to_dict
 from studies.firmware import SIH_ENVIRONMENT, arducopter_command, process, px4_command
 
-NOT_READY, READY_S = 3, 300.0
+NOT_READY, READY_S, INSTANCE, PATIENCE_S = 3, 300.0, 7, 15.0
 ALTITUDE_M = 593.0
 """ArduPilot's reference height, at which the exported thrust holds."""
 HOME = f"-35.363262,149.165237,{ALTITUDE_M:g},353"
@@ -67,7 +70,8 @@ def in_px4(binary: Path, model: Mapping[str, Any], folder: Path) -> There:
     holds = {name: turned.get(name, 1.0) * sih[f"SIH_{key}"] for name, key in names.items()}
     holds |= dict.fromkeys(BESIDE, sih["SIH_T_TAU"])
     return There(
-        "PX4 v1.17.0-alpha1, SIH", "udpin://127.0.0.1:14540", px4_command(binary, folder),
+        "PX4 v1.17.0-alpha1, SIH", f"udpin://127.0.0.1:{14540 + INSTANCE}",
+        [*px4_command(binary, folder), "-i", str(INSTANCE)],
         SIH_ENVIRONMENT | {f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in sih.items()}, declared, holds,
         "centre of mass; thrust by the square of the command (linear, matched at hover)",
     )  # fmt: skip
@@ -81,17 +85,30 @@ def in_arducopter(binary: Path, model: Mapping[str, Any], folder: Path) -> There
     named = {name: value for name, value in vehicle.parameters().items() if name in MASS_AND_TENSOR}
     holds = named | dict.fromkeys(PRODUCTS, 0.0) | dict.fromkeys(BESIDE, 0.0)
     volts = f"SIM_BATT_VOLTAGE {vehicle.battery.full_v:g}\nSCR_ENABLE 1\n"
-    command = [*arducopter_command(binary, folder, volts, model=f"quad:{frame}"), "--home", HOME]
+    link = f"tcp://127.0.0.1:{5760 + 10 * INSTANCE}"
+    command = [*arducopter_command(binary, folder, volts, model=f"quad:{frame.name}"), "--home", HOME, f"-I{INSTANCE}"]
     return There(
-        "ArduCopter 4.7.0-dev, SITL", "tcp://127.0.0.1:5760", command, {}, dict(model["vehicle"]), holds,
+        "ArduCopter 4.7.0-dev, SITL", link, command, {}, dict(model["vehicle"]), holds,
         "products of inertia; lag; reaction torque in proportion to thrust (slope matched at hover)",
     )  # fmt: skip
+
+
+def patient_station(folder: Path) -> Path:
+    """The shipped station, whose guard waits for a simulation that a busy machine stops for seconds."""
+    document = tomllib.loads(find_config("stations", "default").read_text(encoding="utf-8"))
+    for name in ("state_age", "link_age", "setpoint_age", "core_silent"):
+        document["guard"][name]["limit"] = PATIENCE_S
+    document["guard"]["tracking"]["limit"] = 2.5
+    path = folder / "station.toml"
+    path.write_text(tomli_w.dumps(document), encoding="utf-8")
+    return path
 
 
 def flown(there: There, vehicle: Path, folder: Path) -> Path:
     """What ``groundstation fly`` left of a whole flight, once the firmware is ready to fly it."""
     command = [sys.executable, "-P", "-m", "groundstation.cli", "fly", "--link", there.link, "--vehicle", str(vehicle)]
     command += ["--yes-simulated", "--set-parameters", "--logs", str(folder / "flights"), "--json"]
+    command += ["--station", str(patient_station(folder))]
     end = time.monotonic() + READY_S
     while True:
         ended = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -157,7 +174,8 @@ def main() -> int:
         print(f"\n{there.reader}: worst |z| {told['worst_z']:.2f}, {'agrees' if told['agrees'] else 'DIFFERS'}")
         for parameter, row in told["parameters"].items():
             print(
-                f"  {parameter:<18} held {row['exported']:.6g}  again {row['again']:.6g} ± {1.96 * row['std']:.2g}  z {row['z']:+.2f}"
+                f"  {parameter:<18} held {row['exported']:.6g}  again {row['again']:.6g} ± {1.96 * row['std']:.2g}  z "
+                f"{row['z']:+.2f}"
             )
         RESULTS.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     return 0 if all(each["agrees"] for each in results["readers"].values()) else 1

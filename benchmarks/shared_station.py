@@ -1,9 +1,11 @@
-"""A station and its views in two network namespaces, with a line between them that delays, loses and is cut. As root on Linux.
+"""A station and its views in two network namespaces, with a line between them that delays, loses and is cut. As root on
+Linux.
 
 python -m benchmarks.shared_station [--out docs/results/shared_station.json]
 
-Two simulated flights in real time (drone, core and gate as processes at the station). The first is armed and started from the laptop; while it flies, the line gets worse
-step by step, and is cut for ever; the flight has to end as planned, with nothing lost. The second is watched from the wall over a bad line and aborted from there.
+Two simulated flights in real time (drone, core and gate as processes at the station). The first is armed and started
+from the laptop; while it flies, the line gets worse step by step, and is cut for ever; the flight has to end as
+planned, with nothing lost. The second is watched from the wall over a bad line and aborted from there.
 Of each condition: how often the status arrives, the longest silence, and how long an order takes there and back.
 """
 
@@ -29,7 +31,7 @@ from benchmarks.packet_line import Condition, PacketLine, namespaces
 
 STATION, LAPTOP = ("gs-station", "10.77.0.1"), ("gs-laptop", "10.77.0.2")
 PORT = 7451
-EACH_S = 10.0
+EACH_S = 5.5
 CONDITIONS = {
     "a cable": Condition(),
     "20 ms": Condition(0.02, 0.005),
@@ -88,7 +90,8 @@ def be_station(root: Path, flight: str) -> None:
 
 
 def be_view(root: Path, name: str, abort_after_s: float) -> None:
-    """A view with a pass: starts the flight if it may, says what it hears; lines on its input name the condition. Aborts, if it is to."""
+    """A view with a pass: starts the flight if it may, says what it hears; lines on its input name the condition.
+    Aborts, if it is to."""
     from groundstation.flight.share import passes, remote
     from groundstation.flight.share.messages import FileRequest
 
@@ -258,7 +261,8 @@ def abort_flight(root: Path, line: PacketLine) -> dict[str, Any]:
         name: round(ended["phases"][name] - word["asked_s"], 2) for name in ("landing",) if name in ended["phases"]
     }
     return {
-        "condition": ABORT_OVER, "answered_s": round(word["answered_s"] - word["asked_s"], 2), "landing_s": took_s.get("landing"),
+        "condition": ABORT_OVER, "landing_s": took_s.get("landing"),
+        "answered_s": round(word["answered_s"] - word["asked_s"], 2),
         "flight": ended,
     }  # fmt: skip
 
@@ -277,9 +281,11 @@ def table(document: dict[str, Any]) -> str:
     flight, abort = document["cut"]["flight"], document["abort"]
     lines += [
         "",
-        f"The line was cut for ever {flight['cut_s_before_landing']:.0f} s before the planned landing: exit status {flight['status']}, {flight['recording']}.",
+        f"The line was cut for ever {flight['cut_s_before_landing']:.0f} s before the planned landing: "
+        f"exit status {flight['status']}, {flight['recording']}.",
         f"An abort from the wall over {abort['condition']}: answered after {abort['answered_s']:.2f} s, "
-        f'landing after {abort["landing_s"]:.2f} s ("{abort["flight"]["reason"]}", exit status {abort["flight"]["status"]}).',
+        f"landing after {abort['landing_s']:.2f} s, exit status {abort['flight']['status']} "
+        f"({abort['flight']['reason']}).",
     ]
     return "\n".join(lines)
 

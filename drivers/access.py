@@ -1,7 +1,8 @@
 """Who may do what on the bus: a secret per role and flight, and the rules by which a core admits sessions.
 
-Zenoh proves a user's password by a keyed hash when a session opens, and filters every message of that session by the rules
-of its user. So whatever arrives on a key was sent by a role that may send it: nothing has to be checked where it is used.
+Zenoh proves a user's password by a keyed hash when a session opens, and filters every message of that session by the
+rules of its user. So whatever arrives on a key was sent by a role that may send it: nothing has to be checked where it
+is used.
 
 ======== ==================================================================================================
 role     may

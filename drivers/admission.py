@@ -32,7 +32,9 @@ def keep_inside(listen: Sequence[str], secure: Mapping[str, Any]) -> None:
 
 @contextmanager
 def admission(admit: tuple[Secrets, str] | None) -> Iterator[dict[str, Any]]:
-    """Settings of a listener that admits sessions by role; the file that zenoh reads the secrets from is gone after it."""
+    """Settings of a listener that admits sessions by role; the file that zenoh reads the secrets from is gone after
+    it.
+    """
     if admit is None:
         yield {}
         return

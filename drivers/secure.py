@@ -10,8 +10,9 @@ Two kinds of places listen, each for sessions with a certificate of the same sta
                             gs/share/NAME/alive        liveliness    of the client NAME
     a camera computer       mocap/BODY                 publication   poses, to its station alone
 
-NAME is the certificate's. Zenoh admits a session's messages by the name in its certificate (:func:`gate_rules`), so whatever
-arrives on a key of NAME was sent by who holds that certificate. A certificate that is not on the list may do nothing.
+NAME is the certificate's. Zenoh admits a session's messages by the name in its certificate (:func:`gate_rules`), so
+whatever arrives on a key of NAME was sent by who holds that certificate. A certificate that is not on the list may do
+nothing.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """The gate for what others wrote: files, names and texts from outside become bounded values here, or one sentence.
 
-Three kinds of input pass: a *file* (regular, of bounded size), a *document* in it (TOML or JSON of bounded depth, numbers
-within 64 bits), and a *text* that names a file or is shown to somebody. Whatever the bytes, these functions return a value
-that the rest of the program can hold, or raise :class:`BadInput`; they never wait and never raise anything else.
+Three kinds of input pass: a *file* (regular, of bounded size), a *document* in it (TOML or JSON of bounded depth,
+numbers within 64 bits), and a *text* that names a file or is shown to somebody. Whatever the bytes, these functions
+return a value that the rest of the program can hold, or raise :class:`BadInput`; they never wait and never raise
+anything else.
 """
 
 from __future__ import annotations
@@ -72,6 +73,8 @@ def require_file(path: Path, wanted: str, limit: int | None = None) -> None:
     try:
         status = path.stat()
     except (OSError, ValueError) as error:
+        if isinstance(error, FileNotFoundError):
+            raise BadInput(f"{shown(path)}: there is no such file; give the path of {wanted}.") from None
         why = getattr(error, "strerror", None) or "no file has such a name"
         raise BadInput(f"{shown(path)}: cannot be read ({why}); give the path of {wanted}.") from None
     if not stat.S_ISREG(status.st_mode):

@@ -7,7 +7,8 @@ from pathlib import Path
 
 
 def write_private(path: Path, content: str) -> None:
-    """Write a file that its owner alone can read, from its first byte on; what was there is replaced, a link not followed.
+    """Write a file that its owner alone can read, from its first byte on; what was there is replaced, a link not
+    followed.
 
     Raises:
         OSError: it cannot be written; what was there before is untouched.

@@ -1,7 +1,7 @@
 """An OptiTrack server fed by the simulated cameras of a flight: NatNet 4.1, unicast, one rigid body.
 
-A frame leaves when the scenario's latency has passed since its exposure. Its stamps are of the cameras' clock, and so are the answers to
-echo requests. What is said is written by :class:`sim.mocap.wire.NatNetWire`.
+A frame leaves when the scenario's latency has passed since its exposure. Its stamps are of the cameras' clock, and so
+are the answers to echo requests. What is said is written by :class:`sim.mocap.wire.NatNetWire`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Calibration by hand: planted mountings come back within their intervals, go into the station file, and are used and checked."""
+"""Calibration by hand: planted mountings come back within their intervals, go into the station file, and are used and
+checked.
+"""
 
 # pyright: reportOptionalMemberAccess=false, reportArgumentType=false
 from __future__ import annotations
@@ -174,7 +176,9 @@ def test_carrying_the_vehicle_to_its_place_measures_the_marker_body_again(shift_
 
 
 class CarriedVehicle(threading.Thread):
-    """An autopilot in somebody's hands: heartbeats, HIGHRES_IMU as it was carried, TIMESYNC answered on its own clock."""
+    """An autopilot in somebody's hands: heartbeats, HIGHRES_IMU as it was carried, TIMESYNC answered on its own
+    clock.
+    """
 
     def __init__(self, port: int, imu, began_s: float, ahead_s: float = 500.0):
         super().__init__(daemon=True)

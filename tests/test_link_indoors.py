@@ -1,4 +1,6 @@
-"""Indoors on the emulated autopilots, on virtual time: poses into the estimator, its parameters, cameras that go dark."""
+"""Indoors on the emulated autopilots, on virtual time: poses into the estimator, its parameters, cameras that go
+dark.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ SEED = 3
 
 
 class Room:
-    """A link core, an emulated autopilot and cameras of 100 Hz on one clock; poses come, and are stamped, ``LATE_S`` late."""
+    """A link core, an emulated autopilot and cameras of 100 Hz on one clock; poses come, and are stamped, ``LATE_S``
+    late.
+    """
 
     def __init__(self, kind: str, *, set_parameters: bool = True, declared_s: float = 0.0, yaw_rad: float = 0.0):
         vehicle = quadrotor()

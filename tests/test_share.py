@@ -1,4 +1,7 @@
-"""A station and its views on other machines: who is let in, what each may do, and what a lost connection costs. All on loopback."""
+"""A station and its views on other machines: who is let in, what each may do, and what a lost connection costs.
+
+All on loopback.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Sockets to a motion-capture server: TCP, UDP with a multicast group, zenoh. Every arrival is stamped as it is read."""
+"""Sockets to a motion-capture server: TCP, UDP with a multicast group, zenoh.
+
+Every arrival is stamped as it is read.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""One connection to a motion-capture server: its socket, its protocol, its clock. What a driver and the doctor share."""
+"""One connection to a motion-capture server: its socket, its protocol, its clock.
+
+What a driver and the doctor share.
+"""
 
 from __future__ import annotations
 

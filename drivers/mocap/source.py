@@ -71,7 +71,9 @@ class FrameReader:
 
 
 def z_up(position: Vector3, quaternion: Quaternion) -> tuple[Vector3, Quaternion]:
-    """A pose of a y-up system in the z-up world: both world and body axes turned by a quarter about x, (x, y, z) to (x, -z, y)."""
+    """A pose of a y-up system in the z-up world: both world and body axes turned by a quarter about x, (x, y, z) to (x,
+    -z, y).
+    """
     (x, y, z), (w, a, b, c) = position, quaternion
     return (x, -z, y), (w, a, -c, b)
 

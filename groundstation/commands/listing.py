@@ -1,4 +1,6 @@
-"""The commands in the order in which one uses them, with a line each: what ``groundstation --help`` prints without loading any."""
+"""The commands in the order in which one uses them, with a line each: what ``groundstation --help`` prints without
+loading any.
+"""
 
 from __future__ import annotations
 

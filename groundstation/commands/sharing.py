@@ -60,7 +60,8 @@ class Asked:
 )
 @click.option(
     "--role", type=Choice(PASS_ROLES), default="watch", show_default=True,
-    help="With --invite. watch may watch and abort; operate may also take the lease and arm; poses is a camera computer.",
+    help="With --invite. watch may watch and abort; operate may also take the lease and arm; poses is a camera "
+         "computer.",
 )  # fmt: skip
 @click.option(
     "--address", multiple=True,
@@ -81,10 +82,12 @@ class Asked:
 def station(
     role: str, address: tuple[str, ...], out: Path | None, listen: str | None, host: str, logs: Path, **what: Any
 ) -> Result:
-    """Several machines: share this station, and say who may watch, operate or give poses. Without an option: who has a pass.
+    """Several machines: share this station, and say who may watch, operate or give poses. Without an option: who has a
+    pass.
 
-    A station listens beyond this machine only with certificates, for the passes it gave. At the station `--invite` makes a pass, a
-    file to be carried to the other machine; there `--accept` keeps it, and `groundstation --station HOST` opens the UI.
+    A station listens beyond this machine only with certificates, for the passes it gave. At the station `--invite`
+    makes a pass, a file to be carried to the other machine; there `--accept` keeps it, and `groundstation --station
+    HOST` opens the UI.
     """
     asked = [name for name, value in what.items() if value]
     if len(asked) > 1:
@@ -191,7 +194,8 @@ def _poses(system: str, asked: Asked) -> Result:
         )
     line, endpoint = ProgressLine(), asked.endpoint(POSES_PORT)
     line.say(
-        f'poses of {system} at {endpoint}; the station file: system = "zenoh", host = "tls/{own[0].addresses[0]}:{POSES_PORT}"'
+        f'poses of {system} at {endpoint}; the station file: system = "zenoh", host = '
+        f'"tls/{own[0].addresses[0]}:{POSES_PORT}"'
     )
     with _until_told() as stop:
         publish_poses(Cameras(system, asked.host), endpoint, own[0], stop, line.say)

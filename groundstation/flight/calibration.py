@@ -61,7 +61,8 @@ def section(calibration: MarkerCalibration) -> str:
 
 
 def write_calibration(path: Path, calibration: MarkerCalibration) -> None:
-    """Put the section into a station file, in the place of an older one. ``latency_s``, which it replaces, becomes 0; all else stays as it is.
+    """Put the section into a station file, in the place of an older one. ``latency_s``, which it replaces, becomes 0;
+    all else stays as it is.
 
     Raises:
         BadInput: it is a shipped file, cannot be written, or would not be valid.
@@ -81,7 +82,8 @@ def write_calibration(path: Path, calibration: MarkerCalibration) -> None:
 def told(found: HandCalibration, calibration: MarkerCalibration) -> str:
     """For people: value, 95 % half width, and what to make of it."""
     lines = [
-        f"measured over {found.seconds:.0f} s, carried {found.moved_m:.2f} m rms, turned by up to {np.degrees(found.turned_rad):.0f} degrees"
+        f"measured over {found.seconds:.0f} s, carried {found.moved_m:.2f} m rms, turned by up to "
+        f"{np.degrees(found.turned_rad):.0f} degrees"
     ]
     for name, values, std, factor, unit in (
         ("offset", found.position_m, found.position_std_m, 1e3, "mm"),
@@ -99,7 +101,8 @@ def told(found: HandCalibration, calibration: MarkerCalibration) -> str:
         + ("" if calibration.scale else ", left at 1")
     )
     lines.append(
-        f"delay     {1e3 * calibration.delay_s:.2f} +- {1.96e3 * calibration.delay_std_s:.2f} ms of stamps after the exposure; taken off them, so latency_s is 0"
+        f"delay     {1e3 * calibration.delay_s:.2f} +- {1.96e3 * calibration.delay_std_s:.2f} ms of stamps after the "
+        "exposure; taken off them, so latency_s is 0"
     )
     lines.append(f"noise     {1e3 * found.residual_m:.2f} mm, {np.degrees(found.residual_rad):.2f} degrees")
     return "\n".join(lines)

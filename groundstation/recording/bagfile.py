@@ -17,8 +17,10 @@ from groundstation.recording.part import WHOLE, Part
 from groundstation.recording.tables import Table, table_of
 
 _DEFINED = {
-    "actuator_msgs/msg/Actuators": "std_msgs/Header header\nfloat64[] position\nfloat64[] velocity\nfloat64[] normalized\n",
-    "mav_msgs/msg/Actuators": "std_msgs/Header header\nfloat64[] angles\nfloat64[] angular_velocities\nfloat64[] normalized\n",
+    "actuator_msgs/msg/Actuators": "std_msgs/Header header\nfloat64[] position\nfloat64[] velocity\nfloat64[] "
+    "normalized\n",
+    "mav_msgs/msg/Actuators": "std_msgs/Header header\nfloat64[] angles\nfloat64[] angular_velocities\nfloat64[] "
+    "normalized\n",
 }
 """Messages of motors, for bags that define none: those of sqlite before ROS 2 Iron."""
 
@@ -43,7 +45,8 @@ def opened(path: Path) -> Iterator[Any]:
         raise
     except (AnyReaderError, KeyError, ValueError, OSError, AssertionError) as error:
         raise BadInput(
-            f"{path}: is no ROS 2 bag that can be read ({one_line(error)}); repair it with `{_remedy(path)}`, or record it again."
+            f"{path}: is no ROS 2 bag that can be read ({one_line(error)}); repair it with `{_remedy(path)}`, or "
+            "record it again."
         ) from None
     except Exception as error:  # the library has no one error for a file that is damaged or unfinished
         raise BadInput(
@@ -109,7 +112,8 @@ def _require_definition(store: Any, connection: Any, path: Path) -> None:
     """Raise where the bag has a topic of a type that it does not define."""
     if connection.msgtype not in store.fielddefs:
         raise BadInput(
-            f"{path}: does not say what {connection.msgtype} is (topic {connection.topic}): bags of ROS 2 Humble and before hold no "
+            f"{path}: does not say what {connection.msgtype} is (topic {connection.topic}): bags of ROS 2 Humble and "
+            "before hold no "
             "definitions. Convert it where that package is installed: `ros2 bag convert`, to MCAP."
         )
 

@@ -1,8 +1,9 @@
 """Blackbox logs of Betaflight and INAV as streams.
 
-Body axes are x ahead, y left, z up already: a positive pitch of the firmware's is nose down, a positive yaw counter-clockwise,
-and the accelerometer reads +1 g on z at rest (imu.c, mixer.c). Scales are in the header: ``gyro_scale`` (degrees/s per
-count), ``acc_1G`` (counts per g), ``motorOutput`` and ``motor_pwm_protocol``, ``motor_poles``.
+Body axes are x ahead, y left, z up already: a positive pitch of the firmware's is nose down, a positive yaw
+counter-clockwise, and the accelerometer reads +1 g on z at rest (imu.c, mixer.c). Scales are in the header:
+``gyro_scale`` (degrees/s per count), ``acc_1G`` (counts per g), ``motorOutput`` and ``motor_pwm_protocol``,
+``motor_poles``.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ def read_blackbox(path: Path, vehicle: Vehicle, part: Part = WHOLE) -> Recording
     notes, losses = [], _losses(path, log)
     if len(logs) > 1:
         notes.append(
-            f"{path.name}: holds {len(logs)} logs; number {logs.index(log) + 1}, the longest ({t_s[-1] - t_s[0]:.0f} s), is read."
+            f"{path.name}: holds {len(logs)} logs; number {logs.index(log) + 1}, the longest ({t_s[-1] - t_s[0]:.0f} "
+            "s), is read."
         )
     streams: dict[str, Stream] = {}
     streams["motors"], said = _motors(log, t_s, vehicle, str(path))
@@ -124,8 +126,8 @@ def _battery(log: BlackboxLog, t_s: Array) -> tuple[Stream | None, list[str]]:
 def _state(log: BlackboxLog, t_s: Array) -> tuple[Stream | None, list[str]]:
     """INAV's own estimate; no other firmware of this family logs one.
 
-    navPos and navVel are centimetres north, east and up of where it first knew its position; attitude is in tenths of a degree, yaw
-    clockwise from north (imu.c, navigation_pos_estimator.c). Ours is x north, y west, z up.
+    navPos and navVel are centimetres north, east and up of where it first knew its position; attitude is in tenths of a
+    degree, yaw clockwise from north (imu.c, navigation_pos_estimator.c). Ours is x north, y west, z up.
     """
     if not all(log.elements(name) == 3 for name in ("navPos", "navVel", "attitude")):
         return None, []
@@ -180,8 +182,10 @@ def _commands(log: BlackboxLog, source: str) -> tuple[Array, str]:
         said = f"pulses from {least:g} to maxthrottle {full:g}"
     if full <= least or float(np.mean(sent > full + 1.0)) > 0.01:
         raise BadInput(
-            f"{source}: motor values of {np.min(sent):g} to {np.max(sent):g} do not fit the header's range (motorOutput "
-            f"'{low},{high}', motor_pwm_protocol {protocol:g}; tested: {said}); say the scale with `groundstation convert --map`."
+            f"{source}: motor values of {np.min(sent):g} to {np.max(sent):g} do not fit the header's range "
+            "(motorOutput "
+            f"'{low},{high}', motor_pwm_protocol {protocol:g}; tested: {said}); say the scale with `groundstation "
+            "convert --map`."
         )
     return np.clip((sent - least) / (full - least), 0.0, 1.0), f"motors: motor[] as {said}."
 

@@ -51,9 +51,9 @@ _IMU_REMEDY = (
 def read_dataflash(path: Path, vehicle: Vehicle, part: Part = WHOLE) -> Recording:
     """Read the messages that identification needs, of a part of the log.
 
-    GYR and ACC where raw logging was on, else IMU (first instance of each), RCOU as commands or ESC as speeds, the filter's
-    position and attitude as the vehicle's own state, VISP (or in simulation SIM and SIM2) for motion capture, BAT, GUIP as
-    setpoints.
+    GYR and ACC where raw logging was on, else IMU (first instance of each), RCOU as commands or ESC as speeds, the
+    filter's position and attitude as the vehicle's own state, VISP (or in simulation SIM and SIM2) for motion capture,
+    BAT, GUIP as setpoints.
 
     Raises:
         BadInput: it is damaged at the start, holds no motor outputs, or those of another vehicle.
@@ -84,7 +84,8 @@ def _losses(path: Path, log: DataFlashFile) -> list[str]:
     notes = [f"{path.name}: {log.damaged} damaged bytes were skipped."] if log.damaged else []
     if log.missing:
         notes.append(
-            f"{path.name}: the log is cut off in the middle of a record ({log.missing} bytes of it are missing); it was read "
+            f"{path.name}: the log is cut off in the middle of a record ({log.missing} bytes of it are missing); it "
+            "was read "
             "up to there."
         )
     return notes

@@ -20,7 +20,8 @@ Source = Callable[[], Table]
 
 
 def sources_of(path: Path) -> dict[str, Source]:
-    """Each table of a log; it is read when it is called for. A file of one table names it after itself, without a suffix.
+    """Each table of a log; it is read when it is called for. A file of one table names it after itself, without a
+    suffix.
 
     Raises:
         BadInput: the log is missing, or of no kind that has tables.

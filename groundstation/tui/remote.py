@@ -1,4 +1,7 @@
-"""Follows a station on another machine, flight after flight. What its screens read of a flight is fetched into a folder here."""
+"""Follows a station on another machine, flight after flight.
+
+What its screens read of a flight is fetched into a folder here.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Follows one core over the bus on a thread of its own and gives it orders. Frames may be dropped, samples never pass."""
+"""Follows one core over the bus on a thread of its own and gives it orders.
+
+Frames may be dropped, samples never pass.
+"""
 
 from __future__ import annotations
 

@@ -168,7 +168,8 @@ class QtmWire:
         if text.startswith("getparameters"):
             bodies = "".join(f"<Body><Name>{n}</Name><Color R='0' G='0' B='0'/></Body>" for n in self._names)
             general = "<General><Frequency>200</Frequency><Vertical_Axis>+Z</Vertical_Axis></General>"
-            xml = f"<QTM_Parameters_Ver_1.23>{general}<The_6D><Bodies>{len(self._names)}</Bodies>{bodies}</The_6D></QTM_Parameters_Ver_1.23>"
+            tracked = f"<The_6D><Bodies>{len(self._names)}</Bodies>{bodies}</The_6D>"
+            xml = f"<QTM_Parameters_Ver_1.23>{general}{tracked}</QTM_Parameters_Ver_1.23>"
             return [self._say(2, xml.encode() + b"\0")]
         if text.startswith("streamframes"):
             self.wanted = "stop" not in text

@@ -1,4 +1,6 @@
-"""The files that say how to reach a running core: for this user alone, believed only where they can be this user's own."""
+"""The files that say how to reach a running core: for this user alone, believed only where they can be this user's
+own.
+"""
 
 from __future__ import annotations
 

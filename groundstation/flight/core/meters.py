@@ -1,4 +1,6 @@
-"""What is counted of each stream while it is recorded: how much, how fast, and everything that is not as it should be."""
+"""What is counted of each stream while it is recorded: how much, how fast, and everything that is not as it should
+be.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +13,14 @@ from groundstation.flight.messages import StreamStatus
 
 RATE_WINDOW_S = 1.0
 GAP_PERIODS = 1.75
-"""An interval of more than so many mean ones is a gap: one missing sample makes two of it, and stamps that jitter by half a period make none."""
+"""An interval of more than so many mean ones is a gap: one missing sample makes two of it, and stamps that jitter by
+half a period make none."""
 SETTLED_AFTER = 10
 """Samples from which the mean interval, and the least delay, are known well enough to say so."""
 JUMP_S = 0.1
-"""A stamp that goes back by more is of a clock that was set, and so is one that is closer to its arrival, by more than this, than any before:
-networks hold a datagram back for less, and none comes before it is sent. Smaller steps are found after the flight, by arrival times."""
+"""A stamp that goes back by more is of a clock that was set, and so is one that is closer to its arrival, by more than
+this, than any before: networks hold a datagram back for less, and none comes before it is sent. Smaller steps are found
+after the flight, by arrival times."""
 
 
 @dataclass(slots=True)
@@ -25,7 +29,8 @@ class StreamCounts:
 
     Attributes:
         samples: all of them.
-        gaps: intervals in which at least one sample is missing, and did not come late; ``longest_gap_s`` the longest interval.
+        gaps: intervals in which at least one sample is missing, and did not come late; ``longest_gap_s`` the longest
+            interval.
         duplicates: stamps that repeat the one before.
         reordered: stamps before the newest, by no more than a network reorders.
         clock_jumps: steps of the device's clock.

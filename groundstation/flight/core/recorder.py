@@ -50,7 +50,8 @@ class Sink(Protocol):
 
 
 LATEST_S = 1e11
-"""No clock of a device or a host, not even one that counts from 1970 in microseconds taken for seconds, is beyond it."""
+"""No clock of a device or a host, not even one that counts from 1970 in microseconds taken for seconds, is beyond it.
+"""
 
 
 def sound(batch: Batch, rotors: int) -> bool:
@@ -171,7 +172,9 @@ class Recorder:
 def open_recording(
     folder: Path, plan: Path, vehicle: Path, description: Description, drone: Sequence[str] = ()
 ) -> McapRecorder:
-    """``flight.mcap`` of a flight, with what has to be known to read it: vehicle, plan, truth if simulated, seed, versions."""
+    """``flight.mcap`` of a flight, with what has to be known to read it: vehicle, plan, truth if simulated, seed,
+    versions.
+    """
     from groundstation.recording.recorder import McapRecorder
 
     metadata = {

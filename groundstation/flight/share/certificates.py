@@ -1,7 +1,8 @@
 """Certificates of one station's machines: an authority of its own signs them, and nobody else's is believed. No I/O.
 
-X.509 v3, ECDSA on P-256 with SHA-256 (RFC 5280, RFC 5480). What a certificate may be used for is in it: one of a camera computer or
-of the station may be shown by who listens, one of a client by who connects alone. So a client that turns bad is no station to others.
+X.509 v3, ECDSA on P-256 with SHA-256 (RFC 5280, RFC 5480). What a certificate may be used for is in it: one of a camera
+computer or of the station may be shown by who listens, one of a client by who connects alone. So a client that turns
+bad is no station to others.
 """
 
 from __future__ import annotations

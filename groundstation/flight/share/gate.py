@@ -1,10 +1,11 @@
-"""The gate of a station: shows its flight to other machines and takes their orders to the core, each as its pass allows.
+"""The gate of a station: shows its flight to other machines and takes their orders to the core, each as its pass
+allows.
 
-A process of its own, between the network and the loopback bus on which a flight runs. To the core it is a client like any other: when
-it hangs, dies or is flooded, its clients' lease is free and the flight goes on. Towards the network it listens with certificates
-alone (:mod:`drivers.secure`). Orders keep their sender's number and get the name in its certificate, so the core refuses one that
-is played back, and its log says who aborted. What a watcher asks goes to the core in a session that may only watch and abort:
-both doors would have to be wrong for it to arm.
+A process of its own, between the network and the loopback bus on which a flight runs. To the core it is a client like
+any other: when it hangs, dies or is flooded, its clients' lease is free and the flight goes on. Towards the network it
+listens with certificates alone (:mod:`drivers.secure`). Orders keep their sender's number and get the name in its
+certificate, so the core refuses one that is played back, and its log says who aborted. What a watcher asks goes to the
+core in a session that may only watch and abort: both doors would have to be wrong for it to arm.
 """
 
 from __future__ import annotations
@@ -151,7 +152,10 @@ class Gate:
         return close
 
     def turn(self) -> None:
-        """Find a core, leave one that ended, say once a second that the station is there. Call it about ten times a second."""
+        """Find a core, leave one that ended, say once a second that the station is there.
+
+        Call it about ten times a second.
+        """
         now_s = self._clock()
         line = self._line
         if line is not None and line.lost.is_set():

@@ -17,7 +17,10 @@ FILES = (
     "next_flight.toml",
     "report.html",
 )
-"""What of a flight's folder a view on another machine may read: all that its screens show. The recording stays at the station."""
+"""What of a flight's folder a view on another machine may read: all that its screens show.
+
+The recording stays at the station.
+"""
 PART_BYTES = 128 * 1024
 """Of one answer: small enough that an order never waits long behind it."""
 FILE_BYTES = 64 * 1024 * 1024

@@ -1,8 +1,10 @@
-"""Files of a station's certificates: its authority, the list of who has a pass, the passes, and those of other stations.
+"""Files of a station's certificates: its authority, the list of who has a pass, the passes, and those of other
+stations.
 
-In the user's settings folder: ``share/authority.json`` and ``share/station.json`` (keys of this station), ``share/list.json`` (who
-may do what), and ``stations/NAME.json`` (passes for other stations). A *pass* is one file: whom it is for, the station's addresses,
-certificate and private key. It is made at the station and carried to the machine that uses it. All are for their owner alone.
+In the user's settings folder: ``share/authority.json`` and ``share/station.json`` (keys of this station),
+``share/list.json`` (who may do what), and ``stations/NAME.json`` (passes for other stations). A *pass* is one file:
+whom it is for, the station's addresses, certificate and private key. It is made at the station and carried to the
+machine that uses it. All are for their owner alone.
 """
 
 from __future__ import annotations
@@ -191,7 +193,8 @@ def accepted() -> list[Pass]:
 
 
 def pass_for(host: str) -> Pass:
-    """The pass for a station that goes by this name or address; a single one is good for any address, as certificates prove who answers.
+    """The pass for a station that goes by this name or address; a single one is good for any address, as certificates
+    prove who answers.
 
     Raises:
         BadInput: there is none, or it is not clear which.

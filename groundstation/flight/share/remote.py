@@ -1,4 +1,6 @@
-"""A view of a station on another machine: what :class:`groundstation.flight.client.client.CoreClient` is beside the core."""
+"""A view of a station on another machine: what :class:`groundstation.flight.client.client.CoreClient` is beside the
+core.
+"""
 
 from __future__ import annotations
 

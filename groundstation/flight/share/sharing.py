@@ -27,7 +27,9 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Cameras:
-    """A motion-capture system as the camera computer reads it: a key of ``drivers.mocap.session.SYSTEMS``, and its server."""
+    """A motion-capture system as the camera computer reads it: a key of ``drivers.mocap.session.SYSTEMS``, and its
+    server.
+    """
 
     system: str
     host: str

@@ -19,7 +19,8 @@ WELCOME = """\
 Nothing is connected. Two keys fly a simulated drone:
     r   rehearse: plan, upload and checks on the simulator
     s   start, as soon as everything is checked
-After landing come the parameters, the diagnosis and the report. To fly a real vehicle, choose its link below, then r."""
+After landing come the parameters, the diagnosis and the report. To fly a real vehicle, choose its link below, then \
+r."""
 
 
 class Station(StationScreen):
