@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 import tomli_w
-from scipy.signal import butter, filtfilt
+from scipy.signal import butter, sosfiltfilt
 
 from benchmarks.exports_round_trip_table import CERTAIN, RESULTS
 from groundstation import api
@@ -120,13 +120,13 @@ def gyroscopic(flight: FlightData, held: Mapping[str, float]) -> list[tuple[floa
     rate = resampled(t_s + FILTER_S, flight.imu.t_s, flight.imu.values)[:, :3]
     thrust = flight.vehicle.thrust(resampled(t_s, flight.motors.t_s, flight.motors.values))
     torque = thrust @ flight.vehicle.allocation().T[:, 1:]
-    b, a = butter(3, 2.0 * 3.0 * GRID_S)
+    low: Array = butter(3, 2.0 * 3.0 * GRID_S, output="sos")
     shares = []
     moments = [held[f"i{axis}{axis}_kg_m2"] for axis in "xyz"]
     for axis, first, second in ((0, 1, 2), (1, 2, 0)):
         columns = [np.gradient(rate[:, axis], t_s), rate[:, first] * rate[:, second], rate[:, axis]]
-        design = np.column_stack([filtfilt(b, a, np.array(columns)).T, np.ones(len(t_s))])
-        wanted = filtfilt(b, a, torque[:, axis])
+        design = np.column_stack([sosfiltfilt(low, np.array(columns)).T, np.ones(len(t_s))])
+        wanted = sosfiltfilt(low, torque[:, axis])
         found = np.linalg.lstsq(design, wanted, rcond=None)[0]
         spread = np.std(wanted - design @ found) * np.sqrt(np.linalg.inv(design.T @ design)[1, 1] / (6.0 * GRID_S))
         whole = moments[second] - moments[first]
