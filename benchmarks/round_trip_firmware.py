@@ -120,7 +120,7 @@ def gyroscopic(flight: FlightData, held: Mapping[str, float]) -> list[tuple[floa
     rate = resampled(t_s + FILTER_S, flight.imu.t_s, flight.imu.values)[:, :3]
     thrust = flight.vehicle.thrust(resampled(t_s, flight.motors.t_s, flight.motors.values))
     torque = thrust @ flight.vehicle.allocation().T[:, 1:]
-    low: Array = butter(3, 2.0 * 3.0 * GRID_S, output="sos")
+    low = np.asarray(butter(3, 2.0 * 3.0 * GRID_S, output="sos"))
     shares = []
     moments = [held[f"i{axis}{axis}_kg_m2"] for axis in "xyz"]
     for axis, first, second in ((0, 1, 2), (1, 2, 0)):
