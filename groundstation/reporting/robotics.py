@@ -96,6 +96,7 @@ def to_ardupilot_sitl(model: Identified) -> str:
     notes = [
         *model.provenance({"com_offset", "rotor_drag"}),
         "Axes are FRD, SI units. Products of inertia and lag are not held; the drag acts along z, too.",
+        "ArduPilot's simulator divides torque by moment: it has no gyroscopic torque.",
         "Thrust is that of air at refAlt (593 m, as ArduPilot starts) and of a full battery, which does not sag.",
         "Motor 1 is rotor 1 of the vehicle file; ArduPilot's frame class must number its motors alike.",
         "ArduPilot reads it from the folder it runs in: --model quad:NAME.json, without a path.",
