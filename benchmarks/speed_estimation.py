@@ -47,7 +47,8 @@ ABOUT = (
     "imports (cold). "
     "*identify* is all methods with intervals; *with prediction* adds the choice and fit of the prediction model; "
     "*diagnose* goes from the "
-    "streams to findings and forecasts, *diagnose_on* from what an identification of the same flight left. The yardstick is a plain least-squares loop over 10 s in the same process."
+    "streams to findings and forecasts, *diagnose_on* from what an identification of the same flight left. The "
+    "yardstick is a plain least-squares loop over 10 s in the same process."
 )
 PLAN_S = 40.0
 """Of the study's plan at its own number of periods."""
