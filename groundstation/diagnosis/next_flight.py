@@ -352,8 +352,6 @@ def odds_sentence(found: discriminate.Separation) -> str:
     channel = max(found.channels, key=lambda name: found.channels[name])
     return (
         f"a flight of {found.plan.series().duration_s:.0f} s that should tell {', '.join(names[:-1])} and {names[-1]} "
-        "apart, "
-        f"{hardest}at expected odds of {odds}, mostly by {channel} (in the disturbance of a quiet room, and if what "
-        "happened "
-        "happens again)."
+        f"apart, {hardest}at expected odds of {odds}, mostly by {channel} (in the disturbance of a quiet room, and if "
+        "what happened happens again)."
     )

@@ -58,8 +58,7 @@ FAULTS = ("weak_rotor", "com_offset")
 OTHERS = "a difference between two vehicles"
 STRANGE = (
     "The references may not be of the same vehicle: with {sure:%} probability the difference is as between two "
-    "individuals of one make. "
-    "Give healthy flights of this very vehicle."
+    "individuals of one make. Give healthy flights of this very vehicle."
 )
 MISSED = (
     "No fault is shown. The least that would have been: a rotor with {loss:%} less thrust, or a load of {load:g} "

@@ -213,8 +213,7 @@ def _timing(
     if most < 1:
         raise BadInput(
             f"{harmonics} harmonics below {frequency_max_hz:g} Hz take {harmonics / frequency_max_hz:.4g} s, longer "
-            "than "
-            f"the duration of {wanted:g} s; use fewer harmonics, a longer flight or a higher top frequency."
+            f"than the duration of {wanted:g} s; use fewer harmonics, a longer flight or a higher top frequency."
         )
     return wanted, sorted({max(round(most / share), 1) for share in (1.0, 1.3, 1.7, 2.2, 3.0, 4.0)}, reverse=True)
 

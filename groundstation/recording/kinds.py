@@ -4,8 +4,7 @@ from __future__ import annotations
 
 READABLE = (
     "an MCAP recording, a flight bundle (folder), a PX4 ULog, an ArduPilot DataFlash log, a Betaflight or INAV "
-    "blackbox log, "
-    "a ROS 2 bag or a Crazyflie usd log"
+    "blackbox log, a ROS 2 bag or a Crazyflie usd log"
 )
 _PACKED = {
     b"\x1f\x8b": "is compressed with gzip",
@@ -43,8 +42,7 @@ def described(head: bytes, size: int) -> str:
     if len(head) > 8 and head[8] in (0xFD, 0xFE):
         return (
             "is a telemetry log of MAVLink (.tlog): it holds what came over the radio, too slow for inertias; give the "
-            "log of "
-            "the vehicle's own memory (.ulg, .bin)"
+            "log of the vehicle's own memory (.ulg, .bin)"
         )
     return _text(head)
 
@@ -64,7 +62,6 @@ def _text(head: bytes) -> str:
     if first.count(",") + first.count(";") + first.count("\t") >= 2:
         return (
             "is a table in one file; a flight bundle is a folder of such tables (docs/formats.md), or say what its "
-            "columns are "
-            "with `groundstation convert --map FILE.toml`"
+            "columns are with `groundstation convert --map FILE.toml`"
         )
     return f"is a text file; give {READABLE}"

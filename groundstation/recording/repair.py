@@ -290,8 +290,7 @@ def _repair_motors(stream: Stream, name: str, vehicle: Vehicle) -> tuple[Stream,
         if share > 0.5:
             raise BadInput(
                 f"{name}: {share:.0%} of {column} is no number, no possible value or far too low in flight; the stream "
-                "is refused. "
-                "Mend that rotor's telemetry and fly again."
+                "is refused. Mend that rotor's telemetry and fly again."
             )
     causes = {
         "not numbers": np.any(nonfinite, axis=1),

@@ -160,8 +160,7 @@ def to_px4_sih(model: Identified) -> str:
         *model.provenance({"rotor_drag", "angular_damping"}),
         "Axes are FRD: I_xy and I_xz have the sign opposite to FLU. SI units.",
         f"SIH thrust is linear in the command. SIH_T_MAX matches hover, at {share:.3f} of full command; at full "
-        "command a rotor of this "
-        f"vehicle gives {top:.4g} N, and SIH {100.0 * (full / top - 1.0):+.0f} % of that off.",
+        f"command a rotor of this vehicle gives {top:.4g} N, and SIH {100.0 * (full / top - 1.0):+.0f} % of that off.",
         f"PX4 motors 1 to 4 are rotors {', '.join(str(i + 1) for i in order)} of the vehicle file.",
         f"SIH has its centre of mass at the origin (here it is at {offset} m, FLU) and one lag, the mean of up and "
         "down.",

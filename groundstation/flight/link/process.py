@@ -182,8 +182,7 @@ class LinkProcess:
             f"{IN_FLIGHT} ({view.mode or 'mode not told'}{height}); it gets no heartbeat from here, so that its own "
             "failsafe acts where it has one for a lost station.",
             "To bring it down: the same command with --take-over land, or --take-over hold (a minute, then it lands); "
-            "the "
-            "interrupted flight's folder is continued. The remote control goes before either.",
+            "the interrupted flight's folder is continued. The remote control goes before either.",
         )
 
     def stop(self, reason: str) -> None:
