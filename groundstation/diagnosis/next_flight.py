@@ -299,13 +299,10 @@ def plan_next(
     progress: Callable[[float, str], None] = lambda fraction, text: None,
     **limits: float,
 ) -> discriminate.Separation:
-    """The flight that tells the first unsettled finding of a diagnosis from its alternatives, within the vehicle's
-    limits.
+    """The flight that tells the first unsettled finding of a diagnosis from its alternatives.
 
     Args:
-        document: of schema groundstation.diagnosis/1.
-        vehicle: as declared.
-        duration_s: of the excitation.
+        document: of schema groundstation.diagnosis/1. vehicle: as declared. duration_s: of the excitation.
         trials: motions tried (0.1 s each and more with more hypotheses); None for what takes a second or two.
         seed: of the search.
         progress: called with the share of the work that is done and a line of text.

@@ -34,7 +34,7 @@ from groundstation.documents import (
 from groundstation.errors import BadInput
 from groundstation.identification.results import Estimate, Identification
 from groundstation.outside import read_json, read_toml
-from groundstation.reporting import robotics, simulators
+from groundstation.reporting import mujoco, robotics, rotorpy, simulators
 from groundstation.reporting.canonical import canonical, estimate_in
 from groundstation.reporting.identified import Identified, identified_from_document
 from groundstation.reporting.scenario import to_scenario
@@ -172,8 +172,8 @@ FORMATS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "px4-sih": _simulator(simulators.to_px4_sih),
     "sdf": _simulator(simulators.to_sdf),
     "urdf": _simulator(simulators.to_urdf),
-    "mjcf": _simulator(simulators.to_mjcf),
-    "rotorpy": _simulator(simulators.to_rotorpy),
+    "mjcf": _simulator(mujoco.to_mjcf),
+    "rotorpy": _simulator(rotorpy.to_rotorpy),
     "scenario": _simulator(to_scenario),
     "ardupilot-sitl": _simulator(robotics.to_ardupilot_sitl),
     "pybullet": _simulator(robotics.to_pybullet),
