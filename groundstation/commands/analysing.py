@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 import shlex
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -18,6 +17,7 @@ from groundstation.commands.common import (
     json_option,
     load_flights,
     logs_option,
+    packed,
     result_folder,
     seconds_pair,
 )
@@ -71,13 +71,6 @@ class Given:
 
 def flight_options(function: Callable[..., Result]) -> Callable[..., Result]:
     """What every command on recorded flights takes; the function gets it as one :class:`Given`."""
-
-    @functools.wraps(function)
-    def command(**values: object) -> Result:
-        own = {field.name for field in fields(Given)} & set(values)
-        given = Given(**{name: values.pop(name) for name in own})  # type: ignore[arg-type]
-        return function(given, **values)
-
     options = (
         click.argument("flights", nargs=-1, required=True, type=FLIGHT),
         click.option("--vehicle", default=None, help="Vehicle file or shipped name; overrides the recorded one."),
@@ -95,7 +88,7 @@ def flight_options(function: Callable[..., Result]) -> Callable[..., Result]:
         logs_option,
         json_option,
     )
-    decorated: Callable[..., Result] = command
+    decorated = packed(Given)(function)
     for option in reversed(options):
         decorated = option(decorated)
     return decorated
@@ -270,6 +263,19 @@ def report(given: Given) -> Result:
     return Result(document, "\n".join(lines))
 
 
+@dataclass(frozen=True, slots=True)
+class Ahead:
+    """What is predicted of a flight, from what, and with which part of the model."""
+
+    horizon: float
+    state: Literal["smoothed", "own"]
+    use: Literal["prediction", "physical"]
+    save: Path | None
+    vehicle: str | None
+    start_s: float | None
+    end_s: float | None
+
+
 @click.command(epilog=example("groundstation predict identification.toml other.mcap --horizon 0.5 --json"))
 @click.argument("model", type=FLIGHT)
 @click.argument("flight", type=FLIGHT)
@@ -288,30 +294,27 @@ def report(given: Given) -> Result:
 @click.option("--from", "start_s", type=float, default=None, help="Use the flight from this time on, s.")
 @click.option("--to", "end_s", type=float, default=None, help="Use the flight up to this time, s.")
 @json_option
-def predict(
-    model: Path,
-    flight: Path,
-    horizon: float,
-    state: str,
-    use: str,
-    save: Path | None,
-    vehicle: str | None,
-    start_s: float | None,
-    end_s: float | None,
-) -> Result:
+@packed(Ahead)
+def predict(asked: Ahead, model: Path, flight: Path) -> Result:
     """Simulate open loop from every sample of FLIGHT with MODEL (identification.toml), and say how far off it is."""
-    loaded = load_flights((flight,), vehicle, start_s, end_s)[0]
+    loaded = load_flights((flight,), asked.vehicle, asked.start_s, asked.end_s)[0]
     from groundstation import api
     from groundstation.reporting.exports import read_model
 
     line = ProgressLine()
-    document = read_model(model, loaded.vehicle if vehicle is not None else None)
-    kind: Literal["prediction", "physical"] = "physical" if use == "physical" else "prediction"
-    found = api.predict(document, loaded, horizon_s=horizon, own_state=state == "own", use=kind, progress=line.fraction)
+    document = read_model(model, loaded.vehicle if asked.vehicle is not None else None)
+    found = api.predict(
+        document,
+        loaded,
+        horizon_s=asked.horizon,
+        own_state=asked.state == "own",
+        use=asked.use,
+        progress=line.fraction,
+    )
     line.end()
-    if save is not None:
+    if asked.save is not None:
         from groundstation.recording.csvfile import write_csv
 
         columns, rows = found.rows()
-        write_csv(save, columns, list(rows.T))
+        write_csv(asked.save, columns, list(rows.T))
     return Result(found.to_dict(), found.to_text())
