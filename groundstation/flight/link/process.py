@@ -32,7 +32,7 @@ from groundstation.flight.link.arguments import bandwidth_of, free_bytes, parse,
 from groundstation.flight.link.background import Writer
 from groundstation.flight.link.link_core import LinkCore, Options, Output
 from groundstation.flight.link.parameter_journal import ParameterJournal
-from groundstation.flight.link.pilot import IN_AIR, Answered, Phase
+from groundstation.flight.link.phase import IN_AIR, Answered, Phase
 from groundstation.flight.link.pose_source import PoseSource
 from groundstation.flight.link.signing_memory import SigningMemory
 from groundstation.flight.messages import IN_FLIGHT
