@@ -20,14 +20,16 @@ CERTAIN = 2.7
 """Largest of seven standard normal numbers, exceeded by chance in 5 % of runs."""
 FORMATS = {
     "rotorpy": "rotorpy", "mujoco": "mjcf", "pybullet": "pybullet", "crazyflow": "crazyflow", "px4": "px4-sih",
-    "arducopter": "ardupilot-sitl",
+    "arducopter": "ardupilot-sitl", "arducopter, little yaw": "ardupilot-sitl",
 }  # fmt: skip
 """Format by reader."""
 
 
 def reader(name: str, told: Mapping[str, Any]) -> str:
     """A reader with its version."""
-    return str(told["version"]) if " " in str(told["version"]) else f"{name} {told['version']}"
+    version, variant = str(told["version"]), name.partition(", ")[2]
+    shown = version if " " in version else f"{name} {version}"
+    return f"{shown}, {variant}" if variant else shown
 
 
 def tables(results: Mapping[str, Any]) -> str:

@@ -116,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except (click.Abort, KeyboardInterrupt):
             return _fail("interrupted", INTERRUPTED, as_json, out)
         except click.ClickException as error:
-            return _fail(error.format_message(), BadInput.exit_status, as_json, out)
+            return _fail(_called(error), BadInput.exit_status, as_json, out)
         except Refused as error:
             return _fail(str(error), error.exit_status, as_json, out, reason=error)
         except GroundStationError as error:
@@ -138,6 +138,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return result.exit_status
         _print("", sys.stdout, end="")
         return result if isinstance(result, int) else 0
+
+
+def _called(error: click.ClickException) -> str:
+    """A fault of the command line; where something is missing or too much, with what shows how it is called."""
+    text = error.format_message()
+    context = getattr(error, "ctx", None)
+    if context is None or (isinstance(error, click.BadParameter) and not isinstance(error, click.MissingParameter)):
+        return text
+    return f"{text.rstrip('.')}. `{context.command_path} -h` shows how it is called."
 
 
 def _print(text: str, out: TextIO, end: str = "\n") -> bool:

@@ -73,6 +73,8 @@ def require_file(path: Path, wanted: str, limit: int | None = None) -> None:
     try:
         status = path.stat()
     except (OSError, ValueError) as error:
+        if isinstance(error, FileNotFoundError):
+            raise BadInput(f"{shown(path)}: there is no such file; give the path of {wanted}.") from None
         why = getattr(error, "strerror", None) or "no file has such a name"
         raise BadInput(f"{shown(path)}: cannot be read ({why}); give the path of {wanted}.") from None
     if not stat.S_ISREG(status.st_mode):

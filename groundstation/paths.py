@@ -60,7 +60,9 @@ def find_config(kind: str, name_or_path: str | Path) -> Path:
     names = sorted(p.stem for p in (configs_dir() / kind).glob("*.toml"))
     near = difflib.get_close_matches(path.stem, names, n=1)
     meant = f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}."
-    raise BadInput(f"{shown(name_or_path)}: no such file, and no shipped one of {kind}; {meant}")
+    raise BadInput(
+        f"{shown(name_or_path)}: there is no such file, and none of this name among the shipped {kind}; {meant}"
+    )
 
 
 def shipped_config(kind: str, name: object) -> Path:

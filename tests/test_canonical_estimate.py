@@ -21,7 +21,7 @@ from groundstation.reporting.canonical import canonical, correlated
 from groundstation.reporting.exports import model_document, read_model
 from groundstation.reporting.identified import identified_from_document
 from groundstation.reporting.report import write_report
-from groundstation.reporting.units import interval_text, label, scale_for, split_unit
+from groundstation.reporting.units import interval_text, label, method_text, scale_for, split_unit
 from groundstation.tui.documents import method_table
 from tests.one_answer import disagreements
 
@@ -57,7 +57,7 @@ def test_every_place_shows_the_same_digits(kind, tmp_path: Path):
     cells = {row[0]: row[3] for row in table}
     report = write_report(tmp_path / "report.html", flight, identification, diagnosis).read_text()
     assert estimate.source in text and header[3].startswith(estimate.source)
-    assert f"Estimate: {estimate.source}" in report
+    assert f"Estimate by {method_text(estimate.source)}" in report
     predicted = model_from_document(model, flight.vehicle)
     assert predicted.mass_kg == estimate.parameters["mass_kg"].value
     assert identified.vehicle.mass_kg == estimate.parameters["mass_kg"].value

@@ -359,6 +359,15 @@ def test_kept_stamps_increase_and_no_longer_selection_does(values):
     assert len(keep) == max(best)
 
 
+@given(st.integers(0, 10), st.integers(0, 10), st.floats(10.0, 1e6))
+def test_up_to_a_hundredth_of_strays_at_either_end_is_left_out(first, last, far):
+    body = np.arange(1000.0 - first - last)
+    before, after = -far * 1000.0 + np.arange(first), far**2 * 1e5 + np.arange(last)
+    kept = blemishes._without_strays(np.concatenate([before, body, after]), np.ones(1000, dtype=bool))
+    assert kept[first : 1000 - last].all() and not kept[1000 - last :].any()
+    assert not kept[:first].any() or last > 0  # strays at the other end make the rest look long
+
+
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), speed=st.floats(0.3, 2.0))
 def test_no_motion_within_the_vehicles_means_is_taken_for_a_blemish(seed, speed):

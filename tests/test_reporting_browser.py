@@ -161,14 +161,28 @@ async def test_all_is_drawn_without_scrolling_figures_over_time_zoom_together_an
     assert shown["turns"]
 
 
-async def test_tables_copy_and_sections_fold(tmp_path):
+SCREENS = ((400, 800), (1000, 800), (1600, 900))
+
+
+async def first_screen(page: browser.Page, width: int, height: int) -> float:
+    """Where the lower of verdict (with the next step) and tiles ends, in pixels from the top."""
+    await page.ask(
+        "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 500
+    )
+    ends = "[...document.querySelectorAll('.verdict, .cards')].map((e) => e.getBoundingClientRect().bottom)"
+    return await page.value_of(f"scrollTo(0, 0), Math.max(...{ends})")
+
+
+async def test_tables_copy_sections_fold_and_the_first_screen_holds_verdict_and_tiles(tmp_path):
     report = write_report(tmp_path / "report.html", fixture.flight(), fixture.identification(), fixture.diagnosis())
     async with browser.page(tmp_path / "profile") as page:
         await page.open(report.as_uri())
         await page.value_of(
             "new Promise((r) => document.readyState === 'complete' ? r() : addEventListener('load', r))"
         )
+        lowest = [await first_screen(page, *size) for size in SCREENS]
         shown = await page.value_of(SHOWN)
+    assert all(bottom <= height for bottom, (_, height) in zip(lowest, SCREENS, strict=True)), lowest
     tsv, latex = shown["copied"]
     assert "\t" in tsv and len({line.count("\t") for line in tsv.strip().splitlines()}) == 1
     assert latex.startswith("\\begin{tabular}{lr") and latex.count("\\hline") == 3 and "±" not in latex

@@ -12,7 +12,6 @@ from __future__ import annotations
 import importlib
 import json
 import math
-import os
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -27,6 +26,7 @@ from groundstation.errors import GroundStationError, NotIdentifiable, Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification
 from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
+from groundstation.priority import set_nice
 from groundstation.vehicle import Vehicle
 
 AUGMENTED = "with findings"
@@ -227,7 +227,7 @@ def _say(fraction: float, text: str, table: Table | None = None) -> None:
 
 def warm_up() -> None:
     """Import what takes seconds while the flight still goes on, behind everything that flies."""
-    os.nice(5)
+    set_nice(5)
     for module in ("recording", "identification.preliminary", "identification.seed", "reporting", "diagnosis"):
         importlib.import_module(f"groundstation.{module}")
 

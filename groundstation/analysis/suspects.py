@@ -9,7 +9,6 @@ answers each line on standard input with a JSON document on standard output: ``{
 from __future__ import annotations
 
 import json
-import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import TypedDict
 
 from groundstation.errors import GroundStationError
 from groundstation.flightdata import FlightData
+from groundstation.priority import set_nice
 
 FEWEST_S = 8.0
 """Of excitation before the first diagnosis: some periods of the slowest effects, and time for a noise model."""
@@ -90,7 +90,7 @@ def suspicion(folder: Path) -> Suspicion:
 
 def main() -> int:
     """Entry point of the process."""
-    os.nice(NICE)
+    set_nice(NICE)
     folder = Path(sys.argv[1])
     for _ in sys.stdin:
         print(json.dumps(suspicion(folder)), flush=True)

@@ -18,6 +18,7 @@ from groundstation.commands.common import (
     load_flights,
     logs_option,
     packed,
+    require_there,
     result_folder,
     seconds_pair,
 )
@@ -297,6 +298,7 @@ class Ahead:
 @packed(Ahead)
 def predict(asked: Ahead, model: Path, flight: Path) -> Result:
     """Simulate open loop from every sample of FLIGHT with MODEL (identification.toml), and say how far off it is."""
+    require_there(model)
     loaded = load_flights((flight,), asked.vehicle, asked.start_s, asked.end_s)[0]
     from groundstation import api
     from groundstation.reporting.exports import read_model

@@ -40,13 +40,34 @@ class Order:
         from groundstation.campaign.campaign import begin, load_campaign, take_in
 
         if self.resume is not None:
+            self._check_flown()
             return load_campaign(self.resume)
         if self.vehicle is None:
             raise BadInput("name the vehicle with --vehicle, or a campaign that was begun with --resume.")
+        self._check_flown()
         stand = begin(self.logs, self.vehicle, self.until, at_most=self.at_most, seed=self.seed)
         for flight in self.given:
             stand = take_in(stand, flight, "given", say=line.say).save()
         return stand
+
+    def _check_flown(self) -> None:
+        """Refuse a campaign that could not fly before its folder is made.
+
+        Raises:
+            BadInput: nothing or two things fly, no such scenario ships, or nobody is at the terminal of a real vehicle.
+        """
+        from groundstation.paths import find_config
+
+        if (self.scenario is None) == (self.link is None):
+            raise BadInput(
+                "say what flies: --scenario NAME for the simulated drone, or --link ADDRESS for a vehicle on MAVLink."
+            )
+        if self.scenario is not None:
+            find_config("scenarios", self.scenario)
+        if self.link is not None and not self.yes_simulated and not sys.stdin.isatty():
+            raise BadInput(
+                "a real vehicle is armed only by somebody at a terminal; a simulated one with --yes-simulated."
+            )
 
 
 @click.command(epilog=example("groundstation campaign --vehicle x500 --scenario hall --until ixx,iyy,izz:2%,mass:0.5%"))
@@ -56,8 +77,8 @@ class Order:
 @click.option("--station", default="default", show_default=True, help="Station file for --link.")
 @click.option("--yes-simulated", is_flag=True, help="What flies on the link is a simulation: do not ask before arming.")
 @click.option("--until", default="ixx,iyy,izz:2%,mass:0.5%", show_default=True, help="95 % half widths to reach.")
-@click.option("--at-most", type=click.IntRange(1, 50), default=5, show_default=True, help="Flights.")
-@click.option("--seed", type=int, default=1, show_default=True, help="Of plans and simulated flights.")
+@click.option("--at-most", type=click.IntRange(1, 50), default=5, show_default=True, help="Most flights to fly.")
+@click.option("--seed", type=int, default=1, show_default=True, help="Seed of plans and of simulated flights.")
 @click.option(
     "--from", "given", multiple=True, type=click.Path(path_type=Path), help="Begin with this flight (repeatable)."
 )
@@ -101,14 +122,6 @@ class _Flyer:
     def __init__(self, stand: Campaign, order: Order, line: ProgressLine, stop: Interrupts):
         from groundstation.campaign.campaign import VEHICLE
 
-        if (order.scenario is None) == (order.link is None):
-            raise BadInput(
-                "say what flies: --scenario NAME for the simulated drone, or --link ADDRESS for a vehicle on MAVLink."
-            )
-        if order.link is not None and not order.yes_simulated and not sys.stdin.isatty():
-            raise BadInput(
-                "a real vehicle is armed only by somebody at a terminal; a simulated one with --yes-simulated."
-            )
         self._stand, self._order, self._line, self._stop = stand, order, line, stop
         self._vehicle, self._logs = stand.folder / VEHICLE, order.logs.resolve()
 

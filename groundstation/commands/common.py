@@ -226,6 +226,16 @@ def load_vehicle_option(value: str | None) -> Vehicle | None:
     return None if value is None else api.load_vehicle(value)
 
 
+def require_there(path: Path) -> None:
+    """Refuse a path that leads nowhere before anything heavy is loaded.
+
+    Raises:
+        BadInput: there is nothing.
+    """
+    if not path.exists():
+        raise BadInput(f"{path}: there is no such file or folder.")
+
+
 def load_flights(
     paths: tuple[Path, ...],
     vehicle: str | None,
@@ -236,6 +246,8 @@ def load_flights(
     """Read flights of any format, with the vehicle of the command line over the recorded one; progress meanwhile."""
     from groundstation import api
 
+    for path in paths:
+        require_there(path)
     declared = load_vehicle_option(vehicle)
     flights: list[FlightData] = []
     for path in paths:

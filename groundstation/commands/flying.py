@@ -33,7 +33,7 @@ def until_options(function: Callable[..., Any]) -> Callable[..., Any]:
         "--excitation-at-most-s",
         type=click.FloatRange(min=1.0),
         default=None,
-        help="Excitation of an --until flight at the most; 80 s by default.",
+        help="The longest excitation of an --until flight, s; 80 by default.",
     )
     until = click.option("--until", default=None, metavar="TARGETS", help=f"Fly until this is known, e.g. {DEFAULT}.")
     return until(most(function))
@@ -72,7 +72,9 @@ def sim(ctx: click.Context, arguments: tuple[str, ...]) -> None:
 @click.option(
     "--plan", "plan_file", type=click.Path(path_type=Path, dir_okay=False), help="Fly this plan instead of a new one."
 )
-@click.option("--seed", type=int, default=1, show_default=True, help="Of the simulated noise and the true vehicle.")
+@click.option(
+    "--seed", type=int, default=1, show_default=True, help="Seed of the simulated noise and of the true vehicle."
+)
 @click.option("--real-time", is_flag=True, help="Let the simulated drone fly at the wall clock's pace.")
 @until_options
 @logs_option
@@ -112,6 +114,7 @@ def _rehearsed(
     from groundstation.trajectory import load_plan
     from groundstation.vehicle import load_vehicle
 
+    _check_targets(until)
     vehicle_file = find_config("vehicles", vehicle).resolve()
     scenario_file = find_config("scenarios", scenario).resolve()
     declared = load_vehicle(vehicle_file)
@@ -129,6 +132,12 @@ def _rehearsed(
     plan_path = _keep_plan(chosen, folder)
     drone = simulated_drone(vehicle_file, scenario_file, seed, real_time=real_time)
     return fly_plan(folder, plan=plan_path, vehicle=vehicle_file, drone=drone, say=line.say, stop=stop)
+
+
+def _check_targets(asked: Mapping[str, Any]) -> None:
+    """Refuse targets that are none before a plan is made for them."""
+    if asked["until"] is not None:
+        parse_targets(asked["until"])
 
 
 def _lasting(chosen: Any, declared: Any, asked: Mapping[str, Any], *, automatic: bool) -> Any:
@@ -218,14 +227,20 @@ def link_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """What a command on a MAVLink link takes."""
     options = (
         click.option(
-            "--link", required=True, help="serial:///dev/ttyUSB0:921600, udpin://127.0.0.1:14540, tcp://host:port."
+            "--link",
+            required=True,
+            metavar="URL",
+            help="The MAVLink link: serial:///dev/ttyUSB0:921600, udpin://127.0.0.1:14540 or tcp://HOST:PORT.",
         ),
         click.option("--vehicle", required=True, help="Vehicle file, or the name of a shipped one."),
         click.option(
             "--station", default="default", show_default=True, help="Station file: room, guard limits, policy."
         ),
         click.option(
-            "--plan", "plan_file", type=click.Path(path_type=Path, dir_okay=False), help="Plan; else a new one."
+            "--plan",
+            "plan_file",
+            type=click.Path(path_type=Path, dir_okay=False),
+            help="Fly this plan instead of a new one.",
         ),
         click.option(
             "--system",
@@ -251,7 +266,8 @@ def link_options(function: Callable[..., Any]) -> Callable[..., Any]:
 def _link_flight(
     vehicle: str, plan_file: Path | None, logs: Path, line: ProgressLine, *, automatic: bool = False, **link: Any
 ) -> dict[str, Any]:
-    """Folder, plan, vehicle and link process of a flight on a MAVLink link."""
+    """Folder, plan, vehicle and link process of a flight on a MAVLink link; faults are told before a plan is made."""
+    from drivers.mavlink.transports import parse_url
     from groundstation.flight.client.client import new_flight_folder
     from groundstation.flight.client.rehearse import linked_vehicle
     from groundstation.flight.station import load_station
@@ -259,6 +275,11 @@ def _link_flight(
     from groundstation.trajectory import load_plan
     from groundstation.vehicle import load_vehicle
 
+    _check_targets(link)
+    try:
+        parse_url(link["link"])
+    except ValueError as error:
+        raise BadInput(f"{error}.") from None
     station = load_station(link["station"])
     vehicle_file = find_config("vehicles", vehicle).resolve()
     declared = load_vehicle(vehicle_file)

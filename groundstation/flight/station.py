@@ -107,7 +107,8 @@ class MarkerCalibration(_Section):
         rotation_rad, rotation_std_rad: rotation vector from its axes to the body's.
         tilt_rad: of the poses' world against gravity, about x and y.
         scale: the poses' metre is this much too long, as a share.
-        delay_s, delay_std_s: how much later than the exposure stamps are, beyond what the protocol tells.
+        delay_s, delay_std_s: how much later than the exposure stamps are, beyond what the protocol tells; the driver
+            takes it off them, so that they are those of the exposure for everyone: vehicle, recording, guard.
     """
 
     body: str
@@ -133,8 +134,9 @@ class MocapSource(_Section):
         needed_hz: preflight refuses below this.
         to_vehicle_hz: rate of poses to the vehicle's estimator; 0 sends none.
         std_m, std_rad: what the estimator is told of their accuracy.
-        latency_s: how much later than its exposure a pose is stamped; declared to the estimator indoors. Each flight
-            with poses measures it and says the line to write.
+        latency_s: how much later than its exposure a pose is stamped, of a system that was not calibrated; stamps stay
+            as they are, and the estimator is told of it indoors. Each flight with poses measures it and says the line
+            to write. 0 with a calibration, whose ``delay_s`` takes its place.
         calibration: how the marker body sits; None takes it for the vehicle's declared tracked point.
     """
 
@@ -161,6 +163,11 @@ class MocapSource(_Section):
             raise ValueError(
                 f"calibration is of body '{self.calibration.body}', body is '{self.body}': calibrate it, or delete the "
                 "section"
+            )
+        if self.calibration is not None and self.latency_s:
+            raise ValueError(
+                f"latency_s = {self.latency_s:g} beside a calibration counts a delay twice: calibration.delay_s is "
+                "taken off the stamps already, so delete latency_s (or the calibration)"
             )
         return self
 

@@ -72,12 +72,13 @@ def _without_strays(t_s: Array, keep: Mask) -> Mask:
     """Drop up to 1 % of samples at either end that lie farther from the rest than the rest is long."""
     index = np.flatnonzero(keep)
     few = max(3, len(index) // 100)
-    for end in (slice(0, few), slice(len(index) - 1 - few, len(index) - 1)):
+    for at_the_end in (False, True):
         if len(index) <= 2 * few + 2:
             break
         steps = np.diff(t_s[index])
-        at = int(np.argmax(steps[end])) + (end.start or 0)
-        body = index[at + 1 :] if end.start == 0 else index[: at + 1]
+        first = len(steps) - few if at_the_end else 0
+        at = first + int(np.argmax(steps[first : first + few]))
+        body = index[: at + 1] if at_the_end else index[at + 1 :]
         if steps[at] > t_s[body[-1]] - t_s[body[0]]:
             keep = keep.copy()
             keep[np.setdiff1d(index, body)] = False

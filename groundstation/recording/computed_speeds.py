@@ -59,6 +59,9 @@ def _commonest(ratios: np.ndarray) -> float:
 
 def commands_behind(speeds: Stream, commands: Stream) -> tuple[Stream, str] | None:
     """The commands, at the faster of both rates, and what to say of it; None where the speeds are measurements."""
+    if silent := _silent(speeds, commands):
+        names = ", ".join(map(str, silent))
+        return commands, f"motors: the ESCs tell no speed of rotor {names} while it is driven; the commands are used."
     gain = computed_gain(speeds, commands)
     if gain is None:
         return None
@@ -69,6 +72,22 @@ def commands_behind(speeds: Stream, commands: Stream) -> tuple[Stream, str] | No
     if commands.rate_hz() >= speeds.rate_hz():
         return commands, note
     return replace(speeds, values=speeds.values / gain, columns=commands.columns), note
+
+
+_DRIVEN = 0.05
+"""Command from which on a rotor turns, whatever its idle speed."""
+
+
+def _silent(speeds: Stream, commands: Stream) -> list[int]:
+    """Rotors (from 1) whose speed is told as zero all along while they are driven.
+
+    ArduPilot's simulator does that of its own frames.
+    """
+    if min(len(speeds), len(commands)) < _LEAST:
+        return []
+    span = (commands.t_s >= speeds.t_s[0]) & (commands.t_s <= speeds.t_s[-1])
+    driven = np.count_nonzero(commands.values[span] > _DRIVEN, axis=0) >= _LEAST
+    return [int(i) + 1 for i in np.flatnonzero(driven & ~np.any(speeds.values > 0.0, axis=0))]
 
 
 _FOLLOWS, _CLEARLY = 0.5, 0.2

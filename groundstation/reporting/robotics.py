@@ -97,13 +97,15 @@ def to_ardupilot_sitl(model: Identified) -> str:
         "maxVoltage": vehicle.battery.full_v,
     }
     for i, (x, y, z) in enumerate((positions - model.com_offset_m).tolist(), start=1):
-        frame[f"motor{i}_position"] = [x, -y, -z]
+        frame[f"motor{i}_position"] = [x, 0.0 - y, 0.0 - z]
         frame[f"motor{i}_yaw"] = vehicle.rotors.spin[i - 1] * yaw
     notes = [
         *model.provenance({"com_offset", "rotor_drag"}),
         "Axes are FRD, SI units. Products of inertia and lag are not held; the drag acts along z, too.",
+        "ArduPilot's simulator divides torque by moment: it has no gyroscopic torque.",
         "Thrust is that of air at refAlt (593 m, as ArduPilot starts) and of a full battery, which does not sag.",
         "Motor 1 is rotor 1 of the vehicle file; ArduPilot's frame class must number its motors alike.",
+        "ArduPilot reads it from the folder it runs in: --model quad:NAME.json, without a path.",
     ]
     return hash_comment(notes) + json.dumps(frame, indent=2) + "\n"
 

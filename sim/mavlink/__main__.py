@@ -10,6 +10,7 @@ from pathlib import Path
 from groundstation.errors import BadInput, GroundStationError
 from groundstation.paths import find_config
 from groundstation.vehicle import load_vehicle
+from sim.arguments import Parser
 from sim.mavlink.process import DEFAULT_LINKS, Service, attach
 
 DRIFT = {"px4": -0.012, "arducopter": 0.0}
@@ -18,7 +19,7 @@ DRIFT = {"px4": -0.012, "arducopter": 0.0}
 
 def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     """Parse the command line."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="groundstation sim --mavlink",
         description="A simulated vehicle that speaks MAVLink as PX4 or ArduCopter do.",
         epilog="example: python -P -m sim.mavlink --profile px4 --vehicle x500 --scenario clean --seed 1",

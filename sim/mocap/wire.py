@@ -83,7 +83,7 @@ class NatNetWire:
         if number == 4:
             return [self._say(5, self._model())]
         if number == 12 and len(data) >= 12:
-            return [self._say(13, data[4:12] + struct.pack("<Q", int(clock_s * self.TICKS)))]
+            return [self._say(13, data[4:12] + struct.pack("<Q", round(clock_s * self.TICKS)))]
         return []
 
     def _say(self, number: int, payload: bytes) -> bytes:
@@ -127,7 +127,7 @@ class NatNetWire:
         if self._version >= (4, 1):
             out += self._section(0)
         out += self._section(1, labeled) + self._section(0) + self._section(0)
-        exposure, sent = int(shot.exposure_s * self.TICKS), int(shot.sent_s * self.TICKS)
+        exposure, sent = round(shot.exposure_s * self.TICKS), round(shot.sent_s * self.TICKS)
         out += struct.pack("<IIdQQQ", 0, 0, shot.exposure_s, exposure, (exposure + sent) // 2, sent)
         if self._version >= (4, 1):
             out += struct.pack("<II", int(shot.exposure_s), 0)

@@ -325,7 +325,7 @@ class FlightCore:
             self.journal.write(
                 "recording",
                 f"{self.recorder.recorded} samples recorded, {self.recorder.lost_batches} batches were lost",
-                streams={k: v.count for k, v in self.recorder.streams(self.digested_s).items()},
+                streams=self.recorder.counts(),
             )
             self._seal("plan.toml", *(file.name for file in self.settings.folder.glob("flight*.mcap")))
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from drivers.access import Login, hand_over
-from groundstation.errors import Refused
+from groundstation.errors import BadInput, Refused
 from groundstation.flight import sequence as seq
 from groundstation.flight import timeouts
 from groundstation.flight.children import Child, module_command, start_child
@@ -71,7 +71,7 @@ class VehicleProcess:
             return None
         detail = self._child.last_words()
         text = f"the vehicle's process ended with status {status}" + (f": {detail}" if detail else "")
-        return text, detail if status == Refused.exit_status else ""
+        return text, detail if status in (BadInput.exit_status, Refused.exit_status) else ""
 
     def silent(self, state: seq.Sequence, *, described: bool, seen: bool) -> str:
         """What to say of it once nothing was heard for too long; empty before that.

@@ -426,8 +426,8 @@ class LinkCore:
             self._tell(out, now_s, "link", f"{self._phase} -> {self.pilot.phase} {self.pilot.reason}".strip())
             self._phase = self.pilot.phase
             if self._phase is Phase.LANDED and (found := self._latency.result()) is not None:
-                declared_s = self.station.mocap.latency_s
-                self._tell(out, now_s, "latency", latency_sentence(found, self.clock.error_s(now_s), declared_s))
+                told = latency_sentence(found, self.clock.error_s(now_s), self.station.mocap)
+                self._tell(out, now_s, "latency", told)
 
     def converse(self, steps: Steps[T]) -> Conversation[T]:
         """Hold a conversation beside the flight: parameters, files, logs. Watch its ``done``."""

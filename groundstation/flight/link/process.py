@@ -38,6 +38,7 @@ from groundstation.flight.link.signing_memory import SigningMemory
 from groundstation.flight.messages import IN_FLIGHT
 from groundstation.flight.station import load_station
 from groundstation.outside import parse_json, parse_toml
+from groundstation.priority import set_nice
 from groundstation.trajectory import plan_from_dict
 from groundstation.vehicle import Vehicle, load_vehicle
 
@@ -110,9 +111,7 @@ class LinkProcess:
 
     def run(self, endpoint: str) -> int:
         """Serve the core at an endpoint; returns the exit status."""
-        try:
-            os.setpriority(os.PRIO_PROCESS, 0, -10)  # ahead of the analysis, where the system allows it
-        except OSError:
+        if not set_nice(-10):  # ahead of the analysis, where the system allows it
             self._notes = (NOT_AHEAD,)
         sys.setswitchinterval(timeouts.SWITCH_INTERVAL_S)
         gc.freeze()

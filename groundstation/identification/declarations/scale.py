@@ -37,9 +37,12 @@ def scale_checks(flown: Flown, vehicle: Vehicle) -> list[Check]:
     if len(parts) < 3:
         return [Check("thrust", tested, "the accelerometer felt no weight", "cannot tell")]
     ratio = float(np.mean(parts))
+    if ratio <= 0.0:
+        says = "The recorded rotor values make no thrust in flight: they are not what drove these rotors."
+        return [Check("thrust", tested, f"{ratio:.3g}, where 1 is right", "contradicted", says)]
     spread = float(np.std(parts, ddof=1) / np.sqrt(len(parts)))
     evidence = f"{ratio:.3f} +- {spread:.3f}, where 1 is right"
-    off = max(ratio, 1.0 / max(ratio, 1e-9))
+    off = max(ratio, 1.0 / ratio)
     trusted = "thrust constant" if vehicle.identification.anchor == "thrust" else "mass"
     free = off < (DOUBTFUL if vehicle.identification.anchor == "thrust" else WRONG)
     if free or abs(ratio - 1.0) < 3.0 * spread:

@@ -8,6 +8,7 @@ from groundstation.identification.results import Estimate
 from groundstation.reporting.markup import Child, Markup, element, fragment, table
 from groundstation.reporting.units import (
     Scale,
+    beyond_rounding,
     decimals,
     fixed,
     half_width,
@@ -53,6 +54,7 @@ def error_table(
     signals = list(dict.fromkeys(signal for errors in sets.values() for signal in errors))
     columns = list(sets)
     rows = []
+    sets = {name: {s: beyond_rounding(v) for s, v in errors.items()} for name, errors in sets.items()}
     for signal in signals:
         scale = scale_for(split_unit(signal)[1], [errors.get(signal, 0.0) for errors in sets.values()])
         base = sets.get(reference, {}).get(signal)

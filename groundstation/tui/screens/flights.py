@@ -90,7 +90,10 @@ does identification, diagnosis and report of every recording here that has no re
     def _fill(self, rows: list[dict[str, Any]]) -> None:
         self._rows = rows
         self._list()
-        if not self.query_one("#filter", Input).has_focus:
+        typed = self.query_one("#filter", Input)
+        if not self._shown and not typed.value:
+            self.set_focus(None)  # nothing to walk through: the screens' keys are not the filter's
+        elif not typed.has_focus:
             self.query_one("#catalogue", DataTable).focus()
 
     def _list(self) -> None:

@@ -115,7 +115,7 @@ report in the browser. Choose another flight on the Flights screen (6)."""
                 lines = [
                     Line(column["t_s"], [unit.factor * v for v in column[key]]) for key in ("value", "low", "high")
                 ]
-                plot.border_title = f"{label(name)}, {unit.unit}, over s, and its 95 % interval"
+                plot.border_title = f"{label(name)}, {unit.unit}, over s"
                 plot.draw_interval(*lines)
 
     def action_report(self) -> None:

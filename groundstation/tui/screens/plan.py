@@ -97,7 +97,9 @@ one. w writes the plan to a file in the folder of the flights; the Fly screen fl
             for name, (text, unit, _) in FIELDS.items():
                 yield Label(f"{text}, {unit}")
                 yield Input(placeholder="the vehicle's", id=name, type="number", compact=True)
-        yield ProgressBar(total=1.0, show_eta=False, id="plan-progress")
+        progress = ProgressBar(total=1.0, show_eta=False, id="plan-progress")
+        progress.display = False
+        yield progress
         yield Static("p plans an excitation", id="plan-text", markup=False)
         yield Static("", id="trial", markup=False)
         with Horizontal(classes="columns"):
@@ -226,7 +228,9 @@ one. w writes the plan to a file in the folder of the flights; the Fly screen fl
         self.station.call_from_thread(self._progress, fraction, text)
 
     def _progress(self, fraction: float, text: str) -> None:
-        self.query_one(ProgressBar).update(progress=fraction)
+        bar = self.query_one(ProgressBar)
+        bar.display = True  # an empty bar before anything is planned looks like something that hangs
+        bar.update(progress=fraction)
         self.say("#plan-text", text)
 
     def _draw_trial(self) -> None:
