@@ -151,6 +151,11 @@ class GroundStation(App[int]):
         return self._preparing
 
     @property
+    def may_prepare(self) -> bool:
+        """Nothing is prepared or flies here, and flights are prepared here."""
+        return self.remote is None and not self.flying and not self._preparing
+
+    @property
     def may_take_lease(self) -> bool:
         """This client is not the operator, and may be."""
         core = self.core
@@ -170,11 +175,9 @@ class GroundStation(App[int]):
         self, setup: Setup, plan: Plan | None, begun: Callable[[Path], None] = lambda folder: None
     ) -> None:
         """Start a core with a plan, or the one at hand; ``begun`` is told the flight's folder, on a thread."""
-        if self.remote is not None:
-            self.notify(ELSEWHERE)
-            return
-        if self.flying or self._preparing:
-            self.notify("a flight is prepared already; s on Fly starts it, ^g gives it up.")
+        if not self.may_prepare:
+            there = "a flight is prepared already; s on Fly starts it, ^g gives it up."
+            self.notify(there if self.remote is None else ELSEWHERE)
             return
         self._preparing, self._start_wanted, self.trouble = True, False, ""
         self._simulated = setup.simulated
@@ -432,12 +435,8 @@ class GroundStation(App[int]):
         """Close, after a question while something flies."""
         if self.phase in IN_FLIGHT:
             text = "The flight goes on without this program: the plan is completed and the vehicle lands.\nClose it?"
-            self.push_screen(Question(text), self._on_leave)
+            self.push_screen(Question(text), lambda yes: self.exit(0) if yes else None)
         else:
-            self.exit(0)
-
-    def _on_leave(self, yes: bool | None) -> None:
-        if yes:
             self.exit(0)
 
 
