@@ -181,6 +181,10 @@ class RecordModel:
             mean[:, self._made] = _block_means(values, position, self._members)
         return means[0], means[1]
 
+    def wrench(self, p: Parameters) -> Array:
+        """Force and torque of the rotors at ``p``, (blocks, 6)."""
+        return self._predict(p).wrench
+
     def _predict(self, p: Parameters) -> Predicted:
         if self._last is not None and self._last[0] is p:
             return self._last[1]
