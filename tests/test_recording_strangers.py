@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 import pytest
 
 from groundstation.errors import BadInput
 from groundstation.frames import quat_from_euler
+from groundstation.recording import read_recording
 from groundstation.recording.mapping import load_map, read_mapped, template
 from groundstation.recording.tablefile import read_table
 from groundstation.vehicle import vehicle_from_dict, vehicle_to_dict
+from sim.mavlink.dataflash import DataFlashWriter
+from sim.mavlink.ulog import ULogWriter
 from tests.recording_flight import flight
+from tests.test_recording_settings import QUAD
 
 K = 8
 T = 2.0 + 0.004 * np.arange(K)
@@ -209,3 +215,60 @@ def test_parquet_with_records_lists_and_times_of_its_own(tmp_path):
     )
     parquet.write_table(table, tmp_path / "a.parquet")
     check(by_its_names(tmp_path / "a.parquet"))
+
+
+def test_the_state_is_that_of_the_core_that_flew_the_vehicle(tmp_path):
+    """Core 0 of the filter drifts off by 100 m, and the vehicle changes to core 1."""
+    log = DataFlashWriter(
+        {
+            "PARM": (32, "QNf", "TimeUS,Name,Value"),
+            "RCOU": (62, "QHHHH", "TimeUS,C1,C2,C3,C4"),
+            "IMU": (164, "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+            "XKF1": (80, "QBffffff", "TimeUS,C,VN,VE,VD,PN,PE,PD"),
+            "XKQ": (81, "QBffff", "TimeUS,C,Q1,Q2,Q3,Q4"),
+            "XKF4": (82, "QBb", "TimeUS,C,PI"),
+            "BAT": (83, "QBff", "TimeUS,Inst,Volt,Curr"),
+        }
+    )
+    settings = {"FRAME_CLASS": 1, "FRAME_TYPE": 1, "MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000}
+    for name, value in (settings | {f"SERVO{i}_FUNCTION": 32 + i for i in range(1, 5)}).items():
+        log.add("PARM", 0, name.encode(), float(value))
+    for k in range(100):
+        log.add("RCOU", 10_000 * k, *([1500] * 4))
+        log.add("IMU", 10_000 * k, 0, 0.1, 0.2, 0.3, 0.0, 0.0, -9.8)
+        for core in (0, 1):
+            log.add("XKF1", 10_000 * k, core, 0.0, 0.0, 0.0, 100.0 * (core == 0), 0.0, 0.0)
+            log.add("XKQ", 10_000 * k, core, 1.0, 0.0, 0.0, 0.0)
+            log.add("XKF4", 10_000 * k, core, int(k > 20))
+            log.add("BAT", 10_000 * k, core, 16.0 * core, 2.0)
+    (tmp_path / "a.bin").write_bytes(bytes(log.data))
+    recording = read_recording(tmp_path / "a.bin", QUAD)
+    assert np.all(recording.streams["state"].values[:, :3] == 0.0)
+    assert any(
+        "changed its primary core 1 times; core 1 is read, which it was for 79%" in note for note in recording.notes
+    )
+    assert np.all(recording.streams["battery"].values[:, 0] == 16.0)
+
+
+def test_the_battery_is_the_one_that_is_connected(tmp_path):
+    """PX4 logs each battery that it is set up for as an instance of battery_status."""
+    log = ULogWriter(
+        0,
+        {
+            "actuator_motors": "uint64_t timestamp;uint64_t timestamp_sample;float[12] control;",
+            "battery_status": "uint64_t timestamp;float voltage_v;float current_a;",
+            "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;uint32_t gyro_integral_dt;float[3] accelerometer_m_s2;",
+        },
+        {"sys_name": "PX4"},
+        [],
+    )
+    data = bytearray(log.data)
+    data += struct.pack("<HBBH14s", 17, ord("A"), 1, 9, b"battery_status")
+    for k in range(10):
+        now = 10_000 * k
+        data += struct.pack("<HBHQQ12f", 2 + 64, ord("D"), 0, now, now, *[0.5] * 4, *[np.nan] * 8)
+        data += struct.pack("<HBHQff", 2 + 16, ord("D"), 1, now, 0.0, 0.0)
+        data += struct.pack("<HBHQff", 2 + 16, ord("D"), 9, now, 15.5, 3.0)
+    (tmp_path / "a.ulg").write_bytes(bytes(data))
+    battery = read_recording(tmp_path / "a.ulg", QUAD).streams["battery"]
+    assert battery.values[0].tolist() == [15.5, 3.0]
