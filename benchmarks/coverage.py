@@ -1,7 +1,8 @@
-"""Do nominal 95 % intervals hold the truth in 95 of 100 flights? Counted over many short flights, each drawn as in the study.
+"""Do nominal 95 % intervals hold the truth in 95 of 100 flights? Counted over many short flights, each drawn as in the
+study.
 
-Run with ``make study`` or ``python -m benchmarks.coverage --flights N --seed S``; the output is kept in docs/study.md. Flights last 20 s
-at 250 Hz. A parameter that a flight does not reveal gets no interval; it is counted apart.
+Run with ``make study`` or ``python -m benchmarks.coverage --flights N --seed S``; the output is kept in docs/study.md.
+Flights last 20 s at 250 Hz. A parameter that a flight does not reveal gets no interval; it is counted apart.
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
-"""Three 1 kHz logs of a Crazyflie 2.1 identified together, and the body rate it predicts on a part that no fit has seen.
+"""Three 1 kHz logs of a Crazyflie 2.1 identified together, and the body rate it predicts on a part that no fit has
+seen.
 
-Run with ``python -m benchmarks.crazyflie DATA``, where DATA holds log10, log15 and log16 (© 2024 Jonas Eschmann, MIT); the output is
-kept in docs/crazyflie.md. Against: constant rate; the declared vehicle (pendulum and bench values of Foerster 2015); and the constants
-the logs' authors published (moments 1.03, 1.11 and 1.95e-5 kg m^2, one lag of 72 to 75 ms, accelerometer scaled by 9.18).
+Run with ``python -m benchmarks.crazyflie DATA``, where DATA holds log10, log15 and log16 (© 2024 Jonas Eschmann, MIT);
+the output is kept in docs/crazyflie.md. Against: constant rate; the declared vehicle (pendulum and bench values of
+Foerster 2015); and the constants the logs' authors published (moments 1.03, 1.11 and 1.95e-5 kg m^2, one lag of 72 to
+75 ms, accelerometer scaled by 9.18).
 """
 
 from __future__ import annotations

@@ -1,10 +1,12 @@
-"""Every wrong declaration, on flights with a plan and without: found by a check or refused on reading, and false alarms.
+"""Every wrong declaration, on flights with a plan and without: found by a check or refused on reading, and false
+alarms.
 
     python -m benchmarks.declarations [--seeds 12] [--first 900]
 
-Flights are drawn as in the study (vehicles of 30 g to 3 kg, gentle and fast, with disturbance, noise, latency and clock offsets); half
-of them without plan, setpoint and known window, their rotor speeds 100 Hz and filtered as slow telemetry is. Each right flight is
-checked once, and once with each wrong declaration, which is found where reading refuses it or a check contradicts or doubts it.
+Flights are drawn as in the study (vehicles of 30 g to 3 kg, gentle and fast, with disturbance, noise, latency and clock
+offsets); half of them without plan, setpoint and known window, their rotor speeds 100 Hz and filtered as slow telemetry
+is. Each right flight is checked once, and once with each wrong declaration, which is found where reading refuses it or
+a check contradicts or doubts it.
 """
 
 from __future__ import annotations
@@ -49,12 +51,26 @@ def main() -> None:
     for name in WRONG:
         print(f"| {name} | " + " | ".join(f"{tally[kind][name][0]} of {tally[kind][name][1]}" for kind in tally) + " |")
     print(
-        f"found {total[0]} of {total[1]} ({total[0] / total[1]:.1%}); false alarms {len(alarms)} of {checked}; seeds {seeds}"
+        f"found {total[0]} of {total[1]} ({total[0] / total[1]:.1%}); false alarms {len(alarms)} of {checked}; seeds "
+        f"{seeds}"
     )
     print("\n".join(alarms))
     OUT.parent.mkdir(parents=True, exist_ok=True)
-    OUT.write_text(json.dumps({"schema": "groundstation.benchmark.declarations/1", "seeds": seeds, "found": total[0], "wrong": total[1],
-                               "false_alarms": alarms, "right": checked, "by": tally}, indent=1) + "\n")  # fmt: skip
+    OUT.write_text(
+        json.dumps(
+            {
+                "schema": "groundstation.benchmark.declarations/1",
+                "seeds": seeds,
+                "found": total[0],
+                "wrong": total[1],
+                "false_alarms": alarms,
+                "right": checked,
+                "by": tally,
+            },
+            indent=1,
+        )
+        + "\n"
+    )
 
 
 if __name__ == "__main__":

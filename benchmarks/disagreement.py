@@ -112,7 +112,9 @@ def solve(regression: Regression) -> tuple[np.ndarray, np.ndarray]:
 
 
 def measure(case: Case, seed: int) -> np.ndarray:
-    """LS over truth, FMLS over truth, LS over FMLS (Ixx, Iyy, Izz each), LS mass over FMLS mass, LS residual of tau_x."""
+    """LS over truth, FMLS over truth, LS over FMLS (Ixx, Iyy, Izz each), LS mass over FMLS mass, LS residual of
+    tau_x.
+    """
     flight = fly(case, seed)
     pair: dict[str, Any] = {"seed": seed_pair, "matched": matched_pair}
     make = pair[case.pair]

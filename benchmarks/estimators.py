@@ -1,6 +1,8 @@
-"""The four estimators on 50 s at 500 Hz against the same sums in a per-sample Python loop, and the whole of ``identify``.
+"""The four estimators on 50 s at 500 Hz against the same sums in a per-sample Python loop, and the whole of
+``identify``.
 
-Run with ``OMP_NUM_THREADS=1 python -m benchmarks.estimators`` for one core; medians of the processor time of several runs in one process, warm, and what the first took.
+Run with ``OMP_NUM_THREADS=1 python -m benchmarks.estimators`` for one core; medians of the processor time of several
+runs in one process, warm, and what the first took.
 """
 
 from __future__ import annotations
@@ -39,7 +41,8 @@ def main() -> None:
         first = seconds(whole)
         warm = statistics.median(seconds(whole) for _ in range(RUNS))
         print(
-            f"  {excitation_s:.0f} s of excitation    {warm:6.2f} s   (median of {RUNS}; first {first:.2f} s; budget {budget_s:.0f} s)"
+            f"  {excitation_s:.0f} s of excitation    {warm:6.2f} s   (median of {RUNS}; first {first:.2f} s; budget "
+            f"{budget_s:.0f} s)"
         )
     gamma, upsilon, t = problem()
     used = np.ones(len(t), bool)

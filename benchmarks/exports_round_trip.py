@@ -1,10 +1,12 @@
-"""Identify, export, fly in the other simulator, record as a bundle, identify again. `python -m benchmarks.exports_round_trip`
+"""Identify, export, fly in the other simulator, record as a bundle, identify again. `python -m
+benchmarks.exports_round_trip`
 
-The first flight is our simulator's (scenario lab): a QBall 2, and for crazyflow, which knows an X of equal arms, an x500. Its model is exported and
-flown in RotorPy, MuJoCo, Bullet and crazyflow, by RotorPy's SE3 controller, with sensor noise and a coloured disturbance. The second identification
-starts from the declared vehicle, as the first did. What flies there is the exported point estimate, so the second interval has to hold it; z is the
-difference in its standard deviations. crazyflow runs in an environment of its own (`--only crazyflow`, SCIPY_ARRAY_API=1); firmware that
-simulates by itself is `benchmarks.round_trip_firmware`'s.
+The first flight is our simulator's (scenario lab): a QBall 2, and for crazyflow, which knows an X of equal arms, an
+x500. Its model is exported and flown in RotorPy, MuJoCo, Bullet and crazyflow, by RotorPy's SE3 controller, with sensor
+noise and a coloured disturbance. The second identification starts from the declared vehicle, as the first did. What
+flies there is the exported point estimate, so the second interval has to hold it; z is the difference in its standard
+deviations. crazyflow runs in an environment of its own (`--only crazyflow`, SCIPY_ARRAY_API=1); firmware that simulates
+by itself is `benchmarks.round_trip_firmware`'s.
 """
 
 from __future__ import annotations
@@ -309,7 +311,8 @@ def main() -> int:
         )
         for parameter, row in told["parameters"].items():
             print(
-                f"  {parameter:<10} exported {row['exported']:.6g}  again {row['again']:.6g} ± {1.96 * row['std']:.2g}  z {row['z']:+.2f}"
+                f"  {parameter:<10} exported {row['exported']:.6g}  again {row['again']:.6g} ± {1.96 * row['std']:.2g} "
+                f" z {row['z']:+.2f}"
             )
         RESULTS.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     return 0 if all(each["agrees"] for each in document["readers"].values()) else 1

@@ -1,4 +1,7 @@
-"""The table of round trips in docs/exports.md, made from docs/results/exports_round_trip.json. `python -m benchmarks.exports_round_trip_table`"""
+"""The table of round trips in docs/exports.md, made from docs/results/exports_round_trip.json.
+
+`python -m benchmarks.exports_round_trip_table`
+"""
 
 from __future__ import annotations
 
@@ -17,14 +20,16 @@ CERTAIN = 2.7
 """Largest of seven standard normal numbers, exceeded by chance in 5 % of runs."""
 FORMATS = {
     "rotorpy": "rotorpy", "mujoco": "mjcf", "pybullet": "pybullet", "crazyflow": "crazyflow", "px4": "px4-sih",
-    "arducopter": "ardupilot-sitl",
+    "arducopter": "ardupilot-sitl", "arducopter, little yaw": "ardupilot-sitl",
 }  # fmt: skip
 """Format by reader."""
 
 
 def reader(name: str, told: Mapping[str, Any]) -> str:
     """A reader with its version."""
-    return str(told["version"]) if " " in str(told["version"]) else f"{name} {told['version']}"
+    version, variant = str(told["version"]), name.partition(", ")[2]
+    shown = version if " " in version else f"{name} {version}"
+    return f"{shown}, {variant}" if variant else shown
 
 
 def tables(results: Mapping[str, Any]) -> str:
@@ -35,7 +40,8 @@ def tables(results: Mapping[str, Any]) -> str:
         "| --- | --- | --- | --- | --- | --- |",
     ]
     lines += [
-        f"| `{FORMATS[name]}` | {reader(name, told)} | {told.get('flown', '20 s of excitation')} | {told.get('lacks', '–')} | "
+        f"| `{FORMATS[name]}` | {reader(name, told)} | {told.get('flown', '20 s of excitation')} | "
+        f"{told.get('lacks', '–')} | "
         f"{told['worst_z']:.2f} | {'agrees' if told['agrees'] else 'differs'} |"
         for name, told in readers.items()
     ]

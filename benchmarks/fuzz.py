@@ -5,8 +5,9 @@ python -m benchmarks.fuzz --count 1000000    # about 40 minutes of one core
 python -m benchmarks.fuzz --minutes 60       # as many as fit
 python -m benchmarks.fuzz --replay plan:17   # one input again, with its traceback
 
-Seeds lie in tests/corpus, one folder a reader. Input k of a reader is a function of (seed, reader, k) alone. Inputs run in
-child processes, one for up to two thousand inputs, that the system holds to 1 GB and that end themselves where one input takes 20 s.
+Seeds lie in tests/corpus, one folder a reader. Input k of a reader is a function of (seed, reader, k) alone. Inputs run
+in child processes, one for up to two thousand inputs, that the system holds to 1 GB and that end themselves where one
+input takes 20 s.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@
     python -m benchmarks.golden --freeze       run all and write the file anew, with the commit and the machine
 
 A move of code keeps every number. A change of behaviour changes some: freeze anew and say in the commit which and why.
-Numbers are equal bit by bit where libraries and processor are those of the file; on other machines findings are, and identified values within
-``ELSEWHERE`` of their standard deviations.
+Numbers are equal bit by bit where libraries and processor are those of the file; on other machines findings are, and
+identified values within ``ELSEWHERE`` of their standard deviations.
 Sentences are not compared, only numbers, names, verdicts and what was found.
 """
 
@@ -29,9 +29,8 @@ def main() -> int:
         return 0
     golden = frozen()
     same = environment() == golden["environment"]
-    print(
-        f"golden results of {golden['commit']}, seed {SEED}; {'bit by bit' if same else f'another machine: what was found, and estimates within {ELSEWHERE:g} standard deviations'}"
-    )
+    elsewhere = f"another machine: what was found, and estimates within {ELSEWHERE:g} standard deviations"
+    print(f"golden results of {golden['commit']}, seed {SEED}; {'bit by bit' if same else elsewhere}")
     failed = 0
     for case in SHORT if options.short else (*SHORT, *LONG):
         start = time.process_time()
@@ -42,7 +41,8 @@ def main() -> int:
             continue
         failed += bool(found)
         print(
-            f"{case.__name__:<24} {'equal' if not found else f'{len(found)} differ'}  {time.process_time() - start:.1f} s of CPU",
+            f"{case.__name__:<24} {'equal' if not found else f'{len(found)} differ'}  "
+            f"{time.process_time() - start:.1f} s of CPU",
             flush=True,
         )
         for line in found[:20]:

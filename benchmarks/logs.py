@@ -1,8 +1,8 @@
 """Speed and memory of the log readers: a long log, and our decoders against the libraries that others keep.
 
-``python -m benchmarks.logs [--minutes 30] [--formats NAME ...] [--out]``; ``make bench`` prints it. Ratios are of the same run. The limit of
-memory is six times the samples that are used, as doubles, beside the base: the peak of a process that reads six seconds of the same
-format, so Python, NumPy, SciPy and numba.
+``python -m benchmarks.logs [--minutes 30] [--formats NAME ...] [--out]``; ``make bench`` prints it. Ratios are of the
+same run. The limit of memory is six times the samples that are used, as doubles, beside the base: the peak of a process
+that reads six seconds of the same format, so Python, NumPy, SciPy and numba.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ def against_libraries(ulog: Path) -> None:
     ULog(str(ulog))
     theirs = time.monotonic() - begun
     print(
-        f"ULog of {ulog.stat().st_size / 1e6:.0f} MB, every column: ours {ours:.2f} s, pyulog {theirs:.2f} s, {theirs / ours:.1f} times"
+        f"ULog of {ulog.stat().st_size / 1e6:.0f} MB, every column: ours {ours:.2f} s, pyulog {theirs:.2f} s, "
+        f"{theirs / ours:.1f} times"
     )
 
 

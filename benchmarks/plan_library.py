@@ -1,7 +1,8 @@
 """Makes ``configs/library/plans.json``, the solved rooms that ``groundstation plan`` starts from.
 
-Rooms, vehicles and base frequencies are drawn at random (their seed is in the file); each is solved from several random starts
-and the best is kept, in units of g and its base frequency. No room that a benchmark or a test plans for is put in by hand.
+Rooms, vehicles and base frequencies are drawn at random (their seed is in the file); each is solved from several random
+starts and the best is kept, in units of g and its base frequency. No room that a benchmark or a test plans for is put
+in by hand.
 
 Run with ``python -m benchmarks.plan_library --rooms N --starts K``.
 """

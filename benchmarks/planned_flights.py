@@ -1,8 +1,8 @@
 """Does a planned trajectory do what was predicted? Flies the published and a planned trajectory many times each.
 
-The vehicle, the room, the tilt and the 40 s are the same; the base frequency is free for the planned one. Each flight has
-its own disturbance (the planner's default: 0.3 % of weight, of weight times arm, 0.5 s) and gyro noise; least squares
-identifies it, and the scatter of its estimates over the flights is set beside the prediction.
+The vehicle, the room, the tilt and the 40 s are the same; the base frequency is free for the planned one. Each flight
+has its own disturbance (the planner's default: 0.3 % of weight, of weight times arm, 0.5 s) and gyro noise; least
+squares identifies it, and the scatter of its estimates over the flights is set beside the prediction.
 
 Run with ``python -m benchmarks.planned_flights``; the output is kept in docs/planning.md.
 """

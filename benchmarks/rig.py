@@ -1,4 +1,6 @@
-"""One flight of real processes with the relay between autopilot and station: for the fault table and the hostile frames."""
+"""One flight of real processes with the relay between autopilot and station: for the fault table and the hostile
+frames.
+"""
 
 from __future__ import annotations
 

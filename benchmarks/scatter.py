@@ -1,7 +1,8 @@
-"""How near to the Cramer-Rao bound do estimates scatter? The same flight many times, each with its own noise and disturbance.
+"""How near to the Cramer-Rao bound do estimates scatter? The same flight many times, each with its own noise and
+disturbance.
 
-The reference scenario: the published trajectory of Table 2 for 40 s in the ``lab`` scenario. The bound is the one each flight states:
-the information of its planned motion under its own coloured disturbance.
+The reference scenario: the published trajectory of Table 2 for 40 s in the ``lab`` scenario. The bound is the one each
+flight states: the information of its planned motion under its own coloured disturbance.
 
 Run with ``make study`` or ``python -m benchmarks.scatter --flights N --seed S``; the output is kept in docs/study.md.
 """

@@ -1,4 +1,6 @@
-"""Every sentence a finding may say, with typical values of either sign: `python -m benchmarks.sentences` writes docs/sentences.md."""
+"""Every sentence a finding may say, with typical values of either sign: `python -m benchmarks.sentences` writes
+docs/sentences.md.
+"""
 
 from __future__ import annotations
 

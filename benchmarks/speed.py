@@ -4,8 +4,9 @@
     python -m benchmarks.speed SECTION --before         keep what is measured as the "before" of the section
     python -m benchmarks.speed --table                  write the table anew from the file
 
-A section is a module ``benchmarks.speed_NAME`` with ``TITLE``, ``ABOUT`` (what is measured, and what each tool computes) and
-``measure() -> list[Row]``. Ratios are of one run on one machine; the load that stood beside it is in the file.
+A section is a module ``benchmarks.speed_NAME`` with ``TITLE``, ``ABOUT`` (what is measured, and what each tool
+computes) and ``measure() -> list[Row]``. Ratios are of one run on one machine; the load that stood beside it is in the
+file.
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ def circumstances() -> dict[str, Any]:
     return {
         "date": time.strftime("%Y-%m-%d"),
         "commit": commit,
-        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
+        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python "
+        f"{platform.python_version()}",
         "load": round(os.getloadavg()[0], 1),
     }
 
@@ -107,7 +109,8 @@ def table(document: Mapping[str, Any]) -> str:
     head = [
         "# Speed",
         "",
-        "Written by `python -m benchmarks.speed` from `docs/results/speed.json`. Times differ from machine to machine and with its load;",
+        "Written by `python -m benchmarks.speed` from `docs/results/speed.json`. Times differ from machine to machine "
+        "and with its load;",
         "ratios of one run are the point.",
         "",
     ]

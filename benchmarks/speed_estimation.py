@@ -1,4 +1,5 @@
-"""Section of ``benchmarks.speed``: processor time and memory of ``identify`` and ``diagnose`` over the length of a flight.
+"""Section of ``benchmarks.speed``: processor time and memory of ``identify`` and ``diagnose`` over the length of a
+flight.
 
     python -m benchmarks.speed_estimation TASK LENGTH_S RATE_HZ [RUNS]     one measurement, as JSON
 
@@ -40,9 +41,12 @@ TITLE = "Identification and diagnosis"
 SEED = 2001
 """Of the study: rotors by command, so lag and delay are free, which is the slower case."""
 ABOUT = (
-    f"Study flight {SEED} (`python -m benchmarks.study`), flown for as long as stated at 500 Hz: mass, six inertias, lag and dead time free. "
-    "Processor time of one core, of the second and later calls in a process (warm) or of the whole process with its imports (cold). "
-    "*identify* is all methods with intervals; *with prediction* adds the choice and fit of the prediction model; *diagnose* goes from the "
+    f"Study flight {SEED} (`python -m benchmarks.study`), flown for as long as stated at 500 Hz: mass, six inertias, "
+    "lag and dead time free. "
+    "Processor time of one core, of the second and later calls in a process (warm) or of the whole process with its "
+    "imports (cold). "
+    "*identify* is all methods with intervals; *with prediction* adds the choice and fit of the prediction model; "
+    "*diagnose* goes from the "
     "streams to findings and forecasts. The yardstick is a plain least-squares loop over 10 s in the same process."
 )
 PLAN_S = 40.0

@@ -1,8 +1,9 @@
 """How good are the estimates over many different vehicles, plans and laboratories? One simulated flight of each.
 
-Every flight draws its own vehicle (30 g to 3 kg, declared wrongly), plan (gentle: tilt up to 5.73 degrees; fast: three times
-that), rotor lag (20 to 100 ms, declared as none), motion capture (30, 120 or 240 Hz), clock offset (up to 50 ms) and coloured
-force and torque disturbance (0.1 to 0.5 % of weight and of weight times arm). The estimator is told none of it.
+Every flight draws its own vehicle (30 g to 3 kg, declared wrongly), plan (gentle: tilt up to 5.73 degrees; fast: three
+times that), rotor lag (20 to 100 ms, declared as none), motion capture (30, 120 or 240 Hz), clock offset (up to 50 ms)
+and coloured force and torque disturbance (0.1 to 0.5 % of weight and of weight times arm). The estimator is told none
+of it.
 
 Run with ``make study`` or ``python -m benchmarks.study --flights N --seed S``; the output is kept in docs/study.md.
 """

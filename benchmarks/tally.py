@@ -1,6 +1,7 @@
 """Outcomes of blind flights counted: shares with Wilson's bounds, confusion, detection limits, bias of the parameters.
 
-``python -m benchmarks.tally ROWS [ROWS ...]`` prints one table over the rows that several runs of ``benchmarks.blind --rows`` kept.
+``python -m benchmarks.tally ROWS [ROWS ...]`` prints one table over the rows that several runs of ``benchmarks.blind
+--rows`` kept.
 """
 
 from __future__ import annotations

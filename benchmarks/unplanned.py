@@ -2,10 +2,11 @@
 
     python -m benchmarks.unplanned [--vehicles 20] [--first 3000] [--out docs/results/unplanned.json]
 
-Each seed draws a vehicle of 30 g to 3 kg, declared wrongly, and two flights of it: a pilot's wandering, waypoints flown by minimum-jerk
-legs, or circles and figures of eight. The recordings hold neither plan nor setpoints nor a known window, 100 Hz each, rotor speeds behind
-a filter (5 to 30 ms) and late (0 to 20 ms) by what no stamp says. Air resists turning and moving, each effect with a chance of a half.
-The air is told from the first flight and from both; the first flight is identified, and the model file's own choice predicts the second one, which nothing has seen.
+Each seed draws a vehicle of 30 g to 3 kg, declared wrongly, and two flights of it: a pilot's wandering, waypoints flown
+by minimum-jerk legs, or circles and figures of eight. The recordings hold neither plan nor setpoints nor a known
+window, 100 Hz each, rotor speeds behind a filter (5 to 30 ms) and late (0 to 20 ms) by what no stamp says. Air resists
+turning and moving, each effect with a chance of a half. The air is told from the first flight and from both; the first
+flight is identified, and the model file's own choice predicts the second one, which nothing has seen.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """How visible is what was hidden? Expected t and share of the wrench, from a joint estimate that is told all of it.
 
-An invented field of the room is told by the simulator's own formula; thrust with memory has no formula of a wrench and counts as visible.
+An invented field of the room is told by the simulator's own formula; thrust with memory has no formula of a wrench and
+counts as visible.
 """
 
 from __future__ import annotations
@@ -72,7 +73,9 @@ def _told(name: str, table: Table, evidence: Evidence) -> Candidate:
 
 
 def _field(name: str, table: Table) -> Effect:
-    """An invented field of the room by the simulator's own formula, at the poses that were measured; its one parameter is one."""
+    """An invented field of the room by the simulator's own formula, at the poses that were measured; its one parameter
+    is one.
+    """
     scenario = scenario_from_dict({"name": name, "effects": {name: table}})
 
     def wrench(signals: Signals, vehicle: Vehicle, settings: Mapping[str, float]) -> np.ndarray:

@@ -1,7 +1,9 @@
-"""A worn vehicle, flown over seeds, moments of take-off and both shipped plans: is the right rotor named first, and how surely?
+"""A worn vehicle, flown over seeds, moments of take-off and both shipped plans: is the right rotor named first, and how
+surely?
 
-``configs/scenarios/worn.toml`` hides a rotor that loses 6 % beside an offset of the centre of mass. Every flight draws its
-seed of noise and how long the vehicle stands before it climbs. Kept in docs/results/worn.json; run with ``python -m benchmarks.worn``.
+``configs/scenarios/worn.toml`` hides a rotor that loses 6 % beside an offset of the centre of mass. Every flight draws
+its seed of noise and how long the vehicle stands before it climbs. Kept in docs/results/worn.json; run with ``python -m
+benchmarks.worn``.
 """
 
 from __future__ import annotations

@@ -89,7 +89,8 @@ def resampled(at_s: ArrayLike, stamps_s: Array, values: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class OnlineClock:
-    """Motion-capture stamp minus IMU stamp of one instant, as the link knew it in flight by stamps, echoes and TIMESYNC.
+    """Motion-capture stamp minus IMU stamp of one instant, as the link knew it in flight by stamps, echoes and
+    TIMESYNC.
 
     Attributes:
         t_s: on the IMU's clock, (k,).

@@ -84,7 +84,8 @@ def quat_log(quaternion: ArrayLike) -> Array:
 
 
 def slerp(at_s: ArrayLike, stamps_s: ArrayLike, quaternion: ArrayLike) -> Array:
-    """Unit quaternions (n, 4) at other times, along the great circle between neighbours, held at the ends, shape (k, 4).
+    """Unit quaternions (n, 4) at other times, along the great circle between neighbours, held at the ends, shape (k,
+    4).
 
     Signs are continuous.
     """

@@ -42,7 +42,9 @@ from sim.scenario import Scenario, true_vehicle
 
 Array = NDArray[np.float64]
 Samples = tuple[Array, Array, Array]
-"""Stamps on the device's clock (k,), arrivals on the host's clock (k,), values in the columns of a flight bundle (k, c)."""
+"""Stamps on the device's clock (k,), arrivals on the host's clock (k,), values in the columns of a flight bundle (k,
+c).
+"""
 
 SetpointSource = Callable[[Array], Array]
 """Setpoint rows, shape (k, 11), at true times; see :data:`sim.autopilot.SETPOINT_SIZE`."""
@@ -210,8 +212,8 @@ class Simulation:
 
         Args:
             steps: of 1 ms.
-            motors: in the units of the vehicle's ``rotors.input`` (newton per rotor for a wrench vehicle), shape (n,) or one
-                row per control tick.
+            motors: in the units of the vehicle's ``rotors.input`` (newton per rotor for a wrench vehicle), shape (n,)
+                or one row per control tick.
             setpoints: what that autopilot follows, for the record, shape (ticks, 11).
         """
         ticks = len(self.control_ticks(steps))

@@ -1,6 +1,8 @@
-"""Do nominal 95 % intervals hold the truth in 95 of 100 flights? Counted over many short flights, each drawn as in the study.
+"""Do nominal 95 % intervals hold the truth in 95 of 100 flights? Counted over many short flights, each drawn as in the
+study.
 
-Flights last 20 s at 250 Hz. A parameter that a flight does not reveal gets no interval; it is counted apart (``benchmarks.coverage``).
+Flights last 20 s at 250 Hz. A parameter that a flight does not reveal gets no interval; it is counted apart
+(``benchmarks.coverage``).
 """
 
 from __future__ import annotations
@@ -53,7 +55,8 @@ def table(scores: Iterable[Score]) -> str:
     """Markdown: per parameter how often the interval held the truth, with Wilson's bounds."""
     scores = list(scores)
     lines = [
-        "| parameter | numbers given | no number | inside the 95 % interval | Wilson bounds | RMS error over std | mean |",
+        "| parameter | numbers given | no number | inside the 95 % interval | Wilson bounds | RMS error over std | "
+        "mean |",
         "|---|---|---|---|---|---|---|",
     ]
     for name in (*MASS_AND_TENSOR, "mocap_minus_imu_s"):

@@ -1,7 +1,8 @@
-"""Three 1 kHz logs of a Crazyflie 2.1, what their authors published, and the body rate that a model predicts (``benchmarks.crazyflie``).
+"""Three 1 kHz logs of a Crazyflie 2.1, what their authors published, and the body rate that a model predicts
+(``benchmarks.crazyflie``).
 
-Against: constant rate; the declared vehicle (pendulum and bench values of Foerster 2015); and the constants the logs' authors
-published (moments 1.03, 1.11 and 1.95e-5 kg m^2, one lag of 72 to 75 ms, accelerometer scaled by 9.18).
+Against: constant rate; the declared vehicle (pendulum and bench values of Foerster 2015); and the constants the logs'
+authors published (moments 1.03, 1.11 and 1.95e-5 kg m^2, one lag of 72 to 75 ms, accelerometer scaled by 9.18).
 """
 
 from __future__ import annotations
@@ -59,10 +60,11 @@ def table(model: dict[str, VehicleModel], flight: FlightData) -> str:
 
 
 def lateral_force(flight: FlightData) -> str:
-    """How much of the torque that a fit leaves goes with the lateral force the accelerometer felt, and at what height that acts.
+    """How much of the torque that a fit leaves goes with the lateral force the accelerometer felt, and at what height
+    that acts.
 
-    Torque from differences of the rate residual over WINDOW_S, by least squares on a constant and the mean force of the same window; a
-    force F at height h above the centre of mass makes the torque (-h F_y, h F_x).
+    Torque from differences of the rate residual over WINDOW_S, by least squares on a constant and the mean force of the
+    same window; a force F at height h above the centre of mass makes the torque (-h F_y, h F_x).
     """
     fitted = fit_dynamics([prepare(flight)])
     model, best = fitted.models[0], fitted.best.parameters

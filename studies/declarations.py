@@ -1,6 +1,8 @@
-"""Wrong declarations on drawn flights, with a plan and without, and what the checks say of them (``benchmarks.declarations``).
+"""Wrong declarations on drawn flights, with a plan and without, and what the checks say of them
+(``benchmarks.declarations``).
 
-Flights are drawn as in the study (vehicles of 30 g to 3 kg, gentle and fast, with disturbance, noise, latency and clock offsets).
+Flights are drawn as in the study (vehicles of 30 g to 3 kg, gentle and fast, with disturbance, noise, latency and clock
+offsets).
 """
 
 from __future__ import annotations
@@ -89,7 +91,9 @@ def state_velocity(flight: FlightData, random: np.random.Generator) -> FlightDat
 WRONG: dict[str, Change] = {
     "rotors in another order": swapped_rotors,
     "spins the other way": lambda f, r: _rotors(f, spin=tuple(-s for s in f.vehicle.rotors.spin)),
-    "spins side by side": lambda f, r: _rotors(f, spin=(1, -1, 1, -1) if f.vehicle.rotors.spin != (1, -1, 1, -1) else (1, 1, -1, -1)),
+    "spins side by side": lambda f, r: _rotors(
+        f, spin=(1, -1, 1, -1) if f.vehicle.rotors.spin != (1, -1, 1, -1) else (1, 1, -1, -1)
+    ),
     "quaternion x y z w": lambda f, r: _pose(f, None, lambda q: q[:, [1, 2, 3, 0]]),
     "quaternion world to body": lambda f, r: _pose(f, None, quat_conjugate),
     "pose in NED and FRD": lambda f, r: _pose(f, FLIP, lambda q: q * np.array([1.0, 1.0, -1.0, -1.0])),
@@ -112,12 +116,16 @@ WRONG: dict[str, Change] = {
     "time in nanoseconds": lambda f, r: _times(f, 1e9),
     "mass 2.5 times too large": lambda f, r: _mass(f, 2.5),
     "mass 0.4 of the right one": lambda f, r: _mass(f, 0.4),
-    "thrust constant 1.3 times": lambda f, r: _rotors(f, thrust_coefficient_n_s2=1.3 * f.vehicle.rotors.thrust_coefficient_n_s2),
-}  # fmt: skip
+    "thrust constant 1.3 times": lambda f, r: _rotors(
+        f, thrust_coefficient_n_s2=1.3 * f.vehicle.rotors.thrust_coefficient_n_s2
+    ),
+}
 
 
 def unplanned(flight: FlightData) -> FlightData:
-    """The same flight as anyone records it: no plan, no setpoints, no known window, rotor speeds at 100 Hz behind a 20 ms filter."""
+    """The same flight as anyone records it: no plan, no setpoints, no known window, rotor speeds at 100 Hz behind a 20
+    ms filter.
+    """
     from scipy.signal import lfilter
 
     motors = flight.motors

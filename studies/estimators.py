@@ -1,4 +1,6 @@
-"""A regression of 50 s at 500 Hz, and the seed's estimators as a Python loop over its samples (``benchmarks.estimators``)."""
+"""A regression of 50 s at 500 Hz, and the seed's estimators as a Python loop over its samples
+(``benchmarks.estimators``).
+"""
 
 from __future__ import annotations
 

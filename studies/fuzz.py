@@ -1,8 +1,9 @@
-"""Mutated inputs over every reader of files from outside: none may crash, hang over 20 s, or take more than 1 GB (``benchmarks.fuzz``).
+"""Mutated inputs over every reader of files from outside: none may crash, hang over 20 s, or take more than 1 GB
+(``benchmarks.fuzz``).
 
-Seeds lie in tests/corpus, one folder a reader. Input k of a reader is a function of (seed, reader, k) alone. Inputs run in
-child processes, one for up to two thousand inputs, that the system holds to 1 GB and that end themselves where one input takes
-20 s.
+Seeds lie in tests/corpus, one folder a reader. Input k of a reader is a function of (seed, reader, k) alone. Inputs run
+in child processes, one for up to two thousand inputs, that the system holds to 1 GB and that end themselves where one
+input takes 20 s.
 """
 
 from __future__ import annotations
@@ -143,7 +144,9 @@ def run_block(reader: str, first: int, last: int, seed: int) -> tuple[dict[str, 
 
 
 def warm(reader: str) -> None:
-    """Read the sound inputs once, so that the children find all modules imported; not of those whose libraries start threads."""
+    """Read the sound inputs once, so that the children find all modules imported; not of those whose libraries start
+    threads.
+    """
     if reader not in _THREADED:
         for index in range(len(seeds := seeds_of(reader))):
             place = Path(tempfile.mkdtemp(prefix="fuzz-"))

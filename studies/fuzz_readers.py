@@ -211,7 +211,9 @@ def _batch(path: Path) -> object:
 
 
 def _mocap(path: Path) -> object:
-    """What a motion-capture server sends: a byte that names the system, then messages with their lengths, one datagram each."""
+    """What a motion-capture server sends: a byte that names the system, then messages with their lengths, one datagram
+    each.
+    """
     import struct
 
     from drivers.mocap.readings import Frame

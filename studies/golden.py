@@ -1,8 +1,10 @@
-"""Golden results: what identify, diagnose, predict and plan gave on fixed flights, to the last bit (``benchmarks.golden``).
+"""Golden results: what identify, diagnose, predict and plan gave on fixed flights, to the last bit
+(``benchmarks.golden``).
 
 A move of code keeps every number. A change of behaviour changes some: freeze anew and say in the commit which and why.
-Numbers are equal bit by bit where libraries and processor are those of the file; on other machines findings are, and identified
-values within ``ELSEWHERE`` of their standard deviations. Sentences are not compared, only numbers, names, verdicts and what was found.
+Numbers are equal bit by bit where libraries and processor are those of the file; on other machines findings are, and
+identified values within ``ELSEWHERE`` of their standard deviations. Sentences are not compared, only numbers, names,
+verdicts and what was found.
 """
 
 from __future__ import annotations
@@ -46,10 +48,11 @@ SEED = 20261129
 ELSEWHERE = 0.5
 """Share of its standard deviation by which an identified value may move on another processor.
 
-Where sums round otherwise, a fit stops at another point within its tolerance, the search for a plan ends in another optimum, and of
-two explanations of a lag that suit equally well the other one may win: on 15 s of PX4's log the sizes of findings moved by up to five
-standard deviations when the linear algebra's kernel was changed. So elsewhere only what was found and what was identified has to
-agree; every number is compared, bit by bit, on a machine like the one that froze them.
+Where sums round otherwise, a fit stops at another point within its tolerance, the search for a plan ends in another
+optimum, and of two explanations of a lag that suit equally well the other one may win: on 15 s of PX4's log the sizes
+of findings moved by up to five standard deviations when the linear algebra's kernel was changed. So elsewhere only what
+was found and what was identified has to agree; every number is compared, bit by bit, on a machine like the one that
+froze them.
 """
 
 PROSE = frozenset(
@@ -217,7 +220,9 @@ def plain(value: Any, key: str = "") -> Any:
 
 
 def differences(was: Any, now: Any, path: str = "", *, exactly: bool = True) -> Iterator[str]:
-    """Where two results differ: any number of another bit pattern; or, unless ``exactly``, identified values by ``ELSEWHERE``."""
+    """Where two results differ: any number of another bit pattern; or, unless ``exactly``, identified values by
+    ``ELSEWHERE``.
+    """
     if isinstance(was, Mapping) and isinstance(now, Mapping):
         if set(was) != set(now):
             yield f"{path}: gone {sorted(set(was) - set(now))}, new {sorted(set(now) - set(was))}"

@@ -24,7 +24,10 @@ def measured(path: Path, everything: bool) -> dict[str, float]:
 
 
 def peak_mb() -> float:
-    """The most memory this process has held so far. A child of a large process inherits that one's ``ru_maxrss``, so Linux's own count."""
+    """The most memory this process has held so far.
+
+    A child of a large process inherits that one's ``ru_maxrss``, so Linux's own count.
+    """
     status = Path("/proc/self/status")
     if status.exists():
         return int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024.0

@@ -44,7 +44,8 @@ def write_ulog(path: Path, minutes: float) -> None:
     from sim.mavlink.ulog import ULogWriter
 
     formats = {
-        "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;uint32_t gyro_integral_dt;float[3] accelerometer_m_s2;",
+        "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;uint32_t gyro_integral_dt;float[3] "
+        "accelerometer_m_s2;",
         "actuator_motors": "uint64_t timestamp;uint64_t timestamp_sample;float[12] control;",
         "vehicle_attitude": "uint64_t timestamp;uint64_t timestamp_sample;float[4] q;",
     }

@@ -1,4 +1,6 @@
-"""Every sentence a finding may say, with typical values of either sign (``benchmarks.sentences`` writes docs/sentences.md)."""
+"""Every sentence a finding may say, with typical values of either sign (``benchmarks.sentences`` writes
+docs/sentences.md).
+"""
 
 from __future__ import annotations
 
@@ -17,14 +19,17 @@ from groundstation.vehicle import load_vehicle
 PAGE = Path(__file__).resolve().parents[1] / "docs/sentences.md"
 HEAD = """# What findings say
 
-Made by `python -m benchmarks.sentences` from the templates beside the effects (`groundstation/diagnosis/effects/`), with a typical value of
-either sign where a parameter can have both. A test holds this page to the templates. How places are filled: `groundstation/diagnosis/sentences.py`.
+Made by `python -m benchmarks.sentences` from the templates beside the effects (`groundstation/diagnosis/effects/`), \
+with a typical value of
+either sign where a parameter can have both. A test holds this page to the templates. How places are filled: \
+`groundstation/diagnosis/sentences.py`.
 """
 VEHICLE = load_vehicle(find_config("vehicles", "qball2"))
 SIGNALS = cast("Any", SimpleNamespace(t_s=np.linspace(0.0, 60.0, 601)))
 """All that the variants of effects ask of a flight."""
 TYPICAL = 0.1
-"""Of a parameter's prior standard deviation; what is estimated without a prior takes four times the least that matters."""
+"""Of a parameter's prior standard deviation; what is estimated without a prior takes four times the least that matters.
+"""
 
 
 def sentences() -> dict[str, list[str]]:

@@ -1,8 +1,10 @@
-"""Drawn vehicles, plans and laboratories, one simulated flight of each, and how good its estimates are (``benchmarks.study``).
+"""Drawn vehicles, plans and laboratories, one simulated flight of each, and how good its estimates are
+(``benchmarks.study``).
 
-Every flight draws its own vehicle (30 g to 3 kg, declared wrongly), plan (gentle: tilt up to 5.73 degrees; fast: three times
-that), rotor lag (20 to 100 ms, declared as none), motion capture (30, 120 or 240 Hz), clock offset (up to 50 ms) and coloured
-force and torque disturbance (0.1 to 0.5 % of weight and of weight times arm). The estimator is told none of it.
+Every flight draws its own vehicle (30 g to 3 kg, declared wrongly), plan (gentle: tilt up to 5.73 degrees; fast: three
+times that), rotor lag (20 to 100 ms, declared as none), motion capture (30, 120 or 240 Hz), clock offset (up to 50 ms)
+and coloured force and torque disturbance (0.1 to 0.5 % of weight and of weight times arm). The estimator is told none
+of it.
 """
 
 from __future__ import annotations
@@ -109,7 +111,9 @@ def draw_plan(random: np.random.Generator, fast: bool) -> Plan:
 
 
 def draw_scenario(random: np.random.Generator, vehicle: Vehicle, rate_hz: float = 500.0) -> tuple[Scenario, float]:
-    """A laboratory with everything drawn, and the clock offset in it (motion capture minus IMU); IMU and motors at a rate."""
+    """A laboratory with everything drawn, and the clock offset in it (motion capture minus IMU); IMU and motors at a
+    rate.
+    """
     offset = float(random.uniform(-0.05, 0.05))
     up = float(random.uniform(0.02, 0.1))
     factor = np.exp(random.uniform(-0.2, 0.2, 3))
@@ -196,7 +200,8 @@ def study_flight(seed: int) -> Flown:
 
 
 def faults(flown: Flown, method: str) -> list[str]:
-    """Which demands of the study a method's estimates of a flight do not meet; parameters without a number are not judged.
+    """Which demands of the study a method's estimates of a flight do not meet; parameters without a number are not
+    judged.
 
     Mass within 1 %, diagonal within max(2 %, 3 bounds), products within max(0.3 % of the trace, 3 bounds), clock offset
     within max(0.3 ms, 3 standard deviations).

@@ -1,4 +1,6 @@
-"""Outcomes of blind flights counted: shares with Wilson's bounds, confusion, detection limits, bias of the parameters."""
+"""Outcomes of blind flights counted: shares with Wilson's bounds, confusion, detection limits, bias of the
+parameters.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +23,11 @@ DETECTABLE = 6.0
 class Outcome:
     """One flight: what was hidden, what was said, and the error of mass and inertia before and after, as shares.
 
-    ``met`` says whether they are within the bounds of the estimation study: mass 1 %, moments 2 % or three of their deviations.
+    ``met`` says whether they are within the bounds of the estimation study: mass 1 %, moments 2 % or three of their
+    deviations.
 
-    Of each hidden effect, ``t`` is the expected t (infinite where the sensors alone tell), and ``shares`` its RMS as a share of weight
-    or of weight times arm (NaN where it is no force).
+    Of each hidden effect, ``t`` is the expected t (infinite where the sensors alone tell), and ``shares`` its RMS as a
+    share of weight or of weight times arm (NaN where it is no force).
     """
 
     kind: str
@@ -123,7 +126,8 @@ def report(outcomes: Sequence[Outcome]) -> None:
         counts = Counter(o.first() for o in outcomes if o.hidden == hidden)
         print(f"  {' + '.join(hidden) or 'nothing':40} " + ", ".join(f"{n} {c}" for n, c in counts.most_common()))
     print(
-        "\nhidden alone: detectable and right of all; RMS share of weight or weight times arm at which |t| is 6 (median)"
+        "\nhidden alone: detectable and right of all; RMS share of weight or weight times arm at which |t| is 6 "
+        "(median)"
     )
     for name in sorted({o.hidden[0] for o in kinds["single"]}):
         own = [o for o in kinds["single"] if o.hidden[0] == name]
@@ -148,5 +152,6 @@ def report(outcomes: Sequence[Outcome]) -> None:
         if o.detectable() and (fault := _fault(o)):
             seen = ", ".join(f"{t:.0f}" for t in o.t)
             print(
-                f"  {' + '.join(o.hidden) or 'nothing':40} {fault}: {', '.join(o.named) or 'no name'} ({o.verdict}; expected t {seen})"
+                f"  {' + '.join(o.hidden) or 'nothing':40} {fault}: {', '.join(o.named) or 'no name'} ({o.verdict}; "
+                f"expected t {seen})"
             )

@@ -1,9 +1,11 @@
-"""Flights nobody planned for an identification: what is revealed, are the intervals right, does the model predict (``benchmarks.unplanned``)?
+"""Flights nobody planned for an identification: what is revealed, are the intervals right, does the model predict
+(``benchmarks.unplanned``)?
 
-Each seed draws a vehicle of 30 g to 3 kg, declared wrongly, and two flights of it: a pilot's wandering, waypoints flown by minimum-jerk
-legs, or circles and figures of eight. The recordings hold neither plan nor setpoints nor a known window, 100 Hz each, rotor speeds behind
-a filter (5 to 30 ms) and late (0 to 20 ms) by what no stamp says. Air resists turning and moving, each effect with a chance of a half.
-The air is told from the first flight and from both; the first flight is identified, and the model file's own choice predicts the second one, which nothing has seen.
+Each seed draws a vehicle of 30 g to 3 kg, declared wrongly, and two flights of it: a pilot's wandering, waypoints flown
+by minimum-jerk legs, or circles and figures of eight. The recordings hold neither plan nor setpoints nor a known
+window, 100 Hz each, rotor speeds behind a filter (5 to 30 ms) and late (0 to 20 ms) by what no stamp says. Air resists
+turning and moving, each effect with a chance of a half. The air is told from the first flight and from both; the first
+flight is identified, and the model file's own choice predicts the second one, which nothing has seen.
 """
 
 from __future__ import annotations
@@ -282,7 +284,8 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
             right = sum(name in a["found"] for _, a in air)
             there, invented = sum(name in h for h, _ in air), sum(name in a["others"] for _, a in air)
             lines.append(
-                f"| {name}, {flights} flight{'s' if flights == 'two' else ''}: named, there, invented | {right}, {there}, {invented} |"
+                f"| {name}, {flights} flight{'s' if flights == 'two' else ''}: named, there, invented | {right}, "
+                f"{there}, {invented} |"
             )
         inside = [value for _, a in air for value in a["effects_covered"].values()]
         lines.append(f"| their values inside the 95 % interval, {flights} | {sum(inside)} of {len(inside)} |")

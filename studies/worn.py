@@ -17,7 +17,8 @@ from studies.flown import flight_data
 PLANS = ("qball2", "paper_table2")
 ROTOR, LOSS = 2, 0.06
 TRUE = {"weak_rotor", "com_offset", "clock_offset"}
-"""Everything the scenario hides that the library has a word for; rotors' lag and inertia are declared wrongly beside."""
+"""Everything the scenario hides that the library has a word for; rotors' lag and inertia are declared wrongly beside.
+"""
 SURE = 0.99
 WAIT_S = (1.0, 5.0)
 

@@ -1,4 +1,7 @@
-"""One flight, one answer: every place that shows a flight's estimate shows the same digits. Used by tests and by a benchmark."""
+"""One flight, one answer: every place that shows a flight's estimate shows the same digits.
+
+Used by tests and by a benchmark.
+"""
 
 from __future__ import annotations
 

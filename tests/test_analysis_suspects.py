@@ -1,4 +1,6 @@
-"""What a flight that is still in the air seems to lack: odds, silence where it is too early, and a process that nothing waits for."""
+"""What a flight that is still in the air seems to lack: odds, silence where it is too early, and a process that nothing
+waits for.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""A campaign ends by itself with what was hidden, judges each model on a flight it has not seen, and survives being killed."""
+"""A campaign ends by itself with what was hidden, judges each model on a flight it has not seen, and survives being
+killed.
+"""
 
 from __future__ import annotations
 

@@ -35,7 +35,9 @@ LINES = np.array([0.0, 0.6, 2.0, 6.0, 30.0])
 
 @pytest.fixture(scope="module")
 def evidence() -> Evidence:
-    """A flight of the reference scenario in a disturbance of second order, which the noise model's first order is not."""
+    """A flight of the reference scenario in a disturbance of second order, which the noise model's first order is
+    not.
+    """
     vehicle = load_vehicle(find_config("vehicles", "qball2"))
     lab = load_scenario(find_config("scenarios", "lab"))
     air = lab.disturbance.model_copy(update={"order": 2, "correlation_s": 0.5})

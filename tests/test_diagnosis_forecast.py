@@ -1,4 +1,6 @@
-"""Prediction and closed loop before and after, on what no estimate saw: better where something was hidden, the same where not."""
+"""Prediction and closed loop before and after, on what no estimate saw: better where something was hidden, the same
+where not.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The sparse formula: dimensionless terms, found on a wall that no file models, and none on a flight with nothing hidden."""
+"""The sparse formula: dimensionless terms, found on a wall that no file models, and none on a flight with nothing
+hidden.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Sentences of findings: units, signs in words, no identifiers, no exponents, short; and the page that shows them all."""
+"""Sentences of findings: units, signs in words, no identifiers, no exponents, short; and the page that shows them
+all.
+"""
 
 import re
 

@@ -1,4 +1,6 @@
-"""Effects of the air on flights without a plan: past motion as the instrument, parts of flights as each other's check."""
+"""Effects of the air on flights without a plan: past motion as the instrument, parts of flights as each other's
+check.
+"""
 
 from __future__ import annotations
 

@@ -133,7 +133,9 @@ def test_arducopter_over_a_real_socket():
 
 
 class ScriptedPx4:
-    """Silent for the first 100 ms, then one HIL_ACTUATOR_CONTROLS per HIL_SENSOR; hovers on its pressure altitude and gyro."""
+    """Silent for the first 100 ms, then one HIL_ACTUATOR_CONTROLS per HIL_SENSOR; hovers on its pressure altitude and
+    gyro.
+    """
 
     def __init__(self, height_m: float | None):
         self.codec, self.cascade = MavlinkCodec(1, 1), Cascade(VEHICLE)
@@ -243,7 +245,9 @@ def test_px4_over_a_real_connection_and_a_closed_one_says_so():
 
 @pytest.mark.parametrize("seen_while", ["sendall", "recv"])
 def test_a_closed_simulator_link_has_one_sentence_wherever_it_is_seen(seen_while):
-    """PX4's process ends between our write and our read, or before the write: a reset or a broken pipe, not an empty read."""
+    """PX4's process ends between our write and our read, or before the write: a reset or a broken pipe, not an empty
+    read.
+    """
     px4, connection = socket.socketpair()
     with px4, connection:
         if seen_while == "recv":
@@ -287,7 +291,9 @@ def test_the_standard_atmosphere():
 
 @pytest.mark.parametrize("steps", [1, 4])
 def test_the_physics_is_compiled_before_a_firmware_waits_and_never_again(steps: int):
-    """A second compilation takes ten seconds with cold caches; it came at the first command of a 1 kHz firmware, in the air."""
+    """A second compilation takes ten seconds with cold caches; it came at the first command of a 1 kHz firmware, in the
+    air.
+    """
     airframe = SimulatedAirframe(load_vehicle(find_config("vehicles", "x500")), Scenario(), seed=1)
     compiled = len(run.signatures)
     for commands in ((0.0,) * 4, (0.3,) * 4, (0.9,) * 4, (0.0,) * 4):

@@ -1,4 +1,7 @@
-"""Real ArduCopter and PX4 on the simulated physics. Their binaries are given in ARDUCOPTER and PX4; nothing of them is kept here."""
+"""Real ArduCopter and PX4 on the simulated physics.
+
+Their binaries are given in ARDUCOPTER and PX4; nothing of them is kept here.
+"""
 
 from __future__ import annotations
 

@@ -126,7 +126,8 @@ def cluster():
     script = (
         "from distributed import LocalCluster; import sys\n"
         "if __name__ == '__main__':\n"
-        "    c = LocalCluster(n_workers=2, threads_per_worker=1, host='127.0.0.1', dashboard_address=None, processes=True)\n"
+        "    c = LocalCluster(n_workers=2, threads_per_worker=1, host='127.0.0.1', dashboard_address=None, "
+        "processes=True)\n"
         "    print(c.scheduler_address, *(n.pid for n in c.workers.values()), flush=True); sys.stdin.read()\n"
     )
     env = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(Path.cwd())}

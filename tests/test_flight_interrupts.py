@@ -1,5 +1,5 @@
-"""Ctrl-C at every phase of `rehearse` and `fly`, which share what follows the plan: before arming nothing is ever armed, afterwards the
-vehicle lands. Real processes on loopback."""
+"""Ctrl-C at every phase of `rehearse` and `fly`, which share what follows the plan: before arming nothing is ever
+armed, afterwards the vehicle lands. Real processes on loopback."""
 
 from __future__ import annotations
 

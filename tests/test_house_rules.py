@@ -1,4 +1,6 @@
-"""Rules of the house that a linter does not know: import directions, what the wheel holds, what must not be in files."""
+"""Rules of the house that a linter does not know: import directions, what the wheel holds, what must not be in
+files.
+"""
 
 from __future__ import annotations
 

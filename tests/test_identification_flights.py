@@ -1,4 +1,6 @@
-"""Mass, tensor, lag and clock of simulated flights: planted truth within its interval, an anchor that fixes the scale."""
+"""Mass, tensor, lag and clock of simulated flights: planted truth within its interval, an anchor that fixes the
+scale.
+"""
 
 from __future__ import annotations
 
@@ -113,7 +115,9 @@ def test_the_rotor_lag_of_a_commanded_vehicle_is_found() -> None:
 
 
 def test_what_a_flight_tells_nothing_of_counts_for_nothing() -> None:
-    """A square root of the inverse information, in any units, and where one direction is not told in double precision."""
+    """A square root of the inverse information, in any units, and where one direction is not told in double
+    precision.
+    """
     information = np.array([[4e12, 1e3, 0.0], [1e3, 1.0, 0.0], [0.0, 0.0, 1e-20]])
     root = _root_of_inverse(information)
     np.testing.assert_allclose(root @ root.T @ information, np.eye(3), atol=1e-9)
@@ -261,7 +265,9 @@ def test_a_dead_time_with_little_lag_is_divided_rightly(lag_s):
 
 
 def test_what_is_carried_on_makes_the_prediction_of_an_unseen_flight_better():
-    """Measured speeds are fitted at 30 Hz, where a good gyro's noise does not show; a prediction's filter runs at the gyro's own rate."""
+    """Measured speeds are fitted at 30 Hz, where a good gyro's noise does not show; a prediction's filter runs at the
+    gyro's own rate.
+    """
     plan = load_plan(find_config("plans", "qball2"))
     room = load_scenario(find_config("scenarios", "lab"))
     air = room.disturbance.model_copy(update={"force_share": 0.003, "torque_share": 0.002, "correlation_s": 0.7})

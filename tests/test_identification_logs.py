@@ -1,4 +1,6 @@
-"""Estimates from logs of real firmware, another physics than ours, its truth known; and of a real vehicle, judged by prediction."""
+"""Estimates from logs of real firmware, another physics than ours, its truth known; and of a real vehicle, judged by
+prediction.
+"""
 
 from __future__ import annotations
 
@@ -78,7 +80,9 @@ def test_px4_products_are_nothing(found: Identification) -> None:
 
 
 def test_crazyflie_rates_are_predicted_better_than_by_published_constants_and_than_constant():
-    """Identified from three logs together, judged on parts of two of them that the fit did not see (docs/crazyflie.md)."""
+    """Identified from three logs together, judged on parts of two of them that the fit did not see
+    (docs/crazyflie.md).
+    """
     logs = PX4_LOG.parents[1] / "crazyflie-1khz"
     if not logs.exists():
         pytest.skip(f"the Crazyflie logs are not there: {logs}")

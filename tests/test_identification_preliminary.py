@@ -43,7 +43,9 @@ def test_a_first_look_sees_a_shifted_centre_of_mass() -> None:
 
 
 def test_identification_costs_no_more_than_so_many_plain_loops() -> None:
-    """A loose bound: 2.5 s of a minute's flight were 80 loops over 10 s when this was written, 1.6 s of 20 s about 45."""
+    """A loose bound: 2.5 s of a minute's flight were 80 loops over 10 s when this was written, 1.6 s of 20 s about
+    45.
+    """
     flight, _, _ = draw(2001, 0.5)
     gamma, upsilon, _ = problem()
     identify([flight])

@@ -46,7 +46,9 @@ class Recorded:
 
 
 def record(seed: int, error: Mapping[str, float] = PLANTED, *, noise: float = 1.0) -> Recorded:
-    """40 s of a fast random excitation at 250 Hz, poses at 100 Hz, ``noise`` times that of a consumer IMU and capture."""
+    """40 s of a fast random excitation at 250 Hz, poses at 100 Hz, ``noise`` times that of a consumer IMU and
+    capture.
+    """
     random = np.random.default_rng(seed)
     series = rest_to_rest_plan(amplitude_m=1.0, periods=4.0, seed=7).series()
 

@@ -64,7 +64,9 @@ def test_drag_moves_the_path_and_an_effect_of_nothing_does_not(flown):
 
 
 def test_rates_are_predicted_without_poses():
-    """Rotors that turn the vehicle with a steady torque, and a gyro that saw it; position, velocity and attitude unknown."""
+    """Rotors that turn the vehicle with a steady torque, and a gyro that saw it; position, velocity and attitude
+    unknown.
+    """
     vehicle = load_vehicle(find_config("vehicles", "qball2"))
     t = np.arange(0.0, 2.0, 0.005)
     torque, rate = 0.05, np.zeros((len(t), 3))

@@ -1,4 +1,6 @@
-"""One table of the fit's parameters: what it holds, who reads it, and that a new one is an entry and its sensitivity."""
+"""One table of the fit's parameters: what it holds, who reads it, and that a new one is an entry and its
+sensitivity.
+"""
 
 from __future__ import annotations
 

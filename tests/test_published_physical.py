@@ -1,4 +1,6 @@
-"""Nothing unphysical or unrevealed is published: bounds by geometry, hidden numbers, verdicts, predictions that are numbers."""
+"""Nothing unphysical or unrevealed is published: bounds by geometry, hidden numbers, verdicts, predictions that are
+numbers.
+"""
 
 from __future__ import annotations
 

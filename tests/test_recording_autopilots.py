@@ -1,4 +1,6 @@
-"""Logs of PX4 and ArduPilot: planted flights come back in this program's frames, order and units; measured ones obey physics."""
+"""Logs of PX4 and ArduPilot: planted flights come back in this program's frames, order and units; measured ones obey
+physics.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ from tests.recording_flight import changes_agree, flight
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured flights are not at {DATA}")
 
-# A quadrotor whose file lists its rotors in another order than the autopilot: rear left, front right, front left, rear right.
+# A quadrotor whose file lists its rotors in another order than the autopilot: rear left, front right, front left, rear
+# right.
 POSITIONS = [[-0.17, 0.17, 0.0], [0.17, -0.17, 0.0], [0.17, 0.17, 0.0], [-0.17, -0.17, 0.0]]
 MOTOR_OF_ROTOR = [1, 0, 2, 3]
 
@@ -321,7 +324,9 @@ def sih():
 
 @needs_data
 def test_the_px4_flight_obeys_newton_in_our_frames():
-    """Frames, signs, motor order and stamps at once: gravity and acceleration, attitude and gyro, rotors and rotation."""
+    """Frames, signs, motor order and stamps at once: gravity and acceleration, attitude and gyro, rotors and
+    rotation.
+    """
     vehicle = sih()
     flown = load_flight(DATA / "px4-sih" / "excitation.ulg", vehicle=vehicle, start_s=25.0, end_s=58.0)
     pose, imu = flown.mocap, flown.imu

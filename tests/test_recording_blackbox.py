@@ -1,4 +1,6 @@
-"""Blackbox logs of Betaflight and INAV: each encoding by the format's own documentation, and a flight planted in a log."""
+"""Blackbox logs of Betaflight and INAV: each encoding by the format's own documentation, and a flight planted in a
+log.
+"""
 
 from __future__ import annotations
 
@@ -243,7 +245,9 @@ def test_values_beyond_the_headers_range_are_refused(tmp_path):
 
 
 def test_inavs_own_estimate_is_the_state(tmp_path):
-    """North 2 m, east 1 m, up 3 m, moving east; rolled right, nose up, heading north-east: in our frames y is west and yaw counter-clockwise."""
+    """North 2 m, east 1 m, up 3 m, moving east; rolled right, nose up, heading north-east: in our frames y is west and
+    yaw counter-clockwise.
+    """
     names = [*NAMES[:13], *(f"{stem}[{i}]" for stem in ("attitude", "navPos", "navVel") for i in range(3))]
     row = [0, 0, 90, -45, 30, 0, 0, 2048, 1580, 1100, 1200, 1300, 1400, 100, -50, 450, 200, 100, 300, 0, 150, -20]
     frames = [("I", b"".join(map(signed, [k, 1000 * k, *row[2:]]))) for k in range(200)]

@@ -1,4 +1,6 @@
-"""Messages read by their layout are those that rosbags decodes one by one, whatever their strings and sequences hold."""
+"""Messages read by their layout are those that rosbags decodes one by one, whatever their strings and sequences
+hold.
+"""
 
 from __future__ import annotations
 

@@ -248,7 +248,9 @@ def test_a_usd_log_of_a_version_to_come_is_named(tmp_path, crazyflie):
 def test_any_split_of_the_variables_into_events_gives_the_same_streams(
     tmp_path_factory, crazyflie, split, order, millivolts, version
 ):
-    """IMU, motors and pwm in up to three events of one clock, the variables in any order, the voltage in either unit."""
+    """IMU, motors and pwm in up to three events of one clock, the variables in any order, the voltage in either
+    unit.
+    """
     t = np.arange(0, 200_000, 1000)
     wave = np.sin(np.arange(10)[:, None] + t / 3e4)
     names = [*(f"acc.{a}" for a in "xyz"), *(f"gyro.{a}" for a in "xyz"), *(f"motor.m{i}" for i in range(1, 5))]

@@ -1,4 +1,4 @@
-"""Tables as strangers export them, through the map that their own names fill in: the right value, or one sentence that asks."""
+"""Tables as strangers export them, by the map that their names fill in: the right value, or a sentence that asks."""
 
 from __future__ import annotations
 
@@ -257,7 +257,8 @@ def test_the_battery_is_the_one_that_is_connected(tmp_path):
         {
             "actuator_motors": "uint64_t timestamp;uint64_t timestamp_sample;float[12] control;",
             "battery_status": "uint64_t timestamp;float voltage_v;float current_a;",
-            "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;uint32_t gyro_integral_dt;float[3] accelerometer_m_s2;",
+            "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;uint32_t "
+            "gyro_integral_dt;float[3] accelerometer_m_s2;",
         },
         {"sys_name": "PX4"},
         [],

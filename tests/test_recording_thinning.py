@@ -115,7 +115,10 @@ def test_a_large_log_is_read_in_two_passes_and_gives_what_one_would(tmp_path, mo
 
 
 def test_a_long_logs_memory_goes_by_what_is_used_of_it(tmp_path):
-    """Of eleven minutes at 1 kHz three are used. They take 2.7 times their samples; read whole, the log takes 6.2 times as much."""
+    """Of eleven minutes at 1 kHz three are used.
+
+    They take 2.7 times their samples; read whole, the log takes 6.2 times as much.
+    """
     file, write = long_logs.WRITERS["PX4 ULog"]
     write(tmp_path / "short.ulg", 0.1)
     write(tmp_path / file, 11.0)

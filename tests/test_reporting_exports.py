@@ -120,7 +120,9 @@ def test_mujoco_loads_mass_centre_tensor_and_wrench():
 
 
 def test_px4_flies_the_same_torque_in_its_own_axes():
-    """Turn SIH's FRD tensor, thrusts and torques back into FLU: angular acceleration must be that of our own numbers."""
+    """Turn SIH's FRD tensor, thrusts and torques back into FLU: angular acceleration must be that of our own
+    numbers.
+    """
     lines = [line.split("\t") for line in export(document(), "px4-sih").splitlines() if not line.startswith("#")]
     assert {(len(row), row[4]) for row in lines} == {(5, "9")}
     p = {row[2]: float(row[3]) for row in lines}
@@ -469,7 +471,9 @@ def test_pybullet_loads_mass_centre_and_tensor(tmp_path):
 
 
 def test_scipy_reads_the_mat_file_whole(tmp_path):
-    """The struct holds what the script says, the tensor with its products, and a deviation for each value; bytes are repeatable."""
+    """The struct holds what the script says, the tensor with its products, and a deviation for each value; bytes are
+    repeatable.
+    """
     from scipy.io import loadmat
 
     path = tmp_path / "vehicle.mat"
@@ -508,7 +512,9 @@ def test_crazyflie_parameters_have_the_form_that_cflib_stores(tmp_path):
 
 
 def _ardupilot_wrench(frame: dict[str, Any], commands: np.ndarray, speed_m_s: float) -> np.ndarray:
-    """Force and torque (FRD) at an air speed along x, as SIM_Frame.cpp and SIM_Motor.cpp compute them at the reference height."""
+    """Force and torque (FRD) at an air speed along x, as SIM_Frame.cpp and SIM_Motor.cpp compute them at the reference
+    height.
+    """
     rho, weight = 1.157, frame["mass"] * 9.80665
     tilt = np.radians(frame["refAngle"])
     drag_force, along = weight * np.tan(tilt), frame["refSpd"] * np.cos(tilt)

@@ -1,4 +1,6 @@
-"""An identified model as a scenario: every effect finds a form, what is lost is said, and a flight in it shows it again."""
+"""An identified model as a scenario: every effect finds a form, what is lost is said, and a flight in it shows it
+again.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Rotors that are tilted: six rows of force and torque from the vehicle file to the fit, the prediction and the exports."""
+"""Rotors that are tilted: six rows of force and torque from the vehicle file to the fit, the prediction and the
+exports.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,10 @@
-"""What happens to a recording after landing: identify, diagnose, report. One function for the core's worker and the CLI.
+"""What happens to a recording after landing: identify, diagnose, report. One function for the core's worker and the
+CLI.
 
     python -P -m groundstation.analysis.analyse FOLDER
 
-waits for a line on standard input and prints one JSON document per line on standard output: ``{"progress": 0.4, "text": "...", "table": {...}}``.
+waits for a line on standard input and prints one JSON document per line on standard output: ``{"progress": 0.4, "text":
+"...", "table": {...}}``.
 """
 
 from __future__ import annotations
@@ -10,7 +12,6 @@ from __future__ import annotations
 import importlib
 import json
 import math
-import os
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -25,6 +26,7 @@ from groundstation.errors import GroundStationError, NotIdentifiable, Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification
 from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
+from groundstation.priority import set_nice
 from groundstation.vehicle import Vehicle
 
 AUGMENTED = "with findings"
@@ -45,7 +47,9 @@ class Analysis:
 def parameter_table(
     identification: Identification, declared: Mapping[str, float], diagnosis: Diagnosis | None = None
 ) -> Table:
-    """Rows nominal, estimate, low, high of mass and tensor as every place shows them; NaN where the flight does not tell."""
+    """Rows nominal, estimate, low, high of mass and tensor as every place shows them; NaN where the flight does not
+    tell.
+    """
     from groundstation.reporting.canonical import canonical
 
     return _rows(canonical(identification, diagnosis).parameters, declared)
@@ -223,7 +227,7 @@ def _say(fraction: float, text: str, table: Table | None = None) -> None:
 
 def warm_up() -> None:
     """Import what takes seconds while the flight still goes on, behind everything that flies."""
-    os.nice(5)
+    set_nice(5)
     for module in ("recording", "identification.preliminary", "identification.seed", "reporting", "diagnosis"):
         importlib.import_module(f"groundstation.{module}")
 

@@ -1,4 +1,6 @@
-"""What an earlier flight found, taken as known: the diagnosis of the next one says what the augmented model still lacks."""
+"""What an earlier flight found, taken as known: the diagnosis of the next one says what the augmented model still
+lacks.
+"""
 
 from __future__ import annotations
 

@@ -24,7 +24,10 @@ class Base:
 
 
 def base_fit(case: Case) -> Base:
-    """Of the flights that estimates see. What divides a lag from a dead time lies above the evidence's rate: it keeps its own there."""
+    """Of the flights that estimates see.
+
+    What divides a lag from a dead time lies above the evidence's rate: it keeps its own there.
+    """
     flights = [*case.suspects, *case.healthy]
     free = options_for(flights[0])
     fitted = fit_dynamics(flights if free.lag else [for_evidence(flight) for flight in flights])

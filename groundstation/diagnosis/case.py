@@ -21,7 +21,8 @@ class Case:
     Attributes:
         vehicle: as declared.
         suspects: under suspicion, pooled.
-        healthy: of the same vehicle in its healthy state; they share its mass and tensor, and no candidate acts on them.
+        healthy: of the same vehicle in its healthy state; they share its mass and tensor, and no candidate acts on
+            them.
         unseen: flights that no estimate sees; findings are judged on them.
     """
 
@@ -52,12 +53,16 @@ def case_of(flights: Sequence[FlightData], options: AnalysisOptions) -> Case:
 
 
 def sensors(case: Case) -> tuple[Case, list[Finding]]:
-    """What gyro, accelerometer and motion capture say of each other; an IMU that is turned is put straight in every flight."""
+    """What gyro, accelerometer and motion capture say of each other; an IMU that is turned is put straight in every
+    flight.
+    """
     findings = kinematic_findings(case.suspects[0])
     return case.map(lambda flight: with_imu_aligned(flight, findings)), findings
 
 
 def thrust_exponent(case: Case) -> tuple[Case, float]:
-    """Departure of the thrust curve's exponent from the declared one, 0 for most flights; every flight by the curve it gives."""
+    """Departure of the thrust curve's exponent from the declared one, 0 for most flights; every flight by the curve it
+    gives.
+    """
     departure = exponent_error(case.suspects[0])
     return case.map(lambda flight: with_thrust_exponent(flight, departure)), departure

@@ -29,7 +29,8 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Whitened sensitivities to a candidate's parameters and their instruments, (rows, p) each; RMS of its wrench per unit.
+    """Whitened sensitivities to a candidate's parameters and their instruments, (rows, p) each; RMS of its wrench per
+    unit.
 
     ``number`` tells one from another where products of pairs are remembered.
     """

@@ -44,8 +44,8 @@ class Split:
 
 
 def splits_of(evidence: Evidence, unseen: Sequence[Prepared], count: int | None = None) -> list[Split]:
-    """The flights that no estimate saw, where there are some; else each flight by the others, or blocks of time (``count``, where it is
-    given) by the rest.
+    """The flights that no estimate saw, where there are some; else each flight by the others, or blocks of time
+    (``count``, where it is given) by the rest.
     """
     if unseen:
         others = [evidence.flights[0].of(item) for item in unseen]
@@ -81,8 +81,8 @@ def base_covariance(evidence: Evidence, vehicle: Vehicle, chosen: Chosen) -> NDA
 
 
 def flight_parameters(evidence: Evidence, chosen: Chosen) -> list[dict[str, Estimate]]:
-    """Of each suspected flight by its own rows: mass, tensor and the effects' parameters ("rotor_drag.d_x_kg_s"), without what the anchor
-    adds: its error is the same on every flight.
+    """Of each suspected flight by its own rows: mass, tensor and the effects' parameters ("rotor_drag.d_x_kg_s"),
+    without what the anchor adds: its error is the same on every flight.
     """
     _, _, numbers = evidence.time_of_rows()
     out = []
@@ -105,7 +105,9 @@ def flight_parameters(evidence: Evidence, chosen: Chosen) -> list[dict[str, Esti
 
 
 def _joint(evidence: Evidence, chosen: Chosen) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mass and tensor with the effects put in, and their covariance with what the effects' formulas leave open in it."""
+    """Mass and tensor with the effects put in, and their covariance with what the effects' formulas leave open in
+    it.
+    """
     solution = evidence.solve(chosen)
     return _rigid_body(evidence, solution, form_covariance(evidence, chosen, solution))
 
@@ -144,8 +146,8 @@ def declared_model(flight: FlightEvidence) -> RecordModel:
 def as_declared(evidence: Evidence, vehicle: Vehicle, train: NDArray[np.bool_] | None = None) -> Fitted:
     """The base by the declared curve with rotors that follow as declared: *before*, where a lag or a curve was found.
 
-    By output error: an estimate with a noise model would take most of what is missing for a disturbance, and its parameters
-    would be worse than anyone would use.
+    By output error: an estimate with a noise model would take most of what is missing for a disturbance, and its
+    parameters would be worse than anyone would use.
 
     Args:
         train: rows whose times are used; None for all.
@@ -204,7 +206,9 @@ def remaining(flight: FlightEvidence, chosen: Chosen, solution: Solution) -> Arr
 
 
 def _without_own_bias(flight: FlightEvidence, residual: Array) -> Array:
-    """A residual less what the flight's own accelerometer biases make of it: no other flight can tell them, and no model is judged by them."""
+    """A residual less what the flight's own accelerometer biases make of it: no other flight can tell them, and no
+    model is judged by them.
+    """
     own = [index for index, name in enumerate(flight.names) if name in FLIGHTS_OWN]
     kept = np.isfinite(residual).all(axis=1)
     columns = flight.sensitivity[kept][:, :, own].reshape(-1, len(own))

@@ -1,10 +1,10 @@
 r"""Whitened evidence of one or several flights, and what each effect would explain of it.
 
-About a base fit everything is linear: y = X theta_base + sum C_v theta_v + e, rows whitened by each channel's own coloured
-disturbance. Because the controller feeds disturbances back into the thrusts, a plain regression lets any flexible term in
-the inputs win, on held-out blocks too. So the normal equations are taken with instruments, Z^T (y - A theta) = 0: the columns
-that the planned motion would have, one for each parameter (each more keeps a share of the bias: Bekker 1994). An effect's
-evidence is its Wald statistic in the joint estimate. Without a plan Z = A.
+About a base fit everything is linear: y = X theta_base + sum C_v theta_v + e, rows whitened by each channel's own
+coloured disturbance. Because the controller feeds disturbances back into the thrusts, a plain regression lets any
+flexible term in the inputs win, on held-out blocks too. So the normal equations are taken with instruments, Z^T (y - A
+theta) = 0: the columns that the planned motion would have, one for each parameter (each more keeps a share of the bias:
+Bekker 1994). An effect's evidence is its Wald statistic in the joint estimate. Without a plan Z = A.
 """
 
 from __future__ import annotations
@@ -70,7 +70,9 @@ class Evidence:
         self.weight = np.minimum(1.0, THRESHOLDS.outlier_std / np.maximum(np.abs(self._plain_remainder()), 1e-9))
 
     def of_each_flight(self) -> list[int]:
-        """Base parameters that are another on every flight: the accelerometer's biases, which change from power-on to power-on."""
+        """Base parameters that are another on every flight: the accelerometer's biases, which change from power-on to
+        power-on.
+        """
         return [index for index, name in enumerate(self.names) if name in FLIGHTS_OWN]
 
     @staticmethod
@@ -145,7 +147,8 @@ class Evidence:
     def _products_of(self, members: Sequence[Columns], rows: NDArray[np.bool_] | None) -> tuple[Array, Array, Array]:
         """Z^T W C, Z^T W Z and Z^T W y of all members together.
 
-        A selection tries one candidate after another beside the same members: those are put together once and remembered.
+        A selection tries one candidate after another beside the same members: those are put together once and
+        remembered.
         """
         first, last = members[:-1], members[-1]
         if not first:
@@ -188,9 +191,9 @@ class Evidence:
     def threshold(self, columns: Columns, chance: float, members: Sequence[int] | None = None) -> float:
         r"""Wald statistic that noise passes with this probability.
 
-        The noise is known from as many values as lie in the bands that an effect lives in, so that W / p follows an F distribution,
-        whose second degrees of freedom are Satterthwaite's: :math:`1 / \nu = \sum_b s_b^2 / \nu_b` with the shares s_b of the
-        effect's energy. For one slow parameter that asks for twice the chi-squared value.
+        The noise is known from as many values as lie in the bands that an effect lives in, so that W / p follows an F
+        distribution, whose second degrees of freedom are Satterthwaite's: :math:`1 / \nu = \sum_b s_b^2 / \nu_b` with
+        the shares s_b of the effect's energy. For one slow parameter that asks for twice the chi-squared value.
 
         Args:
             members: which of the columns' parameters the statistic is of; None for all.
@@ -222,10 +225,11 @@ class Evidence:
         return pair
 
     def contest(self, sets: Sequence[Sequence[tuple[Candidate, Columns]]]) -> Contest:
-        r"""Fall of the instrumented squared residual :math:`|P_Z W^{1/2} (y - A \theta)|^2` that each set brings to the base alone.
+        r"""Fall of the instrumented squared residual :math:`|P_Z W^{1/2} (y - A \theta)|^2` that each set brings to the
+        base alone.
 
-        Z is common to all: the base's instruments and those of every member of any set, channel by channel, so that the falls
-        compare (moment selection: Andrews 1999, Econometrica 67(3)).
+        Z is common to all: the base's instruments and those of every member of any set, channel by channel, so that the
+        falls compare (moment selection: Andrews 1999, Econometrica 67(3)).
         """
         root = np.sqrt(self.weight)[:, None]
         _, channels, _ = self.time_of_rows()

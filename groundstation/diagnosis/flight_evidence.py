@@ -1,4 +1,6 @@
-"""One flight whitened about a base fit: its residual, the base's columns and instruments, and those of any candidate."""
+"""One flight whitened about a base fit: its residual, the base's columns and instruments, and those of any
+candidate.
+"""
 
 from __future__ import annotations
 
@@ -31,8 +33,8 @@ class FlightEvidence:
 
     Args:
         known: effects that are kept out of its noise model.
-        generic: keep out of it, too, whatever any effect may look like (:meth:`_generic`), so that none hides in the noise; else the
-            noise is all that base and known effects leave.
+        generic: keep out of it, too, whatever any effect may look like (:meth:`_generic`), so that none hides in the
+            noise; else the noise is all that base and known effects leave.
     """
 
     def __init__(
@@ -72,7 +74,9 @@ class FlightEvidence:
         self.z = self.x if prepared.planned is None else self._base_instruments()
 
     def _base_instruments(self) -> Array:
-        """The base's columns along the planned motion; what delays the inputs takes what all of those explain of its own."""
+        """The base's columns along the planned motion; what delays the inputs takes what all of those explain of its
+        own.
+        """
         z = self.whitening.apply(planned_sensitivities(self.model, self.parameters, self.options))
         entries = table()
         timing = [index for index, name in enumerate(self.names) if entries[name].timing]
@@ -88,7 +92,9 @@ class FlightEvidence:
         return FlightEvidence(other, self._fitted, self._given, self.known)
 
     def updated_base(self, fitted: Fitted, solution: Solution) -> Fitted:
-        """The base fit at a joint estimate, for the next linearisation; as it was where that is no rigid body (:func:`updated_rigid_body`)."""
+        """The base fit at a joint estimate, for the next linearisation; as it was where that is no rigid body
+        (:func:`updated_rigid_body`).
+        """
         names = list(self.names)
         values = values_of(self.parameters, names) + solution.theta[: len(names)]
         found = updated_rigid_body(*self._rigid_step(solution))
@@ -167,7 +173,9 @@ class FlightEvidence:
         return out
 
     def columns(self, candidate: Candidate) -> Columns | None:
-        """Whitened sensitivities and instruments of a candidate; None where its signals are unknown or it does nothing."""
+        """Whitened sensitivities and instruments of a candidate; None where its signals are unknown or it does
+        nothing.
+        """
         vehicle = self.prepared.record.vehicle
         wrench = candidate.effect.wrench(self.signals, vehicle, candidate.settings)
         if not np.isfinite(wrench).all():

@@ -1,8 +1,10 @@
-"""What the findings are worth where no estimate looked: prediction ahead of time, and the closed loop against the flight.
+"""What the findings are worth where no estimate looked: prediction ahead of time, and the closed loop against the
+flight.
 
-The parameters of each split (:class:`.comparison.Split`) are estimated on its training data without and with the effects, and
-judged on the rest beside the vehicle as declared. Windows of a prediction lie wholly in what is judged, and start from what the
-sensors said until then; sensor biases and the clock, which all columns share, are the whole flight's.
+The parameters of each split (:class:`.comparison.Split`) are estimated on its training data without and with the
+effects, and judged on the rest beside the vehicle as declared. Windows of a prediction lie wholly in what is judged,
+and start from what the sensors said until then; sensor biases and the clock, which all columns share, are the whole
+flight's.
 """
 
 from __future__ import annotations
@@ -119,8 +121,8 @@ def prediction_errors(
 def simulation_errors(evidence: Evidence, baseline: Chosen, chosen: Chosen, splits: Sequence[Split]) -> Stages:
     """RMS difference between the flight and the declared controller flying the plan, where no estimate looked.
 
-    Stages are "simulation_nominal", "simulation_before" and "simulation_after"; one whose loop diverges is left out, and all
-    without a plan.
+    Stages are "simulation_nominal", "simulation_before" and "simulation_after"; one whose loop diverges is left out,
+    and all without a plan.
     """
     squares: dict[str, list[tuple[int, Mapping[str, float]]]] = defaultdict(list)
     parts = 0
@@ -160,7 +162,8 @@ def unknown_loop(prepared: Prepared) -> str:
 def forecast(
     evidence: Evidence, baseline: Chosen, chosen: Chosen, splits: Sequence[Split], halves: Sequence[Split]
 ) -> tuple[Stages, tuple[str, ...]]:
-    """Errors of prediction and closed-loop simulation by stage, and a sentence on what they are of or why there are none.
+    """Errors of prediction and closed-loop simulation by stage, and a sentence on what they are of or why there are
+    none.
 
     Args:
         splits: whose judged parts are predicted.

@@ -1,4 +1,6 @@
-"""``diagnose``: find what the declared vehicle lacks, name it or say that nothing known does, and show the error before and after."""
+"""``diagnose``: find what the declared vehicle lacks, name it or say that nothing known does, and show the error before
+and after.
+"""
 
 from __future__ import annotations
 
@@ -83,7 +85,9 @@ def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress:
 
 
 def _with_low_frequencies(found: Diagnosis, case: Case, base: Base) -> Diagnosis:
-    """Mass and moments as an identification of the same flights tells them, where telemetry without a plan loses the fast torque."""
+    """Mass and moments as an identification of the same flights tells them, where telemetry without a plan loses the
+    fast torque.
+    """
     if not low_frequencies_apply(case.suspects):
         return found
     low = by_low_frequencies(case.suspects, base.fitted)
@@ -168,8 +172,10 @@ def _by_trim(name: str, case: Case) -> Diagnosis:
         next_flight=_next_flight(found.findings, ()),
         reason=_reason(verdict, found.findings, remaining),
         warnings=(
-            "Body rates were not measured: only the mean thrusts are compared with those of the healthy flights, by the declared "
-            "thrust curve. Yaw alone tells a load from a weak rotor there, and a battery or another day changes it, too; a gyro "
+            "Body rates were not measured: only the mean thrusts are compared with those of the healthy flights, by "
+            "the declared "
+            "thrust curve. Yaw alone tells a load from a weak rotor there, and a battery or another day changes it, "
+            "too; a gyro "
             "and rotor speeds would show inertia, and tell them apart.",
         ),
         notes=(*found.notes, "Prediction and closed-loop simulation are left out: body rates were not measured."),
@@ -207,8 +213,10 @@ def _warnings(suspects: Sequence[Prepared]) -> list[str]:
     out = []
     if any(without_plan(item) for item in suspects):
         out.append(
-            "No plan or setpoints are recorded, and the path flown is no plan: what the controller answers a disturbance with "
-            "can pass for an effect of the inputs. Drag, inflow, lift, flapping and damping are told by past motion instead."
+            "No plan or setpoints are recorded, and the path flown is no plan: what the controller answers a "
+            "disturbance with "
+            "can pass for an effect of the inputs. Drag, inflow, lift, flapping and damping are told by past motion "
+            "instead."
         )
     if any(item.source != "imu" for item in suspects):
         out.append("Rates and accelerations are derived, not measured: small torques cannot be told.")

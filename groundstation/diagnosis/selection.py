@@ -1,4 +1,6 @@
-"""The effects that the evidence asks for, selected twice: about the base fit, and about what the first selection found."""
+"""The effects that the evidence asks for, selected twice: about the base fit, and about what the first selection
+found.
+"""
 
 from __future__ import annotations
 
@@ -50,8 +52,8 @@ def select(
 ) -> Selected:
     """The effects that stand.
 
-    An effect swells the noise it is judged against, and bends the base it is judged about: what was found is kept out of the noise, the
-    base moves to the joint estimate, and all is judged anew.
+    An effect swells the noise it is judged against, and bends the base it is judged about: what was found is kept out
+    of the noise, the base moves to the joint estimate, and all is judged anew.
 
     Args:
         case: its flights at the evidence's rate.
@@ -73,8 +75,8 @@ def select_beside(
 ) -> Selected:
     """:func:`select` beside what flights without a plan tell by past motion.
 
-    What stands there is there in any case; what was looked for there and does not stand is not named by instruments that feedback
-    bends.
+    What stands there is there in any case; what was looked for there and does not stand is not named by instruments
+    that feedback bends.
     """
     standing = [told for told in air if told.stands and not is_among(told.candidate, augmented)]
     known = (*augmented, *(told.candidate for told in standing))

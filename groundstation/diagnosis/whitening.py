@@ -1,7 +1,8 @@
 """The noise of a flight, channel by channel, and the filter that makes it white: what findings are judged against.
 
-A first-order disturbance with sensor noise is fitted to each channel, then the rest of its colour is taken out band by band. Both are
-estimated from what generic columns (drift, speeds, the library's effects) leave of the residual, with what these take of the noise put back.
+A first-order disturbance with sensor noise is fitted to each channel, then the rest of its colour is taken out band by
+band. Both are estimated from what generic columns (drift, speeds, the library's effects) leave of the residual, with
+what these take of the noise put back.
 """
 
 from __future__ import annotations
@@ -52,7 +53,8 @@ class Whitening:
         return np.fft.irfft(np.fft.rfft(white, axis=0) * gain[:, None], len(white), axis=0)
 
     def spread(self, columns: Array) -> tuple[Array, Array]:
-        """How the energy of whitened columns (rows, p), each of size one, lies over channels and bands, and each one's degrees of freedom.
+        """How the energy of whitened columns (rows, p), each of size one, lies over channels and bands, and each one's
+        degrees of freedom.
 
         Both of shape (channels * bands,).
         """
@@ -75,8 +77,8 @@ class Whitening:
     def _fitted_colours(self, residual: Array, nuisance: Array) -> list[NoiseModel]:
         """Noise of each channel from what generic columns leave of the residual.
 
-        Whitened at first by a disturbance of 0.3 s, so that slow effects go into the columns and not into the noise, or by none
-        to speak of, as where sensors are noisier than the air; the likelier goes on.
+        Whitened at first by a disturbance of 0.3 s, so that slow effects go into the columns and not into the noise, or
+        by none to speak of, as where sensors are noisier than the air; the likelier goes on.
         """
         random = np.random.default_rng(SEED)
         found: list[NoiseModel] = []
@@ -103,7 +105,8 @@ class Whitening:
     ) -> tuple[NoiseModel, float]:
         """Noise of what columns leave when they are fitted under a given noise, and half its minus-log-likelihood.
 
-        With ``random`` what they take of the noise is put back (:func:`coefficients`), and the search starts from the given noise.
+        With ``random`` what they take of the noise is put back (:func:`coefficients`), and the search starts from the
+        given noise.
         """
         integrated = channel < 3
         stacked = np.concatenate([z[:, None], columns], axis=1)
@@ -116,10 +119,11 @@ class Whitening:
         return found, minus_log_likelihood(left, self._dt, self._restart, found, integrated)
 
     def _fitted_gains(self, residual: Array, nuisance: Array) -> Array:
-        """What is left of each channel's colour behind its noise model: a filter (channels, frequencies) that whitens the rest.
+        """What is left of each channel's colour behind its noise model: a filter (channels, frequencies) that whitens
+        the rest.
 
-        A disturbance need not be of first order. The periodogram of what generic columns leave, with what they took put back, is
-        averaged over bands.
+        A disturbance need not be of first order. The periodogram of what generic columns leave, with what they took put
+        back, is averaged over bands.
         """
         rows = len(self.channels)
         white = self.apply(residual[:, :, None]).reshape(rows, -1)
@@ -148,12 +152,13 @@ def bands_of(count: int) -> list[slice]:
 def coefficients(columns: Array, y: Array, random: np.random.Generator | None) -> Array:
     """Least-squares coefficients of whitened columns; with ``random`` a draw from their posterior instead of its mean.
 
-    A fit of p columns takes p degrees of freedom out of the noise, nearly all of them at the low frequencies where they live. The
-    draw puts as much back, so that a noise model fitted to what is left is right on average (data augmentation: Tanner and
-    Wong 1987; its limit is restricted maximum likelihood, Patterson and Thompson 1971).
+    A fit of p columns takes p degrees of freedom out of the noise, nearly all of them at the low frequencies where they
+    live. The draw puts as much back, so that a noise model fitted to what is left is right on average (data
+    augmentation: Tanner and Wong 1987; its limit is restricted maximum likelihood, Patterson and Thompson 1971).
 
     Args:
-        columns: (rows, p), a column without innovations may be zero. y: (rows,), of unit variance if the noise is right.
+        columns: (rows, p), a column without innovations may be zero. y: (rows,), of unit variance if the noise is
+            right.
     """
     scale = np.linalg.norm(columns, axis=0)
     shown = scale > 1e-9 * scale.max(initial=1e-300)

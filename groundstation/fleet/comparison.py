@@ -1,4 +1,6 @@
-"""Two flights, or two groups of flights, against each other, as a result for Python: what `compare` and `flights --compare` tell."""
+"""Two flights, or two groups of flights, against each other, as a result for Python: what `compare` and `flights
+--compare` tell.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ class Compared:
         z: the difference in its own standard deviations.
         p: two-sided, corrected for the number of parameters (Holm).
         differs: of two flights, more than 2.8 standard deviations; of groups, p below 0.01.
-        change: the difference in words: a share of the first, or in the parameter's unit where the first may as well be zero.
+        change: the difference in words: a share of the first, or in the parameter's unit where the first may as well be
+            zero.
     """
 
     first: float

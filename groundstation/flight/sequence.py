@@ -8,7 +8,8 @@ Rules that hold whatever arrives, in whatever order (tests/test_flight_sequence.
 * the vehicle is asked to arm only in ``checked``, and ``exciting`` is reached only from ``airborne``;
 * an abort on the ground ends in ``aborted`` at once; once the vehicle was told to start, it goes through ``landing``;
 * every state that waits for somebody else has a deadline, so silence also ends the flight;
-* the status says 4 only of a vehicle that was seen on the ground, or never left it; of any other 5: it may still be flying;
+* the status says 4 only of a vehicle that was seen on the ground, or never left it; of any other 5: it may still be
+  flying;
 * ``done`` and ``aborted`` are final, and the recording is closed exactly once on the way to them.
 """
 
@@ -126,7 +127,9 @@ class VehicleLanding:
 
 @dataclass(frozen=True, slots=True)
 class VehicleLanded:
-    """The vehicle stands on the ground, disarmed; with a reason when it came down early, and its landing was not heard of."""
+    """The vehicle stands on the ground, disarmed; with a reason when it came down early, and its landing was not heard
+    of.
+    """
 
     abort_reason: str = ""
 

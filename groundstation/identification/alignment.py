@@ -32,7 +32,9 @@ WEAKEST = 0.3
 """Correlation below which nine tenths of the motion are something else, and a lag is chance or the disturbance's."""
 PARTS = 6
 SIGNIFICANT = 2.5
-"""Student's t over the parts of a flight (five degrees of freedom): by chance one time in forty, beside all of the above."""
+"""Student's t over the parts of a flight (five degrees of freedom): by chance one time in forty, beside all of the
+above.
+"""
 ONE_DEVICE = ("crazyflie usd log", "PX4 ULog", "ArduPilot DataFlash")
 """Logs that the vehicle itself wrote: one clock stamped everything in them."""
 
@@ -83,7 +85,9 @@ class Lag:
 def lag_between(
     first: Array, second: Array, step_s: float, *, reach_s: float = REACH_S, own_s: tuple[float, float] = OWN_S
 ) -> Lag:
-    """By how much the columns of ``second`` come after those of ``first``, shapes (k, d), mean of the columns' correlations."""
+    """By how much the columns of ``second`` come after those of ``first``, shapes (k, d), mean of the columns'
+    correlations.
+    """
     from scipy.signal import correlate
 
     first, second = (x / (np.std(x, axis=0) + 1e-12) for x in (first, second))
@@ -147,11 +151,15 @@ def motor_offset(flight: FlightData, motion: FlownMotion, inputs: MotorInput) ->
         how = "angular acceleration and specific force" if agree else "angular acceleration"
         text = (
             f"The motors' stamps run {offset * 1e3:+.0f} +- {found.std_s * 1e3:.0f} ms against the IMU's, by {how} "
-            f"(correlation {found.correlation:.2f}, {max(found.rival, 0.0):.2f} at the next best shift); they were shifted by that."
+            f"(correlation {found.correlation:.2f}, {max(found.rival, 0.0):.2f} at the next best shift); they were "
+            "shifted by that."
         )
         return offset, [text]
     if centre != 0.0:
-        text = f"The motors' stamps run {centre * 1e3:+.0f} ms against the IMU's by their arrival; they were shifted by that."
+        text = (
+            f"The motors' stamps run {centre * 1e3:+.0f} ms against the IMU's by their arrival; they were shifted by "
+            "that."
+        )
         return centre, [text]
     return 0.0, []
 
@@ -159,7 +167,9 @@ def motor_offset(flight: FlightData, motion: FlownMotion, inputs: MotorInput) ->
 def _turning_and_force(
     flight: FlightData, motion: FlownMotion, inputs: MotorInput, centre: float
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Measured and predicted angular acceleration (roll, pitch) and specific force z in one band, (k, 2) and (k, 1) each."""
+    """Measured and predicted angular acceleration (roll, pitch) and specific force z in one band, (k, 2) and (k, 1)
+    each.
+    """
     from scipy.signal import butter, sosfiltfilt
 
     vehicle = flight.vehicle
@@ -189,8 +199,8 @@ def with_one_stamp(
 ) -> tuple[Stream, list[str]]:
     """Poses whose positions are taken at the attitudes' time, where both of a pose are late by different amounts.
 
-    The world's acceleration by second differences of the positions, against the specific force turned into the world by the
-    attitudes and less gravity, over lags.
+    The world's acceleration by second differences of the positions, against the specific force turned into the world by
+    the attitudes and less gravity, over lags.
 
     Args:
         pose: positions and attitudes, (m, 7).
@@ -233,8 +243,8 @@ def with_one_stamp(
 def _joined(axes: list[Lag]) -> tuple[float, float, float]:
     """Weighted mean lag, its standard deviation, and the mean correlation; no lag where no axis shows one.
 
-    A tilt that is a little wrong turns gravity into the plane and moves the lags of x and y: where the axes disagree, the
-    standard deviation says so (Birge ratio).
+    A tilt that is a little wrong turns gravity into the plane and moves the lags of x and y: where the axes disagree,
+    the standard deviation says so (Birge ratio).
     """
     if not axes:
         return 0.0, np.inf, 0.0

@@ -1,4 +1,6 @@
-"""The answer of an identification: which estimate to believe and why, what every method found, and what stays hidden."""
+"""The answer of an identification: which estimate to believe and why, what every method found, and what stays
+hidden.
+"""
 
 from __future__ import annotations
 
@@ -175,7 +177,10 @@ def _result(fitted: DynamicFit, fit: Fitted, hidden: Mapping[str, str], note: st
 
 def _reason(fitted: DynamicFit) -> str:
     if fitted.instrumental is None:
-        return "FE: no plan or setpoints are recorded, so the prediction error estimate with a noise model is the best there is."
+        return (
+            "FE: no plan or setpoints are recorded, so the prediction error estimate with a noise model is the best "
+            "there is."
+        )
     worst, size = _disagreement(fitted.instrumental, fitted.filter_error)
     verdict = (
         f"FE agrees within {size:.1f} standard deviations"
@@ -185,7 +190,8 @@ def _reason(fitted: DynamicFit) -> str:
     flights = [item.flight for item in fitted.prepared]
     if any(flight.plan is None and flight.setpoint is None for flight in flights):
         return (
-            "IV: neither plan nor setpoints are recorded, and the smoothed path flown is the instrument: noisy rotor speeds do not "
+            "IV: neither plan nor setpoints are recorded, and the smoothed path flown is the instrument: noisy rotor "
+            "speeds do not "
             f"bias it, but it is not immune to feedback from disturbances; {verdict}."
         )
     return f"IV: the plan is known, so it is immune to feedback from disturbances; {verdict}."

@@ -224,11 +224,12 @@ def align_attitude(recording: Recording, offset_s: float) -> AttitudeFit:
 def _stamp_jitter(residual: Array, turning: Array, variance: Array, outlier: Mask) -> tuple[float, float]:
     """Jitter of the pose stamps and its standard deviation: by how much attitudes are noisier the faster they turn.
 
-    A stamp that is d late moves an attitude by its rate times d. So squared innovations, in units of their variance, are regressed on the
-    squared rate (Breusch and Pagan 1979).
+    A stamp that is d late moves an attitude by its rate times d. So squared innovations, in units of their variance,
+    are regressed on the squared rate (Breusch and Pagan 1979).
 
     Args:
-        residual, turning, variance: innovations of the attitude and of its derivative by the clock, and their variance, (rows,).
+        residual, turning, variance: innovations of the attitude and of its derivative by the clock, and their variance,
+            (rows,).
     """
     good = np.isfinite(variance) & ~outlier
     y, x = residual[good] ** 2 / variance[good], turning[good] ** 2 / variance[good]

@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 def damping_terms(prepared: Prepared) -> tuple[list[BodyWrench], PlannedMotion | None]:
     """Linear damping of the three rates and of climb, free in every fit, and the plan with their planned values.
 
-    Every vehicle has some; left out, it passes for rotor lag and lengthens the moments of inertia. Its regressor stands at
-    a right angle to the acceleration's, so freeing it costs mass and inertia next to nothing.
+    Every vehicle has some; left out, it passes for rotor lag and lengthens the moments of inertia. Its regressor stands
+    at a right angle to the acceleration's, so freeing it costs mass and inertia next to nothing.
     """
     record = prepared.record
     vehicle = record.vehicle

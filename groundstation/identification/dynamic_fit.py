@@ -1,4 +1,6 @@
-"""The dynamic fit of one or several flights: prediction error, the thrust curve where it is free, instrumental variables."""
+"""The dynamic fit of one or several flights: prediction error, the thrust curve where it is free, instrumental
+variables.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 QUIET = 0.2
-"""Share of the angular acceleration of the liveliest flight below which a flight without a plan only answers its disturbance."""
+"""Share of the angular acceleration of the liveliest flight below which a flight without a plan only answers its
+disturbance.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +44,8 @@ class DynamicFit:
     def best_name(self) -> str:
         """IV where a plan is known, else FE.
 
-        FE would be a little sharper where the controller saw no more than the record holds and the inputs are exact, but
-        a test of that (Durbin, Wu and Hausman) is weakest on the gentle flights where the bias is largest.
+        FE would be a little sharper where the controller saw no more than the record holds and the inputs are exact,
+        but a test of that (Durbin, Wu and Hausman) is weakest on the gentle flights where the bias is largest.
         """
         return "FE" if self.instrumental is None else "IV"
 
@@ -73,8 +77,8 @@ def _models_of(prepared: Sequence[Prepared]) -> tuple[RecordModel, ...]:
 def _without_gain(model: RecordModel, fitted: Fitted) -> RecordModel:
     """The model with every damping that came out negative held at zero.
 
-    Air takes energy from a turning vehicle and gives none. Without a plan, what feeds the disturbance back passes for the contrary,
-    and a model with it runs away when it is simulated.
+    Air takes energy from a turning vehicle and gives none. Without a plan, what feeds the disturbance back passes for
+    the contrary, and a model with it runs away when it is simulated.
     """
     held = tuple(
         replace(term, prior_std=1e-6 * term.prior_std) if coefficient < 0.0 else term

@@ -2,10 +2,10 @@
 
 Both are linear in the output, so both get their intervals from :mod:`uncertainty` through their influence H_k.
 
-The printed update of gradient descent, Theta <- Theta - sigma T Gamma^T e, is unstable: at sigma = 30 and T = 2 ms the mass row
-alone makes sigma T g^2 = 5.8 > 2, and on a vehicle of 30 g the tensor's rows would too. Here every parameter has a gain of its
-own, d_j = T rate / mean(|Gamma_j|^2), so that all forget at one rate in 1/s whatever their unit, and the step is the
-backward Euler form of (41), taken row by row with the row G and output y:
+The printed update of gradient descent, Theta <- Theta - sigma T Gamma^T e, is unstable: at sigma = 30 and T = 2 ms the
+mass row alone makes sigma T g^2 = 5.8 > 2, and on a vehicle of 30 g the tensor's rows would too. Here every parameter
+has a gain of its own, d_j = T rate / mean(|Gamma_j|^2), so that all forget at one rate in 1/s whatever their unit, and
+the step is the backward Euler form of (41), taken row by row with the row G and output y:
 
     Theta <- Theta - d G^T (G Theta - y) / (1 + G d G^T),
 
@@ -167,7 +167,10 @@ def gradient_descent(
 
 
 def _fitted(gamma: Array, upsilon: Array, normal: Array) -> Array:
-    """Least squares, (p,): what it leaves is the disturbance. A descent's own error would add lines where it listens."""
+    """Least squares, (p,): what it leaves is the disturbance.
+
+    A descent's own error would add lines where it listens.
+    """
     moment = np.tensordot(gamma, upsilon, axes=((0, 1), (0, 1)))
     return np.asarray(np.linalg.lstsq(normal, moment, rcond=SINGULAR)[0], dtype=float)
 

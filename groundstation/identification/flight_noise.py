@@ -1,4 +1,6 @@
-"""The noise of one flight's outputs: a colour for each channel that a fit uses, and the whitening of what the colour leaves."""
+"""The noise of one flight's outputs: a colour for each channel that a fit uses, and the whitening of what the colour
+leaves.
+"""
 
 from __future__ import annotations
 

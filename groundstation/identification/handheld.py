@@ -7,8 +7,8 @@ Kinematics alone, as for a flight (:mod:`groundstation.identification.reconstruc
    :math:`\sum |w - R m|^2` (Wahba 1965), by the singular values of :math:`\sum w m^T` (Markley 1988). Positions must
    accelerate as the specific force says under it: where the best orthogonal map is no rotation, the poses are mirrored.
 3. *Up*: the mean specific force, turned into the poses' world: a hand that goes nowhere for long carries g upwards.
-4. From there the whitened least squares of the reconstruction: offset, rotation, clock, tilt, and the scale of the poses
-   against the accelerometer, with standard deviations.
+4. From there the whitened least squares of the reconstruction: offset, rotation, clock, tilt, and the scale of the
+   poses against the accelerometer, with standard deviations.
 """
 
 from __future__ import annotations
@@ -129,7 +129,8 @@ def marker_axes(t_gyro: Array, gyro: Array, t_pose: Array, quaternion: Array) ->
 
 
 def refuse_mirrored(t_imu: Array, accel: Array, poses: tuple[Array, Array, Array], marker: Array) -> None:
-    """Check that positions accelerate as the specific force says: a mirror turns attitudes into rotations again, but not these.
+    """Check that positions accelerate as the specific force says: a mirror turns attitudes into rotations again, but
+    not these.
 
     Raises:
         Refused: the best orthogonal map between both is no rotation.

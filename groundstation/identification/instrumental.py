@@ -1,7 +1,7 @@
 r"""Instrumental variable estimate: consistent whatever the controller saw and however noisy the rotor speeds are.
 
-Solve Z^T W e(theta) = 0, where e are the residuals of ``record_model``, W whitens by the flight's own disturbance and Z are
-the sensitivities that the planned motion would have (``instruments``).
+Solve Z^T W e(theta) = 0, where e are the residuals of ``record_model``, W whitens by the flight's own disturbance and Z
+are the sensitivities that the planned motion would have (``instruments``).
 """
 
 from __future__ import annotations
@@ -64,9 +64,10 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: FitOptio
 
         theta <- theta + (Z^T W X)^-1 Z^T W e,    cov = (Z^T W X)^-1 (Z^T W Z) (X^T W Z)^-1
 
-    with X, Z, e whitened by the same noise model, which is refitted to the residual (Young's refined IV). Z is as wide as X, one
-    instrument for each parameter over all channels together: every instrument more keeps a share of the bias that
-    instruments are there to remove (Bekker 1994), and with gentle flights that share was the larger part of the error.
+    with X, Z, e whitened by the same noise model, which is refitted to the residual (Young's refined IV). Z is as wide
+    as X, one instrument for each parameter over all channels together: every instrument more keeps a share of the bias
+    that instruments are there to remove (Bekker 1994), and with gentle flights that share was the larger part of the
+    error.
     """
     problem = Problem(tuple(models), options, start.parameters)
     noise = noise_of(start, models, options)
@@ -178,7 +179,8 @@ def _with_uncertain(covariance: Array, zx: Array, held: int, variance: float) ->
     """The covariance with that of a parameter which was held, and what its uncertainty does to the others.
 
     Args:
-        zx: Z^T W X with the precision of the held one in its place; the others answer a change of it by -zx_oo^-1 zx_oh.
+        zx: Z^T W X with the precision of the held one in its place; the others answer a change of it by -zx_oo^-1
+            zx_oh.
     """
     others = np.arange(len(zx)) != held
     answer = np.ones(len(zx))
@@ -191,7 +193,8 @@ def _with_uncertain(covariance: Array, zx: Array, held: int, variance: float) ->
 def _root_of_inverse(information: Array) -> Array:
     """A square root R of the inverse, R R^T = information^-1, by eigenvalues in units in which the diagonal is one.
 
-    What the flight tells nothing of in double precision (a flight without noise tells the rest to ten digits) counts for nothing.
+    What the flight tells nothing of in double precision (a flight without noise tells the rest to ten digits) counts
+    for nothing.
     """
     unit = 1.0 / np.sqrt(np.diag(information))
     eigenvalues, vectors = np.linalg.eigh(information * np.outer(unit, unit))
@@ -202,10 +205,10 @@ def _root_of_inverse(information: Array) -> Array:
 def _spent_freedom(z: Array) -> float:
     """By how much the variance of an estimate exceeds what its residual says: n / (n - p - 2).
 
-    A flight has few independent values n in the band an estimate uses (two at each frequency, up to the 95 % point of the
-    whitened instruments' power), and a fit of p parameters takes its share out of the residual that the disturbance is read
-    from: n / (n - p). What is left is a Student variable of n - p degrees of freedom, of variance (n - p) / (n - p - 2).
-    p is this channel's leverage, trace(I^-1 Z^T Z).
+    A flight has few independent values n in the band an estimate uses (two at each frequency, up to the 95 % point of
+    the whitened instruments' power), and a fit of p parameters takes its share out of the residual that the disturbance
+    is read from: n / (n - p). What is left is a Student variable of n - p degrees of freedom, of variance (n - p) / (n
+    - p - 2). p is this channel's leverage, trace(I^-1 Z^T Z).
 
     Args:
         z: whitened instruments of one channel in units of the whole fit's standard deviations, (rows, P).
@@ -217,11 +220,12 @@ def _spent_freedom(z: Array) -> float:
 
 
 def lag_split_precision(names: Sequence[str]) -> Array:
-    """Prior precision that keeps how the total delay divides into lag up, lag down and dead time near the first estimate.
+    """Prior precision that keeps how the total delay divides into lag up, lag down and dead time near the first
+    estimate.
 
-    The plan excites low frequencies, where only the sum shows; its division comes from the prediction error estimate, to
-    2 ms for the dead time (in 28 drawn flights it was never wrong by more than 1 ms, however wrong the lag) and 5 ms for up against
-    down. The sum stays free.
+    The plan excites low frequencies, where only the sum shows; its division comes from the prediction error estimate,
+    to 2 ms for the dead time (in 28 drawn flights it was never wrong by more than 1 ms, however wrong the lag) and 5 ms
+    for up against down. The sum stays free.
     """
     precision = np.zeros((len(names), len(names)))
     row = np.zeros(len(names))

@@ -1,10 +1,10 @@
 """The motion that a plan made the vehicle do: the instruments of identification and diagnosis.
 
-An instrument must owe nothing to the flight's disturbances, and be as strong as it resembles the regressor (Soderstrom and
-Stoica 1983). The plan meets the first demand; but the vehicle follows it late, with other amplitudes, and not at all where the plan's
-jerk steps. So each axis's planned motion is passed through its own short linear filter, fitted to what was flown: a few
-weights over a whole flight take next to nothing of its disturbance along (Janot, Vandanjon and Gautier 2014 simulate the
-closed loop for the same purpose; here its law is unknown).
+An instrument must owe nothing to the flight's disturbances, and be as strong as it resembles the regressor (Soderstrom
+and Stoica 1983). The plan meets the first demand; but the vehicle follows it late, with other amplitudes, and not at
+all where the plan's jerk steps. So each axis's planned motion is passed through its own short linear filter, fitted to
+what was flown: a few weights over a whole flight take next to nothing of its disturbance along (Janot, Vandanjon and
+Gautier 2014 simulate the closed loop for the same purpose; here its law is unknown).
 """
 
 from __future__ import annotations
@@ -96,7 +96,8 @@ def _reference(flight: FlightData, motion: FlownMotion, keep: Mask, start_s: flo
 
 
 def _delay(reference: Reference, motion: FlownMotion, keep: Mask, gravity: float) -> tuple[float, float]:
-    """The shift at which planned and flown body rates correlate best, and that correlation; 0 where nothing was planned.
+    """The shift at which planned and flown body rates correlate best, and that correlation; 0 where nothing was
+    planned.
 
     It is the vehicle's own tracking delay and whatever separates the clocks.
     """
@@ -116,7 +117,9 @@ def _delay(reference: Reference, motion: FlownMotion, keep: Mask, gravity: float
 
 
 def _tracked_path(reference: Reference, delay_s: float, motion: FlownMotion, keep: Mask) -> FlatState:
-    """Position and yaw as flown: p(t) = sum_j w_j r(t - delay - s_j) per axis, w fitted to acceleration and yaw rate."""
+    """Position and yaw as flown: p(t) = sum_j w_j r(t - delay - s_j) per axis, w fitted to acceleration and yaw
+    rate.
+    """
     moved = [reference(motion.t_s - delay_s - shift) for shift in SHORT_S]
     middle = moved[len(moved) // 2]
     if not np.isfinite(motion.smooth[2]).all():
@@ -168,7 +171,8 @@ def _tracked_body(
 
 
 def _most_probable(candidates: Sequence[Array], target: Array, independent: float) -> tuple[int | None, Array]:
-    """The regression with the lowest Bayesian information criterion, and its weights; None where none explains anything.
+    """The regression with the lowest Bayesian information criterion, and its weights; None where none explains
+    anything.
 
     Args:
         candidates: regressors, each of shape (n, p).
@@ -208,7 +212,9 @@ def _path_spline(motion: FlownMotion, keep: Mask) -> Reference | None:
 
 
 def _setpoint_spline(setpoint: Stream, knots_s: float = 0.2) -> Reference | None:
-    """Quintic least-squares spline through position and yaw setpoints, knots every ``knots_s``; None if they do not move."""
+    """Quintic least-squares spline through position and yaw setpoints, knots every ``knots_s``; None if they do not
+    move.
+    """
     from scipy.interpolate import make_lsq_spline
 
     stream = clean(setpoint)

@@ -89,7 +89,9 @@ class _Tracked:
 def _tracked(
     flight: FlightData, imu: Stream, pose: Stream | None, state: Stream | None
 ) -> tuple[_Tracked | None, list[str]]:
-    """Poses of motion capture, or the vehicle's own state in their place; none where nothing aligns them with the IMU."""
+    """Poses of motion capture, or the vehicle's own state in their place; none where nothing aligns them with the
+    IMU.
+    """
     notes: list[str] = []
     own_clock = True
     if (pose is None or len(pose) < LEAST) and state is not None and len(state) >= LEAST:
@@ -125,7 +127,8 @@ def _unaided(imu: Stream, notes: Sequence[str]) -> Motion:
     count = len(imu.t_s)
     unknown = (np.full((count, 4), np.nan), np.full((count, 3), np.nan), np.full((count, 3), np.nan))
     note = (
-        "There are no poses: attitude, velocity and the accelerometer's bias are unknown, so the mass is only as sure as "
+        "There are no poses: attitude, velocity and the accelerometer's bias are unknown, so the mass is only as sure "
+        "as "
         f"a bias of {UNKNOWN_ACCEL_BIAS_M_S2:.1f} m/s^2 leaves it, and drag, wind and ground effect cannot be told."
     )
     return Motion(
@@ -186,14 +189,18 @@ def _disagreement(clock: Clock) -> list[str]:
     if clock.agrees is not False or clock.online_s is None or clock.online_error_s is None:
         return []
     return [
-        f"The link had motion capture {1e3 * clock.online_s:+.2f} +- {1e3 * clock.online_error_s:.2f} ms from the IMU, the motion says "
-        f"{1e3 * clock.mocap_minus_imu_s:+.2f} +- {1.96e3 * clock.std_s:.2f} ms: the stamps have a delay that the link does not know "
+        f"The link had motion capture {1e3 * clock.online_s:+.2f} +- {1e3 * clock.online_error_s:.2f} ms from the IMU, "
+        "the motion says "
+        f"{1e3 * clock.mocap_minus_imu_s:+.2f} +- {1.96e3 * clock.std_s:.2f} ms: the stamps have a delay that the link "
+        "does not know "
         "(`groundstation calibrate` measures it). The motion's was used."
     ]
 
 
 def _felt_beside(t: Array, rate: Array, lever: Array) -> Array:
-    """What an accelerometer beside the origin feels, rates low-passed at 20 Hz before they are differenced, shape (k, 3)."""
+    """What an accelerometer beside the origin feels, rates low-passed at 20 Hz before they are differenced, shape (k,
+    3).
+    """
     from scipy.signal import butter, sosfiltfilt
 
     sample_hz = 1.0 / float(np.median(np.diff(t)))

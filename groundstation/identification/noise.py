@@ -1,8 +1,8 @@
 r"""Coloured disturbance and sensor noise of one channel, and the innovations they leave.
 
 Every flight has a disturbance d(t) of its own (draughts, blade wash), coloured and of unknown size. With the rates as
-output, z = omega_measured - integral of the model = integral of d + white noise; with the accelerometer as output, z = d +
-white noise. Both are small state models; the Kalman filter turns z, and every column of sensitivities, into
+output, z = omega_measured - integral of the model = integral of d + white noise; with the accelerometer as output, z =
+d + white noise. Both are small state models; the Kalman filter turns z, and every column of sensitivities, into
 one-step innovations. A prediction error estimate from those is consistent in closed loop (Ljung, System Identification,
 2nd ed., section 13.4), which a regression on the wrench is not.
 """
@@ -153,7 +153,9 @@ def innovations(
 def minus_log_likelihood(
     residual: Array, dt: Array, restart: NDArray[np.bool_], colour: NoiseModel, integrated: bool
 ) -> float:
-    """Half the Gaussian minus-log-likelihood of a residual, robustified (pseudo-Huber at 4 sigma), constants dropped."""
+    """Half the Gaussian minus-log-likelihood of a residual, robustified (pseudo-Huber at 4 sigma), constants
+    dropped.
+    """
     kernel = integrated_costs if integrated else direct_costs
     noises = colour.vector()[None, :]
     return float(kernel(np.ascontiguousarray(residual), dt, restart, noises, float(np.median(dt)))[0])

@@ -1,4 +1,6 @@
-"""The second act of a flight-path reconstruction: the specific force, integrated twice, against the positions of motion capture."""
+"""The second act of a flight-path reconstruction: the specific force, integrated twice, against the positions of motion
+capture.
+"""
 
 from __future__ import annotations
 
@@ -100,7 +102,9 @@ def _fitted_position(error: Array, columns: Array, dt: Array, noise: Array) -> t
 def align_position(
     recording: Recording, attitude: AttitudeFit, gravity_m_s2: float, *, scale: bool = False
 ) -> PositionFit:
-    """Accelerometer bias, lever arm and tilt of the world from positions and specific force; the poses' scale where asked."""
+    """Accelerometer bias, lever arm and tilt of the world from positions and specific force; the poses' scale where
+    asked.
+    """
     t_imu = recording.t_imu
     tk = attitude.errors.stamps(recording, attitude.kept)
     dt = np.concatenate([[0.0], np.diff(tk)])

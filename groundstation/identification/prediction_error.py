@@ -5,10 +5,11 @@ Rates and specific force are the outputs, rotor thrusts the inputs, seen through
     omega(t) = omega(0) + J^-1 H(t) + integral of d_tau,    H = integral of (tau(T) - c x T e_z - omega x J omega)
     f_z(t) = T / m + b_z + d_F
 
-d are Ornstein-Uhlenbeck disturbances of unknown size and colour, estimated along with the parameters. Innovations from a Kalman
-filter per channel (``noise``) make the estimate a maximum-likelihood one and consistent although the controller feeds the
-disturbance back into the thrusts (Ljung 1999, ch. 7 and 13.4). omega x J omega uses the measured rates, whose noise
-is a part in a thousand there. Sensitivities are analytic, those of lag and delay are differences of the exact lag.
+d are Ornstein-Uhlenbeck disturbances of unknown size and colour, estimated along with the parameters. Innovations from
+a Kalman filter per channel (``noise``) make the estimate a maximum-likelihood one and consistent although the
+controller feeds the disturbance back into the thrusts (Ljung 1999, ch. 7 and 13.4). omega x J omega uses the measured
+rates, whose noise is a part in a thousand there. Sensitivities are analytic, those of lag and delay are differences of
+the exact lag.
 """
 
 from __future__ import annotations
@@ -92,7 +93,9 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """What a fit minimises: models of one vehicle's flights, what is free, and the guess that the weak priors stand about."""
+    """What a fit minimises: models of one vehicle's flights, what is free, and the guess that the weak priors stand
+    about.
+    """
 
     models: tuple[RecordModel, ...]
     options: FitOptions
@@ -143,7 +146,9 @@ class Problem:
         )
 
     def misfit(self, p: Parameters, noise: Sequence[FlightNoise]) -> float:
-        """Half the robust squared innovations and the logarithms of their deviations, at ``p`` under given noise models."""
+        """Half the robust squared innovations and the logarithms of their deviations, at ``p`` under given noise
+        models.
+        """
         total = 0.0
         for model, each in zip(self.models, noise, strict=True):
             found = each.whitened_residual(model, model.residual(p))
@@ -164,7 +169,9 @@ def huber_cost(y: Array, limit: float = HUBER) -> float:
 
 
 def inverted(information: Array) -> Array:
-    """The inverse of an information matrix, in units in which its diagonal is one: kilograms and kg m^2 of a nano-quadrotor lie 1e10 apart."""
+    """The inverse of an information matrix, in units in which its diagonal is one: kilograms and kg m^2 of a
+    nano-quadrotor lie 1e10 apart.
+    """
     unit = 1.0 / np.sqrt(np.diag(information))
     scale = np.outer(unit, unit)
     return np.asarray(np.linalg.inv(information * scale) * scale, dtype=float)
@@ -172,7 +179,9 @@ def inverted(information: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _Local:
-    """The cost at a point and its quadratic model: values (P,), normal matrix (P, P), descent direction's right side (P,)."""
+    """The cost at a point and its quadratic model: values (P,), normal matrix (P, P), descent direction's right side
+    (P,).
+    """
 
     theta: Array
     normal: Array
@@ -228,7 +237,9 @@ def _line_search(
 
 
 def _step(problem: Problem, point: Point, noise: Sequence[FlightNoise], taken_before: int) -> tuple[_Descent, bool]:
-    """One Gauss-Newton step, and whether it is the last: it did not lower the cost, or moved little beside the deviations."""
+    """One Gauss-Newton step, and whether it is the last: it did not lower the cost, or moved little beside the
+    deviations.
+    """
     local = _linearised(problem, point, noise)
     step = np.asarray(np.linalg.solve(local.normal, local.gradient), dtype=float)
     moved, taken = _line_search(problem, point, local, step, noise)
@@ -288,8 +299,9 @@ def fit(
 def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: FitOptions) -> Fitted:
     """Prediction error estimate from the declared vehicle: first one lag and no dead time from two starts, then all.
 
-    What divides the total into lag and dead time are the commands' highest frequencies, a narrow band: each of its periods has a
-    minimum. So the division is looked for over all of the total before the last fit, and once more after it.
+    What divides the total into lag and dead time are the commands' highest frequencies, a narrow band: each of its
+    periods has a minimum. So the division is looked for over all of the total before the last fit, and once more after
+    it.
     """
     extra = len(models[0].extra)
     if not options.lag:

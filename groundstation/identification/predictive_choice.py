@@ -69,7 +69,9 @@ def _base(physical: VehicleModel, vehicle: Vehicle) -> VehicleModel:
 
 
 def _shots(prepared: Prepared, flight: int, windows: int) -> Shooting | None:
-    """Windows from the vehicle's own state where it recorded one as densely as rates need, else from the smoothed motion."""
+    """Windows from the vehicle's own state where it recorded one as densely as rates need, else from the smoothed
+    motion.
+    """
     state = prepared.flight.state
     record = prepared.record
     if state is not None and len(state) >= 50 and state.rate_hz() >= 50.0:

@@ -1,9 +1,11 @@
-"""Fit of the prediction model to what lies 0.1 and 0.5 s ahead (multiple shooting), and the choice between it and simpler ones.
+"""Fit of the prediction model to what lies 0.1 and 0.5 s ahead (multiple shooting), and the choice between it and
+simpler ones.
 
-Windows start all over the flights (Bock and Plitt 1984, multiple shooting, with every start given by the flight). The size of each
-error counts, not its square, in units of what a guess of constant velocity and rate misses in that flight, so one wild stretch does
-not decide. The choice is made on blocks of time, or whole flights, that the judged fit has not seen, by the rule of one standard
-error (Breiman et al. 1984, Classification and regression trees, 3.4.3): a simpler model stays unless a richer one is clearly better.
+Windows start all over the flights (Bock and Plitt 1984, multiple shooting, with every start given by the flight). The
+size of each error counts, not its square, in units of what a guess of constant velocity and rate misses in that flight,
+so one wild stretch does not decide. The choice is made on blocks of time, or whole flights, that the judged fit has not
+seen, by the rule of one standard error (Breiman et al. 1984, Classification and regression trees, 3.4.3): a simpler
+model stays unless a richer one is clearly better.
 """
 
 from __future__ import annotations
@@ -36,16 +38,21 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 HORIZONS_S = (0.01, 0.1, 0.5)
-"""What a fit looks at: half a second is what a planner needs, 0.1 s what a controller needs, 0.01 s holds the start to the measured state."""
+"""What a fit looks at: half a second is what a planner needs, 0.1 s what a controller needs, 0.01 s holds the start to
+the measured state.
+"""
 WEIGHTS = (0.2, 0.36, 1.0)
 """Of the horizons: the shorter one is, the more of its error is noise of the measured state."""
 WINDOWS = 450
-"""Most windows of a fit, over all flights: on the nano-drone benchmark twice as many change no error by half a percent."""
+"""Most windows of a fit, over all flights: on the nano-drone benchmark twice as many change no error by half a percent.
+"""
 FIT_STEP_S = 0.01
 WIDEST = 1e3
 """Error, in those of constant velocity, beyond which a model has run away, and how far does not matter."""
 SHRINK = 0.02
-"""Cost of one spread away from a number's start; the errors themselves cost about 5 together, one prediction of constant velocity 11."""
+"""Cost of one spread away from a number's start; the errors themselves cost about 5 together, one prediction of
+constant velocity 11.
+"""
 EVALUATIONS = 14
 BLOCK_S = 4.0
 """Blocks of a judgement: several times as long as a horizon, and many in a minute."""
@@ -144,7 +151,9 @@ def _constant(states: FlightStates, index: Index, horizons: Sequence[float]) -> 
 
 
 def _differences(found: Array, truth: Array) -> Array:
-    """Position, velocity, attitude (rotation vector) and rate less the truth, (m, k, 4, 3); zero where nothing is known."""
+    """Position, velocity, attitude (rotation vector) and rate less the truth, (m, k, 4, 3); zero where nothing is
+    known.
+    """
     turned = quat_log(quat_normalise(quat_multiply(quat_conjugate(truth[..., 6:10]), found[..., 6:10])))
     parts = (found[..., :3] - truth[..., :3], found[..., 3:6] - truth[..., 3:6], turned)
     return np.stack([*(np.nan_to_num(x) for x in parts), found[..., 10:] - truth[..., 10:]], axis=-2)
@@ -198,7 +207,9 @@ def _fit(shots: Sequence[Shooting], model: VehicleModel, torque: bool) -> Predic
 
 
 def _folds(shots: Sequence[Shooting]) -> list[list[NDArray[np.bool_]]]:
-    """For each fold, which windows of each flight are judged: whole flights where there are enough, else blocks of time."""
+    """For each fold, which windows of each flight are judged: whole flights where there are enough, else blocks of
+    time.
+    """
     if len(shots) >= FOLDS:
         return [[np.full(len(s.index), s.flight % FOLDS == fold) for s in shots] for fold in range(FOLDS)]
     return [[s.block % FOLDS == fold for s in shots] for fold in range(FOLDS)]
@@ -306,7 +317,8 @@ def _chosen(
     )
     text = ", ".join(f"{name} {score[name][0]:.2f}" for name in sorted(score, key=lambda n: score[n][0]))
     reason = (
-        f"mean error 0.1 and 0.5 s ahead on {len(blocks[kind])} blocks that no fit of it has seen, in units of constant "
+        f"mean error 0.1 and 0.5 s ahead on {len(blocks[kind])} blocks that no fit of it has seen, in units of "
+        "constant "
         f"velocity's: {text}; the simplest within one standard error of the best is taken."
     )
     return Judgement(kind, model, errors, score, loses, len(blocks[kind]), reason)

@@ -1,4 +1,6 @@
-"""From a flight to what the dynamic fit needs: its motion (:mod:`.motion`), motors and plan on one clock, and what of it is used."""
+"""From a flight to what the dynamic fit needs: its motion (:mod:`.motion`), motors and plan on one clock, and what of
+it is used.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,8 @@ class Prepared:
         record: rates, specific force and motors.
         planned: the motion that was asked for, where a plan or setpoints are known.
         compatibility: kinematic findings, where poses and IMU both exist.
-        quaternion, position_m, velocity_m_s: smoothed motion of the declared origin at the record's stamps; NaN if unknown.
+        quaternion, position_m, velocity_m_s: smoothed motion of the declared origin at the record's stamps; NaN if
+            unknown.
         causal_quaternion, causal_position_m, causal_velocity_m_s: the same from the past alone.
         voltage_v, charge_as: battery at the record's stamps; NaN if unknown.
         source: "imu", "poses" or "state": where rates and accelerations come from.
@@ -191,7 +194,8 @@ def _kept(
     """Which of the motion's samples a fit uses: in the air, motors known, and not left out, (k,).
 
     Args:
-        offset_s: motors' clock minus the motion's. stretches, lost: in the air, and without motors, on the motors' clock.
+        offset_s: motors' clock minus the motion's. stretches, lost: in the air, and without motors, on the motors'
+            clock.
     """
     t = motion.t_s
     on_motors = t + offset_s
@@ -223,7 +227,8 @@ def prepare_all(flights: Sequence[FlightData], exclude: Sequence[Stretch] = ()) 
         if not any(np.any((p.record.t_s >= first) & (p.record.t_s <= last)) for p in prepared):
             spans = " and ".join(f"{p.record.t_s[0]:.2f} to {p.record.t_s[-1]:.2f} s" for p in prepared)
             raise BadInput(
-                f"there is nothing to leave out from {first:g} to {last:g} s: stamps run from {spans}; give times within them."
+                f"there is nothing to leave out from {first:g} to {last:g} s: stamps run from {spans}; give times "
+                "within them."
             )
     return prepared
 

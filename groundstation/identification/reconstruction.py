@@ -1,10 +1,10 @@
 """Flight-path reconstruction: do gyro and attitude, accelerometer and position agree, and what made them differ.
 
 Kinematics alone, no force model (Klein and Morelli, Aircraft System Identification, ch. 10). The gyro is integrated to
-an attitude and the specific force to a position; what separates them from motion capture is linear in small errors: clock
-offset and drift, gyro and accelerometer bias, gyro scale, misalignment of the marker body, lever arm, tilt of
-the capture volume. The rest is integrated sensor noise plus capture noise: a Kalman filter whitens both sides, and least
-squares on the innovations gives values with honest standard deviations.
+an attitude and the specific force to a position; what separates them from motion capture is linear in small errors:
+clock offset and drift, gyro and accelerometer bias, gyro scale, misalignment of the marker body, lever arm, tilt of
+the capture volume. The rest is integrated sensor noise plus capture noise: a Kalman filter whitens both sides, and
+least squares on the innovations gives values with honest standard deviations.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class Compatibility:
     """What motion capture and IMU agree on.
 
     Attributes:
-        values, std: kinematic errors by name (``mocap_minus_imu_s``, ``gyro_bias_x_rad_s``, ``mocap_rotation_x_rad`` ...). Beside those
-            of ``names``: ``stamp_jitter_s`` of the poses.
+        values, std: kinematic errors by name (``mocap_minus_imu_s``, ``gyro_bias_x_rad_s``, ``mocap_rotation_x_rad``
+            ...). Beside those of ``names``: ``stamp_jitter_s`` of the poses.
         covariance: of ``names`` in order.
         revealed: those of ``names`` that the flight tells at least twice as well as was known beforehand.
         kept: poses used, shape (poses,).
@@ -92,7 +92,9 @@ def reconstruct(recording: Recording, *, offset_s: float, gravity_m_s2: float, s
 
 
 SHARED = 0.5
-"""Correlation of the clock read from attitudes and from positions: between none and all, as the gyro drifts little or much."""
+"""Correlation of the clock read from attitudes and from positions: between none and all, as the gyro drifts little or
+much.
+"""
 
 
 def _combine(
@@ -102,7 +104,8 @@ def _combine(
     w_a, w_p = np.linalg.inv(p_attitude[:2, :2]), np.linalg.inv(p_position[:2, :2])
     covariance_clock = np.linalg.inv(w_a + w_p)
     clock = attitude[:2] + covariance_clock @ (w_p @ position[:2])
-    # The path is integrated along attitudes that were smoothed on the attitude's own clock: the two share part of their error.
+    # The path is integrated along attitudes that were smoothed on the attitude's own clock: the two share part of their
+    # error.
     half_a, half_p = np.linalg.cholesky(p_attitude[:2, :2]), np.linalg.cholesky(p_position[:2, :2])
     cross = covariance_clock @ w_a @ (SHARED * half_a @ half_p.T) @ w_p @ covariance_clock
     # Gyro and accelerometer chains may lag differently: where the two disagree, the interval says so (Birge ratio).

@@ -3,9 +3,9 @@
     omega(t) = omega(0) + J^-1 H(t),    H = integral of (tau(T) - c x F(T) - omega x J omega)
     f(t) = (F(T) + extra forces) / m + b
 
-T are rotor thrusts behind a lag and a delay, F and tau what they make along their axes. omega x J omega uses the measured rates, whose noise is a part in a thousand
-there. Sensitivities are analytic; those of lag and delay are differences of the exact lag. Everything is linear in running
-integrals, so those are averaged to the fit's rate once.
+T are rotor thrusts behind a lag and a delay, F and tau what they make along their axes. omega x J omega uses the
+measured rates, whose noise is a part in a thousand there. Sensitivities are analytic; those of lag and delay are
+differences of the exact lag. Everything is linear in running integrals, so those are averaged to the fit's rate once.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ class DynamicRecord:
     Attributes:
         t_s: stamps, (k,). keep: samples inside the window and outside exclusions, (k,).
         rate_rad_s: rates less their bias, (k, 3).
-        force_m_s2: specific force of the declared origin less bias and lever arm, (k, 3); NaN when there is no accelerometer.
+        force_m_s2: specific force of the declared origin less bias and lever arm, (k, 3); NaN when there is no
+            accelerometer.
         force_bias_std: what is left unknown of the bias, (3,).
         motors: on the motors' clock.
         block: samples averaged into one for the fit, the same on both sides of the equation.
@@ -89,7 +90,9 @@ class BodyWrench:
 
 @dataclass(frozen=True, slots=True)
 class Predicted:
-    """A record's outputs at given parameters: thrusts on the motors' grid, wrench and impulse (blocks, 6), rates, forces."""
+    """A record's outputs at given parameters: thrusts on the motors' grid, wrench and impulse (blocks, 6), rates,
+    forces.
+    """
 
     on_grid: tuple[Array, Array]
     wrench: Array
@@ -99,7 +102,8 @@ class Predicted:
 
 
 class RecordModel:
-    """Predicted outputs of one record and their sensitivities, at the fit's rate. Built once per flight; pure in the parameters.
+    """Predicted outputs of one record and their sensitivities, at the fit's rate. Built once per flight; pure in the
+    parameters.
 
     Attributes:
         matrix: from rotors' thrusts to body force and torque, (6, n).
@@ -166,7 +170,9 @@ class RecordModel:
         return total / self._members.shape[1]
 
     def on_grid(self, up_s: float, down_s: float, slope: float) -> tuple[Array, Array]:
-        """What rotors make by the declared constants behind a lag and its running integral, on the motors' grid, (k, rows) each."""
+        """What rotors make by the declared constants behind a lag and its running integral, on the motors' grid, (k,
+        rows) each.
+        """
         motors = self.record.motors
         wrench = declared_thrust(self.record.vehicle, motors.lagged(up_s, down_s, slope)) @ self.matrix[self._made].T
         held = not motors.measured and up_s <= 1e-6 and down_s <= 1e-6
@@ -232,7 +238,9 @@ class RecordModel:
 
 @njit(cache=True)
 def _integral_means(values: Array, step: Array, members: NDArray[np.int64]) -> Array:
-    """Block means of the running integral by the trapezoidal rule of columns (k, n), with ``step`` before each sample, (blocks, n)."""
+    """Block means of the running integral by the trapezoidal rule of columns (k, n), with ``step`` before each sample,
+    (blocks, n).
+    """
     count = values.shape[1]
     blocks, size = members.shape
     out = np.zeros((blocks, count))

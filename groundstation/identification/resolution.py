@@ -1,12 +1,14 @@
 r"""What sampled streams cannot resolve: no interval is finer.
 
-Between samples a stream is taken as linear, and what is integrated is so by the trapezoidal rule. Of a sinusoid of angular
-frequency w sampled every h, a piecewise linear curve holds the share sinc^2(w h / 2) = 1 - (w h)^2 / 12 + ... (Oppenheim and
-Schafer 2010, section 4.3), and the trapezoidal rule errs by the same share. Such an error is one of gain: mass or moment takes it as its
-own. It is systematic, so that no number of samples averages it out, and a fit of a flight without noise does not see it.
+Between samples a stream is taken as linear, and what is integrated is so by the trapezoidal rule. Of a sinusoid of
+angular frequency w sampled every h, a piecewise linear curve holds the share sinc^2(w h / 2) = 1 - (w h)^2 / 12 + ...
+(Oppenheim and Schafer 2010, section 4.3), and the trapezoidal rule errs by the same share. Such an error is one of
+gain: mass or moment takes it as its own. It is systematic, so that no number of samples averages it out, and a fit of
+a flight without noise does not see it.
 
-w is the mean-square frequency of what the parameter answers to, force or torque (Rice 1944, section 3.3): w^2 = E[y'^2] / E[y^2]. It
-comes from differences over one and two blocks, D_1 and D_2, whose difference D_2 - D_1 = 3 w^2 dt^2 E[y^2] is free of white noise.
+w is the mean-square frequency of what the parameter answers to, force or torque (Rice 1944, section 3.3): w^2 =
+E[y'^2] / E[y^2]. It comes from differences over one and two blocks, D_1 and D_2, whose difference D_2 - D_1 = 3 w^2
+dt^2 E[y^2] is free of white noise.
 """
 
 from __future__ import annotations
@@ -41,7 +43,7 @@ def _step_s(stream: Stream) -> float:
 
 
 def frequency_squared(model: RecordModel, values: Array) -> Array:
-    """Mean-square angular frequency of block means (blocks, n) about their mean, less white noise, (n,); 0 where it is not known."""
+    """Mean-square angular frequency of block means (blocks, n), less white noise, (n,); 0 where it is not known."""
     inside = ~model.restart
     pair, triple = inside[1:], inside[1:-1] & inside[2:]
     if np.count_nonzero(triple) < 3:

@@ -364,7 +364,8 @@ def default_cutoff_hz(flight: FlightData, imu: Stream | None, t_s: Array) -> flo
 def interpolate(t_s: ArrayLike, stamps_s: Array, values: Array) -> Array:
     """Linear interpolation of the columns of ``values`` (n, d) at ``t_s``; shape (k, d).
 
-    It rounds otherwise than :func:`groundstation.flightdata.resampled`, and the tables of the paper are held to the last bit.
+    It rounds otherwise than :func:`groundstation.flightdata.resampled`, and the tables of the paper are held to the
+    last bit.
     """
     t = np.asarray(t_s, dtype=float)
     right = np.clip(np.searchsorted(stamps_s, t, side="right"), 1, len(stamps_s) - 1)

@@ -1,7 +1,8 @@
 """What each parameter of the table (:mod:`groundstation.model.parameters`) changes of the rates and specific forces.
 
-Two forms: along the measured motion, and along the planned one, which owes nothing to a flight's disturbances (the instruments).
-Each gives d(prediction)/d(parameter) as rates (blocks, 3) and specific forces (blocks, 3) at the fit's rate.
+Two forms: along the measured motion, and along the planned one, which owes nothing to a flight's disturbances (the
+instruments). Each gives d(prediction)/d(parameter) as rates (blocks, 3) and specific forces (blocks, 3) at the fit's
+rate.
 """
 
 from __future__ import annotations
@@ -49,7 +50,9 @@ class Point:
 
 
 class Measured(Point):
-    """Along the measured motion: sensitivities are analytic, those of lag and delay are differences of the exact lag."""
+    """Along the measured motion: sensitivities are analytic, those of lag and delay are differences of the exact
+    lag.
+    """
 
     def __init__(self, model: RecordModel, p: Parameters, prediction: Predicted):
         super().__init__(model, p)
@@ -83,8 +86,9 @@ class Measured(Point):
 class Planned(Point):
     """Along the planned motion.
 
-    A thrust y behind a lag: y' = (u - y) / tau, so dy/dtau = -y' through the same lag, of rising or falling rotors. Where its rate is
-    (1 + s x) / tau, dy/ds = tau x y' through the lag, with x of the command u = y + tau y' above hover's.
+    A thrust y behind a lag: y' = (u - y) / tau, so dy/dtau = -y' through the same lag, of rising or falling rotors.
+    Where its rate is (1 + s x) / tau, dy/ds = tau x y' through the lag, with x of the command u = y + tau y' above
+    hover's.
     """
 
     def __init__(self, model: RecordModel, p: Parameters):

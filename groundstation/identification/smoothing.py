@@ -1,4 +1,5 @@
-"""Compiled recursions of the flight-path reconstruction: rates to attitude, and Kalman filters and smoothers of what poses differ by.
+"""Compiled recursions of the flight-path reconstruction: rates to attitude, and Kalman filters and smoothers of what
+poses differ by.
 
 The smoothers are those of Rauch, Tung and Striebel (1965).
 """
@@ -96,8 +97,8 @@ def _fill(out: Array, p: Upper) -> None:
 def position_filter(z: Array, dt: Array, noise: Array) -> tuple[Array, Array, Array, Array, Array]:
     """Kalman filter of [position, velocity, acceleration] errors seen in position; columns alike.
 
-    ``noise`` is (pose noise, white acceleration density, acceleration random walk density, initial acceleration). Returns
-    innovations (k, m), variances (k,), filtered states (k, 3, m), filtered and predicted covariances (k, 3, 3).
+    ``noise`` is (pose noise, white acceleration density, acceleration random walk density, initial acceleration).
+    Returns innovations (k, m), variances (k,), filtered states (k, 3, m), filtered and predicted covariances (k, 3, 3).
     The first three samples only initialise (variance inf).
     """
     r, qv, qa, a0 = noise

@@ -1,4 +1,6 @@
-"""What every method does to a flight's streams first: clean samples, the stretches in the air, poses of the vehicle's origin."""
+"""What every method does to a flight's streams first: clean samples, the stretches in the air, poses of the vehicle's
+origin.
+"""
 
 from __future__ import annotations
 
@@ -34,15 +36,16 @@ def clean(stream: Stream, exclude: Segments = ()) -> Stream:
 def origin_poses(mounting: Mocap, position_m: Array, quaternion: Array) -> tuple[Array, Array]:
     """Position (k, 3) and attitude (k, 4) of the declared origin from those of the tracked frame.
 
-    q_b = q_m q_bm^-1 and p_b = p_m - R(q_b) r, where the vehicle file declares the rotation q_bm from the body to the tracked frame and
-    the tracked point r in the body.
+    q_b = q_m q_bm^-1 and p_b = p_m - R(q_b) r, where the vehicle file declares the rotation q_bm from the body to the
+    tracked frame and the tracked point r in the body.
     """
     q = quat_multiply(quaternion, quat_conjugate(quat_exp(np.asarray(mounting.rotation_rad))))
     return position_m - quat_rotate(q, np.asarray(mounting.position_m)), q
 
 
 def flown_stretches(flight: FlightData, transient_s: float | None = None) -> tuple[tuple[float, float], ...]:
-    """What is used of a flight: the known excitation less the transient, or every stretch in the air (:mod:`.stretches`).
+    """What is used of a flight: the known excitation less the transient, or every stretch in the air
+    (:mod:`.stretches`).
 
     Raises:
         NotIdentifiable: the vehicle did not fly.

@@ -41,7 +41,8 @@ def turning_disturbance(models: Sequence[RecordModel], fit: Fitted, options: Fit
 
 
 def _white_density(record: DynamicRecord) -> Array:
-    """Density root of the rates' white noise, rad per root second, by their second differences at the record's own rate, (3,).
+    """Density root of the rates' white noise, rad per root second, by their second differences at the record's own
+    rate, (3,).
 
     A fit to averaged samples need not see it: a disturbance may turn the vehicle by more between two of them.
     """

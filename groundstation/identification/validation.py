@@ -1,4 +1,6 @@
-"""The seed's two validations: output prediction error (43), and the closed loop simulated against the flight (Tables 4-6)."""
+"""The seed's two validations: output prediction error (43), and the closed loop simulated against the flight (Tables
+4-6).
+"""
 
 from __future__ import annotations
 
@@ -60,8 +62,8 @@ def validate(
 ) -> tuple[Validation, ...]:
     """All checks of section IV that a flight allows: output error on both models, and the closed loop.
 
-    The closed loop needs poses, the plan with its start, and a vehicle file that declares its controller; what is missing
-    leaves that check out.
+    The closed loop needs poses, the plan with its start, and a vehicle file that declares its controller; what is
+    missing leaves that check out.
 
     Args:
         flight: recorded.
@@ -106,8 +108,8 @@ def closed_loop_validation(
 ) -> Validation:
     """Simulate the closed loop with each parameter set and compare it with the flight (Table 4).
 
-    The loop is the declared controller on the plan, started where the flight was three seconds before the excitation. It
-    stands for the flight only as far as the vehicle flew by that controller.
+    The loop is the declared controller on the plan, started where the flight was three seconds before the excitation.
+    It stands for the flight only as far as the vehicle flew by that controller.
 
     Args:
         flight: with poses and a known excitation window.

@@ -52,7 +52,9 @@ def held_mean(t_s: Array, stamps_s: Array, values: Array) -> Array:
 
 
 def voltage_ratio(vehicle: Vehicle, battery: Stream | None, t_s: Array) -> Array:
-    """Voltage over the full battery's (declared, or the flight's highest) at given times; one without a battery stream."""
+    """Voltage over the full battery's (declared, or the flight's highest) at given times; one without a battery
+    stream.
+    """
     if battery is None or len(battery) == 0:
         return np.ones(len(t_s))
     voltage = battery.column("voltage_v")

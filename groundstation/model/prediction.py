@@ -1,8 +1,9 @@
-"""Open-loop prediction: from every moment of a flight, simulate ahead with the recorded inputs and see how far off it is.
+"""Open-loop prediction: from every moment of a flight, simulate ahead with the recorded inputs and see how far off it
+is.
 
-All windows are integrated side by side (RK4 on a 5 ms grid, thrusts averaged over each step), for the identified model, the
-declared vehicle, and a guess of constant velocity and rate. States start from the past alone, the disturbance among them that an
-identified model carries on (:mod:`.disturbance`).
+All windows are integrated side by side (RK4 on a 5 ms grid, thrusts averaged over each step), for the identified model,
+the declared vehicle, and a guess of constant velocity and rate. States start from the past alone, the disturbance among
+them that an identified model carries on (:mod:`.disturbance`).
 """
 
 from __future__ import annotations
@@ -59,7 +60,9 @@ class Prediction(Tabular):
         }
 
     def worse(self) -> list[tuple[str, str]]:
-        """Horizons and quantities in which the model errs more (by 2 %, more than rounding) than constant velocity does."""
+        """Horizons and quantities in which the model errs more (by 2 %, more than rounding) than constant velocity
+        does.
+        """
         still = self.error["constant_velocity"]
         return [
             (h, q)
@@ -177,7 +180,8 @@ def _refuse_what_ran_away(
         lost = np.mean(~np.isfinite(final["rate"]).all(axis=1))
         if missing or lost > 0.0:
             raise Refused(
-                f"the model runs away: {horizon} s ahead it has no finite {missing[0] if missing else 'body rate'} in this flight.",
+                f"the model runs away: {horizon} s ahead it has no finite {missing[0] if missing else 'body rate'} in "
+                "this flight.",
                 "Predict with the [prediction] section (`--use prediction`), or identify again from livelier flights.",
             )
 

@@ -1,4 +1,6 @@
-"""A vehicle's model simulated ahead from many starts at once, with the recorded inputs (RK4, thrusts averaged over each step)."""
+"""A vehicle's model simulated ahead from many starts at once, with the recorded inputs (RK4, thrusts averaged over each
+step).
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ def constant_velocity(states: FlightStates, index: Index, horizons: Sequence[flo
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """What the rotors of a model do over the flight, on the motors' grid: thrusts, their running integral, lagged values, their slope."""
+    """What the rotors of a model do over the flight, on the motors' grid: thrusts, their running integral, lagged
+    values, their slope.
+    """
 
     thrust: Array
     impulse: Array
@@ -116,7 +120,8 @@ def _carried(noise: TurningDisturbance, motion: Motion, states: FlightStates) ->
 
 @dataclass(frozen=True, slots=True)
 class _Disturbed:
-    """What turns each window besides the model: acceleration at the start (windows, 3), its fading a step (3,), and the pull back.
+    """What turns each window besides the model: acceleration at the start (windows, 3), its fading a step (3,), and the
+    pull back.
 
     Attributes:
         pace: 1/s by which turning forgets, (3,). back: of rate and of acceleration at each step, (steps, 2, 3).

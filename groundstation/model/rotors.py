@@ -1,10 +1,11 @@
 """Rotor thrusts over time from what a flight recorded of its motors: commands through a lag, or measured speeds.
 
 A command holds until the next one; a measured speed is interpolated linearly (it is a sample of something continuous).
-The lag x' = (1 + s (u/u_h - 1)) (u - x)/tau, with tau by the sign of u - x, is solved exactly over each step of a fine grid.
-A first-order lag has s = 0. The torque of a motor falls in proportion to its speed and its propeller's drag grows with the
-square, so small changes about a speed fade at the rate (a + b u), which is linearised about hover's command u_h: s is the
-propeller's share of the damping there (Bangura and Mahony 2014, Thrust control for multirotor aerial vehicles, for the torques).
+The lag x' = (1 + s (u/u_h - 1)) (u - x)/tau, with tau by the sign of u - x, is solved exactly over each step of a fine
+grid. A first-order lag has s = 0. The torque of a motor falls in proportion to its speed and its propeller's drag grows
+with the square, so small changes about a speed fade at the rate (a + b u), which is linearised about hover's command
+u_h: s is the propeller's share of the damping there (Bangura and Mahony 2014, Thrust control for multirotor aerial
+vehicles, for the torques).
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ def _gain(z: float) -> float:
 def _lagged(value: Array, up: float, down: float, step: float, slope: float, hover: float) -> Array:
     """Each column of a piecewise constant input behind the lag, shape kept.
 
-    What a step moves a rotor depends on the command alone, so it is worked out where that changes: the rotor waits for one product.
+    What a step moves a rotor depends on the command alone, so it is worked out where that changes: the rotor waits for
+    one product.
     """
     count, columns = value.shape
     out = np.empty_like(value)
@@ -133,7 +135,9 @@ def interpolate_columns(query_s: Array, start_s: float, step_s: float, values: A
 
 
 def hover_value(vehicle: Vehicle) -> float:
-    """Motor value at which a rotor carries its share of the declared weight; one where none does (a wrench as input)."""
+    """Motor value at which a rotor carries its share of the declared weight; one where none does (a wrench as
+    input).
+    """
     if vehicle.rotors.input == "wrench":
         return 1.0
     share = vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.rotors.count

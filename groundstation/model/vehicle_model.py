@@ -126,7 +126,8 @@ def _with_thrust(vehicle: Vehicle, values: Mapping[str, float]) -> tuple[Vehicle
 def nearest_mixture(tensor: Array, declared: Array) -> Array:
     """A tensor that is partly measured, with as much of the declared one as makes a rigid body of it, shape (3, 3).
 
-    Moments must be positive and obey the triangle inequality: the second moment of mass tr(J)/2 1 - J is positive definite.
+    Moments must be positive and obey the triangle inequality: the second moment of mass tr(J)/2 1 - J is positive
+    definite.
     """
     for share in np.linspace(0.0, 1.0, 21):
         mixed = (1.0 - share) * tensor + share * declared

@@ -18,8 +18,10 @@ from groundstation.recording.plainmcap import plain_mcap
 from groundstation.recording.tables import Table, table_of
 
 _DEFINED = {
-    "actuator_msgs/msg/Actuators": "std_msgs/Header header\nfloat64[] position\nfloat64[] velocity\nfloat64[] normalized\n",
-    "mav_msgs/msg/Actuators": "std_msgs/Header header\nfloat64[] angles\nfloat64[] angular_velocities\nfloat64[] normalized\n",
+    "actuator_msgs/msg/Actuators": "std_msgs/Header header\nfloat64[] position\nfloat64[] velocity\nfloat64[] "
+    "normalized\n",
+    "mav_msgs/msg/Actuators": "std_msgs/Header header\nfloat64[] angles\nfloat64[] angular_velocities\nfloat64[] "
+    "normalized\n",
 }
 """Messages of motors, for bags that define none: those of sqlite before ROS 2 Iron."""
 
@@ -50,7 +52,8 @@ def opened(path: Path) -> Iterator[Any]:
             raise
         except Exception as error:  # nor has it one for a file that is damaged
             raise BadInput(
-                f"{path}: is no ROS 2 bag that can be read ({one_line(error)}); repair it with `{_remedy(path)}`, or record it again."
+                f"{path}: is no ROS 2 bag that can be read ({one_line(error)}); repair it with "
+                f"`{_remedy(path)}`, or record it again."
             ) from None
 
 
@@ -112,7 +115,8 @@ def _require_definition(store: Any, connection: Any, path: Path) -> None:
     """Raise where the bag has a topic of a type that it does not define."""
     if connection.msgtype not in store.fielddefs:
         raise BadInput(
-            f"{path}: does not say what {connection.msgtype} is (topic {connection.topic}): bags of ROS 2 Humble and before hold no "
+            f"{path}: does not say what {connection.msgtype} is (topic {connection.topic}): bags of ROS 2 Humble and "
+            "before hold no "
             "definitions. Convert it where that package is installed: `ros2 bag convert`, to MCAP."
         )
 

@@ -1,8 +1,9 @@
 """Blackbox logs of Betaflight and INAV as streams.
 
-Body axes are x ahead, y left, z up already: a positive pitch of the firmware's is nose down, a positive yaw counter-clockwise,
-and the accelerometer reads +1 g on z at rest (imu.c, mixer.c). Scales are in the header: ``gyro_scale`` (degrees/s per
-count), ``acc_1G`` (counts per g), ``motorOutput`` and ``motor_pwm_protocol``, ``motor_poles``.
+Body axes are x ahead, y left, z up already: a positive pitch of the firmware's is nose down, a positive yaw
+counter-clockwise, and the accelerometer reads +1 g on z at rest (imu.c, mixer.c). Scales are in the header:
+``gyro_scale`` (degrees/s per count), ``acc_1G`` (counts per g), ``motorOutput`` and ``motor_pwm_protocol``,
+``motor_poles``.
 """
 
 from __future__ import annotations
@@ -59,7 +60,8 @@ def read_blackbox(path: Path, vehicle: Vehicle, part: Part = WHOLE) -> Recording
     notes, losses = [], _losses(path, log)
     if len(logs) > 1:
         notes.append(
-            f"{path.name}: holds {len(logs)} logs; number {logs.index(log) + 1}, the longest ({t_s[-1] - t_s[0]:.0f} s), is read."
+            f"{path.name}: holds {len(logs)} logs; number {logs.index(log) + 1}, the longest ({t_s[-1] - t_s[0]:.0f} "
+            "s), is read."
         )
     streams: dict[str, Stream] = {}
     streams["motors"], said = _motors(log, t_s, vehicle, str(path))
@@ -122,11 +124,14 @@ _VOLTS = (
     ("Cleanflight", (2, 0), 0.1),
     ("EmuFlight", (0, 0), 0.01),
 )
-"""Firmware, version from which on, and volts per count of vbatLatest (blackbox-log-viewer, flightlog_fields_presenter.js)."""
+"""Firmware, version from which on, volts per count of vbatLatest (blackbox-log-viewer, its fields presenter)."""
 
 
 def _battery(log: BlackboxLog, t_s: Array) -> tuple[Stream | None, list[str]]:
-    """The battery's voltage and current. Hundredths of either in INAV and since Betaflight 4.0; earlier currents need the board's scale."""
+    """The battery's voltage and current.
+
+    Hundredths of either in INAV and since Betaflight 4.0; earlier currents need the board's scale.
+    """
     revision = log.headers.get("Firmware revision", "")
     volts = next((name for name in ("vbatLatest", "vbat") if name in log), None)
     if volts is None:
@@ -149,8 +154,8 @@ def _battery(log: BlackboxLog, t_s: Array) -> tuple[Stream | None, list[str]]:
 def _state(log: BlackboxLog, t_s: Array) -> tuple[Stream | None, list[str]]:
     """INAV's own estimate; no other firmware of this family logs one.
 
-    navPos and navVel are centimetres north, east and up of where it first knew its position; attitude is in tenths of a degree, yaw
-    clockwise from north (imu.c, navigation_pos_estimator.c). Ours is x north, y west, z up.
+    navPos and navVel are centimetres north, east and up of where it first knew its position; attitude is in tenths of a
+    degree, yaw clockwise from north (imu.c, navigation_pos_estimator.c). Ours is x north, y west, z up.
     """
     if not all(log.elements(name) == 3 for name in ("navPos", "navVel", "attitude")):
         return None, []
@@ -172,7 +177,8 @@ def _motors(log: BlackboxLog, t_s: Array, vehicle: Vehicle, source: str) -> tupl
     if count < 3:
         surfaces = f" and {log.elements('servo')} servos" if log.elements("servo") else ""
         raise BadInput(
-            f"{source}: is not the log of a multicopter: it has {count} motor{'s' if count > 1 else ''}{surfaces}; give a log of one with "
+            f"{source}: is not the log of a multicopter: it has {count} "
+            f"motor{'s' if count > 1 else ''}{surfaces}; give a log of one with "
             "three rotors or more."
         )
     check_count(vehicle, count, f"motor[0] to motor[{count - 1}]", source)
@@ -203,7 +209,7 @@ def _commands(log: BlackboxLog, source: str) -> tuple[Array, str]:
     low, _, high = log.headers.get("motorOutput", "").partition(",")
     protocol = log.number("motor_pwm_protocol", -1.0)
     top = float(high) if high.strip().isdigit() else 0.0
-    # INAV logs pulses whatever goes to the ESC, and maps mincommand and maxthrottle to DShot's ends (mixer.c, writeMotors).
+    # INAV logs pulses whatever goes to the ESC, and maps mincommand and maxthrottle to DShot's ends (mixer.c).
     inav = "INAV" in log.headers.get("Firmware revision", "")
     digital = not inav and (protocol >= _FIRST_DIGITAL or (protocol < 0.0 and top > 2000.0))
     if digital:
@@ -213,8 +219,10 @@ def _commands(log: BlackboxLog, source: str) -> tuple[Array, str]:
         said = f"pulses from {least:g} to maxthrottle {full:g}"
     if full <= least or float(np.mean(sent > full + 1.0)) > 0.01:
         raise BadInput(
-            f"{source}: motor values of {np.min(sent):g} to {np.max(sent):g} do not fit the header's range (motorOutput "
-            f"'{low},{high}', motor_pwm_protocol {protocol:g}; tested: {said}); say the scale with `groundstation convert --map`."
+            f"{source}: motor values of {np.min(sent):g} to {np.max(sent):g} do not fit the header's range "
+            "(motorOutput "
+            f"'{low},{high}', motor_pwm_protocol {protocol:g}; tested: {said}); say the scale with `groundstation "
+            "convert --map`."
         )
     return np.clip((sent - least) / (full - least), 0.0, 1.0), f"motors: motor[] as {said}."
 

@@ -1,8 +1,8 @@
 """The compiled decoder of blackbox frames. Import where it is used: numba takes a third of a second to load.
 
-Encodings and predictors follow Betaflight's "Blackbox internals" documentation. Frame kinds are numbered I 0, P 1, S 2, G 3,
-H 4; E (events) are skipped by their own lengths. A frame counts where a known mark follows it; past a damaged place frames
-count again from the next I.
+Encodings and predictors follow Betaflight's "Blackbox internals" documentation. Frame kinds are numbered I 0, P 1, S 2,
+G 3, H 4; E (events) are skipped by their own lengths. A frame counts where a known mark follows it; past a damaged
+place frames count again from the next I.
 """
 
 from __future__ import annotations
@@ -219,15 +219,15 @@ def decode(data, stop, layout, marks, part, past, state, rows):
     Args:
         data: the log.
         stop: byte from which no further frame is begun.
-        layout: encoding, predictor and sign per kind of frame and field, shape (3, 5, most fields); fields per kind, (5,);
-            least throttle, reference voltage, least motor output, (3,); I interval, numerator and denominator of the P
-            interval, (3,); field of motor[0] and of the time.
+        layout: encoding, predictor and sign per kind of frame and field, shape (3, 5, most fields); fields per kind,
+            (5,); least throttle, reference voltage, least motor output, (3,); I interval, numerator and denominator of
+            the P interval, (3,); field of motor[0] and of the time.
         marks: number of a kind by its mark, shape (256,).
         part: first and last stamp and least step of what is kept, microseconds, shape (3,).
         past: the fields of the last frame, of the one before it, and of the current one, shape (3, fields).
-        state: where the next frame begins, whether the data end within a field, loop and time after a pause (2), whether
-            one was, whether the log has ended, frames kept, bytes skipped, whether frames count, times the clock ran over,
-            last stamp kept (-1 of none), whether there was a frame, shape (12,).
+        state: where the next frame begins, whether the data end within a field, loop and time after a pause (2),
+            whether one was, whether the log has ended, frames kept, bytes skipped, whether frames count, times the
+            clock ran over, last stamp kept (-1 of none), whether there was a frame, shape (12,).
         rows: filled with the fields of each frame that is kept, shape (k, fields); of no rows to count only.
     """
     encoding, predictor, is_signed = layout[0][0], layout[0][1], layout[0][2]
@@ -307,7 +307,8 @@ def _keep(current, clock, part, state, rows):
 
 
 def decode_frames(data, start, layout, part):
-    """The main frames of a part, shape (k, fields), the time without run-overs; bytes skipped as damaged; whether the log ended.
+    """The main frames of a part, shape (k, fields), the time without run-overs; bytes skipped as damaged; whether the
+    log ended.
 
     Raises:
         ValueError: fields that take no bytes would make more samples of the file than a flight controller can log.

@@ -1,4 +1,5 @@
-"""Messages of one ROS 2 type to columns of numbers, thousands at once: where each number stands, worked out once per layout.
+"""Messages of one ROS 2 type to columns of numbers, thousands at once: where each number stands, worked out once per
+layout.
 
 In plain CDR (OMG DDS-XTypes 1.3, 7.4.1; XCDR version 1, little endian) a message's layout depends on the lengths of its
 strings and sequences alone. So the first message of a layout is walked field by field, and all others with the same
@@ -29,7 +30,9 @@ _TYPES = {
     **{"float32": "<f4", "float64": "<f8"},
 }
 MOST_ELEMENTS = 64
-"""Elements of an array up to which they are written out; longer ones are images, clouds or covariances of large states."""
+"""Elements of an array up to which they are written out; longer ones are images, clouds or covariances of large
+states.
+"""
 UNREAD = "covariance"
 """Fields with this in their name are left out: they are most of a message, and no stream has them."""
 

@@ -1,7 +1,7 @@
 """Micro-SD logs of Bitcraze's Crazyflie ("usd log"), a binary format that its own header describes.
 
-Layout, little endian: ``0xBC``, version (u16: 1 has millisecond, 2 microsecond stamps), number of event types (u16); for
-each its id (u16), its name (zero-terminated), its number of variables (u16) and for each variable ``name(type)``,
+Layout, little endian: ``0xBC``, version (u16: 1 has millisecond, 2 microsecond stamps), number of event types (u16);
+for each its id (u16), its name (zero-terminated), its number of variables (u16) and for each variable ``name(type)``,
 zero-terminated, with the type as in Python's ``struct``. Then events: id (u16), time stamp (u32 in version 1, u64 in
 version 2), variables, packed. The last four bytes are the CRC-32 of all that precedes them.
 """
@@ -77,7 +77,8 @@ def decode_usd(data: Bytes, source: str, part: Part = WHOLE) -> UsdLog:
     version = struct.unpack_from("<H", head, 1)[0] if len(head) >= 5 else 0
     if version > max(_VERSIONS):
         raise BadInput(
-            f"{source}: is a usd log of version {version}; this program reads versions 1 and 2. Update it, or convert the log "
+            f"{source}: is a usd log of version {version}; this program reads versions 1 and 2. Update it, or convert "
+            "the log "
             "with the Crazyflie firmware's own tools and `groundstation convert --map`."
         )
     try:
@@ -91,7 +92,8 @@ def decode_usd(data: Bytes, source: str, part: Part = WHOLE) -> UsdLog:
     notes = []
     if end == len(data):
         notes.append(
-            f"{source}: the log was cut off or damaged (its checksum does not match); read up to byte {stop} of {len(data)}."
+            f"{source}: the log was cut off or damaged (its checksum does not match); read up to byte {stop} of "
+            f"{len(data)}."
         )
     t_s, columns = {}, {}
     for event, (name, record) in records.items():
@@ -266,9 +268,9 @@ def _battery(variables: _Variables) -> tuple[Stream | None, list[str]]:
 def _motors(variables: _Variables, vehicle: Vehicle, source: str) -> tuple[Stream, list[str]]:
     """Commands as a fraction of full scale (65535), or the speeds of an rpm deck.
 
-    A firmware that compensates the battery takes motor.m1 and on for thrusts and raises pwm.m1_pwm and on as the voltage falls
-    (motors.c, motorsCompensateBatteryVoltage). Where both and the voltage are logged, the command is what the motors got:
-    the share of the full battery's voltage.
+    A firmware that compensates the battery takes motor.m1 and on for thrusts and raises pwm.m1_pwm and on as the
+    voltage falls (motors.c, motorsCompensateBatteryVoltage). Where both and the voltage are logged, the command is what
+    the motors got: the share of the full battery's voltage.
     """
     prefixes = {"command": "motor", "rotor_speed": "rpm"}
     count = vehicle.rotors.count
@@ -291,7 +293,8 @@ def _motors(variables: _Variables, vehicle: Vehicle, source: str) -> tuple[Strea
     if battery is None or full is None:
         lacking = "no voltage is logged (pm.vbatMV)" if battery is None else "the vehicle file lacks [battery] full_v"
         return plain, [
-            f"motors: pwm.m1_pwm and on, which a firmware that compensates the battery sends to the motors, are not used: {lacking}. "
+            "motors: pwm.m1_pwm and on, which a firmware that compensates the battery sends to the motors, are not "
+            f"used: {lacking}. "
             "The commands are motor.m1 and on."
         ]
     _, sent = variables.together(f"{prefixes[kind]}.m1", *widths, battery[0])

@@ -52,9 +52,9 @@ _IMU_REMEDY = (
 def read_dataflash(path: Path, vehicle: Vehicle, part: Part = WHOLE) -> Recording:
     """Read the messages that identification needs, of a part of the log.
 
-    GYR and ACC where raw logging was on, else IMU (first instance of each), RCOU as commands or ESC as speeds, the filter's
-    position and attitude as the vehicle's own state, VISP (or in simulation SIM and SIM2) for motion capture, BAT, GUIP as
-    setpoints.
+    GYR and ACC where raw logging was on, else IMU (first instance of each), RCOU as commands or ESC as speeds, the
+    filter's position and attitude as the vehicle's own state, VISP (or in simulation SIM and SIM2) for motion capture,
+    BAT, GUIP as setpoints.
 
     Raises:
         BadInput: it is damaged at the start, holds no motor outputs, or those of another vehicle.
@@ -85,7 +85,8 @@ def _losses(path: Path, log: DataFlashFile) -> list[str]:
     notes = [f"{path.name}: {log.damaged} damaged bytes were skipped."] if log.damaged else []
     if log.missing:
         notes.append(
-            f"{path.name}: the log is cut off in the middle of a record ({log.missing} bytes of it are missing); it was read "
+            f"{path.name}: the log is cut off in the middle of a record ({log.missing} bytes of it are missing); it "
+            "was read "
             "up to there."
         )
     return notes
@@ -131,7 +132,8 @@ def _primary_core(tables: Tables) -> tuple[int | None, list[str]]:
     share = float(counts.max()) / len(primary)
     switches = int(np.count_nonzero(np.diff(primary)))
     return core, [
-        f"state: the filter changed its primary core {switches} times; core {core} is read, which it was for {share:.0%}."
+        f"state: the filter changed its primary core {switches} times; core {core} is read, which it "
+        f"was for {share:.0%}."
     ]
 
 

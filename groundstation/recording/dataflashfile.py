@@ -1,4 +1,6 @@
-"""ArduPilot's DataFlash container (AP_Logger): self-describing records behind A3 95, by column; parameters with their times."""
+"""ArduPilot's DataFlash container (AP_Logger): self-describing records behind A3 95, by column; parameters with their
+times.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +76,9 @@ def _formats(data: Bytes, where: NDArray[np.int64]) -> list[tuple[int, str, str,
 
 
 def _layout(letters: str, columns: str) -> dict[str, tuple[int, str, float]]:
-    """Offset (the head of three bytes included), type and factor of each column; empty for letters that are not known."""
+    """Offset (the head of three bytes included), type and factor of each column; empty for letters that are not
+    known.
+    """
     fields: dict[str, tuple[int, str, float]] = {}
     at = 3
     for letter, name in zip(letters, columns.split(","), strict=False):

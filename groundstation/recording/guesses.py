@@ -1,8 +1,8 @@
 """What the names of a table's columns tell of streams, for a map file that somebody then checks: quantity, axis, unit.
 
-Only what names say is filled in, a stream whole or not at all. A unit stands behind the name, in brackets, or in a line of its own below
-the names; where none is told, the contract's is assumed and the line shows it. Elements of a quaternion that are numbered
-say nothing of their order, so they are left to whoever knows.
+Only what names say is filled in, a stream whole or not at all. A unit stands behind the name, in brackets, or in a
+line of its own below the names; where none is told, the contract's is assumed and the line shows it. Elements of a
+quaternion that are numbered say nothing of their order, so they are left to whoever knows.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ _SUFFIXES = {
 
 
 def _with_suffix(words: str) -> tuple[str, str]:
-    """A unit that stands behind the name; single letters count only where more than an axis stands before them, or time."""
+    """A unit behind the name; a single letter counts only where more than an axis stands before it, or time."""
     for suffix, unit in _SUFFIXES.items():
         if words.endswith(f" {suffix}"):
             return words.removesuffix(f" {suffix}"), unit
@@ -160,7 +160,7 @@ def _motor(named: list[_Named], number: int, unit: str) -> tuple[str, float] | N
 
 
 def _matching(named: list[_Named], pattern: str, quantity: str) -> tuple[str, float] | None:
-    """The first column of a name whose unit is one of the quantity, and its factor; the contract's unit where none is told."""
+    """The first column of a name whose unit is one of the quantity's, and its factor; 1 where no unit is told."""
     for column in named:
         if re.fullmatch(pattern, column.words):
             factor = _FACTORS[quantity].get(column.unit, 1.0 if not column.unit else None)

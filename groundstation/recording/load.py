@@ -34,7 +34,10 @@ _DATAFLASH_MAGIC = b"\xa3\x95\x80"
 
 
 LARGE_BYTES = 1 << 24
-"""A log from here on is read in two passes, so that a part of it costs that part. A smaller one fits in memory anyway."""
+"""A log from here on is read in two passes, so that a part of it costs that part.
+
+A smaller one fits in memory anyway.
+"""
 _SURVEY_STEP_S = 0.02  # 50 samples in each of the seconds that thinning compares
 _MARGIN_S = 1.0  # read on both sides of a stretch, for what is interpolated at its ends
 
@@ -87,7 +90,9 @@ def read_recording(path: str | Path, vehicle: Vehicle | None = None, part: Part 
 
 
 def _with_its_own_input(recording: Recording, source: str) -> Recording:
-    """With ``input = "command"`` where the vehicle file says rotor speeds, nobody measured them, and top speed is declared."""
+    """With ``input = "command"`` where the vehicle file says rotor speeds, nobody measured them, and top speed is
+    declared.
+    """
     motors, vehicle = recording.streams.get("motors"), recording.vehicle(source)
     if motors is None or vehicle is None or vehicle.rotors.input != "rotor_speed":
         return recording
@@ -96,7 +101,8 @@ def _with_its_own_input(recording: Recording, source: str) -> Recording:
     rotors = vehicle.rotors.model_copy(update={"input": "command", "speed_source": "command"})
     taken = vehicle_file(vehicle.model_copy(update={"rotors": rotors}))
     note = (
-        "motors: rotor speeds are not recorded, commands are; a command is taken as a fraction of speed_max_rad_s at the "
+        "motors: rotor speeds are not recorded, commands are; a command is taken as a fraction of speed_max_rad_s at "
+        "the "
         'full battery\'s voltage (declare input = "command", and a thrust_curve if thrust goes otherwise).'
     )
     return replace(recording, files={**recording.files, VEHICLE_FILE: taken}, notes=(*recording.notes, note))
@@ -113,7 +119,8 @@ def _bag_in(folder: Path) -> Path | None:
     files = sorted(file for kind in ("*.mcap", "*.db3") for file in folder.glob(kind))
     if len(files) > 1 and not (folder / "motors.csv").is_file():
         raise BadInput(
-            f"{folder}: holds {len(files)} files of a ROS 2 bag, and no metadata.yaml that joins them; write it with `ros2 bag reindex`, "
+            f"{folder}: holds {len(files)} files of a ROS 2 bag, and no metadata.yaml that joins them; write it with "
+            "`ros2 bag reindex`, "
             "or name one of the files."
         )
     return files[0] if len(files) == 1 and not (folder / "motors.csv").is_file() else None
@@ -207,7 +214,8 @@ def _stretch_of_large_log(
 ) -> Stretch | None:
     """What will be used of a log too large to be read whole for the sake of a part: what was asked for, or tells most.
 
-    None of a log that is read whole. To find what tells most, the log is read once with a sample of each kind every 20 ms.
+    None of a log that is read whole. To find what tells most, the log is read once with a sample of each kind every 20
+    ms.
     """
     if _size_of(path) < LARGE_BYTES:
         return None
@@ -271,7 +279,8 @@ def _thinned(flight: FlightData, stretch: Stretch | None) -> FlightData:
     if stretch is None:
         return flight
     note = (
-        f"flight: of {stretch.of_s:.0f} s those from {stretch.start_s:.1f} to {stretch.end_s:.1f} s are used, in which the "
+        f"flight: of {stretch.of_s:.0f} s those from {stretch.start_s:.1f} to {stretch.end_s:.1f} s are used, in which "
+        "the "
         "vehicle turns and climbs most; choose others with --from and --to, or use all with --all."
     )
     cut = _cut(flight, stretch.start_s, stretch.end_s)
@@ -279,7 +288,9 @@ def _thinned(flight: FlightData, stretch: Stretch | None) -> FlightData:
 
 
 def _with_onboard_log(path: Path, recording: Recording, vehicle: Vehicle) -> Recording:
-    """With the streams of the log that was fetched beside a recording, ``onboard.ulg`` or ``onboard.bin``, if there is one."""
+    """With the streams of the log that was fetched beside a recording, ``onboard.ulg`` or ``onboard.bin``, if there is
+    one.
+    """
     log = onboard_log_of(path) if path.suffix == ".mcap" else None
     if log is None:
         return recording
@@ -290,7 +301,9 @@ def _with_onboard_log(path: Path, recording: Recording, vehicle: Vehicle) -> Rec
 
 
 def _cut(flight: FlightData, start_s: float | None, end_s: float | None) -> FlightData:
-    """The part between two times on the motors' clock, on every stream's own clock as far as arrival times relate them."""
+    """The part between two times on the motors' clock, on every stream's own clock as far as arrival times relate
+    them.
+    """
     motors = flight.motors
     start = float(motors.t_s[0]) if start_s is None else start_s
     end = float(motors.t_s[-1]) if end_s is None else end_s

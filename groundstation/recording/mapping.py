@@ -34,7 +34,7 @@ _VECTORS = {
 }
 _QUATERNION = ("qw", "qx", "qy", "qz")
 _EULER = ("roll_rad", "pitch_rad", "yaw_rad")
-"""What may stand for a quaternion: yaw, then pitch, then roll, each about the turned axes, in the stream's own frame."""
+"""What may stand for a quaternion: yaw, pitch, roll, each about the turned axes, in the stream's own frame."""
 
 
 class _Section(BaseModel):

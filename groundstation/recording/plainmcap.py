@@ -1,6 +1,7 @@
-"""MCAP files that ``rosbags`` refuses: recordings that were not ended, and exports of other programs with ROS 2 messages.
+"""MCAP files that ``rosbags`` refuses: recordings that were not ended, and other programs' exports of ROS 2 messages.
 
-Read by :mod:`groundstation.recording.container`, which stops where a file was cut; the messages' types come from their schemas.
+Read by :mod:`groundstation.recording.container`, which stops where a file was cut; the messages' types come from
+their schemas.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ class Connection:
 
 
 class PlainMcap:
-    """What :func:`groundstation.recording.bagfile.opened` gives of such a file: the part of the library's reader that is used.
+    """What ``bagfile.opened`` gives of such a file: the part of the library's reader that is used.
 
     Attributes:
         connections: channels of ROS 2 messages.
@@ -73,7 +74,7 @@ class PlainMcap:
 
 
 def plain_mcap(path: Path) -> PlainMcap | None:
-    """The reader of a file, or of the one file of a folder; None where it is no MCAP file, or holds no ROS 2 messages."""
+    """The reader of a file, or of the one file of a folder; None where it is no MCAP file of ROS 2 messages."""
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
     files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]

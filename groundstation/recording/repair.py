@@ -289,7 +289,8 @@ def _repair_motors(stream: Stream, name: str, vehicle: Vehicle) -> tuple[Stream,
     for column, share in zip(stream.columns, np.count_nonzero(bad, axis=0) / max(len(bad), 1), strict=True):
         if share > 0.5:
             raise BadInput(
-                f"{name}: {share:.0%} of {column} is no number, no possible value or far too low in flight; the stream is refused. "
+                f"{name}: {share:.0%} of {column} is no number, no possible value or far too low in flight; the stream "
+                "is refused. "
                 "Mend that rotor's telemetry and fly again."
             )
     causes = {

@@ -1,7 +1,7 @@
 """ROS 2 bags (folders, MCAP and sqlite files) as streams, decoded by the ``rosbags`` library.
 
-Standard messages are in REP 103's frames, which are ours: body x ahead, y left, z up; world z up; Odometry's twist is in its
-child's frame, the body. Messages of ``px4_msgs`` mean what the same topics of a ULog mean, and go the same way.
+Standard messages are in REP 103's frames, which are ours: body x ahead, y left, z up; world z up; Odometry's twist is
+in its child's frame, the body. Messages of ``px4_msgs`` mean what the same topics of a ULog mean, and go the same way.
 """
 
 from __future__ import annotations
@@ -164,7 +164,8 @@ def _wanted(path: Path, found: Mapping[str, str], vehicle: Vehicle) -> dict[str,
     if motors is None:
         kinds = ", ".join(sorted({*_MOTORS, "px4_msgs/msg/ActuatorMotors", "px4_msgs/msg/EscStatus"}))
         raise BadInput(
-            f"{path}: holds no motor values (topics of {kinds}); it has {', '.join(sorted(found)) or 'nothing'}. Record them, or "
+            f"{path}: holds no motor values (topics of {kinds}); it has {', '.join(sorted(found)) or 'nothing'}. "
+            "Record them, or "
             "say which topic they are with `groundstation convert --map`."
         )
     wanted[motors] = "motors"

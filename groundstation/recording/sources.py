@@ -25,7 +25,8 @@ Source = Callable[[], Table]
 
 
 def sources_of(path: Path) -> dict[str, Source]:
-    """Each table of a log; it is read when it is called for. A file of one table names it after itself, without a suffix.
+    """Each table of a log; it is read when it is called for. A file of one table names it after itself, without a
+    suffix.
 
     Raises:
         BadInput: the log is missing, or of no kind that has tables.
@@ -97,7 +98,7 @@ def _parquet(path: Path) -> Table:
 
 
 def _numbers_of(name: str, column: ChunkedArray) -> dict[str, Array]:
-    """A column of numbers, one of times as seconds, or one of lists of one length as name[0] and on; nothing of any other."""
+    """A column of numbers, of times as seconds, or of lists of one length as name[0] and on; nothing of any other."""
     from pyarrow import types  # pyright: ignore[reportMissingImports]
 
     kind = column.type

@@ -1,7 +1,7 @@
-"""Tables of numbers as people export them: other encodings, comments, a line of units, words for missing cells, times of day.
+"""Tables of numbers as people export them: encodings, comments, units below the names, empty cells, times of day.
 
-A flight bundle is read strictly (:mod:`groundstation.recording.csvfile`). A table that a map explains may be anybody's, so what
-can be told without a guess is read, and the rest is named.
+A flight bundle is read strictly (:mod:`groundstation.recording.csvfile`). A table that a map explains may be
+anybody's, so what can be told without a guess is read, and the rest is named.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def decoded(data: bytes) -> str:
 
 
 def _arranged(text: str) -> tuple[str, dict[str, str]]:
-    """The text with its line of names first, and the units of the line below; what stood between is blank, so that lines keep their number."""
+    """The text with its line of names first, and the units below it; other lines are blank and keep their number."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     first = next((i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith(_COMMENT)), 0)
     names = lines[first]
@@ -125,7 +125,8 @@ def _of_day(clock: re.Match[str]) -> float:
 def _numbers(cells: tuple[str, ...]) -> Array | None:
     """Cells as numbers, words for missing ones as NaN; None where one is something else.
 
-    Times of day go on over midnight, and over noon and midnight where a clock of twelve hours does not say which half it is.
+    Times of day go on over midnight, and over noon and midnight where a clock of twelve hours does not say which half
+    it is.
     """
     stripped = [cell.strip() for cell in cells]
     kept = [cell for cell in stripped if cell.lower() not in _MISSING]

@@ -1,8 +1,8 @@
 """Long logs: the stretch of a flight that tells most of the vehicle, when nobody said which part to use.
 
-What a stretch tells of inertias, lags and thrust grows with the square of what the vehicle does in it: turn rates and specific
-force that vary. The most informative stretch of a given length is the one where the sum of those variances is greatest. One
-stretch is taken, not several, since samples on both sides of a seam do not follow each other.
+What a stretch tells of inertias, lags and thrust grows with the square of what the vehicle does in it: turn rates and
+specific force that vary. The most informative stretch of a given length is the one where the sum of those variances is
+greatest. One stretch is taken, not several, since samples on both sides of a seam do not follow each other.
 """
 
 from __future__ import annotations
@@ -17,9 +17,14 @@ from groundstation.flightdata import Stream
 Array = NDArray[np.float64]
 
 LONG_S = 600.0
-"""A flight up to here is used whole. A fit of ten minutes takes about a minute and one gigabyte; batteries rarely last longer."""
+"""A flight up to here is used whole.
+
+A fit of ten minutes takes about a minute and one gigabyte; batteries rarely last longer.
+"""
 KEPT_S = 180.0
-"""What is kept of a longer one: six times the excitation that a plan flies, at a cost that stays near a planned flight's."""
+"""What is kept of a longer one: six times the excitation that a plan flies, at a cost that stays near a planned
+flight's.
+"""
 _BLOCK_S = 1.0
 
 

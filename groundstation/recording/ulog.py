@@ -147,7 +147,8 @@ def _setpoint(topics: Mapping[str, Table], settings: Settings) -> tuple[Stream |
 def _left_out(topics: Topics) -> list[str]:
     """One line per topic that is not read, with its size."""
     return [
-        f"{name}{f' (instance {instance})' if instance else ''}: {len(topic)} samples at {_rate_hz(topic):.0f} Hz are not read."
+        f"{name}{f' (instance {instance})' if instance else ''}: {len(topic)} samples at {_rate_hz(topic):.0f} Hz are "
+        "not read."
         for (name, instance), topic in sorted(topics.items())
         if name not in TOPICS
     ]
@@ -155,7 +156,8 @@ def _left_out(topics: Topics) -> list[str]:
 
 def _metadata(log: ULogFile) -> dict[str, str]:
     info = {key: value for key, value in log.info.items() if key in ("sys_name", "ver_sw", "ver_hw")}
-    # The simulator's own parameters are the answer, not an input: they are carried for reports and read by nothing else.
+    # The simulator's own parameters are the answer, not an input: they are carried for reports and read by nothing
+    # else.
     truth = {key: log.settings.value(key, np.inf, 0.0) for key in log.settings.names() if key.startswith("SIH_")}
     return {"format": "PX4 ULog", **info, **({"simulator_parameters": json.dumps(truth)} if truth else {})}
 
@@ -233,7 +235,9 @@ def _mocap(topics: Mapping[str, Table], settings: Settings) -> tuple[Stream | No
 
 
 def _joined(position: Table, attitude: Table) -> tuple[Array, Array, Array]:
-    """Position's stamps within those of attitude, positions there, and attitude by interpolation on the great circle."""
+    """Position's stamps within those of attitude, positions there, and attitude by interpolation on the great
+    circle.
+    """
     t_attitude, t_s = _rising(_sampled(attitude)), _sampled(position)
     q = z_up_quaternion(attitude.array("q", 4))[t_attitude]
     t_attitude = _sampled(attitude)[t_attitude]

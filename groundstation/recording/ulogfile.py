@@ -1,7 +1,7 @@
 """PX4's ULog container (docs.px4.io, "ULog File Format"): topics by column, parameters with their times, losses.
 
-A file is scanned once for the borders of its messages; a column is gathered when it is asked for. Damaged bytes are skipped
-up to the next place from which messages follow each other, and counted.
+A file is scanned once for the borders of its messages; a column is gathered when it is asked for. Damaged bytes are
+skipped up to the next place from which messages follow each other, and counted.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Two flights or more on one page: what agrees, what changed and by how many standard deviations, as HTML and as Markdown."""
+"""Two flights or more on one page: what agrees, what changed and by how many standard deviations, as HTML and as
+Markdown.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +30,8 @@ from groundstation.reporting.units import (
 from groundstation.writing import write_whole
 
 DIFFERS = 2.8
-"""Standard deviations of a difference from which it is said to be one: 5 chances in 1000 for one parameter, and of the ten that are
-compared, one comparison in twenty by chance."""
+"""Standard deviations of a difference from which it is said to be one: 5 chances in 1000 for one parameter, and of the
+ten that are compared, one comparison in twenty by chance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +81,9 @@ def change(name: str, first: Estimate, second: Estimate) -> str:
 
 
 def comparison_rows(flights: Sequence[Flown]) -> list[tuple[str, ...]]:
-    """A row for each parameter that two flights or more tell: name, unit, each flight, change from first to last, judgement."""
+    """A row for each parameter that two flights or more tell: name, unit, each flight, change from first to last,
+    judgement.
+    """
     told = [flight.parameters() for flight in flights]
     rows = []
     for name in dict.fromkeys(name for known in told for name in known):

@@ -123,7 +123,8 @@ def start_core(
         secrets: of the roles; new ones by default.
 
     Returns:
-        The process, and an operator's access to it, which is also in ``core.endpoint`` in the folder, for this user alone;
+        The process, and an operator's access to it, which is also in ``core.endpoint`` in the folder, for this user
+            alone;
         in ``watch.endpoint`` is that of those who may watch and abort.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -148,7 +149,9 @@ def start_core(
 def running_cores(
     logs: Path, timeout_s: float = 1.0, told: Callable[[str], None] = lambda sentence: None
 ) -> list[tuple[Path, Access]]:
-    """Flights in ``logs`` whose core answers now: (folder, access), newest first; ``told`` hears of files that are not ours."""
+    """Flights in ``logs`` whose core answers now: (folder, access), newest first; ``told`` hears of files that are not
+    ours.
+    """
     found = []
     for file in sorted(logs.glob(f"*/{ENDPOINT_FILE}"), reverse=True):
         try:

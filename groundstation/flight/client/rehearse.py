@@ -10,6 +10,7 @@ from typing import Any
 
 from drivers.access import Access
 from groundstation.errors import BadInput, FlightAborted, LinkLost, Refused
+from groundstation.flight import timeouts
 from groundstation.flight.children import Child
 from groundstation.flight.client.client import CoreClient, connect, outcome, start_core
 from groundstation.flight.client.interrupts import Interrupts
@@ -109,10 +110,13 @@ def _as_client(core: Child, endpoint: Access, body: Callable[[CoreClient], None]
             connected = True
             client.take_lease()
             body(client)
-    except ConnectionError as error:
+    except ConnectionError:
         if not connected and core.poll() is None:
             core.interrupt()
-            raise BadInput(f"the core does not answer ({error}); see core.log in the flight's folder.") from None
+            raise BadInput(
+                f"the core did not answer within {timeouts.CORE_CONNECT_S:g} s; the machine may be busy: try again. "
+                "Its log is core.log in the flight's folder."
+            ) from None
     core.wait()
 
 
@@ -142,7 +146,8 @@ def fly(
         take_over: ``land`` or ``hold`` a vehicle found in flight, instead of flying a plan.
 
     Raises:
-        FlightAborted: the flight was aborted and the vehicle is down, or nothing was armed; what was flown told nothing.
+        FlightAborted: the flight was aborted and the vehicle is down, or nothing was armed; what was flown told
+            nothing.
         LinkLost: it ended, and nobody saw the vehicle on the ground.
         Refused: the vehicle or the checks refused to fly.
     """
@@ -175,7 +180,7 @@ def fly(
     if status == FlightAborted.exit_status and GIVEN_UP in reason:
         raise FlightAborted(f"{reason}. The recording is kept; `groundstation report {recording}` analyses it.")
     if status == FlightAborted.exit_status and not (folder / "identification.json").is_file():
-        raise FlightAborted(f"aborted: {reason}. The recording is {recording}")
+        raise FlightAborted(f"aborted: {reason}." + (f" The recording is {recording}" if recording.is_file() else ""))
     if status == LinkLost.exit_status:
         raise LinkLost(f"{reason}. The recording is {recording}{_still_changed(folder)}")
     if status == Refused.exit_status and not (folder / "report.html").is_file():

@@ -43,7 +43,9 @@ def read_as(quaternion: Array, reading: str) -> Array:
 
 
 def frame_checks(flight: FlightData) -> list[Check]:
-    """Checks of the pose stream ("quaternion", "body_frame", "world_frame", "position_unit") and of the state's velocity."""
+    """Checks of the pose stream ("quaternion", "body_frame", "world_frame", "position_unit") and of the state's
+    velocity.
+    """
     found: list[Check] = []
     pose, state, imu = (long_enough(stream) for stream in (flight.mocap, flight.state, flight.imu))
     if state is not None:
@@ -109,7 +111,8 @@ def _attitude(imu: Stream, pose: Stream, mounting: Array) -> tuple[str, float | 
     own = max((value for key, value in results.items() if key[:2] == (declared, 0)), default=0.0)
     top = results[best]
     reading, number, shift = best
-    # A wrong order of four numbers may come out as a wrong naming of axes: the declared naming goes first where it is as good.
+    # A wrong order of four numbers may come out as a wrong naming of axes: the declared naming goes first where it is
+    # as good.
     plain = max((k for k in results if k[1] == 0), key=results.__getitem__)
     if results[plain] > 0.95 * top:
         reading, number, shift = plain
@@ -168,7 +171,10 @@ def _world(imu: Stream, pose: Stream, quaternion: Array, offset: float, gravity:
     found = []
     if winner and own < FAR * top:
         words = in_words(names[winner])
-        says = f"Positions are in another world than attitudes and accelerometer: they move as its axes {words}{_world_word(names[winner])}."
+        says = (
+            "Positions are in another world than attitudes and accelerometer: they move as its axes "
+            f"{words}{_world_word(names[winner])}."
+        )
         line = f"give x_m, y_m, z_m and attitudes in one right-handed world with z up: positions are {words} of it"
         return [Check("world_frame", tested, evidence, "contradicted", says, line)]
     found.append(Check("world_frame", tested, evidence, "agrees"))

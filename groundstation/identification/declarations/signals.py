@@ -67,7 +67,8 @@ def correlations(first: Array, second: Array) -> Array:
 
 
 def alike(found: Array, matrix: Array) -> float:
-    """Mean correlation of the columns under a naming of the first one's axes, so that an axis that moves little has a say.
+    """Mean correlation of the columns under a naming of the first one's axes, so that an axis that moves little has a
+    say.
 
     Args:
         found: of :func:`correlations`.
@@ -76,7 +77,9 @@ def alike(found: Array, matrix: Array) -> float:
 
 
 def apart(better: Array, declared: Array, measured: Array) -> float:
-    """Student's t over parts of equal motion of how much more alike ``better`` is to ``measured`` than ``declared`` is."""
+    """Student's t over parts of equal motion of how much more alike ``better`` is to ``measured`` than ``declared``
+    is.
+    """
     moved = np.cumsum(np.sum(measured**2, axis=1))
     bounds = np.searchsorted(moved, moved[-1] * np.arange(PARTS + 1) / PARTS)
     gain = [
