@@ -176,10 +176,8 @@ def _by_trim(name: str, case: Case) -> Diagnosis:
         reason=_reason(verdict, found.findings, remaining),
         warnings=(
             "Body rates were not measured: only the mean thrusts are compared with those of the healthy flights, by "
-            "the declared "
-            "thrust curve. Yaw alone tells a load from a weak rotor there, and a battery or another day changes it, "
-            "too; a gyro "
-            "and rotor speeds would show inertia, and tell them apart.",
+            "the declared thrust curve. Yaw alone tells a load from a weak rotor there, and a battery or another day "
+            "changes it, too; a gyro and rotor speeds would show inertia, and tell them apart.",
         ),
         notes=(*found.notes, "Prediction and closed-loop simulation are left out: body rates were not measured."),
     )
@@ -217,9 +215,8 @@ def _warnings(suspects: Sequence[Prepared]) -> list[str]:
     if any(without_plan(item) for item in suspects):
         out.append(
             "No plan or setpoints are recorded, and the path flown is no plan: what the controller answers a "
-            "disturbance with "
-            "can pass for an effect of the inputs. Drag, inflow, lift, flapping and damping are told by past motion "
-            "instead."
+            "disturbance with can pass for an effect of the inputs. Drag, inflow, lift, flapping and damping are told "
+            "by past motion instead."
         )
     if any(item.source != "imu" for item in suspects):
         out.append("Rates and accelerations are derived, not measured: small torques cannot be told.")

@@ -116,8 +116,7 @@ def _require_definition(store: Any, connection: Any, path: Path) -> None:
     if connection.msgtype not in store.fielddefs:
         raise BadInput(
             f"{path}: does not say what {connection.msgtype} is (topic {connection.topic}): bags of ROS 2 Humble and "
-            "before hold no "
-            "definitions. Convert it where that package is installed: `ros2 bag convert`, to MCAP."
+            "before hold no definitions. Convert it where that package is installed: `ros2 bag convert`, to MCAP."
         )
 
 

@@ -220,9 +220,8 @@ def _commands(log: BlackboxLog, source: str) -> tuple[Array, str]:
     if full <= least or float(np.mean(sent > full + 1.0)) > 0.01:
         raise BadInput(
             f"{source}: motor values of {np.min(sent):g} to {np.max(sent):g} do not fit the header's range "
-            "(motorOutput "
-            f"'{low},{high}', motor_pwm_protocol {protocol:g}; tested: {said}); say the scale with `groundstation "
-            "convert --map`."
+            f"(motorOutput '{low},{high}', motor_pwm_protocol {protocol:g}; tested: {said}); say the scale with "
+            "`groundstation convert --map`."
         )
     return np.clip((sent - least) / (full - least), 0.0, 1.0), f"motors: motor[] as {said}."
 

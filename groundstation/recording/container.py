@@ -32,6 +32,18 @@ _MESSAGE = struct.Struct("<BQHIQQ")
 _RECORD = struct.Struct("<BQ")
 
 
+def _with_index(
+    chunk: bytes, indexed: Mapping[int, list[tuple[int, int]]], offset: int
+) -> tuple[list[bytes], dict[int, int]]:
+    """A chunk that begins at an offset, followed by the index of each channel; and where those begin."""
+    parts, offsets, where = [chunk], dict[int, int](), offset + len(chunk)
+    for channel, entries in indexed.items():
+        offsets[channel] = where
+        parts.append(_bytes(records.MessageIndex(channel, entries)))
+        where += len(parts[-1])
+    return parts, offsets
+
+
 class ContainerWriter:
     """Writes one MCAP file; every chunk is on its way to the disk when it is complete.
 
@@ -145,12 +157,7 @@ class ContainerWriter:
             uncompressed_crc=zlib.crc32(raw),
             uncompressed_size=len(raw),
         )
-        parts = [_bytes(chunk)]
-        where, offsets = self._offset + len(parts[0]), {}
-        for channel, entries in indexed.items():
-            offsets[channel] = where
-            parts.append(_bytes(records.MessageIndex(channel, entries)))
-            where += len(parts[-1])
+        parts, offsets = _with_index(_bytes(chunk), indexed, self._offset)
         begin = self._offset
         self._chunk.clear()
         self._chunk_span = (2**64 - 1, 0)
@@ -167,7 +174,7 @@ class ContainerWriter:
                 message_start_time=start,
                 message_end_time=end,
                 message_index_offsets=offsets,
-                message_index_length=where - begin - len(parts[0]),
+                message_index_length=sum(map(len, parts[1:])),
             )
         )
         if indexed:

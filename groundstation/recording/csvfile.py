@@ -92,8 +92,7 @@ def with_commas(text: str, source: str) -> str:
                 if "." in cell or cell.count(",") > 1:
                     raise BadInput(
                         f"{source}: line {number}: '{cell[:40]}' may be thousands or decimals; write numbers as "
-                        "1234.5, or save "
-                        "the table with commas between the cells."
+                        "1234.5, or save the table with commas between the cells."
                     )
                 row[index] = cell.replace(",", ".")
     out = io.StringIO()

@@ -86,8 +86,7 @@ def _losses(path: Path, log: DataFlashFile) -> list[str]:
     if log.missing:
         notes.append(
             f"{path.name}: the log is cut off in the middle of a record ({log.missing} bytes of it are missing); it "
-            "was read "
-            "up to there."
+            "was read up to there."
         )
     return notes
 

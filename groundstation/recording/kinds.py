@@ -6,8 +6,7 @@ from groundstation.recording.tablefile import decoded
 
 READABLE = (
     "an MCAP recording, a flight bundle (folder), a PX4 ULog, an ArduPilot DataFlash log, a Betaflight or INAV "
-    "blackbox log, "
-    "a ROS 2 bag or a Crazyflie usd log"
+    "blackbox log, a ROS 2 bag or a Crazyflie usd log"
 )
 _PACKED = {
     b"\x1f\x8b": "is compressed with gzip",
@@ -45,8 +44,7 @@ def described(head: bytes, size: int) -> str:
     if len(head) > 8 and head[8] in (0xFD, 0xFE):
         return (
             "is a telemetry log of MAVLink (.tlog): it holds what came over the radio, too slow for inertias; give the "
-            "log of "
-            "the vehicle's own memory (.ulg, .bin)"
+            "log of the vehicle's own memory (.ulg, .bin)"
         )
     return _text(head)
 
@@ -60,8 +58,7 @@ def _text(head: bytes) -> str:
         return "is an ArduPilot log that was turned into text (.log); give the .bin it was made from"
     if any(line.count(separator) >= 2 for line in lines for separator in ",;\t"):
         return (
-            "is a table in one file; a flight bundle is a folder of such tables (docs/formats.md), "
-            "or say what its columns are "
-            "with `groundstation convert --map FILE.toml` (--map-template fills in what their names tell)"
+            "is a table in one file; a flight bundle is a folder of such tables (docs/formats.md), or say what its "
+            "columns are with `groundstation convert --map FILE.toml` (--map-template fills in what their names tell)"
         )
     return f"is a text file; give {READABLE}"

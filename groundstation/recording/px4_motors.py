@@ -313,9 +313,8 @@ def _speeds(
     if sorted(by_motor) != list(range(count)):
         raise BadInput(
             f"{source}: esc_status tells speeds of {len(turning)} ESCs (places {', '.join(str(i) for i in turning)}), "
-            "and "
-            f"they cannot be told apart as the {count} motors; tested: "
-            "actuator_function, the place in the message, and which command each speed follows. "
+            f"and they cannot be told apart as the {count} motors; tested: actuator_function, the place in the "
+            "message, and which command each speed follows. "
             'Use input = "command", or say it with `groundstation convert --map`.'
         )
     values = np.column_stack([rpm[by_motor[motor]] for motor in range(count)]) * _RPM

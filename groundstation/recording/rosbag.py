@@ -165,8 +165,7 @@ def _wanted(path: Path, found: Mapping[str, str], vehicle: Vehicle) -> dict[str,
         kinds = ", ".join(sorted({*_MOTORS, "px4_msgs/msg/ActuatorMotors", "px4_msgs/msg/EscStatus"}))
         raise BadInput(
             f"{path}: holds no motor values (topics of {kinds}); it has {', '.join(sorted(found)) or 'nothing'}. "
-            "Record them, or "
-            "say which topic they are with `groundstation convert --map`."
+            "Record them, or say which topic they are with `groundstation convert --map`."
         )
     wanted[motors] = "motors"
     for name, (kinds, _) in _MEANINGS.items():
