@@ -228,11 +228,17 @@ def _bytes(record: records.McapRecord) -> bytes:
 
 @dataclass(slots=True)
 class ReadChannel:
-    """One channel of a file and its messages in file order."""
+    """One channel of a file and its messages in file order.
+
+    ``encoding`` is that of the messages, ``language`` and ``definition`` are those of its schema.
+    """
 
     topic: str
     type: str
     metadata: dict[str, str]
+    encoding: str = ""
+    language: str = ""
+    definition: str = ""
     sequence: list[int] = field(default_factory=list)
     log_ns: list[int] = field(default_factory=list)
     payload: list[bytes] = field(default_factory=list)
@@ -269,7 +275,7 @@ def read_container(data: bytes) -> Contents:
     if not data.startswith(MAGIC):
         raise ValueError("it does not begin with the MCAP magic")
     contents = Contents()
-    schemas: dict[int, str] = {}
+    schemas: dict[int, records.Schema] = {}
     position, size = len(MAGIC), len(data)
     room = _EXPANDED_FREE + _EXPANDED_RATIO * size
     while position + 9 <= size and not contents.complete:
@@ -287,7 +293,7 @@ def read_container(data: bytes) -> Contents:
     return contents
 
 
-def _read_record(opcode: int, record: bytes, contents: Contents, schemas: dict[int, str], room: int) -> None:
+def _read_record(opcode: int, record: bytes, contents: Contents, schemas: dict[int, records.Schema], room: int) -> None:
     body = record[9:]
     if opcode == Opcode.CHUNK:
         chunk = records.Chunk.read(_stream(body))
@@ -350,7 +356,7 @@ def _chunk_data(chunk: records.Chunk) -> bytes:
     return raw
 
 
-def _read_messages(raw: bytes, schemas: dict[int, str], channels: dict[int, ReadChannel]) -> None:
+def _read_messages(raw: bytes, schemas: dict[int, records.Schema], channels: dict[int, ReadChannel]) -> None:
     """Sort the schema, channel and message records of a chunk into ``channels``."""
     position, size = 0, len(raw)
     head = _MESSAGE.unpack_from
@@ -371,10 +377,12 @@ def _read_messages(raw: bytes, schemas: dict[int, str], channels: dict[int, Read
             end = position + 9 + _RECORD.unpack_from(raw, position)[1]
             if opcode == Opcode.SCHEMA:
                 schema = records.Schema.read(_stream(raw[position + 9 : end]))
-                schemas[schema.id] = schema.name
+                schemas[schema.id] = schema
             elif opcode == Opcode.CHANNEL:
                 defined = records.Channel.read(_stream(raw[position + 9 : end]))
                 known = channels.setdefault(defined.id, ReadChannel("", "", {}))
-                known.topic, known.metadata = defined.topic, defined.metadata
-                known.type = schemas.get(defined.schema_id, "")
+                known.topic, known.metadata, known.encoding = defined.topic, defined.metadata, defined.message_encoding
+                if (schema := schemas.get(defined.schema_id)) is not None:
+                    known.type, known.language = schema.name, schema.encoding
+                    known.definition = schema.data.decode("utf-8", "replace")
         position = end
