@@ -323,6 +323,11 @@ def told_of(document: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def table(document: dict[str, Any]) -> str:
+    """What it prints, for docs/safety.md."""
+    return f"```\n{told_of(document)}\n```"
+
+
 def main() -> int:
     """Fly, count, kill, count; JSON and a table. Status 1 where something is not as it should be."""
     parser = argparse.ArgumentParser(description=__doc__)

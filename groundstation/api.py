@@ -144,9 +144,8 @@ def load_flight(
 
     Returns:
         Streams ``imu``, ``motors``, ``mocap``, ``battery``, ``setpoint``, ``state`` (None where it was not recorded).
-            Each has
-        ``t_s``, shape (k,), seconds on the device's clock, and ``values``, shape (k, len(columns)), units in the column
-            names.
+        Each has ``t_s``, shape (k,), seconds on the device's clock, and ``values``, shape (k, len(columns)), units in
+        the column names.
     """
     from groundstation.recording import load_flight
 
@@ -238,9 +237,8 @@ def identify(
 
     Returns:
         ``methods[best].parameters`` maps each name to an estimate with ``value``, ``std``, ``ci95`` in the unit the
-            name
-        carries; ``model`` has lag, delay and thrust constants; what the flight does not reveal is in
-            ``not_identifiable``.
+        name carries; ``model`` has lag, delay and thrust constants; what the flight does not reveal is in
+        ``not_identifiable``.
     """
     from groundstation.identification.pipeline import identify
     from groundstation.options import AnalysisOptions
@@ -269,8 +267,7 @@ def diagnose(
 
     Returns:
         ``verdict`` ("clean", "explained", "unexplained", "refused"), ``findings`` with parameters and confidence,
-            ``error``
-        (RMS in N and N m by channel, before and after), ``next_flight`` in words.
+        ``error`` (RMS in N and N m by channel, before and after), ``next_flight`` in words.
     """
     from groundstation.diagnosis import diagnose
     from groundstation.options import AnalysisOptions
@@ -326,9 +323,8 @@ def predict(
 
     Returns:
         ``error[predictor][horizon][quantity]["rms"]`` for the model, the declared vehicle and constant velocity:
-            position
-        (m), velocity (m/s), attitude (rad), body rate (rad/s). ``final`` holds the states predicted at the horizon:
-        position and velocity (k, 3), quaternion (k, 4), rate (k, 3).
+        position (m), velocity (m/s), attitude (rad), body rate (rad/s). ``final`` holds the states predicted at the
+        horizon: position and velocity (k, 3), quaternion (k, 4), rate (k, 3).
     """
     from groundstation.diagnosis.effect import library, wrench_of
     from groundstation.identification.predictive_choice import chosen_name, chosen_predictor
@@ -435,11 +431,9 @@ def compare(
 
     Returns:
         ``parameters`` maps each name that both sides tell to ``first``, ``second``, ``size`` (second less first),
-            ``std``, ``z``,
-        ``p`` (corrected for the number of parameters), ``differs`` and ``change`` (in words); ``summary`` is a
-            sentence. A
-        group's value is the random-effects mean of its flights, so flights that scatter more than they say count for
-            less.
+        ``std``, ``z``, ``p`` (corrected for the number of parameters), ``differs`` and ``change`` (in words);
+        ``summary`` is a sentence. A group's value is the random-effects mean of its flights, so flights that scatter
+        more than they say count for less.
     """
     from groundstation.fleet.comparison import compare_flights
 

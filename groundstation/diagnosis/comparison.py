@@ -140,7 +140,7 @@ def base_parameters(
 
 def declared_model(flight: FlightEvidence) -> RecordModel:
     """The flight by the thrust curve that was declared."""
-    return RecordModel(replace(flight.model.record, vehicle=flight.prepared.flight.vehicle), (), None)
+    return flight.model.of_vehicle(flight.prepared.flight.vehicle)
 
 
 def as_declared(evidence: Evidence, vehicle: Vehicle, train: NDArray[np.bool_] | None = None) -> Fitted:

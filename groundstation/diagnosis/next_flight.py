@@ -299,13 +299,10 @@ def plan_next(
     progress: Callable[[float, str], None] = lambda fraction, text: None,
     **limits: float,
 ) -> discriminate.Separation:
-    """The flight that tells the first unsettled finding of a diagnosis from its alternatives, within the vehicle's
-    limits.
+    """The flight that tells the first unsettled finding of a diagnosis from its alternatives.
 
     Args:
-        document: of schema groundstation.diagnosis/1.
-        vehicle: as declared.
-        duration_s: of the excitation.
+        document: of schema groundstation.diagnosis/1. vehicle: as declared. duration_s: of the excitation.
         trials: motions tried (0.1 s each and more with more hypotheses); None for what takes a second or two.
         seed: of the search.
         progress: called with the share of the work that is done and a line of text.
@@ -352,8 +349,6 @@ def odds_sentence(found: discriminate.Separation) -> str:
     channel = max(found.channels, key=lambda name: found.channels[name])
     return (
         f"a flight of {found.plan.series().duration_s:.0f} s that should tell {', '.join(names[:-1])} and {names[-1]} "
-        "apart, "
-        f"{hardest}at expected odds of {odds}, mostly by {channel} (in the disturbance of a quiet room, and if what "
-        "happened "
-        "happens again)."
+        f"apart, {hardest}at expected odds of {odds}, mostly by {channel} (in the disturbance of a quiet room, and if "
+        "what happened happens again)."
     )

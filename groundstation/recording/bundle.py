@@ -6,6 +6,7 @@ import json
 import math
 import os
 import shutil
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,16 @@ FLIGHT_FILE = "flight.json"
 _SCHEMA = "groundstation.bundle/1"
 
 
+def _require_files(folder: Path, files: Collection[str], vehicle: Vehicle | None) -> None:
+    """Refuse a bundle that lacks what no flight can do without."""
+    if "motors.csv" not in files:
+        raise BadInput(f"{folder}: motors.csv is missing; a flight bundle needs it ({_NEEDS}).")
+    if vehicle is None and VEHICLE_FILE not in files:
+        raise BadInput(f"{folder}: vehicle.toml is missing; add it or give one with --vehicle FILE.")
+    if not {"imu.csv", "mocap.csv", "state.csv"} & set(files):
+        raise BadInput(f"{folder}: imu.csv, mocap.csv and state.csv are all missing; the motion must come from one.")
+
+
 def read_bundle(folder: Path, vehicle: Vehicle | None = None) -> Recording:
     """Read a bundle as it is.
 
@@ -45,12 +56,7 @@ def read_bundle(folder: Path, vehicle: Vehicle | None = None) -> Recording:
         BadInput: names file, line or column, what is wrong and what to do.
     """
     files = _files(folder)
-    if "motors.csv" not in files:
-        raise BadInput(f"{folder}: motors.csv is missing; a flight bundle needs it ({_NEEDS}).")
-    if vehicle is None and VEHICLE_FILE not in files:
-        raise BadInput(f"{folder}: vehicle.toml is missing; add it or give one with --vehicle FILE.")
-    if not {"imu.csv", "mocap.csv", "state.csv"} & set(files):
-        raise BadInput(f"{folder}: imu.csv, mocap.csv and state.csv are all missing; the motion must come from one.")
+    _require_files(folder, files, vehicle)
     about = _about(files.pop(FLIGHT_FILE)) if _is_about(files.get(FLIGHT_FILE)) else _checked({}, "")
     taken = {f"{name}.csv" for name in STREAMS}
     verbatim = {name: read_bytes(path, "a file of a bundle") for name, path in files.items() if name not in taken}

@@ -120,8 +120,7 @@ def _bag_in(folder: Path) -> Path | None:
     if len(files) > 1 and not (folder / "motors.csv").is_file():
         raise BadInput(
             f"{folder}: holds {len(files)} files of a ROS 2 bag, and no metadata.yaml that joins them; write it with "
-            "`ros2 bag reindex`, "
-            "or name one of the files."
+            "`ros2 bag reindex`, or name one of the files."
         )
     return files[0] if len(files) == 1 and not (folder / "motors.csv").is_file() else None
 
@@ -280,8 +279,7 @@ def _thinned(flight: FlightData, stretch: Stretch | None) -> FlightData:
         return flight
     note = (
         f"flight: of {stretch.of_s:.0f} s those from {stretch.start_s:.1f} to {stretch.end_s:.1f} s are used, in which "
-        "the "
-        "vehicle turns and climbs most; choose others with --from and --to, or use all with --all."
+        "the vehicle turns and climbs most; choose others with --from and --to, or use all with --all."
     )
     cut = _cut(flight, stretch.start_s, stretch.end_s)
     return replace(cut, window_s=None, notes=(*cut.notes, note))

@@ -8,8 +8,8 @@ A *model document* is a plain dictionary that carries everything a prediction ne
      "model": {"rotor_lag_up_s": {"value": 0.045, "std": 0.001}},
      "effects": {"rotor_drag": {"d_x_kg_s": {"value": 0.3, "std": 0.01}}},
      "disturbance": {"acceleration_rad_s2": [1.2, 1.3, 0.4], ...},  # what turns it besides (model/disturbance.py)
-     "prediction": {"kind": "fitted", ...},          # what predicts best (model/predictive.py); exports take the
-     physical part "not_identifiable": ["com_offset_z_m"]}
+     "prediction": {"kind": "fitted", ...},          # what predicts best (model/predictive.py)
+     "not_identifiable": ["com_offset_z_m"]}
 
 An effect that is found more than once (two weak rotors) has the later ones under "weak_rotor/2" and so on. Settings of
 an effect (which rotor, since when) stand among its parameters, without a spread.
@@ -34,7 +34,7 @@ from groundstation.documents import (
 from groundstation.errors import BadInput
 from groundstation.identification.results import Estimate, Identification
 from groundstation.outside import read_json, read_toml
-from groundstation.reporting import robotics, simulators
+from groundstation.reporting import mujoco, robotics, rotorpy, simulators
 from groundstation.reporting.canonical import canonical, estimate_in
 from groundstation.reporting.identified import Identified, identified_from_document
 from groundstation.reporting.scenario import to_scenario
@@ -172,8 +172,8 @@ FORMATS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "px4-sih": _simulator(simulators.to_px4_sih),
     "sdf": _simulator(simulators.to_sdf),
     "urdf": _simulator(simulators.to_urdf),
-    "mjcf": _simulator(simulators.to_mjcf),
-    "rotorpy": _simulator(simulators.to_rotorpy),
+    "mjcf": _simulator(mujoco.to_mjcf),
+    "rotorpy": _simulator(rotorpy.to_rotorpy),
     "scenario": _simulator(to_scenario),
     "ardupilot-sitl": _simulator(robotics.to_ardupilot_sitl),
     "pybullet": _simulator(robotics.to_pybullet),

@@ -114,7 +114,7 @@ class GroundStation(App[int]):
         self.limits = FlightLimits()
         self._announcer = Announcer()
         self._offered: object = None
-        self._closing = False
+        self._left = False
 
     def on_mount(self) -> None:
         """Find a flight that goes on, and refresh from now on."""
@@ -153,6 +153,11 @@ class GroundStation(App[int]):
         return self._preparing
 
     @property
+    def may_prepare(self) -> bool:
+        """Nothing is prepared or flies here, and flights are prepared here."""
+        return self.remote is None and not self.flying and not self._preparing
+
+    @property
     def may_take_lease(self) -> bool:
         """This client is not the operator, and may be."""
         core = self.core
@@ -172,11 +177,9 @@ class GroundStation(App[int]):
         self, setup: Setup, plan: Plan | None, begun: Callable[[Path], None] = lambda folder: None
     ) -> None:
         """Start a core with a plan, or the one at hand; ``begun`` is told the flight's folder, on a thread."""
-        if self.remote is not None:
-            self.notify(ELSEWHERE)
-            return
-        if self.flying or self._preparing:
-            self.notify("a flight is prepared already; s on Fly starts it, ^g gives it up.")
+        if not self.may_prepare:
+            there = "a flight is prepared already; s on Fly starts it, ^g gives it up."
+            self.notify(there if self.remote is None else ELSEWHERE)
             return
         self._preparing, self._start_wanted, self.trouble = True, False, ""
         self._simulated = setup.simulated
@@ -434,21 +437,17 @@ class GroundStation(App[int]):
         """Close, after a question while something flies."""
         if self.phase in IN_FLIGHT:
             text = "The flight goes on without this program: the plan is completed and the vehicle lands.\nClose it?"
-            self.push_screen(Question(text), self._on_leave)
+            self.push_screen(Question(text), lambda yes: self._leave() if yes else None)
         else:
-            self._close()
+            self._leave()
 
-    def _on_leave(self, yes: bool | None) -> None:
-        if yes:
-            self._close()
-
-    def _close(self) -> None:
-        self._closing = True
+    def _leave(self) -> None:
+        self._left = True
         self.exit(0)
 
     async def on_event(self, event: Event) -> None:
         """Take events; keys typed while it closes are the shell's."""
-        if not (self._closing and isinstance(event, Key)):
+        if not (self._left and isinstance(event, Key)):
             await super().on_event(event)
 
 

@@ -24,7 +24,8 @@ CONFIRM = """\
 Everything is checked. A real vehicle is about to arm and take off.
 Is the area clear, and is the pilot ready to take over?"""
 ELSEWHERE = (
-    "flights of this station are prepared on its own machine; this view watches, and operates with a pass for that."
+    "This shows another station. Flights are prepared at that station's own machine and appear here; ^g aborts and "
+    "lands. With a pass for operators, o takes the lease and s starts."
 )
 KILL = """\
 Stop the rotors now? The vehicle falls from where it is.

@@ -1,6 +1,4 @@
-"""What is counted of each stream while it is recorded: how much, how fast, and everything that is not as it should
-be.
-"""
+"""What is counted of each stream while it is recorded: how much, how fast, and what is not as it should be."""
 
 from __future__ import annotations
 

@@ -211,8 +211,7 @@ def _before_after(page: Page, diagnosis: Diagnosis) -> Markup | None:
                 continue
             caption = (
                 f"RMS, {check.replace('_', '-')} data: {title}. Before: mass and inertia re-estimated on the same "
-                "training "
-                "blocks without the effects. After: with them (▾ it fell). Nominal: the vehicle as declared."
+                "training blocks without the effects. After: with them (▾ it fell). Nominal: the vehicle as declared."
             )
             rms = error_table(caption, known, reference="before", improved="after")
             if _differ(known):
@@ -244,8 +243,7 @@ def _prediction(stages: Mapping[str, Mapping[str, float]]) -> Markup | None:
             rows.append((name_and_unit, nominal, significant(scale.factor * before), told))
     caption = (
         "RMS, held-out data: open-loop prediction with the recorded inputs, from what the sensors had said until its "
-        "start. "
-        "Ratio: error before over error after."
+        "start. Ratio: error before over error after."
     )
     return table(caption, ("prediction", *columns), rows, highlight=3) if rows else None
 

@@ -20,7 +20,7 @@ from groundstation.tui.checks import checklist
 from groundstation.tui.documents import live_rows, motor_lines, plan_lines, until_lines
 from groundstation.tui.margins import health, margin_text, margins
 from groundstation.tui.screens.base import WIDE, StationScreen, fill
-from groundstation.tui.text import PHASES, state_lines
+from groundstation.tui.text import ELSEWHERE, PHASES, state_lines
 from groundstation.tui.widgets.dialogs import Choice
 from groundstation.tui.widgets.plots import Line, Plot
 from groundstation.tui.widgets.room import RoomView
@@ -73,7 +73,9 @@ room, the path close up, and all of the guard's box. c chooses signals for the c
         yield Static("no flight", id="big-state", markup=False)
         with Horizontal(id="fly-columns"):
             with VerticalScroll(id="fly-left", can_focus=False):
-                yield Static(WAITING, id="checks", classes="panel", markup=False)
+                yield Static(
+                    WAITING if self.station.remote is None else ELSEWHERE, id="checks", classes="panel", markup=False
+                )
                 yield Static("", id="margins", classes="panel", markup=False)
                 yield DataTable(id="live", show_cursor=False)
                 yield Static("", id="until", classes="panel", markup=False)
@@ -95,7 +97,7 @@ room, the path close up, and all of the guard's box. c chooses signals for the c
         if action == "land":
             return phase in IN_FLIGHT
         if action == "rehearse":
-            return not station.flying and not station.preparing
+            return station.may_prepare
         if action == "operate":
             return station.may_take_lease
         if action == "agree":
