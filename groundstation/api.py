@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from groundstation.errors import BadInput, GroundStationError, NotIdentifiable, Refused
+from groundstation.json_types import Document, JsonObject
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -96,7 +97,7 @@ def load_plan(plan: Plan | str | Path) -> Plan:
     return plan if isinstance(plan, Plan) else load_plan(find_config("plans", plan))
 
 
-def load_scenario(name: str | Path) -> dict[str, Any]:
+def load_scenario(name: str | Path) -> JsonObject:
     """The document of a scenario, to be changed and given to :func:`simulate`: sensors, disturbance, true vehicle,
     effects.
 
@@ -178,7 +179,7 @@ def plan_excitation(
 def simulate(
     vehicle: Vehicle | str | Path = "qball2",
     *,
-    scenario: Mapping[str, Any] | str | Path = "seed",
+    scenario: Document | str | Path = "seed",
     plan: Plan | str | Path | None = None,
     seed: int = 1,
     folder: str | Path | None = None,
@@ -252,7 +253,7 @@ def diagnose(
     exclude: Sequence[tuple[float, float]] = (),
     references: Sequence[FlightData] = (),
     held_out: Sequence[FlightData] = (),
-    model: Mapping[str, Any] | str | Path | None = None,
+    model: Document | str | Path | None = None,
     progress: Progress = _quiet,
 ) -> Diagnosis:
     """Which effects the declared vehicle lacks, with the error before and after on data that no estimate saw.
@@ -287,9 +288,7 @@ def diagnose(
     return diagnose(suspects, options, progress=progress)
 
 
-def model_document(
-    identification: Identification, vehicle: Vehicle, diagnosis: Diagnosis | None = None
-) -> dict[str, Any]:
+def model_document(identification: Identification, vehicle: Vehicle, diagnosis: Diagnosis | None = None) -> JsonObject:
     """The model as ``identification.toml`` holds it: what :func:`predict` and :func:`export` read.
 
     Args:
@@ -303,7 +302,7 @@ def model_document(
 
 
 def predict(
-    model: Mapping[str, Any] | str | Path,
+    model: Document | str | Path,
     flight: FlightData,
     *,
     horizon_s: float = 0.5,
@@ -347,7 +346,7 @@ def predict(
 
 
 def plan_next_flight(
-    diagnosis: Diagnosis | Mapping[str, Any],
+    diagnosis: Diagnosis | Document,
     vehicle: Vehicle | str | Path,
     *,
     duration_s: float | None = None,
@@ -464,7 +463,7 @@ def _flown(given: Comparable, progress: Progress) -> Flown:
 
 
 def export(
-    model: Mapping[str, Any] | str | Path,
+    model: Document | str | Path,
     format_name: str,
     *,
     vehicle: Vehicle | str | Path | None = None,

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from groundstation.campaign.campaign import Campaign, Round
 from groundstation.campaign.deciding import paper_seconds
 from groundstation.campaign.pooling import level_of
 from groundstation.errors import BadInput
 from groundstation.identification.results import Estimate
+from groundstation.json_types import JsonObject
 from groundstation.reporting.markup import Child, Markup, definition_list, element, fragment, sentence_list, table
 from groundstation.reporting.page import Page
 from groundstation.reporting.units import fixed, label, quantity, scale_for, significant, split_unit
@@ -210,7 +210,7 @@ def _error_rows(judged: Sequence[tuple[int, Round]]) -> list[Sequence[Child]]:
     ]
 
 
-def _error_figure(judged: Sequence[tuple[int, Round]]) -> dict[str, Any]:
+def _error_figure(judged: Sequence[tuple[int, Round]]) -> JsonObject:
     x = [f"flight {n}" for n, _ in judged]
     data = [
         {
@@ -250,7 +250,7 @@ def _cell(name: str, entry: Mapping[str, float] | None) -> Child:
     return quantity(name, estimate) if scale_for(split_unit(name)[1], [entry["value"]]) else fixed(entry["value"], 4)
 
 
-def _interval_figure(campaign: Campaign) -> dict[str, Any]:
+def _interval_figure(campaign: Campaign) -> JsonObject:
     x = [f"flight {n}" for n in range(1, len(campaign.rounds) + 1)]
     data = [
         {

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -23,6 +23,7 @@ from groundstation.commands.common import (
     seconds_pair,
 )
 from groundstation.errors import NotIdentifiable, Refused
+from groundstation.json_types import Document
 
 if TYPE_CHECKING:
     from groundstation.diagnosis.results import Diagnosis
@@ -104,7 +105,7 @@ def beside_options(function: Callable[..., Result]) -> Callable[..., Result]:
     return reference(held_out(function))
 
 
-def first_of_all(document: Mapping[str, Any]) -> list[str]:
+def first_of_all(document: Document) -> list[str]:
     """What the declaration checks say, before every number."""
     checks = document["declarations"]
     loud = [text for text in document["warnings"] if text.startswith("declaration ")]
@@ -137,7 +138,7 @@ def identify(given: Given) -> Result:
     return Result(document, "\n".join(lines))
 
 
-def _identification_lines(found: Identification, document: Mapping[str, Any], flight: FlightData) -> list[str]:
+def _identification_lines(found: Identification, document: Document, flight: FlightData) -> list[str]:
     """What ``identify`` prints of its result."""
     from groundstation.flight.client.rehearse import result_table
 

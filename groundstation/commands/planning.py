@@ -12,6 +12,7 @@ import click
 
 from groundstation.commands.common import ProgressLine, Result, assignments, example, json_option, packed, suggestion
 from groundstation.errors import BadInput
+from groundstation.json_types import JsonObject
 
 if TYPE_CHECKING:
     from groundstation.trajectory import Plan
@@ -39,7 +40,7 @@ BUDGET_S = 8.0
 """Of --compare and --discriminate where none is given."""
 
 
-def limit_options(function: Callable[..., Any]) -> Callable[..., Any]:
+def limit_options(function: Callable[..., Result]) -> Callable[..., Result]:
     """One option per limit."""
     for option, limit in reversed(LIMIT_OPTIONS.items()):
         function = click.option(f"--{option}", limit, type=float, help=f"Override the vehicle's {limit}.")(function)
@@ -75,7 +76,7 @@ class Wanted:
         how = self.criterion or self.harmonics or self.base_frequency_deg_s or self.frequency_max_hz
         return bool(self.paper or self.compare or how)
 
-    def problem(self) -> dict[str, Any]:
+    def problem(self) -> JsonObject:
         """What the planner is asked, by its own names.
 
         Raises:
@@ -177,7 +178,7 @@ def _discriminating(wanted: Wanted, path: Path, limits: dict[str, float]) -> Res
     return Result(answer, f"next flight: {odds_sentence(found)}\n{plan_text(found.plan, wanted.output)}")
 
 
-def _vehicle_of(path: Path, document: dict[str, Any], given: str | None) -> Vehicle:
+def _vehicle_of(path: Path, document: JsonObject, given: str | None) -> Vehicle:
     """The vehicle as given, else as declared in the identification beside the diagnosis, else the shipped one of its
     name.
     """

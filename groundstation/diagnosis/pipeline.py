@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 from groundstation.diagnosis.augmented import known_candidates
 from groundstation.diagnosis.base import Base, base_fit, for_evidence
@@ -33,6 +32,7 @@ from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.identification.unplanned import applies as low_frequencies_apply
 from groundstation.identification.unplanned import by_low_frequencies
 from groundstation.identification.work import Work
+from groundstation.json_types import JsonObject
 from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
 
 
@@ -132,7 +132,7 @@ def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged, air: S
     )
 
 
-def _candidate_entries(case: Case, selected: Selected) -> list[dict[str, Any]]:
+def _candidate_entries(case: Case, selected: Selected) -> list[JsonObject]:
     """The named candidates, and what each alternative would have to be, for planning the next flight."""
     named = [
         {

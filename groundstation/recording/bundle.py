@@ -15,6 +15,7 @@ import numpy as np
 
 from groundstation.errors import BadInput
 from groundstation.flightdata import Array, FlightData, Stream, motor_columns
+from groundstation.json_types import JsonObject
 from groundstation.outside import inside, read_bytes, read_json, require_file
 from groundstation.recording.csvfile import Columns, columns_in, header, parse_csv, write_csv
 from groundstation.recording.part import WHOLE, Part
@@ -164,11 +165,11 @@ def _is_about(path: Path | None) -> bool:
     return path is not None and f'"{_SCHEMA}"'.encode() in read_bytes(path, "a bundle's own description")
 
 
-def _about(path: Path) -> dict[str, Any]:
+def _about(path: Path) -> JsonObject:
     return _checked(read_json(path, "a bundle's own description"), str(path))
 
 
-def _checked(document: Any, source: str) -> dict[str, Any]:
+def _checked(document: Any, source: str) -> JsonObject:
     """The parts of ``flight.json``, each of its own type.
 
     Raises:
