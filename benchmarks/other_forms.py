@@ -71,6 +71,7 @@ KINDS: dict[str, Callable[[Random], Hidden]] = {
         "slung_kg": MASS_KG * r.uniform(0.03, 0.08),
         "length_m": r.uniform(0.35, 0.6),
         "hook_m": r.uniform(0.0, 0.06),
+        "air_1_s": r.uniform(0.05, 0.3),
     },
     "several": lambda r: {
         "drag": MASS_KG * r.uniform(0.06, 0.25),
@@ -91,9 +92,10 @@ class Body:
 
     def model(self, hidden: Hidden) -> str:
         """As MuJoCo reads it; the load hangs on a rod without mass from a ball joint."""
+        air = hidden.get("air_1_s", 0.0) * hidden.get("slung_kg", 0.0) * hidden.get("length_m", 0.0) ** 2
         slung = (
-            f'<body name="load" pos="0 0 {-hidden["hook_m"]}"><joint type="ball" damping="{1e-5}"/>'
-            f'<inertial pos="0 0 {-hidden["length_m"]}" mass="{hidden["slung_kg"]}" diaginertia="1e-7 1e-7 1e-7"/></body>'
+            f'<body name="load" pos="0 0 {-hidden["hook_m"]}"><joint type="ball" damping="{air:.9g}"/>'
+            f'<inertial pos="0 0 {-hidden["length_m"]}" mass="{hidden["slung_kg"]}" diaginertia="1e-5 1e-5 1e-5"/></body>'
             if "slung_kg" in hidden
             else ""
         )
@@ -236,9 +238,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
         )
     every = [v for row in rows for v in row["inside"].values()]
     mass = [row["inside"]["mass_kg"] for row in rows if "mass_kg" in row["inside"]]
-    return "\n".join(
-        [*lines, "", f"all {share(sum(every), len(every))}; mass {share(sum(mass), len(mass))}"]
-    )
+    return "\n".join([*lines, "", f"all {share(sum(every), len(every))}; mass {share(sum(mass), len(mass))}"])
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -251,7 +251,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="keep the rows as JSON")
     options = parser.parse_args(argv)
     plans = [
-        plan_excitation(declared(False), criterion="A", duration_s=DURATION_S, seed=options.first + i, time_budget_s=5.0)
+        plan_excitation(
+            declared(False), criterion="A", duration_s=DURATION_S, seed=options.first + i, time_budget_s=5.0
+        )
         for i in range(2)
     ]
     kinds = options.only or list(ROTORPY if options.rotorpy else KINDS)

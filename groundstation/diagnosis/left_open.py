@@ -9,12 +9,16 @@ Hoeting, Madigan, Raftery, Volinsky 1999):
 
 .. math:: \Sigma_o = \sum_k W_k b_k b_k^T / \sum_k W_k
 
-Nothing is left open where nothing beats chance: a clean flight's intervals stay as sharp as its noise allows.
+A form of a named effect that does not beat chance may be there all the same, as far as the data allow: estimated along, with the
+spread ``SHARE`` that such forms have before a flight, it moves the base by :math:`b` and adds :math:`\Delta` to its covariance. Forms are
+wrong independently of each other, so that :math:`b b^T + \Delta` is summed over them.
+
+Nothing is left open where nothing is named and nothing beats chance: a clean flight's intervals stay as sharp as its noise allows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,17 +35,21 @@ from groundstation.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 
-
 def _relative(size: Array) -> Array:
     return np.asarray(size / (float(np.sqrt(np.mean(size**2))) or 1.0), dtype=float)
 
 
-MODES: dict[str, Callable[[Signals], Array]] = {
-    "speed": lambda s: _relative(np.linalg.norm(s.velocity_world_m_s, axis=1)),
-    "thrust": lambda s: _relative(s.thrust_n.sum(axis=1)),
-    "rates": lambda s: _relative(np.linalg.norm(s.rate_rad_s, axis=1)),
+SHARE = 0.3
+"""Spread of the share in which an effect takes another form: drag goes with a power of the speed between one and two."""
+SOFT = 0.2
+"""Of its RMS, below which a quantity that an effect is divided by counts as no smaller."""
+QUANTITIES: Mapping[str, Callable[[Signals], Array]] = {
+    "speed": lambda s: np.linalg.norm(s.velocity_world_m_s, axis=1),
+    "height": lambda s: np.abs(s.position_m[:, 2]),
+    "thrust": lambda s: s.thrust_n.sum(axis=1),
+    "rates": lambda s: np.linalg.norm(s.rate_rad_s, axis=1),
 }
-"""What a formula may be wrong with."""
+"""What a formula may be wrong with: its power of each may be one more or one less."""
 
 
 def left_open(
@@ -56,17 +64,28 @@ def left_open(
     """
     index = [evidence.names.index(name) for name in RIGID_BODY]
     named = evidence.solve(chosen)
-    choice = [*pool, *_misshapen(evidence, chosen, named)]
+    forms = list(_misshapen(evidence, chosen, named))
     beside, total, spread = list(chosen), 0.0, np.zeros((len(index), len(index)))
     for _ in range(THRESHOLDS.effects_most):
-        margin, entry = _strongest(evidence, beside, choice, threshold)
+        margin, entry = _strongest(evidence, beside, [*pool, *forms], threshold)
         if entry is None:
             break
         beside.append(entry)
         moved = evidence.solve(beside).theta[index] - named.theta[index]
         total += margin
         spread += margin * np.outer(moved, moved)
-    return spread / total if total > 0.0 else spread
+    shown = {kind_of(entry) for entry in beside}
+    unseen = [_unseen(evidence, chosen, named, form, index) for form in forms if kind_of(form) not in shown]
+    return sum(unseen, spread / total if total > 0.0 else spread)
+
+
+def _unseen(evidence: Evidence, chosen: Sequence[Entry], named: Solution, form: Entry, index: list[int]) -> Array:
+    """What a form that the data do not show leaves open, (7, 7), as far as they allow it."""
+    found = evidence.solve([*chosen, form])
+    moved = found.theta[index] - named.theta[index]
+    more = found.covariance[np.ix_(index, index)] - named.covariance[np.ix_(index, index)]
+    values, axes = np.linalg.eigh(0.5 * (more + more.T))
+    return np.outer(moved, moved) + (axes * np.maximum(values, 0.0)) @ axes.T
 
 
 def _strongest(
@@ -91,38 +110,35 @@ def _strongest(
 
 
 def _misshapen(evidence: Evidence, chosen: Sequence[Entry], solution: Solution) -> Iterator[Entry]:
-    """Each chosen effect changed along with the speed, the thrust or the rates, by parameter, and by the axes it acts on."""
+    """Each chosen effect, parameter by parameter, with one power more or less of each quantity; and on each axis it acts on by itself."""
     first = 0
     for candidate, _ in chosen:
         count = len(candidate.effect.parameters)
-        values = solution.part(first, count)[0]
+        forms = _forms(candidate, solution.part(first, count)[0])
         first += count
-        for changed in _changes(candidate, values):
-            columns = evidence.columns(changed)
-            if columns is not None and np.all(np.any(columns.sensitivity != 0.0, axis=0)):
-                yield changed, columns
+        together = evidence.columns(forms)
+        if together is None:
+            continue
+        for number, parameter in enumerate(forms.effect.parameters):
+            own = slice(number, number + 1)
+            columns = Columns(together.sensitivity[:, own], together.instrument[:, own], together.wrench_rms[:, own])
+            if np.any(columns.sensitivity != 0.0) and np.any(columns.instrument != 0.0):
+                name = f"{candidate.identifier}, {parameter.name}"
+                effect = replace(forms.effect, identifier=name, parameters=(parameter,))
+                yield Candidate(effect, candidate.settings), columns
 
 
-def _changes(candidate: Candidate, values: Array) -> Iterator[Candidate]:
-    for number, value in enumerate(values):
-        own = np.zeros(len(values))
-        own[number] = value
-        name = candidate.effect.parameters[number].name
-        for mode in MODES:
-            yield _changed(candidate, own, f"{name} by {mode}", lambda s, w, mode=mode: w * MODES[mode](s)[:, None])
-    for row in range(6):
-        yield _changed(candidate, values, f"row {row}", lambda s, w, row=row: w * np.eye(6)[row])
-
-
-def _changed(
-    candidate: Candidate, values: Array, name: str, change: Callable[[Signals, Array], Array]
-) -> Candidate:
-    """The share by which an effect of these values may differ in a way of its own."""
+def _forms(candidate: Candidate, values: Array) -> Candidate:
+    """All the forms of one effect of these values, a parameter each: the share by which it takes that form."""
     effect = candidate.effect
+    names = [f"{p.name} {way} {q}" for q in QUANTITIES for way in ("by", "over") for p in effect.parameters]
 
     def wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
-        return change(signals, effect.wrench(signals, vehicle, settings) @ values)[:, :, None]
+        plain = effect.wrench(signals, vehicle, settings) * values
+        sizes = [_relative(quantity(signals)) for quantity in QUANTITIES.values()]
+        scales = [scale for size in sizes for scale in (size, 1.0 / (SOFT + size))]
+        parts = [plain * np.where(np.isfinite(s).all(), s, 0.0)[:, None, None] for s in scales]
+        return np.concatenate([*parts, plain.sum(axis=2)[:, :, None] * np.eye(6)], axis=2)
 
-    share = ParameterInfo("share", lambda vehicle: 1.0)
-    form = replace(effect, identifier=f"{effect.identifier}, {name}", parameters=(share,), wrench=wrench)
-    return Candidate(form, candidate.settings)
+    shares = tuple(ParameterInfo(name, lambda vehicle: SHARE) for name in (*names, *(f"row {row}" for row in range(6))))
+    return Candidate(replace(effect, parameters=shares, wrench=wrench), candidate.settings)
