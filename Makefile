@@ -35,7 +35,7 @@ docs: $(READY)  ## the documentation site in build/site; any warning is an error
 	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/mkdocs build --strict --quiet $(ARGS)
 
 test: $(READY)  ## the whole test suite
-	@$(PY) -m pytest -n 2 $(ARGS)
+	@$(PY) -m pytest -n 2 --reruns 1 -raR $(ARGS)
 
 lint: $(READY)  ## format, lint, types, import rules
 	$(VENV)/bin/ruff format --check .
@@ -51,8 +51,8 @@ study: $(READY)  ## many simulated flights: accuracy, coverage, scatter against 
 blind: $(READY)  ## diagnosis of effects it was not told about
 	@$(PY) -m benchmarks.blind $(ARGS)
 
-bench: $(READY)  ## speed of planner, simulator, estimators, recorder, log readers, catalogue, start-up; evenness of setpoints
-	@for each in startup simulator planner estimators recorder logs setpoint_jitter catalogue; do OMP_NUM_THREADS=1 $(PY) -m benchmarks.$$each || exit; done
+bench: $(READY)  ## speed of planner, simulator, estimators, recorder, log readers, catalogue, start-up; evenness of setpoints; ten minutes of full load
+	@for each in startup simulator planner estimators recorder logs setpoint_jitter catalogue full_load; do OMP_NUM_THREADS=1 $(PY) -m benchmarks.$$each || exit; done
 
 bench-peers: $(READY)  ## speed beside other tools, which it installs: docs/results/speed.md
 	@$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev,peers]'

@@ -18,11 +18,17 @@ PROGRAM = "groundstation"
 ALLOWED = {
     *("0BSD", "Apache-2.0", "Apache-2.0 WITH LLVM-exception", "BSD-2-Clause", "BSD-3-Clause", "CC0-1.0", "ISC", "MIT"),
     *("MIT-CMU", "PSF-2.0", "Zlib", "any-OSI"),
-    *("Apache Software License", "BSD License", "MIT License", "ISC License (ISCL)", "Python Software Foundation License"),
+    *(
+        "Apache Software License",
+        "BSD License",
+        "MIT License",
+        "ISC License (ISCL)",
+        "Python Software Foundation License",
+    ),
     # Weak copyleft: used unchanged, as libraries that anyone can replace.
     *("MPL-2.0", "Mozilla Public License 2.0 (MPL 2.0)", "Eclipse Public License 2.0 (EPL-2.0)"),
     *("GNU Lesser General Public License v3 (LGPLv3)", "GNU Lesser General Public License v3 or later (LGPLv3+)"),
-}  # fmt: skip
+}
 """Licences by SPDX identifier, and by the names that older packages give them."""
 
 

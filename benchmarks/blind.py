@@ -1,12 +1,14 @@
-"""How often does the diagnosis name what was hidden, without being told? Run with ``make blind``; kept in docs/diagnosis.md.
+"""How often does the diagnosis name what was hidden, without being told? Run with ``make blind``; kept in
+docs/diagnosis.md.
 
-Every flight draws its vehicle, trajectory, true mass and inertia, disturbance, biases, stamp jitter and seed from a master seed
-that is new each run and printed. One effect is hidden in a *single*, two in a *pair*, none in a *clean* flight, and in an
-*invented* one something that no file of the library models. The diagnosis gets the recording and the declared vehicle, nothing
-else. Sizes are drawn over a range around what such a vehicle shows; what is too small to see is counted apart, as docs/diagnosis.md
-defines it: *detectable* is an expected t of 6 in the flight's own coloured noise, taken from the joint estimate with the hidden effects
-told and kept out of the noise, and for kinematic effects and delays a size above those of docs/diagnosis.md. An invented force of a place is
-told by the simulator's own formula; thrust with memory counts as detectable.
+Every flight draws its vehicle, trajectory, true mass and inertia, disturbance, biases, stamp jitter and seed from a
+master seed that is new each run and printed. One effect is hidden in a *single*, two in a *pair*, none in a *clean*
+flight, and in an *invented* one something that no file of the library models. The diagnosis gets the recording and the
+declared vehicle, nothing else. Sizes are drawn over a range around what such a vehicle shows; what is too small to see
+is counted apart, as docs/diagnosis.md defines it: *detectable* is an expected t of 6 in the flight's own coloured
+noise, taken from the joint estimate with the hidden effects told and kept out of the noise, and for kinematic effects
+and delays a size above those of docs/diagnosis.md. An invented force of a place is told by the simulator's own formula;
+thrust with memory counts as detectable.
 """
 
 from __future__ import annotations
@@ -23,10 +25,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import many
-from benchmarks.flown import flight_data
-from benchmarks.hidden import INVENTED, Random, declared, sizes, world
-from benchmarks.tally import Outcome, report
 from benchmarks.visibility import visibility
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.results import Diagnosis
@@ -37,6 +35,10 @@ from groundstation.planning import plan_excitation
 from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle, load_vehicle
 from sim.flight import simulate
+from studies import many
+from studies.flown import flight_data
+from studies.hidden import INVENTED, Random, declared, sizes, world
+from studies.tally import Outcome, report
 
 VEHICLES = ("qball2", "x500")
 DURATION_S = 40.0
@@ -55,7 +57,9 @@ def _error_of_parameters(estimates: Any, truth: Vehicle) -> float:
 
 
 def _meets_bounds(parameters: Mapping[str, Estimate], truth: Vehicle) -> bool:
-    """Whether mass and moments are as near as the estimation study asks: 1 % and the larger of 2 % and three deviations."""
+    """Whether mass and moments are as near as the estimation study asks: 1 % and the larger of 2 % and three
+    deviations.
+    """
     moments = [(parameters.get(name), getattr(truth.inertia_kg_m2, name[1:3])) for name in INERTIA]
     mass = parameters.get("mass_kg")
     return (
@@ -102,7 +106,9 @@ def fly(kind: str, names: Sequence[str], vehicle_name: str, plan: Plan, random: 
 
 
 def schedule(random: Random, counts: dict[str, int]) -> list[tuple[str, tuple[str, ...]]]:
-    """Kinds and hidden names; singles run through a fresh permutation of all effects, so that none is left out by chance."""
+    """Kinds and hidden names; singles run through a fresh permutation of all effects, so that none is left out by
+    chance.
+    """
     known = [name for name in sizes(load_vehicle(find_config("vehicles", "x500"))) if name not in INVENTED]
     alone = [name for name in known if name != "wind"]
     singles: list[str] = []
@@ -168,7 +174,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 with options.rows.open("a") as rows:
                     rows.write(json.dumps({"seed": master, "vehicle": vehicle, **asdict(outcome)}) + "\n")
             print(
-                f"{each.index + 1}/{len(work)} {vehicle:8} {kind:8} {' + '.join(names) or 'nothing':30} -> {outcome.verdict}: "
+                f"{each.index + 1}/{len(work)} {vehicle:8} {kind:8} {' + '.join(names) or 'nothing':30} -> "
+                f"{outcome.verdict}: "
                 f"{', '.join(outcome.named) or 'no finding'}",
                 flush=True,
             )

@@ -1,11 +1,13 @@
-"""Campaigns over vehicles with one to three hidden effects: does each end by itself with all of them named, and nothing else?
+"""Campaigns over vehicles with one to three hidden effects: does each end by itself with all of them named, and nothing
+else?
 
     python -m benchmarks.campaigns --campaigns 60 --workers 2 --json docs/results/campaigns.json
 
-Every campaign draws its vehicle, effects, true mass and inertia, disturbance and seeds from a master seed that is new each run and
-printed, and kept with the outcomes: the same command goes on where it was ended. It may fly five times. Beside it stand its first flight alone, and the seconds that the paper's trajectory, repeated, would take
-to the same worst interval: one 40 s flight of it is flown and identified, and variances are scaled by the number of flights.
-A size counts as right when each parameter of the finding that the scenario states lies within three standard deviations.
+Every campaign draws its vehicle, effects, true mass and inertia, disturbance and seeds from a master seed that is new
+each run and printed, and kept with the outcomes: the same command goes on where it was ended. It may fly five times.
+Beside it stand its first flight alone, and the seconds that the paper's trajectory, repeated, would take to the same
+worst interval: one 40 s flight of it is flown and identified, and variances are scaled by the number of flights. A size
+counts as right when each parameter of the finding that the scenario states lies within three standard deviations.
 """
 
 from __future__ import annotations
@@ -21,10 +23,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import many
-from benchmarks.flown import flight_data
-from benchmarks.hidden import COMMANDED, INVENTED, Random, declared, sizes, world
-from benchmarks.tally import wilson
 from groundstation.campaign.campaign import Campaign, run
 from groundstation.diagnosis import diagnose
 from groundstation.errors import GroundStationError
@@ -36,6 +34,10 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
 from groundstation.writing import write_whole
 from sim.flight import simulate
+from studies import many
+from studies.flown import flight_data
+from studies.hidden import COMMANDED, INVENTED, Random, declared, sizes, world
+from studies.tally import wilson
 
 VEHICLES = ("qball2", "x500", "qball2-commanded")
 TARGETS = "ixx,iyy,izz:2%,mass:0.5%"
@@ -62,7 +64,10 @@ class Outcome:
 
 
 def draw(master: int, count: int) -> list[tuple[int, str, tuple[str, ...]]]:
-    """(seed, vehicle, hidden effects) of each campaign. Wind is felt through drag alone, so it comes with it or not at all."""
+    """(seed, vehicle, hidden effects) of each campaign.
+
+    Wind is felt through drag alone, so it comes with it or not at all.
+    """
     random = np.random.default_rng(master)
     out = []
     for _ in range(count):
@@ -122,13 +127,23 @@ def campaign(item: tuple[int, str, tuple[str, ...]]) -> Outcome:
         if r.judged
     ]
     return Outcome(
-        name, names, done.rounds[0].names(), last.names(), done.outcome, len(done.rounds), sum(r.seconds for r in done.rounds),
-        _paper_seconds(vehicle, scenario, last.reached, int(random.integers(2**31))), z, tuple(errors),
-    )  # fmt: skip
+        name,
+        names,
+        done.rounds[0].names(),
+        last.names(),
+        done.outcome,
+        len(done.rounds),
+        sum(r.seconds for r in done.rounds),
+        _paper_seconds(vehicle, scenario, last.reached, int(random.integers(2**31))),
+        z,
+        tuple(errors),
+    )
 
 
 def _paper_seconds(vehicle: Any, scenario: Any, goal: Mapping[str, float], seed: int) -> float:
-    """Seconds of the paper's trajectory to the campaign's worst interval (or the target, where the campaign went below)."""
+    """Seconds of the paper's trajectory to the campaign's worst interval (or the target, where the campaign went
+    below).
+    """
     try:
         simulated = simulate(vehicle, load_plan(find_config("plans", "paper_table2")), scenario, seed)
         diagnosis = diagnose([flight_data(simulated, "paper")])
@@ -211,7 +226,8 @@ def main() -> None:
         else:
             o = found[number] = each.value
             print(
-                f"{number}: {o.vehicle} hid {' + '.join(o.hidden)}: {o.outcome} after {o.flights}, named {', '.join(o.named) or 'nothing'}",
+                f"{number}: {o.vehicle} hid {' + '.join(o.hidden)}: {o.outcome} after {o.flights}, named "
+                f"{', '.join(o.named) or 'nothing'}",
                 flush=True,
             )
         if arguments.json is not None:

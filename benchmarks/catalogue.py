@@ -1,8 +1,10 @@
-"""Time of the catalogue over many flights: first reading, listing, SQL over all parameters. The flights are made, not flown.
+"""Time of the catalogue over many flights: first reading, listing, SQL over all parameters. The flights are made, not
+flown.
 
     python -m benchmarks.catalogue --flights 10000 --json docs/results/catalogue.json
 
-Beside each time stands a plain loop of the same run (parse every flight's JSON once), since times of a shared machine mean little alone.
+Beside each time stands a plain loop of the same run (parse every flight's JSON once), since times of a shared machine
+mean little alone.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ NAMES = ("mass_kg", "ixx_kg_m2", "ixy_kg_m2", "ixz_kg_m2", "iyy_kg_m2", "iyz_kg_
 MODEL = ("rotor_lag_up_s", "rotor_lag_down_s", "gyro_bias_x_rad_s", "accel_bias_x_m_s2", "input_delay_s")
 QUERIES = {
     "mean of every parameter by method": "SELECT method, name, avg(value), avg(std) FROM parameters GROUP BY ALL",
-    "worst moment of each vehicle": "SELECT vehicle, max(std / value) FROM parameters WHERE name LIKE 'i__\\_kg\\_m2' ESCAPE '\\' GROUP BY ALL",
+    "worst moment of each vehicle": "SELECT vehicle, max(std / value) FROM parameters WHERE name LIKE 'i__\\_kg\\_m2' "
+    "ESCAPE '\\' GROUP BY ALL",
     "findings by effect": "SELECT effect, count(*), avg(confidence) FROM findings GROUP BY ALL",
 }
 
@@ -32,19 +35,21 @@ QUERIES = {
 def make(logs: Path, count: int, random: np.random.Generator) -> None:
     """Folders with the documents of an identified and diagnosed flight: 54 estimates each."""
     for number in range(count):
-        folder = (
-            logs
-            / f"2026-{1 + number // 2500 % 12:02}-{1 + number // 90 % 28:02}T{number % 24:02}-{number % 60:02}-{number // 60 % 60:02}-{number}"
-        )
+        day = f"2026-{1 + number // 2500 % 12:02}-{1 + number // 90 % 28:02}"
+        folder = logs / f"{day}T{number % 24:02}-{number % 60:02}-{number // 60 % 60:02}-{number}"
         folder.mkdir(parents=True)
         (folder / "flight.mcap").touch()
         draws = iter(random.normal(1.0, 0.01, 200))
         estimate = lambda: {"value": float(v := next(draws)), "std": 0.01, "ci95": [v - 0.02, v + 0.02]}  # noqa: B023, E731
         document = {
-            "schema": "groundstation.identification/1", "flight": folder.name, "vehicle": f"vehicle-{number % 20}", "best": "IV",
+            "schema": "groundstation.identification/1",
+            "flight": folder.name,
+            "vehicle": f"vehicle-{number % 20}",
+            "best": "IV",
             "methods": {m: {"parameters": {n: estimate() for n in NAMES}} for m in METHODS},
-            "model": {n: estimate() for n in MODEL}, "quality": ["3 samples repaired."],
-        }  # fmt: skip
+            "model": {n: estimate() for n in MODEL},
+            "quality": ["3 samples repaired."],
+        }
         (folder / "identification.json").write_text(json.dumps(document))
         found = (
             [{"effect": "rotor_drag", "confidence": 0.99, "parameters": {"d_x_kg_s": estimate()}}] if number % 3 else []

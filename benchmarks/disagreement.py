@@ -13,17 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.flown import flight_data
 from groundstation.flightdata import FlightData
 from groundstation.identification.estimators import least_squares
 from groundstation.identification.filters import matched_pair, seed_pair
-from groundstation.identification.processing import process_flight
 from groundstation.identification.seed import Regression, filtered_regression, standard_regression
+from groundstation.identification.seed_signals import Processing, process_flight
 from groundstation.paths import find_config
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
 from sim.flight import simulate
 from sim.scenario import scenario_from_dict
+from studies.flown import flight_data
 
 PAPER = {"ixx": 0.01200 / 0.00749, "iyy": 0.01537 / 0.00976, "izz": 0.08295 / 0.05130, "mass": 1.82246 / 1.82245}
 DIAGONAL = (1, 4, 6)
@@ -112,14 +112,18 @@ def solve(regression: Regression) -> tuple[np.ndarray, np.ndarray]:
 
 
 def measure(case: Case, seed: int) -> np.ndarray:
-    """LS over truth, FMLS over truth, LS over FMLS (Ixx, Iyy, Izz each), LS mass over FMLS mass, LS residual of tau_x."""
+    """LS over truth, FMLS over truth, LS over FMLS (Ixx, Iyy, Izz each), LS mass over FMLS mass, LS residual of
+    tau_x.
+    """
     flight = fly(case, seed)
     pair: dict[str, Any] = {"seed": seed_pair, "matched": matched_pair}
     make = pair[case.pair]
-    standard = process_flight(flight, cutoff_hz=case.cutoff_hz, period_s=0.002, accelerometer=False)
+    standard = process_flight(flight, Processing(cutoff_hz=case.cutoff_hz, period_s=0.002, accelerometer=False))
     signals = standard
     if case.period_s > 0.002:
-        signals = process_flight(flight, cutoff_hz=case.cutoff_hz, period_s=case.period_s, accelerometer=False)
+        signals = process_flight(
+            flight, Processing(cutoff_hz=case.cutoff_hz, period_s=case.period_s, accelerometer=False)
+        )
     ls, residual = solve(standard_regression(standard))
     fmls, _ = solve(filtered_regression(signals, make, period_s=case.period_s))
     truth = np.diag(flight.truth.inertia_tensor())

@@ -1,6 +1,8 @@
-"""Each export in its own reader, where that is installed: what it reads against what was exported. `python -m benchmarks.exports_readers`
+"""Each export in its own reader, where that is installed: what it reads against what was exported. `python -m
+benchmarks.exports_readers`
 
-Readers that are no dependency of the project (crazyflow, cflib) go into an environment of their own; the results of the others stay.
+Readers that are no dependency of the project (crazyflow, cflib) go into an environment of their own; the results of the
+others stay.
 """
 
 from __future__ import annotations
@@ -69,7 +71,9 @@ def pybullet_urdf(folder: Path) -> dict[str, float]:
 
 
 def crazyflow_toml(folder: Path) -> dict[str, float]:
-    """Acceleration of a body at rest whose first rotor alone turns, by crazyflow's own equations, against Newton and Euler."""
+    """Acceleration of a body at rest whose first rotor alone turns, by crazyflow's own equations, against Newton and
+    Euler.
+    """
     import tomllib
 
     dynamics: Any = importlib.import_module("crazyflow.dynamics.first_principles.dynamics").dynamics

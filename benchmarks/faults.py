@@ -1,10 +1,11 @@
-"""Every fault of line, processes and senders, in flight, by real processes: noticed, mode, ground, disarmed, by whom, status.
+"""Every fault of line, processes and senders, in flight, by real processes: noticed, mode, ground, disarmed, by whom,
+status.
 
 make faults    (or: python -m benchmarks.faults [FAULT ...] [--profile px4] [--px4 BINARY] [--arducopter BINARY])
 
-What the vehicle does is told by the relay between it and the station (benchmarks/relay.py), which knows MAVLink by itself.
-Twice as many faults on virtual time: python -m benchmarks.faults_virtual. Results: docs/results/faults.json; of real firmware,
-whose binaries are given: docs/results/faults_firmware.json.
+What the vehicle does is told by the relay between it and the station (benchmarks/relay.py), which knows MAVLink by
+itself. Twice as many faults on virtual time: python -m benchmarks.faults_virtual. Results: docs/results/faults.json; of
+real firmware, whose binaries are given: docs/results/faults_firmware.json.
 """
 
 from __future__ import annotations
@@ -105,10 +106,18 @@ def measure(profile: str, name: str, binary: Path | None) -> dict[str, Any]:
             return None if t is None or through else round(t - begun, 2)
 
         return {
-            "fault": name, "autopilot": profile, "noticed_s": after(noticed), "mode_s": after(mode), "ground_s": after(ground),
-            "disarmed_s": after(down["at_s"] if down else None), "by": by, "status": status, "reason": reason,
-            "setpoints_through": setpoints, "stranger_got": seen[-1]["stranger_got"],
-        }  # fmt: skip
+            "fault": name,
+            "autopilot": profile,
+            "noticed_s": after(noticed),
+            "mode_s": after(mode),
+            "ground_s": after(ground),
+            "disarmed_s": after(down["at_s"] if down else None),
+            "by": by,
+            "status": status,
+            "reason": reason,
+            "setpoints_through": setpoints,
+            "stranger_got": seen[-1]["stranger_got"],
+        }
     finally:
         flight.close()
 

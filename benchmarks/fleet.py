@@ -1,14 +1,16 @@
-"""A fleet's flights made, worked through and trended: one core, two workers, a Dask cluster whose worker is killed; one table.
+"""A fleet's flights made, worked through and trended: one core, two workers, a Dask cluster whose worker is killed; one
+table.
 
     python -m benchmarks.fleet --flights 200 --json docs/results/fleet.json
     python -m benchmarks.fleet --part drawn --part trends --json docs/results/fleet.json
 
-Flights are simulated (20 s of excitation, 200 Hz) and written as MCAP by the batch's own runner. Then the same recordings are identified
-and diagnosed three times from nothing, and the tables compared to the last digit. The trend flies one vehicle 30 times with its mass 2 %
-up from flight 18 on and rotor 2 losing 0.3 % more a flight; fleets without a change are drawn from the flights of that vehicle
-without either, 30 of them at random for each fleet. Since those fleets share flights, others are drawn as estimates alone, each independent
-of all others: seven parameters, standard deviations and a scatter between flights of their own. Parts that were not asked for keep their
-figures in the JSON file.
+Flights are simulated (20 s of excitation, 200 Hz) and written as MCAP by the batch's own runner. Then the same
+recordings are identified and diagnosed three times from nothing, and the tables compared to the last digit. The trend
+flies one vehicle 30 times with its mass 2 % up from flight 18 on and rotor 2 losing 0.3 % more a flight; fleets without
+a change are drawn from the flights of that vehicle without either, 30 of them at random for each fleet. Since those
+fleets share flights, others are drawn as estimates alone, each independent of all others: seven parameters, standard
+deviations and a scatter between flights of their own. Parts that were not asked for keep their figures in the JSON
+file.
 """
 
 from __future__ import annotations
@@ -28,9 +30,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.flown import flight_data
-from benchmarks.hidden import world
-from benchmarks.study import draw
 from groundstation.diagnosis import diagnose
 from groundstation.fleet import batch
 from groundstation.fleet.runner import run
@@ -43,6 +42,9 @@ from groundstation.reporting.exports import model_document
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
+from studies.flown import flight_data
+from studies.hidden import world
+from studies.study import draw
 
 STEPS = ("identify", "diagnose")
 FLIGHTS, CHANGED, SHARE, AGEING = 30, 17, 1.02, 0.003
@@ -64,7 +66,8 @@ def cluster() -> Iterator[tuple[str, list[int]]]:
     script = (
         "from distributed import LocalCluster; import sys\n"
         "if __name__ == '__main__':\n"
-        "    c = LocalCluster(n_workers=2, threads_per_worker=1, host='127.0.0.1', dashboard_address=None, processes=True)\n"
+        "    c = LocalCluster(n_workers=2, threads_per_worker=1, host='127.0.0.1', dashboard_address=None, "
+        "processes=True)\n"
         "    print(c.scheduler_address, *(n.pid for n in c.workers.values()), flush=True); sys.stdin.read()\n"
     )
     process = subprocess.Popen(
@@ -189,9 +192,15 @@ def runs(flights: int, seed: int) -> dict[str, Any]:
         with cluster() as (address, pids):
             dask, third = worked(recordings, Path(folder), kill=pids, scheduler=address)
     return {
-        "flights": len(recordings), "seed": seed, "bytes_a_flight": round(size), "one_core_s": one, "two_workers_s": two,
-        "dask_with_a_worker_killed_s": dask, "efficiency_at_2": one / two / 2.0, "same_table": first == second == third,
-    }  # fmt: skip
+        "flights": len(recordings),
+        "seed": seed,
+        "bytes_a_flight": round(size),
+        "one_core_s": one,
+        "two_workers_s": two,
+        "dask_with_a_worker_killed_s": dask,
+        "efficiency_at_2": one / two / 2.0,
+        "same_table": first == second == third,
+    }
 
 
 def main() -> None:

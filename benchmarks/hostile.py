@@ -1,11 +1,13 @@
-"""Hostile frames in flight, until so many were sent to a vehicle in the air: crashes, hangs, memory, and what became of it.
+"""Hostile frames in flight, until so many were sent to a vehicle in the air: crashes, hangs, memory, and what became of
+it.
 
 python -m benchmarks.hostile [--frames 100000] [--profile px4] [--kind all]
 
-Frames come from benchmarks/relay.py, which builds them with code of its own, in the autopilot's name and from its address: any
-content of the messages a link uses, impossible numbers, other components, unknown ids, wrong checksums, noise. Left out are
-the autopilot's heartbeat and its landed state: on an unsigned link they are the vehicle's own word, and only signing tells
-them from a forger's. Flights follow one another until the count is reached. Results: docs/results/hostile.json.
+Frames come from benchmarks/relay.py, which builds them with code of its own, in the autopilot's name and from its
+address: any content of the messages a link uses, impossible numbers, other components, unknown ids, wrong checksums,
+noise. Left out are the autopilot's heartbeat and its landed state: on an unsigned link they are the vehicle's own word,
+and only signing tells them from a forger's. Flights follow one another until the count is reached. Results:
+docs/results/hostile.json.
 """
 
 from __future__ import annotations
@@ -56,10 +58,15 @@ def fly(profile: str, kind: str, left: int) -> dict[str, Any]:
         status, reason = flight.ended()
         last = flight.seen[-1]
         return {
-            "sent_in_air": last["injected_in_air"], "sent": last["injected"], "link_crashed": link_ended, "status": status,
-            "reason": reason, "down": down is not None, "longest_silence_s": last["longest_up_gap_s"],
+            "sent_in_air": last["injected_in_air"],
+            "sent": last["injected"],
+            "link_crashed": link_ended,
+            "status": status,
+            "reason": reason,
+            "down": down is not None,
+            "longest_silence_s": last["longest_up_gap_s"],
             "memory_mb": {name: round(value, 1) for name, value in most.items()},
-        }  # fmt: skip
+        }
     finally:
         flight.close()
 
@@ -96,7 +103,8 @@ def table(results: dict[str, list[dict[str, Any]]]) -> str:
         memory = [max(f["memory_mb"][name] for f in flown) for name in ("link", "core")]
         crashes, down = sum(f["link_crashed"] for f in flown), all(f["down"] for f in flown)
         lines.append(
-            f"| {profile} | {len(flown)} | {sum(f['sent_in_air'] for f in flown)} | {crashes} | {'yes' if down else 'no'} | "
+            f"| {profile} | {len(flown)} | {sum(f['sent_in_air'] for f in flown)} | {crashes} | "
+            f"{'yes' if down else 'no'} | "
             f"{silence:.2f} s | {memory[0]:.0f} MB | {memory[1]:.0f} MB |"
         )
     return "\n".join(lines)

@@ -1,7 +1,8 @@
-"""The size and manners of the code at any commit, as a table: ``python -m benchmarks.house [COMMIT ...]`` (default: the work tree).
+"""The size and manners of the code at any commit, as a table: ``python -m benchmarks.house [COMMIT ...]`` (default: the
+work tree).
 
-Functions are measured from ``def`` to their last line, docstrings included. Suppressions are ``noqa``, ``type: ignore`` and
-``pyright: ignore``. ``Any`` counts annotations of arguments and results.
+Functions are measured from ``def`` to their last line, docstrings included. Suppressions are ``noqa``, ``type: ignore``
+and ``pyright: ignore``. ``Any`` counts annotations of arguments and results.
 """
 
 from __future__ import annotations

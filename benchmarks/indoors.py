@@ -1,11 +1,12 @@
-"""Indoors by motion capture: whole flights, and cameras that go dark at each phase, on the emulated autopilots and on firmware.
+"""Indoors by motion capture: whole flights, and cameras that go dark at each phase, on the emulated autopilots and on
+firmware.
 
 python -m benchmarks.indoors [--px4 PATH] [--arducopter PATH] [--cut PHASE ...] [--out docs/results/indoors.json]
 
-Physics and cameras (an OptiTrack server fed by them) run in this process, so that what the vehicle really did is known; the
-firmware or the emulated autopilot, core and link are processes of their own. Without a path the emulated autopilot is flown.
-With firmware its ports must be free: TCP 4560 and UDP 14540 (PX4), UDP 9002 and TCP 5760 (ArduCopter). Results are kept by
-autopilot, kind and phase, and added to what is there.
+Physics and cameras (an OptiTrack server fed by them) run in this process, so that what the vehicle really did is known;
+the firmware or the emulated autopilot, core and link are processes of their own. Without a path the emulated autopilot
+is flown. With firmware its ports must be free: TCP 4560 and UDP 14540 (PX4), UDP 9002 and TCP 5760 (ArduCopter).
+Results are kept by autopilot, kind and phase, and added to what is there.
 """
 
 from __future__ import annotations
@@ -31,7 +32,6 @@ from typing import Any
 
 import tomli_w
 
-from benchmarks.firmware import PX4_ENVIRONMENT, arducopter_command, px4_command
 from benchmarks.rig import PLAN, free_port
 from groundstation.errors import BadInput, GroundStationError
 from groundstation.flight.client.client import outcome, start_core
@@ -51,6 +51,7 @@ from sim.mavlink.plant import SimulatedAirframe
 from sim.mavlink.process import Service, attach
 from sim.mavlink.px4 import Px4
 from sim.scenario import load_scenario
+from studies.firmware import PX4_ENVIRONMENT, arducopter_command, px4_command
 
 OUT = Path("docs/results/indoors.json")
 PHASES = ("before arming", "climbing", "settling", "exciting", "landing", "never")
@@ -180,7 +181,8 @@ def station_file(root: Path, world: World, latency_s: float) -> Path:
     """A room with cameras."""
     path = root / "station.toml"
     path.write_text(
-        f'indoors = true\n[policy]\nclimb_m_s = 0.7\nsettle_s = 2.0\ntrajectory = "setpoints"\n[mocap]\nsystem = "natnet"\n'
+        'indoors = true\n[policy]\nclimb_m_s = 0.7\nsettle_s = 2.0\ntrajectory = "setpoints"\n[mocap]\nsystem = '
+        '"natnet"\n'
         f'host = "127.0.0.1:{world.camera_port}"\nneeded_hz = 40.0\nlatency_s = {latency_s:g}\n'
     )
     return path

@@ -1,86 +1,24 @@
 """Speed and memory of the log readers: a long log, and our decoders against the libraries that others keep.
 
-``python -m benchmarks.logs [--minutes 30]``. Ratios are of the same run. The limit of memory is six times the samples that
-are used, as doubles; ``make bench`` prints it.
+``python -m benchmarks.logs [--minutes 30] [--formats NAME ...] [--out]``; ``make bench`` prints it. Ratios are of the
+same run. The limit of memory is six times the samples that are used, as doubles, beside the base: the peak of a process
+that reads six seconds of the same format, so Python, NumPy, SciPy and numba.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 
-RATE_HZ = 1000.0
-FACTOR = 6.0
+from studies.log_memory import FACTOR, measured
+from studies.long_logs import WRITERS
 
-
-def write_long_ulog(path: Path, minutes: float) -> None:
-    """IMU, motors and attitude at 1 kHz: hovering, with a minute of motion in every five."""
-    from sim.mavlink.ulog import ULogWriter
-
-    count = int(minutes * 60.0 * RATE_HZ)
-    formats = {
-        "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;uint32_t gyro_integral_dt;float[3] accelerometer_m_s2;",
-        "actuator_motors": "uint64_t timestamp;uint64_t timestamp_sample;float[12] control;",
-        "vehicle_attitude": "uint64_t timestamp;uint64_t timestamp_sample;float[4] q;",
-    }
-    x, y = (1.0, -1.0, 1.0, -1.0), (1.0, -1.0, -1.0, 1.0)
-    parameters: list[tuple[str, bool, float]] = [("CA_ROTOR_COUNT", False, 4)]
-    parameters += [(f"CA_ROTOR{i}_P{axis}", True, v[i]) for axis, v in (("X", x), ("Y", y)) for i in range(4)]
-    parameters += [(f"CA_ROTOR{i}_KM", True, 0.05 if i < 2 else -0.05) for i in range(4)]
-    head = bytes(ULogWriter(0, formats, {"sys_name": "PX4"}, parameters).data)
-    with path.open("wb") as file:
-        file.write(head)
-        for first in range(0, count, 60_000):
-            file.write(_block(np.arange(first, min(first + 60_000, count))))
-
-
-def _block(k: np.ndarray) -> bytes:
-    t_us, t_s = (k * 1000 + 1_000_000).astype("<u8"), k / RATE_HZ
-    size = np.where(t_s % 300.0 < 60.0, 1.0, 0.1)[:, None]
-    rng = np.random.default_rng(int(k[0]))
-    imu = _records(0, len(k), [("t", "<u8"), ("gyro", "<f4", 3), ("dt", "<u4"), ("acc", "<f4", 3)])
-    imu["t"], imu["dt"] = t_us, 1000
-    imu["gyro"] = size * np.sin(t_s[:, None] * [2.0, 2.5, 1.5]) + 0.005 * rng.normal(size=(len(k), 3))
-    imu["acc"] = 0.05 * rng.normal(size=(len(k), 3)) - [0.0, 0.0, 9.8]
-    motors = _records(1, len(k), [("t", "<u8"), ("s", "<u8"), ("u", "<f4", 12)])
-    motors["t"], motors["s"], motors["u"] = t_us, t_us, np.nan
-    motors["u"][:, :4] = 0.5 + 0.1 * size * np.sin(t_s[:, None] * [2.0, 2.5, 1.5, 3.0])
-    attitude = _records(2, len(k), [("t", "<u8"), ("s", "<u8"), ("q", "<f4", 4)])
-    attitude["t"], attitude["s"], attitude["q"] = t_us, t_us, [1.0, 0.0, 0.0, 0.0]
-    rows = [np.ascontiguousarray(part).view(np.uint8).reshape(len(k), -1) for part in (imu, motors, attitude)]
-    return np.concatenate(rows, axis=1).tobytes()
-
-
-def _records(topic: int, count: int, fields: list) -> np.ndarray:
-    kind = np.dtype([("length", "<u2"), ("kind", "u1"), ("id", "<u2"), *fields])
-    records = np.zeros(count, kind)
-    records["length"], records["kind"], records["id"] = kind.itemsize - 3, ord("D"), topic
-    return records
-
-
-def read_long(path: Path, everything: bool) -> dict[str, float]:
-    """In this process: seconds, peak memory and the samples used, in MB."""
-    import resource
-
-    from groundstation.paths import find_config
-    from groundstation.recording import load_flight
-    from groundstation.vehicle import load_vehicle, vehicle_from_dict, vehicle_to_dict
-
-    document = vehicle_to_dict(load_vehicle(find_config("vehicles", "x500")))
-    document["rotors"]["input"] = "command"
-    vehicle = vehicle_from_dict(document)
-    base, begun = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic()
-    flight = load_flight(path, vehicle=vehicle, everything=everything)
-    used = sum(s.values.nbytes + s.t_s.nbytes for s in flight.streams().values())
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - base
-    return {"s": time.monotonic() - begun, "peak_mb": peak / 1024.0, "used_mb": used / 2.0**20}
+RESULTS = Path(__file__).resolve().parents[1] / "docs" / "results" / "long_logs.json"
 
 
 def against_libraries(ulog: Path) -> None:
@@ -100,7 +38,8 @@ def against_libraries(ulog: Path) -> None:
     ULog(str(ulog))
     theirs = time.monotonic() - begun
     print(
-        f"ULog of {ulog.stat().st_size / 1e6:.0f} MB, every column: ours {ours:.2f} s, pyulog {theirs:.2f} s, {theirs / ours:.1f} times"
+        f"ULog of {ulog.stat().st_size / 1e6:.0f} MB, every column: ours {ours:.2f} s, pyulog {theirs:.2f} s, "
+        f"{theirs / ours:.1f} times"
     )
 
 
@@ -131,32 +70,71 @@ def dataflash_against_library() -> None:
     print(f"DataFlash of {len(table)} records: ours {ours:.3f} s, DFReader {theirs:.2f} s, {theirs / ours:.0f} times")
 
 
+def rows_of(name: str, folder: Path, minutes: float) -> list[dict[str, object]]:
+    """A long log of a format, thinned and whole; the base is what six seconds of the same format take."""
+    file, write = WRITERS[name]
+    (folder / "short").mkdir()
+    write(folder / "short" / file, 0.1)
+    write(folder / file, minutes)
+    base, rows = measured(folder / "short" / file, False)["peak_mb"], []
+    for everything in (False, True):
+        found = measured(folder / file, everything)
+        beyond = found["peak_mb"] - base
+        rows.append(
+            {
+                "format": name,
+                "minutes": minutes,
+                "mb": round(size_of(folder / file) / 1e6),
+                "read": "all" if everything else "thinned",
+                "used_mb": round(found["used_mb"], 1),
+                "base_mb": round(base),
+                "peak_mb": round(found["peak_mb"]),
+                "times": round(beyond / found["used_mb"], 1),
+                "s": round(found["s"], 1),
+                "within": beyond <= FACTOR * found["used_mb"],
+            }
+        )
+        print(line(rows[-1]), flush=True)
+    return rows
+
+
+def size_of(path: Path) -> int:
+    """Bytes of a file, or of a folder's files."""
+    return path.stat().st_size if path.is_file() else sum(f.stat().st_size for f in path.rglob("*") if f.is_file())
+
+
+def line(row: dict[str, object]) -> str:
+    """A row of the table in docs/logs.md."""
+    keys = ("format", "mb", "read", "used_mb", "base_mb", "peak_mb", "times", "s")
+    return "| " + " | ".join(str(row[key]) for key in keys) + " |"
+
+
 def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=30.0)
-    parser.add_argument("--one", type=Path, help="read this log in this process")
-    parser.add_argument("--all", action="store_true")
+    parser.add_argument("--formats", nargs="*", default=list(WRITERS), choices=list(WRITERS))
+    parser.add_argument("--out", type=Path, nargs="?", const=RESULTS, help="keep the rows as JSON")
     options = parser.parse_args()
-    if options.one is not None:
-        print(json.dumps(read_long(options.one, options.all)))
-        return
+    print(f"Logs of {options.minutes:g} min at 1 kHz; the limit is {FACTOR:g} times the samples used, beside the base.")
+    print(
+        "| format | MB | read | samples used, MB | base, MB | peak, MB | (peak - base) / used | s |\n"
+        + "| --- " * 8
+        + "|"
+    )
+    rows: list[dict[str, object]] = []
+    for name in options.formats:
+        with tempfile.TemporaryDirectory() as folder:
+            rows += rows_of(name, Path(folder), options.minutes)
+    if options.out is not None:
+        options.out.write_text(json.dumps(rows, indent=1) + "\n")
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "long.ulg"
-        write_long_ulog(path, options.minutes)
-        for extra in ((), ("--all",)):
-            command = [sys.executable, "-m", "benchmarks.logs", "--one", str(path), *extra]
-            found = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
-            whole = found["used_mb"] if extra else None
-            print(
-                f"log of {options.minutes:g} min at 1 kHz ({path.stat().st_size / 1e6:.0f} MB){' --all' if extra else ''}: "
-                f"{found['s']:.1f} s, peak {found['peak_mb']:.0f} MB, samples used {found['used_mb']:.0f} MB"
-                + (f", {found['peak_mb'] / whole:.1f} times (limit {FACTOR:g})" if whole else "")
-            )
-        short = Path(folder) / "short.ulg"
-        write_long_ulog(short, 1.0)
-        against_libraries(short)
+        WRITERS["PX4 ULog"][1](Path(folder) / "short.ulg", 1.0)
+        against_libraries(Path(folder) / "short.ulg")
     dataflash_against_library()
+    over = [f"{row['format']} ({row['read']})" for row in rows if not row["within"]]
+    if over:
+        raise SystemExit(f"more than {FACTOR:g} times the samples used: {', '.join(over)}")
 
 
 if __name__ == "__main__":

@@ -1,10 +1,11 @@
 """Motion-capture drivers on one flight, clocks of many flights, and calibrations of many hands.
 
-``python -m benchmarks.mocap --part drivers|clocks|hand [--seeds N] [--json FILE]``; kept in docs/results/mocap.json, tables in docs/mocap.md.
+``python -m benchmarks.mocap --part drivers|clocks|hand [--seeds N] [--json FILE]``; kept in docs/results/mocap.json,
+tables in docs/mocap.md.
 
-*drivers*: a simulated flight's poses are served by each emulated server in real time, with a clock that is off and drifts,
-read by the driver's own process, and identified with them. *clocks*: flights of the study; online (server stamps, TIMESYNC)
-and afterwards (rates). *hand*: random mountings.
+*drivers*: a simulated flight's poses are served by each emulated server in real time, with a clock that is off and
+drifts, read by the driver's own process, and identified with them. *clocks*: flights of the study; online (server
+stamps, TIMESYNC) and afterwards (rates). *hand*: random mountings.
 """
 
 from __future__ import annotations
@@ -21,8 +22,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.flown import flight_data
-from benchmarks.study import draw
 from drivers.mavlink.timesync import Timesync
 from drivers.mocap.health import told_clock
 from drivers.mocap.serverclock import ServerClock
@@ -32,8 +31,8 @@ from groundstation.errors import GroundStationError
 from groundstation.flightdata import MOCAP_COLUMNS, FlightData, Stream
 from groundstation.frames import quat_conjugate, quat_exp, quat_log, quat_multiply
 from groundstation.identification.anchoring import anchored
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.handheld import calibrate_by_hand
-from groundstation.identification.pipeline import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.paths import find_config
 from groundstation.trajectory import load_plan
@@ -43,6 +42,8 @@ from sim.mocap.hand import Mounting, Sensors, carry
 from sim.mocap.scene import Replay
 from sim.mocap.server import Server, Setup
 from sim.scenario import scenario_from_dict
+from studies.flown import flight_data
+from studies.study import draw
 
 Array = NDArray[np.float64]
 Row = dict[str, object]
@@ -68,7 +69,8 @@ SCENARIO = {
 """All streams on the true clock, so that whatever a driver adds is seen."""
 
 
-# One flight over each driver -------------------------------------------------------------------------------------------
+# One flight over each driver
+# -------------------------------------------------------------------------------------------
 
 
 def flown(seed: int) -> FlightData:
@@ -79,7 +81,9 @@ def flown(seed: int) -> FlightData:
 
 
 def served(flight: FlightData, system: str) -> tuple[Array, Array, Array, str]:
-    """True exposure times, stamps and arrivals (k,), all seconds of the flight's clock, of what came; and the driver's last words."""
+    """True exposure times, stamps and arrivals (k,), all seconds of the flight's clock, of what came; and the driver's
+    last words.
+    """
     assert flight.mocap is not None
     t, rows = flight.mocap.t_s, flight.mocap.values
     poses = [((r[0], r[1], r[2]), (r[3], r[4], r[5], r[6])) for r in rows.tolist()]
@@ -182,7 +186,9 @@ def drivers(seeds: int) -> Row:
 
 
 def apart(rows: list[Row]) -> dict[str, float]:
-    """Of each parameter, the largest difference from the recorded flight's value, in the half width of its 95 % interval."""
+    """Of each parameter, the largest difference from the recorded flight's value, in the half width of its 95 %
+    interval.
+    """
     out = {}
     for name in PARAMETERS:
         values = np.array([row["parameters"][name] for row in rows])  # type: ignore[index]
@@ -190,7 +196,8 @@ def apart(rows: list[Row]) -> dict[str, float]:
     return out
 
 
-# Clocks of many flights ------------------------------------------------------------------------------------------------
+# Clocks of many flights
+# ------------------------------------------------------------------------------------------------
 
 
 def clock_row(seed: int) -> Row:
@@ -212,8 +219,9 @@ def clock_row(seed: int) -> Row:
 def online(flight: FlightData, offset_s: float, rng: np.random.Generator) -> tuple[float, float]:
     """Mocap stamp minus IMU stamp as the link knows it: NatNet's stamps and echoes, and TIMESYNC over a telemetry link.
 
-    The host's clock is the true one plus a constant; transits are 0.15 ms plus an exponential of 0.5 ms on the network, 0.4 ms plus
-    one of 1 ms on the link, each way. The cameras' own clock drifts by up to 50 ppm, the vehicle's by as much.
+    The host's clock is the true one plus a constant; transits are 0.15 ms plus an exponential of 0.5 ms on the network,
+    0.4 ms plus one of 1 ms on the link, each way. The cameras' own clock drifts by up to 50 ppm, the vehicle's by as
+    much.
     """
     assert flight.mocap is not None
     host0, server, sync = 4000.0, ServerClock(), Timesync()
@@ -233,7 +241,8 @@ def online(flight: FlightData, offset_s: float, rng: np.random.Generator) -> tup
     assert now is not None and fit is not None
     exposed = now.host_s((1.0 + camera) * middle + 77.0)  # where the link puts an exposure at the middle of the flight
     seen_by_imu = fit.host((1.0 + vehicle) * middle)
-    # the flight's own streams have the drawn offset between them: what the link would add to it is the difference of both maps
+    # the flight's own streams have the drawn offset between them: what the link would add to it is the difference of
+    # both maps
     return offset_s + (exposed - seen_by_imu), now.error_s + fit.error_s(host0 + middle)
 
 
@@ -260,11 +269,14 @@ def clocks(seeds: int) -> Row:
     }
 
 
-# Calibrations of many hands --------------------------------------------------------------------------------------------
+# Calibrations of many hands
+# --------------------------------------------------------------------------------------------
 
 
 def hand_row(seed: int) -> Array:
-    """Errors over standard deviations: offset, rotation, tilt, scale, clock, (10,); and the standard deviations' sizes, (4,)."""
+    """Errors over standard deviations: offset, rotation, tilt, scale, clock, (10,); and the standard deviations' sizes,
+    (4,).
+    """
     rng = np.random.default_rng([7, seed])
     truth = Mounting(
         tuple(0.05 * rng.standard_normal(3)), tuple(0.8 * rng.standard_normal(3)), tuple(0.01 * rng.standard_normal(2)),

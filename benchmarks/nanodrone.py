@@ -1,10 +1,11 @@
-"""The nano-drone benchmark's flights: identify and predict as anyone runs them, against constant velocity and the declared vehicle.
+"""The nano-drone benchmark's flights: identify and predict as anyone runs them, against constant velocity and the
+declared vehicle.
 
     python -m benchmarks.nanodrone ../shared/data/nanodrone [--out docs/results/nanodrone.json]
 
-Trains on five flights and tests on ``random2_20251017_run4``; then each flight is left out once, and the model of the other five
-predicts it; then each single flight predicts ``random2`` (itself by ``multisine_20251017_run1``). 0.5 s ahead, own state, mean error
-norm. About two minutes of computing per model.
+Trains on five flights and tests on ``random2_20251017_run4``; then each flight is left out once, and the model of the
+other five predicts it; then each single flight predicts ``random2`` (itself by ``multisine_20251017_run1``). 0.5 s
+ahead, own state, mean error norm. About two minutes of computing per model.
 """
 
 from __future__ import annotations

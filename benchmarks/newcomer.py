@@ -1,7 +1,7 @@
 """A newcomer's first ten minutes, from README alone, typed into a real terminal (tmux). `python -m benchmarks.newcomer`
 
-Every command is taken from README.md as it is printed there; one that is no longer there ends the script. `make` sets up an environment
-first, which is not timed here: what it then runs is run.
+Every command is taken from README.md as it is printed there; one that is no longer there ends the script. `make` sets
+up an environment first, which is not timed here: what it then runs is run.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Does one planned flight settle what a gentle one left open? `python -m benchmarks.next_flight`
 
-For each pair that is easily mistaken, and each of the two as the truth: a gentle flight is diagnosed, the next flight is
-planned from its diagnosis (from the pair itself where the gentle flight left nothing open), flown with the same hidden effect
-in fresh noise, and diagnosed alone. Size of the effect, true vehicle, biases, disturbance and noise are drawn from a master
-seed that is new each run and printed.
+For each pair that is easily mistaken, and each of the two as the truth: a gentle flight is diagnosed, the next flight
+is planned from its diagnosis (from the pair itself where the gentle flight left nothing open), flown with the same
+hidden effect in fresh noise, and diagnosed alone. Size of the effect, true vehicle, biases, disturbance and noise are
+drawn from a master seed that is new each run and printed.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.flown import flight_data
-from benchmarks.hidden import Table, declared, sizes, world
-from benchmarks.tally import share
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.next_flight import odds_sentence, plan_next
 from groundstation.errors import FlightAborted, Refused
 from groundstation.trajectory import Plan, coefficients_from_arrays
 from sim.flight import simulate
+from studies.flown import flight_data
+from studies.hidden import Table, declared, sizes, world
+from studies.tally import share
 
 PAIRS = (
     ("clock_offset", "motor_lag"),

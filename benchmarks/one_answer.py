@@ -1,6 +1,7 @@
 """Three flights, every place that shows their estimate: the same digits. `python -m benchmarks.one_answer`
 
-A simulated flight whose clocks differ (scenario seed), one with a weak rotor (worn), and one of PX4's own firmware (a ULog file).
+A simulated flight whose clocks differ (scenario seed), one with a weak rotor (worn), and one of PX4's own firmware (a
+ULog file).
 """
 
 from __future__ import annotations

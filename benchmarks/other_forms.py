@@ -1,12 +1,13 @@
 """Are intervals right where an effect's form is not the library's? `python -m benchmarks.other_forms`
 
-MuJoCo (Todorov, Erez, Tassa 2012) moves a Hummingbird by laws that are nobody's in the library: drag with the power 1.5 of the speed, a
-flapping that saturates, a lift linear in speed, a thrust curve with a cubic term, a floor felt exponentially, quadratic damping, a weak
-rotor that keeps its torque, and a load on a rigid rod that hangs below the centre of mass (a body of its own, on a ball joint).
-RotorPy's controller flies plans made for the declared vehicle. `--rotorpy` draws the flights of `benchmarks.rotorpy_blind` instead.
+MuJoCo (Todorov, Erez, Tassa 2012) moves a Hummingbird by laws that are nobody's in the library: drag with the power 1.5
+of the speed, a flapping that saturates, a lift linear in speed, a thrust curve with a cubic term, a floor felt
+exponentially, quadratic damping, a weak rotor that keeps its torque, and a load on a rigid rod that hangs below the
+centre of mass (a body of its own, on a ball joint). RotorPy's controller flies plans made for the declared vehicle.
+`--rotorpy` draws the flights of `benchmarks.rotorpy_blind` instead.
 
-What is counted is how often the 95 % intervals of mass and moments hold the truth after the diagnosis, by what is hidden, and how
-wide they are. Truth, sizes and sensors are drawn from a seed for each flight; it is printed.
+What is counted is how often the 95 % intervals of mass and moments hold the truth after the diagnosis, by what is
+hidden, and how wide they are. Truth, sizes and sensors are drawn from a seed for each flight; it is printed.
 """
 
 from __future__ import annotations
@@ -37,12 +38,12 @@ from benchmarks.rotorpy_blind import (
 from benchmarks.rotorpy_blind import KINDS as ROTORPY
 from benchmarks.rotorpy_blind import fly as fly_in_rotorpy
 from benchmarks.rotorpy_blind import truth as truth_in_rotorpy
-from benchmarks.tally import share
 from groundstation.diagnosis import diagnose
 from groundstation.flightdata import FlightData
 from groundstation.planning import plan_excitation
 from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle
+from studies.tally import share
 
 Array = NDArray[np.float64]
 Random = np.random.Generator
@@ -94,27 +95,29 @@ class Body:
         """As MuJoCo reads it; the load hangs on a rod without mass from a ball joint."""
         air = hidden.get("air_1_s", 0.0) * hidden.get("slung_kg", 0.0) * hidden.get("length_m", 0.0) ** 2
         slung = (
-            f'<body name="load" pos="0 0 {-hidden["hook_m"]}"><joint type="ball" damping="{air:.9g}"/>'
-            f'<inertial pos="0 0 {-hidden["length_m"]}" mass="{hidden["slung_kg"]}" diaginertia="1e-5 1e-5 1e-5"/></body>'
+            f'<body name="load" pos="0 0 {-hidden["hook_m"]}">'
+            f'<joint type="ball" damping="{air:.9g}"/>'
+            f'<inertial pos="0 0 {-hidden["length_m"]}" mass="{hidden["slung_kg"]}" diaginertia="1e-5 1e-5 1e-5"/>'
+            "</body>"
             if "slung_kg" in hidden
             else ""
         )
         moments = " ".join(f"{m:.9g}" for m in self.moments)
         return (
             f'<mujoco><option timestep="{STEP_S / SUBSTEPS}" integrator="RK4" gravity="0 0 -9.81"/><worldbody>'
-            f'<body name="frame"><freejoint/><inertial pos="0 0 0" mass="{self.mass_kg:.9g}" diaginertia="{moments}"/>{slung}</body>'
-            "</worldbody></mujoco>"
+            f'<body name="frame"><freejoint/><inertial pos="0 0 0" mass="{self.mass_kg:.9g}" diaginertia="{moments}"/>'
+            f"{slung}</body></worldbody></mujoco>"
         )
 
 
-def wrench(vehicle: Vehicle, hidden: Hidden, speeds: Array, slope: Array, state: tuple[Array, Array, Array]) -> Array:
+def wrench(vehicle: Vehicle, hidden: Hidden, speeds: Array, slope: Array, state: tuple[Array, Array]) -> Array:
     """Force and torque in the body, (6,), at rotor speeds and their slopes.
 
     Args:
-        state: height and velocity in the body as (4,), rates (3,), share of the load that is still on board as (1,).
+        state: height and velocity in the body as (4,), rates (3,).
     """
     rotors = vehicle.rotors
-    (height, *velocity), rate, _ = state
+    (height, *velocity), rate = state
     u, speed = np.array(velocity), float(np.linalg.norm(velocity))
     places = np.array(rotors.position_m)
     ratio = speeds / HOVER_RAD_S
@@ -174,7 +177,7 @@ def fly(vehicle: Vehicle, plan: Plan, hidden: Hidden, body: Body, random: Random
             turn = turn.reshape(3, 3)
             rate = data.qvel[3:6].copy()
             local = np.array([data.qpos[2], *(turn.T @ data.qvel[:3])])
-            force = wrench(vehicle, hidden, speeds, slope, (local, rate, np.array([carried])))
+            force = wrench(vehicle, hidden, speeds, slope, (local, rate))
             data.qfrc_applied[:3] = turn @ force[:3] + push[i]
             data.qfrc_applied[3:6] = force[3:] + twist[i]
             if number == 0:

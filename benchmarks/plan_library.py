@@ -1,7 +1,8 @@
 """Makes ``configs/library/plans.json``, the solved rooms that ``groundstation plan`` starts from.
 
-Rooms, vehicles and base frequencies are drawn at random (their seed is in the file); each is solved from several random starts
-and the best is kept, in units of g and its base frequency. No room that a benchmark or a test plans for is put in by hand.
+Rooms, vehicles and base frequencies are drawn at random (their seed is in the file); each is solved from several random
+starts and the best is kept, in units of g and its base frequency. No room that a benchmark or a test plans for is put
+in by hand.
 
 Run with ``python -m benchmarks.plan_library --rooms N --starts K``.
 """
@@ -15,13 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.study import draw_vehicle
 from groundstation.errors import BadInput
 from groundstation.paths import configs_dir
 from groundstation.planning.library import Solved, solved
 from groundstation.planning.limits import envelope
 from groundstation.planning.optimiser import best_of
 from groundstation.planning.problem import Problem
+from studies.study import draw_vehicle
 
 SEED = 20
 HARMONICS = (5, 5, 5, 3, 8)

@@ -1,7 +1,8 @@
-"""One start from the library of solved rooms against several random starts, in rooms and for vehicles that the library does not hold.
+"""One start from the library of solved rooms against several random starts, in rooms and for vehicles that the library
+does not hold.
 
-Both keep every limit; told are the criteria and processor seconds. Run with ``python -m benchmarks.plan_quality --rooms N``; the rows are
-kept in docs/results/plan_quality.json.
+Both keep every limit; told are the criteria and processor seconds. Run with ``python -m benchmarks.plan_quality --rooms
+N``; the rows are kept in docs/results/plan_quality.json.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Does a planned trajectory do what was predicted? Flies the published and a planned trajectory many times each.
 
-The vehicle, the room, the tilt and the 40 s are the same; the base frequency is free for the planned one. Each flight has
-its own disturbance (the planner's default: 0.3 % of weight, of weight times arm, 0.5 s) and gyro noise; least squares
-identifies it, and the scatter of its estimates over the flights is set beside the prediction.
+The vehicle, the room, the tilt and the 40 s are the same; the base frequency is free for the planned one. Each flight
+has its own disturbance (the planner's default: 0.3 % of weight, of weight times arm, 0.5 s) and gyro noise; least
+squares identifies it, and the scatter of its estimates over the flights is set beside the prediction.
 
 Run with ``python -m benchmarks.planned_flights``; the output is kept in docs/planning.md.
 """
@@ -13,7 +13,6 @@ import argparse
 
 import numpy as np
 
-from benchmarks.flown import flight_data
 from groundstation.identification.seed import identify_seed
 from groundstation.planning import paper_plan, paper_problem, percentages, plan_excitation
 from groundstation.planning.criteria import PARAMETERS
@@ -22,6 +21,7 @@ from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle
 from sim.flight import simulate
 from sim.scenario import Scenario, scenario_from_dict
+from studies.flown import flight_data
 
 PUBLISHED_TILT_RAD = np.radians(6.2155)
 DIAGONAL = ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")

@@ -1,8 +1,9 @@
 """The planner against sequential quadratic programming with finite differences (SLSQP), on the seed paper's problem.
 
-Both start from the same random motions that keep every limit, have the same unknowns (so that SLSQP need not find the rest
-conditions) and hold the limits at the same phases. Told are the CPU seconds until a plan is within 1 % of the best known
-and exceeds no limit by more than 1e-3, or never. A start that SLSQP does not end is stopped at its share of the time.
+Both start from the same random motions that keep every limit, have the same unknowns (so that SLSQP need not find the
+rest conditions) and hold the limits at the same phases. Told are the CPU seconds until a plan is within 1 % of the best
+known and exceeds no limit by more than 1e-3, or never. A start that SLSQP does not end is stopped at its share of the
+time.
 
 Run with ``python -m benchmarks.planner``; the output is kept in docs/benchmarks.md.
 """

@@ -1,8 +1,9 @@
 """Every log in a folder, as people bring them: what it is, what came of it, how long it took and how much memory.
 
-``python -m benchmarks.public_logs DIR [--out FILE.json]`` prints a table; docs/logs.md keeps what was tried. The vehicles of
-public logs are not known: those that ship stand in (rotor speeds by command), so that the verdict says what was read, or why
-nothing was, and not what the vehicle weighs. Each log is read in a process of its own, for its memory and its end alone.
+``python -m benchmarks.public_logs DIR [--out FILE.json]`` prints a table; docs/logs.md keeps what was tried. The
+vehicles of public logs are not known: those that ship stand in (rotor speeds by command), so that the verdict says what
+was read, or why nothing was, and not what the vehicle weighs. Each log is read in a process of its own, for its memory
+and its end alone.
 """
 
 from __future__ import annotations

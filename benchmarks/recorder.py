@@ -50,7 +50,8 @@ def main() -> None:
             assert sum(len(stream) for stream in recording.streams.values()) == len(samples)
     needed = len(samples) / SECONDS
     print(
-        f"recorder: {statistics.median(written):9.0f} samples/s written, {statistics.median(written) / needed:.0f} times"
+        f"recorder: {statistics.median(written):9.0f} samples/s written, {statistics.median(written) / needed:.0f} "
+        "times"
     )
     print(f"          what {SECONDS} s at {RATE_HZ} Hz need; {statistics.median(read):.0f} samples/s read back")
 

@@ -2,11 +2,11 @@
 
 python benchmarks/relay.py STATION_PORT [VEHICLE_PORT]
 
-It knows MAVLink by itself (the standard library alone; no code of the link's): frames, checksums, four messages. The vehicle
-speaks to ``vehicle_port``, which the first line of output names; the station waits on STATION_PORT. Orders come as lines of
-JSON on standard input: {"cut": seconds, "way": "up" | "down" | "both"}, {"loss": share}, {"delay": seconds},
-{"frames": name, "count": n, "per_s": rate} (see KINDS), {"stranger": name, "per_s": rate, "seconds": s}. What it sees leaves as
-lines of JSON, at most ten a second and on each change.
+It knows MAVLink by itself (the standard library alone; no code of the link's): frames, checksums, four messages. The
+vehicle speaks to ``vehicle_port``, which the first line of output names; the station waits on STATION_PORT. Orders come
+as lines of JSON on standard input: {"cut": seconds, "way": "up" | "down" | "both"}, {"loss": share}, {"delay":
+seconds}, {"frames": name, "count": n, "per_s": rate} (see KINDS), {"stranger": name, "per_s": rate, "seconds": s}. What
+it sees leaves as lines of JSON, at most ten a second and on each change.
 """
 
 from __future__ import annotations
@@ -20,10 +20,48 @@ import sys
 import time
 
 HEARTBEAT, ATTITUDE, POSITION, COMMAND, EXTENDED, SETPOINT = 0, 30, 32, 76, 245, 84
-SEEDS = {HEARTBEAT: 50, ATTITUDE: 39, POSITION: 185, COMMAND: 152, EXTENDED: 130, SETPOINT: 143, 31: 246, 105: 93, 147: 154,
-         1: 124, 36: 222, 253: 83, 77: 143, 22: 220, 111: 34, 241: 90, 230: 163, 331: 91, 375: 251, 251: 170}  # fmt: skip
-SIZES = {HEARTBEAT: 9, ATTITUDE: 28, POSITION: 28, EXTENDED: 2, 31: 48, 105: 63, 147: 54, 1: 43, 36: 37, 253: 54, 77: 10, 22: 25,
-         111: 16, 241: 32, 230: 42, 331: 232, 375: 140, 251: 18}  # fmt: skip
+SEEDS = {
+    HEARTBEAT: 50,
+    ATTITUDE: 39,
+    POSITION: 185,
+    COMMAND: 152,
+    EXTENDED: 130,
+    SETPOINT: 143,
+    31: 246,
+    105: 93,
+    147: 154,
+    1: 124,
+    36: 222,
+    253: 83,
+    77: 143,
+    22: 220,
+    111: 34,
+    241: 90,
+    230: 163,
+    331: 91,
+    375: 251,
+    251: 170,
+}
+SIZES = {
+    HEARTBEAT: 9,
+    ATTITUDE: 28,
+    POSITION: 28,
+    EXTENDED: 2,
+    31: 48,
+    105: 63,
+    147: 54,
+    1: 43,
+    36: 37,
+    253: 54,
+    77: 10,
+    22: 25,
+    111: 16,
+    241: 32,
+    230: 42,
+    331: 232,
+    375: 140,
+    251: 18,
+}
 IMPOSSIBLE = (b"\x00\x00\x80\x7f", b"\x00\x00\xc0\x7f", b"\x00\x00\x80\xff", b"\xff\xff\x7f\x7f")
 
 
@@ -46,7 +84,9 @@ def pack(number: int, payload: bytes, system: int = 1, component: int = 1, seque
 
 
 def frames(data: bytes):
-    """(message, system, component, payload) of the MAVLink 2 frames of one datagram; checksums are the other ends' business."""
+    """(message, system, component, payload) of the MAVLink 2 frames of one datagram; checksums are the other ends'
+    business.
+    """
     at = 0
     while at + 12 <= len(data) and data[at] == 0xFD:
         size = data[at + 1]
@@ -75,7 +115,9 @@ class Hostile:
         return self._packed(ATTITUDE, struct.pack("<I6f", 1000, float("inf"), 0, 0, 0, 0, 0))
 
     def impossible(self) -> bytes:
-        """A message the link uses, in the autopilot's name, its floats impossible; never a word about mode or arming."""
+        """A message the link uses, in the autopilot's name, its floats impossible; never a word about mode or
+        arming.
+        """
         number = self.random.choice([n for n in SIZES if n not in (HEARTBEAT, EXTENDED, 22, 77, 111, 253, 1)])
         payload = b"".join(self.random.choice(IMPOSSIBLE) for _ in range((SIZES[number] + 3) // 4))
         return self._packed(number, payload[: SIZES[number]])
@@ -147,9 +189,19 @@ class Relay:
         self.queue: list[tuple[float, socket.socket, bytes, tuple[str, int]]] = []
         self.inject: dict | None = None
         self.seen: dict[str, object] = {
-            "mode": None, "armed": None, "landed": None, "height": None, "mode_orders": 0, "mode_orders_passed": 0, "setpoints": 0, "stranger_got": 0,
-            "injected": 0, "injected_in_air": 0, "beats_up": 0, "longest_up_gap_s": 0.0,
-        }  # fmt: skip
+            "mode": None,
+            "armed": None,
+            "landed": None,
+            "height": None,
+            "mode_orders": 0,
+            "mode_orders_passed": 0,
+            "setpoints": 0,
+            "stranger_got": 0,
+            "injected": 0,
+            "injected_in_air": 0,
+            "beats_up": 0,
+            "longest_up_gap_s": 0.0,
+        }
         self.up_s = self.told_s = 0.0
         print(json.dumps({"vehicle_port": self.vehicle.getsockname()[1]}), flush=True)
 

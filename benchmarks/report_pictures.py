@@ -1,4 +1,5 @@
-"""Pictures of a report in a real browser: the first screen at three widths. `python -m benchmarks.report_pictures REPORT [--output FOLDER]`
+"""Pictures of a report in a real browser: the first screen at three widths. `python -m benchmarks.report_pictures
+REPORT [--output FOLDER]`
 
 --whole adds the whole page, with every section open and every figure drawn.
 """

@@ -1,4 +1,6 @@
-"""One flight of real processes with the relay between autopilot and station: for the fault table and the hostile frames."""
+"""One flight of real processes with the relay between autopilot and station: for the fault table and the hostile
+frames.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,6 @@ from typing import Any
 
 import tomli_w
 
-from benchmarks.firmware import PX4_ENVIRONMENT, arducopter_command, px4_command
 from groundstation.errors import BadInput, Refused
 from groundstation.flight.client.client import outcome, start_core
 from groundstation.flight.client.rehearse import linked_vehicle
@@ -26,6 +27,7 @@ from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.journal import read_journal
 from groundstation.paths import find_config
 from groundstation.trajectory import plan_from_dict
+from studies.firmware import PX4_ENVIRONMENT, arducopter_command, px4_command
 
 START_S, FIRMWARE_READY_S = 90.0, 150.0
 PLAN = {

@@ -1,8 +1,8 @@
 """Any rotors: three to twelve of them, tilted and upright, planned for, flown in simulation and identified.
 
-``python -m benchmarks.rotor_layouts [--flights 2]`` flies the shipped hexacopters and the tricopter, and rings of eight and twelve
-rotors with tilts and heights drawn at random, in the laboratory with mass, tensor and centre of mass drawn beside what is declared; and keeps the
-deviations from the truth in docs/results/rotor_layouts.json.
+``python -m benchmarks.rotor_layouts [--flights 2]`` flies the shipped hexacopters and the tricopter, and rings of eight
+and twelve rotors with tilts and heights drawn at random, in the laboratory with mass, tensor and centre of mass drawn
+beside what is declared; and keeps the deviations from the truth in docs/results/rotor_layouts.json.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from benchmarks.flown import flight_data
 from groundstation.errors import GroundStationError
 from groundstation.flightdata import FlightData
 from groundstation.identification.pipeline import identify
@@ -29,6 +28,7 @@ from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehi
 from groundstation.writing import write_whole
 from sim.flight import simulate
 from sim.scenario import load_scenario
+from studies.flown import flight_data
 
 SEED = 20261129
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "results" / "rotor_layouts.json"
@@ -47,7 +47,9 @@ class Row(TypedDict):
 
 
 def ring(count: int, rng: np.random.Generator) -> Vehicle:
-    """The hexacopter's body under a ring of rotors at drawn heights, tilted about their arms by turns, by a drawn angle."""
+    """The hexacopter's body under a ring of rotors at drawn heights, tilted about their arms by turns, by a drawn
+    angle.
+    """
     document = vehicle_to_dict(load_vehicle(find_config("vehicles", "hexa")))
     angle = 2.0 * np.pi * (np.arange(count) + 0.5) / count
     place = 0.3 * np.column_stack([np.cos(angle), np.sin(angle), rng.uniform(-0.1, 0.1, count)])

@@ -1,11 +1,13 @@
-"""The blind bench on physics nobody here wrote: RotorPy's vehicle and aerodynamics. `python -m benchmarks.rotorpy_blind`
+"""The blind bench on physics nobody here wrote: RotorPy's vehicle and aerodynamics. `python -m
+benchmarks.rotorpy_blind`
 
-RotorPy's Hummingbird (Folk, Paulos, Kumar 2023) flies planned trajectories by RotorPy's own SE3 controller; its equations of
-motion give rates and specific forces, to which noise, biases, stamp jitter and a coloured disturbance are added. Its
-aerodynamics (drag of hubs and frame, inflow, translational lift, flapping, motor lag, wind) are off but for what is hidden.
-Two of them are more than one effect of the vocabulary: hubs feel the velocity they get from the body's rates, so that inflow
-also damps roll and pitch, and hub drag yaw. Its flapping coefficient is given the sign with which the nose rises.
-What is hidden is drawn with its size, true mass and inertia from a master seed that is new each run and printed.
+RotorPy's Hummingbird (Folk, Paulos, Kumar 2023) flies planned trajectories by RotorPy's own SE3 controller; its
+equations of motion give rates and specific forces, to which noise, biases, stamp jitter and a coloured disturbance are
+added. Its aerodynamics (drag of hubs and frame, inflow, translational lift, flapping, motor lag, wind) are off but for
+what is hidden. Two of them are more than one effect of the vocabulary: hubs feel the velocity they get from the body's
+rates, so that inflow also damps roll and pitch, and hub drag yaw. Its flapping coefficient is given the sign with which
+the nose rises. What is hidden is drawn with its size, true mass and inertia from a master seed that is new each run and
+printed.
 """
 
 from __future__ import annotations
@@ -24,12 +26,12 @@ from rotorpy.controllers.quadrotor_control import SE3Control
 from rotorpy.vehicles.hummingbird_params import quad_params
 from rotorpy.vehicles.multirotor import Multirotor
 
-from benchmarks.tally import share
 from groundstation.diagnosis import diagnose
 from groundstation.flightdata import IMU_COLUMNS, MOCAP_COLUMNS, FlightData, Stream, motor_columns
 from groundstation.planning import plan_excitation
 from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle, vehicle_from_dict
+from studies.tally import share
 
 Array = NDArray[np.float64]
 Random = np.random.Generator
@@ -77,7 +79,8 @@ KINDS: dict[str, tuple[tuple[str, ...], Callable[[Random], Hidden]]] = {
         lambda r: {name: quad_params[name] for name in COEFFICIENTS},
     ),
 }
-"""What is hidden: the names it must be found by (the first of them as the first finding where it is one), and its draw."""
+"""What is hidden: the names it must be found by (the first of them as the first finding where it is one), and its draw.
+"""
 
 
 def declared(commanded: bool) -> Vehicle:
@@ -116,7 +119,9 @@ def declared(commanded: bool) -> Vehicle:
 
 
 def truth(random: Random, hidden: Hidden) -> dict[str, Any]:
-    """RotorPy's parameters of the true vehicle: mass within 5 %, moments of inertia within 15 %, positions from its centre of mass."""
+    """RotorPy's parameters of the true vehicle: mass within 5 %, moments of inertia within 15 %, positions from its
+    centre of mass.
+    """
     found = deepcopy(quad_params)
     found["mass"] *= random.uniform(0.95, 1.05)
     for axis in ("xx", "yy", "zz"):

@@ -1,4 +1,7 @@
-"""An exported vehicle in Bullet, with forces as gym-pybullet-drones applies them. A place for `benchmarks.exports_round_trip`."""
+"""An exported vehicle in Bullet, with forces as gym-pybullet-drones applies them.
+
+A place for `benchmarks.exports_round_trip`.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,9 @@ def _matrix(q: tuple[float, ...]) -> Array:
 
 
 class InPyBullet:
-    """Bullet's multi-body; thrust at each propeller's link, its reaction torque at the centre of mass, kf and km per squared RPM."""
+    """Bullet's multi-body; thrust at each propeller's link, its reaction torque at the centre of mass, kf and km per
+    squared RPM.
+    """
 
     def __init__(self, text: str, com: Array, start: Array, spin: tuple[int, ...], gravity_m_s2: float):
         self._client = bullet.connect(bullet.DIRECT)

@@ -2,7 +2,8 @@
 
     python -m benchmarks.scale docs/results
 
-Nothing is measured here. What 100 000 flights would cost is worked out from what these figures say of one, and said to be so.
+Nothing is measured here. What 100 000 flights would cost is worked out from what these figures say of one, and said to
+be so.
 """
 
 from __future__ import annotations
@@ -37,11 +38,14 @@ def runs(found: dict[str, Any]) -> list[str]:
         f"| two local workers | {found['two_workers_s']:.0f} s | {3600.0 * count / found['two_workers_s'] / 2:.0f} |",
         f"| Dask, two workers, one killed when a third was done | {found['dask_with_a_worker_killed_s']:.0f} s | |",
         "",
-        f"The three tables are {same}. Efficiency at two workers: {found['efficiency_at_2']:.2f} of linear. These are wall times of a machine with two cores "
+        f"The three tables are {same}. Efficiency at two workers: {found['efficiency_at_2']:.2f} of linear. These are "
+        "wall times of a machine with two cores "
         "that others used at the same time; at four workers nothing can be told here.",
         "",
-        f"A recording has {found['bytes_a_flight'] / 1e6:.1f} MB. It is read once by the worker that has it; what goes back is a row of some kilobytes. "
-        f"{FLIGHTS} such flights are {FLIGHTS * found['bytes_a_flight'] / 1e9:.0f} GB to read and, at this speed, {FLIGHTS * each / 3600.0:.0f} core-hours: "
+        f"A recording has {found['bytes_a_flight'] / 1e6:.1f} MB. It is read once by the worker that has it; what goes "
+        "back is a row of some kilobytes. "
+        f"{FLIGHTS} such flights are {FLIGHTS * found['bytes_a_flight'] / 1e9:.0f} GB to read and, at this speed, "
+        f"{FLIGHTS * each / 3600.0:.0f} core-hours: "
         f"{hours:.1f} hours on {NODES} nodes with one core each. Worked out, not run.",
     ]  # fmt: skip
 
@@ -51,7 +55,9 @@ def catalogue(found: dict[str, Any]) -> list[str]:
     counts = sorted(found, key=int)
     names = [name for name in found[counts[-1]] if name != "seed"]
     lines = [
-        "Flights are made, not flown: folders with the documents of an identified and diagnosed flight, 54 estimates each. Wall times of a machine of two cores that others used too, at a load of about 13; the plain loop of the same run says how fast it was.",
+        "Flights are made, not flown: folders with the documents of an identified and diagnosed flight, 54 estimates "
+        "each. Wall times of a machine of two cores that others used too, at a load of about 13; the plain loop of the "
+        "same run says how fast it was.",
         "",
     ]
     lines += [
@@ -74,7 +80,8 @@ def trends(found: dict[str, Any]) -> list[str]:
     if "trends" in found:
         t = found["trends"]
         lines.append(
-            "30 flights of one x500, its mass 2 % up (39.7 g) from flight 18 on, its rotor 2 weaker by 0.3 % each flight:"
+            "30 flights of one x500, its mass 2 % up (39.7 g) from flight 18 on, its rotor 2 weaker by 0.3 % each "
+            "flight:"
         )
         lines += [
             "",
@@ -89,13 +96,17 @@ def trends(found: dict[str, Any]) -> list[str]:
             )
         lines += [
             "",
-            "A drift is told from the first flight that has the parameter: the weak rotor is a finding from the fifth flight on. The step in mass is found at its "
-            "flight, and smaller than its interval allows. A loss that is too small to be named reads as mass on the first flights, which explains a part of that.",
-            f"Of {t['fleets']} fleets of 30 flights without a change, drawn from {t['pool']} flown ones, {t['false']} were said to have one.",
+            "A drift is told from the first flight that has the parameter: the weak rotor is a finding from the fifth "
+            "flight on. The step in mass is found at its "
+            "flight, and smaller than its interval allows. A loss that is too small to be named reads as mass on the "
+            "first flights, which explains a part of that.",
+            f"Of {t['fleets']} fleets of 30 flights without a change, drawn from {t['pool']} flown ones, {t['false']} "
+            "were said to have one.",
         ]
     if "drawn" in found:
         lines.append(
-            f"Of {found['drawn']['fleets']} fleets drawn as independent estimates (seed {found['drawn']['seed']}), {found['drawn']['false']} were."
+            f"Of {found['drawn']['fleets']} fleets drawn as independent estimates (seed {found['drawn']['seed']}), "
+            f"{found['drawn']['false']} were."
         )
     return lines
 
@@ -115,8 +126,10 @@ def page(fleet: dict[str, Any], listed: dict[str, Any]) -> str:
         parts += ["", "## Trends", "", *told]
     parts += [
         "", "## Where it breaks first", "",
-        "The catalogue is one file that is read whole and written whole. What grows with the number of flights is its first reading (each folder's JSON is parsed "
-        "once) and the check at each listing which folders changed (one stat a folder). Work itself has no part that grows faster than the number of flights; "
+        "The catalogue is one file that is read whole and written whole. What grows with the number of flights is its "
+        "first reading (each folder's JSON is parsed "
+        "once) and the check at each listing which folders changed (one stat a folder). Work itself has no part that "
+        "grows faster than the number of flights; "
         "on a cluster the storage's bandwidth comes next, as each recording is read once.",
     ]  # fmt: skip
     return "\n".join(parts) + "\n"

@@ -1,7 +1,8 @@
-"""How near to the Cramer-Rao bound do estimates scatter? The same flight many times, each with its own noise and disturbance.
+"""How near to the Cramer-Rao bound do estimates scatter? The same flight many times, each with its own noise and
+disturbance.
 
-The reference scenario: the published trajectory of Table 2 for 40 s in the ``lab`` scenario. The bound is the one each flight states:
-the information of its planned motion under its own coloured disturbance.
+The reference scenario: the published trajectory of Table 2 for 40 s in the ``lab`` scenario. The bound is the one each
+flight states: the information of its planned motion under its own coloured disturbance.
 
 Run with ``make study`` or ``python -m benchmarks.scatter --flights N --seed S``; the output is kept in docs/study.md.
 """
@@ -13,9 +14,8 @@ import sys
 
 import numpy as np
 
-from benchmarks.flown import flight_data
 from groundstation.identification.anchoring import anchored
-from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.paths import find_config
@@ -23,6 +23,7 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
 from sim.scenario import load_scenario
+from studies.flown import flight_data
 
 
 def main() -> None:

@@ -1,4 +1,5 @@
-"""A serial line that is not there: two pseudo-terminals joined at the speed of a baud rate, as a telemetry radio joins them.
+"""A serial line that is not there: two pseudo-terminals joined at the speed of a baud rate, as a telemetry radio joins
+them.
 
     python -m benchmarks.serial_line 57600      # prints the two devices, then relays until interrupted
 

@@ -2,9 +2,10 @@
 
     python -m benchmarks.setpoint_jitter
 
-Core, link and emulated PX4 fly as real processes; between link and autopilot stands a tap whose socket has each datagram
-stamped by the kernel on arrival, so that a late tap does not show. Beside the link, in the same seconds, a plain sender
-does what a script would: sleep to the next fiftieth of a second, send. Printed is how far the intervals are from 20 ms.
+Core, link and emulated PX4 fly as real processes; between link and autopilot stands a tap whose socket has each
+datagram stamped by the kernel on arrival, so that a late tap does not show. Beside the link, in the same seconds, a
+plain sender does what a script would: sleep to the next fiftieth of a second, send. Printed is how far the intervals
+are from 20 ms.
 """
 
 from __future__ import annotations
@@ -112,7 +113,10 @@ def running(*commands: list[str]) -> Iterator[None]:
 
 def analysis(flight: Path) -> list[str]:
     """Identify a flight over and over."""
-    code = "import sys; from groundstation.cli import main\nwhile True:\n  main(['identify', sys.argv[1]], standalone_mode=False)"
+    code = (
+        "import sys; from groundstation.cli import main\nwhile True:\n  main(['identify', sys.argv[1]], "
+        "standalone_mode=False)"
+    )
     return [sys.executable, "-P", "-c", code, str(flight)]
 
 

@@ -1,7 +1,8 @@
 """The simulator against RotorPy on the same flight: steps a second on one core, controller and all sensors on.
 
-Both fly the paper's published trajectory with the QBall 2's mass, inertia and rotors; the ground-truth loop of RotorPy is its
-own (Multirotor with the SE3 controller and its IMU), stepped at the same rate over a part of the flight, because it is slow.
+Both fly the paper's published trajectory with the QBall 2's mass, inertia and rotors; the ground-truth loop of RotorPy
+is its own (Multirotor with the SE3 controller and its IMU), stepped at the same rate over a part of the flight, because
+it is slow.
 
 Run with ``python -m benchmarks.simulator``.
 """
@@ -97,7 +98,8 @@ def main() -> None:
     rate, times = ours(vehicle, plan)
     theirs = rotorpy(vehicle, plan)
     print(
-        f"simulator: {rate:9.0f} steps/s of {1e3 * STEP_S:g} ms, all sensors on: {times:.0f} times real time on one core"
+        f"simulator: {rate:9.0f} steps/s of {1e3 * STEP_S:g} ms, all sensors on: {times:.0f} times real time on one "
+        "core"
     )
     print(
         f"RotorPy:   {theirs:9.0f} steps/s of {1e3 * STEP_S:g} ms, plant, controller and IMU; ratio {rate / theirs:.0f}"

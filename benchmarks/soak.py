@@ -2,9 +2,10 @@
 
 python -m benchmarks.soak [--seconds 100] [--out docs/results/soak.json]
 
-Six recordings, one after the other, each by a process of its own at full load: IMU at 1 kHz, poses of three bodies at 360 Hz,
-four rotor speeds at 400 Hz, setpoints at 50 Hz and raw MAVLink frames at 400 Hz, through the flight's own recorder, file and
-keeper. Each has a small disk of its own (tmpfs; ext4 in a file where it turns read-only). What comes back is counted by the MCAP library's reader, not by ours.
+Six recordings, one after the other, each by a process of its own at full load: IMU at 1 kHz, poses of three bodies at
+360 Hz, four rotor speeds at 400 Hz, setpoints at 50 Hz and raw MAVLink frames at 400 Hz, through the flight's own
+recorder, file and keeper. Each has a small disk of its own (tmpfs; ext4 in a file where it turns read-only). What comes
+back is counted by the MCAP library's reader, not by ours.
 """
 
 from __future__ import annotations
@@ -130,8 +131,13 @@ def measure(fault: str, seconds: float) -> dict[str, object]:
     folder = disk / "flight"
     if not mounted and fault in ("disk full", "read-only"):
         return {"fault": fault, "skipped": "needs to mount a small disk (root)"}
-    command = [sys.executable, "-P", "-c", f"import sys; sys.path.insert(0, {str(Path.cwd())!r})\nfrom benchmarks.soak import worker\n"
-               f"from pathlib import Path\nworker(Path({str(folder)!r}), {seconds}, {fault == 'clock jump'})"]  # fmt: skip
+    command = [
+        sys.executable,
+        "-P",
+        "-c",
+        f"import sys; sys.path.insert(0, {str(Path.cwd())!r})\nfrom benchmarks.soak import worker\n"
+        f"from pathlib import Path\nworker(Path({str(folder)!r}), {seconds}, {fault == 'clock jump'})",
+    ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     broken_s, put_then, put, longest, told, told_s = None, 0, 0, 0.0, "", None
@@ -155,11 +161,16 @@ def measure(fault: str, seconds: float) -> dict[str, object]:
     total = sum(RATES_HZ.values())
     whole = put_then if broken_s is not None else put
     result = {
-        "fault": fault, "seconds": round(time.monotonic() - begun, 1), "put": put, "put_before_the_fault": whole,
-        "read_back": found, "lost_before_the_fault_s": round(max(0, whole - found) / total, 3),
-        "noticed_after_s": None if told_s is None or broken_s is None else round(told_s - broken_s, 2), "told": told.replace(str(folder), "FOLDER"),
+        "fault": fault,
+        "seconds": round(time.monotonic() - begun, 1),
+        "put": put,
+        "put_before_the_fault": whole,
+        "read_back": found,
+        "lost_before_the_fault_s": round(max(0, whole - found) / total, 3),
+        "noticed_after_s": None if told_s is None or broken_s is None else round(told_s - broken_s, 2),
+        "told": told.replace(str(folder), "FOLDER"),
         "longest_put_ms": round(1e3 * longest, 2),
-    }  # fmt: skip
+    }
     if mounted:
         tool("umount", "-l", str(disk))
         disk.with_suffix(".img").unlink(missing_ok=True)
@@ -184,7 +195,8 @@ def table(document: dict) -> str:
             else f"{r['lost_before_the_fault_s']:.2f} s"
         )
         lines.append(
-            f"| {r['fault']} | {r['put_before_the_fault']} | {r['read_back']} | {lost} | {noticed} | {r['longest_put_ms']:.1f} ms | {r['told'] or '—'} |"
+            f"| {r['fault']} | {r['put_before_the_fault']} | {r['read_back']} | {lost} | {noticed} | "
+            f"{r['longest_put_ms']:.1f} ms | {r['told'] or '—'} |"
         )
     return "\n".join(lines)
 

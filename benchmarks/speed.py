@@ -4,8 +4,9 @@
     python -m benchmarks.speed SECTION --before         keep what is measured as the "before" of the section
     python -m benchmarks.speed --table                  write the table anew from the file
 
-A section is a module ``benchmarks.speed_NAME`` with ``TITLE``, ``ABOUT`` (what is measured, and what each tool computes) and
-``measure() -> list[Row]``. Ratios are of one run on one machine; the load that stood beside it is in the file.
+A section is a module ``benchmarks.speed_NAME`` with ``TITLE``, ``ABOUT`` (what is measured, and what each tool
+computes) and ``measure() -> list[Row]``. Ratios are of one run on one machine; the load that stood beside it is in the
+file.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -51,13 +52,6 @@ class Row:
     ratio: float | None = None
 
 
-def seconds(function: Callable[[], object]) -> float:
-    """Processor time of a call, of all threads together."""
-    began = time.process_time()
-    function()
-    return time.process_time() - began
-
-
 def circumstances() -> dict[str, Any]:
     """Machine, load and time of a run."""
     describe = ["git", "describe", "--always", "--dirty"]
@@ -65,7 +59,8 @@ def circumstances() -> dict[str, Any]:
     return {
         "date": time.strftime("%Y-%m-%d"),
         "commit": commit,
-        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
+        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python "
+        f"{platform.python_version()}",
         "load": round(os.getloadavg()[0], 1),
     }
 
@@ -114,7 +109,8 @@ def table(document: Mapping[str, Any]) -> str:
     head = [
         "# Speed",
         "",
-        "Written by `python -m benchmarks.speed` from `docs/results/speed.json`. Times differ from machine to machine and with its load;",
+        "Written by `python -m benchmarks.speed` from `docs/results/speed.json`. Times differ from machine to machine "
+        "and with its load;",
         "ratios of one run are the point.",
         "",
     ]

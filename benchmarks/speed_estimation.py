@@ -1,4 +1,5 @@
-"""Section of ``benchmarks.speed``: processor time and memory of ``identify`` and ``diagnose`` over the length of a flight.
+"""Section of ``benchmarks.speed``: processor time and memory of ``identify`` and ``diagnose`` over the length of a
+flight.
 
     python -m benchmarks.speed_estimation TASK LENGTH_S RATE_HZ [RUNS]     one measurement, as JSON
 
@@ -22,8 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.estimators import loop_least_squares, problem
-from benchmarks.speed import ROOT, Row, seconds
+from benchmarks.speed import ROOT, Row
 from groundstation.flightdata import (
     BATTERY_COLUMNS,
     IMU_COLUMNS,
@@ -34,14 +34,19 @@ from groundstation.flightdata import (
     Stream,
     motor_columns,
 )
+from studies.estimators import loop_least_squares, problem
+from studies.timing import seconds
 
 TITLE = "Identification and diagnosis"
 SEED = 2001
 """Of the study: rotors by command, so lag and delay are free, which is the slower case."""
 ABOUT = (
-    f"Study flight {SEED} (`python -m benchmarks.study`), flown for as long as stated at 500 Hz: mass, six inertias, lag and dead time free. "
-    "Processor time of one core, of the second and later calls in a process (warm) or of the whole process with its imports (cold). "
-    "*identify* is all methods with intervals; *with prediction* adds the choice and fit of the prediction model; *diagnose* goes from the "
+    f"Study flight {SEED} (`python -m benchmarks.study`), flown for as long as stated at 500 Hz: mass, six inertias, "
+    "lag and dead time free. "
+    "Processor time of one core, of the second and later calls in a process (warm) or of the whole process with its "
+    "imports (cold). "
+    "*identify* is all methods with intervals; *with prediction* adds the choice and fit of the prediction model; "
+    "*diagnose* goes from the "
     "streams to findings and forecasts. The yardstick is a plain least-squares loop over 10 s in the same process."
 )
 PLAN_S = 40.0
@@ -65,7 +70,7 @@ def flown(length_s: float, rate_hz: float) -> Path:
     folder = Path(tempfile.gettempdir()) / "groundstation-speed"
     path = folder / f"{SEED}-{length_s:g}-{rate_hz:g}.npz"
     if not path.exists():
-        from benchmarks.study import draw
+        from studies.study import draw
 
         flight = draw(SEED, length_s / PLAN_S, rate_hz)[0]
         arrays = {name: stream for name in STREAMS if (stream := getattr(flight, name)) is not None}
@@ -79,7 +84,7 @@ def flown(length_s: float, rate_hz: float) -> Path:
 
 def read(path: Path, length_s: float) -> FlightData:
     """The flight of the file."""
-    from benchmarks.study import draw_plan, draw_vehicle
+    from studies.study import draw_plan, draw_vehicle
 
     random = np.random.default_rng([4, SEED])
     vehicle = draw_vehicle(random)

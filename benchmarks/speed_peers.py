@@ -15,24 +15,29 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks import planner, simulator
-from benchmarks.speed import Row, seconds
+from benchmarks.speed import Row
 from groundstation.paths import find_config
 from groundstation.planning import paper_plan
 from groundstation.planning.criteria import regressor
 from groundstation.trajectory import RigidMotion, rigid_motion
 from groundstation.vehicle import load_vehicle
+from studies.timing import seconds
 
 TITLE = "Beside other tools"
-ABOUT = """Processor time of one core on the same machine in one run; the last column counts in times of ours for the same row's task.
+ABOUT = """Processor time of one core on the same machine in one run; the last column counts in times of ours for the \
+same row's task.
 
 | tool | what it computes | what it leaves out |
 | --- | --- | --- |
 | ours, regressor | thrust and torque rows for mass and six inertias, Gram matrix, solution | centre of mass |
-| FIGAROH 1.0, regressor | six wrench rows for the ten parameters of a body by Pinocchio, sample by sample; Gram matrix, solution | noise, lag, clocks, intervals |
-| ours, simulator | rigid body, rotors, battery, PID, estimator, IMU, poses, clocks, disturbance; Runge-Kutta at 1 ms | |
+| FIGAROH 1.0, regressor | six wrench rows for the ten parameters of a body by Pinocchio, sample by sample; Gram \
+matrix, solution | noise, lag, clocks, intervals |
+| ours, simulator | rigid body, rotors, battery, PID, estimator, IMU, poses, clocks, disturbance; Runge-Kutta at 1 ms \
+| |
 | RotorPy | rigid body, rotors, SE3 controller, IMU; SciPy's integrator | pose sensor, clocks, battery, estimator |
 | MuJoCo | one free body with four rotor forces; Runge-Kutta at 1 ms | controller, sensors, motors, everything else |
-| crazyflow | 1024 worlds at once: rigid body, first-order motors, attitude controller, compiled by JAX for the processor | sensors, clocks, disturbance |
+| crazyflow | 1024 worlds at once: rigid body, first-order motors, attitude controller, compiled by JAX for the \
+processor | sensors, clocks, disturbance |
 | ours, planner | the paper's problem to within 1 % of the best known, from random starts | |
 | SLSQP | the same program by finite differences, one run | |
 
@@ -121,7 +126,9 @@ def _simulators() -> list[Row]:
 
 
 def crazyflow() -> float:
-    """Steps a processor second of all worlds together; in a process of its own, for it wants SciPy's settings before SciPy."""
+    """Steps a processor second of all worlds together; in a process of its own, for it wants SciPy's settings before
+    SciPy.
+    """
     from crazyflow.control import Control
     from crazyflow.dynamics import Dynamics
     from crazyflow.sim import Sim

@@ -1,7 +1,8 @@
-"""How long the command takes to be there: each start is a process of its own, the terminal UI in a real pseudo-terminal.
+"""How long the command takes to be there: each start is a process of its own, the terminal UI in a real
+pseudo-terminal.
 
-Told are wall seconds and processor seconds (they differ on a busy machine), the medians of several starts; for the UI until
-its first frame shows the panel that says what to press.
+Told are wall seconds and processor seconds (they differ on a busy machine), the medians of several starts; for the UI
+until its first frame shows the panel that says what to press.
 
 Run with ``python -m benchmarks.startup``.
 """

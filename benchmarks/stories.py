@@ -1,8 +1,8 @@
 """The figures and numbers of docs/stories: `python -m benchmarks.stories blind|weight|lag`
 
-``blind`` draws what is hidden (two effects, their sizes, the true vehicle, the laboratory) from a seed, lets the console
-commands fly, diagnose, export and fly again, and prints what they printed. ``weight`` and ``lag`` read measured logs
-(``--data``). Each writes a figure into ``docs/stories``.
+``blind`` draws what is hidden (two effects, their sizes, the true vehicle, the laboratory) from a seed, lets the
+console commands fly, diagnose, export and fly again, and prints what they printed. ``weight`` and ``lag`` read measured
+logs (``--data``). Each writes a figure into ``docs/stories``.
 """
 
 from __future__ import annotations
@@ -19,16 +19,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.hidden import declared, sizes
 from groundstation.diagnosis.effect import wrench_of
 from groundstation.diagnosis.trim import compare_trims, mean_thrust
 from groundstation.flightdata import FlightData
-from groundstation.identification.preparation import Prepared, flight_states, prepare
-from groundstation.model.prediction import declared_model, model_from_document, predict
+from groundstation.identification.preparation import Prepared, prepare
+from groundstation.identification.starts import flight_states
+from groundstation.model.prediction import predict
+from groundstation.model.vehicle_model import declared_model, model_from_document
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
 from groundstation.reporting.exports import read_model
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict
+from studies.hidden import declared, sizes
 
 Array = NDArray[np.float64]
 
@@ -76,7 +78,9 @@ def _save(figure: Any, name: str) -> None:
 
 
 def errors_by_horizon(flight: FlightData, document: dict[str, Any]) -> dict[str, dict[str, list[float]]]:
-    """RMS error of the open-loop prediction by horizon: as declared, as identified without the effects, and with them."""
+    """RMS error of the open-loop prediction by horizon: as declared, as identified without the effects, and with
+    them.
+    """
     vehicle = vehicle_from_dict(document["vehicle"], "the model")
     bare = {**document, "effects": {}}
     with_effects = model_from_document(document, vehicle, wrench_of(document["effects"], vehicle))
@@ -169,8 +173,10 @@ def _lag_figure(log: Path, results: Path) -> None:
     diagnosis = json.loads((results / "diagnosis.json").read_text(encoding="utf-8"))
     before, after = ({n: diagnosis[part][n] for n in TENSOR} for part in ("parameters_before", "parameters_after"))
     for name in TENSOR:
-        told = [f"{1e6 * part[name]['value']:.1f} ({1e6 * part[name]['ci95'][0]:.1f} .. {1e6 * part[name]['ci95'][1]:.1f})"
-                for part in (before, after)]  # fmt: skip
+        told = [
+            f"{1e6 * part[name]['value']:.1f} ({1e6 * part[name]['ci95'][0]:.1f} .. {1e6 * part[name]['ci95'][1]:.1f})"
+            for part in (before, after)
+        ]
         print(f"{name} in 1e-6: without lag {told[0]}, with findings {told[1]}")
     vehicle = vehicle_from_dict(document["vehicle"], "the model")
     unseen = load_flight(log, vehicle=vehicle, start_s=75.0, end_s=90.0)
@@ -250,7 +256,9 @@ def _one_by_one(flights: dict[str, list[Prepared]]) -> None:
 
 
 def _weight_figure(vehicle: Vehicle, flights: dict[str, list[Prepared]]) -> None:
-    """Where the mean commanded thrust in settled flight stands, and the yaw torque it makes, by the declared constants."""
+    """Where the mean commanded thrust in settled flight stands, and the yaw torque it makes, by the declared
+    constants.
+    """
     allocation = vehicle.allocation()
     towards = np.asarray(vehicle.rotors.position_m)[2, :2]
     towards = towards / np.linalg.norm(towards)

@@ -1,4 +1,5 @@
-"""Pictures of the terminal UI for the documentation: one rehearsal, every screen at 80x24 and at 200x60, Fly also at 120x40.
+"""Pictures of the terminal UI for the documentation: one rehearsal, every screen at 80x24 and at 200x60, Fly also at
+120x40.
 
     python benchmarks/tui_pictures.py [--output docs/images] [--logs FOLDER]
 

@@ -2,11 +2,12 @@
 
     python -m benchmarks.until --flights 500 --json docs/results/until.json
 
-Every flight draws a vehicle (30 g to 3 kg, declared wrongly, lag declared or rotor speeds measured), a laboratory and the study's fast
-plan (the paper's trajectory at twice its pace, tilted up to 17 degrees; periods of 5 s), and is flown for 80 s in simulation; the live estimator reads it as it would have in flight. Then the rule of ``--until`` is applied to what it
-had at each rest point, for several targets: they give 500 flights as many stop times each. A flight on which a target is not met by
-the end stops there. Counted: whether the truth lies in the interval at the stop, by each kind of interval, and for the spent and the
-any-time interval also whether it lay in the intervals of *all* looks.
+Every flight draws a vehicle (30 g to 3 kg, declared wrongly, lag declared or rotor speeds measured), a laboratory and
+the study's fast plan (the paper's trajectory at twice its pace, tilted up to 17 degrees; periods of 5 s), and is flown
+for 80 s in simulation; the live estimator reads it as it would have in flight. Then the rule of ``--until`` is applied
+to what it had at each rest point, for several targets: they give 500 flights as many stop times each. A flight on which
+a target is not met by the end stops there. Counted: whether the truth lies in the interval at the stop, by each kind of
+interval, and for the spent and the any-time interval also whether it lay in the intervals of *all* looks.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import many
-from benchmarks.flown import flight_data
-from benchmarks.study import draw_plan, draw_scenario, draw_vehicle
-from benchmarks.tally import wilson
 from groundstation.identification.recursive import SHOWN, replay
 from groundstation.identification.sequential import Spending, at_any_time, at_one_moment
 from groundstation.vehicle import Vehicle
 from sim.flight import simulate
+from studies import many
+from studies.flown import flight_data
+from studies.study import draw_plan, draw_scenario, draw_vehicle
+from studies.tally import wilson
 
 PLANNED_S, AT_MOST_S, RATE_HZ, AHEAD_S = 40.0, 80.0, 250.0, 0.3
 TARGETS = (0.01, 0.015, 0.02, 0.03, 0.05)
@@ -38,7 +39,9 @@ MASS_SHARE = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """One flight: its rest points, and what was known at each: value and standard deviation over the truth, by parameter."""
+    """One flight: its rest points, and what was known at each: value and standard deviation over the truth, by
+    parameter.
+    """
 
     seed: int
     rest_s: tuple[float, ...]
@@ -108,7 +111,9 @@ class Count:
 
 
 def tally(flights: Sequence[Flown], kind: str) -> tuple[Count, list[float], list[float]]:
-    """Coverage when the rule stops by one kind of interval; seconds flown where the targets of 2 % were met, and the shares met."""
+    """Coverage when the rule stops by one kind of interval; seconds flown where the targets of 2 % were met, and the
+    shares met.
+    """
     count, seconds, met_share = Count(), [], []
     for flown in flights:
         for target in TARGETS:
@@ -160,14 +165,20 @@ def table(flights: Sequence[Flown]) -> str:
         return f"{100 * count / max(of, 1):.1f} % ({100 * low:.1f}-{100 * high:.1f})"
 
     hold, total = fixed(flights)
-    rows = [f"{len(flights)} flights; at 40 s, no rule, the interval looked at once holds the truth in {share(hold, total)}", "",
-            "| the rule stops by the interval | holds at the stop | holds at every look | seconds flown for 2 %, median (10th-90th) | met within 80 s |",
-            "|---|---|---|---|---|"]  # fmt: skip
+    rows = [
+        f"{len(flights)} flights; at 40 s, no rule, the interval looked at once holds the truth in "
+        f"{share(hold, total)}",
+        "",
+        "| the rule stops by the interval | holds at the stop | holds at every look | seconds flown for 2 %, "
+        "median (10th-90th) | met within 80 s |",
+        "|---|---|---|---|---|",
+    ]
     for kind in ("looked at once", "spent", "at any time"):
         count, seconds, met = tally(flights, kind)
         low, middle, high = np.percentile(seconds, [10, 50, 90])
         rows.append(
-            f"| {kind} | {share(count.holds, count.stops)} | {share(count.series_hold, count.series)} | {middle:.0f} s ({low:.0f}-{high:.0f}) | {100 * np.mean(met):.0f} % |"
+            f"| {kind} | {share(count.holds, count.stops)} | {share(count.series_hold, count.series)} | {middle:.0f} s "
+            f"({low:.0f}-{high:.0f}) | {100 * np.mean(met):.0f} % |"
         )
     return "\n".join(rows)
 

@@ -1,6 +1,7 @@
 """How visible is what was hidden? Expected t and share of the wrench, from a joint estimate that is told all of it.
 
-An invented field of the room is told by the simulator's own formula; thrust with memory has no formula of a wrench and counts as visible.
+An invented field of the room is told by the simulator's own formula; thrust with memory has no formula of a wrench and
+counts as visible.
 """
 
 from __future__ import annotations
@@ -10,19 +11,21 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from benchmarks.hidden import Table
 from groundstation.diagnosis.attribution import candidates
 from groundstation.diagnosis.base import for_evidence
+from groundstation.diagnosis.columns import Candidate
 from groundstation.diagnosis.effect import Effect, ParameterInfo, library
-from groundstation.diagnosis.evidence import Candidate, Evidence, FlightEvidence
+from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.flightdata import FlightData
 from groundstation.frames import quat_rotate_inverse
-from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 from sim.effects.surroundings import magnet, wall
 from sim.scenario import scenario_from_dict
+from studies.hidden import Table
 
 FIELDS = ("attracting_wall", "magnet")
 """Invented ones that are a force at a place: the simulator's own formula says how detectable they are."""
@@ -70,7 +73,9 @@ def _told(name: str, table: Table, evidence: Evidence) -> Candidate:
 
 
 def _field(name: str, table: Table) -> Effect:
-    """An invented field of the room by the simulator's own formula, at the poses that were measured; its one parameter is one."""
+    """An invented field of the room by the simulator's own formula, at the poses that were measured; its one parameter
+    is one.
+    """
     scenario = scenario_from_dict({"name": name, "effects": {name: table}})
 
     def wrench(signals: Signals, vehicle: Vehicle, settings: Mapping[str, float]) -> np.ndarray:

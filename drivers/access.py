@@ -1,7 +1,8 @@
 """Who may do what on the bus: a secret per role and flight, and the rules by which a core admits sessions.
 
-Zenoh proves a user's password by a keyed hash when a session opens, and filters every message of that session by the rules
-of its user. So whatever arrives on a key was sent by a role that may send it: nothing has to be checked where it is used.
+Zenoh proves a user's password by a keyed hash when a session opens, and filters every message of that session by the
+rules of its user. So whatever arrives on a key was sent by a role that may send it: nothing has to be checked where it
+is used.
 
 ======== ==================================================================================================
 role     may
@@ -94,22 +95,22 @@ def rules(vehicle: str) -> dict[str, Any]:
     liveliness = ["liveliness_token", "liveliness_query", "declare_liveliness_subscriber"]
     listening = ["declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"]
     shared = [
-        _allow("core-alive", ["ingress", "egress"], liveliness, ["gs/core/alive"]),
-        _allow("core-listens", ["egress"], listening, [f"{drone}/*", "gs/client/*/alive"]),
+        allow("core-alive", ["ingress", "egress"], liveliness, ["gs/core/alive"]),
+        allow("core-listens", ["egress"], listening, [f"{drone}/*", "gs/client/*/alive"]),
     ]
     watch = [
-        _allow("status", ["egress"], ["put"], ["gs/core/status"]),
-        _allow("status-wanted", ["ingress"], ["declare_subscriber"], ["gs/core/status"]),
-        _allow("abort", ["ingress"], ["query"], ["gs/core/abort"]),
-        _allow("answers", ["egress"], ["reply", "declare_queryable"], ["gs/core/*"]),
-        _allow("client-alive", ["ingress"], ["liveliness_token"], ["gs/client/*/alive"]),
+        allow("status", ["egress"], ["put"], ["gs/core/status"]),
+        allow("status-wanted", ["ingress"], ["declare_subscriber"], ["gs/core/status"]),
+        allow("abort", ["ingress"], ["query"], ["gs/core/abort"]),
+        allow("answers", ["egress"], ["reply", "declare_queryable"], ["gs/core/*"]),
+        allow("client-alive", ["ingress"], ["liveliness_token"], ["gs/client/*/alive"]),
     ]
-    operate = [_allow("orders", ["ingress"], ["query"], ["gs/core/command", "gs/core/lease"])]
+    operate = [allow("orders", ["ingress"], ["query"], ["gs/core/command", "gs/core/lease"])]
     vehicle_rules = [
-        _allow("tells", ["ingress"], ["put"], told),
-        _allow("vehicle-alive", ["ingress"], ["liveliness_token"], [f"{drone}/alive"]),
-        _allow("serves", ["ingress"], ["reply", "declare_queryable", "declare_subscriber"], asked),
-        _allow("asks", ["egress"], ["put", "query"], asked),
+        allow("tells", ["ingress"], ["put"], told),
+        allow("vehicle-alive", ["ingress"], ["liveliness_token"], [f"{drone}/alive"]),
+        allow("serves", ["ingress"], ["reply", "declare_queryable", "declare_subscriber"], asked),
+        allow("asks", ["egress"], ["put", "query"], asked),
     ]
     policies = (
         (shared, ["watch", "operate", "drone"]),
@@ -128,7 +129,7 @@ def rules(vehicle: str) -> dict[str, Any]:
     }
 
 
-def _allow(name: str, flows: Sequence[str], messages: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:
+def allow(name: str, flows: Sequence[str], messages: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:
     """One rule of zenoh's access control."""
     return {
         "id": name,

@@ -7,30 +7,32 @@ Drone, keys under ``gs/<drone>/`` (:class:`DroneKeys`)::
 
     samples   publication  drone -> core   drivers.samples.Batch: samples in order of arrival, sequence-numbered from 0
     status    publication  drone -> core   DroneStatus, on every change and at least every 0.1 s of the drone's time
-    credit    publication  core -> drone   Credit: how far the drone may run (lock-step), and the sign that the core lives
-    upload    queryable    on the drone    Upload -> Answer
+    credit    publication  core -> drone   Credit: how far the drone may run (lock-step), and the sign that the core
+    lives upload    queryable    on the drone    Upload -> Answer
     command   queryable    on the drone    Command -> Answer
     describe  queryable    on the drone    Describe -> Description: what flies here
     alive     liveliness   of the drone
 
-Core, keys under ``gs/core/``: ``status`` (publication), ``command``, ``abort`` and ``lease`` (queryables), ``alive`` (liveliness).
-Who may send on which key: :mod:`drivers.access`.
+Core, keys under ``gs/core/``: ``status`` (publication), ``command``, ``abort`` and ``lease`` (queryables), ``alive``
+(liveliness). Who may send on which key: :mod:`drivers.access`.
 The payloads of those belong to the core; :func:`publish`, :func:`subscribe`, :func:`serve` and :func:`ask` carry any
 ``msgspec.Struct``.
 
 Lock-step. All times called ``host_s`` are the host's monotonic clock, which is *simulated* while the drone runs faster
-than real time: it starts at 0 when the drone process starts, and advances only with the drone. The drone simulates while
-``host_s < Credit.host_s``, in batches of at most ``Description.batch_s``, and sends a sample when its simulated *arrival*
-time is reached. The core grants more as it has digested what came: keep credit 0.5 to 2 s ahead of the last batch. With
-``--real-time`` the drone paces itself by the wall clock and takes from credit only that the core is alive.
+than real time: it starts at 0 when the drone process starts, and advances only with the drone. The drone simulates
+while ``host_s < Credit.host_s``, in batches of at most ``Description.batch_s``, and sends a sample when its simulated
+*arrival* time is reached. The core grants more as it has digested what came: keep credit 0.5 to 2 s ahead of the last
+batch. With ``--real-time`` the drone paces itself by the wall clock and takes from credit only that the core is alive.
 
 Orders take effect at the simulated instant at which the drone stands, between two batches. The core lets it stand at
-fixed instants on the ground (``groundstation.flight.core.pacing``), so one seed and plan give one flight on any machine.
+fixed instants on the ground (``groundstation.flight.core.pacing``), so one seed and plan give one flight on any
+machine.
 
 Losing the station. A drone that was sent at least one Credit and then hears none for :data:`CREDIT_TIMEOUT_S` of wall
-time (:data:`LOCK_STEP_TIMEOUT_S` in lock-step), or sees ``gs/core/alive`` vanish, no longer waits: it flies itself down, lands and disarms, publishing all the while.
-A lock-stepped drone then stands still until a core grants credit beyond its ``host_s`` again, and ends its process after ten
-seconds alone; a real-time drone after two minutes. Send Credit at least every 0.5 s, also when it grants nothing new.
+time (:data:`LOCK_STEP_TIMEOUT_S` in lock-step), or sees ``gs/core/alive`` vanish, no longer waits: it flies itself
+down, lands and disarms, publishing all the while. A lock-stepped drone then stands still until a core grants credit
+beyond its ``host_s`` again, and ends its process after ten seconds alone; a real-time drone after two minutes. Send
+Credit at least every 0.5 s, also when it grants nothing new.
 
 Everything is MessagePack with field names, so that fields can be added; a payload that does not decode never reaches a
 handler: requests are answered ``ok = False`` with the reason, publications are counted in ``Subscription.rejected``.
@@ -39,19 +41,17 @@ handler: requests are answered ``ok = False`` with the reason, publications are 
 from __future__ import annotations
 
 import json
-import os
 import socket
-import tempfile
 import zlib
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import msgspec
 
-from drivers.access import Login, Secrets, rules
+from drivers.access import Login, Secrets
+from drivers.admission import admission, keep_inside
 
 if TYPE_CHECKING:
     import zenoh
@@ -74,8 +74,10 @@ vehicle that hit the ground or tumbled (disarmed; a new upload sets it upright a
 
 CommandName = Literal["arm", "start", "finish", "extend", "abort", "land", "kill", "disarm", "shutdown"]
 """``start`` flies the uploaded plan from take-off to landing; ``abort`` and ``land`` stop where it is and descend;
-``finish`` ends the excitation at its next rest point, ``extend`` lets it go on for a period more than it would, up to what was uploaded;
-``kill`` stops the rotors wherever it is; ``disarm`` is refused in the air; ``shutdown`` ends the drone process, refused in the air."""
+``finish`` ends the excitation at its next rest point, ``extend`` lets it go on for a period more than it would, up to
+what was uploaded; ``kill`` stops the rotors wherever it is; ``disarm`` is refused in the air; ``shutdown`` ends the
+drone process, refused in the air.
+"""
 
 M = TypeVar("M", bound=msgspec.Struct)
 
@@ -145,7 +147,8 @@ class Description(msgspec.Struct, frozen=True):
         real_time: paced by the wall clock instead of by credit.
         batch_s: longest stretch of host time in one batch.
         scenario: name of the scenario.
-        truth_toml: the true vehicle's file (``groundstation.vehicle`` format): mass, inertia and what else is drawn there.
+        truth_toml: the true vehicle's file (``groundstation.vehicle`` format): mass, inertia and what else is drawn
+            there.
         notes: what the recording shall say of itself, one sentence each.
         ok, reason: as in :class:`Answer`.
     """
@@ -257,6 +260,7 @@ def open_session(
     connect_timeout_s: float = 5.0,
     login: Login | None = None,
     admit: tuple[Secrets, str] | None = None,
+    secure: Mapping[str, Any] | None = None,
 ) -> zenoh.Session:
     """Open a peer session that meets only the endpoints named.
 
@@ -266,11 +270,17 @@ def open_session(
         connect_timeout_s: how long the first connection may take.
         login: as whom to open the session.
         admit: secrets of the roles and the vehicle's name: only sessions that log in are accepted, each for its role.
+        secure: settings of a session between machines (:func:`drivers.secure.secured`). Without them nothing listens
+            beyond this machine.
 
     Raises:
-        ConnectionError: an endpoint cannot be opened or reached.
+        ConnectionError: an endpoint cannot be opened or reached, or would listen beyond this machine without
+            certificates.
     """
     import zenoh
+
+    secure = secure or {}
+    keep_inside(listen, secure)
 
     settings = {
         "mode": "peer",
@@ -287,8 +297,8 @@ def open_session(
         settings["transport/auth/usrpwd"] = {"user": login.role, "password": login.secret}
     config = zenoh.Config()
     try:
-        with _admission(admit) as admission:
-            for key, value in {**settings, **admission}.items():
+        with admission(admit) as admitting:
+            for key, value in {**settings, **admitting, **secure}.items():
                 config.insert_json5(key, json.dumps(value))
             return zenoh.open(config)
     except zenoh.ZError as error:
@@ -298,51 +308,13 @@ def open_session(
         ) from None
 
 
-PENDING = 4096
-"""Connections that may be in the making: idle ones cost a descriptor each and leave after ``ACCEPT_S``."""
-ACCEPT_S = 1.0
-SESSIONS = 64
-
-
-@contextmanager
-def _admission(admit: tuple[Secrets, str] | None) -> Iterator[dict[str, Any]]:
-    """Settings of a listener that admits sessions by role; the file that zenoh reads the secrets from is gone after it."""
-    if admit is None:
-        yield {}
-        return
-    flight, vehicle = admit
-    _allow_descriptors()
-    descriptor, name = tempfile.mkstemp(prefix="groundstation-")  # readable by its owner alone
-    try:
-        with os.fdopen(descriptor, "w", encoding="ascii") as file:
-            file.writelines(f"{role}:{secret}\n" for role, secret in flight.items())
-        yield {
-            "transport/auth/usrpwd": {"user": "core", "password": flight["core"], "dictionary_file": name},
-            "transport/unicast/accept_timeout": int(1000 * ACCEPT_S),
-            "transport/unicast/accept_pending": PENDING,
-            "transport/unicast/max_sessions": SESSIONS,
-            "access_control": rules(vehicle),
-        }
-    finally:
-        Path(name).unlink(missing_ok=True)
-
-
-def _allow_descriptors() -> None:
-    """As many open connections as the system allows this process, so that idle ones do not use them up."""
-    try:
-        import resource
-    except ImportError:  # a system without such a limit
-        return
-    most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
-    with suppress(OSError, ValueError):
-        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
-
-
 class Publisher:
-    """A typed publisher. ``lossless`` blocks while a subscriber is behind: for lock-step alone, never on a thread that flies.
+    """A typed publisher. ``lossless`` blocks while a subscriber is behind: for lock-step alone, never on a thread that
+    flies.
 
-    Without it messages are dropped under congestion; sequence numbers in them count the gaps. Such messages share zenoh's
-    transmission buffers: express ones take a buffer each, and on a machine short of processor time those run out.
+    Without it messages are dropped under congestion; sequence numbers in them count the gaps. Such messages share
+    zenoh's transmission buffers: express ones take a buffer each, and on a machine short of processor time those run
+    out.
     """
 
     def __init__(self, session: zenoh.Session, key: str, *, lossless: bool = False):
@@ -441,7 +413,9 @@ def ask(session: zenoh.Session, key: str, request: msgspec.Struct, kind: type[M]
 
 @contextmanager
 def alive(session: zenoh.Session, key: str) -> Iterator[None]:
-    """Hold a liveliness token while the block runs; it vanishes by itself when the process dies (2 s when it freezes)."""
+    """Hold a liveliness token while the block runs; it vanishes by itself when the process dies (2 s when it
+    freezes).
+    """
     token = session.liveliness().declare_token(key)
     try:
         yield

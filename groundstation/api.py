@@ -4,10 +4,10 @@
     >>> found = api.identify(api.simulate("qball2", scenario="clean"))    # doctest: +SKIP
     >>> found.to_frame(); api.plot(found)                                 # doctest: +SKIP
 
-Vehicles, plans and scenarios are given as objects, as files, or by the name of a shipped one. Units are SI and stand at the
-end of each name; angles are radians. The world has z up; the body has x forward, y left, z up; quaternions are scalar first.
-Results have ``to_dict()`` (the JSON document of the command), ``records()`` and ``to_frame()`` (pandas, where it is
-installed). Each function raises :class:`~groundstation.errors.BadInput` for wrong input and
+Vehicles, plans and scenarios are given as objects, as files, or by the name of a shipped one. Units are SI and stand at
+the end of each name; angles are radians. The world has z up; the body has x forward, y left, z up; quaternions are
+scalar first. Results have ``to_dict()`` (the JSON document of the command), ``records()`` and ``to_frame()`` (pandas,
+where it is installed). Each function raises :class:`~groundstation.errors.BadInput` for wrong input and
 :class:`~groundstation.errors.Refused` where the data cannot answer; both say what to do.
 """
 
@@ -28,13 +28,17 @@ if TYPE_CHECKING:
     from groundstation.analysis.analyse import Analysis
     from groundstation.diagnosis.effect import EffectInfo
     from groundstation.diagnosis.results import Diagnosis
+    from groundstation.fleet.comparison import Comparison
     from groundstation.flightdata import FlightData
     from groundstation.identification.results import Identification
     from groundstation.model.prediction import Prediction
     from groundstation.planning.discriminate import Separation
+    from groundstation.reporting.compare import Flown
     from groundstation.reporting.plots import Plottable
     from groundstation.trajectory import Plan
     from groundstation.vehicle import Vehicle
+
+    Comparable = FlightData | Analysis | Identification | str | Path
 
 __all__ = [
     "BadInput",
@@ -42,6 +46,7 @@ __all__ = [
     "NotIdentifiable",
     "Refused",
     "analyse",
+    "compare",
     "diagnose",
     "export",
     "identify",
@@ -92,7 +97,8 @@ def load_plan(plan: Plan | str | Path) -> Plan:
 
 
 def load_scenario(name: str | Path) -> dict[str, Any]:
-    """The document of a scenario, to be changed and given to :func:`simulate`: sensors, disturbance, true vehicle, effects.
+    """The document of a scenario, to be changed and given to :func:`simulate`: sensors, disturbance, true vehicle,
+    effects.
 
     Args:
         name: a scenario file, or the name of a shipped one ("clean", "lab", "worn", "hall", "seed").
@@ -110,8 +116,8 @@ def register_effect(effect: EffectInfo) -> None:
     """Add an effect of your own to what :func:`diagnose` tries, in this process.
 
     Args:
-        effect: a :class:`groundstation.diagnosis.effect.Effect`: a wrench per unit of each parameter, shape (k, 6, n), N and N m
-            in the body; parameters with plausible ranges; a sentence for people.
+        effect: a :class:`groundstation.diagnosis.effect.Effect`: a wrench per unit of each parameter, shape (k, 6, n),
+            N and N m in the body; parameters with plausible ranges; a sentence for people.
     """
     from groundstation.diagnosis.effect import register
 
@@ -126,7 +132,8 @@ def load_flight(
     end_s: float | None = None,
     everything: bool = False,
 ) -> FlightData:
-    """Read a flight: MCAP recording, bundle folder, PX4 ULog, ArduPilot DataFlash, blackbox, ROS 2 bag or Crazyflie usd log.
+    """Read a flight: MCAP recording, bundle folder, PX4 ULog, ArduPilot DataFlash, blackbox, ROS 2 bag or Crazyflie usd
+    log.
 
     Args:
         path: the recording, or the folder of a flight.
@@ -136,8 +143,10 @@ def load_flight(
         everything: use all of a flight of more than ten minutes, of which else the most informative stretch is used.
 
     Returns:
-        Streams ``imu``, ``motors``, ``mocap``, ``battery``, ``setpoint``, ``state`` (None where it was not recorded). Each has
-        ``t_s``, shape (k,), seconds on the device's clock, and ``values``, shape (k, len(columns)), units in the column names.
+        Streams ``imu``, ``motors``, ``mocap``, ``battery``, ``setpoint``, ``state`` (None where it was not recorded).
+            Each has
+        ``t_s``, shape (k,), seconds on the device's clock, and ``values``, shape (k, len(columns)), units in the column
+            names.
     """
     from groundstation.recording import load_flight
 
@@ -154,8 +163,8 @@ def plan_excitation(
         vehicle: the vehicle, or several candidates for what it may be (then the worst case counts).
         progress: told how far the search is.
         **options: of :func:`groundstation.planning.plan_excitation`: ``criterion`` ("condition", "D", "A", "E"),
-            ``duration_s``, ``harmonics``, ``base_frequency_rad_s``, ``seed``, ``time_budget_s``, and limits by their names
-            (``x_max_m``, ``speed_max_m_s``, ``tilt_max_rad``, ...).
+            ``duration_s``, ``harmonics``, ``base_frequency_rad_s``, ``seed``, ``time_budget_s``, and limits by their
+            names (``x_max_m``, ``speed_max_m_s``, ``tilt_max_rad``, ...).
 
     Returns:
         A plan with ``coefficients``, ``condition_number`` and ``predicted_std`` (parameter -> standard deviation, SI).
@@ -228,8 +237,10 @@ def identify(
         progress: told the fraction done and what is being done.
 
     Returns:
-        ``methods[best].parameters`` maps each name to an estimate with ``value``, ``std``, ``ci95`` in the unit the name
-        carries; ``model`` has lag, delay and thrust constants; what the flight does not reveal is in ``not_identifiable``.
+        ``methods[best].parameters`` maps each name to an estimate with ``value``, ``std``, ``ci95`` in the unit the
+            name
+        carries; ``model`` has lag, delay and thrust constants; what the flight does not reveal is in
+            ``not_identifiable``.
     """
     from groundstation.identification.pipeline import identify
     from groundstation.options import AnalysisOptions
@@ -257,7 +268,8 @@ def diagnose(
         progress: told the fraction done and what is being done.
 
     Returns:
-        ``verdict`` ("clean", "explained", "unexplained", "refused"), ``findings`` with parameters and confidence, ``error``
+        ``verdict`` ("clean", "explained", "unexplained", "refused"), ``findings`` with parameters and confidence,
+            ``error``
         (RMS in N and N m by channel, before and after), ``next_flight`` in words.
     """
     from groundstation.diagnosis import diagnose
@@ -313,14 +325,16 @@ def predict(
         progress: told the fraction done and what is being done.
 
     Returns:
-        ``error[predictor][horizon][quantity]["rms"]`` for the model, the declared vehicle and constant velocity: position
+        ``error[predictor][horizon][quantity]["rms"]`` for the model, the declared vehicle and constant velocity:
+            position
         (m), velocity (m/s), attitude (rad), body rate (rad/s). ``final`` holds the states predicted at the horizon:
         position and velocity (k, 3), quaternion (k, 4), rate (k, 3).
     """
     from groundstation.diagnosis.effect import library, wrench_of
     from groundstation.identification.predictive_choice import chosen_name, chosen_predictor
-    from groundstation.identification.preparation import flight_states
-    from groundstation.model.prediction import model_from_document, predict
+    from groundstation.identification.starts import flight_states
+    from groundstation.model.prediction import predict
+    from groundstation.model.vehicle_model import model_from_document
     from groundstation.reporting.exports import read_model
     from groundstation.vehicle import vehicle_from_dict
 
@@ -395,14 +409,64 @@ def analyse(
 ) -> Analysis:
     """Identify, diagnose and write everything into a folder: report, model, JSON documents, the next flight's plan.
 
-    Arguments as in :func:`identify` and :func:`diagnose`; ``source`` is how the flights are named in the report's commands.
-    The result has ``identification``, ``diagnosis`` and ``files``.
+    Arguments as in :func:`identify` and :func:`diagnose`; ``source`` is how the flights are named in the report's
+    commands. The result has ``identification``, ``diagnosis`` and ``files``.
     """
     from groundstation.analysis.analyse import analyse
     from groundstation.options import AnalysisOptions
 
     options = AnalysisOptions(tuple(exclude), tuple(references), tuple(held_out))
     return analyse(_listed(flights), Path(folder), options, progress=progress, source=source)
+
+
+def compare(
+    first: Comparable | Sequence[Comparable],
+    second: Comparable | Sequence[Comparable],
+    *,
+    progress: Progress = _quiet,
+) -> Comparison:
+    """What differs between two flights, or between two groups of flights: the numbers of ``compare`` and ``flights
+    --compare``.
+
+    Args:
+        first, second: each a flight or a list of flights: the folder of one that was analysed, the result of
+            :func:`analyse` or :func:`identify`, or a recording (:func:`load_flight`), which is analysed now.
+        progress: told how far that is.
+
+    Returns:
+        ``parameters`` maps each name that both sides tell to ``first``, ``second``, ``size`` (second less first),
+            ``std``, ``z``,
+        ``p`` (corrected for the number of parameters), ``differs`` and ``change`` (in words); ``summary`` is a
+            sentence. A
+        group's value is the random-effects mean of its flights, so flights that scatter more than they say count for
+            less.
+    """
+    from groundstation.fleet.comparison import compare_flights
+
+    sides = [[_flown(one, progress) for one in _one_or_more(side)] for side in (first, second)]
+    return compare_flights(*sides)
+
+
+def _one_or_more(given: Comparable | Sequence[Comparable]) -> Sequence[Comparable]:
+    return given if isinstance(given, Sequence) and not isinstance(given, str) else [given]
+
+
+def _flown(given: Comparable, progress: Progress) -> Flown:
+    """A flight's documents, as the analysis leaves them."""
+    from groundstation.analysis.analyse import Analysis, identification_document
+    from groundstation.flightdata import FlightData
+    from groundstation.identification.results import Identification
+    from groundstation.reporting.compare import Flown, read_flown
+
+    if isinstance(given, FlightData):
+        with tempfile.TemporaryDirectory(prefix="groundstation-") as folder:
+            given = analyse(given, folder, progress=progress)
+    if isinstance(given, Identification):
+        return Flown(given.flight, identification_document(given), {})
+    if isinstance(given, Analysis):
+        found = identification_document(given.identification, given.diagnosis)
+        return Flown(given.identification.flight, found, given.diagnosis.to_dict())
+    return read_flown(Path(given))
 
 
 def export(
@@ -416,7 +480,8 @@ def export(
 
     Args:
         model: a model document (:func:`model_document`), or the file it is in.
-        format_name: "toml", "json", "csv", "vehicle", "mjcf", "rotorpy", "px4-sih", ... (``groundstation export --help``).
+        format_name: "toml", "json", "csv", "vehicle", "mjcf", "rotorpy", "px4-sih", ... (``groundstation export
+            --help``).
         vehicle: replaces the vehicle declared in the model.
         path: also write it there.
     """
@@ -433,8 +498,8 @@ def plot(result: Plottable, flight: FlightData | None = None) -> Figure:
     """A matplotlib figure of a result: a flight, a plan, an identification, a diagnosis or a prediction.
 
     A flight: path and tilt. A plan: its channels. An identification: each parameter with its 95 % interval, and with a
-    ``flight`` the declared value and, in simulation, the true one. A diagnosis: RMS error before and after. A prediction: RMS
-    error by horizon.
+    ``flight`` the declared value and, in simulation, the true one. A diagnosis: RMS error before and after. A
+    prediction: RMS error by horizon.
     """
     from groundstation.reporting.plots import plot
 

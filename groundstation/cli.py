@@ -1,4 +1,6 @@
-"""The console command ``groundstation``: finds the command, runs it, prints its result or its refusal, sets the status."""
+"""The console command ``groundstation``: finds the command, runs it, prints its result or its refusal, sets the
+status.
+"""
 
 from __future__ import annotations
 
@@ -38,6 +40,7 @@ COMMANDS = {
     "doctor": "station",
     "completion": "station",
     "reproduce": "station",
+    "station": "sharing",
 }
 """Command -> module of ``groundstation.commands`` that holds it."""
 
@@ -82,20 +85,25 @@ class LazyGroup(click.Group):
 @click.version_option(__version__, prog_name="groundstation")
 @click.option("--debug", is_flag=True, help="Show where an error comes from.")
 @click.option("--serve", is_flag=True, help="Offer the terminal UI to a browser, on this machine alone.")
+@click.option("--station", metavar="HOST", help="Show the station on another machine, which gave a pass for it.")
 @click.pass_context
-def cli(ctx: click.Context, debug: bool, serve: bool) -> Any:
+def cli(ctx: click.Context, debug: bool, serve: bool, station: str | None) -> Any:
     """Turn one short flight of a quadrotor into a model of it that can be trusted.
 
     Without a command it opens the terminal UI.
     """
     if ctx.invoked_subcommand is not None:
+        if station is not None:
+            raise click.UsageError("--station opens the terminal UI; it takes no command.")
         return None
+    if serve and station is not None:
+        raise click.UsageError("--serve shows this station; give --station without it.")
     try:
         ui = importlib.import_module("groundstation.tui.serve" if serve else "groundstation.tui.app")
     except ModuleNotFoundError:
         click.echo(ctx.get_help())
         return None
-    return ui.serve() if serve else ui.run()
+    return ui.serve() if serve else ui.run(station)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -108,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except (click.Abort, KeyboardInterrupt):
             return _fail("interrupted", INTERRUPTED, as_json, out)
         except click.ClickException as error:
-            return _fail(error.format_message(), BadInput.exit_status, as_json, out)
+            return _fail(_called(error), BadInput.exit_status, as_json, out)
         except Refused as error:
             return _fail(str(error), error.exit_status, as_json, out, reason=error)
         except GroundStationError as error:
@@ -118,7 +126,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 return 0
             if "--debug" in arguments:
                 raise
-            text = f"this is a defect of groundstation ({type(error).__name__}: {error}); `groundstation --debug ...` shows where"
+            text = (
+                f"this is a defect of groundstation ({type(error).__name__}: {error}); `groundstation --debug ...` "
+                "shows where"
+            )
             return _fail(text, 1, as_json, out)
         if isinstance(result, Result):
             from groundstation.analysis.documents import finite
@@ -127,6 +138,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return result.exit_status
         _print("", sys.stdout, end="")
         return result if isinstance(result, int) else 0
+
+
+def _called(error: click.ClickException) -> str:
+    """A fault of the command line; where something is missing or too much, with what shows how it is called."""
+    text = error.format_message()
+    context = getattr(error, "ctx", None)
+    if context is None or (isinstance(error, click.BadParameter) and not isinstance(error, click.MissingParameter)):
+        return text
+    return f"{text.rstrip('.')}. `{context.command_path} -h` shows how it is called."
 
 
 def _print(text: str, out: TextIO, end: str = "\n") -> bool:
@@ -168,7 +188,9 @@ def _json(document: Any) -> str:
 
 @contextmanager
 def _standard_output(as_json: bool) -> Iterator[TextIO]:
-    """Standard output; with ``--json`` kept for the document alone: what else writes there, solvers too, goes to stderr."""
+    """Standard output; with ``--json`` kept for the document alone: what else writes there, solvers too, goes to
+    stderr.
+    """
     if not as_json:
         yield sys.stdout
         return

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from groundstation.tabular import Record, Tabular
 from groundstation.trajectory import Plan
@@ -82,9 +82,15 @@ class Stream(Tabular):
         return float(1.0 / np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.0
 
 
+def resampled(at_s: ArrayLike, stamps_s: Array, values: Array) -> Array:
+    """Columns of samples (n, d) at other times, linear between neighbours, held at the ends, shape (k, d)."""
+    return np.stack([np.interp(at_s, stamps_s, column) for column in values.T], axis=-1)
+
+
 @dataclass(frozen=True, slots=True)
 class OnlineClock:
-    """Motion-capture stamp minus IMU stamp of one instant, as the link knew it in flight by stamps, echoes and TIMESYNC.
+    """Motion-capture stamp minus IMU stamp of one instant, as the link knew it in flight by stamps, echoes and
+    TIMESYNC.
 
     Attributes:
         t_s: on the IMU's clock, (k,).

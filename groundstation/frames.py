@@ -57,8 +57,14 @@ def quat_rotate(quaternion: ArrayLike, vector: ArrayLike) -> Array:
     """Rotate body vectors into the world."""
     q = np.asarray(quaternion, dtype=float)
     v = np.asarray(vector, dtype=float)
-    t = 2.0 * np.cross(q[..., 1:], v)
-    return v + q[..., :1] * t + np.cross(q[..., 1:], t)
+    w, x, y, z = (q[..., i] for i in range(4))
+    a, b, c = (v[..., i] for i in range(3))
+    tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    out = np.empty((*np.broadcast_shapes(q.shape[:-1], v.shape[:-1]), 3))
+    out[..., 0] = a + w * tx + (y * tz - z * ty)
+    out[..., 1] = b + w * ty + (z * tx - x * tz)
+    out[..., 2] = c + w * tz + (x * ty - y * tx)
+    return out
 
 
 def quat_rotate_inverse(quaternion: ArrayLike, vector: ArrayLike) -> Array:
@@ -81,6 +87,26 @@ def quat_log(quaternion: ArrayLike) -> Array:
     angle = 2.0 * np.arctan2(norm, q[..., :1])
     scale = np.where(norm > 1e-12, angle / np.where(norm > 1e-12, norm, 1.0), 2.0)
     return scale * q[..., 1:]
+
+
+def slerp(at_s: ArrayLike, stamps_s: ArrayLike, quaternion: ArrayLike) -> Array:
+    """Unit quaternions (n, 4) at other times, along the great circle between neighbours, held at the ends, shape (k,
+    4).
+
+    Signs are continuous.
+    """
+    at, stamps = np.asarray(at_s, dtype=float), np.asarray(stamps_s, dtype=float)
+    q = quat_continuous(quaternion)
+    left = np.clip(np.searchsorted(stamps, at, side="right") - 1, 0, len(stamps) - 2)
+    share = np.clip((at - stamps[left]) / (stamps[left + 1] - stamps[left]), 0.0, 1.0)
+    turn = quat_log(quat_multiply(quat_conjugate(q[left]), q[left + 1]))
+    return quat_continuous(quat_multiply(q[left], quat_exp(share[:, None] * turn)))
+
+
+def lever_arm(rate: ArrayLike, rate_derivative: ArrayLike, position_m: ArrayLike) -> Array:
+    """dw/dt x r + w x (w x r): what an accelerometer at r feels beyond the origin, body axes, m/s^2."""
+    r = np.asarray(position_m, dtype=float)
+    return np.cross(rate_derivative, r) + np.cross(rate, np.cross(rate, r))
 
 
 def matrix_from_quat(quaternion: ArrayLike) -> Array:

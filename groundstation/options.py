@@ -23,11 +23,12 @@ class AnalysisOptions:
     """Options of ``identify``, ``diagnose`` and ``analyse``.
 
     Attributes:
-        exclude: stretches (start, end) of the analysed flights to leave out, s, on the IMU's clock. References and held-out flights
-            have clocks of their own and are used whole.
+        exclude: stretches (start, end) of the analysed flights to leave out, s, on the IMU's clock. References and
+            held-out flights have clocks of their own and are used whole.
         references: healthy flights of the same vehicle; findings are then what differs from them.
         held_out: flights that no estimate sees; errors before and after are then of them.
-        known_effects: ``effects`` of a model document, what an earlier flight found; findings are then what is beside them.
+        known_effects: ``effects`` of a model document, what an earlier flight found; findings are then what is beside
+            them.
     """
 
     exclude: tuple[tuple[float, float], ...] = ()

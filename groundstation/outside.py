@@ -1,13 +1,15 @@
 """The gate for what others wrote: files, names and texts from outside become bounded values here, or one sentence.
 
-Three kinds of input pass: a *file* (regular, of bounded size), a *document* in it (TOML or JSON of bounded depth, numbers
-within 64 bits), and a *text* that names a file or is shown to somebody. Whatever the bytes, these functions return a value
-that the rest of the program can hold, or raise :class:`BadInput`; they never wait and never raise anything else.
+Three kinds of input pass: a *file* (regular, of bounded size), a *document* in it (TOML or JSON of bounded depth,
+numbers within 64 bits), and a *text* that names a file or is shown to somebody. Whatever the bytes, these functions
+return a value that the rest of the program can hold, or raise :class:`BadInput`; they never wait and never raise
+anything else.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import stat
 import tomllib
 from pathlib import Path
@@ -21,6 +23,7 @@ DOCUMENT_BYTES = 64 * 1024 * 1024
 DEPTH = 40
 """Tables within tables. Our documents have 6; parsers and writers recurse, and Python allows them about 300."""
 _INTEGER = 2**63
+_SECRET_BYTES = 64 * 1024
 
 
 def inside(folder: Path, name: str) -> Path:
@@ -70,6 +73,8 @@ def require_file(path: Path, wanted: str, limit: int | None = None) -> None:
     try:
         status = path.stat()
     except (OSError, ValueError) as error:
+        if isinstance(error, FileNotFoundError):
+            raise BadInput(f"{shown(path)}: there is no such file; give the path of {wanted}.") from None
         why = getattr(error, "strerror", None) or "no file has such a name"
         raise BadInput(f"{shown(path)}: cannot be read ({why}); give the path of {wanted}.") from None
     if not stat.S_ISREG(status.st_mode):
@@ -77,6 +82,20 @@ def require_file(path: Path, wanted: str, limit: int | None = None) -> None:
         raise BadInput(f"{path}: is {kind}; give the path of {wanted}, a regular file.")
     if limit is not None and status.st_size > limit:
         raise BadInput(f"{path}: has {status.st_size} bytes, more than the {limit} of {wanted}; give another file.")
+
+
+def require_own(path: Path, wanted: str, remedy: str) -> None:
+    """Raise unless a file with a secret is one that this user alone can have written and can read.
+
+    Raises:
+        BadInput: it is a link, no regular file, or somebody else's; ``remedy`` ends the sentence.
+    """
+    if path.is_symlink():
+        raise BadInput(f"{path}: is a link. {remedy}")
+    require_file(path, wanted, _SECRET_BYTES)
+    status = path.stat()
+    if hasattr(os, "getuid") and (status.st_uid != os.getuid() or stat.S_IMODE(status.st_mode) & 0o077):
+        raise BadInput(f"{path}: belongs to somebody else, or others may read it. {remedy}")
 
 
 def read_toml(path: Path, wanted: str) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 from functools import cache
 from pathlib import Path
@@ -19,9 +20,17 @@ def configs_dir() -> Path:
     raise BadInput("the configs folder is missing from this installation; install groundstation again.")
 
 
+def settings_dir() -> Path:
+    """The folder of this user's own keys and passes, whether it is there or not."""
+    home = os.environ.get("XDG_CONFIG_HOME") or Path("~/.config").expanduser()
+    return Path(home) / "groundstation"
+
+
 @cache
 def commit() -> str:
-    """The commit of the program where it runs from a checkout ("+" where files differ from it); empty where it is installed."""
+    """The commit of the program where it runs from a checkout ("+" where files differ from it); empty where it is
+    installed.
+    """
     top = Path(__file__).resolve().parent.parent
     if not (top / ".git").exists():
         return ""
@@ -51,7 +60,9 @@ def find_config(kind: str, name_or_path: str | Path) -> Path:
     names = sorted(p.stem for p in (configs_dir() / kind).glob("*.toml"))
     near = difflib.get_close_matches(path.stem, names, n=1)
     meant = f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}."
-    raise BadInput(f"{shown(name_or_path)}: no such file, and no shipped one of {kind}; {meant}")
+    raise BadInput(
+        f"{shown(name_or_path)}: there is no such file, and none of this name among the shipped {kind}; {meant}"
+    )
 
 
 def shipped_config(kind: str, name: object) -> Path:

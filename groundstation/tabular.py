@@ -42,7 +42,8 @@ class Tabular:
             pandas: Any = importlib.import_module("pandas")
         except ModuleNotFoundError:
             raise ImportError(
-                "to_frame() needs pandas: pip install 'groundstation[notebook]'. records() and to_dict() work without it."
+                "to_frame() needs pandas: pip install 'groundstation[notebook]'. records() and to_dict() work without "
+                "it."
             ) from None
         rows = [dict(row) for row in self.records()]
         frame = pandas.DataFrame(rows)

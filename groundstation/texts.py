@@ -27,7 +27,9 @@ def shown(text: object, *, limit: int = 2000, lines: bool = False) -> str:
 
 
 def file_name(text: object, default: str = "unnamed") -> str:
-    """A text from outside as the name of one file or folder: letters, digits, ``._-``; never hidden, empty or a path."""
+    """A text from outside as the name of one file or folder: letters, digits, ``._-``; never hidden, empty or a
+    path.
+    """
     name = re.sub(r"[^\w.-]+", "_", shown(text, limit=NAME_CHARS)).strip("._")
     return name or default
 

@@ -111,7 +111,9 @@ class FourierSeries:
 
 @dataclass(frozen=True, slots=True)
 class RestToRest:
-    """Straight line between two points at rest, degree-9 polynomial: rates and their derivatives vanish at both ends."""
+    """Straight line between two points at rest, degree-9 polynomial: rates and their derivatives vanish at both
+    ends.
+    """
 
     start: Array  # x, y, z, yaw
     end: Array
@@ -206,7 +208,9 @@ def _along_heading(u: Array, v: Array, yaw: Array) -> tuple[Array, Array, Array]
 
 
 def _body_rates(euler: Array, first: Array, second: Array) -> tuple[Array, Array]:
-    """Body rates omega = W^-1 eta_dot and their derivative, from roll, pitch, yaw and two derivatives, shape (k, 3) each."""
+    """Body rates omega = W^-1 eta_dot and their derivative, from roll, pitch, yaw and two derivatives, shape (k, 3)
+    each.
+    """
     phi, theta, _ = euler.T
     phi1, theta1, psi1 = first.T
     phi2, theta2, psi2 = second.T
@@ -263,7 +267,8 @@ RENAMED_PARAMETERS = {
 
 
 class PlannedUntil(_Model):
-    """Of a plan whose length is decided in flight: it lasts ``planned_periods`` unless it is ended early or told to go on.
+    """Of a plan whose length is decided in flight: it lasts ``planned_periods`` unless it is ended early or told to go
+    on.
 
     Attributes:
         targets: half widths of 95 % intervals as shares, by parameter.
@@ -277,7 +282,10 @@ class PlannedUntil(_Model):
 
 
 class Plan(_Model, Tabular):
-    """An excitation to fly: what is in a plan file. ``limits`` are those it was made to keep (names of ``[limits]``)."""
+    """An excitation to fly: what is in a plan file.
+
+    ``limits`` are those it was made to keep (names of ``[limits]``).
+    """
 
     schema_version: str = Field(default="groundstation.plan/1", alias="schema")
     vehicle: str
@@ -411,13 +419,16 @@ def flight_path(plan: Plan, ground: ArrayLike, *, climb_m_s: float = 0.4, settle
 
 
 def with_periods(path: Sequence, periods: float) -> Sequence:
-    """A :func:`flight_path` whose excitation has so many whole periods; it ends where it began, so the legs stay as they are."""
+    """A :func:`flight_path` whose excitation has so many whole periods; it ends where it began, so the legs stay as
+    they are.
+    """
     parts = tuple(replace(p, periods=float(periods)) if isinstance(p, FourierSeries) else p for p in path.parts)
     return Sequence(parts)
 
 
 def changed_length(path: Sequence, at_s: float, order: str, most: float) -> Sequence | str:
-    """A path whose excitation ends at the next rest point ("finish"), or a period later than it would ("extend"); or why not.
+    """A path whose excitation ends at the next rest point ("finish"), or a period later than it would ("extend"); or
+    why not.
 
     Args:
         path: of :func:`flight_path`.

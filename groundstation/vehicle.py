@@ -31,7 +31,9 @@ class _Section(BaseModel):
 
 
 class Inertia(_Section):
-    """Entries of the tensor about the centre of mass, body axes, kg m^2 (``xy`` is the entry itself, not its negative)."""
+    """Entries of the tensor about the centre of mass, body axes, kg m^2 (``xy`` is the entry itself, not its
+    negative).
+    """
 
     xx: Positive
     yy: Positive
@@ -61,7 +63,8 @@ class RotorLag(_Section):
 
 
 class Rotors(_Section):
-    """Geometry and constants of the rotors; rotor i makes T_i = k Omega_i^2 along its axis a_i and the torque -spin_i c T_i a_i.
+    """Geometry and constants of the rotors; rotor i makes T_i = k Omega_i^2 along its axis a_i and the torque -spin_i c
+    T_i a_i.
 
     ``axis`` are the directions of thrust in the body; None: all along body z.
     """
@@ -77,6 +80,11 @@ class Rotors(_Section):
     speed_source: Literal["telemetry", "command"] = "telemetry"
     thrust_curve: Vector3 | None = None
     lag: RotorLag = RotorLag()
+
+    @property
+    def measured(self) -> bool:
+        """Whether recorded inputs are speeds that were measured, not what was asked of the rotors."""
+        return self.input == "rotor_speed" and self.speed_source == "telemetry"
 
     @field_validator("position_m")
     @classmethod
@@ -179,7 +187,9 @@ class Control(_Section):
 
 
 class Until(_Section):
-    """How long a flight lasts where its length is decided in flight: until ``targets`` are met, ``at_most_s`` of excitation at the most."""
+    """How long a flight lasts where its length is decided in flight: until ``targets`` are met, ``at_most_s`` of
+    excitation at the most.
+    """
 
     targets: str
     at_most_s: Positive = 80.0
@@ -252,11 +262,15 @@ class Vehicle(_Section):
         return np.concatenate([axes.T, (np.cross(position, axes) + reaction[:, None] * axes).T])
 
     def mixing(self) -> Array:
-        """The smallest rotor thrusts that make [F_z, tau_x, tau_y, tau_z], shape (n, 4); tilted ones push sideways besides."""
+        """The smallest rotor thrusts that make [F_z, tau_x, tau_y, tau_z], shape (n, 4); tilted ones push sideways
+        besides.
+        """
         return np.asarray(np.linalg.pinv(self.allocation()), dtype=float)
 
     def turns_freely(self) -> bool:
-        """Whether no rotor makes a torque about z, as three whose tilts cancel their reaction torques: yaw is nobody's to steer."""
+        """Whether no rotor makes a torque about z, as three whose tilts cancel their reaction torques: yaw is nobody's
+        to steer.
+        """
         allocation = self.allocation()
         return bool(np.abs(allocation[3]).max() < 1e-3 * self.rotors.torque_to_thrust_m)
 

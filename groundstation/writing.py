@@ -6,6 +6,26 @@ import os
 from pathlib import Path
 
 
+def write_private(path: Path, content: str) -> None:
+    """Write a file that its owner alone can read, from its first byte on; what was there is replaced, a link not
+    followed.
+
+    Raises:
+        OSError: it cannot be written; what was there before is untouched.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    beside = path.with_name(f".{path.name}.{os.getpid()}.new")
+    try:
+        descriptor = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
 def write_whole(path: str | Path, content: str | bytes) -> Path:
     """Write a file beside its place and move it there once it is on disk; returns the path.
 

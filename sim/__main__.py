@@ -8,11 +8,12 @@ import sys
 from groundstation.errors import GroundStationError
 from groundstation.paths import find_config
 from groundstation.vehicle import load_vehicle
+from sim.arguments import Parser
 
 
 def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     """Parse the command line."""
-    parser = argparse.ArgumentParser(prog="groundstation sim", description="A simulated drone on the bus.")
+    parser = Parser(prog="groundstation sim", description="A simulated drone on the bus.")
     parser.add_argument("--drone", default="drone1", help="its name on the bus")
     parser.add_argument(
         "--connect", required=True, metavar="ENDPOINT", help="where the core listens, tcp/127.0.0.1:PORT"

@@ -1,4 +1,7 @@
-"""Vectors of three and unit quaternions as tuples, for compiled code. World z up, quaternion scalar first, body to world."""
+"""Vectors of three and unit quaternions as tuples, for compiled code.
+
+World z up, quaternion scalar first, body to world.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
 r"""The simulated vehicle's own flight software: state estimate, PID law of the seed paper (eq. 28-32), mixer.
 
-The law knows the *declared* vehicle. Corrections to the printed equations: (29)-(30) need no factor m once f_p is a force,
-and virtual work with d(eta)/dt = W omega gives tau = W^T(...) in (31). The measured yaw stands where the paper has the desired
-one in (29)-(30), so that a yaw error does not turn the thrust. The commanded tilt is differentiated by 20 s/(s + 20).
+The law knows the *declared* vehicle. Corrections to the printed equations: (29)-(30) need no factor m once f_p is a
+force, and virtual work with d(eta)/dt = W omega gives tau = W^T(...) in (31). The measured yaw stands where the paper
+has the desired one in (29)-(30), so that a yaw error does not turn the thrust. The commanded tilt is differentiated by
+20 s/(s + 20).
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ EST_POSITION, EST_VELOCITY, EST_ATTITUDE, EST_RATE, GYRO_BIAS, ACCEL_BIAS, ESTIM
 """Estimator state; the first 13 are the columns of a ``state`` stream. The acceleration bias is in the world."""
 
 LEAD_RATIO = 0.35
-"""What share of a known rotor lag is left in the loop after the lead; less would pass more sensor noise to the rotors."""
+"""What share of a known rotor lag is left in the loop after the lead; less would pass more sensor noise to the rotors.
+"""
 
 SETPOINT_SIZE = 11
 """Setpoint row: position (3), velocity (3), acceleration (3) in the world, yaw, yaw rate."""

@@ -10,7 +10,9 @@ from sim.compiled import compiled
 
 
 class Supply(NamedTuple):
-    """Battery constants: full voltage, capacity (A s), resistance (ohm), power of the avionics (W), and efficiency of the drives."""
+    """Battery constants: full voltage, capacity (A s), resistance (ohm), power of the avionics (W), and efficiency of
+    the drives.
+    """
 
     full_v: float
     capacity: float
@@ -52,7 +54,10 @@ def open_circuit_ratio(charge_left: float) -> float:
 
 @compiled
 def drain(supply: Supply, battery, power: float, dt: float) -> float:
-    """Terminal voltage now, from the last current; charge and current are carried over one step. Returns V over full V."""
+    """Terminal voltage now, from the last current; charge and current are carried over one step.
+
+    Returns V over full V.
+    """
     voltage = supply.full_v * open_circuit_ratio(1.0 - battery[0] / supply.capacity) - supply.resistance * battery[2]
     battery[1] = max(voltage, 0.3 * supply.full_v)
     battery[2] = power / battery[1]

@@ -231,9 +231,9 @@ def build_instruments(declared: Vehicle, scenario: Scenario) -> Instruments:
 def build_supply(declared: Vehicle, scenario: Scenario) -> Supply:
     """The battery; what vehicle file and scenario leave out is sized to the vehicle.
 
-    Full voltage by the number of cells usual for the mass; capacity for twelve minutes of hover; a resistance that drops 4 %
-    of the full voltage at hover current. Drives are 60 % efficient against ideal momentum theory; avionics draw a watt and a
-    further watt per kilogram.
+    Full voltage by the number of cells usual for the mass; capacity for twelve minutes of hover; a resistance that
+    drops 4 % of the full voltage at hover current. Drives are 60 % efficient against ideal momentum theory; avionics
+    draw a watt and a further watt per kilogram.
     """
     mass, count = declared.mass_kg, declared.rotors.count
     weight = mass * declared.gravity_m_s2

@@ -1,7 +1,8 @@
 """Compilation of the simulator's inner loop with numba, cached on disk by the content of the whole package.
 
 Numba notices a change in the file of a cached function, not in the files of the functions it calls. The cache folder is
-therefore named after a digest of every source that holds compiled functions: no stale machine code after an edit or an update.
+therefore named after a digest of every source that holds compiled functions: no stale machine code after an edit or an
+update.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""The simulated drone's flight manager: what may be asked of it when, and where it is to be. No I/O, no clock of its own.
+"""The simulated drone's flight manager: what may be asked of it when, and where it is to be. No I/O, no clock of its
+own.
 
 Phases are :data:`drivers.bus.DronePhase`. Time advances only in :meth:`Drone.advance`; requests are answered between.
 """

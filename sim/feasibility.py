@@ -36,7 +36,10 @@ def why_not(vehicle: Vehicle, path: Sequence, floor_m: float) -> str:
     tilt = np.abs(motion.euler_rad[:, :2]).max()
     if tilt > _TILT_MAX_RAD:
         at = t[np.abs(motion.euler_rad[:, :2]).max(axis=1).argmax()]
-        return f"the path asks for {np.degrees(tilt):.0f} degrees of tilt after {at:.1f} s; the drone tilts {np.degrees(_TILT_MAX_RAD):.0f} at most."
+        return (
+            f"the path asks for {np.degrees(tilt):.0f} degrees of tilt after {at:.1f} s; the drone tilts "
+            f"{np.degrees(_TILT_MAX_RAD):.0f} at most."
+        )
     return _lacks_thrust(vehicle, motion, t)
 
 
@@ -67,7 +70,8 @@ def _lacks_thrust(vehicle: Vehicle, motion, t: np.ndarray) -> str:
     when, rotor = np.unravel_index(thrusts.argmax(), thrusts.shape)
     if thrusts[when, rotor] > _HEADROOM * most:
         return (
-            f"the path asks rotor {rotor + 1} for {thrusts[when, rotor]:.2f} N after {t[when]:.1f} s; it gives {most:.2f} N, "
+            f"the path asks rotor {rotor + 1} for {thrusts[when, rotor]:.2f} N after {t[when]:.1f} s; it gives "
+            f"{most:.2f} N, "
             f"of which {1.0 - _HEADROOM:.0%} are kept for control."
         )
     when, rotor = np.unravel_index(thrusts.argmin(), thrusts.shape)

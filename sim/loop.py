@@ -1,7 +1,7 @@
 """The compiled loop: plant, flight software and sampling, step by step, for a stretch of time.
 
-Noise is drawn outside and handed in, so that one seed gives one flight however it is cut into stretches. Everything that
-lasts from one stretch to the next is in :class:`Memory`.
+Noise is drawn outside and handed in, so that one seed gives one flight however it is cut into stretches. Everything
+that lasts from one stretch to the next is in :class:`Memory`.
 """
 
 from __future__ import annotations
@@ -350,8 +350,10 @@ def run(world: World, memory: Memory, stretch: Stretch):
     """Advance the world by one stretch.
 
     Returns:
-        imu (k, 6), poses (k, 7), rotor values (k, n), battery voltage and current (k, 2) at the sample times; and per control
-        tick the motor values asked for (ticks, n) and the estimate (ticks, 13); and per step the true state (steps, 13).
+        imu (k, 6), poses (k, 7), rotor values (k, n), battery voltage and current (k, 2) at the sample times; and per
+            control
+        tick the motor values asked for (ticks, n) and the estimate (ticks, 13); and per step the true state (steps,
+            13).
     """
     dt, plant, x, flags = world.dt, world.plant, memory.x, memory.flags
     n, ticks = len(plant.rotors.spin), len(stretch.setpoints)

@@ -1,22 +1,22 @@
-"""An OptiTrack server fed by the simulated cameras: NatNet 4.1, unicast, one rigid body (the SDK's PacketClient sample).
+"""An OptiTrack server fed by the simulated cameras of a flight: NatNet 4.1, unicast, one rigid body.
 
-A frame leaves when the scenario's latency has passed since its exposure. Its stamps are of the cameras' clock: exposure and
-transmission in ticks, and the exposure in seconds as older clients read it. Echo requests are answered with that clock's time.
+A frame leaves when the scenario's latency has passed since its exposure. Its stamps are of the cameras' clock, and so
+are the answers to echo requests. What is said is written by :class:`sim.mocap.wire.NatNetWire`.
 """
 
 from __future__ import annotations
 
 import heapq
 import socket
-import struct
 import time
 from collections.abc import Callable
 
+from sim.mocap.scene import Seen
+from sim.mocap.wire import NatNetWire, Shot
 from sim.scenario import Clock
 from sim.simulation import Samples
 
-CONNECT, SERVER_INFO, FRAME, KEEP_ALIVE, ECHO, ECHOED = 0, 1, 7, 10, 12, 13
-TICKS_PER_S = 10_000_000
+BODY = "drone"
 STARTED_S = 100.0
 """The cameras' clock at the beginning: stamps are unsigned, and a scenario's offset may be negative."""
 BETWEEN_STEPS_S = 0.02
@@ -42,6 +42,7 @@ class NatNetServer:
         self._socket.bind((host, int(port)))
         self._socket.setblocking(False)
         self._clock, self._monotonic = clock, monotonic
+        self._wire = NatNetWire((BODY,))
         self._peers: set[tuple[str, int]] = set()
         self._due: list[tuple[float, int, float, tuple[float, ...]]] = []
         self._number = 0
@@ -66,7 +67,7 @@ class NatNetServer:
         while self._due and self._due[0][0] <= time_s:
             _, number, stamp, row = heapq.heappop(self._due)
             if not self.covered:
-                self._send(self._frame(number, stamp, row))
+                self._send(self._shot(number, stamp, row))
 
     def close(self) -> None:
         """Give the port back."""
@@ -83,33 +84,24 @@ class NatNetServer:
                 data, peer = self._socket.recvfrom(2048)
             except (BlockingIOError, ConnectionRefusedError):
                 return
-            if len(data) < 4:
-                continue
-            (number,) = struct.unpack_from("<H", data)
-            if number == CONNECT:
+            for answer in self._wire.receive(data, self._now_s()):
                 self._peers.add(peer)
-                name = b"Motive".ljust(256, b"\0") + bytes((3, 1, 0, 0)) + bytes((4, 1, 0, 0))
-                self._reply(SERVER_INFO, name + struct.pack("<QHB4B", TICKS_PER_S, self.port, 0, 0, 0, 0, 0), peer)
-            elif number == ECHO and len(data) >= 12:
-                self._reply(ECHOED, data[4:12] + struct.pack("<Q", round(self._now_s() * TICKS_PER_S)), peer)
+                self._reply(answer, peer)
 
-    def _reply(self, number: int, payload: bytes, peer: tuple[str, int]) -> None:
+    def _reply(self, message: bytes, peer: tuple[str, int]) -> None:
         try:
-            self._socket.sendto(struct.pack("<HH", number, len(payload)) + payload, peer)
+            self._socket.sendto(message, peer)
         except OSError:  # a client that is gone
             self._peers.discard(peer)
 
-    def _send(self, payload: bytes) -> None:
+    def _send(self, shot: Shot) -> None:
         self.sent += 1
-        for peer in list(self._peers):
-            self._reply(FRAME, payload, peer)
+        for message in self._wire.frame(shot):
+            for peer in list(self._peers):
+                self._reply(message, peer)
 
-    def _frame(self, number: int, stamp_s: float, row: tuple[float, ...]) -> bytes:
+    def _shot(self, number: int, stamp_s: float, row: tuple[float, ...]) -> Shot:
         x, y, z, qw, qx, qy, qz = row
         exposure_s = STARTED_S + stamp_s
-        rigid = struct.pack("<i3f4ffH", 1, x, y, z, qx, qy, qz, qw, 0.0004, 1)
-        empty = struct.pack("<II", 0, 0)
-        sections = empty + empty + struct.pack("<II", 1, len(rigid)) + rigid + 5 * empty
-        exposure, transmitted = (round(s * TICKS_PER_S) for s in (exposure_s, self._now_s()))
-        stamps = struct.pack("<IIdQQQH", 0, 0, exposure_s, exposure, exposure, max(exposure, transmitted), 0)
-        return struct.pack("<I", number) + sections + stamps + struct.pack("<I", 0)
+        seen = (Seen(BODY, 1, ((x, y, z), (qw, qx, qy, qz))),)
+        return Shot(number, exposure_s, max(exposure_s, self._now_s()), seen)

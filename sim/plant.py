@@ -1,14 +1,15 @@
-r"""The vehicle as nature has it: rigid body with full tensor, rotors that lag, battery, floor, and the effects switched on.
+r"""The vehicle as nature has it: rigid body with full tensor, rotors that lag, battery, floor, and the effects switched
+on.
 
-Newton and Euler about the centre of mass c, which may lie away from the declared origin o (seed paper eq. 1-4, written for a
-body whose rotors carry angular momentum h):
+Newton and Euler about the centre of mass c, which may lie away from the declared origin o (seed paper eq. 1-4, written
+for a body whose rotors carry angular momentum h):
 
 .. math::
     m \dot v_c = R f + m g, \qquad I \dot\omega + \omega\times(I\omega + h) + \dot h = \tau_o - c\times f, \qquad
     \dot v_o = \dot v_c - R(\dot\omega\times c + \omega\times(\omega\times c)).
 
-Integrated is the motion of the origin, which stays continuous when the mass changes. The state vector is laid out by the
-slices below; rotors are in the units of the motor values (rad/s, command, or newton for a wrench vehicle).
+Integrated is the motion of the origin, which stays continuous when the mass changes. The state vector is laid out by
+the slices below; rotors are in the units of the motor values (rad/s, command, or newton for a wrench vehicle).
 """
 
 from __future__ import annotations
@@ -92,7 +93,10 @@ class Rotors(NamedTuple):
 
 
 class Plant(NamedTuple):
-    """Everything constant about nature. ``before`` and ``after`` differ when a payload changes at ``change_s`` of flight."""
+    """Everything constant about nature.
+
+    ``before`` and ``after`` differ when a payload changes at ``change_s`` of flight.
+    """
 
     before: Body
     after: Body

@@ -39,7 +39,10 @@ class Station:
         self._left = False
 
     def on_credit(self, credit: bus.Credit) -> None:
-        """The core grants time. A grant may arrive after the word that its core is gone; only a token takes that back."""
+        """The core grants time.
+
+        A grant may arrive after the word that its core is gone; only a token takes that back.
+        """
         with self._changed:
             self._credit, self._heard_s = credit, self._clock()
             self._changed.notify()

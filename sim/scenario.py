@@ -1,7 +1,8 @@
-"""Scenario files: how good the sensors are, how the true vehicle differs, what else acts. Validated, all faults at once.
+"""Scenario files: how good the sensors are, how the true vehicle differs, what else acts. Validated, all faults at
+once.
 
-A scenario is a TOML with the sections below, every key optional. The defaults are an ideal laboratory without noise, lag,
-offsets and disturbance, so that a file says exactly what it adds.
+A scenario is a TOML with the sections below, every key optional. The defaults are an ideal laboratory without noise,
+lag, offsets and disturbance, so that a file says exactly what it adds.
 """
 
 from __future__ import annotations

@@ -42,7 +42,9 @@ from sim.scenario import Scenario, true_vehicle
 
 Array = NDArray[np.float64]
 Samples = tuple[Array, Array, Array]
-"""Stamps on the device's clock (k,), arrivals on the host's clock (k,), values in the columns of a flight bundle (k, c)."""
+"""Stamps on the device's clock (k,), arrivals on the host's clock (k,), values in the columns of a flight bundle (k,
+c).
+"""
 
 SetpointSource = Callable[[Array], Array]
 """Setpoint rows, shape (k, 11), at true times; see :data:`sim.autopilot.SETPOINT_SIZE`."""
@@ -210,14 +212,15 @@ class Simulation:
 
         Args:
             steps: of 1 ms.
-            motors: in the units of the vehicle's ``rotors.input`` (newton per rotor for a wrench vehicle), shape (n,) or one
-                row per control tick.
+            motors: in the units of the vehicle's ``rotors.input`` (newton per rotor for a wrench vehicle), shape (n,)
+                or one row per control tick.
             setpoints: what that autopilot follows, for the record, shape (ticks, 11).
         """
         ticks = len(self.control_ticks(steps))
-        rows = np.ascontiguousarray(
-            np.broadcast_to(np.asarray(motors, dtype=float), (ticks, self.declared.rotors.count))
-        )
+        rows = np.empty(
+            (ticks, self.declared.rotors.count)
+        )  # a writable array: compiled code has no second form for others
+        rows[:] = motors
         return self._run(steps, EXTERNAL, np.zeros((ticks, SETPOINT_SIZE)) if setpoints is None else setpoints, rows)
 
     def _run(self, steps: int, mode: int, setpoints: Array, motors: Array | None) -> dict[str, Samples]:
@@ -267,7 +270,7 @@ class Simulation:
         rotors = self.declared.rotors
         scale = self.scenario.motors.noise_share * self.world.plant.rotors.hover_value
         noise = scale * self._random["speed_noise"].standard_normal(values.shape)
-        if rotors.input == "rotor_speed" and rotors.speed_source == "telemetry":
+        if rotors.measured:
             return *times["speed"][1:], np.where(values > 0.0, values + noise, 0.0)
         if rotors.input == "wrench":
             commands = commands @ self.declared.allocation().T

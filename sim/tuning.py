@@ -10,10 +10,11 @@ from groundstation.vehicle import Control, Vehicle
 def tuned_control(vehicle: Vehicle, delay_s: float) -> Control:
     """Gains of eq. (31)-(32) that stay damped in spite of the delay of the attitude loop.
 
-    With rotors of time constant T and unit inertia the attitude loop's polynomial is T s^3 + s^2 + k_d s + k_p. The rotors
-    bound the bandwidth: k_d = b = 1/(2 T), where they cost a quarter of a right angle at crossover; k_p = b^2/5 keeps the
-    oscillating pair well damped, also with the derivative of the commanded tilt fed forward and with inertias 30 % off. Position
-    gets b/6 with damping 0.7 (at most 3 rad/s, for poses at 30 Hz), yaw b/5 critically damped; integrals are ten times slower.
+    With rotors of time constant T and unit inertia the attitude loop's polynomial is T s^3 + s^2 + k_d s + k_p. The
+    rotors bound the bandwidth: k_d = b = 1/(2 T), where they cost a quarter of a right angle at crossover; k_p = b^2/5
+    keeps the oscillating pair well damped, also with the derivative of the commanded tilt fed forward and with inertias
+    30 % off. Position gets b/6 with damping 0.7 (at most 3 rad/s, for poses at 30 Hz), yaw b/5 critically damped;
+    integrals are ten times slower.
 
     Args:
         vehicle: the declared vehicle.

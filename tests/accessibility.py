@@ -1,4 +1,6 @@
-"""axe-core, Deque's checker of accessibility, where its package is installed (.ci/run fetches it, pinned and without its Playwright)."""
+"""axe-core, Deque's checker of accessibility, where its package is installed (.ci/run fetches it, pinned and without
+its Playwright).
+"""
 
 from __future__ import annotations
 

@@ -27,7 +27,10 @@ PATIENCE_S = 60.0
 
 
 class Page:
-    """A page. ``terminal`` is all text that websockets brought, without escape sequences; ``hosts`` were asked for something."""
+    """A page.
+
+    ``terminal`` is all text that websockets brought, without escape sequences; ``hosts`` were asked for something.
+    """
 
     def __init__(self, socket: aiohttp.ClientWebSocketResponse):
         self._socket, self._numbers = socket, itertools.count(1)

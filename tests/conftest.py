@@ -1,4 +1,6 @@
-"""Set before numpy is imported: the suite's workers share the cores, where threads over matrices as small as ours only wait."""
+"""Set before numpy is imported: the suite's workers share the cores, where threads over matrices as small as ours only
+wait.
+"""
 
 import os
 
@@ -7,14 +9,34 @@ import pytest
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 FAST = {
-    "test_cli_words", "test_flight_sequence", "test_guard_limits", "test_mavlink_codec",
-    "test_mavlink_timesync", "test_planning_criteria", "test_preflight_checks",
-    "test_recording_bundle", "test_recording_computed_speeds", "test_recording_crazyflie", "test_recording_golden",
-    "test_recording_logs", "test_recording_mcap", "test_recording_merge", "test_recording_repair", "test_reporting_exports",
-    "test_reporting_units", "test_seed_closed_loop", "test_seed_estimators", "test_seed_filters", "test_seed_processing",
-    "test_seed_regressors", "test_sim_control", "test_sim_plant", "test_sim_scenario", "test_tui_text",
+    "test_cli_words",
+    "test_flight_sequence",
+    "test_guard_limits",
+    "test_mavlink_codec",
+    "test_mavlink_timesync",
+    "test_planning_criteria",
+    "test_preflight_checks",
+    "test_recording_bundle",
+    "test_recording_computed_speeds",
+    "test_recording_crazyflie",
+    "test_recording_golden",
+    "test_recording_logs",
+    "test_recording_mcap",
+    "test_recording_merge",
+    "test_recording_repair",
+    "test_reporting_exports",
+    "test_reporting_units",
+    "test_seed_closed_loop",
+    "test_seed_estimators",
+    "test_seed_filters",
+    "test_seed_processing",
+    "test_seed_regressors",
+    "test_sim_control",
+    "test_sim_plant",
+    "test_sim_scenario",
+    "test_tui_text",
     "test_writing",
-}  # fmt: skip
+}
 """Test files of ``make test-fast``: no processes, terminals, browsers or long flights. All others are marked slow."""
 
 

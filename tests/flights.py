@@ -16,8 +16,8 @@ def rest_to_rest_plan(
 ) -> Plan:
     """A random Fourier series at 36 degrees/s that starts and ends at rest with zero velocity and acceleration.
 
-    The constraints sum a = 0 (velocity is sum a cos + b sin at t = 0), sum b l = 0 (acceleration) are met by projection; the
-    position amplitude is scaled to ``amplitude_m`` in x and y, half of it in z, and 0.3 rad in yaw.
+    The constraints sum a = 0 (velocity is sum a cos + b sin at t = 0), sum b l = 0 (acceleration) are met by
+    projection; the position amplitude is scaled to ``amplitude_m`` in x and y, half of it in z, and 0.3 rad in yaw.
     """
     random = np.random.default_rng(seed)
     order = np.arange(1, harmonics + 1)

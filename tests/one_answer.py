@@ -1,4 +1,7 @@
-"""One flight, one answer: every place that shows a flight's estimate shows the same digits. Used by tests and by a benchmark."""
+"""One flight, one answer: every place that shows a flight's estimate shows the same digits.
+
+Used by tests and by a benchmark.
+"""
 
 from __future__ import annotations
 
@@ -73,7 +76,7 @@ def _line(text: str, start: str) -> str:
 
 
 def _predicted(model: dict, vehicle: Vehicle) -> dict[str, float]:
-    from groundstation.model.prediction import model_from_document
+    from groundstation.model.vehicle_model import model_from_document
 
     physical = model_from_document(model, vehicle)
     return {

@@ -29,7 +29,9 @@ def qball():
 
 
 def flight(duration_s: float = 6.0, seed: int = 0, scale: float = 1.0) -> FlightData:
-    """The flight; ``scale`` runs the trajectory that many times faster (rates grow with it, accelerations with its square)."""
+    """The flight; ``scale`` runs the trajectory that many times faster (rates grow with it, accelerations with its
+    square).
+    """
     rng = np.random.default_rng(seed)
     vehicle = qball()
     plan = load_plan(configs_dir() / "plans" / "paper_table2.toml")

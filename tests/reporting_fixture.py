@@ -65,7 +65,9 @@ def plan() -> Plan:
 
 
 def flight(seed: int = 1) -> FlightData:
-    """The streams of ``plan`` flown with a small tracking error, with gaps and noise, the poses' clock off by OFFSET_S."""
+    """The streams of ``plan`` flown with a small tracking error, with gaps and noise, the poses' clock off by
+    OFFSET_S.
+    """
     rng = np.random.default_rng(seed)
     declared = vehicle()
     true = truth(declared)
@@ -163,7 +165,8 @@ def identification(seed: int = 2) -> Identification:
             "gyro_bias_x_rad_s": Estimate.normal(0.00213, 0.00004),
         },
         best="PE",
-        best_reason="Its innovations are white, it lies inside the set of real bodies, and it agrees with the filtered regression.",
+        best_reason="Its innovations are white, it lies inside the set of real bodies, and it agrees with the filtered "
+        "regression.",
         clock=Clock(OFFSET_S, 0.00011, 2.1e-5, 4.0e-6),
         not_identifiable={
             "com_offset_z_m": "Fly with changing horizontal acceleration at constant thrust, or tilt beyond 15°."
@@ -261,8 +264,10 @@ def diagnosis(seed: int = 4) -> Diagnosis:
         },
         parameters_before=before,
         parameters_after=ident.methods["PE"].parameters,
-        next_flight="Hover 10 s, then fly 1.5 m/s along x and y: it separates the weak rotor from a centre-of-mass offset with odds of 40 to 1.",
-        reason="Three effects together remove 80 % of the residual on the held-out blocks; the rest is as large as the sensor noise.",
+        next_flight="Hover 10 s, then fly 1.5 m/s along x and y: it separates the weak rotor from a centre-of-mass "
+        "offset with odds of 40 to 1.",
+        reason="Three effects together remove 80 % of the residual on the held-out blocks; the rest is as large as the "
+        "sensor noise.",
         warnings=(
             "The controller of this autopilot is not known; closed-loop simulation is the simulated vehicle's own.",
         ),

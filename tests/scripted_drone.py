@@ -2,8 +2,9 @@
 
     python -P tests/scripted_drone.py --drone NAME --connect ENDPOINT [--fault FAULT@PHASE]
 
-Faults: ``refuse`` (the upload, with phase "upload"; arming, with "arm"), ``die``, ``freeze`` (SIGSTOP), ``crash``, ``land``
-(comes down by itself), ``mute`` (stops sending), ``gap`` (drops a batch), ``hold`` (stays in the phase until it is told to land).
+Faults: ``refuse`` (the upload, with phase "upload"; arming, with "arm"), ``die``, ``freeze`` (SIGSTOP), ``crash``,
+``land`` (comes down by itself), ``mute`` (stops sending), ``gap`` (drops a batch), ``hold`` (stays in the phase until
+it is told to land).
 """
 
 from __future__ import annotations

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.golden import simulated
 from groundstation.analysis.analyse import analyse
 from groundstation.diagnosis import diagnose
 from groundstation.errors import BadInput
 from groundstation.identification.pipeline import identify
 from groundstation.options import AnalysisOptions
+from studies.golden import simulated
 
 
 def test_a_stretch_left_out_reaches_the_fit_the_diagnosis_and_the_report(tmp_path: Path) -> None:

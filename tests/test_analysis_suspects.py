@@ -1,4 +1,6 @@
-"""What a flight that is still in the air seems to lack: odds, silence where it is too early, and a process that nothing waits for."""
+"""What a flight that is still in the air seems to lack: odds, silence where it is too early, and a process that nothing
+waits for.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,6 @@ import threading
 
 import pytest
 
-from benchmarks.flown import flight_data
 from groundstation.analysis.suspects import LARGEST_ODDS, odds, suspicion
 from groundstation.flight.core.suspects import LiveSuspects, Suspicion
 from groundstation.flight.messages import CoreStatus, SuspectStatus
@@ -16,6 +17,7 @@ from groundstation.trajectory import load_plan
 from groundstation.tui.documents import until_lines
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
+from studies.flown import flight_data
 from tests.flights import laboratory
 
 

@@ -1,4 +1,6 @@
-"""The Python API: three lines to parameters with intervals and a figure, tables, and the notebooks run against the code."""
+"""The Python API: three lines to parameters with intervals and a figure, tables, and the notebooks run against the
+code.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Calibration by hand: planted mountings come back within their intervals, go into the station file, and are used and checked."""
+"""Calibration by hand: planted mountings come back within their intervals, go into the station file, and are used and
+checked.
+"""
 
 # pyright: reportOptionalMemberAccess=false, reportArgumentType=false
 from __future__ import annotations
@@ -114,13 +116,13 @@ body = "drone"   # its name
 
 def test_the_station_file_keeps_all_else_and_has_one_section(tmp_path):
     path = tmp_path / "hall.toml"
-    path.write_text(STATION)
+    path.write_text(f"{STATION}latency_s = 0.015  # of last week\n")
     carried = carry(5, Mounting(clock_s=0.004, drift=0.0))
     found = calibrate_by_hand(carried.imu, carried.poses, expected_s=0.0)
     for _ in range(2):
         write_calibration(path, calibration_of(found, load_station(path), 1e-4, SUNDAY))
     text = path.read_text()
-    assert text.startswith(STATION.rstrip("\n"))
+    assert text.startswith(f"{STATION}latency_s = 0.0  # of last week\n"), "the calibration's delay takes its place"
     assert text.count("[mocap.calibration]") == 1
     written = load_station(path).mocap.calibration
     np.testing.assert_allclose(written.position_m, Mounting().position_m, atol=1e-3)
@@ -174,7 +176,9 @@ def test_carrying_the_vehicle_to_its_place_measures_the_marker_body_again(shift_
 
 
 class CarriedVehicle(threading.Thread):
-    """An autopilot in somebody's hands: heartbeats, HIGHRES_IMU as it was carried, TIMESYNC answered on its own clock."""
+    """An autopilot in somebody's hands: heartbeats, HIGHRES_IMU as it was carried, TIMESYNC answered on its own
+    clock.
+    """
 
     def __init__(self, port: int, imu, began_s: float, ahead_s: float = 500.0):
         super().__init__(daemon=True)

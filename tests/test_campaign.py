@@ -1,4 +1,6 @@
-"""A campaign ends by itself with what was hidden, judges each model on a flight it has not seen, and survives being killed."""
+"""A campaign ends by itself with what was hidden, judges each model on a flight it has not seen, and survives being
+killed.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.flown import flight_data
 from groundstation.campaign import campaign as module
 from groundstation.campaign import deciding
 from groundstation.campaign.campaign import Campaign, load_campaign, run
@@ -20,6 +21,7 @@ from groundstation.targets import parse_targets, reached
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
+from studies.flown import flight_data
 from tests.flights import laboratory
 
 

@@ -1,4 +1,6 @@
-"""Vehicle, day and flight: intervals of each level hold, flights that agree are pooled, and those that do not widen the estimate."""
+"""Vehicle, day and flight: intervals of each level hold, flights that agree are pooled, and those that do not widen the
+estimate.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,8 @@ from groundstation.identification.results import Estimate
 
 @pytest.mark.parametrize(("days", "flights"), [(1, 3), (3, 2)])
 def test_intervals_hold_at_every_level(days, flights):
-    """300 vehicles, scatter between days and flights up to 1.5 times a flight's own standard deviation: 91 to 98 % hold (binomial noise
-    of 300 is 1.3 %)."""
+    """300 vehicles, scatter between days and flights up to 1.5 times a flight's own standard deviation: 91 to 98 % hold
+    (binomial noise of 300 is 1.3 %)."""
     seed, vehicles = 29, 300
     print("seed", seed)
     random = np.random.default_rng(seed)

@@ -16,12 +16,12 @@ from groundstation.diagnosis.results import Diagnosis, Unexplained
 from groundstation.fleet.rows import CANONICAL, _parameters
 from groundstation.flight.client.rehearse import result_table
 from groundstation.identification.results import MASS_AND_TENSOR
-from groundstation.model.prediction import model_from_document
+from groundstation.model.vehicle_model import model_from_document
 from groundstation.reporting.canonical import canonical, correlated
 from groundstation.reporting.exports import model_document, read_model
 from groundstation.reporting.identified import identified_from_document
 from groundstation.reporting.report import write_report
-from groundstation.reporting.units import interval_text, label, scale_for, split_unit
+from groundstation.reporting.units import interval_text, label, method_text, scale_for, split_unit
 from groundstation.tui.documents import method_table
 from tests.one_answer import disagreements
 
@@ -57,7 +57,7 @@ def test_every_place_shows_the_same_digits(kind, tmp_path: Path):
     cells = {row[0]: row[3] for row in table}
     report = write_report(tmp_path / "report.html", flight, identification, diagnosis).read_text()
     assert estimate.source in text and header[3].startswith(estimate.source)
-    assert f"Estimate: {estimate.source}" in report
+    assert f"Estimate by {method_text(estimate.source)}" in report
     predicted = model_from_document(model, flight.vehicle)
     assert predicted.mass_kg == estimate.parameters["mass_kg"].value
     assert identified.vehicle.mass_kg == estimate.parameters["mass_kg"].value
@@ -92,7 +92,9 @@ def test_findings_that_predict_worse_are_said_and_those_that_do_not_are_not():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_covariance_belongs_to_the_intervals_that_are_shown(kind, tmp_path: Path):
-    """Its diagonal is the square of every published deviation, in the document and in the model file; it is a covariance."""
+    """Its diagonal is the square of every published deviation, in the document and in the model file; it is a
+    covariance.
+    """
     rng = np.random.default_rng(16)
     print("seed 16")
     square = rng.standard_normal((7, 9))

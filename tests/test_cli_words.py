@@ -20,7 +20,9 @@ DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs
 
 
 def printed_commands() -> list[tuple[str, str]]:
-    """Every line of a fenced block or inline code that begins with ``groundstation``, with the document it stands in."""
+    """Every line of a fenced block or inline code that begins with ``groundstation``, with the document it stands
+    in.
+    """
     found = []
     for path in DOCUMENTS:
         text = path.read_text(encoding="utf-8")
@@ -57,7 +59,8 @@ def test_every_command_that_the_documents_print_parses(document, line, monkeypat
     except click.BadOptionUsage as error:
         assert line.endswith(error.option_name), (document, line)  # running text that names an option without its value
     except click.MissingParameter as error:
-        # A line in running text may name a command and leave its arguments out, but no option that it prints may be wrong.
+        # A line in running text may name a command and leave its arguments out, but no option that it prints may be
+        # wrong.
         assert "`" not in line and error.param is not None, (document, line)
 
 
@@ -90,6 +93,55 @@ def test_a_slip_names_what_was_meant_in_one_line(words, meant, capsys):
     said = capsys.readouterr().err
     assert re.search(rf"(?i)did you mean .*{meant}", said), said
     assert said.count("\n") == 1
+
+
+MISTAKES = {
+    "identify": "`groundstation identify -h` shows how it is called.",
+    "identify nowhere.mcap": "nowhere.mcap: there is no such file or folder.",
+    "predict nowhere.toml flight.mcap": "nowhere.toml: there is no such file or folder.",
+    "identify empty": "motors.csv is missing; a flight bundle needs it",
+    "diagnose nowhere.mcap --exclude 3": "write start:end in seconds",
+    "export nowhere.toml --format urdf": "there is no such file; give the path of an identification file.",
+    "rehearse --scenario rain": "among the shipped scenarios; there are clean, hall",
+    "rehearse --seed abc": "'abc' is not a valid integer",
+    "rehearse --until mass": "write for example ixx,iyy,izz:2%,mass:0.5%.",
+    "preflight --link ttyUSB0 --vehicle x500": "'ttyUSB0' names no link; write serial:///dev/",
+    "fly --vehicle x500": "Missing option '--link'. `groundstation fly -h` shows how it is called.",
+    "fly --link udpin://127.0.0.1:0 --vehicle x500": "armed only by somebody at a terminal",
+    "plan --limit speedmax=3": "speedmax is not a limit. Did you mean speed_max_m_s",
+    "plan --time-budget-s 1e999": "inf is not in the range",
+    "plan --duration-s -3": "the duration must be positive",
+    "compare empty empty": "has no identification.json; `groundstation report` makes one",
+    "flights nosuch": "'nosuch' is no flight in logs",
+    "flights --since yesterday": "'yesterday' is no date; write it as 2025-01-31.",
+    "flights --sort masss": "Did you mean mass?",
+    "campaign --vehicle x500": "say what flies: --scenario NAME",
+    "campaign --vehicle x500 --scenario hal": "did you mean hall?",
+    "batch nowhere": "names no recording",
+    "--vehicle x500": "No such option '--vehicle'. `groundstation -h` shows",
+    "reproduce more": "unexpected extra argument (more). `groundstation reproduce -h` shows",
+}
+"""Typical mistakes, and what their one sentence says."""
+
+
+@pytest.mark.parametrize("words", MISTAKES)
+def test_a_typical_mistake_gets_one_sentence_and_leaves_nothing(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    (tmp_path / "empty").mkdir()
+    assert main(words.split()) == 2
+    said = capsys.readouterr().err.strip().splitlines()
+    assert MISTAKES[words] in said[-1], said
+    assert len([line for line in said if not line.startswith("reading ")]) == 1, said
+    assert [path.name for path in tmp_path.iterdir()] == ["empty"]
+
+
+def test_a_link_that_cannot_be_opened_is_told_once_and_names_no_recording(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    plan = str(ROOT / "configs" / "plans" / "qball2.toml")
+    assert main(["preflight", "--link", "tcp://127.0.0.1:1", "--vehicle", "qball2", "--plan", plan]) == 3
+    said = capsys.readouterr().out + capsys.readouterr().err
+    assert said.count("cannot be opened") == 1 and "flight.mcap" not in said
 
 
 def test_what_is_near_to_nothing_lists_all(capsys):

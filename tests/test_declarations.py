@@ -9,19 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.declarations import WRONG, unplanned, verdict, with_state
-from benchmarks.flown import flight_data
 from groundstation.analysis.suspects import suspicion
 from groundstation.cli import main
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.declarations import check_declarations, go_on, lag_doubts
+from groundstation.identification.declarations.scale import scale_checks
+from groundstation.identification.declarations.signals import Flown
 from groundstation.identification.results import Estimate
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
 from groundstation.recording.bundle import write_bundle
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
+from studies.declarations import WRONG, unplanned, verdict, with_state
+from studies.flown import flight_data
 from tests.flights import laboratory, rest_to_rest_plan
 from tests.test_identification_logs import PX4_LOG, sih_vehicle
 
@@ -45,6 +47,15 @@ def test_a_right_flight_agrees_with_every_check(right: FlightData) -> None:
 def test_each_wrong_declaration_is_found(right: FlightData, name: str) -> None:
     said = verdict(WRONG[name](right, np.random.default_rng(8)))
     assert said, name
+
+
+def test_rotors_that_are_recorded_as_standing_still_in_flight_are_contradicted() -> None:
+    t_s = np.arange(0.0, 20.0, 0.01)
+    force = np.tile([0.0, 0.0, 9.81], (len(t_s), 1))
+    signals = Flown(t_s, np.ones(len(t_s), dtype=bool), 0.0 * force, force, np.zeros((len(t_s), 4)))
+    (found,) = scale_checks(signals, load_vehicle(find_config("vehicles", "qball2")))
+    assert found.verdict == "contradicted"
+    assert found.says.startswith("The recorded rotor values make no thrust in flight")
 
 
 def test_the_line_to_write_puts_the_rotors_right(right: FlightData) -> None:
@@ -121,12 +132,23 @@ def test_a_declared_lag_15_percent_off_is_asked_about(lag_s: float, asked: bool)
 
 
 MEASURED = [
-    *((f"nanodrone/{name}", None) for name in ("multisine_20251017_run1", "random1_20251017_run2", "square_20251017_run3")),
-    *((f"crazypad/{name}", "crazyflie21") for name in (
-        "normal_flight/E9_log00", "normal_flight/E9_log02", "add_weight_W1_near_M3/E9_log04", "cut_propeller_M3_4mm_4mm_39mm/E8_log01",
-    )),
-    ("crazyflie-1khz/log10", "crazyflie21"), ("crazyflie-1khz/log15", "crazyflie21"), ("crazyflie-1khz/log16", "crazyflie21"),
-]  # fmt: skip
+    *(
+        (f"nanodrone/{name}", None)
+        for name in ("multisine_20251017_run1", "random1_20251017_run2", "square_20251017_run3")
+    ),
+    *(
+        (f"crazypad/{name}", "crazyflie21")
+        for name in (
+            "normal_flight/E9_log00",
+            "normal_flight/E9_log02",
+            "add_weight_W1_near_M3/E9_log04",
+            "cut_propeller_M3_4mm_4mm_39mm/E8_log01",
+        )
+    ),
+    ("crazyflie-1khz/log10", "crazyflie21"),
+    ("crazyflie-1khz/log15", "crazyflie21"),
+    ("crazyflie-1khz/log16", "crazyflie21"),
+]
 
 
 @pytest.mark.parametrize(("name", "vehicle"), MEASURED)

@@ -38,11 +38,33 @@ VEHICLE = load_vehicle(find_config("vehicles", "x500"))
 HOVER_N = VEHICLE.mass_kg * VEHICLE.gravity_m_s2 / VEHICLE.rotors.count
 
 IDENTIFIERS = (
-    "motor_lag", "input_delay", "clock_offset", "rotor_drag", "body_drag", "flapping_moment", "angular_damping",
-    "translational_lift", "climb_inflow", "ground_effect", "wind", "weak_rotor", "thrust_scale", "torque_scale",
-    "thrust_curve", "rotor_degradation", "com_offset", "rotor_gyroscopic", "battery_sag", "payload_change", "slung_load",
-    "tether", "constant_wrench", "imu_misalignment", "mocap_misalignment", "mocap_tilt",
-)  # fmt: skip
+    "motor_lag",
+    "input_delay",
+    "clock_offset",
+    "rotor_drag",
+    "body_drag",
+    "flapping_moment",
+    "angular_damping",
+    "translational_lift",
+    "climb_inflow",
+    "ground_effect",
+    "wind",
+    "weak_rotor",
+    "thrust_scale",
+    "torque_scale",
+    "thrust_curve",
+    "rotor_degradation",
+    "com_offset",
+    "rotor_gyroscopic",
+    "battery_sag",
+    "payload_change",
+    "slung_load",
+    "tether",
+    "constant_wrench",
+    "imu_misalignment",
+    "mocap_misalignment",
+    "mocap_tilt",
+)
 UNITS = ("_s", "_m", "_n", "_nm", "_nms", "_nm_s_m", "_n_m", "_kg", "_kg_s", "_kg_m", "_kg_m2", "_rad", "_s2_m2")
 RATIOS = {
     "clock_drift",
@@ -344,7 +366,9 @@ CITIZEN = (
 
 
 def test_one_file_makes_an_effect_a_full_citizen(tmp_path, monkeypatch):
-    """Nothing outside the file names it: healthy flights, the base fit, a replay's instants, rotors and the scenario read its fields."""
+    """Nothing outside the file names it: healthy flights, the base fit, a replay's instants, rotors and the scenario
+    read its fields.
+    """
     package = importlib.import_module("groundstation.diagnosis.effects")
     (tmp_path / "toy_citizen.py").write_text(CITIZEN, encoding="utf-8")
     monkeypatch.setattr(package, "__path__", [*package.__path__, str(tmp_path)])

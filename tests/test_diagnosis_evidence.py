@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, f
 
-from benchmarks.flown import flight_data
 from groundstation.diagnosis.attribution import Selection
 from groundstation.diagnosis.base import for_evidence
+from groundstation.diagnosis.columns import Candidate, Columns
 from groundstation.diagnosis.effect import library
-from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, FlightEvidence, updated_rigid_body
+from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.flight_evidence import FlightEvidence
+from groundstation.diagnosis.joint import updated_rigid_body
 from groundstation.diagnosis.linearisation import linearisation
 from groundstation.diagnosis.scale import scale_findings
 from groundstation.diagnosis.whitening import bands_of, coefficients
-from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.identification.results import Estimate
 from groundstation.paths import find_config
@@ -25,6 +27,7 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle, vehicle_from_dict, vehicle_to_dict
 from sim.flight import simulate
 from sim.scenario import load_scenario
+from studies.flown import flight_data
 
 LINES = np.array([0.0, 0.6, 2.0, 6.0, 30.0])
 """Hz, between which the mean power is looked at."""
@@ -32,7 +35,9 @@ LINES = np.array([0.0, 0.6, 2.0, 6.0, 30.0])
 
 @pytest.fixture(scope="module")
 def evidence() -> Evidence:
-    """A flight of the reference scenario in a disturbance of second order, which the noise model's first order is not."""
+    """A flight of the reference scenario in a disturbance of second order, which the noise model's first order is
+    not.
+    """
     vehicle = load_vehicle(find_config("vehicles", "qball2"))
     lab = load_scenario(find_config("scenarios", "lab"))
     air = lab.disturbance.model_copy(update={"order": 2, "correlation_s": 0.5})
@@ -120,7 +125,8 @@ def test_a_fit_of_many_columns_takes_noise_and_a_draw_puts_it_back():
     for _ in range(rounds):
         y = random.standard_normal(rows)
         for drawn in left:
-            left[drawn] += float(np.mean((y - x @ coefficients(x, y, random if drawn else None)) ** 2)) / rounds
+            theta = coefficients(x.T @ x, x.T @ y, random if drawn else None)
+            left[drawn] += float(np.mean((y - x @ theta) ** 2)) / rounds
     assert left[False] == pytest.approx(1.0 - columns / rows, abs=0.02)
     assert left[True] == pytest.approx(1.0, abs=0.02)
 
@@ -141,7 +147,7 @@ def test_an_effect_in_one_band_has_to_beat_what_is_known_of_the_noise_there(evid
 
 def _columns(rows: np.ndarray) -> Columns:
     column = rows.reshape(-1, 1)
-    return Columns(column, column, np.zeros((6, 1)))
+    return Columns.of(column, column, np.zeros((6, 1)))
 
 
 @pytest.mark.parametrize("count", [3, 17, 500, 2001])
@@ -169,7 +175,7 @@ def test_only_a_weighed_mass_tells_another_thrust_constant():
 def test_two_candidates_that_drive_each_other_out_do_not_take_turns_for_ever(monkeypatch):
     """On measured flights without a plan this kept the diagnosis busy without end."""
     entries = [
-        (Candidate(effect, {}), Columns(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros(6)))
+        (Candidate(effect, {}), Columns.of(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros(6)))
         for effect in list(library().values())[:3]
     ]
     start, one, other = entries

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from flights import laboratory
 
-from benchmarks.flown import flight_data
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.results import Diagnosis
 from groundstation.flightdata import FlightData
@@ -19,6 +18,7 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import RotorLag, load_vehicle
 from sim.flight import simulate
 from sim.scenario import load_scenario
+from studies.flown import flight_data
 
 PERIODS = 4.0
 SEED = 7
@@ -110,7 +110,9 @@ def test_a_centre_of_mass_beside_the_origin_is_named_first_with_its_place():
 
 
 def test_rotors_that_bend_the_yaw_inertia_are_named_and_the_inertia_comes_back():
-    """Rotors that follow their commands with a lag, as all do; their measured speeds are noisy, and the torque is their derivative."""
+    """Rotors that follow their commands with a lag, as all do; their measured speeds are noisy, and the torque is their
+    derivative.
+    """
     vehicle = load_vehicle(find_config("vehicles", "qball2"))
     plan = load_plan(find_config("plans", "qball2")).model_copy(update={"periods": PERIODS})
     scenario = laboratory(rotor_gyroscopic={"inertia_kg_m2": 4e-5})
@@ -127,7 +129,9 @@ def test_rotors_that_bend_the_yaw_inertia_are_named_and_the_inertia_comes_back()
 
 
 def test_a_battery_that_sags_is_named_and_the_mass_comes_back():
-    """Its voltage is sampled at 10 Hz with noise, and drops under load: neither may pass for the course of the thrust."""
+    """Its voltage is sampled at 10 Hz with noise, and drops under load: neither may pass for the course of the
+    thrust.
+    """
     vehicle = load_vehicle(find_config("vehicles", "qball2"))
     vehicle = vehicle.model_copy(update={"rotors": vehicle.rotors.model_copy(update={"speed_source": "command"})})
     plan = load_plan(find_config("plans", "qball2")).model_copy(update={"periods": PERIODS})
@@ -160,7 +164,9 @@ def test_a_flight_of_a_second_is_refused_and_says_what_would_help():
 
 @pytest.mark.slow
 def test_flights_whose_accelerometers_have_other_biases_are_clean_together():
-    """Every power-on has its own bias: 0.05 m/s^2 more on the second flight is none of the vehicle's, and varies with nothing."""
+    """Every power-on has its own bias: 0.05 m/s^2 more on the second flight is none of the vehicle's, and varies with
+    nothing.
+    """
     vehicle, plan = load_vehicle(find_config("vehicles", "qball2")), load_plan(find_config("plans", "qball2"))
     scenario = load_scenario(find_config("scenarios", "clean"))
     first, second = (

@@ -1,4 +1,6 @@
-"""Prediction and closed loop before and after, on what no estimate saw: better where something was hidden, the same where not."""
+"""Prediction and closed loop before and after, on what no estimate saw: better where something was hidden, the same
+where not.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.flown import flight_data
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.base import for_evidence
 from groundstation.diagnosis.comparison import as_declared, splits_of
-from groundstation.diagnosis.evidence import Evidence, FlightEvidence
+from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.forecast import HORIZONS_S, models_of, unknown_loop, window_starts
 from groundstation.diagnosis.results import Diagnosis
 from groundstation.flightdata import FlightData
-from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.options import AnalysisOptions
 from groundstation.paths import find_config
@@ -27,6 +29,7 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
 from sim.scenario import scenario_from_dict
+from studies.flown import flight_data
 
 QUANTITIES = {"position_m", "velocity_m_s", "attitude_rad", "body_rate_rad_s"}
 WEAK = {"weak_rotor": {"rotor": 3, "loss": 0.08}}

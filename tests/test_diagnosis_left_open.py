@@ -1,4 +1,4 @@
-"""What explanations beside the findings leave open in mass and tensor, and that nothing is where nothing beats chance."""
+"""What explanations beside the findings leave open in mass and tensor."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from flights import laboratory
 
-from benchmarks.flown import flight_data
 from groundstation.diagnosis.base import for_evidence
+from groundstation.diagnosis.columns import Candidate
 from groundstation.diagnosis.effect import library
-from groundstation.diagnosis.evidence import Candidate, Evidence, FlightEvidence
+from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.left_open import left_open
 from groundstation.diagnosis.rivals import Entry
 from groundstation.identification.pipeline import fit_dynamics
@@ -21,6 +22,7 @@ from groundstation.paths import find_config
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
+from studies.flown import flight_data
 
 SEED = 11
 CHANCE = 30.0

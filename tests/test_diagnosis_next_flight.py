@@ -59,7 +59,9 @@ def test_the_planned_flight_keeps_the_limits_and_tells_far_more_than_a_gentle_on
 
 
 def test_a_lag_and_a_dead_time_part_with_the_fourth_power_of_frequency(x500):
-    """Both are -tau dw/dt to first order; what a dead time's fit leaves of a lag goes with frequency squared, odds with its square."""
+    """Both are -tau dw/dt to first order; what a dead time's fit leaves of a lag goes with frequency squared, odds with
+    its square.
+    """
     lag, delay = (candidate(Hypothesis(n, {}, {"shift_s": 0.02}), x500, ()) for n in ("motor_lag", "input_delay"))
     size = {}
     for frequency in (0.05, 0.1):

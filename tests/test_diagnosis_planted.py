@@ -1,4 +1,6 @@
-"""What no force model tells, planted in whole flights: clocks, frames, lag, dead time and scales, found within their intervals."""
+"""What no force model tells, planted in whole flights: clocks, frames, lag, dead time and scales, found within their
+intervals.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,6 @@ import numpy as np
 import pytest
 from flights import laboratory
 
-from benchmarks.flown import flight_data
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.kinematic import kinematic_findings
 from groundstation.diagnosis.results import Finding
@@ -24,6 +25,7 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
 from sim.flight import simulate
 from sim.scenario import RotorLag
+from studies.flown import flight_data
 
 SEED = 7
 ONCE_IN_A_THOUSAND = 3.3
@@ -127,8 +129,14 @@ def test_sensors_that_agree_say_nothing():
 
 @pytest.mark.parametrize(
     ("spoil", "least"),
-    [(_late_stamps, 2e-3), (_turned_imu, np.deg2rad(0.3)), (_turned_markers, np.deg2rad(0.3)), (_shifted_markers, 5e-3), (_tilted_room, np.deg2rad(0.3))],
-)  # fmt: skip
+    [
+        (_late_stamps, 2e-3),
+        (_turned_imu, np.deg2rad(0.3)),
+        (_turned_markers, np.deg2rad(0.3)),
+        (_shifted_markers, 5e-3),
+        (_tilted_room, np.deg2rad(0.3)),
+    ],
+)
 def test_what_is_a_third_below_the_least_size_is_no_finding_and_what_is_a_third_above_is_one(spoil, least):
     rest = () if spoil is _late_stamps else (0.0,) if spoil is _tilted_room else (0.0, 0.0)
     assert _told_by_the_sensors(spoil, least * 2.0 / 3.0, *rest) == []
@@ -169,7 +177,9 @@ def test_lag_and_dead_time_are_told_apart_and_lie_within_their_intervals(hidden)
 
 
 def test_a_lag_of_less_than_5_ms_beside_a_dead_time_is_counted_with_it():
-    """Noise in what is recorded of the commands is smoothed by a small lag: docs/diagnosis.md takes less than 5 ms for no finding."""
+    """Noise in what is recorded of the commands is smoothed by a small lag: docs/diagnosis.md takes less than 5 ms for
+    no finding.
+    """
     vehicle = _qball(rotors={"speed_source": "command"})
     small = {"lag": RotorLag(up_s=0.003, down_s=0.003)}
     (finding,) = diagnose([_flown(vehicle, truth=small, input_delay={"delay_s": 0.025})]).findings

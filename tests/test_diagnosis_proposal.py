@@ -1,4 +1,6 @@
-"""The sparse formula: dimensionless terms, found on a wall that no file models, and none on a flight with nothing hidden."""
+"""The sparse formula: dimensionless terms, found on a wall that no file models, and none on a flight with nothing
+hidden.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +11,11 @@ import pytest
 from test_diagnosis_flights import _flight
 
 from groundstation.diagnosis.base import for_evidence
-from groundstation.diagnosis.evidence import Evidence, FlightEvidence
+from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.proposal import dictionary, induced_velocity, select, with_proposals
 from groundstation.diagnosis.results import Unexplained
-from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.paths import find_config
 from groundstation.vehicle import load_vehicle

@@ -1,13 +1,15 @@
-"""Sentences of findings: units, signs in words, no identifiers, no exponents, short; and the page that shows them all."""
+"""Sentences of findings: units, signs in words, no identifiers, no exponents, short; and the page that shows them
+all.
+"""
 
 import re
 
 import numpy as np
 import pytest
 
-from benchmarks.sentences import PAGE, page, sentences
 from groundstation.diagnosis.effect import Effect, FittedEffect, catalogue
 from groundstation.diagnosis.sentences import UNITS, quantity, told
+from studies.sentences import PAGE, page, sentences
 
 ALL = [(name, text) for name, said in sentences().items() for text in said]
 

@@ -1,4 +1,6 @@
-"""Mean thrusts of flights without a gyro, beside those of healthy ones: which rotor, whether a load could do it, and how sure."""
+"""Mean thrusts of flights without a gyro, beside those of healthy ones: which rotor, whether a load could do it, and
+how sure.
+"""
 
 from __future__ import annotations
 
@@ -98,7 +100,9 @@ def test_flights_that_scatter_as_the_healthy_ones_do_give_no_finding():
 
 
 def test_the_turn_back_after_lift_off_is_no_trim():
-    """A vehicle set down askew turns back by a difference of rotors that lasts a second: means keep it, settled flight does not."""
+    """A vehicle set down askew turns back by a difference of rotors that lasts a second: means keep it, settled flight
+    does not.
+    """
     grounded, turning, settled = np.zeros((20, 4)), np.tile(HOVER, (20, 1)), np.tile(HOVER, (100, 1))
     turning += 0.4 * HOVER * np.sign(MATRIX[3])
     thrust = np.concatenate([grounded, turning, settled, grounded])

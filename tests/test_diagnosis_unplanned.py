@@ -1,4 +1,6 @@
-"""Effects of the air on flights without a plan: past motion as the instrument, parts of flights as each other's check."""
+"""Effects of the air on flights without a plan: past motion as the instrument, parts of flights as each other's
+check.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.unplanned import flights_of
 from groundstation.diagnosis.unplanned import Told, tell_unplanned
 from groundstation.flightdata import FlightData, Stream
 from groundstation.identification.lagged_instruments import Equation, pooled, two_stage
@@ -17,6 +18,7 @@ from groundstation.identification.preparation import Prepared, prepare
 from groundstation.model.parameters import declared_parameters
 from groundstation.recording.load import load_flight
 from groundstation.vehicle import Vehicle
+from studies.unplanned import flights_of
 
 STEP_S = 0.08
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.worn import ROTOR, fly, is_right
 from groundstation.diagnosis import diagnose
 from groundstation.recording import load_flight
+from studies.worn import ROTOR, fly, is_right
 
 LATER = Path(__file__).parents[2] / "shared" / "data" / "fails" / "worn-later-start.mcap"
 SEED, WAIT_S = 1679872251, 1.95

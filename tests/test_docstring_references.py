@@ -20,7 +20,7 @@ def missing(text: str) -> list[str]:
 def test_every_page_that_code_points_to_exists() -> None:
     found = {
         f"{path.relative_to(ROOT)}: {name}"
-        for package in ("groundstation", "drivers", "sim", "benchmarks")
+        for package in ("groundstation", "drivers", "sim", "studies", "benchmarks")
         for path in sorted((ROOT / package).rglob("*.py"))
         for name in missing(path.read_text(encoding="utf-8"))
     }

@@ -1,4 +1,6 @@
-"""Every command that README and docs print is there, and the quick ones run and end well (the others are parsed in test_cli_words)."""
+"""Every command that README and docs print is there, and the quick ones run and end well (the others are parsed in
+test_cli_words).
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ NAMES = ("2026-01-31T12-00-00-x500", "2026-02-01T12-00-00-x500")
 
 
 def quick() -> list[tuple[str, str]]:
-    """Printed commands that need no flight, no plan and no link, each once; what a document shows behind them is left out."""
+    """Printed commands that need no flight, no plan and no link, each once; what a document shows behind them is left
+    out.
+    """
     found = {}
     for document, line in printed_commands():
         words = re.sub(r"\s{2,}\S.*$", "", line).split("#")[0].strip()

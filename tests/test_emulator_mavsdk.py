@@ -5,12 +5,13 @@ from __future__ import annotations
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+
+from tests.polling import eventually
 
 mavsdk = pytest.importorskip("mavsdk")
 
@@ -36,16 +37,6 @@ def emulator(profile: str, port: int) -> Iterator[None]:
     finally:
         process.terminate()
         assert process.wait(10) == 0
-
-
-def eventually(condition, within_s: float) -> bool:
-    """Whether a condition on the other process comes true; it runs on its own clock, so there is nothing to inject."""
-    end = time.monotonic() + within_s
-    while time.monotonic() < end:
-        if condition():
-            return True
-        time.sleep(0.05)
-    return False
 
 
 @pytest.mark.timeout(180)

@@ -141,7 +141,7 @@ def test_bad_arguments_end_with_status_2_and_a_sentence(tmp_path: Path, capsys):
     key = tmp_path / "short.key"
     key.write_bytes(b"short")
     assert main(["--profile", "px4", "--vehicle", "no-such-vehicle"]) == 2
-    assert "no such file" in capsys.readouterr().err
+    assert "there is no such file" in capsys.readouterr().err
     assert main(["--profile", "px4", "--fault", "gremlin@1"]) == 2
     assert "there is no fault 'gremlin'" in capsys.readouterr().err
     assert main(["--profile", "px4", "--key-file", str(key)]) == 2

@@ -67,7 +67,9 @@ def texts(heard: Heard) -> list[tuple[float, int, str]]:
 
 
 def modes(heard: Heard) -> list[tuple[int, int, int]]:
-    """Changes of base mode, custom mode and status; a state shorter than two heartbeats may fall between two of them."""
+    """Changes of base mode, custom mode and status; a state shorter than two heartbeats may fall between two of
+    them.
+    """
     shown: list[tuple[int, int, int]] = []
     for _, r in heard:
         if r.name == "HEARTBEAT":
@@ -96,7 +98,8 @@ def test_the_same_texts_come_in_the_same_order_at_about_the_same_times(profile):
     said, answered, _ = replayed(profile)
     ours, theirs = texts(answered), texts(said)
     assert [t[1:] for t in ours] == [t[1:] for t in theirs]
-    # Texts about a flight phase depend on how fast this vehicle climbs and sinks; the others answer a request or a clock.
+    # Texts about a flight phase depend on how fast this vehicle climbs and sinks; the others answer a request or a
+    # clock.
     flown = ("Takeoff", "Landing", "Disarm", "RTL: land")
     for (mine, _, text), (recorded, _, _) in zip(ours, theirs, strict=True):
         assert abs(mine - recorded) < (3.0 if text.startswith(flown) else 0.25), text

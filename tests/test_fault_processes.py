@@ -1,4 +1,5 @@
-"""Core, link and emulated autopilot as real processes: whoever is killed or stopped, the vehicle comes down and disarms.
+"""Core, link and emulated autopilot as real processes: whoever is killed or stopped, the vehicle comes down and
+disarms.
 
 A second link of the autopilot tells the test what the vehicle really does.
 """

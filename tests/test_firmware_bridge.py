@@ -19,11 +19,17 @@ from drivers.mavlink.dialect import mavlink
 from drivers.mavlink.geometry import flip, flip_quaternion
 from drivers.mavlink.transports import SerialTransport
 from groundstation.errors import BadInput
+from groundstation.paths import find_config
+from groundstation.vehicle import load_vehicle
+from sim.build import STEP_S
 from sim.firmware.__main__ import serve_json, serve_serial, serve_tcp
 from sim.firmware.arducopter import JsonExchange
 from sim.firmware.px4 import FIELDS, HilExchange, pressure_hpa
+from sim.loop import run
 from sim.mavlink.control import Cascade, Setpoint
 from sim.mavlink.messages import EARTH_RADIUS_M, LATITUDE_DEG, LONGITUDE_DEG
+from sim.mavlink.plant import SimulatedAirframe
+from sim.scenario import Scenario
 from tests.emulated import RigidAirframe, quadrotor
 
 VEHICLE = quadrotor()
@@ -127,7 +133,9 @@ def test_arducopter_over_a_real_socket():
 
 
 class ScriptedPx4:
-    """Silent for the first 100 ms, then one HIL_ACTUATOR_CONTROLS per HIL_SENSOR; hovers on its pressure altitude and gyro."""
+    """Silent for the first 100 ms, then one HIL_ACTUATOR_CONTROLS per HIL_SENSOR; hovers on its pressure altitude and
+    gyro.
+    """
 
     def __init__(self, height_m: float | None):
         self.codec, self.cascade = MavlinkCodec(1, 1), Cascade(VEHICLE)
@@ -237,7 +245,9 @@ def test_px4_over_a_real_connection_and_a_closed_one_says_so():
 
 @pytest.mark.parametrize("seen_while", ["sendall", "recv"])
 def test_a_closed_simulator_link_has_one_sentence_wherever_it_is_seen(seen_while):
-    """PX4's process ends between our write and our read, or before the write: a reset or a broken pipe, not an empty read."""
+    """PX4's process ends between our write and our read, or before the write: a reset or a broken pipe, not an empty
+    read.
+    """
     px4, connection = socket.socketpair()
     with px4, connection:
         if seen_while == "recv":
@@ -277,3 +287,15 @@ def test_a_flight_controller_on_a_serial_line_is_paced_in_real_time():
 def test_the_standard_atmosphere():
     assert pressure_hpa(0.0) == pytest.approx(1013.25)
     assert pressure_hpa(1000.0) == pytest.approx(898.76, abs=0.2)
+
+
+@pytest.mark.parametrize("steps", [1, 4])
+def test_the_physics_is_compiled_before_a_firmware_waits_and_never_again(steps: int):
+    """A second compilation takes ten seconds with cold caches; it came at the first command of a 1 kHz firmware, in the
+    air.
+    """
+    airframe = SimulatedAirframe(load_vehicle(find_config("vehicles", "x500")), Scenario(), seed=1)
+    compiled = len(run.signatures)
+    for commands in ((0.0,) * 4, (0.3,) * 4, (0.9,) * 4, (0.0,) * 4):
+        airframe.step(steps * STEP_S, commands)
+    assert len(run.signatures) == compiled

@@ -1,4 +1,7 @@
-"""Real ArduCopter and PX4 on the simulated physics. Their binaries are given in ARDUCOPTER and PX4; nothing of them is kept here."""
+"""Real ArduCopter and PX4 on the simulated physics.
+
+Their binaries are given in ARDUCOPTER and PX4; nothing of them is kept here.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,11 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from benchmarks.firmware import PX4_ENVIRONMENT, arducopter_command, px4_command
 from drivers.mavlink.codec import MavlinkCodec
 from drivers.mavlink.dialect import mavlink
 from drivers.mavlink.transports import Transport, open_transport
@@ -21,25 +22,12 @@ from groundstation.paths import find_config
 from groundstation.vehicle import load_vehicle
 from sim.build import true_vehicle
 from sim.scenario import load_scenario
+from studies.firmware import PX4_ENVIRONMENT, arducopter_command, process, px4_command
 
 ARDUCOPTER, PX4 = os.environ.get("ARDUCOPTER", ""), os.environ.get("PX4", "")
 NOT_READY = 3
 """Exit status of a flight that preflight refused."""
 SET_MODE, ARM = mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM
-
-
-@contextmanager
-def process(command: list[str], folder: Path, **environment: str) -> Iterator[None]:
-    """A child with its output in a file, ended at the end."""
-    with (folder / f"{Path(command[0]).name}-{command[1].strip('-')}.log").open("wb") as log:
-        child = subprocess.Popen(
-            command, cwd=folder, stdout=log, stderr=log, stdin=subprocess.DEVNULL, env={**os.environ, **environment}
-        )
-        try:
-            yield
-        finally:
-            child.terminate()
-            child.wait(10)
 
 
 class Ground:

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.study import draw
 from groundstation.errors import BadInput
 from groundstation.fleet import batch
 from groundstation.fleet.runner import run
 from groundstation.recording import write_mcap
+from studies.study import draw
 
 
 def double(number):
@@ -126,7 +126,8 @@ def cluster():
     script = (
         "from distributed import LocalCluster; import sys\n"
         "if __name__ == '__main__':\n"
-        "    c = LocalCluster(n_workers=2, threads_per_worker=1, host='127.0.0.1', dashboard_address=None, processes=True)\n"
+        "    c = LocalCluster(n_workers=2, threads_per_worker=1, host='127.0.0.1', dashboard_address=None, "
+        "processes=True)\n"
         "    print(c.scheduler_address, *(n.pid for n in c.workers.values()), flush=True); sys.stdin.read()\n"
     )
     env = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(Path.cwd())}

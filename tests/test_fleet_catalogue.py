@@ -74,7 +74,9 @@ def test_flights_are_listed_in_the_order_they_were_flown(logs):
 
 
 def test_a_parameter_is_compared_with_the_same_vehicles_last_result(logs):
-    """50 g more, both known to 10 g: 3.5 combined standard deviations, across a refusal and another vehicle's flight."""
+    """50 g more, both known to 10 g: 3.5 combined standard deviations, across a refusal and another vehicle's
+    flight.
+    """
     rows = {row["flight"]: row for row in Catalogue(logs).rows()}
     assert rows["third"]["moved"]["mass_kg"] == pytest.approx(0.05 / (0.01 * 2**0.5))
     assert rows["third"]["moved"]["rotor_lag_up_s"] == 0.0

@@ -151,7 +151,8 @@ def test_lost_batches_are_counted(core):
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 @pytest.mark.parametrize("phase", ["checked", "airborne", "exciting"])
 def test_a_signal_to_the_core_lands_the_vehicle(core, phase, number):
-    # The flight is faster than real time: a busy machine would let it end before the signal is sent, so the vehicle waits for it.
+    # The flight is faster than real time: a busy machine would let it end before the signal is sent, so the vehicle
+    # waits for it.
     at = {"checked": "", "airborne": "hold@takeoff", "exciting": "hold@exciting"}[phase]
     child, _, folder = core(at, go=phase != "checked")
     phase_reached(folder, phase)

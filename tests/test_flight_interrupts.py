@@ -1,5 +1,5 @@
-"""Ctrl-C at every phase of `rehearse` and `fly`, which share what follows the plan: before arming nothing is ever armed, afterwards the
-vehicle lands. Real processes on loopback."""
+"""Ctrl-C at every phase of `rehearse` and `fly`, which share what follows the plan: before arming nothing is ever
+armed, afterwards the vehicle lands. Real processes on loopback."""
 
 from __future__ import annotations
 
@@ -14,12 +14,16 @@ import pytest
 import tomli_w
 from mavlink_vehicle import small_plan
 
+from groundstation.commands.common import ProgressLine
+from groundstation.commands.flying import _fetch_log
 from groundstation.errors import FlightAborted
 from groundstation.flight.client.interrupts import Interrupts
-from groundstation.flight.client.rehearse import fly
+from groundstation.flight.client.rehearse import FlightResult, fly
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.journal import read_journal
+from groundstation.flight.link import onboard_log
 from groundstation.paths import find_config
+from groundstation.recording import load_flight
 
 SCRIPTED = Path(__file__).with_name("scripted_drone.py")
 
@@ -35,7 +39,7 @@ def interrupt() -> None:
     os.kill(os.getpid(), signal.SIGINT)
 
 
-def flown(tmp_path: Path, drone, *, at: str) -> list[dict]:
+def flown(tmp_path: Path, drone, *, at: str, analyse: bool = False) -> list[dict]:
     """Fly, with Ctrl-C at a moment; what the flight's journal says."""
     plan = tmp_path / "plan.toml"
     plan.write_text(tomli_w.dumps(small_plan().model_dump(mode="json", by_alias=True, exclude_none=True)))
@@ -71,7 +75,7 @@ def flown(tmp_path: Path, drone, *, at: str) -> list[dict]:
             drone=drone,
             say=lambda text: once(text.split()[:1] == [at]),
             confirm=confirm,
-            analyse=False,
+            analyse=analyse,
             stop=stop,
         )
     assert sent == [at]
@@ -93,6 +97,24 @@ def test_ctrl_c_in_flight_lands_and_is_an_aborted_flight(tmp_path, scripted, at)
     assert "landing" in said and said[-1] == "landed"
     assert entries[-1]["kind"] == "outcome" and entries[-1]["exit_status"] == 4
     assert "aborted by the operator" in entries[-1]["reason"]
+
+
+def test_ctrl_c_after_landing_ends_the_analysis_alone(tmp_path, scripted):
+    entries = flown(tmp_path, scripted, at="identifying", analyse=True)
+    assert entries[-1]["exit_status"] == 4 and entries[-1]["reason"].startswith("the analysis was given up: ")
+    recorded = load_flight(tmp_path / "flight" / "flight.mcap").imu
+    assert recorded is not None and len(recorded.t_s) > 100
+
+
+def test_ctrl_c_while_the_onboard_log_is_fetched_keeps_the_result(tmp_path, monkeypatch, capsys):
+    """`fly` fetches it last, when everything else is there."""
+
+    def fetched(*_: object, **__: object) -> Path:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(onboard_log, "fetch_onboard_log", fetched)
+    _fetch_log("udpin://x:1", find_config("vehicles", "x500"), FlightResult(tmp_path, 0, ""), ProgressLine(), None)
+    assert "no onboard log (stopped by Ctrl-C)" in capsys.readouterr().err
 
 
 def test_a_solver_that_swallows_the_interrupt_does_not_swallow_the_word():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 
 import pytest
@@ -10,7 +11,8 @@ from hypothesis import strategies as st
 
 from drivers.samples import Batch, Event, Imu, Motors
 from groundstation.flight.core.ground_check import check_ground
-from groundstation.flight.core.recorder import Recorder, StreamMeter
+from groundstation.flight.core.meters import StreamMeter
+from groundstation.flight.core.recorder import Recorder
 from groundstation.flight.messages import StreamStatus
 from groundstation.paths import find_config
 from groundstation.vehicle import load_vehicle
@@ -100,7 +102,7 @@ def test_notes_status_and_metadata_keep_their_place_among_the_samples():
     made.close()
     assert [type(sample).__name__ for sample, _ in sink.samples] == ["Imu", "Event", "Imu"]
     assert sink.samples[1] == (Event(1.5, "phase", "airborne"), 1.5)
-    assert sink.metadata == {"window_start_s": "1.0"}
+    assert sink.metadata["window_start_s"] == "1.0"
     assert set(made.streams(2.0)) == {"imu"}, "an event is no stream"
 
 
@@ -113,6 +115,51 @@ def test_rates_come_from_device_stamps_not_from_batches():
     assert status.count == 500 and status.age_s == pytest.approx(1.5 - 0.95)
     meter.add(0.002 * 499 + 0.3, 1.6)
     assert meter.status(1.6).longest_gap_s == pytest.approx(0.3)
+
+
+def test_each_gap_duplicate_reordering_and_clock_jump_is_counted_and_a_stalled_host_is_none():
+    meter, host_s, ahead_s = StreamMeter(), 100.0, 0.0
+    planted = {"gaps": 3, "duplicates": 4, "reordered": 5, "clock_jumps": 2}
+    at = {100: "gaps", 150: "gaps", 900: "gaps", 200: "clock_jumps", 260: "clock_jumps", 300: "stall"}
+    at |= {400 + 20 * k: "duplicates" for k in range(4)} | {600 + 20 * k: "reordered" for k in range(5)}
+    held, index = None, 0
+    for step in range(1000):
+        what = at.get(step, "")
+        index += 2 if what == "gaps" else 1  # one sample never comes
+        if what == "clock_jumps":
+            ahead_s = 3600.0 if not ahead_s else 0.0  # forward, then back
+        host_s = max(host_s, 100.0 + 0.004 * index) if what != "stall" else 100.0 + 0.004 * index + 2.0
+        stamp = 0.004 * index + ahead_s
+        if what == "reordered":
+            held = stamp
+            continue
+        meter.add(stamp, host_s)
+        if what == "duplicates":
+            meter.add(stamp, host_s)
+        if held is not None:
+            meter.add(held, host_s)
+            held = None
+    found = meter.counts.document()
+    assert {name: found[name] for name in planted} == planted
+    assert found["samples"] == 1004 and found["longest_gap_s"] == pytest.approx(0.008)
+
+
+def test_a_clock_that_was_set_back_leaves_no_window_that_grows():
+    meter = StreamMeter()
+    for index in range(5000):
+        meter.add(3600.0 * (index < 1000) + 0.001 * index, 0.001 * index)
+    assert meter.counts.clock_jumps == 1
+    assert len(meter._stamps) <= 1002
+    assert meter.status(5.0).rate_hz == pytest.approx(1000.0)
+
+
+def test_what_was_counted_is_in_the_record():
+    sink = Memory()
+    made, _, _ = recorder(sink)
+    made.put(batch(0, *(0.01 * k for k in range(50)), 0.49))
+    made.close()
+    counted = json.loads(sink.metadata["streams"])["imu"]
+    assert counted["samples"] == 51 and counted["duplicates"] == 1 and counted["gaps"] == 0
 
 
 def test_the_ground_check_waits_then_says_yes_or_why_not():

@@ -120,6 +120,20 @@ def test_an_interrupt_lands_the_vehicle_and_says_so(plan_file):
     assert phases[-1] == "landed"
 
 
+def test_an_interrupt_after_landing_ends_the_analysis_and_says_what_to_run(plan_file):
+    process = rehearse(plan_file)
+    until_line(process, "identifying")
+    os.kill(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=DEADLINE_S)
+    assert process.returncode == 4, err
+    recording = the_flight(plan_file) / "flight.mcap"
+    last = err.strip().splitlines()[-1]
+    assert last.startswith("the analysis was given up: aborted by")
+    assert last.endswith(f"The recording is kept; `groundstation report {recording}` analyses it.")
+    assert load_flight(recording).window_s is not None
+    assert not (recording.parent / "report.html").exists()
+
+
 def test_a_killed_core_leaves_an_open_recording_and_the_drone_lands_itself(plan_file):
     folder = plan_file.parent / "logs" / "flight"
     vehicle, scenario = find_config("vehicles", "qball2"), find_config("scenarios", "clean")

@@ -1,4 +1,6 @@
-"""Fly until known: intervals that may be looked at, what is decided at a rest point, and that nothing goes past what was checked."""
+"""Fly until known: intervals that may be looked at, what is decided at a rest point, and that nothing goes past what
+was checked.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ def test_one_look_is_the_textbook_interval():
 
 
 def test_all_looks_together_miss_as_often_as_was_said():
-    """Independent flights of eight looks at uneven times: spent misses 5 % at any look, the textbook interval far more, the mixture less."""
+    """Independent flights of eight looks at uneven times: spent misses 5 % at any look, the textbook interval far more,
+    the mixture less.
+    """
     seed, flights = 17, 40_000
     print("seed", seed)
     random = np.random.default_rng(seed)
@@ -216,7 +220,9 @@ def test_lock_stepped_time_waits_for_the_look_and_for_its_answer():
 
 @pytest.mark.slow
 def test_a_rehearsal_ends_when_it_is_known_and_its_recording_says_so(tmp_path):
-    """Targets that the second period meets: the core, the drone and the recording agree on where the excitation ended."""
+    """Targets that the second period meets: the core, the drone and the recording agree on where the excitation
+    ended.
+    """
     from groundstation.analysis.plans import write_plan
 
     folder, vehicle = tmp_path / "flight", find_config("vehicles", "qball2").resolve()

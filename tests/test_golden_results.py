@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks import golden
+from studies import golden
 
 
 @pytest.mark.parametrize("case", golden.SHORT, ids=lambda case: case.__name__)

@@ -1,4 +1,6 @@
-"""The guard: one test per limit, its timer, its figures; decisions only grow; every shipped station file is what it says."""
+"""The guard: one test per limit, its timer, its figures; decisions only grow; every shipped station file is what it
+says.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,10 @@
-"""Rules of the house that a linter does not know: import directions, what the wheel holds, what must not be in files."""
+"""Rules of the house that a linter does not know: import directions, what the wheel holds, what must not be in
+files.
+"""
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
 import sys
@@ -24,6 +27,27 @@ def test_imports_point_the_right_way():
         timeout=120,
     )
     assert done.returncode == 0, done.stdout
+
+
+def imported(path: Path) -> set[str]:
+    """Top-level packages that a file imports, wherever in it."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            found.add(node.module.split(".")[0])
+    return found
+
+
+@pytest.mark.parametrize(
+    ("folder", "never"),
+    [("tests", {"benchmarks"}), ("studies", {"benchmarks", "tests"}), ("groundstation", {"studies", "benchmarks"}),
+     ("sim", {"studies", "benchmarks"}), ("drivers", {"studies", "benchmarks"})],
+)  # fmt: skip
+def test_command_lines_are_imported_by_nobody(folder, never):
+    wrong = {path.name: found for path in (ROOT / folder).rglob("*.py") if (found := imported(path) & never)}
+    assert not wrong
 
 
 def test_the_wheel_holds_three_packages_and_the_configs(tmp_path):

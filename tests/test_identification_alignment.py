@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.flown import flight_data
-from groundstation.flightdata import FlightData
+from groundstation.flightdata import FlightData, resampled
 from groundstation.identification.preparation import prepare
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
+from studies.flown import flight_data
 from tests.flights import laboratory, rest_to_rest_plan
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -69,7 +69,7 @@ def test_late_positions_are_found_beside_attitudes_in_time(flown: FlightData, la
     mocap = flown.mocap
     assert mocap is not None
     values = mocap.values.copy()
-    values[:, :3] = np.stack([np.interp(mocap.t_s - late_s, mocap.t_s, c) for c in mocap.values[:, :3].T], axis=-1)
+    values[:, :3] = resampled(mocap.t_s - late_s, mocap.t_s, mocap.values[:, :3])
     prepared = prepare(replace(flown, mocap=replace(mocap, values=values)))
     found = said(prepared.notes, "Positions are")
     if late_s == 0.0:

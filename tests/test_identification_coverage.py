@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from benchmarks.coverage import Score, score, table
-from benchmarks.tally import HALF_95
 from groundstation.errors import GroundStationError
 from groundstation.identification.results import MASS_AND_TENSOR
+from studies.coverage import Score, score, table
+from studies.tally import HALF_95
 
 FLIGHTS = 200
 

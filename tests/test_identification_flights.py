@@ -1,4 +1,6 @@
-"""Mass, tensor, lag and clock of simulated flights: planted truth within its interval, an anchor that fixes the scale."""
+"""Mass, tensor, lag and clock of simulated flights: planted truth within its interval, an anchor that fixes the
+scale.
+"""
 
 from __future__ import annotations
 
@@ -9,24 +11,27 @@ import numpy as np
 import pytest
 from flights import laboratory
 
-from benchmarks.flown import flight_data
 from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored
 from groundstation.identification.consistency import nearest_rigid_body, physically_consistent
+from groundstation.identification.dynamic_fit import DynamicFit, fit_dynamics
 from groundstation.identification.instrumental import _root_of_inverse
-from groundstation.identification.pipeline import DynamicFit, fit_dynamics, identify
+from groundstation.identification.pipeline import identify
 from groundstation.identification.prediction_error import Fitted
-from groundstation.identification.preparation import flight_states, prepare
+from groundstation.identification.preparation import prepare
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
+from groundstation.identification.starts import flight_states
 from groundstation.model.parameters import declared_parameters
-from groundstation.model.prediction import declared_model, model_from_document, predict
+from groundstation.model.prediction import predict
+from groundstation.model.vehicle_model import declared_model, model_from_document
 from groundstation.paths import find_config
 from groundstation.reporting.exports import model_document
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
 from sim.flight import simulate
 from sim.scenario import RotorLag, load_scenario
+from studies.flown import flight_data
 
 SEEDS = (1, 2)
 TRUE_OFFSET_S = -0.018
@@ -110,7 +115,9 @@ def test_the_rotor_lag_of_a_commanded_vehicle_is_found() -> None:
 
 
 def test_what_a_flight_tells_nothing_of_counts_for_nothing() -> None:
-    """A square root of the inverse information, in any units, and where one direction is not told in double precision."""
+    """A square root of the inverse information, in any units, and where one direction is not told in double
+    precision.
+    """
     information = np.array([[4e12, 1e3, 0.0], [1e3, 1.0, 0.0], [0.0, 0.0, 1e-20]])
     root = _root_of_inverse(information)
     np.testing.assert_allclose(root @ root.T @ information, np.eye(3), atol=1e-9)
@@ -258,7 +265,9 @@ def test_a_dead_time_with_little_lag_is_divided_rightly(lag_s):
 
 
 def test_what_is_carried_on_makes_the_prediction_of_an_unseen_flight_better():
-    """Measured speeds are fitted at 30 Hz, where a good gyro's noise does not show; a prediction's filter runs at the gyro's own rate."""
+    """Measured speeds are fitted at 30 Hz, where a good gyro's noise does not show; a prediction's filter runs at the
+    gyro's own rate.
+    """
     plan = load_plan(find_config("plans", "qball2"))
     room = load_scenario(find_config("scenarios", "lab"))
     air = room.disturbance.model_copy(update={"force_share": 0.003, "torque_share": 0.002, "correlation_s": 0.7})

@@ -1,4 +1,6 @@
-"""Estimates from logs of real firmware, another physics than ours, its truth known; and of a real vehicle, judged by prediction."""
+"""Estimates from logs of real firmware, another physics than ours, its truth known; and of a real vehicle, judged by
+prediction.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import crazyflie
 from groundstation.diagnosis import diagnose
 from groundstation.flightdata import FlightData
 from groundstation.identification.pipeline import identify
-from groundstation.identification.preparation import flight_states
 from groundstation.identification.results import Identification
-from groundstation.model.prediction import model_from_document, predict
+from groundstation.identification.starts import flight_states
+from groundstation.model.prediction import predict
+from groundstation.model.vehicle_model import model_from_document
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
 from groundstation.reporting.exports import model_document
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict
+from studies import crazyflie
 
 PX4_LOG = Path(__file__).resolve().parents[2] / "shared" / "data" / "px4-sih" / "excitation.ulg"
 
@@ -77,7 +80,9 @@ def test_px4_products_are_nothing(found: Identification) -> None:
 
 
 def test_crazyflie_rates_are_predicted_better_than_by_published_constants_and_than_constant():
-    """Identified from three logs together, judged on parts of two of them that the fit did not see (docs/crazyflie.md)."""
+    """Identified from three logs together, judged on parts of two of them that the fit did not see
+    (docs/crazyflie.md).
+    """
     logs = PX4_LOG.parents[1] / "crazyflie-1khz"
     if not logs.exists():
         pytest.skip(f"the Crazyflie logs are not there: {logs}")

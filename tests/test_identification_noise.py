@@ -1,4 +1,6 @@
-"""The noise model of the prediction error estimate: innovations of planted colour are white, of unit variance, and found."""
+"""The noise model of the prediction error estimate: innovations of planted colour are white, of unit variance, and
+found.
+"""
 
 from __future__ import annotations
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks import golden
-from benchmarks.estimators import loop_least_squares, problem
-from benchmarks.speed import seconds
-from benchmarks.study import draw
 from groundstation.analysis.analyse import preliminary
 from groundstation.identification.declarations.scale import tensor_checks
 from groundstation.identification.disagreement import with_doubts
 from groundstation.identification.pipeline import identify
 from groundstation.identification.preliminary import NAMES, first_estimate
 from groundstation.identification.results import Estimate, MethodResult
+from studies import golden
+from studies.estimators import loop_least_squares, problem
+from studies.study import draw
+from studies.timing import seconds
 
 SEEDS = (3001, 3009, 3010)
 """Of the study: fast plans, rotors by telemetry and by command behind lags of 45 to 95 ms."""
@@ -43,7 +43,9 @@ def test_a_first_look_sees_a_shifted_centre_of_mass() -> None:
 
 
 def test_identification_costs_no_more_than_so_many_plain_loops() -> None:
-    """A loose bound: 2.5 s of a minute's flight were 80 loops over 10 s when this was written, 1.6 s of 20 s about 45."""
+    """A loose bound: 2.5 s of a minute's flight were 80 loops over 10 s when this was written, 1.6 s of 20 s about
+    45.
+    """
     flight, _, _ = draw(2001, 0.5)
     gamma, upsilon, _ = problem()
     identify([flight])

@@ -12,6 +12,7 @@ from flights import rest_to_rest_plan
 from groundstation.errors import Refused
 from groundstation.frames import quat_exp, quat_from_euler, quat_multiply, quat_rotate, quat_rotate_inverse
 from groundstation.identification import reconstruction
+from groundstation.identification.attitude_fit import Recording
 from groundstation.identification.clock import coarse_offset
 from groundstation.identification.reconstruction import Compatibility, body_motion, reconstruct
 from groundstation.identification.smoothing import position_filter
@@ -45,7 +46,9 @@ class Recorded:
 
 
 def record(seed: int, error: Mapping[str, float] = PLANTED, *, noise: float = 1.0) -> Recorded:
-    """40 s of a fast random excitation at 250 Hz, poses at 100 Hz, ``noise`` times that of a consumer IMU and capture."""
+    """40 s of a fast random excitation at 250 Hz, poses at 100 Hz, ``noise`` times that of a consumer IMU and
+    capture.
+    """
     random = np.random.default_rng(seed)
     series = rest_to_rest_plan(amplitude_m=1.0, periods=4.0, seed=7).series()
 
@@ -75,10 +78,10 @@ def record(seed: int, error: Mapping[str, float] = PLANTED, *, noise: float = 1.
 
 def found_of(data: Recorded, offset_s: float) -> Compatibility:
     """Reconstruct from a coarse offset."""
-    return reconstruct(
-        data.t_imu, data.gyro, data.accel, data.t_pose, data.position, data.quaternion,
-        offset_s=offset_s, gravity_m_s2=GRAVITY, mocap_rotation_rad=np.zeros(3),
-    )  # fmt: skip
+    recording = Recording(
+        data.t_imu, data.gyro, data.accel, data.t_pose, data.position, data.quaternion, mocap_rotation_rad=np.zeros(3)
+    )
+    return reconstruct(recording, offset_s=offset_s, gravity_m_s2=GRAVITY)
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.flown import flight_data
 from drivers.samples import Battery, Imu, Motors, Pose
 from groundstation.flight.core.live import QUEUE, LiveClock, LiveEstimate
 from groundstation.flight.sequence import Phase
@@ -21,6 +20,7 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import RotorLag, Vehicle, load_vehicle
 from sim.flight import simulate
 from sim.scenario import load_scenario
+from studies.flown import flight_data
 
 
 @cache
@@ -64,7 +64,9 @@ def test_the_planted_truth_is_approached_within_the_interval(seed):
 
 
 def test_a_standing_vehicle_tells_the_bias_of_its_accelerometer():
-    """The same flight with 0.1 m/s^2 on the accelerometer: seen on the ground it costs nothing, unseen the interval owns up."""
+    """The same flight with 0.1 m/s^2 on the accelerometer: seen on the ground it costs nothing, unseen the interval
+    owns up.
+    """
     whole = flight("clean")
     biased = replace(whole, imu=replace(whole.imu, values=whole.imu.values + np.array([0, 0, 0, 0, 0, 0.1])))
     truth = whole.truth.parameters()["mass_kg"]
@@ -77,7 +79,9 @@ def test_a_standing_vehicle_tells_the_bias_of_its_accelerometer():
 
 
 def test_a_lag_that_is_declared_is_undone():
-    """Commands that are recorded in front of rotors of 60 ms: the declared lag gives the tensor, no declared lag does not."""
+    """Commands that are recorded in front of rotors of 60 ms: the declared lag gives the tensor, no declared lag does
+    not.
+    """
     lag = RotorLag(up_s=0.06, down_s=0.06)
     clean = load_scenario(find_config("scenarios", "clean"))
     scenario = clean.model_copy(update={"truth": clean.truth.model_copy(update={"lag": lag})})
@@ -167,7 +171,8 @@ def test_at_500_hz_it_costs_less_than_five_percent_of_a_core_and_gives_more_than
     share = (time.thread_time() - began) / seconds
     with capsys.disabled():
         print(
-            f"\nlive estimate: {100 * share:.2f} % of a core, {len(tables) / seconds:.1f} Hz, worst step {1e3 * worst_s:.0f} ms"
+            f"\nlive estimate: {100 * share:.2f} % of a core, {len(tables) / seconds:.1f} Hz, worst step "
+            f"{1e3 * worst_s:.0f} ms"
         )
     assert live.trouble == ""
     assert len(tables) / seconds > 10.0

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.flown import flight_data
 from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import FlightData
 from groundstation.identification.identifiability import never_moved, revealed
@@ -21,10 +20,13 @@ from groundstation.trajectory import Coefficients, Plan, load_plan
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
 from sim.scenario import load_scenario
+from studies.flown import flight_data
 
 
 def channels(**scale: float) -> Plan:
-    """Table 2's plan at twice the pace for 15 s, each channel scaled and without yaw offset; channels not named stand still."""
+    """Table 2's plan at twice the pace for 15 s, each channel scaled and without yaw offset; channels not named stand
+    still.
+    """
     plan = load_plan(find_config("plans", "paper_table2"))
     kept = {}
     for name in ("x", "y", "z", "yaw"):
@@ -124,7 +126,9 @@ def motion_of(plan: Plan) -> RecordModel:
 
 
 def test_singular_values_say_what_a_motion_acts_on_before_any_fit() -> None:
-    """Yaw alone makes torque through Izz (and mass through the height it holds); what all of Izz makes is what the rotors made."""
+    """Yaw alone makes torque through Izz (and mass through the height it holds); what all of Izz makes is what the
+    rotors made.
+    """
     model = motion_of(channels(yaw=1.0))
     vehicle = model.record.vehicle
     found = revealed([model], vehicle, FitOptions(lag=False))

@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.flown import flight_data
 from groundstation.flightdata import FlightData
-from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.identification.stretches import airborne, gaps, runs_of, within
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
+from studies.flown import flight_data
 from tests.flights import laboratory, rest_to_rest_plan
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.study import draw, faults, study_flight
+from studies.study import draw, faults, study_flight
 
 
 @pytest.mark.parametrize("seed", range(1001, 1013))

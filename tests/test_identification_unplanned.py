@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.unplanned import flights_of
 from groundstation.diagnosis.pipeline import diagnose
 from groundstation.identification.low_frequency import without_plan
 from groundstation.identification.pipeline import identify
 from groundstation.identification.preparation import prepare
 from groundstation.identification.unplanned import applies
+from studies.unplanned import flights_of
 
 MOMENTS = ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
 

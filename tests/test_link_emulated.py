@@ -133,7 +133,9 @@ def test_an_onboard_log_is_listed_fetched_and_resumed_whole(loses):
 
 
 def test_the_excitation_ends_at_the_next_rest_point_and_never_after_what_was_checked():
-    """Three periods are checked, two planned: it may be told to go on for one more and no further, and to end after the first."""
+    """Three periods are checked, two planned: it may be told to go on for one more and no further, and to end after the
+    first.
+    """
     pair = Pair("px4").ready()
     plan = small_plan()
     section = PlannedUntil(targets={"mass_kg": 0.01}, planned_periods=2)

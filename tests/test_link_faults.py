@@ -1,7 +1,9 @@
-"""Faults of the link, the vehicle and the station on virtual time: each flight ends on the ground, disarmed, and silent."""
+"""Faults of the link, the vehicle and the station on virtual time: each flight ends on the ground, disarmed, and
+silent.
+"""
 
-# pyright: reportOptionalMemberAccess=false, reportAttributeAccessIssue=false, reportOptionalOperand=false, reportOperatorIssue=false
-# A rig has its pilot and view once it is prepared.
+# pyright: reportOptionalMemberAccess=false, reportAttributeAccessIssue=false, reportOptionalOperand=false,
+# reportOperatorIssue=false A rig has its pilot and view once it is prepared.
 
 from __future__ import annotations
 

@@ -1,11 +1,12 @@
-"""Indoors on the emulated autopilots, on virtual time: poses into the estimator, its parameters, cameras that go dark."""
+"""Indoors on the emulated autopilots, on virtual time: poses into the estimator, its parameters, cameras that go
+dark.
+"""
 
 from __future__ import annotations
 
 import math
 import random
 import socket
-import struct
 from collections import deque
 
 import numpy as np
@@ -14,6 +15,8 @@ from emulated import RigidAirframe, quadrotor
 from mavlink_vehicle import small_plan
 
 from drivers.mavlink.geometry import rotate
+from drivers.mocap.natnet import NatNet
+from drivers.mocap.readings import Exchange
 from drivers.samples import Event, Pose
 from groundstation.errors import BadInput
 from groundstation.flight.link.link_core import LinkCore, Options
@@ -22,11 +25,11 @@ from groundstation.flight.link.pilot import IN_AIR, Phase, Pilot
 from groundstation.flight.link.pose_latency import Latency, latency_sentence
 from groundstation.flight.link.preflight import failures
 from groundstation.flight.link.profiles import PROFILES
-from groundstation.flight.station import station_from_dict
+from groundstation.flight.station import MarkerCalibration, MocapSource, station_from_dict
 from groundstation.vehicle import Mocap
 from sim.mavlink.arducopter import ArduCopter
 from sim.mavlink.px4 import Px4
-from sim.natnet import CONNECT, ECHO, ECHOED, FRAME, SERVER_INFO, TICKS_PER_S, NatNetServer
+from sim.natnet import BODY, NatNetServer
 from sim.scenario import Clock
 
 KINDS = {"px4": Px4, "arducopter": ArduCopter}
@@ -36,7 +39,9 @@ SEED = 3
 
 
 class Room:
-    """A link core, an emulated autopilot and cameras of 100 Hz on one clock; poses come, and are stamped, ``LATE_S`` late."""
+    """A link core, an emulated autopilot and cameras of 100 Hz on one clock; poses come, and are stamped, ``LATE_S``
+    late.
+    """
 
     def __init__(self, kind: str, *, set_parameters: bool = True, declared_s: float = 0.0, yaw_rad: float = 0.0):
         vehicle = quadrotor()
@@ -193,9 +198,28 @@ def test_indoors_needs_cameras():
         station_from_dict({"indoors": True})
 
 
-def test_a_latency_as_declared_asks_for_nothing():
-    assert "write" not in latency_sentence(Latency(0.0202, 1e-4), 5e-4, 0.02)
-    assert "latency_s = 0.02" in latency_sentence(Latency(0.0202, 1e-4), 5e-4, 0.0)
+def test_a_latency_as_declared_asks_for_nothing_and_a_calibrated_system_for_a_calibration():
+    late = Latency(0.0202, 1e-4)
+    assert "write" not in latency_sentence(late, 5e-4, MocapSource(latency_s=0.02))
+    assert "latency_s = 0.02" in latency_sentence(late, 5e-4, MocapSource())
+    known = MarkerCalibration(
+        body="1", measured="2026-11-29", position_m=(0, 0, 0), rotation_rad=(0, 0, 0), delay_s=0.02
+    )
+    assert "calibrate` again" in latency_sentence(late, 5e-4, MocapSource(calibration=known))
+    assert "calibrate" not in latency_sentence(Latency(0.0002, 1e-4), 5e-4, MocapSource(calibration=known))
+
+
+def test_a_delay_is_counted_once():
+    section = {
+        "body": "1",
+        "measured": "2026-11-29",
+        "position_m": [0, 0, 0],
+        "rotation_rad": [0, 0, 0],
+        "delay_s": 0.02,
+    }
+    with pytest.raises(BadInput, match="counts a delay twice"):
+        station_from_dict({"mocap": {"system": "natnet", "latency_s": 0.015, "calibration": section}})
+    assert station_from_dict({"mocap": {"system": "natnet", "calibration": section}}).mocap.calibration is not None
 
 
 def test_the_body_lies_behind_its_markers_as_the_vehicle_file_says():
@@ -207,29 +231,37 @@ def test_the_body_lies_behind_its_markers_as_the_vehicle_file_says():
 
 
 def test_the_simulated_optitrack_server_sends_after_its_latency_and_tells_its_clock():
-    server = NatNetServer("127.0.0.1:0", Clock(offset_s=0.5), monotonic=lambda: 0.0)
+    server, reader = NatNetServer("127.0.0.1:0", Clock(offset_s=0.5), monotonic=lambda: 0.0), NatNet()
     client = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     client.settimeout(5.0)
+
+    def heard(received_s: float) -> list:
+        return reader.feed(client.recv(4096), received_s)
+
     try:
-        client.sendto(struct.pack("<HH", CONNECT, 0), ("127.0.0.1", server.port))
+        for data in reader.due(0.0):
+            client.sendto(data, ("127.0.0.1", server.port))
         row = np.array([[1.0, 2.0, 3.0, 0.8, 0.0, 0.0, 0.6]])
         poses = [(np.array([1.5]), np.array([1.015]), row)]
         server.turn(1.0, poses)
         assert poses == [] and server.sent == 0, "not yet"
         server.turn(1.02, [])
         assert server.sent == 1
-        kind, _ = struct.unpack_from("<HH", client.recv(4096))
-        assert kind == SERVER_INFO
-        data = client.recv(4096)
-        assert struct.unpack_from("<H", data)[0] == FRAME
-        assert struct.unpack_from("<i3f4f", data, 32) == pytest.approx((1, 1.0, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8))
-        exposure, _, sent = struct.unpack_from("<QQQ", data, len(data) - 30)
-        assert exposure == round(101.5 * TICKS_PER_S)
-        assert (sent - exposure) / TICKS_PER_S == pytest.approx(0.02)
-        client.sendto(struct.pack("<HHQ", ECHO, 8, 77), ("127.0.0.1", server.port))
+        assert heard(1.02) == [] and reader.server.startswith("Motive")
+        (frame,) = heard(1.02)
+        body = frame.body("1")
+        assert body.position_m == (1.0, 2.0, 3.0)
+        assert body.quaternion == pytest.approx((0.8, 0.0, 0.0, 0.6))
+        assert frame.exposure_s == pytest.approx(101.5, abs=1e-7)
+        assert frame.sent_s - frame.exposure_s == pytest.approx(0.02, abs=1e-7)
+        for data in reader.due(1.03):
+            client.sendto(data, ("127.0.0.1", server.port))
         server.turn(1.03, [])
-        echoed = client.recv(4096)
-        assert struct.unpack("<HHQQ", echoed) == (ECHOED, 16, 77, round(101.53 * TICKS_PER_S))
+        told = [reading for _ in range(2) for reading in heard(1.03)]  # names, and the clock
+        assert reader.names == (BODY,)
+        (clock,) = told
+        assert isinstance(clock, Exchange) and clock.sent_s == pytest.approx(1.03)
+        assert clock.server_s == pytest.approx(101.53, abs=1e-7)
         server.covered = True
         server.turn(1.05, [(np.array([1.51]), np.array([1.04]), row)])
         assert server.sent == 1

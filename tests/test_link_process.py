@@ -1,4 +1,6 @@
-"""The link process without its processes: what its one thread does with a disk that is full and with orders after a stall."""
+"""The link process without its processes: what its one thread does with a disk that is full and with orders after a
+stall.
+"""
 
 from __future__ import annotations
 

@@ -25,12 +25,14 @@ sent, texts, floats, mode, armed, flying, now = {}, {}, {}, 4, true, true, 0
 parameters = {SCR_USER1 = 0, SCR_USER2 = 4.0, SCR_USER3 = 3.0, SCR_USER4 = -0.5, SCR_USER5 = -0.8}
 local V = {}
 V.__index = V
-for _, k in ipairs({"x", "y", "z"}) do V[k] = function(self, v) if v then self["_" .. k] = v end return self["_" .. k] end end
+for _, k in ipairs({"x", "y", "z"}) do V[k] = function(self, v) if v then self["_" .. k] = v end return self["_" .. k] \
+end end
 function Vector3f() return setmetatable({}, V) end
 function millis() return {tofloat = function() return now end} end
 vehicle = {get_mode = function() return mode end, get_likely_flying = function() return flying end,
   set_target_posvelaccel_NED = function(_, p, v, a, use_yaw, yaw, use_rate, rate)
-    sent[#sent + 1] = {now, p:x(), p:y(), p:z(), v:x(), v:y(), v:z(), a:x(), a:y(), a:z(), math.rad(yaw), math.rad(rate)}
+    sent[#sent + 1] = {now, p:x(), p:y(), p:z(), v:x(), v:y(), v:z(), a:x(), a:y(), a:z(), math.rad(yaw), \
+math.rad(rate)}
     return true end}
 arming = {is_armed = function() return armed end}
 param = {get = function(_, name) return parameters[name] end}

@@ -1,4 +1,6 @@
-"""Clock fits with planted drift, offset, jitter and quantisation; parameters' two encodings; conversations' patience."""
+"""Clock fits with planted drift, offset, jitter and quantisation; parameters' two encodings; conversations'
+patience.
+"""
 
 from __future__ import annotations
 

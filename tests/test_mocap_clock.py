@@ -1,7 +1,8 @@
 """A motion-capture server's clock on ours: within its error bar, drift followed, steps found; no packet moves it."""
 
 # pyright: reportOptionalMemberAccess=false, reportOptionalSubscript=false, reportOptionalOperand=false
-# pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportOperatorIssue=false
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false,
+# reportOperatorIssue=false
 from __future__ import annotations
 
 import re

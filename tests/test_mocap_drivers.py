@@ -1,7 +1,8 @@
 """What every motion-capture driver promises, each against a server that speaks the real wire format on loopback."""
 
 # pyright: reportOptionalMemberAccess=false, reportOptionalSubscript=false, reportOptionalOperand=false
-# pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportOperatorIssue=false
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false,
+# reportOperatorIssue=false
 from __future__ import annotations
 
 import subprocess
@@ -59,7 +60,9 @@ class DriverContract:
     options: ClassVar[dict[str, object]] = {}
     hides = True
     stamp_error_s = 0.004
-    """How far stamps may lie from the exposures on a busy machine; the untold processing of some systems is 1 ms off here."""
+    """How far stamps may lie from the exposures on a busy machine; the untold processing of some systems is 1 ms off
+    here.
+    """
 
     @pytest.fixture
     def server(self):

@@ -1,4 +1,6 @@
-"""Looking at an installation: what is wrong with a body is named, what answers is found, what keeps the clock is read."""
+"""Looking at an installation: what is wrong with a body is named, what answers is found, what keeps the clock is
+read.
+"""
 
 # pyright: reportOptionalMemberAccess=false, reportOptionalSubscript=false, reportArgumentType=false
 # pyright: reportGeneralTypeIssues=false, reportOptionalOperand=false

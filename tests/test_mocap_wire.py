@@ -1,7 +1,8 @@
 """Bytes of motion-capture servers: whatever comes, no reader raises; the makers' own clients understand our servers."""
 
 # pyright: reportOptionalMemberAccess=false, reportOptionalSubscript=false, reportOptionalOperand=false
-# pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false, reportOperatorIssue=false
+# pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false,
+# reportOperatorIssue=false
 from __future__ import annotations
 
 import asyncio

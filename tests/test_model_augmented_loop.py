@@ -10,9 +10,11 @@ import pytest
 
 from groundstation.frames import quat_from_euler, quat_rotate
 from groundstation.model.closed_loop import STEP_S, simulate_closed_loop
-from groundstation.model.prediction import FlightStates, declared_model, predict
+from groundstation.model.flight_states import FlightStates
+from groundstation.model.prediction import predict
 from groundstation.model.rotors import motor_input
 from groundstation.model.signals import Signals
+from groundstation.model.vehicle_model import declared_model
 from groundstation.paths import find_config
 from groundstation.planning import paper_plan
 from groundstation.vehicle import load_vehicle
@@ -62,7 +64,9 @@ def test_drag_moves_the_path_and_an_effect_of_nothing_does_not(flown):
 
 
 def test_rates_are_predicted_without_poses():
-    """Rotors that turn the vehicle with a steady torque, and a gyro that saw it; position, velocity and attitude unknown."""
+    """Rotors that turn the vehicle with a steady torque, and a gyro that saw it; position, velocity and attitude
+    unknown.
+    """
     vehicle = load_vehicle(find_config("vehicles", "qball2"))
     t = np.arange(0.0, 2.0, 0.005)
     torque, rate = 0.05, np.zeros((len(t), 3))

@@ -1,5 +1,5 @@
-"""What turns a vehicle beside its model, carried on: told from the past alone, worth what its covariance says, and no harm where
-there is nothing to carry.
+"""What turns a vehicle beside its model, carried on: told from the past alone, worth what its covariance says, and no
+harm where there is nothing to carry.
 """
 
 from __future__ import annotations
@@ -13,8 +13,10 @@ from scipy.signal import lfilter
 
 from groundstation.errors import BadInput
 from groundstation.model.disturbance import TurningDisturbance, carried, gains, pooled, turning
-from groundstation.model.prediction import FlightStates, declared_model, predict
+from groundstation.model.flight_states import FlightStates
+from groundstation.model.prediction import predict
 from groundstation.model.rotors import motor_input
+from groundstation.model.vehicle_model import declared_model
 from groundstation.paths import find_config
 from groundstation.vehicle import load_vehicle
 
@@ -42,7 +44,9 @@ def integrated(values: np.ndarray) -> np.ndarray:
 
 
 def hovering(generator: np.random.Generator, pushed: np.ndarray, balanced: np.ndarray) -> FlightStates:
-    """A vehicle of equal moments (rates do not couple) that d turns, with rotors that hold it up and balance some of d, and a gyro; nothing else is known of its motion."""
+    """A vehicle of equal moments (rates do not couple) that d turns, with rotors that hold it up and balance some of d,
+    and a gyro; nothing else is known of its motion.
+    """
     vehicle = load_vehicle(find_config("vehicles", "qball2"))
     moments = vehicle.inertia_kg_m2.model_copy(update=dict.fromkeys(("xx", "yy", "zz"), vehicle.inertia_kg_m2.xx))
     vehicle = vehicle.model_copy(update={"inertia_kg_m2": moments})
@@ -62,7 +66,9 @@ def rate_error(model, states: FlightStates, horizon_s: float) -> float:
 
 
 def test_a_disturbance_is_told_and_carried_on_as_well_as_its_process_allows():
-    """Conditional on d(0), omega(h) - omega(0) has the variance s^2 tau (2 h - 3 tau + 4 tau e - tau e^2), e = exp(-h/tau)."""
+    """Conditional on d(0), omega(h) - omega(0) has the variance s^2 tau (2 h - 3 tau + 4 tau e - tau e^2), e =
+    exp(-h/tau).
+    """
     generator = np.random.default_rng(21)
     pushed = ornstein_uhlenbeck(generator, 20_000, SIZE, MEMORY_S)
     states = hovering(generator, pushed, np.zeros_like(pushed))
@@ -99,7 +105,9 @@ def test_the_filter_says_how_sure_it_is():
 
 
 def test_a_vehicle_that_is_held_is_predicted_to_keep_turning_back():
-    """Rotors that answer d at once but for its fast part: an open loop drifts away with the answers, the flight did not."""
+    """Rotors that answer d at once but for its fast part: an open loop drifts away with the answers, the flight did
+    not.
+    """
     generator = np.random.default_rng(24)
     pushed = ornstein_uhlenbeck(generator, 20_000, SIZE, MEMORY_S)
     seen = lfilter([0.05], [1.0, -0.95], pushed, axis=0)
@@ -114,7 +122,9 @@ def test_a_vehicle_that_is_held_is_predicted_to_keep_turning_back():
 
 
 def test_a_model_that_knows_its_vehicle_is_left_alone():
-    """With a disturbance a thousand times smaller than the rates, what the rates are like on average takes nothing off."""
+    """With a disturbance a thousand times smaller than the rates, what the rates are like on average takes nothing
+    off.
+    """
     covariance = np.zeros((3, 2, 2))
     quiet = replace(NOISE, acceleration_rad_s2=alike(1e-3), turning_rad_s=alike(0.3))
     assert np.abs(gains(quiet, covariance, 0.005, 100).sum(axis=0)).max() < 1e-4

@@ -1,4 +1,6 @@
-"""One table of the fit's parameters: what it holds, who reads it, and that a new one is an entry and its sensitivity."""
+"""One table of the fit's parameters: what it holds, who reads it, and that a new one is an entry and its
+sensitivity.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.golden import simulated
 from groundstation.diagnosis.effect import catalogue
 from groundstation.identification import sensitivities
-from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import Prepared, prepare
 from groundstation.identification.record_model import RecordModel
 from groundstation.model import parameters
@@ -23,6 +24,7 @@ from groundstation.reporting.units import label
 from groundstation.trajectory import load_plan, plan_from_dict, plan_to_dict
 from groundstation.vehicle import Vehicle
 from sim.scenario import scenario_from_dict
+from studies.golden import simulated
 
 ALL = FitOptions(accel_delay=True, channels=(0, 1, 2, 3, 4, 5))
 

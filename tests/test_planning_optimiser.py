@@ -1,4 +1,6 @@
-"""Plans keep their promises: every limit, rest at both ends, the paper's figures and better, exact derivatives, refusals."""
+"""Plans keep their promises: every limit, rest at both ends, the paper's figures and better, exact derivatives,
+refusals.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Multisines are orthogonal and flat, sweeps sweep, everything rests at its ends and keeps the limits; the table is fair."""
+"""Multisines are orthogonal and flat, sweeps sweep, everything rests at its ends and keeps the limits; the table is
+fair.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The prediction model: its dynamics against the physical one's, its document, its fit, and the choice between it and simpler ones."""
+"""The prediction model: its dynamics against the physical one's, its document, its fit, and the choice between it and
+simpler ones.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,8 @@ import pytest
 from groundstation.errors import BadInput
 from groundstation.identification.predictive_choice import chosen_predictor, section
 from groundstation.identification.predictive_fit import fitted, free_numbers, judged, shooting
-from groundstation.model.prediction import FlightStates, VehicleModel, declared_model, predict
+from groundstation.model.flight_states import FlightStates
+from groundstation.model.prediction import predict
 from groundstation.model.predictive import (
     NAMES,
     NUMBERS,
@@ -23,6 +26,7 @@ from groundstation.model.predictive import (
     windows,
 )
 from groundstation.model.rotors import motor_input
+from groundstation.model.vehicle_model import VehicleModel, declared_model
 from groundstation.vehicle import Vehicle, vehicle_from_dict
 
 SEED = 20261129
@@ -91,8 +95,18 @@ def plain(model: VehicleModel) -> PredictiveModel:
 def bad_telemetry() -> PredictiveModel:
     """A vehicle that is damped, and whose recorded torque is worth a third of what it says."""
     model = plain(declared_model(small()))
-    values = {"torque_gain_x": 0.3, "torque_gain_y": 0.3, "torque_gain_z": 0.4, "damping_x_1_s": 9.0, "damping_y_1_s": 9.0,
-              "damping_z_1_s": 7.0, "drag_x_1_s": 0.7, "drag_y_1_s": 0.6, "flapping_x_rad_s_m": 4.0, "flapping_y_rad_s_m": 4.0}  # fmt: skip
+    values = {
+        "torque_gain_x": 0.3,
+        "torque_gain_y": 0.3,
+        "torque_gain_z": 0.4,
+        "damping_x_1_s": 9.0,
+        "damping_y_1_s": 9.0,
+        "damping_z_1_s": 7.0,
+        "drag_x_1_s": 0.7,
+        "drag_y_1_s": 0.6,
+        "flapping_x_rad_s_m": 4.0,
+        "flapping_y_rad_s_m": 4.0,
+    }
     return model.with_values(tuple(values), np.array(list(values.values())))
 
 

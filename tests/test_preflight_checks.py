@@ -48,8 +48,23 @@ def test_a_vehicle_that_is_ready_passes_everything(ready):
     assert failures(checks) == ""
     names = [c.name for c in checks]
     assert len(names) == len(set(names))
-    assert {"link", "streams", "arming", "disarmed", "estimate", "clock", "battery", "log", "disk", "poses", "plan", "room",
-            "vibration", "oscillation", "COM_OBL_RC_ACT"} <= set(names)  # fmt: skip
+    assert {
+        "link",
+        "streams",
+        "arming",
+        "disarmed",
+        "estimate",
+        "clock",
+        "battery",
+        "log",
+        "disk",
+        "poses",
+        "plan",
+        "room",
+        "vibration",
+        "oscillation",
+        "COM_OBL_RC_ACT",
+    } <= set(names)
     assert all(c.reason for c in checks)
 
 
@@ -132,7 +147,9 @@ def test_force_answers_for_the_named_check_alone(ready):
 
 
 def test_a_trajectory_the_autopilot_would_smooth_is_refused_and_the_limit_named():
-    """Seen on ArduCopter's firmware: at its default jerk limit of 5 m/s^3 it flew another path, 0.65 m off after 3 s."""
+    """Seen on ArduCopter's firmware: at its default jerk limit of 5 m/s^3 it flew another path, 0.65 m off after 3
+    s.
+    """
     rig = Rig("arducopter")
     rig.prepare()
     quick = small_plan(base_frequency_rad_s=6.2832, periods=10.0)  # jerk of 0.3 m/s * (6.28 rad/s)^2 = 11.8 m/s^3

@@ -1,4 +1,6 @@
-"""Nothing unphysical or unrevealed is published: bounds by geometry, hidden numbers, verdicts, predictions that are numbers."""
+"""Nothing unphysical or unrevealed is published: bounds by geometry, hidden numbers, verdicts, predictions that are
+numbers.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ from groundstation.diagnosis.results import Diagnosis
 from groundstation.errors import Refused
 from groundstation.identification.physical_limits import inside_polygon, outside
 from groundstation.identification.results import Estimate
-from groundstation.model.prediction import declared_model, model_from_document, predict
+from groundstation.model.prediction import predict
+from groundstation.model.vehicle_model import declared_model, model_from_document
 from groundstation.paths import find_config
 from groundstation.vehicle import Vehicle, load_vehicle
 

@@ -1,4 +1,6 @@
-"""One truth flight as usd logs, ROS 2 bags and blackbox logs of any wiring: the same identification, or a refusal with the cause."""
+"""One truth flight as usd logs, ROS 2 bags and blackbox logs of any wiring: the same identification, or a refusal with
+the cause.
+"""
 
 from __future__ import annotations
 
@@ -116,7 +118,9 @@ def write_bag(path, made, rng):
 
 
 def write_blackbox(path, made, rng, motors=None):
-    """Fields in any order, any scale of gyro and accelerometer, any number of poles; pulses beside the electrical speeds."""
+    """Fields in any order, any scale of gyro and accelerometer, any number of poles; pulses beside the electrical
+    speeds.
+    """
     poles, g, scale = (
         rng.choice((12, 14, 22, 28)),
         rng.choice((512, 2048, 4096)),
@@ -154,7 +158,10 @@ WRITERS = {"log00": write_usd, "bag": write_bag, "a.bbl": write_blackbox}
 @settings(max_examples=8, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10**6), order=st.permutations(range(4)))
 def test_any_wiring_scale_and_order_gives_the_same_streams(tmp_path_factory, made, name, seed, order):
-    """A usd log and a bag say nothing of places: their motor i is rotor i. Betaflight's order is known, whatever the file's is."""
+    """A usd log and a bag say nothing of places: their motor i is rotor i.
+
+    Betaflight's order is known, whatever the file's is.
+    """
     short = replace(made, imu=made.imu.select(slice(0, 60)), motors=made.motors.select(slice(0, 60)))
     vehicle = rewired(made.vehicle, order) if name == "a.bbl" else made.vehicle
     path = WRITERS[name](tmp_path_factory.mktemp("log") / name, short, random.Random(seed))

@@ -1,4 +1,6 @@
-"""Logs of PX4 and ArduPilot: planted flights come back in this program's frames, order and units; measured ones obey physics."""
+"""Logs of PX4 and ArduPilot: planted flights come back in this program's frames, order and units; measured ones obey
+physics.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +11,7 @@ import numpy as np
 import pytest
 
 from groundstation.errors import BadInput
+from groundstation.flightdata import resampled
 from groundstation.frames import matrix_from_quat, quat_rotate
 from groundstation.paths import configs_dir
 from groundstation.recording import convert, load_flight
@@ -22,7 +25,8 @@ from tests.recording_flight import changes_agree, flight
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured flights are not at {DATA}")
 
-# A quadrotor whose file lists its rotors in another order than the autopilot: rear left, front right, front left, rear right.
+# A quadrotor whose file lists its rotors in another order than the autopilot: rear left, front right, front left, rear
+# right.
 POSITIONS = [[-0.17, 0.17, 0.0], [0.17, -0.17, 0.0], [0.17, 0.17, 0.0], [-0.17, -0.17, 0.0]]
 MOTOR_OF_ROTOR = [1, 0, 2, 3]
 
@@ -320,12 +324,14 @@ def sih():
 
 @needs_data
 def test_the_px4_flight_obeys_newton_in_our_frames():
-    """Frames, signs, motor order and stamps at once: gravity and acceleration, attitude and gyro, rotors and rotation."""
+    """Frames, signs, motor order and stamps at once: gravity and acceleration, attitude and gyro, rotors and
+    rotation.
+    """
     vehicle = sih()
     flown = load_flight(DATA / "px4-sih" / "excitation.ulg", vehicle=vehicle, start_s=25.0, end_s=58.0)
     pose, imu = flown.mocap, flown.imu
     # Specific force in the world is the second derivative of position plus gravity, both over 0.2 s.
-    force = np.column_stack([np.interp(pose.t_s, imu.t_s, column) for column in _smooth(imu.values[:, 3:], 50).T])
+    force = resampled(pose.t_s, imu.t_s, _smooth(imu.values[:, 3:], 50))
     world = quat_rotate(pose.values[:, 3:], force) - [0.0, 0.0, 9.80665]
     step = 5
     second = (pose.values[2 * step :, :3] - 2 * pose.values[step:-step, :3] + pose.values[: -2 * step, :3]) / 0.1**2
@@ -335,7 +341,7 @@ def test_the_px4_flight_obeys_newton_in_our_frames():
         slope = np.sum(second[:, axis] * middle[:, axis]) / np.sum(middle[:, axis] ** 2)
         assert slope == pytest.approx(1.0, abs=0.15), axis
     turned = body_rates(pose.t_s, pose.values[:, 3:])
-    gyro = np.column_stack([np.interp(pose.t_s, imu.t_s, column) for column in _smooth(imu.values[:, :3], 10).T])
+    gyro = resampled(pose.t_s, imu.t_s, _smooth(imu.values[:, :3], 10))
     for axis in range(3):
         assert np.corrcoef(turned[:, axis], gyro[:, axis])[0, 1] > 0.9, axis
     assert min(changes_agree(flown, vehicle, 0.04, (0, 1, 2))) > 0.6

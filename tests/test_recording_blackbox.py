@@ -1,4 +1,6 @@
-"""Blackbox logs of Betaflight and INAV: each encoding by the format's own documentation, and a flight planted in a log."""
+"""Blackbox logs of Betaflight and INAV: each encoding by the format's own documentation, and a flight planted in a
+log.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,9 @@ def rows(encoding, data, count, predictor=0, last=None):
     frames = [("I", data)] if last is None else [("I", b"".join(map(signed, last))), ("P", data)]
     kinds = {"I": [encoding] * count if last is None else [0] * count, "P": [encoding] * count}
     steps = {"I": [predictor if last is None else 0] * count, "P": [predictor] * count}
-    (found,) = decode_blackbox(log(frames, names, kinds, steps, {"minthrottle": "1070", "motorOutput": "158,2047"}))
+    (found,) = decode_blackbox(
+        np.frombuffer(log(frames, names, kinds, steps, {"minthrottle": "1070", "motorOutput": "158,2047"}), np.uint8)
+    )
     assert found.damaged == 0
     assert found.ended
     return found.rows[-1].tolist()
@@ -205,7 +209,9 @@ def test_values_beyond_the_headers_range_are_refused(tmp_path):
 
 
 def test_inavs_own_estimate_is_the_state(tmp_path):
-    """North 2 m, east 1 m, up 3 m, moving east; rolled right, nose up, heading north-east: in our frames y is west and yaw counter-clockwise."""
+    """North 2 m, east 1 m, up 3 m, moving east; rolled right, nose up, heading north-east: in our frames y is west and
+    yaw counter-clockwise.
+    """
     names = [*NAMES[:13], *(f"{stem}[{i}]" for stem in ("attitude", "navPos", "navVel") for i in range(3))]
     row = [0, 0, 90, -45, 30, 0, 0, 2048, 1580, 1100, 1200, 1300, 1400, 100, -50, 450, 200, 100, 300, 0, 150, -20]
     frames = [("I", b"".join(map(signed, [k, 1000 * k, *row[2:]]))) for k in range(200)]

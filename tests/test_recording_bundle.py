@@ -35,7 +35,9 @@ def bundle(pristine, tmp_path):
 
 
 def edit(path, change):
-    """Rewrite a CSV file row by row: ``change(row number from 0, dict)`` returns the dict to write, or None to drop it."""
+    """Rewrite a CSV file row by row: ``change(row number from 0, dict)`` returns the dict to write, or None to drop
+    it.
+    """
     head, *lines = path.read_text().splitlines()
     names = head.split(",")
     rows = [change(k, dict(zip(names, line.split(","), strict=True))) for k, line in enumerate(lines)]
@@ -135,7 +137,9 @@ def test_a_sound_flight_is_read_without_a_word_and_unchanged(pristine):
 
 @pytest.mark.parametrize("scale", [0.3, 1.5, 2.0])
 def test_a_legitimate_flight_is_never_refused_slow_or_fast(tmp_path, scale):
-    """At twice its speed the trajectory turns at 3.4 rad/s and its rotors nearly stop: a lively flight is no blemish."""
+    """At twice its speed the trajectory turns at 3.4 rad/s and its rotors nearly stop: a lively flight is no
+    blemish.
+    """
     made = flight(scale=scale)
     loaded = load_flight(write_bundle(made, tmp_path / "b"))
     assert loaded.notes == ()

@@ -54,6 +54,19 @@ def test_a_late_and_lossy_line_hides_no_computed_speed(late, lost):
     assert gain == pytest.approx(628.3185, rel=1e-4)
 
 
+def test_speeds_that_are_told_as_zero_in_flight_are_no_measurement():
+    """ArduPilot's simulator tells 0 rpm of its own frames; one ESC without a sensor does the same."""
+    u = commands()
+    for still in ([0, 1, 2, 3], [2]):
+        told = 600.0 * u.values
+        told[:, still] = 0.0
+        found = commands_behind(speeds(u.t_s[::4], told[::4]), u)
+        assert found is not None and found[0] is u
+        assert f"no speed of rotor {', '.join(str(i + 1) for i in still)} while it is driven" in found[1]
+    on_the_ground = Stream(u.t_s, 0.0 * u.values, u.columns)
+    assert commands_behind(speeds(u.t_s, 0.0 * u.values), on_the_ground) is None
+
+
 @pytest.mark.parametrize("lag_s", [0.005, 0.0125, 0.07])
 def test_a_rotor_that_lags_is_measured(lag_s):
     u = commands()

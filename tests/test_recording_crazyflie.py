@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from groundstation.errors import BadInput
-from groundstation.frames import quat_rotate
+from groundstation.frames import quat_rotate, slerp
 from groundstation.paths import configs_dir
 from groundstation.recording import load_flight, read_recording
-from groundstation.recording.derive import body_rates, slerp
+from groundstation.recording.derive import body_rates
 from groundstation.vehicle import load_vehicle
 from tests.recording_flight import changes_agree, flight
 from tests.test_recording_autopilots import same_attitude
@@ -147,7 +147,7 @@ def test_rates_from_attitude_are_exact_for_a_constant_rate():
     at = np.linspace(t[0], t[-1], 33)
     angle = np.linalg.norm(rate) * at
     truth = np.column_stack([np.cos(angle / 2), np.sin(angle / 2)[:, None] * rate / np.linalg.norm(rate)])
-    assert same_attitude(slerp(t, q, at), truth, 1e-6)
+    assert same_attitude(slerp(at, t, q), truth, 1e-6)
 
 
 @needs_data
@@ -248,7 +248,9 @@ def test_a_usd_log_of_a_version_to_come_is_named(tmp_path, crazyflie):
 def test_any_split_of_the_variables_into_events_gives_the_same_streams(
     tmp_path_factory, crazyflie, split, order, millivolts, version
 ):
-    """IMU, motors and pwm in up to three events of one clock, the variables in any order, the voltage in either unit."""
+    """IMU, motors and pwm in up to three events of one clock, the variables in any order, the voltage in either
+    unit.
+    """
     t = np.arange(0, 200_000, 1000)
     wave = np.sin(np.arange(10)[:, None] + t / 3e4)
     names = [*(f"acc.{a}" for a in "xyz"), *(f"gyro.{a}" for a in "xyz"), *(f"motor.m{i}" for i in range(1, 5))]

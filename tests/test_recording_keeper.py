@@ -1,4 +1,6 @@
-"""A recording is written through, and its folder's end is noticed within a second and told; nothing that records waits."""
+"""A recording is written through, and its folder's end is noticed within a second and told; nothing that records
+waits.
+"""
 
 from __future__ import annotations
 

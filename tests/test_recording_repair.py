@@ -170,7 +170,9 @@ def test_39_percent_frozen_poses_pass_and_60_percent_are_refused(made):
 
 
 def test_a_noise_free_vehicle_at_rest_is_not_frozen(made):
-    """Ideal poses repeat while the vehicle stands and creep away as it starts: most of the stream, and all of it sound."""
+    """Ideal poses repeat while the vehicle stands and creep away as it starts: most of the stream, and all of it
+    sound.
+    """
     stream = made.mocap
     t = stream.t_s - stream.t_s[0]
     height = np.where(t > 4.0, 0.5 * 0.3 * (t - 4.0) ** 2, 0.0)
@@ -355,6 +357,15 @@ def test_kept_stamps_increase_and_no_longer_selection_does(values):
     for i in range(len(values)):
         best[i] = 1 + max((best[j] for j in range(i) if values[j] < values[i]), default=0)
     assert len(keep) == max(best)
+
+
+@given(st.integers(0, 10), st.integers(0, 10), st.floats(10.0, 1e6))
+def test_up_to_a_hundredth_of_strays_at_either_end_is_left_out(first, last, far):
+    body = np.arange(1000.0 - first - last)
+    before, after = -far * 1000.0 + np.arange(first), far**2 * 1e5 + np.arange(last)
+    kept = blemishes._without_strays(np.concatenate([before, body, after]), np.ones(1000, dtype=bool))
+    assert kept[first : 1000 - last].all() and not kept[1000 - last :].any()
+    assert not kept[:first].any() or last > 0  # strays at the other end make the rest look long
 
 
 @settings(max_examples=25, deadline=None)

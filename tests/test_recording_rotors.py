@@ -1,4 +1,6 @@
-"""Six rotors: the shipped hexacopter in the planner, the simulator, both emulated autopilots' logs and the regressors."""
+"""Six rotors: the shipped hexacopter in the planner, the simulator, both emulated autopilots' logs and the
+regressors.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ def test_a_wrench_is_shared_by_six_rotors_and_comes_back(hexa):
 
 
 def flown(count, weak=None):
-    """The kinematic flight with its wrench shared by any number of rotors in a ring; one may give less thrust than declared."""
+    """The kinematic flight with its wrench shared by any number of rotors in a ring; one may give less thrust than
+    declared.
+    """
     made = flight(12.0, scale=1.5)
     angle = 2.0 * np.pi * (np.arange(count) + 0.5) / count
     document = vehicle_to_dict(made.vehicle)

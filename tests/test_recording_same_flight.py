@@ -111,7 +111,9 @@ def dataflash(path, made, order):
 
 
 PLUS = [3, 2, 0, 1]
-"""Rotors of the shipped QBall 2 (ahead, behind, left, right) as ArduPilot's motors of a quad plus: right, left, ahead, behind."""
+"""Rotors of the shipped QBall 2 (ahead, behind, left, right) as ArduPilot's motors of a quad plus: right, left, ahead,
+behind.
+"""
 
 
 def agree(flown, known):
@@ -131,7 +133,9 @@ def test_the_same_flight_from_an_ardupilot_log(tmp_path, made, known):
 
 
 def test_gaps_of_a_px4_log_are_left_out_of_the_fit(tmp_path, made, known):
-    """Three gaps of 0.4 to 0.6 s, in motors and IMU alike, as a slow card leaves them: told, left out, intervals hold."""
+    """Three gaps of 0.4 to 0.6 s, in motors and IMU alike, as a slow card leaves them: told, left out, intervals
+    hold.
+    """
     start = made.motors.t_s[0]
     gaps = [(start + 2.0, start + 2.5), (start + 5.0, start + 5.6), (start + 8.5, start + 8.9)]
     ulog(tmp_path / "a.ulg", made, (0, 1, 2, 3), gaps)

@@ -41,7 +41,9 @@ HINTS = ("willReadFrequently", "GL Driver Message")
 
 
 def opened(report: Path, profile: Path) -> tuple[str, list[str], list[str]]:
-    """The page as it stands after its scripts ran, what the console said, and the hosts that were asked for something."""
+    """The page as it stands after its scripts ran, what the console said, and the hosts that were asked for
+    something.
+    """
     net_log = profile / "net.json"
     command = [
         str(CHROMIUM),
@@ -131,12 +133,15 @@ ZOOMED = """(async () => {
   await Plotly.relayout(timed[0], { "xaxis.range": [11, 12] });
   await new Promise((r) => setTimeout(r, 500));
   const scene = document.querySelector('[data-title^="Turn about the vertical"]');
-  return { timed: timed.length, ranges: timed.map((p) => p.layout.xaxis.range.map(Math.round).join()), turns: scene !== null };
+  return { timed: timed.length, ranges: timed.map((p) => p.layout.xaxis.range.map(Math.round).join()), turns: scene \
+!== null };
 })()"""
 
 
 async def all_drawn(page: browser.Page, address: str) -> int:
-    """Open a page with every section open, and wait until every figure is drawn, without scrolling; how many there are."""
+    """Open a page with every section open, and wait until every figure is drawn, without scrolling; how many there
+    are.
+    """
     await page.open(f"{address}#all")
     for _ in range(1200):
         told = await page.value_of("document.documentElement?.dataset.drawn || '0/1'")
@@ -156,14 +161,28 @@ async def test_all_is_drawn_without_scrolling_figures_over_time_zoom_together_an
     assert shown["turns"]
 
 
-async def test_tables_copy_and_sections_fold(tmp_path):
+SCREENS = ((400, 800), (1000, 800), (1600, 900))
+
+
+async def first_screen(page: browser.Page, width: int, height: int) -> float:
+    """Where the lower of verdict (with the next step) and tiles ends, in pixels from the top."""
+    await page.ask(
+        "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 500
+    )
+    ends = "[...document.querySelectorAll('.verdict, .cards')].map((e) => e.getBoundingClientRect().bottom)"
+    return await page.value_of(f"scrollTo(0, 0), Math.max(...{ends})")
+
+
+async def test_tables_copy_sections_fold_and_the_first_screen_holds_verdict_and_tiles(tmp_path):
     report = write_report(tmp_path / "report.html", fixture.flight(), fixture.identification(), fixture.diagnosis())
     async with browser.page(tmp_path / "profile") as page:
         await page.open(report.as_uri())
         await page.value_of(
             "new Promise((r) => document.readyState === 'complete' ? r() : addEventListener('load', r))"
         )
+        lowest = [await first_screen(page, *size) for size in SCREENS]
         shown = await page.value_of(SHOWN)
+    assert all(bottom <= height for bottom, (_, height) in zip(lowest, SCREENS, strict=True)), lowest
     tsv, latex = shown["copied"]
     assert "\t" in tsv and len({line.count("\t") for line in tsv.strip().splitlines()}) == 1
     assert latex.startswith("\\begin{tabular}{lr") and latex.count("\\hline") == 3 and "±" not in latex
@@ -178,7 +197,9 @@ def test_each_figure_offers_svg_png_and_csv(page):
 
 @pytest.mark.skipif(axe_source() is None, reason=ABSENT)
 async def test_axe_finds_nothing_serious_in_a_report_or_a_comparison(tmp_path):
-    """Contrast, landmarks, names, order of headings: with every section open and every figure drawn, in light and dark."""
+    """Contrast, landmarks, names, order of headings: with every section open and every figure drawn, in light and
+    dark.
+    """
     source = axe_source()
     assert source is not None
     report = write_report(tmp_path / "report.html", fixture.flight(), fixture.identification(), fixture.diagnosis())

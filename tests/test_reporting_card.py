@@ -37,11 +37,15 @@ def test_a_flight_that_is_explained_says_yes_mass_change_and_what_to_do():
             "with care.*force z.*widened",
         ),
         ({}, FOUND | {"adopted": False}, "with care.*worse"),
-        ({}, FOUND | {"findings": [WEAK | {"alternatives": ["com_offset"]}]}, "with care.*com offset instead of weak rotor"),
+        (
+            {},
+            FOUND | {"findings": [WEAK | {"alternatives": ["com_offset"]}]},
+            "with care.*com offset instead of weak rotor",
+        ),
         ({}, FOUND | {"findings": [WEAK | {"confidence": 0.7}]}, "with care.*chance"),
         ({"not_identifiable": ["ixx_kg_m2"]}, FOUND, "not all.*Ixx"),
     ],
-)  # fmt: skip
+)
 def test_each_reason_against_the_numbers_is_said_first(identification, diagnosis, said):
     document = identification if said.startswith("no. This") else IDENTIFIED | identification
     card = landing_card(document, diagnosis, DECLARED)

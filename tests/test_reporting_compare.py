@@ -8,12 +8,16 @@ import re
 import pytest
 from test_cli_commands import groundstation
 
+from groundstation import api
 from groundstation.errors import BadInput, NotIdentifiable
+from groundstation.fleet.catalogue import Catalogue
+from groundstation.fleet.report import compare as catalogue_compare
+from groundstation.fleet.rows import set_notes
 from groundstation.identification.results import Estimate
 from groundstation.reporting.canonical import canonical
 from groundstation.reporting.compare import cell, change, comparison_rows, read_flown, summary, write_comparison
 from groundstation.reporting.report import write_report
-from groundstation.reporting.units import interval_text, scale_for
+from groundstation.reporting.units import interval_text, label, scale_for, significant
 from tests import reporting_fixture as fixture
 
 
@@ -33,6 +37,60 @@ def test_a_difference_beyond_the_intervals_is_named_and_one_within_is_not(tmp_pa
     assert summary(flights[:2]) == f"From a to b these differ beyond their intervals: mass {rows['mass'][-2]}."
     assert summary([flights[0], flights[0]]).startswith("Nothing differs")
     assert len(comparison_rows(flights)[0]) == 3 + 2 + 2
+
+
+def _moved(folder, name, steps):
+    """The same flight with one parameter moved by some of its standard deviations."""
+    path = folder / "identification.json"
+    document = json.loads(path.read_text())
+    entry = document["estimate"]["parameters"][name]
+    entry |= {"value": entry["value"] + steps * entry["std"], "ci95": [b + steps * entry["std"] for b in entry["ci95"]]}
+    path.write_text(json.dumps(document))
+    return folder
+
+
+def test_the_api_compares_two_flights_as_the_command_does(tmp_path):
+    a = fixture.written(tmp_path / "a")
+    b = _moved(fixture.written(tmp_path / "b"), "mass_kg", 10.0)
+    found = api.compare(a, b)
+    assert found.summary == summary([read_flown(a), read_flown(b)])
+    rows = {row[0]: row for row in comparison_rows([read_flown(a), read_flown(b)])}
+    told = {label(name): row for name, row in found.parameters.items()}
+    assert set(told) == set(rows)
+    for name, row in told.items():
+        assert rows[name][-1] == f"{'differs' if row.differs else 'agrees'} ({significant(abs(row.z), 2)} σ)"
+        assert rows[name][-2] == row.change
+    assert found.parameters["mass_kg"].differs and found.parameters["mass_kg"].z == pytest.approx(7.07, abs=0.01)
+    frame = found.to_frame()
+    assert frame.loc["mass_kg", "differs"] == "yes" and "mass_kg" in str(found)
+    assert found.to_dict()["parameters"]["mass_kg"]["z"] == found.parameters["mass_kg"].z
+
+
+def test_the_api_compares_two_groups_as_the_flights_list_does(tmp_path):
+    names = ("a1", "a2", "a3", "b1", "b2", "b3")
+    steps = (0, 1, -1, 60, 61, 59)
+    folders = [_moved(fixture.written(tmp_path / n), "mass_kg", s) for n, s in zip(names, steps, strict=True)]
+    for folder in folders:
+        set_notes(folder, add=(folder.name[0],))
+    found = api.compare(folders[:3], folders[3:])
+    listed = catalogue_compare(Catalogue(tmp_path), "a", "b")
+    for name, row in found.parameters.items():
+        difference, p = listed[name]
+        assert (row.size, row.std) == pytest.approx((difference.size, difference.std))
+        assert row.differs == (name == "mass_kg"), name
+        if len(listed) == len(found.parameters):
+            assert row.p == pytest.approx(p)
+    assert found.first == names[:3] and found.summary.startswith("From a1, a2, a3 to b1, b2, b3 these differ")
+
+
+def test_the_api_compares_results_in_memory_and_refuses_nothing_against_something(tmp_path):
+    folder = fixture.written(tmp_path / "a")
+    found = api.compare(fixture.identification(), folder)
+    assert not any(row.differs for row in found.parameters.values())
+    with pytest.raises(BadInput, match="a flight on each side"):
+        api.compare([], folder)
+    with pytest.raises(BadInput, match="has no identification"):
+        api.compare(tmp_path / "nowhere", folder)
 
 
 def test_no_share_of_what_may_as_well_be_zero():

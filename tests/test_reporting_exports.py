@@ -120,7 +120,9 @@ def test_mujoco_loads_mass_centre_tensor_and_wrench():
 
 
 def test_px4_flies_the_same_torque_in_its_own_axes():
-    """Turn SIH's FRD tensor, thrusts and torques back into FLU: angular acceleration must be that of our own numbers."""
+    """Turn SIH's FRD tensor, thrusts and torques back into FLU: angular acceleration must be that of our own
+    numbers.
+    """
     lines = [line.split("\t") for line in export(document(), "px4-sih").splitlines() if not line.startswith("#")]
     assert {(len(row), row[4]) for row in lines} == {(5, "9")}
     p = {row[2]: float(row[3]) for row in lines}
@@ -469,7 +471,9 @@ def test_pybullet_loads_mass_centre_and_tensor(tmp_path):
 
 
 def test_scipy_reads_the_mat_file_whole(tmp_path):
-    """The struct holds what the script says, the tensor with its products, and a deviation for each value; bytes are repeatable."""
+    """The struct holds what the script says, the tensor with its products, and a deviation for each value; bytes are
+    repeatable.
+    """
     from scipy.io import loadmat
 
     path = tmp_path / "vehicle.mat"
@@ -507,17 +511,60 @@ def test_crazyflie_parameters_have_the_form_that_cflib_stores(tmp_path):
     assert cflib.ParamFileManager.read(str(tmp_path / "p.yaml"))["ctrlLee.mass"].stored_value == pytest.approx(MASS)
 
 
-def test_ardupilot_gives_hover_and_full_thrust_as_its_frame_code_computes_them():
-    """SIM_Frame.cpp: full thrust is hover thrust / hoverThrOut; at command u it is that times (1 - e) u + e u^2."""
+def _ardupilot_wrench(frame: dict[str, Any], commands: np.ndarray, speed_m_s: float) -> np.ndarray:
+    """Force and torque (FRD) at an air speed along x, as SIM_Frame.cpp and SIM_Motor.cpp compute them at the reference
+    height.
+    """
+    rho, weight = 1.157, frame["mass"] * 9.80665
+    tilt = np.radians(frame["refAngle"])
+    drag_force, along = weight * np.tan(tilt), frame["refSpd"] * np.cos(tilt)
+    momentum = np.cos(tilt) * frame["mdrag_coef"] * along * np.sqrt(weight / np.cos(tilt) * rho * frame["disc_area"])
+    area_cd = max(0.0, drag_force - momentum) / (0.5 * rho * frame["refSpd"] ** 2)
+    e, force, torque = frame["propExpo"], np.zeros(3), np.zeros(3)
+    for i, pulse in enumerate(1000.0 + 1000.0 * commands, start=1):
+        low = frame["pwmMin"] + frame["spin_min"] * (frame["pwmMax"] - frame["pwmMin"])
+        high = frame["pwmMin"] + frame["spin_max"] * (frame["pwmMax"] - frame["pwmMin"])
+        u = (pulse - low) / (high - low)
+        thrust = weight / frame["num_motors"] / frame["hoverThrOut"] * ((1.0 - e) * u + e * u**2)
+        twist = np.array([0.0, 0.0, frame[f"motor{i}_yaw"] * u * 0.05 * frame["diagonal_size"] * thrust])
+        drag = (
+            frame["mdrag_coef"] * np.sqrt(rho * frame["disc_area"] / frame["num_motors"]) * speed_m_s * np.sqrt(thrust)
+        )
+        push = np.array([-drag, 0.0, -thrust])
+        force += push
+        torque += np.cross(frame[f"motor{i}_position"], push) + twist
+    return np.concatenate([force - [area_cd * 0.5 * rho * speed_m_s**2, 0.0, 0.0], torque])
+
+
+def test_ardupilot_gives_thrust_torque_and_drag_as_its_frame_code_computes_them():
     frame = json.loads(re.sub("#.*", "", export(document(), "ardupilot-sitl")))
     vehicle = x_frame()
-    hover, top = MASS * 9.80665 / 4.0, vehicle.rotor_thrust_max_n()
-    assert hover / frame["hoverThrOut"] == pytest.approx(top)
-    command, expo = 0.6, frame["propExpo"]
-    shaped = top * ((1.0 - expo) * command + expo * command**2)
-    assert shaped == pytest.approx(float(vehicle.thrust(command * (vehicle.rotors.speed_max_rad_s or 0.0))))
+    top_speed = vehicle.rotors.speed_max_rad_s or 0.0
+    hover = float(vehicle.motor_for_thrust(MASS * 9.80665 / 4.0)) / top_speed
+    commands = hover + np.array([0.02, -0.01, 0.015, -0.02])
+    thrust = vehicle.thrust(commands * top_speed)
+    wrench = _ardupilot_wrench(frame, commands, 0.0)
+    assert -wrench[2] == pytest.approx(thrust.sum())
+    arms = np.asarray(vehicle.rotors.position_m) - OFFSET
+    torque = np.cross(arms, np.outer(thrust, [0.0, 0.0, 1.0])).sum(axis=0)
+    np.testing.assert_allclose(wrench[3:5], [torque[0], -torque[1]])
+    reaction = vehicle.rotors.torque_to_thrust_m * np.asarray(vehicle.rotors.spin) @ thrust
+    assert wrench[5] == pytest.approx(reaction, rel=0.01), "slope matched at hover, curvature not"
+    assert _ardupilot_wrench(frame, np.full(4, hover), 2.0)[0] == pytest.approx(-0.3 * 2.0)
     np.testing.assert_allclose(frame["moment_inertia"], np.diag(TENSOR))
-    np.testing.assert_allclose(frame["motor1_position"], [0.16, 0.18, -0.01])
+    assert frame["refRotRate"] == 0.0, "no damping was found"
+
+
+def test_ardupilot_has_no_drag_where_none_was_found():
+    frame = json.loads(re.sub("#.*", "", export(model_document(planted(), x_frame()), "ardupilot-sitl")))
+    assert _ardupilot_wrench(frame, np.full(4, 0.7), 3.0)[0] == 0.0
+
+
+def test_sih_never_divides_by_a_lag_shorter_than_its_step():
+    """sih.cpp: u += dt / SIH_T_TAU (command - u), with dt of 5 ms at the most."""
+    without = replace(planted(), model={})
+    vehicle = x_frame(lag={"up_s": 0.0, "down_s": 0.0})
+    assert "SIH_T_TAU\t0.005\t" in export(model_document(without, vehicle), "px4-sih")
 
 
 def test_crazyflow_and_agilicious_give_each_rotor_its_torque():

@@ -1,4 +1,6 @@
-"""The report: one file that stands by itself, says what it must, in order, and lets no name from a log become markup."""
+"""The report: one file that stands by itself, says what it must, in order, and lets no name from a log become
+markup.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,10 @@ from groundstation.reporting.report import report_html, write_report
 from groundstation.vehicle import vehicle_from_dict, vehicle_to_dict
 from tests import reporting_fixture as fixture
 
-HOSTILE = """<script>document.documentElement.dataset.taken="1"</script><img src=x onerror="document.title='taken'">&"'</style>"""
+HOSTILE = (
+    """<script>document.documentElement.dataset.taken="1"</script>"""
+    """<img src=x onerror="document.title='taken'">&"'</style>"""
+)
 VOID = {"meta", "br", "hr", "link", "img", "input"}
 
 

@@ -1,4 +1,6 @@
-"""An identified model as a scenario: every effect finds a form, what is lost is said, and a flight in it shows it again."""
+"""An identified model as a scenario: every effect finds a form, what is lost is said, and a flight in it shows it
+again.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,6 @@ import numpy as np
 import pytest
 from flights import rest_to_rest_plan
 
-from benchmarks.flown import flight_data
 from groundstation.diagnosis.augmented import is_among, known_candidates
 from groundstation.diagnosis.effect import library
 from groundstation.paths import find_config
@@ -19,6 +20,7 @@ from sim.effects import Effects
 from sim.flight import simulate
 from sim.plant import Plant
 from sim.scenario import scenario_from_dict
+from studies.flown import flight_data
 
 SETTINGS = {"rotor": 2.0, "at_s": 20.0, "from_s": 20.0, "within_s": 1.0, "length_m": 0.7}
 SENSORS = {

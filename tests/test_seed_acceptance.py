@@ -1,9 +1,10 @@
-"""The four methods on simulated flights of the published trajectory: exact where nothing is hidden, honest where noise is."""
+"""The four methods on simulated flights of the published trajectory: exact where nothing is hidden, honest where noise
+is.
+"""
 
 import numpy as np
 import pytest
 
-from benchmarks.flown import flight_data
 from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.identification.seed import identify_seed
 from groundstation.paths import find_config
@@ -11,6 +12,7 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
 from sim.scenario import load_scenario
+from studies.flown import flight_data
 
 
 def fly(scenario, seed):
@@ -24,7 +26,9 @@ def fly(scenario, seed):
 
 
 def errors(flight, result):
-    """Mass error as a share, tensor errors as shares of the true trace, and all over their claimed standard deviation."""
+    """Mass error as a share, tensor errors as shares of the true trace, and all over their claimed standard
+    deviation.
+    """
     truth = flight.truth
     expected = np.array([truth.mass_kg, *truth.inertia_tensor()[np.triu_indices(3)]])
     got = np.array([result.parameters[name].value for name in MASS_AND_TENSOR])
@@ -44,7 +48,9 @@ def test_clean_flight_gives_mass_to_a_thousandth_and_the_tensor_to_half_a_percen
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_seed_scenario_is_off_by_what_the_intervals_say(seed):
-    """The seed's sensors, clock offset told: errors of a few claimed deviations, gradient descent worse than least squares."""
+    """The seed's sensors, clock offset told: errors of a few claimed deviations, gradient descent worse than least
+    squares.
+    """
     flight = fly("seed", seed)
     methods = identify_seed(flight, mocap_minus_imu_s=0.0125)
     for name, result in methods.items():

@@ -1,4 +1,6 @@
-"""Least squares and gradient descent: planted values, evolution, coloured intervals, refusal of what is not determined."""
+"""Least squares and gradient descent: planted values, evolution, coloured intervals, refusal of what is not
+determined.
+"""
 
 import numpy as np
 import pytest

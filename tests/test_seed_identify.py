@@ -10,9 +10,9 @@ from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import Stream
 from groundstation.identification.estimators import least_squares
 from groundstation.identification.filters import matched_pair, seed_pair
-from groundstation.identification.processing import process_flight
 from groundstation.identification.results import MASS_AND_TENSOR, OUTPUTS
 from groundstation.identification.seed import filtered_regression, identify_seed, seed_methods
+from groundstation.identification.seed_signals import process_flight
 from groundstation.paths import find_config
 from groundstation.trajectory import RestToRest
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict

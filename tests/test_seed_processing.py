@@ -10,15 +10,15 @@ from seed_exact import exact_flight, table_2, true_vehicle
 
 from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import STATE_COLUMNS, Stream
-from groundstation.frames import quat_exp, quat_from_euler, quat_multiply, quat_rotate
-from groundstation.identification.processing import (
+from groundstation.frames import quat_exp, quat_from_euler, quat_multiply, quat_rotate, slerp
+from groundstation.identification.seed_signals import (
+    Processing,
     differentiated_noise_gain,
-    excitation_window,
     interpolate,
     process_flight,
-    slerp,
     white_noise_std,
 )
+from groundstation.identification.streams import excitation_window
 from groundstation.identification.wrench import declared_wrench, held_mean
 from groundstation.paths import find_config
 from groundstation.trajectory import rigid_motion
@@ -54,7 +54,7 @@ def test_signals_are_those_of_the_motion(flight):
 
 def test_a_clock_offset_that_is_told_is_undone(declared, flight):
     shifted = exact_flight(declared, true_vehicle(declared), series=table_2(2.0), mocap_minus_imu_s=0.124)
-    a, b = process_flight(flight), process_flight(shifted, mocap_minus_imu_s=0.124)
+    a, b = process_flight(flight), process_flight(shifted, Processing(mocap_minus_imu_s=0.124))
     wrong = process_flight(shifted)
     early, late = np.searchsorted(a.t_s, 5.0), np.searchsorted(b.t_s, 5.0)
     n = 4000
@@ -138,7 +138,7 @@ def test_excluded_segments_and_gaps_are_not_used_nor_do_they_leak(flight):
     spoiled[bad] = 1e3
     keep = (flight.mocap.t_s < 14.0) | (flight.mocap.t_s > 14.5)
     holed = replace(flight, imu=Stream(flight.imu.t_s, spoiled, flight.imu.columns), mocap=flight.mocap.select(keep))
-    s = process_flight(holed, exclude=((10.0, 11.0),))
+    s = process_flight(holed, Processing(exclude=((10.0, 11.0),)))
     inside = (s.t_s > 10.0) & (s.t_s < 11.0) | (s.t_s > 14.05) & (s.t_s < 14.45)
     assert not s.used[inside].any()
     m = exact(s)

@@ -1,4 +1,6 @@
-"""The reproduction: the paper's numbers as printed, the flights as the paper flew them, and what the comparison finds."""
+"""The reproduction: the paper's numbers as printed, the flights as the paper flew them, and what the comparison
+finds.
+"""
 
 import subprocess
 import sys

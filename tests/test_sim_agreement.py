@@ -1,4 +1,6 @@
-"""The simulator and the analysis are written apart; here they are held against each other where theory makes them agree."""
+"""The simulator and the analysis are written apart; here they are held against each other where theory makes them
+agree.
+"""
 
 from __future__ import annotations
 

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sim_states import vehicle_of
 
-from benchmarks.flown import flight_data
 from groundstation import frames
 from groundstation.paths import find_config
 from groundstation.vehicle import RotorLag, load_vehicle, vehicle_from_dict, vehicle_to_dict
@@ -30,6 +29,7 @@ from sim.build import build_law
 from sim.feasibility import why_not
 from sim.flight import simulate
 from sim.scenario import ControlModel, MocapModel, Scenario, Truth, load_scenario
+from studies.flown import flight_data
 
 LAB = load_scenario(find_config("scenarios", "lab"))
 QBALL = load_vehicle(find_config("vehicles", "qball2"))

@@ -1,4 +1,6 @@
-"""Sensors of the simulated vehicle: rates, noise, clocks and losses are what the scenario says, and one seed is one flight."""
+"""Sensors of the simulated vehicle: rates, noise, clocks and losses are what the scenario says, and one seed is one
+flight.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Rotors that are tilted: six rows of force and torque from the vehicle file to the fit, the prediction and the exports."""
+"""Rotors that are tilted: six rows of force and torque from the vehicle file to the fit, the prediction and the
+exports.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.golden import simulated
 from groundstation import api
 from groundstation.errors import BadInput
 from groundstation.flightdata import Stream, motor_columns
@@ -22,6 +23,7 @@ from groundstation.paths import find_config
 from groundstation.planning.limits import envelope
 from groundstation.reporting.exports import export
 from groundstation.vehicle import load_vehicle, vehicle_from_dict, vehicle_to_dict
+from studies.golden import simulated
 from tests.recording_flight import flight
 
 

@@ -1,4 +1,7 @@
-"""The terminal UI against a core on the loopback bus: orders, views, faults. What the core says is scripted, the bus is real."""
+"""The terminal UI against a core on the loopback bus: orders, views, faults.
+
+What the core says is scripted, the bus is real.
+"""
 
 from __future__ import annotations
 
@@ -457,9 +460,17 @@ async def test_the_campaign_screen_shows_rounds_and_one_key_prepares_the_next_fl
     vehicle = load_vehicle(find_config("vehicles", "qball2"))
     folder = app.logs / "campaign-2026-01-31T12-00-00-qball2"
     done = Round(
-        str(app.logs / "flight-1"), "first flight", 40.0, {}, {}, "explained", ({"effect": "rotor_drag", "rotor": None, "evidence": "Drag."},),
-        {}, {"mass_kg": 1.4}, ("not sharp enough: mass",),
-    )  # fmt: skip
+        str(app.logs / "flight-1"),
+        "first flight",
+        40.0,
+        {},
+        {},
+        "explained",
+        ({"effect": "rotor_drag", "rotor": None, "evidence": "Drag."},),
+        {},
+        {"mass_kg": 1.4},
+        ("not sharp enough: mass",),
+    )
     plan = find_config("plans", "qball2")
     stand = Campaign(
         folder, vehicle, {"mass_kg": 0.005}, 5, 1, (done,), {"why": "to sharpen mass", "plan": str(plan)}

@@ -1,4 +1,6 @@
-"""The terminal UI with the real core and the simulated drone: two keys to the report, the UI killed in flight, rotors stopped."""
+"""The terminal UI with the real core and the simulated drone: two keys to the report, the UI killed in flight, rotors
+stopped.
+"""
 
 from __future__ import annotations
 

@@ -26,8 +26,8 @@ def truth(rotors: int = 4, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 class Px4Log:
     """What a PX4 log says of the motors.
 
-    ``limits`` gives per channel (low, high); ``changes`` are (time, name, value) of parameters; ``scaled`` writes with the
-    limits in force at each time; ``decoys`` are instances of actuator_outputs that drive something else.
+    ``limits`` gives per channel (low, high); ``changes`` are (time, name, value) of parameters; ``scaled`` writes with
+    the limits in force at each time; ``decoys`` are instances of actuator_outputs that drive something else.
     """
 
     channels: tuple[int, ...] = (1, 2, 3, 4)
@@ -55,7 +55,8 @@ class Px4Log:
             escs += "uint8_t actuator_function;uint8_t[3] _padding0;"
         formats = {
             "actuator_motors": "uint64_t timestamp;uint64_t timestamp_sample;float[12] control;",
-            "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;uint32_t gyro_integral_dt;float[3] accelerometer_m_s2;",
+            "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;uint32_t gyro_integral_dt;float[3] "
+            "accelerometer_m_s2;",
             "esc_report": escs,
             "esc_status": "uint64_t timestamp;esc_report[8] esc;",
         }

@@ -1,7 +1,7 @@
 """Notebooks from their sources, executed: ``python docs/notebooks/build.py [NAME ...]``.
 
-A source is a Python file in ``sources/`` with ``# %%`` cells. The notebook beside it is what it gives when it is run, with
-outputs, so that it reads on the web. A test runs the sources against the code.
+A source is a Python file in ``sources/`` with ``# %%`` cells. The notebook beside it is what it gives when it is run,
+with outputs, so that it reads on the web. A test runs the sources against the code.
 """
 
 from __future__ import annotations

@@ -68,7 +68,8 @@ class MavlinkCodec:
     Args:
         system, component: who we are.
         signing: sign and verify every frame; None leaves MAVLink unsigned.
-        gated: refuse what says something impossible. A vehicle's own end must not: a field that is NaN tells it "unknown".
+        gated: refuse what says something impossible. A vehicle's own end must not: a field that is NaN tells it
+            "unknown".
 
     Attributes:
         counters: per (system, component) heard.

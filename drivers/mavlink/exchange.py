@@ -1,4 +1,5 @@
-"""Conversations with a vehicle as generators: they say what to send and what to wait for; someone else owns port and clock.
+"""Conversations with a vehicle as generators: they say what to send and what to wait for; someone else owns port and
+clock.
 
 A conversation yields :class:`Ask` (send, and wait for an answer that fits, again after each time-out) or
 :class:`Listen` (wait for any message). It is sent the answer, or None when none came, and returns its result.

@@ -20,7 +20,10 @@ _OVERHEAD = {V1: 8, V2: 12}
 _HEADER = {V1: 6, V2: 10}
 _SIGNATURE = 13
 MOST_TRIED = 300
-"""Places of one call that look like a frame and are none. Noise has two such in 256 bytes; a whole piece of 4 KiB, 32."""
+"""Places of one call that look like a frame and are none.
+
+Noise has two such in 256 bytes; a whole piece of 4 KiB, 32.
+"""
 
 
 @dataclass(frozen=True, slots=True)

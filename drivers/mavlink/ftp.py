@@ -1,7 +1,7 @@
 """MAVLink FTP as conversations: write a file with a checksum over what arrived, read one back, resumable. No I/O.
 
-Payload (MAVLink FTP specification): sequence u16, session u8, opcode u8, size u8, request u8, burst complete u8, pad u8,
-offset u32, 239 bytes of data. Sequence numbers tell a late answer from the one waited for.
+Payload (MAVLink FTP specification): sequence u16, session u8, opcode u8, size u8, request u8, burst complete u8, pad
+u8, offset u32, 239 bytes of data. Sequence numbers tell a late answer from the one waited for.
 """
 
 from __future__ import annotations

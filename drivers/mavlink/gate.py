@@ -3,8 +3,8 @@
 A frame's checksum says that it arrived as it was sent, not that it says something possible: infinity and NaN are legal
 IEEE floats on the wire. What passes here needs no further check where it is used. Total: it raises for no message.
 
-Ranges are far outside of what a small multirotor does, and far inside of what doubles and nanoseconds in 64 bits carry, so
-that no arithmetic behind the gate overflows.
+Ranges are far outside of what a small multirotor does, and far inside of what doubles and nanoseconds in 64 bits carry,
+so that no arithmetic behind the gate overflows.
 """
 
 from __future__ import annotations

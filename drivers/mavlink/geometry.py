@@ -1,7 +1,8 @@
 """The only place where north-east-down and forward-right-down exist.
 
 Both the world (NED to x north, y west, z up) and the body (FRD to x forward, y left, z up) turn by pi about their own x
-axis, so one flip serves both: v = (x, -y, -z), q = (w, x, -y, -z), and yaw changes its sign. The flip is its own inverse.
+axis, so one flip serves both: v = (x, -y, -z), q = (w, x, -y, -z), and yaw changes its sign. The flip is its own
+inverse.
 """
 
 from __future__ import annotations

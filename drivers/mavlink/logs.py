@@ -1,7 +1,7 @@
 """Onboard logs over the LOG protocol, as conversations: list them, fetch one, resume where it stopped. No I/O.
 
-A log is asked for in stretches; its pieces of 90 bytes come in any order and some not at all. What is missing of a stretch
-is asked for again, so a lossy link costs time, never bytes.
+A log is asked for in stretches; its pieces of 90 bytes come in any order and some not at all. What is missing of a
+stretch is asked for again, so a lossy link costs time, never bytes.
 """
 
 from __future__ import annotations

@@ -81,7 +81,9 @@ class Parameters:
         return found
 
     def write(self, name: str, value: float) -> Steps[bool]:
-        """Set, and read back: a write with the wrong type is swallowed without a word, so success is what stands there after."""
+        """Set, and read back: a write with the wrong type is swallowed without a word, so success is what stands there
+        after.
+        """
         before = yield from self.read(name)
         if before is None:
             return False

@@ -3,9 +3,9 @@
 pymavlink stores a stream's time stamp *before* it verifies the signature, so one forged frame with a stamp far in the
 future locks the true sender out. Here nothing is stored until the signature has been verified.
 
-Our stamp follows the vehicle's, as the specification wants, so that a vehicle whose clock is ahead takes ours. How old the
-first frame of a new stream may be is judged by our own clock alone: one vehicle a year ahead locks no other out. Stamps in
-the last year of their 48 bits are refused: nothing could follow them.
+Our stamp follows the vehicle's, as the specification wants, so that a vehicle whose clock is ahead takes ours. How old
+the first frame of a new stream may be is judged by our own clock alone: one vehicle a year ahead locks no other out.
+Stamps in the last year of their 48 bits are refused: nothing could follow them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """MAVLink messages to samples. Stateful only where a message leaves something out (time, attitude, text parts).
 
-Every stamp is the autopilot's time since boot. Messages without one (battery, ESC telemetry of ArduPilot, texts) get the
-newest stamp seen, which is late by at most the spacing of the fastest stream.
+Every stamp is the autopilot's time since boot. Messages without one (battery, ESC telemetry of ArduPilot, texts) get
+the newest stamp seen, which is late by at most the spacing of the fastest stream.
 """
 
 from __future__ import annotations
@@ -152,7 +152,10 @@ class Telemetry:
         return []
 
     def _local_position(self, m: Message) -> list[Sample]:
-        """Position with the newest attitude, turned by its rate to the position's stamp. ODOMETRY, where it flows, says all at once."""
+        """Position with the newest attitude, turned by its rate to the position's stamp.
+
+        ODOMETRY, where it flows, says all at once.
+        """
         t = m.time_boot_ms * 1e-3
         if not self._stamp("position", t) or not self._states.counts(False, t) or self._attitude is None:
             return []

@@ -1,9 +1,9 @@
 """Map a device's clock to the host's from TIMESYNC exchanges, with drift and an error bar. Pure.
 
-One exchange gives host times h0 (request left) and h1 (answer came) and the device time d between them, so at the host's
-midpoint the device showed d within +-(h1 - h0)/2. The line d = d0 + (1 + drift)(h - h0) is fitted to the newest window
-with weights 1/(half round trip + quantum)^2, so that slow exchanges hardly count. PX4's simulated clock ran 1.2 % slow:
-an offset alone would be wrong by 12 ms after a second.
+One exchange gives host times h0 (request left) and h1 (answer came) and the device time d between them, so at the
+host's midpoint the device showed d within +-(h1 - h0)/2. The line d = d0 + (1 + drift)(h - h0) is fitted to the newest
+window with weights 1/(half round trip + quantum)^2, so that slow exchanges hardly count. PX4's simulated clock ran 1.2
+% slow: an offset alone would be wrong by 12 ms after a second.
 """
 
 from __future__ import annotations
@@ -106,6 +106,8 @@ class Timesync:
         return inf if fit is None else fit.error_s(host_s)
 
     def _jumped(self, host_s: float, device_s: float, half: float) -> bool:
-        """The device's clock is away from where the last exchange puts it by more than 5 % drift and both trips explain."""
+        """The device's clock is away from where the last exchange puts it by more than 5 % drift and both trips
+        explain.
+        """
         last_h, last_d, last_half = self._exchanges[-1]
         return abs((device_s - last_d) - (host_s - last_h)) > 0.05 * abs(host_s - last_h) + half + last_half + 0.05

@@ -16,7 +16,10 @@ def record(unix_s: float, frame: bytes) -> bytes:
 
 
 def entries(data: bytes) -> Iterator[tuple[float, bytes]]:
-    """(Unix time, bytes) per entry. Bytes that are no frame (recorders keep noise too) come as they stand; a cut end is left out."""
+    """(Unix time, bytes) per entry.
+
+    Bytes that are no frame (recorders keep noise too) come as they stand; a cut end is left out.
+    """
     at = 0
     while at + 8 < len(data):
         stamp = _STAMP.unpack_from(data, at)[0] * 1e-6
@@ -39,7 +42,9 @@ def _size(data: bytes, begin: int) -> int | None:
 
 
 def _noise(data: bytes, begin: int) -> int:
-    """Bytes up to the next entry, known by a start marker that follows a stamp sharing the two top bytes of this one's."""
+    """Bytes up to the next entry, known by a start marker that follows a stamp sharing the two top bytes of this
+    one's.
+    """
     top = data[begin - 8 : begin - 5]
     at = begin + 1
     while at + 9 <= len(data):

@@ -63,8 +63,8 @@ class UdpTransport:
     """UDP: ``listen`` waits for a vehicle to speak and answers it there; otherwise we speak first.
 
     Only the first peer heard is answered, until it has been silent for ``forget_s`` or :meth:`answer` says who is: from
-    then on nobody else is, however long that one is silent. A second sender on the port (another simulator, a stray tool)
-    must not receive this vehicle's setpoints.
+    then on nobody else is, however long that one is silent. A second sender on the port (another simulator, a stray
+    tool) must not receive this vehicle's setpoints.
     """
 
     datagrams = True
@@ -161,7 +161,9 @@ class StreamTransport:
         return [(self._name, data)] if data else []
 
     def write(self, data: bytes) -> None:
-        """Queue and push; more than 64 KiB behind, the newest is dropped (a frozen line must not delay what comes later)."""
+        """Queue and push; more than 64 KiB behind, the newest is dropped (a frozen line must not delay what comes
+        later).
+        """
         if self._handle is None or len(self._pending) > 1 << 16:
             return
         self._pending += data
@@ -263,6 +265,7 @@ class TcpTransport(StreamTransport):
             pass
 
 
+LINKS = "write serial:///dev/ttyACM0:921600, udpin://127.0.0.1:14540, udpout://127.0.0.1:14550 or tcp://127.0.0.1:5760"
 _URL = re.compile(r"^(?P<kind>udpin|udpout|tcp|serial)://(?P<place>.+?)(?::(?P<number>\d+))?$")
 
 
@@ -273,21 +276,30 @@ def open_transport(url: str) -> Transport:
         ValueError: the URL names none.
         ConnectionError: it cannot be opened now.
     """
+    kind, place, number = parse_url(url)
+    try:
+        if kind == "serial":
+            return SerialTransport(place, number)
+        if kind == "tcp":
+            return TcpTransport(place, number)
+        return UdpTransport(place, number, listen=kind == "udpin")
+    except OSError as error:
+        why = str(error)
+        raise ConnectionError(
+            why if why.startswith(f"{url} cannot be opened") else f"{url} cannot be opened: {why}"
+        ) from None
+
+
+def parse_url(url: str) -> tuple[str, str, int]:
+    """Kind of a link, host or device, port or rate.
+
+    Raises:
+        ValueError: the URL names none.
+    """
     match = _URL.match(url)
     if match is None or (match["kind"] != "serial" and match["number"] is None):
-        raise ValueError(
-            f"'{url}' names no link; write serial:///dev/ttyACM0:921600, udpin://127.0.0.1:14540, "
-            "udpout://127.0.0.1:14550 or tcp://127.0.0.1:5760"
-        )
-    place, number = match["place"], int(match["number"] or 57600)
-    try:
-        if match["kind"] == "serial":
-            return SerialTransport(place, number)
-        if match["kind"] == "tcp":
-            return TcpTransport(place, number)
-        return UdpTransport(place, number, listen=match["kind"] == "udpin")
-    except OSError as error:
-        raise ConnectionError(f"{url} cannot be opened: {error}") from None
+        raise ValueError(f"'{url}' names no link; {LINKS}")
+    return match["kind"], match["place"], int(match["number"] or 57600)
 
 
 @dataclass(frozen=True, slots=True)

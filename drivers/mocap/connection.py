@@ -1,4 +1,7 @@
-"""Sockets to a motion-capture server: TCP, UDP with a multicast group, zenoh. Every arrival is stamped as it is read."""
+"""Sockets to a motion-capture server: TCP, UDP with a multicast group, zenoh.
+
+Every arrival is stamped as it is read.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,12 @@ import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from drivers.mocap.shared import keyed
+
+if TYPE_CHECKING:
+    from drivers.secure import Identity
 
 CONNECT_S = 3.0
 BUFFER_BYTES = 1 << 20
@@ -125,15 +131,18 @@ class Zenoh:
     """Subscriptions of one endpoint.
 
     Args:
-        endpoint: as "tcp/192.168.1.5:7447".
+        endpoint: as "tcp/192.168.1.5:7447", or "tls/..." of a computer that asks for certificates.
         key: key expression of the poses.
+        identity: what to show there.
     """
 
-    def __init__(self, endpoint: str, key: str):
+    def __init__(self, endpoint: str, key: str, identity: Identity | None = None):
         from drivers import bus
+        from drivers.secure import secured
 
         self._arrived: queue.Queue[tuple[bytes, float]] = queue.Queue(maxsize=10_000)
-        self._session = bus.open_session(connect=[endpoint], connect_timeout_s=CONNECT_S)
+        secure = None if identity is None else secured(identity)
+        self._session = bus.open_session(connect=[endpoint], connect_timeout_s=CONNECT_S, secure=secure)
         self._handle = self._session.declare_subscriber(key, self._take)
 
     def _take(self, sample: object) -> None:

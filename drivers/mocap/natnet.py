@@ -1,8 +1,9 @@
 """OptiTrack's NatNet, versions 3.0 to 4.2, as a client. No I/O.
 
-Wire format: little endian, a 16-bit message number and a 16-bit length, then the message (NatNet SDK 4.1, ``PythonClient``
-and ``PacketClient``). Frames carry three stamps of the server's high-resolution clock: middle of the exposure, data
-received, transmitted. That clock is asked for by echo requests (SDK 3.0 on), so that it is known both ways.
+Wire format: little endian, a 16-bit message number and a 16-bit length, then the message (NatNet SDK 4.1,
+``PythonClient`` and ``PacketClient``). Frames carry three stamps of the server's high-resolution clock: middle of the
+exposure, data received, transmitted. That clock is asked for by echo requests (SDK 3.0 on), so that it is known both
+ways.
 """
 
 from __future__ import annotations
@@ -54,7 +55,9 @@ class NatNet:
         self._greeted_s = self._alive_s = self._echoed_s = self._asked_s = -1e9
 
     def due(self, now_s: float) -> list[bytes]:
-        """Greet until the server tells its version; then ask for names, keep the stream alive, and ask for its clock."""
+        """Greet until the server tells its version; then ask for names, keep the stream alive, and ask for its
+        clock.
+        """
         out: list[bytes] = []
         if self._version is None:
             if now_s - self._greeted_s >= GREETING_EVERY_S:

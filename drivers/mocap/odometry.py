@@ -1,4 +1,5 @@
-"""Poses that a vehicle or its companion has already, as MAVLink: ODOMETRY, ATT_POS_MOCAP, VISION or VICON_POSITION_ESTIMATE.
+"""Poses that a vehicle or its companion has already, as MAVLink: ODOMETRY, ATT_POS_MOCAP, VISION or
+VICON_POSITION_ESTIMATE.
 
 No I/O. The stamps are the sender's clock, which TIMESYNC asks for both ways.
 """

@@ -1,8 +1,8 @@
 """Qualisys' real-time protocol (QTM RT 1.23, little endian) as a client, and its discovery. No I/O.
 
-Messages are a 32-bit length, a 32-bit kind and a payload. Bodies come as "6D with residual": millimetres, a rotation matrix
-by columns, NaN while a body is not seen. A frame carries its exposure's time in microseconds on QTM's clock and no time of
-sending, so that the delay of the processing is part of what the clock cannot tell.
+Messages are a 32-bit length, a 32-bit kind and a payload. Bodies come as "6D with residual": millimetres, a rotation
+matrix by columns, NaN while a body is not seen. A frame carries its exposure's time in microseconds on QTM's clock and
+no time of sending, so that the delay of the processing is part of what the clock cannot tell.
 """
 
 from __future__ import annotations

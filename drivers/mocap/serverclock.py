@@ -1,15 +1,15 @@
 r"""A motion-capture server's clock on ours: offset, drift, an error bar that holds, and steps. Pure.
 
-With o = host time - server time, a message sent at server time s that arrives at host time h has h - s = o + transit, so
-every arrival bounds o from above. A question asked at h0 and answered with the server's time s bounds it from below:
+With o = host time - server time, a message sent at server time s that arrives at host time h has h - s = o + transit,
+so every arrival bounds o from above. A question asked at h0 and answered with the server's time s bounds it from below:
 o >= h0 - s. Where a system only echoes, a round trip of r bounds the transit of the fastest message by r.
 Bounds of one second each are kept over a window. Their slope is that of the line under all upper bounds that lies
-closest to them: the edge of their lower convex hull above the window's middle (Moon, Skelly and Towsley, "Estimation and
-removal of clock skew from network delay measurements", INFOCOM 1999). Offset and error are middle and half of what is
-left between both sides.
+closest to them: the edge of their lower convex hull above the window's middle (Moon, Skelly and Towsley, "Estimation
+and removal of clock skew from network delay measurements", INFOCOM 1999). Offset and error are middle and half of what
+is left between both sides.
 
-A step is told by what no transit explains: bounds that contradict each other, arrivals before they were sent, stamps that
-run backwards, or arrivals that stay late by the same amount.
+A step is told by what no transit explains: bounds that contradict each other, arrivals before they were sent, stamps
+that run backwards, or arrivals that stay late by the same amount.
 """
 
 from __future__ import annotations
@@ -192,7 +192,9 @@ class ServerClock:
 
 
 def hull_slope(points: list[tuple[float, float]]) -> float:
-    """Slope of the lower convex hull's edge above the middle of the points (sorted by time), within the fastest clock's."""
+    """Slope of the lower convex hull's edge above the middle of the points (sorted by time), within the fastest
+    clock's.
+    """
     hull: list[tuple[float, float]] = []
     for t, u in points:
         while len(hull) > 1 and _turns_right(hull[-2], hull[-1], (t, u)):

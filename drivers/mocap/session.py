@@ -1,4 +1,7 @@
-"""One connection to a motion-capture server: its socket, its protocol, its clock. What a driver and the doctor share."""
+"""One connection to a motion-capture server: its socket, its protocol, its clock.
+
+What a driver and the doctor share.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,6 @@ from typing import Literal
 
 from drivers.mocap.connection import Connection, Tcp, Udp, Zenoh
 from drivers.mocap.natnet import COMMAND_PORT, NatNet
-from drivers.mocap.odometry import Odometry
 from drivers.mocap.qtm import PORT as QTM_PORT
 from drivers.mocap.qtm import Qtm
 from drivers.mocap.readings import Exchange, Frame, Reader, RoundTrip
@@ -20,6 +22,7 @@ from drivers.mocap.vicon import PORT as VICON_PORT
 from drivers.mocap.vicon import Vicon
 from drivers.mocap.vrpn import PORT as VRPN_PORT
 from drivers.mocap.vrpn import Vrpn
+from drivers.secure import Identity
 
 SILENT_S = 3.0
 UNTOLD_DELAY_S, UNTOLD_DELAY_ERROR_S = 0.005, 0.005
@@ -53,6 +56,13 @@ class System:
     delay: Delay = Delay(0.0, 0.0)
 
 
+def _odometry() -> Reader:
+    """Loaded where it is read: MAVLink's messages take a third of a second."""
+    from drivers.mocap.odometry import Odometry
+
+    return Odometry()
+
+
 _UNTOLD = Delay(UNTOLD_DELAY_S, UNTOLD_DELAY_ERROR_S)
 SYSTEMS: dict[str, System] = {
     "natnet": System("OptiTrack (NatNet)", "udp", COMMAND_PORT, NatNet),
@@ -61,7 +71,7 @@ SYSTEMS: dict[str, System] = {
     "vrpn": System("VRPN", "tcp", VRPN_PORT, Vrpn, _UNTOLD),
     "zenoh": System("zenoh", "zenoh", 7447, ZenohReader),
     "ros2": System("ROS 2 (through a zenoh bridge)", "zenoh", 7447, Ros2, _UNTOLD),
-    "mavlink": System("MAVLink poses", "udp", 14550, Odometry),
+    "mavlink": System("MAVLink poses", "udp", 14550, _odometry),
 }
 
 
@@ -89,6 +99,7 @@ class Session:
         body: wanted (zenoh subscribes to it alone); empty for all.
         clock: of the server, known from an earlier connection.
         delay: of its stamps as measured; None takes the system's.
+        identity: what to show to a zenoh endpoint that asks for certificates.
 
     Attributes:
         silent_s: without a byte for so long, it ends: a restarted server knows nothing of its clients.
@@ -98,7 +109,13 @@ class Session:
     """
 
     def __init__(
-        self, system: str, host: str, body: str = "", clock: ServerClock | None = None, delay: Delay | None = None
+        self,
+        system: str,
+        host: str,
+        body: str = "",
+        clock: ServerClock | None = None,
+        delay: Delay | None = None,
+        identity: Identity | None = None,
     ):
         self.system = SYSTEMS[system]
         self.delay = self.system.delay if delay is None else delay
@@ -108,7 +125,7 @@ class Session:
         self.silent_s = SILENT_S
         self._joined = False
         self._heard_s = self._due_s = time.monotonic()
-        self._connection = _connect(self.system, system, host, body)
+        self._connection = _connect(system, host, body, identity)
         if isinstance(self._connection, Tcp):
             self.clock.round_trip(self._connection.round_trip_s)
 
@@ -169,11 +186,12 @@ class Session:
             self._joined = True
 
 
-def _connect(system: System, name: str, host: str, body: str) -> Connection:
+def _connect(name: str, host: str, body: str, identity: Identity | None) -> Connection:
+    system = SYSTEMS[name]
     if system.kind == "zenoh":
         endpoint = host if "/" in host else f"tcp/{host if ':' in host else f'{host}:{system.port}'}"
         key = (body or "**") if name == "ros2" else f"{PREFIX}{body or '*'}"
-        return Zenoh(endpoint, key)
+        return Zenoh(endpoint, key, identity)
     address, _, port = host.partition(":")
     if port and not port.isdigit():
         raise ConnectionError(f"{host}: the port is no number")

@@ -1,7 +1,7 @@
 """Poses that somebody else already publishes on zenoh: our own batches, or ROS 2 topics through a bridge. No I/O.
 
-``zenoh``: a :class:`drivers.samples.Batch` of poses on ``mocap/NAME``; each stamp is the exposure on the publisher's clock,
-the host time beside it when it was published. ``ros2``: the CDR of PoseStamped, Odometry or TransformStamped, as
+``zenoh``: a :class:`drivers.samples.Batch` of poses on ``mocap/NAME``; each stamp is the exposure on the publisher's
+clock, the host time beside it when it was published. ``ros2``: the CDR of PoseStamped, Odometry or TransformStamped, as
 zenoh-bridge-ros2dds and rmw_zenoh carry it; the header's stamp is taken for the exposure. The connection puts the
 key before the payload: a 16-bit length, the key, the payload.
 """
@@ -11,13 +11,16 @@ from __future__ import annotations
 import struct
 
 from drivers.mocap.readings import LONGEST_MESSAGE, MOST_BODIES, Body, Cursor, Damaged, Frame, Reading, tracked, unit
-from drivers.samples import Pose, decode_batch
+from drivers.samples import Pose, Quaternion, Vector3, decode_batch
 
 PREFIX = "mocap/"
+UNSEEN: tuple[Vector3, Quaternion] = ((float("nan"), float("nan"), float("nan")), (1.0, 0.0, 0.0, 0.0))
+"""Published for a body that the cameras know and do not see."""
 _LENGTH = struct.Struct("<H")
 _POSE_BYTES = 56
 _BEHIND_POSE = (0, 8 * (36 + 6 + 36))
-"""Bytes behind the pose: of PoseStamped and TransformStamped, and of Odometry (covariance, twist and its covariance)."""
+"""Bytes behind the pose: of PoseStamped and TransformStamped, and of Odometry (covariance, twist and its covariance).
+"""
 
 
 def keyed(key: str, payload: bytes) -> bytes:

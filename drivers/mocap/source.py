@@ -14,12 +14,14 @@ import os
 import struct
 import sys
 import time
+from pathlib import Path
 
 from drivers.mocap.health import Health, clock_text
 from drivers.mocap.readings import Body
 from drivers.mocap.serverclock import ServerClock
 from drivers.mocap.session import SYSTEMS, Arrived, Delay, Session
 from drivers.samples import Batch, Event, Pose, Quaternion, Vector3, decode_batch, encode_batch
+from drivers.secure import read_identity
 
 _LENGTH = struct.Struct("<I")
 LONGEST_FRAME = 1 << 20
@@ -69,7 +71,9 @@ class FrameReader:
 
 
 def z_up(position: Vector3, quaternion: Quaternion) -> tuple[Vector3, Quaternion]:
-    """A pose of a y-up system in the z-up world: both world and body axes turned by a quarter about x, (x, y, z) to (x, -z, y)."""
+    """A pose of a y-up system in the z-up world: both world and body axes turned by a quarter about x, (x, y, z) to (x,
+    -z, y).
+    """
     (x, y, z), (w, a, b, c) = position, quaternion
     return (x, -z, y), (w, a, -c, b)
 
@@ -97,7 +101,8 @@ class Source:
         """
         options = self._options
         measured = None if options.delay is None else Delay(options.delay, options.delay_error)
-        session = Session(options.system, options.host, options.body, self._clock, measured)
+        shown = None if options.identity is None else read_identity(options.identity)
+        session = Session(options.system, options.host, options.body, self._clock, measured, shown)
         parent = os.getppid()
         try:
             while os.getppid() == parent:
@@ -169,6 +174,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--up", choices=("y", "z"), default="z", help="the axis that points up in the system's world")
     parser.add_argument("--delay", type=float, help="measured delay of the system's stamps after the exposure, s")
     parser.add_argument("--delay-error", type=float, default=0.0, help="and its error, s")
+    parser.add_argument("--identity", type=Path, help="file of the certificate that a tls/ endpoint is shown")
     return parser.parse_args(arguments)
 
 

@@ -1,10 +1,10 @@
 """Vicon's DataStream (Tracker, Nexus, Shogun, Evoke) as a client. No I/O.
 
 Wire format: little-endian packets of a 32-bit tag, a 32-bit length and objects, each again a tag, a length and a body
-(Vicon DataStream SDK, ``ViconCGStream``, published under the MIT licence). The server begins with the kinds of object it
-has; the client answers with those it wants, and asks for all frames. Frames are numbered on the cameras' clock, whose
-period is told in ticks of 135 MHz; the latency of each, from exposure to sending, comes with it. That dates the exposure
-on the cameras' own clock. A ping, which is echoed, gives the way there and back.
+(Vicon DataStream SDK, ``ViconCGStream``, published under the MIT licence). The server begins with the kinds of object
+it has; the client answers with those it wants, and asks for all frames. Frames are numbered on the cameras' clock,
+whose period is told in ticks of 135 MHz; the latency of each, from exposure to sending, comes with it. That dates the
+exposure on the cameras' own clock. A ping, which is echoed, gives the way there and back.
 """
 
 from __future__ import annotations

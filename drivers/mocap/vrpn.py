@@ -1,10 +1,10 @@
 """VRPN's tracker (protocol 07) as a client over TCP. No I/O.
 
 Wire format: a cookie of 24 characters both ways, then big-endian messages with a header of 24 bytes (length without
-padding, seconds, microseconds, sender, type, sequence number) and a payload padded to 8 bytes (VRPN, ``vrpn_Connection.C``
-and ``vrpn_Tracker.C``, published under the Boost licence). Senders and types are numbered by each side for itself, and
-described by messages of type -1 and -2. A pose carries the server's clock at the time of its report; a ping is answered
-with that clock too, so that it is known both ways. No exposure is told.
+padding, seconds, microseconds, sender, type, sequence number) and a payload padded to 8 bytes (VRPN,
+``vrpn_Connection.C`` and ``vrpn_Tracker.C``, published under the Boost licence). Senders and types are numbered by each
+side for itself, and described by messages of type -1 and -2. A pose carries the server's clock at the time of its
+report; a ping is answered with that clock too, so that it is known both ways. No exposure is told.
 """
 
 from __future__ import annotations

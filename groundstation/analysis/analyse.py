@@ -1,8 +1,10 @@
-"""What happens to a recording after landing: identify, diagnose, report. One function for the core's worker and the CLI.
+"""What happens to a recording after landing: identify, diagnose, report. One function for the core's worker and the
+CLI.
 
     python -P -m groundstation.analysis.analyse FOLDER
 
-waits for a line on standard input and prints one JSON document per line on standard output: ``{"progress": 0.4, "text": "...", "table": {...}}``.
+waits for a line on standard input and prints one JSON document per line on standard output: ``{"progress": 0.4, "text":
+"...", "table": {...}}``.
 """
 
 from __future__ import annotations
@@ -10,13 +12,12 @@ from __future__ import annotations
 import importlib
 import json
 import math
-import os
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from groundstation.analysis.documents import finite, refusal, write_json
 from groundstation.diagnosis.published import published
@@ -25,7 +26,11 @@ from groundstation.errors import GroundStationError, NotIdentifiable, Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification
 from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
+from groundstation.priority import set_nice
 from groundstation.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from groundstation.identification.work import Work
 
 AUGMENTED = "with findings"
 """The parameter set of the augmented model among the validations."""
@@ -45,7 +50,9 @@ class Analysis:
 def parameter_table(
     identification: Identification, declared: Mapping[str, float], diagnosis: Diagnosis | None = None
 ) -> Table:
-    """Rows nominal, estimate, low, high of mass and tensor as every place shows them; NaN where the flight does not tell."""
+    """Rows nominal, estimate, low, high of mass and tensor as every place shows them; NaN where the flight does not
+    tell.
+    """
     from groundstation.reporting.canonical import canonical
 
     return _rows(canonical(identification, diagnosis).parameters, declared)
@@ -106,20 +113,26 @@ def analyse(
         BadInput: a flight is malformed.
     """
     from groundstation.identification.pipeline import identify
+    from groundstation.identification.work import Work
     from groundstation.reporting.report import write_report
 
     folder.mkdir(parents=True, exist_ok=True)
+    work = Work()
     try:
         identifying = AnalysisOptions(exclude=options.exclude)
         identification = identify(
-            flights, identifying, predictive=True, progress=lambda f, text: progress(0.05 + 0.5 * f, text)
+            flights,
+            identifying,
+            predictive=True,
+            progress=lambda f, text: progress(0.05 + 0.5 * f, text),
+            work=work,
         )
     except Refused as error:
         write_report(folder / "report.html", flights[0], error, source=source)
         raise
     write_identification(folder, identification, flights[0].vehicle)
     write_json(folder / "evolution.json", evolution(flights[0]))
-    diagnosis = _diagnose(flights, options, lambda f, text: progress(0.55 + 0.35 * f, text))
+    diagnosis = _diagnose(flights, options, lambda f, text: progress(0.55 + 0.35 * f, text), work)
     diagnosis = published(diagnosis, identification.not_identifiable)
     diagnosis, plan = with_next_flight(folder, diagnosis, flights[0].vehicle)
     identification = with_augmented_loop(flights[0], identification, diagnosis, options)
@@ -133,12 +146,12 @@ def analyse(
     return Analysis(identification, diagnosis, files)
 
 
-def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress: Progress) -> Diagnosis:
+def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress: Progress, work: Work) -> Diagnosis:
     from groundstation.diagnosis import diagnose
 
     first = flights[0]
     try:
-        return diagnose(flights, options, progress=progress)
+        return diagnose(flights, options, progress=progress, work=work)
     except Refused as error:
         return Diagnosis(first.name, first.vehicle.name, "refused", reason=str(error))
     except Exception as error:
@@ -223,7 +236,7 @@ def _say(fraction: float, text: str, table: Table | None = None) -> None:
 
 def warm_up() -> None:
     """Import what takes seconds while the flight still goes on, behind everything that flies."""
-    os.nice(5)
+    set_nice(5)
     for module in ("recording", "identification.preliminary", "identification.seed", "reporting", "diagnosis"):
         importlib.import_module(f"groundstation.{module}")
 

@@ -2,14 +2,13 @@
 
     python -P -m groundstation.analysis.suspects FOLDER
 
-answers each line on standard input with a JSON document on standard output: ``{"seconds": 21.3, "suspects": [{"effect": "rotor drag",
-"odds": 40.0, "alternatives": []}]}``. It runs at low priority, and what it cannot tell yet it leaves out.
+answers each line on standard input with a JSON document on standard output: ``{"seconds": 21.3, "suspects": [{"effect":
+"rotor drag", "odds": 40.0, "alternatives": []}]}``. It runs at low priority, and what it cannot tell yet it leaves out.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import TypedDict
 
 from groundstation.errors import GroundStationError
 from groundstation.flightdata import FlightData
+from groundstation.priority import set_nice
 
 FEWEST_S = 8.0
 """Of excitation before the first diagnosis: some periods of the slowest effects, and time for a noise model."""
@@ -57,7 +57,9 @@ def wrongly_declared(flight: FlightData) -> list[Suspect]:
 
 
 def suspicion(folder: Path) -> Suspicion:
-    """Of the recording in a flight's folder, as it is now; without suspects where it is too short or cannot be read yet."""
+    """Of the recording in a flight's folder, as it is now; without suspects where it is too short or cannot be read
+    yet.
+    """
     from groundstation.diagnosis import diagnose
     from groundstation.recording import load_flight
 
@@ -88,7 +90,7 @@ def suspicion(folder: Path) -> Suspicion:
 
 def main() -> int:
     """Entry point of the process."""
-    os.nice(NICE)
+    set_nice(NICE)
     folder = Path(sys.argv[1])
     for _ in sys.stdin:
         print(json.dumps(suspicion(folder)), flush=True)

@@ -1,7 +1,9 @@
-"""The campaign: fly, judge the model on the new flight, put the flight in, find what is missing, decide what is next, or stop.
+"""The campaign: fly, judge the model on the new flight, put the flight in, find what is missing, decide what is next,
+or stop.
 
-Everything that is decided is written to ``campaign.json`` before it is acted on, whole or not at all. A campaign that was killed goes on from
-there: a flight that was flown is not flown again, and a round that was not finished is done again from its recording.
+Everything that is decided is written to ``campaign.json`` before it is acted on, whole or not at all. A campaign that
+was killed goes on from there: a flight that was flown is not flown again, and a round that was not finished is done
+again from its recording.
 """
 
 from __future__ import annotations
@@ -60,15 +62,16 @@ class Round:
         folder: of the flight.
         why: it was flown.
         seconds: of excitation.
-        judged: errors on this flight before it was used: of the "declared" vehicle, of the rigid body ("before") and of the model
-            with its effects ("after") as the flights before had left them; empty for the first.
+        judged: errors on this flight before it was used: of the "declared" vehicle, of the rigid body ("before") and of
+            the model with its effects ("after") as the flights before had left them; empty for the first.
         seen: errors of this round's model on the flights it was made of, their mean.
         verdict: of the diagnosis over all flights so far.
         findings: documents of what it found.
         estimates: canonical parameters now, widened by the scatter between flights: name -> {"value", "std"}.
         reached: half widths over targets; 1 or less is met.
         not_settled: why the campaign did not end here; empty where it did.
-        levels: by parameter what belongs to the vehicle, the days and the flights (:class:`~groundstation.campaign.pooling.Levels`).
+        levels: by parameter what belongs to the vehicle, the days and the flights
+            (:class:`~groundstation.campaign.pooling.Levels`).
     """
 
     folder: str
@@ -142,9 +145,16 @@ def load_campaign(folder: Path) -> Campaign:
             for r in document["rounds"]
         )
         return Campaign(
-            folder, vehicle_from_dict(document["vehicle"], str(folder / FILE)), document["targets"], int(document["at_most"]),
-            int(document["seed"]), tuple(_infinite(r) for r in rounds), document["pending"], document["outcome"], document["sentence"],
-        )  # fmt: skip
+            folder,
+            vehicle_from_dict(document["vehicle"], str(folder / FILE)),
+            document["targets"],
+            int(document["at_most"]),
+            int(document["seed"]),
+            tuple(_infinite(r) for r in rounds),
+            document["pending"],
+            document["outcome"],
+            document["sentence"],
+        )
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise BadInput(
             f"{folder / FILE}: is damaged ({error}); begin a new campaign with --from and its flights."
@@ -169,7 +179,8 @@ def run(campaign: Campaign, flyer: Flyer, *, say: Say = lambda text: None, **lim
 def advance(
     campaign: Campaign, flown: Callable[[Path], bool], *, say: Say = lambda text: None, limits: Mapping[str, float]
 ) -> Campaign:
-    """Up to the next flight: what was flown is taken in, and the next is decided; or the campaign's end. Each step is written down.
+    """Up to the next flight: what was flown is taken in, and the next is decided; or the campaign's end. Each step is
+    written down.
 
     Args:
         flown: whether the flight in a folder ended as planned.
@@ -244,6 +255,7 @@ def take_in(campaign: Campaign, folder: Path, why: str, *, say: Say = lambda tex
     from groundstation.analysis.documents import write_json
     from groundstation.diagnosis import diagnose
     from groundstation.identification.pipeline import identify
+    from groundstation.identification.work import Work
     from groundstation.recording import load_flight
     from groundstation.reporting.exports import model_document, write_model
 
@@ -253,8 +265,9 @@ def take_in(campaign: Campaign, folder: Path, why: str, *, say: Say = lambda tex
     flights = [*(load_flight(Path(r.folder), vehicle=campaign.vehicle) for r in campaign.rounds), flight]
     say(f"flight {number}: identifying and diagnosing {number} flight{'s' if number > 1 else ''} together")
     try:
-        found = identify(flights)
-        diagnosis = diagnose(flights)
+        work = Work()
+        found = identify(flights, work=work)
+        diagnosis = diagnose(flights, work=work)
     except Refused as error:
         return _next(campaign, Round(str(folder), why, _seconds(flight), judged, not_settled=(str(error),)))
     model = model_document(found, campaign.vehicle, diagnosis)
@@ -327,7 +340,10 @@ def _next(campaign: Campaign, done: Round) -> Campaign:
 
 def _settled(rounds: Sequence[Round]) -> str:
     names = ", ".join(rounds[-1].names()).replace("_", " ") or "nothing"
-    return f"Settled after {len(rounds)} flights ({sum(r.seconds for r in rounds):.0f} s of excitation): found {names}; targets met."
+    return (
+        f"Settled after {len(rounds)} flights ({sum(r.seconds for r in rounds):.0f} s of excitation): found "
+        f"{names}; targets met."
+    )
 
 
 def _exhausted(campaign: Campaign, done: Round) -> str:

@@ -112,9 +112,11 @@ def flights_needed(
 def paper_seconds(
     vehicle: Vehicle, estimates: Mapping[str, Any], plans: Sequence[Plan], names: Sequence[str]
 ) -> dict[str, float]:
-    """Seconds of the paper's trajectory, repeated, that tell each parameter as well as flown plans do, by predicted information.
+    """Seconds of the paper's trajectory, repeated, that tell each parameter as well as flown plans do, by predicted
+    information.
 
-    Both are predicted with the same noise, so its size does not matter. Parameters that one of them does not reveal are left out.
+    Both are predicted with the same noise, so its size does not matter. Parameters that one of them does not reveal are
+    left out.
     """
     known, noise = as_estimated(vehicle, estimates), DEFAULT_NOISE
     repeated = predicted_std((paper := paper_plan().series()), known, noise)
@@ -128,7 +130,9 @@ def paper_seconds(
 
 
 def as_estimated(vehicle: Vehicle, estimates: Mapping[str, Any]) -> Vehicle:
-    """The vehicle with mass and inertia as they are known now; as declared where they are unknown or of no rigid body."""
+    """The vehicle with mass and inertia as they are known now; as declared where they are unknown or of no rigid
+    body.
+    """
     names = ("xx", "yy", "zz", "xy", "xz", "yz")
     entries: dict[str, Any] = {n: getattr(vehicle.inertia_kg_m2, n) for n in names}
     entries |= {n: float(estimates[f"i{n}_kg_m2"]["value"]) for n in names if f"i{n}_kg_m2" in estimates}

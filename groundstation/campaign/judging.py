@@ -1,4 +1,6 @@
-"""How well a model does on a flight that no estimate has seen: errors of open-loop prediction, before and after its effects."""
+"""How well a model does on a flight that no estimate has seen: errors of open-loop prediction, before and after its
+effects.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +11,17 @@ import numpy as np
 
 from groundstation.diagnosis.effect import library, wrench_of
 from groundstation.flightdata import FlightData
-from groundstation.identification.preparation import flight_states
-from groundstation.model.prediction import model_from_document, predict
+from groundstation.identification.starts import flight_states
+from groundstation.model.prediction import predict
+from groundstation.model.vehicle_model import model_from_document
 from groundstation.vehicle import vehicle_from_dict
 
 HORIZON_S = 0.5
 FLOOR = 1.25
-"""A model predicts an unseen flight to its noise floor when its error there is at most so many times that on its own flights. Set before any
-bench was run, for errors of 40 s flights that differ by a tenth or two; no study has checked it yet."""
+"""A model predicts an unseen flight to its noise floor when its error there is at most so many times that on its own
+flights. Set before any bench was run, for errors of 40 s flights that differ by a tenth or two; no study has checked it
+yet.
+"""
 
 Errors = dict[str, float]
 
@@ -37,6 +42,8 @@ def without_effects(document: Mapping[str, Any], parameters: Mapping[str, Any]) 
 
 
 def at_floor(unseen: Errors, seen: Errors) -> bool:
-    """Whether the error on an unseen flight is that of the model's own flights, within :data:`FLOOR`, in every quantity."""
+    """Whether the error on an unseen flight is that of the model's own flights, within :data:`FLOOR`, in every
+    quantity.
+    """
     names = [name for name in unseen if name in seen and np.isfinite(seen[name]) and seen[name] > 0.0]
     return bool(names) and all(unseen[name] <= FLOOR * seen[name] for name in names)

@@ -1,14 +1,17 @@
-r"""What belongs to the vehicle, what to the day, what to the flight: one parameter over flights on several days. Numbers only.
+r"""What belongs to the vehicle, what to the day, what to the flight: one parameter over flights on several days.
+Numbers only.
 
-Flight j of day i has the estimate y_ij with its own standard deviation s_ij (a hierarchical normal model: Gelman et al., Bayesian Data
-Analysis, 3rd ed., ch. 5; DerSimonian and Laird 1986 with two levels):
+Flight j of day i has the estimate y_ij with its own standard deviation s_ij (a hierarchical normal model: Gelman et
+al., Bayesian Data Analysis, 3rd ed., ch. 5; DerSimonian and Laird 1986 with two levels):
 
-.. math::  y_{ij} = \mu + d_i + u_{ij} + e_{ij}, \quad d_i\sim N(0,\tau_d^2), \; u_{ij}\sim N(0,\tau_f^2), \; e_{ij}\sim N(0,s_{ij}^2)
+.. math::  y_{ij} = \mu + d_i + u_{ij} + e_{ij}, \quad d_i\sim N(0,\tau_d^2), \; u_{ij}\sim N(0,\tau_f^2), \; e_{ij}\sim
+N(0,s_{ij}^2)
 
-:math:`\mu` is the vehicle's, :math:`\mu+d_i` the day's, :math:`\mu+d_i+u_{ij}` the flight's value. Given the two scatters, all of these are
-jointly Gaussian with :math:`\mu` flat (best linear unbiased prediction, Robinson, Statist. Sci. 6, 1991). The scatters are not known, so
-everything is averaged over a grid of them by its marginal likelihood and half-t priors with four degrees of freedom (Gelman, Bayesian Anal. 1, 2006) whose
-scale is the median s: flights of one vehicle scatter about as much as their intervals say, until more flights say otherwise.
+:math:`\mu` is the vehicle's, :math:`\mu+d_i` the day's, :math:`\mu+d_i+u_{ij}` the flight's value. Given the two
+scatters, all of these are jointly Gaussian with :math:`\mu` flat (best linear unbiased prediction, Robinson, Statist.
+Sci. 6, 1991). The scatters are not known, so everything is averaged over a grid of them by its marginal likelihood and
+half-t priors with four degrees of freedom (Gelman, Bayesian Anal. 1, 2006) whose scale is the median s: flights of one
+vehicle scatter about as much as their intervals say, until more flights say otherwise.
 """
 
 from __future__ import annotations
@@ -30,7 +33,10 @@ _SCATTERS = np.concatenate([[0.0], np.geomspace(0.1, 30.0, 14)])
 """In units of the median s."""
 
 OF_THE_DAY = ("wind", "battery_sag", "mocap_misalignment", "mocap_tilt", "clock_offset", "constant_wrench")
-"""Effects that a day has and another has not: air, battery, marker body. All others, and mass and tensor, belong to the vehicle."""
+"""Effects that a day has and another has not: air, battery, marker body.
+
+All others, and mass and tensor, belong to the vehicle.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +116,9 @@ def levels(values: Sequence[float] | Array, stds: Sequence[float] | Array, days:
 
 
 def _grid(y: Array, s: Array, of_day: Array) -> tuple[Array, Array, Array, Array]:
-    """Weights of the scatters, and means and variances of [mu, mu + d, mu + d + u] at each; shapes (g,), (g, n), (g, n), (g, 2)."""
+    """Weights of the scatters, and means and variances of [mu, mu + d, mu + d + u] at each; shapes (g,), (g, n), (g,
+    n), (g, 2).
+    """
     flights, days = of_day.shape
     # from the state [mu, d, u] to what is seen, and to what is told
     seen = np.concatenate([np.ones((flights, 1)), of_day, np.eye(flights)], axis=1)
@@ -158,7 +166,9 @@ def widened(
     found: Mapping[str, Levels],
     by_flight: Sequence[Mapping[str, Estimate]],
 ) -> dict[str, dict[str, float]]:
-    """Joint estimates whose standard deviations hold what flights scatter beyond their own intervals, as a share of the value."""
+    """Joint estimates whose standard deviations hold what flights scatter beyond their own intervals, as a share of the
+    value.
+    """
     out = {}
     for name, entry in estimates.items():
         std = entry["std"]
@@ -172,7 +182,9 @@ def widened(
 
 
 def level_of(name: str) -> str:
-    """To what a parameter belongs: "day" or "vehicle"; of a finding's parameter ("wind.velocity_x_m_s") by its effect."""
+    """To what a parameter belongs: "day" or "vehicle"; of a finding's parameter ("wind.velocity_x_m_s") by its
+    effect.
+    """
     return "day" if name.partition(".")[0] in OF_THE_DAY else "vehicle"
 
 

@@ -27,7 +27,8 @@ def lines(campaign: Campaign) -> list[str]:
     for number, done in enumerate(campaign.rounds, 1):
         out.append(f"flight {number} ({done.seconds:.0f} s): {done.why}")
         out.append(
-            f"  {done.verdict or 'refused'}: {', '.join(done.names()).replace('_', ' ') or 'nothing found'}; {_error_line(done)}"
+            f"  {done.verdict or 'refused'}: {', '.join(done.names()).replace('_', ' ') or 'nothing found'}; "
+            f"{_error_line(done)}"
         )
         out += [f"  {text}" for text in done.not_settled]
     out.append(campaign.sentence or "not finished")
@@ -69,18 +70,31 @@ def write_campaign_report(path: Path, campaign: Campaign) -> Path:
     judged = [(n, r) for n, r in enumerate(campaign.rounds, 1) if r.judged]
     if judged:
         page.section(
-            "errors", "Error on flights that no estimate had seen",
-            element("p", "RMS error half a second ahead on each flight, before that flight was used: by the declared vehicle, by the rigid body "
-                    "estimated from the flights before, and by the same with the effects found in them."),
+            "errors",
+            "Error on flights that no estimate had seen",
+            element(
+                "p",
+                "RMS error half a second ahead on each flight, before that flight was used: by the declared vehicle, "
+                "by the rigid body "
+                "estimated from the flights before, and by the same with the effects found in them.",
+            ),
             table("Before and after the effects", _error_header(), _error_rows(judged)),
             page.figure(_error_figure(judged), "Error of the body rate on each unseen flight, half a second ahead"),
-        )  # fmt: skip
+        )
     if campaign.rounds:
         page.section(
-            "intervals", "Parameters with their intervals",
-            table("Targets, flight by flight", ("parameter", *(f"flight {n}" for n in range(1, len(campaign.rounds) + 1))), _interval_rows(campaign)),
-            page.figure(_interval_figure(campaign), "Half widths of the 95 % intervals over their targets; below 1 the target is met"),
-        )  # fmt: skip
+            "intervals",
+            "Parameters with their intervals",
+            table(
+                "Targets, flight by flight",
+                ("parameter", *(f"flight {n}" for n in range(1, len(campaign.rounds) + 1))),
+                _interval_rows(campaign),
+            ),
+            page.figure(
+                _interval_figure(campaign),
+                "Half widths of the 95 % intervals over their targets; below 1 the target is met",
+            ),
+        )
         _levels_section(page, campaign)
         _cost_section(page, campaign)
     return write_whole(path, page.html(head, element("p", "Intervals are 95 %.")))
@@ -104,11 +118,28 @@ def _levels_section(page: Page, campaign: Campaign) -> None:
             )
         )
     page.section(
-        "levels", "Vehicle, day, flight",
-        element("p", "What another flight is expected to have, and each flight by itself, with 95 % intervals; beside them the scatter between days "
-                "and between flights that no interval covers. Mass and tensor here leave out the error of the thrust constant, which all flights share."),
-        table("Each parameter by level", ("parameter", "belongs to the", "vehicle", *(f"flight {n}" for n in range(1, count + 1)), "between days", "between flights"), rows),
-    )  # fmt: skip
+        "levels",
+        "Vehicle, day, flight",
+        element(
+            "p",
+            "What another flight is expected to have, and each flight by itself, with 95 % intervals; beside them the "
+            "scatter between days "
+            "and between flights that no interval covers. Mass and tensor here leave out the error of the thrust "
+            "constant, which all flights share.",
+        ),
+        table(
+            "Each parameter by level",
+            (
+                "parameter",
+                "belongs to the",
+                "vehicle",
+                *(f"flight {n}" for n in range(1, count + 1)),
+                "between days",
+                "between flights",
+            ),
+            rows,
+        ),
+    )
 
 
 def _level_label(name: str) -> str:
@@ -141,11 +172,16 @@ def _cost_section(page: Page, campaign: Campaign) -> None:
         return
     rows = [(label(n), f"{seconds:.0f} s", f"{value:.0f} s", f"{value / seconds:.1f}") for n, value in repeated.items()]
     page.section(
-        "cost", "What it cost",
-        element("p", "Seconds of excitation that were flown, and those that the paper's trajectory, repeated, would take to the same accuracy, by the "
-                "information that both plans promise for the vehicle as it is estimated now."),
+        "cost",
+        "What it cost",
+        element(
+            "p",
+            "Seconds of excitation that were flown, and those that the paper's trajectory, repeated, would take to the "
+            "same accuracy, by the "
+            "information that both plans promise for the vehicle as it is estimated now.",
+        ),
         table("Seconds of excitation", ("parameter", "campaign", "paper's trajectory repeated", "times"), rows),
-    )  # fmt: skip
+    )
 
 
 def _round(number: int, done: Round) -> Markup:
@@ -220,10 +256,16 @@ def _cell(name: str, entry: Mapping[str, float] | None) -> Child:
 def _interval_figure(campaign: Campaign) -> dict[str, Any]:
     x = [f"flight {n}" for n in range(1, len(campaign.rounds) + 1)]
     data = [
-        {"type": "scatter", "mode": "lines+markers", "x": x, "y": [_plotted(r.reached.get(name)) for r in campaign.rounds], "name": label(name),
-         "line": {"color": f"@{style}"}}
+        {
+            "type": "scatter",
+            "mode": "lines+markers",
+            "x": x,
+            "y": [_plotted(r.reached.get(name)) for r in campaign.rounds],
+            "name": label(name),
+            "line": {"color": f"@{style}"},
+        }
         for style, name in enumerate(campaign.targets, 1)
-    ]  # fmt: skip
+    ]
     shapes = [
         {
             "type": "line",

@@ -16,6 +16,7 @@ from groundstation.commands.common import (
     json_option,
     load_flights,
     logs_option,
+    require_there,
     result_folder,
     seconds_pair,
 )
@@ -72,7 +73,8 @@ def identify(
 ) -> Result:
     """Estimate mass, inertia and the rest from one flight, or from several together, with intervals.
 
-    FLIGHTS are MCAP recordings, bundle folders, PX4 ULog, ArduPilot DataFlash, blackbox, ROS 2 bags or Crazyflie usd logs.
+    FLIGHTS are MCAP recordings, bundle folders, PX4 ULog, ArduPilot DataFlash, blackbox, ROS 2 bags or Crazyflie usd
+    logs.
     """
     left_out = tuple(seconds_pair(pair) for pair in exclude)
     loaded = load_flights(flights, vehicle, start_s, end_s, everything)
@@ -110,8 +112,12 @@ def identify(
 @flight_options
 @click.option("--reference", multiple=True, type=FLIGHT, help="Healthy flight of the same vehicle (repeatable).")
 @click.option("--held-out", multiple=True, type=FLIGHT, help="Flight kept for judging (repeatable).")
-@click.option("--model", type=FLIGHT, default=None,
-              help="identification.toml of an earlier flight: what it holds is known, findings are what it lacks.")  # fmt: skip
+@click.option(
+    "--model",
+    type=FLIGHT,
+    default=None,
+    help="identification.toml of an earlier flight: what it holds is known, findings are what it lacks.",
+)
 def diagnose(
     flights: tuple[Path, ...],
     vehicle: str | None,
@@ -165,7 +171,8 @@ def diagnose(
         *(f"{finding.effect} ({finding.confidence:.0%}): {finding.evidence}" for finding in found.findings),
         *(
             readable(
-                f"unexplained: {item.share:.0%} of {item.channel}, varies with {', '.join(item.depends_on) or 'nothing known'}"
+                f"unexplained: {item.share:.0%} of {item.channel}, varies with "
+                f"{', '.join(item.depends_on) or 'nothing known'}"
             )
             for item in found.unexplained
         ),
@@ -249,8 +256,13 @@ def report(
 @click.option("--horizon", type=float, default=0.5, show_default=True, help="Seconds to predict.")
 @click.option("--state", type=click.Choice(["smoothed", "own"]), default="smoothed", show_default=True,
               help="Start from and judge by the smoothed state, or the vehicle's own estimate.")  # fmt: skip
-@click.option("--use", type=click.Choice(["prediction", "physical"]), default="prediction", show_default=True,
-              help="The model that predicts best, or the physical one; without a [prediction] section it is the physical one.")  # fmt: skip
+@click.option(
+    "--use",
+    type=click.Choice(["prediction", "physical"]),
+    default="prediction",
+    show_default=True,
+    help="The model that predicts best, or the physical one; without a [prediction] section it is the physical one.",
+)
 @click.option("--save", type=click.Path(path_type=Path, dir_okay=False), default=None, help="CSV of predicted states.")
 @click.option("--vehicle", default=None, help="Vehicle file or shipped name; overrides the recorded one.")
 @click.option("--from", "start_s", type=float, default=None, help="Use the flight from this time on, s.")
@@ -268,6 +280,7 @@ def predict(
     end_s: float | None,
 ) -> Result:
     """Simulate open loop from every sample of FLIGHT with MODEL (identification.toml), and say how far off it is."""
+    require_there(model)
     loaded = load_flights((flight,), vehicle, start_s, end_s)[0]
     from groundstation import api
     from groundstation.reporting.exports import read_model

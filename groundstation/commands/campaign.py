@@ -25,8 +25,8 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 @click.option("--station", default="default", show_default=True, help="Station file for --link.")
 @click.option("--yes-simulated", is_flag=True, help="What flies on the link is a simulation: do not ask before arming.")
 @click.option("--until", default="ixx,iyy,izz:2%,mass:0.5%", show_default=True, help="95 % half widths to reach.")
-@click.option("--at-most", type=click.IntRange(1, 50), default=5, show_default=True, help="Flights.")
-@click.option("--seed", type=int, default=1, show_default=True, help="Of plans and simulated flights.")
+@click.option("--at-most", type=click.IntRange(1, 50), default=5, show_default=True, help="Most flights to fly.")
+@click.option("--seed", type=int, default=1, show_default=True, help="Seed of plans and of simulated flights.")
 @click.option(
     "--from", "given", multiple=True, type=click.Path(path_type=Path), help="Begin with this flight (repeatable)."
 )
@@ -34,24 +34,34 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 @logs_option
 @json_option
 def campaign(
-    vehicle: str | None, scenario: str | None, link: str | None, station: str, yes_simulated: bool, until: str, at_most: int,
-    seed: int, given: tuple[Path, ...], resume: Path | None, logs: Path,
-) -> Result:  # fmt: skip
+    vehicle: str | None,
+    scenario: str | None,
+    link: str | None,
+    station: str,
+    yes_simulated: bool,
+    until: str,
+    at_most: int,
+    seed: int,
+    given: tuple[Path, ...],
+    resume: Path | None,
+    logs: Path,
+) -> Result:
     """Fly, judge the model on the new flight, find what is missing, plan what settles it, until the targets are met.
 
-    It ends when nothing is left open, the targets are met, and the model predicts a flight that no estimate has seen as well
-    as its own; or it says what was not reached. Killed at any moment, --resume goes on.
+    It ends when nothing is left open, the targets are met, and the model predicts a flight that no estimate has seen as
+    well as its own; or it says what was not reached. Killed at any moment, --resume goes on.
     """
     from groundstation.campaign.campaign import VEHICLE, autopilot_limits, begin, load_campaign, run, take_in
     from groundstation.campaign.report import lines, write_campaign_report
     from groundstation.flight.client.interrupts import Interrupts
 
     line = ProgressLine()
+    if resume is None and vehicle is None:
+        raise BadInput("name the vehicle with --vehicle, or a campaign that was begun with --resume.")
+    _check_flown(scenario, link, yes_simulated=yes_simulated)
     if resume is not None:
         stand = load_campaign(resume)
-    else:
-        if vehicle is None:
-            raise BadInput("name the vehicle with --vehicle, or a campaign that was begun with --resume.")
+    elif vehicle is not None:
         stand = begin(logs, vehicle, until, at_most=at_most, seed=seed)
         for flight in given:
             stand = take_in(stand, flight, "given", say=line.say).save()
@@ -61,10 +71,34 @@ def campaign(
         stand = run(stand, flyer, say=line.say, **(autopilot_limits(stand.vehicle) if link is not None else {}))
     line.end()
     report = write_campaign_report(stand.folder / "report.html", stand)
-    document = {"schema": "groundstation.campaign/1", "folder": str(stand.folder), "outcome": stand.outcome, "sentence": stand.sentence,
-                "flights": [r.folder for r in stand.rounds], "estimates": dict(stand.rounds[-1].estimates) if stand.rounds else {}}  # fmt: skip
+    document = {
+        "schema": "groundstation.campaign/1",
+        "folder": str(stand.folder),
+        "outcome": stand.outcome,
+        "sentence": stand.sentence,
+        "flights": [r.folder for r in stand.rounds],
+        "estimates": dict(stand.rounds[-1].estimates) if stand.rounds else {},
+    }
     text = "\n".join([*lines(stand), f"report: {report}", f"model: {stand.folder / f'model-{len(stand.rounds)}.toml'}"])
     return Result(document, text, 0 if stand.outcome == "settled" else Refused.exit_status)
+
+
+def _check_flown(scenario: str | None, link: str | None, *, yes_simulated: bool) -> None:
+    """Refuse a campaign that could not fly before its folder is made.
+
+    Raises:
+        BadInput: nothing or two things fly, no such scenario ships, or nobody is at the terminal of a real vehicle.
+    """
+    from groundstation.paths import find_config
+
+    if (scenario is None) == (link is None):
+        raise BadInput(
+            "say what flies: --scenario NAME for the simulated drone, or --link ADDRESS for a vehicle on MAVLink."
+        )
+    if scenario is not None:
+        find_config("scenarios", scenario)
+    if link is not None and not yes_simulated and not sys.stdin.isatty():
+        raise BadInput("a real vehicle is armed only by somebody at a terminal; a simulated one with --yes-simulated.")
 
 
 class _Flyer:
@@ -73,23 +107,8 @@ class _Flyer:
     def __init__(
         self, stand: Campaign, vehicle_file: Path, logs: Path, line: ProgressLine, stop: Interrupts, **how: Any
     ):
-        scenario, link = how["scenario"], how["link"]
-        if (scenario is None) == (link is None):
-            raise BadInput(
-                "say what flies: --scenario NAME for the simulated drone, or --link ADDRESS for a vehicle on MAVLink."
-            )
-        if link is not None and not how["yes_simulated"] and not sys.stdin.isatty():
-            raise BadInput(
-                "a real vehicle is armed only by somebody at a terminal; a simulated one with --yes-simulated."
-            )
-        self._stand, self._vehicle, self._logs, self._line, self._stop, self._how = (
-            stand,
-            vehicle_file,
-            logs,
-            line,
-            stop,
-            how,
-        )
+        self._stand, self._vehicle, self._logs = stand, vehicle_file, logs
+        self._line, self._stop, self._how = line, stop, how
 
     def place(self) -> Path:
         """A folder's name for a new flight."""

@@ -118,7 +118,9 @@ class Choice(click.Choice[str]):
 
 
 class ProgressLine:
-    """Progress on standard error: on a terminal one line that is rewritten and fits, with the time left; else a line now and then."""
+    """Progress on standard error: on a terminal one line that is rewritten and fits, with the time left; else a line
+    now and then.
+    """
 
     def __init__(self, every_s: float = 1.0, clock: Callable[[], float] = time.monotonic):
         self._terminal = sys.stderr.isatty()
@@ -137,7 +139,9 @@ class ProgressLine:
         self._show(f"{100 * fraction:3.0f} %  {self._left(fraction)}{text}", force=fraction >= 1.0)
 
     def _left(self, fraction: float) -> str:
-        """Time left, once a second and a twentieth of the work are behind; it assumes that the work goes on as it went."""
+        """Time left, once a second and a twentieth of the work are behind; it assumes that the work goes on as it
+        went.
+        """
         now = self._clock()
         if self._began is None:
             self._began = now
@@ -168,7 +172,9 @@ class ProgressLine:
 
     @contextmanager
     def ticking(self, text: str) -> Iterator[None]:
-        """Say how long something takes that tells nothing of itself, whenever the line was quiet for a second and a half."""
+        """Say how long something takes that tells nothing of itself, whenever the line was quiet for a second and a
+        half.
+        """
         done, begun = threading.Event(), self._clock()
 
         def tick() -> None:
@@ -204,6 +210,16 @@ def load_vehicle_option(value: str | None) -> Vehicle | None:
     return None if value is None else api.load_vehicle(value)
 
 
+def require_there(path: Path) -> None:
+    """Refuse a path that leads nowhere before anything heavy is loaded.
+
+    Raises:
+        BadInput: there is nothing.
+    """
+    if not path.exists():
+        raise BadInput(f"{path}: there is no such file or folder.")
+
+
 def load_flights(
     paths: tuple[Path, ...],
     vehicle: str | None,
@@ -214,6 +230,8 @@ def load_flights(
     """Read flights of any format, with the vehicle of the command line over the recorded one; progress meanwhile."""
     from groundstation import api
 
+    for path in paths:
+        require_there(path)
     declared = load_vehicle_option(vehicle)
     flights: list[FlightData] = []
     for path in paths:

@@ -61,7 +61,14 @@ def convert(source: Path, target: Path | None, vehicle: str | None, mapped: Path
 
 @click.command(epilog=example("groundstation export identification.toml --format mjcf --output vehicle.xml"))
 @click.argument("model", type=ANY)
-@click.option("--format", "form", required=True, type=Choice(FORMAT_NAMES, OTHER_NAMES), help="What reads it.")
+@click.option(
+    "--format",
+    "form",
+    required=True,
+    type=Choice(FORMAT_NAMES, OTHER_NAMES),
+    metavar="FORMAT",
+    help=f"What reads it: {', '.join(FORMAT_NAMES)}.",
+)
 @click.option("--output", type=click.Path(path_type=Path, dir_okay=False), help="File to write; else standard output.")
 @click.option("--vehicle", default=None, help="Vehicle file or shipped name; overrides the model's.")
 @json_option

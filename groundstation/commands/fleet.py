@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from datetime import date
 from pathlib import Path
 from typing import Any
 
 import click
 
-from groundstation.commands.common import ProgressLine, Result, example, json_option, logs_option
+from groundstation.commands.common import Choice, ProgressLine, Result, example, json_option, logs_option
 from groundstation.errors import BadInput
 
 MOVED = 3.0
@@ -23,7 +24,7 @@ SORTS = ("date", "flight", "vehicle", "state", "verdict", "mass")
 @click.option("--since", default=None, metavar="DATE", help="Only flights from this date on (2025-01-31).")
 @click.option("--finding", default=None, metavar="EFFECT", help="Only flights with this finding, e.g. rotor_drag.")
 @click.option("--tag", default=None, help="Only flights with this tag.")
-@click.option("--sort", type=click.Choice(SORTS), default="date", show_default=True, help="Order of the list.")
+@click.option("--sort", type=Choice(SORTS), default="date", show_default=True, help="Order of the list.")
 @click.option("--trend", is_flag=True, help="How parameters moved over each vehicle's flights, with control limits.")
 @click.option("--compare", nargs=2, default=None, metavar="A B", help="Two tags, or two flights, against each other.")
 @click.option("--report", type=click.Path(path_type=Path, dir_okay=False), help="Write a fleet report (HTML) here.")
@@ -53,6 +54,7 @@ def flights(
     """
     from groundstation.fleet.catalogue import Catalogue, Filter
 
+    _check_date(since)
     if (add_tag or remove_tag or note is not None) and not chosen:
         raise BadInput(
             "name the flights to tag or note, e.g. `groundstation flights 2025-01-31T12-00-00-x500 --add-tag payload`."
@@ -71,17 +73,35 @@ def flights(
         return _fleet(catalogue, vehicle, trend, compare, report)
     rows = catalogue.rows(Filter(vehicle, since, finding, tag))
     if chosen:
+        _check_named(catalogue, chosen)
         rows = [row for row in rows if _is_named(row, chosen)]
+    empty = f"no flights in {logs}; make one with `groundstation rehearse`"
+    if not rows and (count := len(catalogue.rows())):
+        empty = f"none of the {count} flights in {logs} is like that; `groundstation flights --logs {logs}` lists them"
     key = {"mass": _mass}.get(sort, lambda row: str(row[sort] or ""))
     rows.sort(key=lambda row: (key(row), row["date"], row["flight"]))
-    empty = f"no flights in {logs}; make one with `groundstation rehearse`"
     text = "\n".join([*head, *(_flight_line(row) for row in rows)] or [empty])
     return Result({"schema": "groundstation.flights/1", "flights": rows}, text)
+
+
+def _check_date(since: str | None) -> None:
+    """Refuse a date that is none: texts are compared, and any text is later than every date or none."""
+    try:
+        date.fromisoformat((since or "2025-01-31")[:10])
+    except ValueError:
+        raise BadInput(f"'{since}' is no date; write it as 2025-01-31.") from None
 
 
 def _is_named(row: Mapping[str, Any], chosen: tuple[str, ...]) -> bool:
     names = {row["flight"], row["folder"], Path(row["folder"]).name}
     return any(name.rstrip("/") in names for name in chosen)
+
+
+def _check_named(catalogue: Any, chosen: tuple[str, ...]) -> None:
+    rows = catalogue.rows()
+    for name in chosen:
+        if not any(_is_named(row, (name,)) for row in rows):
+            raise BadInput(f"'{name}' is no flight in {catalogue.logs}; `groundstation flights` lists them.")
 
 
 def _mass(row: Mapping[str, Any]) -> str:
@@ -94,12 +114,9 @@ def _annotate(
 ) -> None:
     from groundstation.fleet.rows import set_notes
 
-    rows = catalogue.rows()
-    for name in chosen:
-        named = [row for row in rows if _is_named(row, (name,))]
-        if not named:
-            raise BadInput(f"'{name}' is no flight in {catalogue.logs}; `groundstation flights` lists them.")
-        for row in named:
+    _check_named(catalogue, chosen)
+    for row in catalogue.rows():
+        if _is_named(row, chosen):
             set_notes(Path(row["folder"]), add=add, remove=remove, note=note)
 
 

@@ -30,8 +30,11 @@ MAVLINK_VEHICLE = "x500"
 def until_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """How long the excitation lasts, where that is decided in flight."""
     most = click.option(
-        "--excitation-at-most-s", type=click.FloatRange(min=1.0), default=None, help="Excitation of an --until flight at the most; 80 s by default."
-    )  # fmt: skip
+        "--excitation-at-most-s",
+        type=click.FloatRange(min=1.0),
+        default=None,
+        help="The longest excitation of an --until flight, s; 80 by default.",
+    )
     until = click.option("--until", default=None, metavar="TARGETS", help=f"Fly until this is known, e.g. {DEFAULT}.")
     return until(most(function))
 
@@ -45,8 +48,8 @@ def until_options(function: Callable[..., Any]) -> Callable[..., Any]:
 def sim(ctx: click.Context, arguments: tuple[str, ...]) -> None:
     """Start the simulated drone as a process that another program flies.
 
-    With --mavlink it is an autopilot on UDP, for `preflight` and `fly`. Without it, it waits for a core on the bus; `rehearse` starts
-    one by itself and needs no `sim`. The arguments follow.
+    With --mavlink it is an autopilot on UDP, for `preflight` and `fly`. Without it, it waits for a core on the bus;
+    `rehearse` starts one by itself and needs no `sim`. The arguments follow.
     """
     from groundstation.flight.children import module_command
 
@@ -69,7 +72,9 @@ def sim(ctx: click.Context, arguments: tuple[str, ...]) -> None:
 @click.option(
     "--plan", "plan_file", type=click.Path(path_type=Path, dir_okay=False), help="Fly this plan instead of a new one."
 )
-@click.option("--seed", type=int, default=1, show_default=True, help="Of the simulated noise and the true vehicle.")
+@click.option(
+    "--seed", type=int, default=1, show_default=True, help="Seed of the simulated noise and of the true vehicle."
+)
 @click.option("--real-time", is_flag=True, help="Let the simulated drone fly at the wall clock's pace.")
 @until_options
 @logs_option
@@ -79,8 +84,8 @@ def rehearse(
 ) -> Result:
     """Fly the whole loop in simulation: plan, upload over zenoh, fly, record, identify, diagnose, report.
 
-    Ctrl-C aborts: before arming nothing is armed, afterwards the simulated drone lands. Killing this program does not end
-    the flight.
+    Ctrl-C aborts: before arming nothing is armed, afterwards the simulated drone lands. Killing this program does not
+    end the flight.
     """
     from groundstation.flight.client.interrupts import Interrupts
 
@@ -109,6 +114,7 @@ def _rehearsed(
     from groundstation.trajectory import load_plan
     from groundstation.vehicle import load_vehicle
 
+    _check_targets(until)
     vehicle_file = find_config("vehicles", vehicle).resolve()
     scenario_file = find_config("scenarios", scenario).resolve()
     declared = load_vehicle(vehicle_file)
@@ -126,6 +132,12 @@ def _rehearsed(
     plan_path = _keep_plan(chosen, folder)
     drone = simulated_drone(vehicle_file, scenario_file, seed, real_time=real_time)
     return fly_plan(folder, plan=plan_path, vehicle=vehicle_file, drone=drone, say=line.say, stop=stop)
+
+
+def _check_targets(asked: Mapping[str, Any]) -> None:
+    """Refuse targets that are none before a plan is made for them."""
+    if asked["until"] is not None:
+        parse_targets(asked["until"])
 
 
 def _lasting(chosen: Any, declared: Any, asked: Mapping[str, Any], *, automatic: bool) -> Any:
@@ -215,14 +227,20 @@ def link_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """What a command on a MAVLink link takes."""
     options = (
         click.option(
-            "--link", required=True, help="serial:///dev/ttyUSB0:921600, udpin://127.0.0.1:14540, tcp://host:port."
+            "--link",
+            required=True,
+            metavar="URL",
+            help="The MAVLink link: serial:///dev/ttyUSB0:921600, udpin://127.0.0.1:14540 or tcp://HOST:PORT.",
         ),
         click.option("--vehicle", required=True, help="Vehicle file, or the name of a shipped one."),
         click.option(
             "--station", default="default", show_default=True, help="Station file: room, guard limits, policy."
         ),
         click.option(
-            "--plan", "plan_file", type=click.Path(path_type=Path, dir_okay=False), help="Plan; else a new one."
+            "--plan",
+            "plan_file",
+            type=click.Path(path_type=Path, dir_okay=False),
+            help="Fly this plan instead of a new one.",
         ),
         click.option(
             "--system",
@@ -248,7 +266,8 @@ def link_options(function: Callable[..., Any]) -> Callable[..., Any]:
 def _link_flight(
     vehicle: str, plan_file: Path | None, logs: Path, line: ProgressLine, *, automatic: bool = False, **link: Any
 ) -> dict[str, Any]:
-    """Folder, plan, vehicle and link process of a flight on a MAVLink link."""
+    """Folder, plan, vehicle and link process of a flight on a MAVLink link; faults are told before a plan is made."""
+    from drivers.mavlink.transports import parse_url
     from groundstation.flight.client.client import new_flight_folder
     from groundstation.flight.client.rehearse import linked_vehicle
     from groundstation.flight.station import load_station
@@ -256,6 +275,11 @@ def _link_flight(
     from groundstation.trajectory import load_plan
     from groundstation.vehicle import load_vehicle
 
+    _check_targets(link)
+    try:
+        parse_url(link["link"])
+    except ValueError as error:
+        raise BadInput(f"{error}.") from None
     station = load_station(link["station"])
     vehicle_file = find_config("vehicles", vehicle).resolve()
     declared = load_vehicle(vehicle_file)
@@ -292,7 +316,8 @@ def preflight(vehicle: str, plan_file: Path | None, logs: Path, **link: Any) -> 
 @click.option(
     "--take-over",
     type=click.Choice(["land", "hold"]),
-    help="A vehicle is in flight, and its station ended: land it, or hold it for a minute and land; its folder goes on.",
+    help="A vehicle is in flight, and its station ended: land it, or hold it for a minute and land; its folder goes "
+    "on.",
 )
 def fly(
     vehicle: str, plan_file: Path | None, logs: Path, yes_simulated: bool, take_over: str | None, **link: Any
@@ -370,10 +395,14 @@ def _fetch_log(url: str, vehicle: Path, flown: FlightResult, line: ProgressLine,
         line.say(f"onboard log: {path}; `groundstation identify {path} --vehicle {vehicle}` uses its rates")
     except (GroundStationError, ConnectionError, ValueError) as error:
         line.say(f"no onboard log ({error}); identified from what came over the link")
+    except KeyboardInterrupt:
+        line.say("no onboard log (stopped by Ctrl-C); identified from what came over the link")
 
 
 def _offered(refusal: str, line: ProgressLine) -> str:
-    """What the operator at a terminal wants done with a vehicle that is in flight; empty leaves it to its own failsafe."""
+    """What the operator at a terminal wants done with a vehicle that is in flight; empty leaves it to its own
+    failsafe.
+    """
     from groundstation.flight.messages import IN_FLIGHT
 
     if not refusal.startswith(IN_FLIGHT) or not sys.stdin.isatty():

@@ -1,4 +1,6 @@
-"""The commands in the order in which one uses them, with a line each: what ``groundstation --help`` prints without loading any."""
+"""The commands in the order in which one uses them, with a line each: what ``groundstation --help`` prints without
+loading any.
+"""
 
 from __future__ import annotations
 
@@ -26,6 +28,7 @@ SECTIONS: dict[str, dict[str, str]] = {
     },
     "This station": {
         "calibrate": "Measure how the marker body sits, by hand",
+        "station": "Share this station with other machines; passes for them",
         "doctor": "Say what is missing or wrong here, and what to do",
         "reproduce": "Fly the paper's flights and print its tables beside ours",
         "completion": "Print a completion script for bash, zsh or fish",

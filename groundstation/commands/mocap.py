@@ -85,7 +85,8 @@ def _lines(each: SystemSurvey) -> list[str]:
         if s is not None:
             residual = "" if s.residual_m != s.residual_m else f", residual {1e3 * s.residual_m:.2f} mm"
             lines.append(
-                f"  {name}: {s.rate_hz:.0f} Hz, latency {1e3 * s.latency_p50_s:.1f} ms (p99 {1e3 * s.latency_p99_s:.1f}), "
+                f"  {name}: {s.rate_hz:.0f} Hz, latency {1e3 * s.latency_p50_s:.1f} ms (p99 "
+                f"{1e3 * s.latency_p99_s:.1f}), "
                 f"jitter {1e6 * s.jitter_s:.0f} us, {s.missing} frames missing, unseen {100 * s.unseen:.1f} %{residual}"
             )
     return lines + [f"  -> {text}" for text in each.faults]
@@ -104,10 +105,11 @@ def _lines(each: SystemSurvey) -> list[str]:
 @click.option("--yes", is_flag=True, help="Write without asking.")
 @json_option
 def calibrate(link: str, vehicle: str, station: str, seconds: float, key_file: Path | None, yes: bool) -> Result:
-    """Measure how the marker body sits on the IMU: carry the vehicle for half a minute, rotors off, and turn it about all axes.
+    """Measure how the marker body sits on the IMU: carry the vehicle for half a minute, rotors off, and turn it about
+    all axes.
 
-    Offset, rotation, the world's tilt and scale, and the delay of the stamps go into the station file. Every flight after uses them,
-    and every preflight checks them again.
+    Offset, rotation, the world's tilt and scale, and the delay of the stamps go into the station file. Every flight
+    after uses them, and every preflight checks them again.
     """
     from groundstation.flight.calibration import calibration_of, section, told, write_calibration
     from groundstation.flight.link.collect import collect

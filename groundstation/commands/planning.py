@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from groundstation.commands.common import ProgressLine, Result, assignments, example, json_option
+from groundstation.commands.common import ProgressLine, Result, assignments, example, json_option, suggestion
 from groundstation.errors import BadInput
 
 if TYPE_CHECKING:
@@ -32,6 +32,8 @@ LIMIT_OPTIONS = {
 """Option -> limit of the vehicle file that it overrides; options in degrees set limits in radians."""
 
 
+LONGEST_SEARCH_S = 86_400.0
+"""A day: what is longer is a slip of the finger."""
 BUDGET_S = 8.0
 """Of --compare and --discriminate where none is given."""
 
@@ -51,15 +53,20 @@ def limits_in_si(values: dict[str, float | None]) -> dict[str, float]:
 
 @click.command(epilog=example("groundstation plan --paper --tilt-max-deg 6.2155 --output plan.toml"))
 @click.option("--vehicle", default=None, help="Vehicle file, or the name of a shipped one.  [default: qball2]")
-@click.option("--paper", is_flag=True, help="The paper's problem: QBall 2, its room, N = 5 at 36 degrees/s, cond(W).")
-@click.option("--criterion", type=click.Choice(["condition", "D", "A", "E"], case_sensitive=False), default=None)
+@click.option(
+    "--paper",
+    is_flag=True,
+    help="The paper's problem: the QBall 2 in its room, five harmonics of 36 degrees/s, cond(W).",
+)
+@click.option("--criterion", type=click.Choice(["condition", "D", "A", "E"], case_sensitive=False), default=None,
+              help="What is optimised: cond(W), or D-, A- or E-optimality.")  # fmt: skip
 @click.option("--harmonics", type=click.IntRange(1, 40), default=None, help="Harmonics per channel.")
 @click.option("--base-frequency-deg-s", type=float, default=None, help="Base frequency; free if not given.")
-@click.option("--duration-s", type=float, default=None, help="Seconds of excitation.")
+@click.option("--duration-s", type=float, default=None, help="Length of the excitation, s.")
 @click.option("--frequency-max-hz", type=float, default=None, help="No harmonic above it where the base is free.")
 @click.option("--limit", "more_limits", multiple=True, metavar="NAME=VALUE", help="Any limit by its name, SI.")
-@click.option("--seed", type=int, default=3, show_default=True, help="Of the random starts.")
-@click.option("--time-budget-s", type=float, default=None,
+@click.option("--seed", type=int, default=3, show_default=True, help="Seed of the random starts.")
+@click.option("--time-budget-s", type=click.FloatRange(0.1, LONGEST_SEARCH_S), default=None,
               help="Seconds to search on from random starts; without it the first answer is enough.")  # fmt: skip
 @click.option("--compare", is_flag=True, help="Compare families of signals under the same limits, as a table.")
 @click.option("--discriminate", type=click.Path(path_type=Path, dir_okay=False), default=None,
@@ -154,7 +161,9 @@ def _discriminating(
 
 
 def _vehicle_of(path: Path, document: dict[str, Any], given: str | None) -> Vehicle:
-    """The vehicle as given, else as declared in the identification beside the diagnosis, else the shipped one of its name."""
+    """The vehicle as given, else as declared in the identification beside the diagnosis, else the shipped one of its
+    name.
+    """
     from groundstation.paths import find_config, shipped_config
     from groundstation.reporting.exports import read_model
     from groundstation.vehicle import load_vehicle, vehicle_from_dict
@@ -176,7 +185,7 @@ def known_limits(values: dict[str, float]) -> dict[str, float]:
     known = sorted(LIMIT_OPTIONS.values())
     for name in values:
         if name not in known:
-            raise BadInput(f"{name} is not a limit; there are {', '.join(known)}.")
+            raise BadInput(f"{name} is not a limit. {suggestion(name, known)}")
     return values
 
 

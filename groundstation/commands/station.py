@@ -227,13 +227,14 @@ SHELLS = {
 @click.argument("shell", type=Choice(tuple(SHELLS)))
 @click.pass_context
 def completion(ctx: click.Context, shell: str) -> Result:
-    r"""Print a completion script for bash, zsh or fish; write it where the shell looks for it, and open a new shell.
+    """Print a completion script for bash, zsh or fish; write it where the shell looks for it, and open a new shell.
 
     \b
     bash  ~/.local/share/bash-completion/completions/groundstation
-    zsh   ~/.zfunc/_groundstation   (with `fpath+=~/.zfunc; autoload -U compinit; compinit` in ~/.zshrc)
+    zsh   ~/.zfunc/_groundstation, and in ~/.zshrc:
+          fpath+=~/.zfunc; autoload -U compinit; compinit
     fish  ~/.config/fish/completions/groundstation.fish
-    """
+    """  # noqa: D301 - click wants the character itself
     from click.shell_completion import get_completion_class
 
     completer = get_completion_class(shell)

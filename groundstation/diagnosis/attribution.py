@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.columns import Candidate, Columns, Solution
 from groundstation.diagnosis.discrepancy import Discrepancy, allowance
 from groundstation.diagnosis.effect import Effect, library
-from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, Solution
+from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import (
     INSTANTS,
@@ -99,7 +100,9 @@ class Selection:
         self._beaten: list[tuple[set[Kind], float]] = []
 
     def threshold(self, candidate: Candidate, columns: Columns, members: Sequence[int] | None = None) -> float:
-        """Wald statistic of all parameters (or some) that noise passes with probability ``effect_chance`` in any of an effect's variants."""
+        """Wald statistic of all parameters (or some) that noise passes with probability ``effect_chance`` in any of an
+        effect's variants.
+        """
         key = columns.number, -1 if members is None else len(members)
         if key not in self._passed:
             chance = THRESHOLDS.effect_chance / max(self.variants[candidate.identifier], 1)
@@ -107,15 +110,18 @@ class Selection:
         return self._passed[key]
 
     def _cost(self, entry: Entry) -> float:
-        """What an entry has to explain in a contest: what chance gives it, and what an instant gives that was looked for.
+        """What an entry has to explain in a contest: what chance gives it, and what an instant gives that was looked
+        for.
 
-        The search for an instant is one more parameter, which costs the logarithm of the number of rows (Schwarz 1978), about as
-        much as ``inseparable``: a rotor that was weak all along is not one that failed early for less.
+        The search for an instant is one more parameter, which costs the logarithm of the number of rows (Schwarz 1978),
+        about as much as ``inseparable``: a rotor that was weak all along is not one that failed early for less.
         """
         return self.threshold(*entry) + (THRESHOLDS.inseparable if INSTANTS.intersection(entry[0].settings) else 0.0)
 
     def _margins(self, chosen: Sequence[Entry], members: Sequence[int] | None = None) -> list[float]:
-        """Margin of each member (or of some) over chance and over the others' form errors; -inf if implausible or immaterial."""
+        """Margin of each member (or of some) over chance and over the others' form errors; -inf if implausible or
+        immaterial.
+        """
         solution = self.evidence.solve([*self.baseline, *chosen])
         offset = sum(len(c.effect.parameters) for c, _ in self.baseline)
         energies = self.discrepancy.energies(chosen, solution, offset)
@@ -141,8 +147,8 @@ class Selection:
     def _without(self, chosen: Sequence[Entry], index: int) -> Array:
         """Energy by channel, shape (6,), of lag and the other members as they are estimated without one.
 
-        What their formulas may leave to it is theirs where it is not there: beside it, two that are alike nearly cancel, and their
-        energies mean nothing.
+        What their formulas may leave to it is theirs where it is not there: beside it, two that are alike nearly
+        cancel, and their energies mean nothing.
         """
         rest = [*chosen[:index], *chosen[index + 1 :]]
         key = frozenset(columns.number for _, columns in rest)
@@ -168,11 +174,12 @@ class Selection:
         return found
 
     def choose(self) -> list[Entry]:
-        """The set that explains most beyond chance: of the one that forward selection ends in, and those from other starts.
+        """The set that explains most beyond chance: of the one that forward selection ends in, and those from other
+        starts.
 
-        Forward selection takes what explains most by itself. Two faults together can look most like a third, and no exchange of one
-        member leads out of that corner. So a selection begins at every rotor and every other effect that shows by itself, too, and
-        the sets contest all places together, through the same instruments.
+        Forward selection takes what explains most by itself. Two faults together can look most like a third, and no
+        exchange of one member leads out of that corner. So a selection begins at every rotor and every other effect
+        that shows by itself, too, and the sets contest all places together, through the same instruments.
         """
         found = self._selected([])
         if not found:
@@ -292,7 +299,9 @@ class Selection:
         return out
 
     def _refined(self, chosen: list[Entry], index: int) -> list[Entry]:
-        """Look closer at the instant, the length or the curve of a member, through instruments common to all settings."""
+        """Look closer at the instant, the length or the curve of a member, through instruments common to all
+        settings.
+        """
         for _ in range(THRESHOLDS.refinements_most):
             current = chosen[index]
             entries = [current]
@@ -328,10 +337,12 @@ class Selection:
         return chosen
 
     def _contest(self, chosen: list[Entry], index: int) -> tuple[list[tuple[Entry, float]], float]:
-        """The member at ``index`` and its strongest rivals, with what each explains beyond chance, the member first; and the misfit.
+        """The member at ``index`` and its strongest rivals, with what each explains beyond chance, the member first;
+        and the misfit.
 
         A rival is another effect, or the same one of another rotor.
-        A Wald statistic is through an effect's own instruments; two of them do not compare. Here all pass the same ones.
+        A Wald statistic is through an effect's own instruments; two of them do not compare. Here all pass the same
+        ones.
         """
         others, own = {c.identifier for i, (c, _) in enumerate(chosen) if i != index}, kind_of(chosen[index])
         best: dict[Kind, tuple[float, Entry]] = {}
@@ -356,10 +367,12 @@ class Selection:
     def _alternatives(
         self, contest: list[tuple[Entry, float]], margin: float, misfit: float
     ) -> tuple[tuple[str, ...], float]:
-        """Alternatives to the first of a contest, and its posterior share among all of it, whole sets without it, and nothing.
+        """Alternatives to the first of a contest, and its posterior share among all of it, whole sets without it, and
+        nothing.
 
-        Differences that form errors can make count for no more than ``inseparable``. Where even the best set leaves more than noise, all
-        differences count for as much less (quasi-likelihood: McCullagh and Nelder 1989, section 9).
+        Differences that form errors can make count for no more than ``inseparable``. Where even the best set leaves
+        more than noise, all differences count for as much less (quasi-likelihood: McCullagh and Nelder 1989, section
+        9).
         """
         (entry, own), *rivals = contest
         close = max(THRESHOLDS.inseparable, THRESHOLDS.form_error_share**2 * own)
@@ -372,18 +385,22 @@ class Selection:
         return alternatives, posterior([*differences, *sets, -margin / misfit])
 
     def held_out_gain(self, chosen: Sequence[Entry], entry: Entry) -> float:
-        """Fall of the whitened squared residual on blocks no estimate saw, guard gaps left out, when ``entry`` is added."""
+        """Fall of the whitened squared residual on blocks no estimate saw, guard gaps left out, when ``entry`` is
+        added.
+        """
         return float(np.sum(self._held_out_gains(chosen, entry)))
 
     def _improves_held_out(self, chosen: Sequence[Entry], entry: Entry) -> bool:
-        """Whether an effect lessens the error on blocks no estimate saw, and in no channel adds more to it than its form excuses."""
+        """Whether an effect lessens the error on blocks no estimate saw, and in no channel adds more to it than its
+        form excuses.
+        """
         gains = self._held_out_gains(chosen, entry)
         total = float(np.sum(gains))
         return total > 0.0 and float(np.min(gains)) > -(THRESHOLDS.inseparable + THRESHOLDS.form_error_share * total)
 
     def _held_out_gains(self, chosen: Sequence[Entry], entry: Entry) -> Array:
-        """The same by channel, shape (6,), in what the instruments span: a column of measured speeds adds their noise to a residual
-        that is right.
+        """The same by channel, shape (6,), in what the instruments span: a column of measured speeds adds their noise
+        to a residual that is right.
         """
         before = [*self.baseline, *chosen]
         after = [*before, entry]
@@ -402,7 +419,9 @@ class Selection:
 
 
 WHOLE_FLIGHTS = 3
-"""Flights from which each is held out as a whole: two are left to estimate from, whose wind, battery and clock it does not share."""
+"""Flights from which each is held out as a whole: two are left to estimate from, whose wind, battery and clock it does
+not share.
+"""
 
 Rows = NDArray[np.bool_]
 
@@ -410,7 +429,8 @@ Rows = NDArray[np.bool_]
 def held_out(evidence: Evidence) -> list[tuple[Rows, Rows]]:
     """Train and test rows: each flight by all others where there are three or more, else blocks of time by the rest.
 
-    Blocks of one flight share its wind, battery and clock; what is learnt of these helps on other blocks, and on no other flight.
+    Blocks of one flight share its wind, battery and clock; what is learnt of these helps on other blocks, and on no
+    other flight.
     """
     if evidence.suspects < WHOLE_FLIGHTS:
         return folds(evidence)

@@ -1,11 +1,13 @@
-"""What an earlier flight found, taken as known: the diagnosis of the next one says what the augmented model still lacks."""
+"""What an earlier flight found, taken as known: the diagnosis of the next one says what the augmented model still
+lacks.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
+from groundstation.diagnosis.columns import Candidate
 from groundstation.diagnosis.effect import library
-from groundstation.diagnosis.evidence import Candidate
 
 
 def known_candidates(effects: Mapping[str, Mapping[str, Mapping[str, float]]]) -> tuple[Candidate, ...]:

@@ -10,6 +10,7 @@ from groundstation.diagnosis.kinematic import kinematic_findings, with_imu_align
 from groundstation.diagnosis.results import Finding
 from groundstation.flightdata import FlightData
 from groundstation.identification.preparation import Prepared, prepare_all
+from groundstation.identification.work import Work
 from groundstation.options import AnalysisOptions
 from groundstation.vehicle import Vehicle
 
@@ -21,7 +22,8 @@ class Case:
     Attributes:
         vehicle: as declared.
         suspects: under suspicion, pooled.
-        healthy: of the same vehicle in its healthy state; they share its mass and tensor, and no candidate acts on them.
+        healthy: of the same vehicle in its healthy state; they share its mass and tensor, and no candidate acts on
+            them.
         unseen: flights that no estimate sees; findings are judged on them.
     """
 
@@ -36,7 +38,7 @@ class Case:
         return replace(self, suspects=suspects, healthy=healthy, unseen=unseen)
 
 
-def case_of(flights: Sequence[FlightData], options: AnalysisOptions) -> Case:
+def case_of(flights: Sequence[FlightData], options: AnalysisOptions, work: Work) -> Case:
     """The flights, prepared.
 
     Raises:
@@ -44,7 +46,7 @@ def case_of(flights: Sequence[FlightData], options: AnalysisOptions) -> Case:
         Refused: a flight holds too little to say anything.
     """
     groups = (
-        prepare_all(flights, options.exclude),
+        work.prepared(flights, options.exclude),
         prepare_all(options.references),
         prepare_all(options.held_out),
     )
@@ -52,12 +54,16 @@ def case_of(flights: Sequence[FlightData], options: AnalysisOptions) -> Case:
 
 
 def sensors(case: Case) -> tuple[Case, list[Finding]]:
-    """What gyro, accelerometer and motion capture say of each other; an IMU that is turned is put straight in every flight."""
+    """What gyro, accelerometer and motion capture say of each other; an IMU that is turned is put straight in every
+    flight.
+    """
     findings = kinematic_findings(case.suspects[0])
     return case.map(lambda flight: with_imu_aligned(flight, findings)), findings
 
 
 def thrust_exponent(case: Case) -> tuple[Case, float]:
-    """Departure of the thrust curve's exponent from the declared one, 0 for most flights; every flight by the curve it gives."""
+    """Departure of the thrust curve's exponent from the declared one, 0 for most flights; every flight by the curve it
+    gives.
+    """
     departure = exponent_error(case.suspects[0])
     return case.map(lambda flight: with_thrust_exponent(flight, departure)), departure

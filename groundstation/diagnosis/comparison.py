@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.attribution import folds, held_out
-from groundstation.diagnosis.evidence import FLIGHTS_OWN, Candidate, Columns, Evidence, FlightEvidence, Solution
+from groundstation.diagnosis.columns import Candidate, Columns, Solution
+from groundstation.diagnosis.evidence import FLIGHTS_OWN, Evidence
+from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.form_error import form_covariance
 from groundstation.identification.anchoring import anchored, anchored_covariance
 from groundstation.identification.prediction_error import Fitted, output_error
@@ -42,8 +44,8 @@ class Split:
 
 
 def splits_of(evidence: Evidence, unseen: Sequence[Prepared], count: int | None = None) -> list[Split]:
-    """The flights that no estimate saw, where there are some; else each flight by the others, or blocks of time (``count``, where it is
-    given) by the rest.
+    """The flights that no estimate saw, where there are some; else each flight by the others, or blocks of time
+    (``count``, where it is given) by the rest.
     """
     if unseen:
         others = [evidence.flights[0].of(item) for item in unseen]
@@ -81,8 +83,8 @@ def base_covariance(evidence: Evidence, vehicle: Vehicle, chosen: Chosen, left_o
 
 
 def flight_parameters(evidence: Evidence, chosen: Chosen) -> list[dict[str, Estimate]]:
-    """Of each suspected flight by its own rows: mass, tensor and the effects' parameters ("rotor_drag.d_x_kg_s"), without what the anchor
-    adds: its error is the same on every flight.
+    """Of each suspected flight by its own rows: mass, tensor and the effects' parameters ("rotor_drag.d_x_kg_s"),
+    without what the anchor adds: its error is the same on every flight.
     """
     _, _, numbers = evidence.time_of_rows()
     out = []
@@ -107,7 +109,9 @@ def flight_parameters(evidence: Evidence, chosen: Chosen) -> list[dict[str, Esti
 def _joint(
     evidence: Evidence, chosen: Chosen, left_open: Array | float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mass and tensor with the effects put in, and their covariance with what these effects' formulas, and other effects, leave open."""
+    """Mass and tensor with the effects put in, and their covariance with what these effects' formulas, and other
+    effects, leave open.
+    """
     solution = evidence.solve(chosen)
     return _rigid_body(evidence, solution, form_covariance(evidence, chosen, solution) + left_open)
 
@@ -145,14 +149,14 @@ def base_parameters(
 
 def declared_model(flight: FlightEvidence) -> RecordModel:
     """The flight by the thrust curve that was declared."""
-    return RecordModel(replace(flight.model.record, vehicle=flight.prepared.flight.vehicle), (), None)
+    return flight.model.of_vehicle(flight.prepared.flight.vehicle)
 
 
 def as_declared(evidence: Evidence, vehicle: Vehicle, train: NDArray[np.bool_] | None = None) -> Fitted:
     """The base by the declared curve with rotors that follow as declared: *before*, where a lag or a curve was found.
 
-    By output error: an estimate with a noise model would take most of what is missing for a disturbance, and its parameters
-    would be worse than anyone would use.
+    By output error: an estimate with a noise model would take most of what is missing for a disturbance, and its
+    parameters would be worse than anyone would use.
 
     Args:
         train: rows whose times are used; None for all.
@@ -211,7 +215,9 @@ def remaining(flight: FlightEvidence, chosen: Chosen, solution: Solution) -> Arr
 
 
 def _without_own_bias(flight: FlightEvidence, residual: Array) -> Array:
-    """A residual less what the flight's own accelerometer biases make of it: no other flight can tell them, and no model is judged by them."""
+    """A residual less what the flight's own accelerometer biases make of it: no other flight can tell them, and no
+    model is judged by them.
+    """
     own = [index for index, name in enumerate(flight.names) if name in FLIGHTS_OWN]
     kept = np.isfinite(residual).all(axis=1)
     columns = flight.sensitivity[kept][:, :, own].reshape(-1, len(own))

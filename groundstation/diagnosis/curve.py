@@ -1,8 +1,8 @@
 """A thrust curve so far from the declared one that nothing can be expanded about the latter.
 
 Thrust and the specific force along z are compared below 1 Hz, where neither lag nor noise matters: of the power laws
-T_h (T/T_h)^(1 + e/2) through the declared thrust at hover, which is proportional to the force? If one is by far better than
-the declared one, all estimates are made about it, and the difference is a finding.
+T_h (T/T_h)^(1 + e/2) through the declared thrust at hover, which is proportional to the force? If one is by far better
+than the declared one, all estimates are made about it, and the difference is a finding.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ NAME = "thrust_curve"
 
 
 def exponent_error(prepared: Prepared) -> float:
-    """Difference of the exponent from the declared one; 0 where the declared curve serves or the flight does not tell."""
+    """Difference of the exponent from the declared one; 0 where the declared curve serves or the flight does not
+    tell.
+    """
     from scipy.signal import butter, sosfiltfilt
 
     record, rotors = prepared.record, prepared.record.vehicle.rotors

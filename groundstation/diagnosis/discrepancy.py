@@ -1,8 +1,9 @@
 """What an effect's formula may get wrong of the effect itself, before anything else is blamed for it.
 
-A model of the library is an expansion about hover, right to a share of (``form_error_share``) what it describes. On a quiet flight the rest
-of a large effect beats chance by far, and would be named as a second effect of the same shape, or pass for something
-unknown. So whatever is claimed beside other effects has to explain more than that share of their amplitude in the channels it acts on.
+A model of the library is an expansion about hover, right to a share of (``form_error_share``) what it describes. On a
+quiet flight the rest of a large effect beats chance by far, and would be named as a second effect of the same shape, or
+pass for something unknown. So whatever is claimed beside other effects has to explain more than that share of their
+amplitude in the channels it acts on.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, Solution
+from groundstation.diagnosis.columns import Candidate, Columns, Solution
+from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.record_model import CHANNELS
 from groundstation.model.parameters import FREE
@@ -63,7 +65,9 @@ class Discrepancy:
         return np.array([float(np.sum(own[self._channels == channel] ** 2)) for channel in range(len(CHANNELS))])
 
     def energies(self, chosen: Sequence[tuple[Candidate, Columns]], solution: Solution, first: int = 0) -> Array:
-        """Of each member of a joint estimate, shape (members, 6); ``first`` parameters of others stand before theirs."""
+        """Of each member of a joint estimate, shape (members, 6); ``first`` parameters of others stand before
+        theirs.
+        """
         out = np.zeros((len(chosen), len(CHANNELS)))
         for index, (candidate, columns) in enumerate(chosen):
             count = len(candidate.effect.parameters)

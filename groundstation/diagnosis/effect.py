@@ -1,8 +1,8 @@
 """What an effect is to the diagnosis, and all of them.
 
-One file per identifier of the effects' vocabulary in ``effects/``; each defines ``EFFECT``, by what shows it: a force or torque
-(:class:`Effect`), the sensors among themselves (:class:`SensorEffect`), the base fit (:class:`FittedEffect`), or nothing that flies
-(:class:`EffectInfo`). Adding one is adding a file. None of them shares a line with the simulator.
+One file per identifier of the effects' vocabulary in ``effects/``; each defines ``EFFECT``, by what shows it: a force
+or torque (:class:`Effect`), the sensors among themselves (:class:`SensorEffect`), the base fit (:class:`FittedEffect`),
+or nothing that flies (:class:`EffectInfo`). Adding one is adding a file. None of them shares a line with the simulator.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ Settings = Mapping[str, float]
 class ParameterInfo:
     """A parameter of an effect: name with unit last, scale of its prior, and what is physically plausible.
 
-    The prior is the joint estimate's; infinite for what is estimated elsewhere. ``plausible`` is wide enough for every vehicle
-    from 20 g to 10 kg; a force or torque outside of it is not named. A ``companion`` is fitted along and says nothing for the effect: a
-    steady pull may come with a tether, but only the stiffness tells one.
+    The prior is the joint estimate's; infinite for what is estimated elsewhere. ``plausible`` is wide enough for every
+    vehicle from 20 g to 10 kg; a force or torque outside of it is not named. A ``companion`` is fitted along and says
+    nothing for the effect: a steady pull may come with a tether, but only the stiffness tells one.
     """
 
     name: str
@@ -79,9 +79,10 @@ class Effect(EffectInfo):
         applies: whether this vehicle's inputs can show it at all.
         instants: settings that are instants of the flight, s; a replay at another length keeps them inside it.
         of_one_rotor: its settings name a rotor, and a finding of it does.
-        shared_by_healthy: healthy flights of one vehicle have it, too, so that it is fitted to all flights and never a finding
-            beside them; the number is its place among those.
-        bends_base: a base fit that lacks it takes its torque for inertia, so that the fit is tried with it; the number is its place.
+        shared_by_healthy: healthy flights of one vehicle have it, too, so that it is fitted to all flights and never a
+            finding beside them; the number is its place among those.
+        bends_base: a base fit that lacks it takes its torque for inertia, so that the fit is tried with it; the number
+            is its place.
         scenario: (values, vehicle) -> name and table of the simulator's form under ``[effects]``; None where
             ``reporting/scenario.py`` refits it or the simulator has no such effect.
         rests_on: identifiers of which one has to be there for it to mean anything (wind needs drag to be felt).
@@ -111,7 +112,8 @@ class Effect(EffectInfo):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FittedEffect(EffectInfo):
-    """An effect whose parameters the base fit frees, or gives beside mass and tensor: what they differ from is declared.
+    """An effect whose parameters the base fit frees, or gives beside mass and tensor: what they differ from is
+    declared.
 
     Attributes:
         least: size below which it is no finding, in its parameters' unit.
@@ -164,7 +166,8 @@ def turned_reading(sentence: str, sign: float = 1.0) -> Reading:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorEffect(EffectInfo):
-    """A clock or a frame that is not what it was taken for: no force is missing, gyro, accelerometer and poses disagree.
+    """A clock or a frame that is not what it was taken for: no force is missing, gyro, accelerometer and poses
+    disagree.
 
     Attributes:
         readings: where it shows, clearest first; one that stands makes the finding.
@@ -177,7 +180,9 @@ _REGISTERED: dict[str, EffectInfo] = {}
 
 
 def register(effect: EffectInfo) -> None:
-    """Add an effect to the catalogue of this process, or replace the one of its identifier; a file in ``effects/`` stays."""
+    """Add an effect to the catalogue of this process, or replace the one of its identifier; a file in ``effects/``
+    stays.
+    """
     _REGISTERED[effect.identifier] = effect
     library.cache_clear()
 

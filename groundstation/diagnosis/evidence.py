@@ -1,291 +1,37 @@
 r"""Whitened evidence of one or several flights, and what each effect would explain of it.
 
-About a base fit everything is linear: y = X theta_base + sum C_v theta_v + e, rows whitened by each channel's own coloured
-disturbance. Because the controller feeds disturbances back into the thrusts, a plain regression lets any flexible term in
-the inputs win, on held-out blocks too. So the normal equations are taken with instruments, Z^T (y - A theta) = 0: the columns
-that the planned motion would have, one for each parameter (each more keeps a share of the bias: Bekker 1994). An effect's
-evidence is its Wald statistic in the joint estimate. Without a plan Z = A.
+About a base fit everything is linear: y = X theta_base + sum C_v theta_v + e, rows whitened by each channel's own
+coloured disturbance. Because the controller feeds disturbances back into the thrusts, a plain regression lets any
+flexible term in the inputs win, on held-out blocks too. So the normal equations are taken with instruments, Z^T (y - A
+theta) = 0: the columns that the planned motion would have, one for each parameter (each more keeps a share of the bias:
+Bekker 1994). An effect's evidence is its Wald statistic in the joint estimate. Without a plan Z = A.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.effect import Effect, Settings, library, weight
-from groundstation.diagnosis.joint import pseudo_inverse, updated_rigid_body
-from groundstation.diagnosis.signals import planned_signals, thinned
+from groundstation.diagnosis.columns import Candidate, Columns, Contest, Recent, Solution
+from groundstation.diagnosis.effect import weight
+from groundstation.diagnosis.flight_evidence import FlightEvidence
+from groundstation.diagnosis.joint import pseudo_inverse
 from groundstation.diagnosis.thresholds import THRESHOLDS
-from groundstation.diagnosis.whitening import Whitening, orthonormal
+from groundstation.diagnosis.whitening import spanning
 from groundstation.identification.instrumental import lag_split_precision
-from groundstation.identification.prediction_error import Fitted
-from groundstation.identification.preparation import Prepared
-from groundstation.identification.record_model import RecordModel
-from groundstation.identification.sensitivities import planned_sensitivities
-from groundstation.model.parameters import (
-    RIGID_BODY,
-    FitOptions,
-    PriorContext,
-    table,
-    values_of,
-    with_values,
-)
+from groundstation.model.parameters import PriorContext, table
 from groundstation.model.signals import Signals
 
 Array = NDArray[np.float64]
-
-WRENCH_ROW = {0: 3, 1: 4, 2: 5, 3: 0, 4: 1, 5: 2}
-"""Of each channel, where its force or torque stands in a wrench."""
-
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """An effect in one setting, e.g. the weak rotor number 3."""
-
-    effect: Effect
-    settings: Settings
-
-    @property
-    def identifier(self) -> str:
-        """Of the effect."""
-        return self.effect.identifier
-
-
-@dataclass(frozen=True, slots=True)
-class Columns:
-    """Whitened sensitivities to a candidate's parameters and their instruments, (rows, p) each; RMS of its wrench per unit.
-
-    ``number`` tells one from another where products of pairs are remembered.
-    """
-
-    sensitivity: Array
-    instrument: Array
-    wrench_rms: Array
-    number: int = field(default_factory=count().__next__)
-
 
 FLIGHTS_OWN = ("accel_bias_x_m_s2", "accel_bias_y_m_s2", "accel_bias_z_m_s2")
 """Base parameters that flights of one vehicle do not share."""
 
 
-@dataclass(frozen=True, slots=True)
-class Solution:
-    """A joint estimate: base parameters first, then the candidates' in order."""
-
-    theta: Array
-    covariance: Array
-    base: int
-
-    def part(self, first: int, count: int) -> tuple[Array, Array]:
-        """Values and covariance of ``count`` parameters after the base, from ``first``."""
-        index = slice(self.base + first, self.base + first + count)
-        return self.theta[index], self.covariance[index, index]
-
-    def wald(self, first: int, members: Sequence[int]) -> float:
-        """theta^T cov^-1 theta of some of the parameters from ``first``."""
-        index = self.base + first + np.asarray(members)
-        values, covariance = self.theta[index], self.covariance[np.ix_(index, index)]
-        try:
-            return float(values @ np.linalg.solve(covariance, values))
-        except np.linalg.LinAlgError:  # columns of which the flight holds nothing: their directions say nothing
-            return float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
-
-
-@dataclass(frozen=True, slots=True)
-class Contest:
-    """Sets of explanations, compared through instruments common to all.
-
-    Attributes:
-        falls: of the instrumented squared residual, that each set brings to the base alone.
-        misfit: what the best of them leaves, per degree of freedom; one where noise alone is left, and never less.
-    """
-
-    falls: list[float]
-    misfit: float
-
-
-class FlightEvidence:
-    """One flight, whitened about a base fit.
-
-    Args:
-        known: effects that are kept out of its noise model.
-        generic: keep out of it, too, whatever any effect may look like (:meth:`_generic`), so that none hides in the noise; else the
-            noise is all that base and known effects leave.
-    """
-
-    def __init__(
-        self,
-        prepared: Prepared,
-        fitted: Fitted,
-        options: FitOptions,
-        known: Sequence[Candidate] = (),
-        *,
-        generic: bool = True,
-    ):
-        self.prepared = prepared
-        self.known = tuple(known)
-        self._fitted, self._given = fitted, options
-        record = prepared.record
-        p = fitted.parameters
-        self.parameters = replace(p, com_m=np.zeros(3), yaw_trim_nm=0.0, force_bias_m_s2=np.zeros(3), extra=np.zeros(0))
-        channels = [0, 1, 2]
-        if np.isfinite(record.force_m_s2).all():
-            channels += [3, 4, 5] if prepared.source == "imu" or np.isfinite(prepared.velocity_m_s).all() else [5]
-        self.channels = tuple(channels)
-        self.options = FitOptions(
-            lag=options.lag,
-            delay=options.delay,
-            accel_delay=True,
-            com=False,
-            yaw_trim=False,
-            channels=self.channels,
-        )
-        self.model = RecordModel(record, (), None if prepared.planned is None else replace(prepared.planned, extra=()))
-        self.signals = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
-        self.excited = thinned(self.signals, record.keep)
-        self._share = record.keep / np.sum(record.keep)
-        self._inverse = np.linalg.inv(self.parameters.tensor)
-        self.residual, self.sensitivity, self.names = self.model.evaluate(self.parameters, self.options)
-        self.planned = planned_signals(prepared, self.parameters)
-        self.whitening = Whitening(
-            self.channels, self.model.dt, self.model.restart, self.residual, self._nuisance(generic)
-        )
-        self.y = self.whitened_residual(self.residual)
-        self.x = self.whitening.apply(self.sensitivity)
-        if prepared.planned is None:
-            self.z = self.x
-        else:
-            wished = planned_sensitivities(self.model, self.parameters, self.options)
-            self.z = self.whitening.apply(wished)
-            entries = table()
-            own = [index for index, name in enumerate(self.names) if entries[name].timing]
-            self.z[:, own] = self.whitening.explained(self.x[:, own], self.z)
-
-    def base_std(self, name: str) -> float:
-        """Standard deviation of a parameter of the base fit."""
-        return self._fitted.std(name)
-
-    def of(self, other: Prepared) -> FlightEvidence:
-        """Another flight about the same base fit."""
-        return FlightEvidence(other, self._fitted, self._given, self.known)
-
-    def updated_base(self, fitted: Fitted, solution: Solution) -> Fitted:
-        """The base fit at a joint estimate, for the next linearisation; as it was where that is no rigid body (:func:`updated_rigid_body`)."""
-        names = list(self.names)
-        values = values_of(self.parameters, names) + solution.theta[: len(names)]
-        found = updated_rigid_body(*self._rigid_step(solution))
-        if found is None:
-            return fitted
-        values[[names.index(name) for name in RIGID_BODY]] = found[0]
-        p = with_values(self.parameters, names, values)
-        return replace(fitted, parameters=replace(p, delay_s=max(p.delay_s, 0.0), force_bias_m_s2=np.zeros(3)))
-
-    def rigid_body(self, solution: Solution) -> tuple[Array, Array]:
-        """Mass and tensor of a joint estimate, in the order of RIGID_BODY, and their Jacobian by its parameters.
-
-        Those parameters themselves where no rigid body lies there (:func:`updated_rigid_body`).
-        """
-        about, step = self._rigid_step(solution)
-        return updated_rigid_body(about, step) or (about + step, np.eye(len(about)))
-
-    def _rigid_step(self, solution: Solution) -> tuple[Array, Array]:
-        index = [self.names.index(name) for name in RIGID_BODY]
-        return values_of(self.parameters, RIGID_BODY), solution.theta[index]
-
-    def whitened_residual(self, residual: Array) -> Array:
-        """Any residual (blocks, 6) of this flight, whitened as its own, (rows,)."""
-        return self.whitening.apply(residual[:, :, None])[:, 0]
-
-    def _nuisance(self, generic: bool) -> Array:
-        """Columns (blocks, 6, m) that keep an effect's own residual out of the noise model."""
-        vehicle = self.prepared.record.vehicle
-        wrenches = [c.effect.wrench(self.signals, vehicle, c.settings) for c in self.known]
-        columns = [wrench[:, :, j] for wrench in wrenches for j in range(wrench.shape[2])]
-        if generic:
-            columns += self._generic()
-        if not columns:
-            return self.sensitivity
-        return np.concatenate([self.sensitivity, self.predicted(np.stack(columns, axis=-1))], axis=2)
-
-    def _generic(self) -> list[Array]:
-        """Wrenches (k, 6) of slow drift, speeds, and the library's effects.
-
-        Without them a step or a trend would pass for a disturbance of long memory, and hide itself.
-        """
-        signals = self.signals
-        elapsed = signals.t_s - signals.t_s[0]
-        knots = np.linspace(0.0, elapsed[-1], int(np.clip(elapsed[-1] / THRESHOLDS.drift_knot_s, 3, 16)) + 1)
-        drift = [np.interp(elapsed, knots, np.eye(len(knots))[i]) for i in range(len(knots))]
-        thrust = signals.thrust_n.sum(axis=1)
-        velocity = signals.velocity_body_m_s()
-        columns = []
-        for axis in range(3):
-            for row, own in ((3 + axis, signals.rate_rad_s[:, axis]), (axis, velocity[:, axis])):
-                for values in (*drift, own, thrust):
-                    if np.isfinite(values).all():
-                        wrench = np.zeros((len(values), 6))
-                        wrench[:, row] = values
-                        columns.append(wrench)
-        vehicle = self.prepared.record.vehicle
-        for effect in library().values():
-            settings = effect.variants(self.excited, vehicle) if effect.applies(vehicle) else ()
-            own = [
-                effect.wrench(signals, vehicle, s)
-                for s in settings[:: max(1, len(settings) // THRESHOLDS.variants_in_noise)]
-            ]
-            columns += [wrench[:, :, j] for wrench in own for j in range(wrench.shape[2]) if np.isfinite(wrench).all()]
-        return columns
-
-    def predicted(self, wrench: Array) -> Array:
-        """Rates and specific forces (blocks, 6, p) that a body wrench (k, 6, p) adds."""
-        out = np.empty((len(self.model.t_s), 6, wrench.shape[2]))
-        out[:, :3] = np.einsum("ij,kjp->kip", self._inverse, self.model.integrated(wrench[:, 3:]))
-        out[:, 3:] = self.model.average(wrench[:, :3]) / self.parameters.mass_kg
-        return out
-
-    def columns(self, candidate: Candidate) -> Columns | None:
-        """Whitened sensitivities and instruments of a candidate; None where its signals are unknown or it does nothing."""
-        vehicle = self.prepared.record.vehicle
-        wrench = candidate.effect.wrench(self.signals, vehicle, candidate.settings)
-        if not np.isfinite(wrench).all():
-            return None
-        rms = np.sqrt(self._share @ (wrench * wrench).reshape(len(wrench), -1)).reshape(wrench.shape[1:])
-        if self.planned is None:
-            sensitivity = self.whitening.apply(self.predicted(wrench))
-            return Columns(sensitivity, sensitivity, rms)
-        wished = candidate.effect.wrench(self.planned, vehicle, candidate.settings)
-        if not np.isfinite(wished).all():
-            return None
-        white = self.whitening.apply(self.predicted(np.concatenate([wrench, wished], axis=2)))
-        return Columns(white[:, : wrench.shape[2]], white[:, wrench.shape[2] :], rms)
-
-    def along(self, basis: Array, wished: Array | None) -> dict[int, Columns]:
-        """Columns of the same functions of time (k, p) as torque or force of each known channel, by channel.
-
-        Args:
-            basis: along the measured motion; wished: along the planned one, where there is one.
-        """
-        both = basis if wished is None else np.concatenate([basis, wished], axis=1)
-        count, blocks = basis.shape[1], len(self.model.t_s)
-        turning, pushing = self.model.integrated(both), self.model.average(both) / self.parameters.mass_kg
-        parts = [self.whitening.channel(n, turning if c < 3 else pushing) for n, c in enumerate(self.channels)]
-        size = np.sqrt(self._share @ (basis * basis))
-        out: dict[int, Columns] = {}
-        for channel in self.channels:
-            white, rms = np.zeros((len(self.channels), blocks, both.shape[1])), np.zeros((6, count))
-            for n, c in enumerate(self.channels):
-                if channel < 3 and c < 3:
-                    white[n] = self._inverse[c, channel] * parts[n]
-                elif c == channel:
-                    white[n] = parts[n]
-            rms[WRENCH_ROW[channel]] = size
-            flat = white.reshape(-1, both.shape[1])
-            out[channel] = Columns(flat[:, :count], flat[:, :count] if wished is None else flat[:, count:], rms)
-        return out
+COLUMNS_BYTES = 400 * 2**20
+"""Of candidates' columns that are held: those of four minutes of flight, all candidates together."""
 
 
 class Evidence:
@@ -317,8 +63,9 @@ class Evidence:
                 [np.zeros((len(repeated), len(shared))), np.diag(repeated)],
             ]
         )
-        self._base = Columns(self.x, self.z, np.zeros(6))
-        self._output = Columns(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
+        self._base = Columns.of(self.x, self.z, np.zeros(6))
+        self._output = Columns.of(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
+        self._recent = Recent(COLUMNS_BYTES)
         self._products: dict[tuple[int, int], tuple[Array, Array]] = {}
         self._beside: tuple[tuple[int, ...], tuple[Array, Array, Array]] | None = None
         self._priors: dict[str, Array] = {}
@@ -328,7 +75,9 @@ class Evidence:
         self.weight = np.minimum(1.0, THRESHOLDS.outlier_std / np.maximum(np.abs(self._plain_remainder()), 1e-9))
 
     def of_each_flight(self) -> list[int]:
-        """Base parameters that are another on every flight: the accelerometer's biases, which change from power-on to power-on."""
+        """Base parameters that are another on every flight: the accelerometer's biases, which change from power-on to
+        power-on.
+        """
         return [index for index, name in enumerate(self.names) if name in FLIGHTS_OWN]
 
     @staticmethod
@@ -351,6 +100,12 @@ class Evidence:
 
     def columns(self, candidate: Candidate, *, everywhere: bool = False) -> Columns | None:
         """A candidate's columns over all flights, zero on the references unless ``everywhere``."""
+        found = self._over_flights(candidate, everywhere)
+        if found is None:
+            return None
+        return found.recent(self._recent, lambda: self._over_flights(candidate, everywhere))
+
+    def _over_flights(self, candidate: Candidate, everywhere: bool) -> Columns | None:
         count = len(candidate.effect.parameters)
         known: list[Columns] = []
         for number, flight in enumerate(self.flights):
@@ -360,7 +115,7 @@ class Evidence:
                     return None
             else:
                 nothing = np.zeros((len(flight.y), count))
-                part = Columns(nothing, nothing, np.zeros((6, count)))
+                part = Columns.of(nothing, nothing, np.zeros((6, count)))
             known.append(part)
         return self._joined(known)
 
@@ -369,7 +124,7 @@ class Evidence:
         sensitivity, instrument = (
             np.concatenate([getattr(p, n) for p in parts]) for n in ("sensitivity", "instrument")
         )
-        return Columns(sensitivity, instrument, rms)
+        return Columns.of(sensitivity, instrument, rms)
 
     def along(self, function: Callable[[Signals], Array]) -> dict[int, Columns]:
         """Columns of functions of the signals (k, p) as torque or force of each channel; empty where one is unknown."""
@@ -381,7 +136,7 @@ class Evidence:
             found.append(flight.along(basis, wished))
         count = next(iter(found[0].values())).sensitivity.shape[1]
         blank = [np.zeros((len(flight.y), count)) for flight in self.flights[self.suspects :]]
-        rest = [Columns(nothing, nothing, np.zeros((6, count))) for nothing in blank]
+        rest = [Columns.of(nothing, nothing, np.zeros((6, count))) for nothing in blank]
         return {channel: self._joined([*(each[channel] for each in found), *rest]) for channel in found[0]}
 
     def solve(self, chosen: Sequence[tuple[Candidate, Columns]], rows: NDArray[np.bool_] | None = None) -> Solution:
@@ -403,7 +158,8 @@ class Evidence:
     def _products_of(self, members: Sequence[Columns], rows: NDArray[np.bool_] | None) -> tuple[Array, Array, Array]:
         """Z^T W C, Z^T W Z and Z^T W y of all members together.
 
-        A selection tries one candidate after another beside the same members: those are put together once and remembered.
+        A selection tries one candidate after another beside the same members: those are put together once and
+        remembered.
         """
         first, last = members[:-1], members[-1]
         if not first:
@@ -446,9 +202,9 @@ class Evidence:
     def threshold(self, columns: Columns, chance: float, members: Sequence[int] | None = None) -> float:
         r"""Wald statistic that noise passes with this probability.
 
-        The noise is known from as many values as lie in the bands that an effect lives in, so that W / p follows an F distribution,
-        whose second degrees of freedom are Satterthwaite's: :math:`1 / \nu = \sum_b s_b^2 / \nu_b` with the shares s_b of the
-        effect's energy. For one slow parameter that asks for twice the chi-squared value.
+        The noise is known from as many values as lie in the bands that an effect lives in, so that W / p follows an F
+        distribution, whose second degrees of freedom are Satterthwaite's: :math:`1 / \nu = \sum_b s_b^2 / \nu_b` with
+        the shares s_b of the effect's energy. For one slow parameter that asks for twice the chi-squared value.
 
         Args:
             members: which of the columns' parameters the statistic is of; None for all.
@@ -480,21 +236,18 @@ class Evidence:
         return pair
 
     def contest(self, sets: Sequence[Sequence[tuple[Candidate, Columns]]]) -> Contest:
-        r"""Fall of the instrumented squared residual :math:`|P_Z W^{1/2} (y - A \theta)|^2` that each set brings to the base alone.
+        r"""Fall of the instrumented squared residual :math:`|P_Z W^{1/2} (y - A \theta)|^2` that each set brings to the
+        base alone.
 
-        Z is common to all: the base's instruments and those of every member of any set, channel by channel, so that the falls
-        compare (moment selection: Andrews 1999, Econometrica 67(3)).
+        Z is common to all: the base's instruments and those of every member of any set, channel by channel, so that the
+        falls compare (moment selection: Andrews 1999, Econometrica 67(3)).
         """
-        root = np.sqrt(self.weight)[:, None]
-        _, channels, _ = self.time_of_rows()
         members = {columns.number: columns for chosen in sets for _, columns in chosen}
-        parts = [root * self.z]
-        for columns in members.values():
-            parts += [root * columns.instrument * (channels == channel)[:, None] for channel in np.unique(channels)]
-        basis = orthonormal(np.concatenate(parts, axis=1))
-        y = basis.T @ (root[:, 0] * self.y)
-        seen = {number: basis.T @ (root * columns.sensitivity) for number, columns in members.items()}
-        base = basis.T @ (root * self.x)
+        basis, crossed = self._common_products(list(members.values()))
+        coordinates = basis.T @ crossed
+        width = [1, self.x.shape[1], *(len(columns.wrench_rms[0]) for columns in members.values())]
+        y, base, *parts = np.split(coordinates, np.cumsum(width)[:-1], axis=1)
+        y, seen = y[:, 0], dict(zip(members, parts, strict=True))
 
         def left(chosen: Sequence[tuple[Candidate, Columns]]) -> float:
             a = np.concatenate([base, *(seen[columns.number] for _, columns in chosen)], axis=1)
@@ -507,6 +260,25 @@ class Evidence:
         used = base.shape[1] + sum(columns.sensitivity.shape[1] for _, columns in sets[best])
         misfit = max(1.0, remaining[best] / max(basis.shape[1] - used, 1))
         return Contest([alone - other for other in remaining], misfit)
+
+    def _common_products(self, members: Sequence[Columns]) -> tuple[Array, Array]:
+        """What makes the base's instruments and those of all members in each channel orthonormal, (Z, r), and the
+        products of those with y, the base and the members' sensitivities, (Z, 1 + P).
+        """
+        _, channels, _ = self.time_of_rows()
+        told, own = np.unique(channels), sum(len(columns.wrench_rms[0]) for columns in members)
+        shared = self.z.shape[1]
+        gram = np.zeros((shared + own * len(told), shared + own * len(told)))
+        crossed = np.zeros((len(gram), 1 + self.x.shape[1] + own))
+        for place, channel in enumerate(told):
+            rows = np.flatnonzero(channels == channel)
+            left = np.concatenate([self.z[rows], *(columns.instrument[rows] for columns in members)], axis=1)
+            parts = [self.y[rows, None], self.x[rows], *(columns.sensitivity[rows] for columns in members)]
+            weighted = (left * self.weight[rows, None]).T
+            index = np.r_[:shared, shared + place * own : shared + (place + 1) * own]
+            gram[np.ix_(index, index)] += weighted @ left
+            crossed[index] += weighted @ np.concatenate(parts, axis=1)
+        return spanning(gram), crossed
 
     def remainder(self, chosen: Sequence[tuple[Candidate, Columns]], solution: Solution) -> Array:
         """Whitened residual after a solution."""

@@ -1,8 +1,10 @@
-"""What the findings are worth where no estimate looked: prediction ahead of time, and the closed loop against the flight.
+"""What the findings are worth where no estimate looked: prediction ahead of time, and the closed loop against the
+flight.
 
-The parameters of each split (:class:`.comparison.Split`) are estimated on its training data without and with the effects, and
-judged on the rest beside the vehicle as declared. Windows of a prediction lie wholly in what is judged, and start from what the
-sensors said until then; sensor biases and the clock, which all columns share, are the whole flight's.
+The parameters of each split (:class:`.comparison.Split`) are estimated on its training data without and with the
+effects, and judged on the rest beside the vehicle as declared. Windows of a prediction lie wholly in what is judged,
+and start from what the sensors said until then; sensor biases and the clock, which all columns share, are the whole
+flight's.
 """
 
 from __future__ import annotations
@@ -13,14 +15,17 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.columns import Solution
 from groundstation.diagnosis.comparison import Chosen, Split
-from groundstation.diagnosis.evidence import Evidence, Solution
-from groundstation.identification.preparation import Prepared, smoothed_states
+from groundstation.diagnosis.evidence import Evidence
+from groundstation.identification.preparation import Prepared
 from groundstation.identification.results import MASS_AND_TENSOR
+from groundstation.identification.starts import smoothed_states
 from groundstation.identification.validation import closed_loop_validation
 from groundstation.model.parameters import BASIS, PAIRS, Parameters, table, values_of, with_values
-from groundstation.model.prediction import VehicleModel, declared_model, error_norms
+from groundstation.model.prediction import error_norms
 from groundstation.model.signals import Signals
+from groundstation.model.vehicle_model import VehicleModel, declared_model
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -116,8 +121,8 @@ def prediction_errors(
 def simulation_errors(evidence: Evidence, baseline: Chosen, chosen: Chosen, splits: Sequence[Split]) -> Stages:
     """RMS difference between the flight and the declared controller flying the plan, where no estimate looked.
 
-    Stages are "simulation_nominal", "simulation_before" and "simulation_after"; one whose loop diverges is left out, and all
-    without a plan.
+    Stages are "simulation_nominal", "simulation_before" and "simulation_after"; one whose loop diverges is left out,
+    and all without a plan.
     """
     squares: dict[str, list[tuple[int, Mapping[str, float]]]] = defaultdict(list)
     parts = 0
@@ -157,7 +162,8 @@ def unknown_loop(prepared: Prepared) -> str:
 def forecast(
     evidence: Evidence, baseline: Chosen, chosen: Chosen, splits: Sequence[Split], halves: Sequence[Split]
 ) -> tuple[Stages, tuple[str, ...]]:
-    """Errors of prediction and closed-loop simulation by stage, and a sentence on what they are of or why there are none.
+    """Errors of prediction and closed-loop simulation by stage, and a sentence on what they are of or why there are
+    none.
 
     Args:
         splits: whose judged parts are predicted.

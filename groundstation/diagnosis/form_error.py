@@ -1,10 +1,10 @@
 r"""What the formulas of found effects leave open in mass and tensor: a part of the interval that no noise tells.
 
-An effect's formula may miss a share :math:`\epsilon` (``form_error_share``) of its amplitude. Left out altogether the effect moves the base
-by :math:`b_v = \theta - \theta_{-v}` (omitted variables); what is missing of it in its own shape moves the base by
-:math:`\epsilon b_v`. What is missing in any other shape acts as noise of the same size: an effect whose whitened energy is E over n rows
-adds :math:`\epsilon^2 E / n` to a variance that is one, and so that share of the base's covariance. Effects err independently of each
-other:
+An effect's formula may miss a share :math:`\epsilon` (``form_error_share``) of its amplitude. Left out altogether the
+effect moves the base by :math:`b_v = \theta - \theta_{-v}` (omitted variables); what is missing of it in its own shape
+moves the base by :math:`\epsilon b_v`. What is missing in any other shape acts as noise of the same size: an effect
+whose whitened energy is E over n rows adds :math:`\epsilon^2 E / n` to a variance that is one, and so that share of the
+base's covariance. Effects err independently of each other:
 
 .. math:: \Sigma = \Sigma_0 \left(1 + \epsilon^2 \sum_v E_v / n\right) + \epsilon^2 \sum_v b_v b_v^T
 
@@ -18,7 +18,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, Solution
+from groundstation.diagnosis.columns import Candidate, Columns, Solution
+from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.model.parameters import RIGID_BODY
 
@@ -26,7 +27,8 @@ Array = NDArray[np.float64]
 
 
 def form_covariance(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]], solution: Solution) -> Array:
-    """Covariance (7, 7), in the order of RIGID_BODY, that the chosen effects' formulas add to a joint estimate's mass and tensor.
+    """Covariance (7, 7), in the order of RIGID_BODY, that the chosen effects' formulas add to a joint estimate's mass
+    and tensor.
 
     Args:
         chosen: the effects of the joint estimate, in its order.

@@ -10,14 +10,17 @@ from groundstation.model.parameters import BASIS, PAIRS
 Array = NDArray[np.float64]
 
 WELL_CONDITIONED = 1e9
-"""Condition number below which no direction of a scaled joint estimate is near what a pseudo-inverse leaves out (1e12)."""
+"""Condition number below which no direction of a scaled joint estimate is near what a pseudo-inverse leaves out (1e12).
+"""
 
 
 def updated_rigid_body(about: Array, step: Array) -> tuple[Array, Array] | None:
-    """Mass and tensor, in the order of RIGID_BODY, that a linear step from others means, and their Jacobian by the step.
+    """Mass and tensor, in the order of RIGID_BODY, that a linear step from others means, and their Jacobian by the
+    step.
 
-    What a wrench does is linear in the inverses of mass and tensor, d(1/m) = -dm / m0^2 and d(J^-1) = -J0^-1 dJ J0^-1: taken in these,
-    a far step lands where one in m and J would not. None where it is as large as what it starts from: no rigid body lies there.
+    What a wrench does is linear in the inverses of mass and tensor, d(1/m) = -dm / m0^2 and d(J^-1) = -J0^-1 dJ J0^-1:
+    taken in these, a far step lands where one in m and J would not. None where it is as large as what it starts from:
+    no rigid body lies there.
     """
     lightness = 1.0 - step[0] / about[0]
     tensor, change = (np.einsum("k,kij->ij", values[1:], BASIS) for values in (about, step))

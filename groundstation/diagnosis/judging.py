@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.adoption import why_not
 from groundstation.diagnosis.attribution import Named
 from groundstation.diagnosis.case import Case
+from groundstation.diagnosis.columns import Solution
 from groundstation.diagnosis.comparison import (
     as_declared,
     base_parameters,
@@ -21,7 +22,6 @@ from groundstation.diagnosis.comparison import (
     with_plain,
 )
 from groundstation.diagnosis.curve import with_exponent
-from groundstation.diagnosis.evidence import Solution
 from groundstation.diagnosis.forecast import forecast
 from groundstation.diagnosis.proposal import with_proposals
 from groundstation.diagnosis.results import Finding, Unexplained, Verdict

@@ -89,8 +89,8 @@ def _finding(effect: SensorEffect, reading: Reading, departure: _Departure, riva
 def _lead_of_imu(prepared: Prepared, found: Compatibility) -> float:
     """Which of the two bodies is turned: the thrust, seen by the accelerometer, decides about roll and pitch.
 
-    An IMU turned by e in the body sees the thrust along z - e x z, and the marker body is then turned by -e against it; a turned
-    marker body leaves the thrust along z. Rotors stand upright to ``rotor_upright_rad``.
+    An IMU turned by e in the body sees the thrust along z - e x z, and the marker body is then turned by -e against it;
+    a turned marker body leaves the thrust along z. Rotors stand upright to ``rotor_upright_rad``.
 
     Returns:
         By how much more (chi squared) it is the IMU; the marker body where negative, or where no thrust is seen.

@@ -1,19 +1,22 @@
 r"""What explanations that nobody named leave open in mass and tensor: part of the interval that no noise tells.
 
-Beside the chosen effects others may beat chance and be named by nobody: they explain less than the formulas of what was named may
-miss (:mod:`.discrepancy`), or help on no data that was not fitted. And a formula may be wrong in a way of its own: with the speed, the
-thrust or the rates. The strongest of these is estimated along, then the strongest beside it, and so on while one beats chance. On the
-way from what is named to what would explain everything the base moves by :math:`b_1, b_2, \dots`. How far along it the truth lies the
-data do not say; each stage counts by the evidence :math:`W_k` that it adds (the variance between models of Bayesian model averaging;
-Hoeting, Madigan, Raftery, Volinsky 1999):
+Beside the chosen effects others may beat chance and be named by nobody: they explain less than the formulas of what was
+named may miss (:mod:`.discrepancy`), or help on no data that was not fitted. And a formula may be wrong in a way of its
+own: with the speed, the height, the thrust or the rates. The strongest of these is estimated along, then the strongest
+beside it, and so on while one beats chance. On the way from what is named to what would explain everything the base
+moves by :math:`b_1, b_2, \dots`. How far along it the truth lies the data do not say; each stage counts by the evidence
+:math:`W_k` that it adds (the variance between models of Bayesian model averaging; Hoeting, Madigan, Raftery, Volinsky
+1999):
 
 .. math:: \Sigma_o = \sum_k W_k b_k b_k^T / \sum_k W_k
 
-A form of a named effect that does not beat chance may be there all the same, as far as the data allow: estimated along, with the
-spread ``SHARE`` that such forms have before a flight, it moves the base by :math:`b` and adds :math:`\Delta` to its covariance. Forms are
-wrong independently of each other, so that :math:`b b^T + \Delta` is summed over them.
+A form of a named effect that does not beat chance may be there all the same, as far as the data allow: estimated along,
+with the spread ``form_share`` that such forms have before a flight, it moves the base by :math:`b` and adds
+:math:`\Delta` to its covariance. Forms are wrong independently of each other, so that :math:`b b^T + \Delta` is summed
+over them.
 
-Nothing is left open where nothing is named and nothing beats chance: a clean flight's intervals stay as sharp as its noise allows.
+Nothing is left open where nothing is named and nothing beats chance: a clean flight's intervals stay as sharp as its
+noise allows.
 """
 
 from __future__ import annotations
@@ -24,8 +27,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.columns import Candidate, Columns, Solution
 from groundstation.diagnosis.effect import ParameterInfo, Settings
-from groundstation.diagnosis.evidence import Candidate, Columns, Evidence, Solution
+from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.rivals import Entry, kind_of, plausible
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.model.parameters import RIGID_BODY
@@ -39,8 +43,6 @@ def _relative(size: Array) -> Array:
     return np.asarray(size / (float(np.sqrt(np.mean(size**2))) or 1.0), dtype=float)
 
 
-SHARE = 0.3
-"""Spread of the share in which an effect takes another form: drag goes with a power of the speed between one and two."""
 SOFT = 0.2
 """Of its RMS, below which a quantity that an effect is divided by counts as no smaller."""
 QUANTITIES: Mapping[str, Callable[[Signals], Array]] = {
@@ -110,7 +112,7 @@ def _strongest(
 
 
 def _misshapen(evidence: Evidence, chosen: Sequence[Entry], solution: Solution) -> Iterator[Entry]:
-    """Each chosen effect, parameter by parameter, with one power more or less of each quantity; and on each axis it acts on by itself."""
+    """Each chosen effect, by parameter, with one power more or less of each quantity; and on each of its axes alone."""
     first = 0
     for candidate, _ in chosen:
         count = len(candidate.effect.parameters)
@@ -140,5 +142,8 @@ def _forms(candidate: Candidate, values: Array) -> Candidate:
         parts = [plain * np.where(np.isfinite(s).all(), s, 0.0)[:, None, None] for s in scales]
         return np.concatenate([*parts, plain.sum(axis=2)[:, :, None] * np.eye(6)], axis=2)
 
-    shares = tuple(ParameterInfo(name, lambda vehicle: SHARE) for name in (*names, *(f"row {row}" for row in range(6))))
+    shares = tuple(
+        ParameterInfo(name, lambda vehicle: THRESHOLDS.form_share)
+        for name in (*names, *(f"row {row}" for row in range(6)))
+    )
     return Candidate(replace(effect, parameters=shares, wrench=wrench), candidate.settings)

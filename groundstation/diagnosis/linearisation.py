@@ -1,10 +1,11 @@
 """The point that a flight's evidence is linear about.
 
-A torque that goes with what the body does bends the tensor of a base fit that lacks it, the rotors' angular momentum by half and
-more, and about such a tensor nothing linear finds it back. Where the flight is much likelier with such torques free, their fit is
-the better point. Nothing is named here: what is there, the evidence about that point says. Where speeds are commanded and not measured,
-lag and dead time are free, and a torque that leads the command is one of them to any such fit: there the base stays as it is, or
-is the prediction error estimate where what is lacking has led the instruments far astray.
+A torque that goes with what the body does bends the tensor of a base fit that lacks it, the rotors' angular momentum by
+half and more, and about such a tensor nothing linear finds it back. Where the flight is much likelier with such torques
+free, their fit is the better point. Nothing is named here: what is there, the evidence about that point says. Where
+speeds are commanded and not measured, lag and dead time are free, and a torque that leads the command is one of them to
+any such fit: there the base stays as it is, or is the prediction error estimate where what is lacking has led the
+instruments far astray.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import Effect, bending
 from groundstation.diagnosis.thresholds import THRESHOLDS
+from groundstation.identification.dynamic_fit import DynamicFit
 from groundstation.identification.identifiability import unsettled
-from groundstation.identification.pipeline import DynamicFit
 from groundstation.identification.prediction_error import Fitted, fit
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import BodyWrench, RecordModel

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.columns import Candidate, Columns
 from groundstation.diagnosis.effect import Effect, Settings, library
-from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
+from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.errors import BadInput, Refused
 from groundstation.frames import quat_from_euler
@@ -32,7 +33,8 @@ from groundstation.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 TIMING = ("motor_lag", "input_delay", "clock_offset")
-"""Shifts between command and motion; with rates from poses alone a clock's offset is one too, which is the hard case."""
+"""Shifts between command and motion; with rates from poses alone a clock's offset is one too, which is the hard case.
+"""
 TIMING_FREQUENCY_MAX_HZ = 2.0
 """A lag and a dead time part with the square of frequency: such plans go up to where attitude still follows."""
 DURATION_S = 40.0
@@ -131,7 +133,9 @@ def _rival(name: str, entry: Mapping[str, Any]) -> Hypothesis:
 
 
 def _shift(parameters: Mapping[str, Mapping[str, float]]) -> float:
-    """Seconds by which a timing effect delays the thrust: its lag (mean of up and down) and dead time, or clock offset."""
+    """Seconds by which a timing effect delays the thrust: its lag (mean of up and down) and dead time, or clock
+    offset.
+    """
     values = {name: float(entry["value"]) for name, entry in parameters.items()}
     lags = [v for n, v in values.items() if n.startswith("rotor_lag")]
     return (sum(lags) / len(lags) if lags else 0.0) + sum(
@@ -295,7 +299,8 @@ def plan_next(
     progress: Callable[[float, str], None] = lambda fraction, text: None,
     **limits: float,
 ) -> discriminate.Separation:
-    """The flight that tells the first unsettled finding of a diagnosis from its alternatives, within the vehicle's limits.
+    """The flight that tells the first unsettled finding of a diagnosis from its alternatives, within the vehicle's
+    limits.
 
     Args:
         document: of schema groundstation.diagnosis/1.
@@ -346,7 +351,9 @@ def odds_sentence(found: discriminate.Separation) -> str:
     hardest = "" if len(names) == 2 else f"the hardest to part are {' and '.join(pair)}, "
     channel = max(found.channels, key=lambda name: found.channels[name])
     return (
-        f"a flight of {found.plan.series().duration_s:.0f} s that should tell {', '.join(names[:-1])} and {names[-1]} apart, "
-        f"{hardest}at expected odds of {odds}, mostly by {channel} (in the disturbance of a quiet room, and if what happened "
+        f"a flight of {found.plan.series().duration_s:.0f} s that should tell {', '.join(names[:-1])} and {names[-1]} "
+        "apart, "
+        f"{hardest}at expected odds of {odds}, mostly by {channel} (in the disturbance of a quiet room, and if what "
+        "happened "
         "happens again)."
     )

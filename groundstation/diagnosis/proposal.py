@@ -2,10 +2,11 @@ r"""A sparse formula for a residual that no effect of the library removes: a pro
 
 By Buckingham's theorem a force is the weight (a torque: weight times arm) times a function of dimensionless groups. The
 groups are made of the variables that the screen found the residual to depend on: position over arm, velocity over the
-induced velocity of hover :math:`v_h = \sqrt{m g / (2 \rho A)}`, rates times arm over :math:`v_h`, thrust over weight, angles
-as they are. Their low powers and products make a dictionary; terms are added one at a time while each beats chance, shared
-among all that were tried, in the joint instrumental estimate with everything else, and lessens the error on blocks that
-no estimate saw (forward regression with held-out blocks; the dictionary after Brunton, Proctor, Kutz 2016, PNAS 113(15)).
+induced velocity of hover :math:`v_h = \sqrt{m g / (2 \rho A)}`, rates times arm over :math:`v_h`, thrust over weight,
+angles as they are. Their low powers and products make a dictionary; terms are added one at a time while each beats
+chance, shared among all that were tried, in the joint instrumental estimate with everything else, and lessens the error
+on blocks that no estimate saw (forward regression with held-out blocks; the dictionary after Brunton, Proctor, Kutz
+2016, PNAS 113(15)).
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.attribution import held_out
+from groundstation.diagnosis.columns import Candidate, Columns
 from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, weight
-from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
+from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.results import Unexplained
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import euler_from_quat, quat_rotate_inverse
@@ -35,7 +37,9 @@ Shape = Callable[[Signals, Vehicle], Array]
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """A dimensionless group: how it is written, its values, and the powers that are offered ("odd" ones keep the sign)."""
+    """A dimensionless group: how it is written, its values, and the powers that are offered ("odd" ones keep the
+    sign).
+    """
 
     text: str
     values: Shape
@@ -118,7 +122,9 @@ def _shapes(variables: Sequence[str]) -> list[tuple[str, Shape]]:
 
 
 def _targets(channel: str) -> tuple[tuple[str, int], ...]:
-    """Directions in which a term may act to show in a channel: its body axis, and for a sideways force the world's axes."""
+    """Directions in which a term may act to show in a channel: its body axis, and for a sideways force the world's
+    axes.
+    """
     row = CHANNELS.index(channel)
     if row < 3:
         return (("body", 3 + row),)
@@ -221,7 +227,8 @@ def with_proposals(
         evidence: of the flights.
         chosen: everything that is estimated already.
         remaining: channels and what they depend on, by the screen.
-        held_out: from chosen candidates and terms to RMS by channel on blocks no estimate saw: {"before": .., "after": ..}.
+        held_out: from chosen candidates and terms to RMS by channel on blocks no estimate saw: {"before": .., "after":
+            ..}.
     """
     terms = select(evidence, chosen, dictionary(remaining)) if remaining else []
     if not terms:

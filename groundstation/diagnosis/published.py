@@ -1,4 +1,6 @@
-"""What of a diagnosis is published beside an identification of the same flights: nothing that the identification hides."""
+"""What of a diagnosis is published beside an identification of the same flights: nothing that the identification
+hides.
+"""
 
 from __future__ import annotations
 

@@ -19,8 +19,8 @@ Verdict = Literal["explained", "unexplained", "clean", "refused"]
 class Finding:
     """An effect that the declared vehicle lacks (identifier of docs/diagnosis.md), with its parameters and evidence.
 
-    ``gain`` is how far the whitened squared error falls with it: on blocks no estimate saw for forces and torques, in the
-    comparison of the sensors for clocks and frames. Findings stand in its order.
+    ``gain`` is how far the whitened squared error falls with it: on blocks no estimate saw for forces and torques, in
+    the comparison of the sensors for clocks and frames. Findings stand in its order.
     """
 
     effect: str
@@ -68,9 +68,11 @@ class Diagnosis(Tabular):
 
     Attributes:
         error: {"held_out": {"before": {channel: rms}, "after": {...}, "nominal": {...},
-            "prediction_0.1_s_before": {quantity: rms}, ..., "simulation_before": {signal: rms}, "simulation_after": {...}}}.
+            "prediction_0.1_s_before": {quantity: rms}, ..., "simulation_before": {signal: rms}, "simulation_after":
+            {...}}}.
         covariance_after: of mass and tensor with the findings put in, (7, 7) in the order of MASS_AND_TENSOR.
-        by_flight: of several flights, each one's own mass, tensor and parameters of the findings; the anchor's error is left out.
+        by_flight: of several flights, each one's own mass, tensor and parameters of the findings; the anchor's error is
+            left out.
         adopted: whether the findings are put into the estimate; not where they make the prediction worse.
         notes: what these errors are of, and which of them are left out, and why.
         residual: time series that the report draws: "t_s", each channel before, and "channel/after" with the findings.

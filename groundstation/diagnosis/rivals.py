@@ -1,4 +1,6 @@
-"""What may contest a place among findings, how large and how likely it has to be, and which of several sets to go on with."""
+"""What may contest a place among findings, how large and how likely it has to be, and which of several sets to go on
+with.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.evidence import Candidate, Columns, Evidence
+from groundstation.diagnosis.columns import Candidate, Columns
+from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.thresholds import THRESHOLDS
 
 Array = NDArray[np.float64]
@@ -26,7 +29,9 @@ def kind_of(entry: Entry) -> Kind:
 
 
 def preferred(sets: Sequence[Sequence[Entry]], scores: Sequence[float], misfit: float) -> int:
-    """Which set to go on with: the first, unless another explains clearly more, or as much with fewer instants that were looked for."""
+    """Which set to go on with: the first, unless another explains clearly more, or as much with fewer instants that
+    were looked for.
+    """
     best = int(np.argmax(scores))
     if scores[best] - scores[0] > THRESHOLDS.inseparable * misfit:
         return best
@@ -58,5 +63,7 @@ def plausible(candidate: Candidate, values: Array, covariance: Array) -> bool:
 
 
 def posterior(rivals: Sequence[float]) -> float:
-    """Share of an explanation among rivals (chance is one) whose evidence stands this far from its own, as chi squared."""
+    """Share of an explanation among rivals (chance is one) whose evidence stands this far from its own, as chi
+    squared.
+    """
     return float(1.0 / (1.0 + np.sum(np.exp(0.5 * np.clip(rivals, -200.0, 0.0)))))

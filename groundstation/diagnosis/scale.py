@@ -16,7 +16,8 @@ from groundstation.vehicle import Vehicle
 
 
 def scale_findings(vehicle: Vehicle, parameters: Mapping[str, Estimate]) -> list[Finding]:
-    """``thrust_scale`` where the constants estimated by the weighed mass differ from the declared ones beyond both uncertainties.
+    """``thrust_scale`` where the constants estimated by the weighed mass differ from the declared ones beyond both
+    uncertainties.
 
     Args:
         parameters: of the base with the findings put in, thrust constants among them under the anchor "mass".

@@ -1,8 +1,8 @@
 """What the residual still depends on when every named effect has been taken out: all there is for the unknown.
 
-For each variable a smooth basis (hat functions over its quantiles) is offered to each channel, through the same instruments
-and whitening as an effect; its joint Wald statistic against chance, shared among all pairs, is the measure. It sees nonlinear
-dependence, and colour is in the noise model.
+For each variable a smooth basis (hat functions over its quantiles) is offered to each channel, through the same
+instruments and whitening as an effect; its joint Wald statistic against chance, shared among all pairs, is the measure.
+It sees nonlinear dependence, and colour is in the noise model.
 """
 
 from __future__ import annotations
@@ -13,10 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.columns import Candidate, Columns
 from groundstation.diagnosis.comparison import residual_rms
 from groundstation.diagnosis.discrepancy import Discrepancy
 from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, from_thrust
-from groundstation.diagnosis.evidence import WRENCH_ROW, Candidate, Columns, Evidence
+from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.flight_evidence import WRENCH_ROW
 from groundstation.diagnosis.results import Unexplained
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import euler_from_quat
@@ -142,8 +144,8 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
 def _own_size(part: Array, values: Array, covariance: Array, explained: Array, kept: NDArray[np.bool_]) -> float:
     """Standard deviation of what a dependence adds to what a constant, thrust and the named effects could give.
 
-    Noise in its coefficients makes a size of its own, trace(G cov), which is taken out: what matters to nobody is not made large by a
-    basis that is known badly.
+    Noise in its coefficients makes a size of its own, trace(G cov), which is taken out: what matters to nobody is not
+    made large by a basis that is known badly.
     """
     columns = explained[kept] / (np.linalg.norm(explained[kept], axis=0) + 1e-30)
     own = part[kept] - columns @ np.linalg.lstsq(columns, part[kept], rcond=1e-8)[0]
@@ -161,7 +163,9 @@ def disturbance_std(evidence: Evidence, channel: int) -> float:
 
 
 def unexplained(found: Sequence[Dependence]) -> tuple[Unexplained, ...]:
-    """Dependences gathered by channel: share of the largest, variables in order of evidence within half of the strongest."""
+    """Dependences gathered by channel: share of the largest, variables in order of evidence within half of the
+    strongest.
+    """
     out = []
     for channel in dict.fromkeys(d.channel for d in found):
         mine = [d for d in found if d.channel == channel]

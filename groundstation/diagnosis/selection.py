@@ -1,4 +1,6 @@
-"""The effects that the evidence asks for, selected twice: about the base fit, and about what the first selection found."""
+"""The effects that the evidence asks for, selected twice: about the base fit, and about what the first selection
+found.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,10 @@ from groundstation.diagnosis.attribution import Named, Selection, candidates
 from groundstation.diagnosis.augmented import is_among
 from groundstation.diagnosis.base import Base
 from groundstation.diagnosis.case import Case
+from groundstation.diagnosis.columns import Candidate, Solution
 from groundstation.diagnosis.effect import library, shared_by_healthy
-from groundstation.diagnosis.evidence import Candidate, Evidence, FlightEvidence, Solution
+from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.left_open import left_open
 from groundstation.diagnosis.rivals import Entry
 from groundstation.diagnosis.unplanned import Told
@@ -59,8 +63,8 @@ def select(
 ) -> Selected:
     """The effects that stand.
 
-    An effect swells the noise it is judged against, and bends the base it is judged about: what was found is kept out of the noise, the
-    base moves to the joint estimate, and all is judged anew.
+    An effect swells the noise it is judged against, and bends the base it is judged about: what was found is kept out
+    of the noise, the base moves to the joint estimate, and all is judged anew.
 
     Args:
         case: its flights at the evidence's rate.
@@ -82,8 +86,8 @@ def select_beside(
 ) -> Selected:
     """:func:`select` beside what flights without a plan tell by past motion.
 
-    What stands there is there in any case; what was looked for there and does not stand is not named by instruments that feedback
-    bends.
+    What stands there is there in any case; what was looked for there and does not stand is not named by instruments
+    that feedback bends.
     """
     standing = [told for told in air if told.stands and not is_among(told.candidate, augmented)]
     known = (*augmented, *(told.candidate for told in standing))

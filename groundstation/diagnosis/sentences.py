@@ -1,7 +1,8 @@
 """Sentences of findings: templates whose places say the unit and the words that stand for the sign.
 
-A place is ``{name}``, or ``{name:unit}``, or ``{name:unit|above zero|below zero}``: "{loss:%|less|more} thrust" is "3.0 % less thrust",
-and -0.03 is "3.0 % more thrust". Values are in SI units; each unit of :data:`UNITS` scales its own. No number has an exponent.
+A place is ``{name}``, or ``{name:unit}``, or ``{name:unit|above zero|below zero}``: "{loss:%|less|more} thrust" is "3.0
+% less thrust", and -0.03 is "3.0 % more thrust". Values are in SI units; each unit of :data:`UNITS` scales its own. No
+number has an exponent.
 """
 
 from __future__ import annotations
@@ -50,7 +51,10 @@ UNITS: Mapping[str, Unit] = {
     "g": Unit("g", 1e3),
     "g cm²": Unit("g cm²", 1e7),
 }
-"""By the name a template uses. Steps are a tenth of a millimetre, millisecond and percent, which no flight tells more finely."""
+"""By the name a template uses.
+
+Steps are a tenth of a millimetre, millisecond and percent, which no flight tells more finely.
+"""
 
 
 def told(template: str, **values: float | str) -> str:

@@ -18,7 +18,8 @@ Array = NDArray[np.float64]
 def planned_signals(prepared: Prepared, p: Parameters) -> Signals | None:
     """The signals the plan made the vehicle have: thrusts by inverse dynamics at ``p``; time and charge as they were.
 
-    Of the voltage its slow course: its samples' noise, and what a sample misses of a drop under load, stand in both sides of an equation.
+    Of the voltage its slow course: its samples' noise, and what a sample misses of a drop under load, stand in both
+    sides of an equation.
     """
     plan = prepared.planned
     if plan is None:

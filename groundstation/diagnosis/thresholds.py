@@ -1,12 +1,13 @@
-"""The tuned numbers that can change what a diagnosis says, in one table: value, reason, source, and what each was chosen on.
+"""The tuned numbers that can change what a diagnosis says, in one table: value, reason, source, and what each was
+chosen on.
 
-The modules of the diagnosis read :data:`THRESHOLDS`; docs/diagnosis.md prints it (``tests/test_diagnosis_thresholds.py`` holds it to
-this file). Guards against division by zero, grids and priors stand where they are used: the least size of an effect in its own file,
-priors in the tables of parameters.
+The modules of the diagnosis read :data:`THRESHOLDS`; docs/diagnosis.md prints it
+(``tests/test_diagnosis_thresholds.py`` holds it to this file). Guards against division by zero, grids and priors stand
+where they are used: the least size of an effect in its own file, priors in the tables of parameters.
 
-``chosen_on`` names the commit that brought the value and whether it came before or after the first blind bench was kept (3707858,
-2026-11-22 18:08). A value that came after it may have been influenced by that bench, and only benches with other seeds or other physics
-say anything of it.
+``chosen_on`` names the commit that brought the value and whether it came before or after the first blind bench was kept
+(3707858, 2026-11-22 18:08). A value that came after it may have been influenced by that bench, and only benches with
+other seeds or other physics say anything of it.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ class Thresholds:
     # Which effects are named: attribution.py, rivals.py, discrepancy.py
     effect_chance: float = _entry(
         1e-5,
-        "Chance that noise alone names an effect, shared by its variants: about 25 effects give one false name in 4000 flights.",
+        "Chance that noise alone names an effect, shared by its variants: about 25 effects give one false name in 4000 "
+        "flights.",
         source="Bonferroni's inequality",
         chosen_on=f"c9bbce4, {BEFORE}",
     )
@@ -76,11 +78,13 @@ class Thresholds:
         5e-4,
         "Least RMS of an effect that is a finding, as a share of weight (forces) or of weight times arm (torques).",
         source="decision 6",
-        chosen_on="dc2e2a9, after the first blind bench, which had shown what a smaller limit lets through; 1e-3 before it",
+        chosen_on="dc2e2a9, after the first blind bench, which had shown what a smaller limit lets through; 1e-3 "
+        "before it",
     )
     plausible_margin_std: float = _entry(
         2.0,
-        "Standard deviations by which an estimate may lie outside its plausible range and still be that of a plausible effect.",
+        "Standard deviations by which an estimate may lie outside its plausible range and still be that of a plausible "
+        "effect.",
         source="95 % of a normal distribution",
         chosen_on=f"c9bbce4, {BEFORE}",
     )
@@ -90,6 +94,13 @@ class Thresholds:
         source="rule of thumb for first-order aerodynamic models",
         chosen_on=f"5312b59, {AFTER}; not changed since",
     )
+    form_share: float = _entry(
+        0.3,
+        "Spread of the share in which a named effect may take another power of speed, height, thrust or rates, or act "
+        "on one axis alone.",
+        source="drag goes with powers of the speed between one and two; judgement",
+        chosen_on="MuJoCo flights of seeds 7000 to 8200 (benchmarks.other_forms)",
+    )
     held_out_blocks: int = _entry(
         6,
         "Blocks of time that a flight is divided into; each is judged by the parameters of the others.",
@@ -98,7 +109,8 @@ class Thresholds:
     )
     held_out_guard_s: float = _entry(
         1.5,
-        "Left out of training on either side of a held-out block, so that the disturbance's memory does not tie the two.",
+        "Left out of training on either side of a held-out block, so that the disturbance's memory does not tie the "
+        "two.",
         source="blocked cross-validation, Burman, Chow, Nolan 1994",
         chosen_on=f"c9bbce4, {BEFORE}",
         unit="s",
@@ -113,7 +125,8 @@ class Thresholds:
     )
     dependence_knots: int = _entry(
         6,
-        "Quantiles that the hat functions of a dependence stand on: enough for a bend, few enough for the rows of one flight.",
+        "Quantiles that the hat functions of a dependence stand on: enough for a bend, few enough for the rows of one "
+        "flight.",
         source="judgement",
         chosen_on=f"ad99ea9, {BEFORE}",
     )
@@ -145,7 +158,8 @@ class Thresholds:
     )
     timing_wald_joint_more: float = _entry(
         10.0,
-        "By how much more the joint statistic of lag up, lag down and dead time has to be: it has three degrees of freedom.",
+        "By how much more the joint statistic of lag up, lag down and dead time has to be: it has three degrees of "
+        "freedom.",
         source="chi squared distribution: 35 with three degrees of freedom is once in eight million",
         chosen_on=f"ad99ea9, {BEFORE}",
     )
@@ -174,14 +188,16 @@ class Thresholds:
     )
     curve_low_pass_hz: float = _entry(
         1.0,
-        "Thrust and specific force are compared below it, where neither rotor lag (tens of ms) nor sensor noise matters.",
+        "Thrust and specific force are compared below it, where neither rotor lag (tens of ms) nor sensor noise "
+        "matters.",
         source="time constants of rotors",
         chosen_on=f"0569b90, {AFTER}",
         unit="Hz",
     )
     bent_base_cost: float = _entry(
         10.0,
-        "Fall of half the minus-log-likelihood per coefficient from which the base is taken to be bent; chance gives a half.",
+        "Fall of half the minus-log-likelihood per coefficient from which the base is taken to be bent; chance gives a "
+        "half.",
         source="likelihood ratio, Wilks 1938",
         chosen_on=f"06f80bb, {AFTER}",
     )
@@ -210,7 +226,8 @@ class Thresholds:
     )
     variants_in_noise: int = _entry(
         4,
-        "How many settings of an effect are kept out of the noise before it is found; of those found, the very setting.",
+        "How many settings of an effect are kept out of the noise before it is found; of those found, the very "
+        "setting.",
         source="judgement",
         chosen_on=f"8d933ba, {AFTER}",
     )
@@ -255,8 +272,10 @@ class Thresholds:
     )
     trim_scatter_shares: tuple[float, float] = _entry(
         (3e-3, 3e-2),
-        "Between which scales trims of a healthy vehicle differ from session to session, as shares of the weight (and arm, and torque"
-        " ratio), each as likely on a logarithmic scale: a battery of a quarter of the weight put in 1 mm aside shifts the centre of a"
+        "Between which scales trims of a healthy vehicle differ from session to session, as shares of the weight (and "
+        "arm, and torque"
+        " ratio), each as likely on a logarithmic scale: a battery of a quarter of the weight put in 1 mm aside shifts "
+        "the centre of a"
         " nano-quadrotor by a hundredth of its arm. Healthy flights of one session do not tell this.",
         source="statics",
         chosen_on=f"5a54091, {AFTER}",
@@ -281,7 +300,8 @@ class Thresholds:
     )
     trim_propeller_shortest: float = _entry(
         0.7,
-        "Shortest propeller that still flies, as a share of its diameter: it gives a quarter of the thrust at the same speed.",
+        "Shortest propeller that still flies, as a share of its diameter: it gives a quarter of the thrust at the same "
+        "speed.",
         source="thrust goes with the fourth power of the diameter",
         chosen_on=f"5a54091, {AFTER}",
     )
@@ -295,13 +315,15 @@ class Thresholds:
     # What becomes of findings: adoption.py, published.py, next_flight.py
     prediction_worse: float = _entry(
         1.1,
-        "Growth of a prediction's error that scatter of its few dozen windows does not make; findings that cause more are not adopted.",
+        "Growth of a prediction's error that scatter of its few dozen windows does not make; findings that cause more "
+        "are not adopted.",
         source="scatter of an RMS of dozens of windows",
         chosen_on="6697e6a; data not recorded",
     )
     channel_worse: float = _entry(
         1.05,
-        "Ratio of errors on unseen data, after to before, from which a channel got worse: blocks of a flight differ by some percent.",
+        "Ratio of errors on unseen data, after to before, from which a channel got worse: blocks of a flight differ by "
+        "some percent.",
         source="scatter between blocks of a flight",
         chosen_on="8a47da1; data not recorded",
     )

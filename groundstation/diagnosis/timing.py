@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.columns import Solution
 from groundstation.diagnosis.effect import is_commanded
 from groundstation.diagnosis.effects.input_delay import EFFECT as DELAY
 from groundstation.diagnosis.effects.motor_lag import EFFECT as LAG
-from groundstation.diagnosis.evidence import Evidence, Solution
+from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import posterior
 from groundstation.diagnosis.sentences import told
@@ -27,8 +28,8 @@ SLOPE = LAG.names()[2]
 def lag_findings(evidence: Evidence, solution: Solution) -> list[Finding]:
     """From the joint estimate with the named effects; lag and dead time are rivals, or stand together.
 
-    With W the Wald statistic of all three parameters, that of the delay alone is what a lag cannot explain, and the other
-    way round: the two single explanations differ by it.
+    With W the Wald statistic of all three parameters, that of the delay alone is what a lag cannot explain, and the
+    other way round: the two single explanations differ by it.
     """
     first = evidence.flights[0]
     names = list(first.names)
@@ -73,7 +74,9 @@ def lag_findings(evidence: Evidence, solution: Solution) -> list[Finding]:
 
 @dataclass(frozen=True, slots=True)
 class _Beside:
-    """What stands beside the lags' departures: the declared lags, how the rate goes with the speed, the interval of the commands."""
+    """What stands beside the lags' departures: the declared lags, how the rate goes with the speed, the interval of the
+    commands.
+    """
 
     up_s: float
     down_s: float
@@ -89,7 +92,9 @@ def _lag(
     rivals: Sequence[float],
     close: bool = False,
 ) -> Finding:
-    """The finding; its intervals carry what the interval of the recorded commands leaves open, as those of an identification do."""
+    """The finding; its intervals carry what the interval of the recorded commands leaves open, as those of an
+    identification do.
+    """
     up, down = float(values[0] + beside.up_s), float(values[1] + beside.down_s)
     std = np.sqrt(np.diag(covariance))
     return Finding(

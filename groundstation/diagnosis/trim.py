@@ -1,17 +1,20 @@
 r"""What the mean thrusts of a flight say beside those of healthy flights, where body rates were not measured.
 
-In the mean a vehicle that hovers or goes back and forth turns and climbs nowhere: the rotors balance its weight and every steady
-torque. What changed since the healthy flights changes the commanded wrench :math:`w = A \bar T(u)` so as to counter it:
+In the mean a vehicle that hovers or goes back and forth turns and climbs nowhere: the rotors balance its weight and
+every steady torque. What changed since the healthy flights changes the commanded wrench :math:`w = A \bar T(u)` so as
+to counter it:
 
-    rotor i           F, tau_x, tau_y rise by A e_i T_i q, q = loss / (1 - loss); yaw by q + 1 - d of its torque, d the torque per
-                      thrust that is left: 1 for a weak motor, the diameter's share for a shorter propeller (thrust D^4, torque D^5),
-                      above 1 for one that is taped or chipped
+    rotor i           F, tau_x, tau_y rise by A e_i T_i q, q = loss / (1 - loss); yaw by q + 1 - d of its torque, d the
+    torque per
+                      thrust that is left: 1 for a weak motor, the diameter's share for a shorter propeller (thrust D^4,
+                      torque D^5), above 1 for one that is taped or chipped
     load at (x, y)    F rises by its weight G, tau_x by +y G, tau_y by -x G, yaw by nothing
 
-Healthy flights differ from each other besides (battery, its place, its voltage). The covariance of that is unknown: it has an
-inverse Wishart prior whose scale the healthy flights choose; integrated out it leaves Student's distribution in all components
-together (Gelman et al., Bayesian Data Analysis, 3.6). The suspect flights were made in one state and count as one more draw, however many they
-are. The hypotheses, sets of rotors and places among them, stand in :mod:`.trim_hypotheses`.
+Healthy flights differ from each other besides (battery, its place, its voltage). The covariance of that is unknown: it
+has an inverse Wishart prior whose scale the healthy flights choose; integrated out it leaves Student's distribution in
+all components together (Gelman et al., Bayesian Data Analysis, 3.6). The suspect flights were made in one state and
+count as one more draw, however many they are. The hypotheses, sets of rotors and places among them, stand in
+:mod:`.trim_hypotheses`.
 """
 
 from __future__ import annotations
@@ -54,10 +57,14 @@ SHORTER = (
 FAULTS = ("weak_rotor", "com_offset")
 OTHERS = "a difference between two vehicles"
 STRANGE = (
-    "The references may not be of the same vehicle: with {sure:%} probability the difference is as between two individuals of one make. "
+    "The references may not be of the same vehicle: with {sure:%} probability the difference is as between two "
+    "individuals of one make. "
     "Give healthy flights of this very vehicle."
 )
-MISSED = "No fault is shown. The least that would have been: a rotor with {loss:%} less thrust, or a load of {load:g} beside a rotor."
+MISSED = (
+    "No fault is shown. The least that would have been: a rotor with {loss:%} less thrust, or a load of {load:g} "
+    "beside a rotor."
+)
 STRANGE_SHARE = 0.2
 """Share of the probability from which it is said that the references may be of another vehicle: one in five."""
 LISTED_SHARE = 0.05
@@ -66,7 +73,9 @@ LISTED_SHARE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Trim:
-    """What came of it: findings, error of each channel before and after on flights left out, and whether all is explained."""
+    """What came of it: findings, error of each channel before and after on flights left out, and whether all is
+    explained.
+    """
 
     findings: tuple[Finding, ...]
     before: dict[str, float]
@@ -108,9 +117,11 @@ def compare_trims(suspects: Sequence[Prepared], references: Sequence[Prepared]) 
 
 
 def _ranked(found: Sequence[Explanation]) -> tuple[list[Explanation], list[float]]:
-    """Explanations and their shares, the likeliest first; a fault before a difference of vehicles, if no healthy scatter makes it.
+    """Explanations and their shares, the likeliest first; a fault before a difference of vehicles, if no healthy
+    scatter makes it.
 
-    A difference of two vehicles may hold a fault as well: which rotor or load would be looked at first is said, with its share.
+    A difference of two vehicles may hold a fault as well: which rotor or load would be looked at first is said, with
+    its share.
     """
     shares = posteriors(found)
     order = sorted(range(len(found)), key=lambda index: -shares[index])
@@ -173,7 +184,9 @@ def _rms(wrenches: Array) -> dict[str, float]:
 def _findings(
     ranked: Sequence[Explanation], shares: Sequence[float], vehicle: Vehicle, healthy: int
 ) -> tuple[Finding, ...]:
-    """What the best explanation names: a load, a rotor, or two; nothing where it is healthy scatter or something else."""
+    """What the best explanation names: a load, a rotor, or two; nothing where it is healthy scatter or something
+    else.
+    """
     best, *rivals = ranked
     if best.effect not in FAULTS:
         return ()

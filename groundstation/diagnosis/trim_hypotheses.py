@@ -1,14 +1,16 @@
-r"""What may have changed between healthy flights and others, and how likely each is: sets of rotors, a load, another vehicle.
+r"""What may have changed between healthy flights and others, and how likely each is: sets of rotors, a load, another
+vehicle.
 
-Each hypothesis has its marginal likelihood for a change of wrench (4,), over all sizes, kinds and places it could have, and a prior share:
+Each hypothesis has its marginal likelihood for a change of wrench (4,), over all sizes, kinds and places it could have,
+and a prior share:
 
     nothing          scatter of healthy flights alone                                                      1
     one rotor        any of them, weak or with a propeller that is shorter or rougher                      1
     two rotors       any pair, each as above                                                               PAIR
     a load           anywhere on the vehicle, on it or on a string                                         1
 
-Each of them is taken twice: the healthy flights are of the same individual, or (OTHER times as likely) of another one of its make,
-whose trims scatter by more. Nothing but that is a hypothesis of its own.
+Each of them is taken twice: the healthy flights are of the same individual, or (OTHER times as likely) of another one
+of its make, whose trims scatter by more. Nothing but that is a hypothesis of its own.
 """
 
 from __future__ import annotations
@@ -28,14 +30,15 @@ from groundstation.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 SIZES, RATIOS, SCALES, PRIORS = 150, 16, 16, 6
-"""Points of the integrals: over a size, the torque per thrust, the scale of Student's distribution, and of the prior."""
+"""Points of the integrals: over a size, the torque per thrust, the scale of Student's distribution, and of the prior.
+"""
 PAIR_SIZES, PAIR_RATIOS = 20, 4
 """The same for each rotor of a pair."""
 PAIR, OTHER = 0.2, 0.1
 """Prior shares: two faults at once are rarer than one, and healthy flights are said to be of the same vehicle."""
 INDIVIDUALS = 0.04
-"""How the trims of two individuals of one make differ, as shares of weight, arm and torque: two Crazyflies of CrazyPAD, whose healthy
-flights are in shared/data, differ by up to 0.034."""
+"""How the trims of two individuals of one make differ, as shares of weight, arm and torque: two Crazyflies of CrazyPAD,
+whose healthy flights are in shared/data, differ by up to 0.034."""
 SHOWN = 19.0
 """Odds against nothing from which a fault counts as shown."""
 
@@ -68,7 +71,9 @@ class Scatter:
         return np.asarray(logsumexp(each + np.log(self.shares), axis=-1), dtype=float)
 
     def normal_parts(self) -> tuple[Array, Array]:
-        """The same as a mixture of normal distributions: covariances (m, 4, 4) and the logarithms of their shares (m,)."""
+        """The same as a mixture of normal distributions: covariances (m, 4, 4) and the logarithms of their shares
+        (m,).
+        """
         from scipy.stats import gamma
 
         middle = (np.arange(SCALES) + 0.5) / SCALES
@@ -105,7 +110,9 @@ class Explanation:
 
 
 def healthy_scatter(reference: Array) -> Scatter:
-    """Of a flight of another session about the mean of healthy ones (n, 4), covariance and the prior's scale integrated out."""
+    """Of a flight of another session about the mean of healthy ones (n, 4), covariance and the prior's scale integrated
+    out.
+    """
     flights, count = reference.shape
     apart = reference - reference.mean(axis=0)
     prior = count + 2  # the fewest degrees of freedom with which the prior has a mean: the square of the scale
@@ -148,7 +155,9 @@ def posteriors(found: Sequence[Explanation]) -> list[float]:
 
 
 def _ratios(count: int) -> tuple[Array, Array]:
-    """Torque per thrust that is missing, as a share, (count,): a whole propeller, a shorter or a rougher one; and their prior."""
+    """Torque per thrust that is missing, as a share, (count,): a whole propeller, a shorter or a rougher one; and their
+    prior.
+    """
     least = 1.0 - THRESHOLDS.trim_propeller_shortest
     off = np.linspace(2.0 * least / count, least, count // 2)
     missing = np.concatenate([[0.0], off, -off])
@@ -158,7 +167,9 @@ def _ratios(count: int) -> tuple[Array, Array]:
 
 
 def weak_rotor(rotor: int, patterns: Array, change: Array, scatter: Scatter) -> Explanation:
-    """A weak motor or a propeller that is not whole, as likely before; all rotors together have the prior share of one explanation."""
+    """A weak motor or a propeller that is not whole, as likely before; all rotors together have the prior share of one
+    explanation.
+    """
     pattern = patterns[:, rotor - 1]
     loss = THRESHOLDS.trim_loss_most * np.arange(1, SIZES + 1) / SIZES
     missing, prior = _ratios(RATIOS)
@@ -226,7 +237,9 @@ def load_somewhere(vehicle: Vehicle, change: Array, scatter: Scatter) -> Explana
 
 
 def least_shown(vehicle: Vehicle, patterns: Array, scatter: Scatter) -> tuple[float, float]:
-    """Least loss of the rotor that shows worst, and least load beside a rotor (kg), that these flights would have shown."""
+    """Least loss of the rotor that shows worst, and least load beside a rotor (kg), that these flights would have
+    shown.
+    """
     most = THRESHOLDS.trim_loss_most
     sizes = most * np.arange(1, 26) / 25
     hubs = np.abs(np.asarray(vehicle.rotors.position_m)[0, :2]) / vehicle.arm_m()

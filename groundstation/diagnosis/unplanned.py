@@ -1,9 +1,9 @@
 """Effects of the air on flights that nobody planned: found where the data show them, without the rotors' fast torque.
 
-On a flight without plan or setpoints the regression of the motion on the rotors' wrench lies: telemetry that is filtered or late
-loses the torque, and the controller answers the disturbance. The equations turned round hold in the band where telemetry is right
-(:mod:`groundstation.identification.low_frequency`). Each is solved with past motion as instruments, in parts of the flights that check
-each other (:mod:`groundstation.identification.lagged_instruments`).
+On a flight without plan or setpoints the regression of the motion on the rotors' wrench lies: telemetry that is
+filtered or late loses the torque, and the controller answers the disturbance. The equations turned round hold in the
+band where telemetry is right (:mod:`groundstation.identification.low_frequency`). Each is solved with past motion as
+instruments, in parts of the flights that check each other (:mod:`groundstation.identification.lagged_instruments`).
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.columns import Candidate
 from groundstation.diagnosis.effect import Effect, has_rotors, library
-from groundstation.diagnosis.evidence import Candidate
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import posterior
 from groundstation.diagnosis.sentences import told
@@ -51,7 +51,8 @@ class Told:
 
     Attributes:
         values: of each parameter.
-        wald: sum of squares of values over deviations; chance: what noise alone passes once in 1 / ``effect_chance`` times.
+        wald: sum of squares of values over deviations; chance: what noise alone passes once in 1 / ``effect_chance``
+            times.
         gain: fall of the squared error of each part with the values of the others.
         share: RMS of what it does, as a share of weight (forces) or weight times arm (torques).
         stands: beats chance, is of a plausible sign, matters, and holds on parts that did not choose it.
@@ -71,14 +72,17 @@ class Told:
         return Candidate(self.effect, {})
 
     def finding(self) -> Finding:
-        """As a finding, with where it comes from; a formula misses up to a tenth, which is two deviations of its part of the interval."""
+        """As a finding, with where it comes from; a formula misses up to a tenth, which is two deviations of its part
+        of the interval.
+        """
         form = 0.5 * THRESHOLDS.form_error_share
         values = {n: Estimate.normal(p.value, float(np.hypot(p.std, form * p.value))) for n, p in self.values.items()}
         sentence = told(self.effect.sentence, **{name: p.value for name, p in self.values.items()})
         return Finding(
             effect=self.effect.identifier,
             parameters=values,
-            evidence=f"{sentence} No plan is recorded: past motion is the instrument, and parts of the flights check each other.",
+            evidence=f"{sentence} No plan is recorded: past motion is the instrument, and parts of the flights check "
+            "each other.",
             confidence=posterior([self.chance - self.wald]),
             gain=self.gain,
         )
@@ -90,7 +94,8 @@ class Told:
 
 
 def tell_unplanned(flights: Sequence[Prepared], p: Parameters) -> list[Told]:
-    """What flights without a plan show of the air's effects; nothing where one has a plan, or rates or poses are missing.
+    """What flights without a plan show of the air's effects; nothing where one has a plan, or rates or poses are
+    missing.
 
     Args:
         flights: of one vehicle.

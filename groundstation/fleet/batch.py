@@ -1,8 +1,9 @@
-"""Work through many recordings: identify, diagnose, report. Can be stopped and run again at any time: what is done stays done.
+"""Work through many recordings: identify, diagnose, report. Can be stopped and run again at any time: what is done
+stays done.
 
-A recording's results stand in its own folder (beside an MCAP file, else ``<logs>/<name>``), and ``batch.json`` is written last. Its
-key is made of the recording's and the vehicle's content and of the program's version: a result counts only while all of them are
-what they were, and a run that was cut off leaves nothing that counts.
+A recording's results stand in its own folder (beside an MCAP file, else ``<logs>/<name>``), and ``batch.json`` is
+written last. Its key is made of the recording's and the vehicle's content and of the program's version: a result counts
+only while all of them are what they were, and a run that was cut off leaves nothing that counts.
 """
 
 from __future__ import annotations
@@ -236,12 +237,14 @@ def _analyse(flight: Any, folder: Path, do: Sequence[str]) -> None:
     from groundstation.analysis.documents import write_json
     from groundstation.diagnosis import diagnose
     from groundstation.identification.pipeline import identify
+    from groundstation.identification.work import Work
 
     if "report" in do:
         analyse([flight], folder)
         return
-    found = identify([flight])
-    diagnosis = diagnose([flight]) if "diagnose" in do else None
+    work = Work()
+    found = identify([flight], work=work)
+    diagnosis = diagnose([flight], work=work) if "diagnose" in do else None
     write_identification(folder, found, flight.vehicle, diagnosis)
     if diagnosis is not None:
         write_json(folder / "diagnosis.json", diagnosis.to_dict())
@@ -267,7 +270,9 @@ def results(
 
 
 def table(found: Sequence[Result]) -> list[Row]:
-    """One row a recording and parameter, ordered by source, without what differs from run to run: equal, whoever computed it."""
+    """One row a recording and parameter, ordered by source, without what differs from run to run: equal, whoever
+    computed it.
+    """
     rows = []
     for result in sorted(found, key=lambda r: r.source):
         head = {"source": result.source, "state": result.state, "sentence": result.sentence}

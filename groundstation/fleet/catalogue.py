@@ -1,9 +1,9 @@
 """The catalogue of a logs folder: one row a flight, in a Parquet file beside the flights, asked with SQL (DuckDB).
 
-The recordings' own folders are what is true. The catalogue is made from them, is never the only copy of anything, and is written
-whole or not at all: deleted, damaged or out of date, it is made again. A folder is read again when its modification time moved,
-which every result that is written moves. Several stations may write: each writes what it read, the last one stands, and what it
-does not hold is read again at the next listing.
+The recordings' own folders are what is true. The catalogue is made from them, is never the only copy of anything, and
+is written whole or not at all: deleted, damaged or out of date, it is made again. A folder is read again when its
+modification time moved, which every result that is written moves. Several stations may write: each writes what it read,
+the last one stands, and what it does not hold is read again at the next listing.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ _COLUMNS = {
 _VIEWS = """
 CREATE VIEW flights AS SELECT * EXCLUDE (parameters, findings, quality, inputs, fingerprint),
   list_filter(parameters, lambda p: p.method = 'canonical' AND p.name = 'mass_kg')[1].value AS mass_kg FROM catalogue;
-CREATE VIEW parameters AS SELECT flight, folder, date, vehicle, p.* FROM (SELECT *, unnest(parameters) AS p FROM catalogue);
+CREATE VIEW parameters AS
+    SELECT flight, folder, date, vehicle, p.* FROM (SELECT *, unnest(parameters) AS p FROM catalogue);
 CREATE VIEW findings AS SELECT flight, folder, date, vehicle, f.* FROM (SELECT *, unnest(findings) AS f FROM catalogue);
 CREATE VIEW quality AS SELECT flight, folder, date, vehicle, unnest(quality) AS sentence FROM catalogue;
 CREATE VIEW inputs AS SELECT flight, folder, i.* FROM (SELECT *, unnest(inputs) AS i FROM catalogue);
@@ -111,7 +112,8 @@ class Catalogue:
     def series(self, vehicle: str) -> Mapping[str, tuple[list[str], list[float], list[float]]]:
         """Canonical parameters of a vehicle over its flights: (flights, values, stds) by name, oldest flight first."""
         rows = self._connection.execute(
-            "SELECT name, list(flight ORDER BY date, flight), list(value ORDER BY date, flight), list(std ORDER BY date, flight)"
+            "SELECT name, list(flight ORDER BY date, flight), list(value ORDER BY date, flight), list(std ORDER BY "
+            "date, flight)"
             " FROM parameters WHERE method = ? AND vehicle = ? AND std > 0 AND isfinite(value) AND isfinite(std)"
             " GROUP BY name ORDER BY name",
             [CANONICAL, vehicle],
@@ -147,13 +149,18 @@ class Catalogue:
         Raises:
             BadInput: another ending, or the file cannot be written.
         """
-        query = "SELECT p.*, f.state, f.verdict, array_to_string(f.tags, ' ') AS tags FROM parameters p JOIN flights f USING (folder)"
+        query = (
+            "SELECT p.*, f.state, f.verdict, array_to_string(f.tags, ' ') AS tags FROM parameters p JOIN flights f "
+            "USING (folder)"
+        )
         names, rows = self.sql(f"{query} ORDER BY ALL")
         kinds = {n: "DOUBLE" if n in ("value", "std", "low", "high") else "VARCHAR" for n in names}
         return write_rows(path, [dict(zip(names, row, strict=True)) for row in rows], kinds)
 
     def _open(self, rebuild: bool) -> duckdb.DuckDBPyConnection:
-        """A database in memory, filled from the file where that can be read; nothing outside can be reached through it."""
+        """A database in memory, filled from the file where that can be read; nothing outside can be reached through
+        it.
+        """
         import duckdb
 
         connection = _load_only()
@@ -161,7 +168,8 @@ class Catalogue:
             try:
                 names = ", ".join(_COLUMNS)
                 connection.execute(
-                    f"INSERT INTO catalogue SELECT {names} FROM read_parquet('{_quoted(self._file)}') WHERE schema = '{SCHEMA}'"
+                    f"INSERT INTO catalogue SELECT {names} FROM read_parquet('{_quoted(self._file)}') WHERE schema = "
+                    f"'{SCHEMA}'"
                 )
             except duckdb.Error as error:
                 self.note = (
@@ -172,7 +180,9 @@ class Catalogue:
         return connection
 
     def _refresh(self) -> None:
-        """Bring the table up to date with the folders, write it when it changed, and close the database to everything outside."""
+        """Bring the table up to date with the folders, write it when it changed, and close the database to everything
+        outside.
+        """
         known = dict(self._connection.execute("SELECT folder, fingerprint FROM catalogue").fetchall())
         here = dict(_flight_folders(self.logs, known))
         gone = [folder for folder in known if folder not in here]
@@ -190,7 +200,10 @@ class Catalogue:
         self._connection.execute("SET enable_external_access = false; SET lock_configuration = true")
 
     def _write(self) -> None:
-        """The Parquet file, whole. Where the folder cannot be written, the listing is still right: it is only slower next time."""
+        """The Parquet file, whole.
+
+        Where the folder cannot be written, the listing is still right: it is only slower next time.
+        """
         try:
             with _beside(self._file) as place:
                 self._connection.execute(
@@ -202,7 +215,8 @@ class Catalogue:
 
 
 _MOVES = """
-CREATE TABLE moves AS SELECT folder, list(name ORDER BY name) AS moved_names, list((value - before) / hypot ORDER BY name) AS moves FROM (
+CREATE TABLE moves AS
+SELECT folder, list(name ORDER BY name) AS moved_names, list((value - before) / hypot ORDER BY name) AS moves FROM (
   SELECT folder, name, value, before, sqrt(std * std + std_before * std_before) AS hypot FROM (
     SELECT folder, name, value, std, lag(value) OVER w AS before, lag(std) OVER w AS std_before, flight_number,
       lag(flight_number) OVER w AS number_before

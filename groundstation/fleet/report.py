@@ -1,4 +1,6 @@
-"""The fleet report: what a vehicle's parameters did over its flights, as text and as one HTML file without a network."""
+"""The fleet report: what a vehicle's parameters did over its flights, as text and as one HTML file without a
+network.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ from groundstation.reporting.units import interval_text, label, percent, quantit
 from groundstation.writing import write_whole
 
 DIFFERENT = 0.01
-"""Holm-adjusted p below which two groups of flights are said to differ: one comparison in a hundred, over all parameters."""
+"""Holm-adjusted p below which two groups of flights are said to differ: one comparison in a hundred, over all
+parameters.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +62,8 @@ def change_sentence(series: Series) -> str:
         total = change.size * (len(series.flights) - 1)
         return (
             f"{parameter_label(series.name)} drifts by {_size(series.name, change.size, change.std, about)} a flight:"
-            f" {_share(total, about)} over {len(series.flights)} flights (probability {_probability(change.probability)})."
+            f" {_share(total, about)} over {len(series.flights)} flights (probability "
+            f"{_probability(change.probability)})."
         )
     return (
         f"{parameter_label(series.name)} changed by {_size(series.name, change.size, change.std, about)} from flight"
@@ -159,7 +164,9 @@ def comparison_lines(found: Mapping[str, tuple[Difference, float]], first: str, 
 
 
 def write_fleet_report(path: Path, catalogue: Catalogue, pair: tuple[str, str] | None = None) -> Path:
-    """One HTML file: each vehicle's flights, trends and control charts; and the comparison of two groups where asked."""
+    """One HTML file: each vehicle's flights, trends and control charts; and the comparison of two groups where
+    asked.
+    """
     page = Page("Fleet report")
     vehicles = catalogue.vehicles()
     series = {vehicle: vehicle_trends(catalogue, vehicle) for vehicle in vehicles}

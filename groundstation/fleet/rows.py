@@ -53,7 +53,9 @@ def row_of(folder: Path, fingerprint: int) -> Row:
 
 
 def flown_at(folder: Path) -> str:
-    """When a flight was flown, ISO 8601 in UTC: its folder's name where that begins with a stamp, else its recording's file time."""
+    """When a flight was flown, ISO 8601 in UTC: its folder's name where that begins with a stamp, else its recording's
+    file time.
+    """
     if found := _STAMP.match(folder.name):
         return f"{found[1]}T{found[2]}:{found[3]}:{found[4]}+00:00"
     oldest = next((path for name in SIGNS if (path := folder / name).exists()), folder)
@@ -79,7 +81,9 @@ def set_notes(
 
 
 def _parameters(identification: Row, diagnosis: Row) -> Any:
-    """Every estimate with its method; the canonical one (findings put in, where there is a diagnosis) once more under its own name."""
+    """Every estimate with its method; the canonical one (findings put in, where there is a diagnosis) once more under
+    its own name.
+    """
     methods = _mapping(identification, "methods")
     best = _mapping(_mapping(methods, str(identification.get("best"))), "parameters")
     model = _mapping(identification, "model")

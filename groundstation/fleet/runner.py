@@ -1,7 +1,9 @@
-"""Run one function over many items: on this machine's cores, one process each, or on a Dask cluster. Nothing is lost, nothing stops it.
+"""Run one function over many items: on this machine's cores, one process each, or on a Dask cluster. Nothing is lost,
+nothing stops it.
 
-A worker that dies (killed, out of memory) costs no other item: what it held is tried once more, alone, and then counts as failed.
-Results do not depend on who computed them: each process computes with one thread, so sums are taken in one order.
+A worker that dies (killed, out of memory) costs no other item: what it held is tried once more, alone, and then counts
+as failed. Results do not depend on who computed them: each process computes with one thread, so sums are taken in one
+order.
 """
 
 from __future__ import annotations
@@ -21,7 +23,10 @@ Item = TypeVar("Item")
 Value = TypeVar("Value")
 
 TRIES = 2
-"""How often an item may kill the worker that has it alone. In company nobody knows which item did it, so that does not count."""
+"""How often an item may kill the worker that has it alone.
+
+In company nobody knows which item did it, so that does not count.
+"""
 ITEMS_A_WORKER = 50
 """Items after which a local worker is replaced, so that memory which a library keeps does not add up."""
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")

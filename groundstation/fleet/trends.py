@@ -1,18 +1,21 @@
-r"""How one parameter moves from flight to flight: scatter, control limits, steps and drifts with a probability. Numbers only.
+r"""How one parameter moves from flight to flight: scatter, control limits, steps and drifts with a probability. Numbers
+only.
 
 Random-effects model (DerSimonian and Laird 1986) of flights :math:`i = 0 .. n-1` in the order they were flown:
 
 .. math::  y_i = \mu + \delta\,x_i + u_i + e_i, \quad u_i \sim N(0, \tau^2), \quad e_i \sim N(0, s_i^2)
 
-with :math:`s_i` each flight's own standard deviation, :math:`\tau` the scatter between flights that no interval covers, and
-:math:`x` one of: nothing, a step at flight k (0 before it, 1 from it on), a drift (:math:`i - (n-1)/2`). Given
-:math:`\tau` and the prior :math:`\delta \sim N(0, D^2)`, with :math:`\mu` flat, the marginal likelihood is Gaussian: with
-:math:`w_i = 1/(s_i^2 + \tau^2)`, means weighted by w, :math:`A = \sum w (x-\bar x)^2`, :math:`b = \sum w (x-\bar x)(y-\bar y)`,
+with :math:`s_i` each flight's own standard deviation, :math:`\tau` the scatter between flights that no interval covers,
+and :math:`x` one of: nothing, a step at flight k (0 before it, 1 from it on), a drift (:math:`i - (n-1)/2`). Given
+:math:`\tau` and the prior :math:`\delta \sim N(0, D^2)`, with :math:`\mu` flat, the marginal likelihood is Gaussian:
+with :math:`w_i = 1/(s_i^2 + \tau^2)`, means weighted by w, :math:`A = \sum w (x-\bar x)^2`, :math:`b = \sum w (x-\bar
+x)(y-\bar y)`,
 
 .. math::  \ln p_1 - \ln p_0 = \frac{b^2}{2(A + D^{-2})} - \tfrac12 \ln(1 + A D^2)
 
-(Gelman et al., Bayesian Data Analysis, 3rd ed., ch. 5 and 7). :math:`\tau` and D are averaged over grids, in units of the
-median :math:`s_i`, so nothing depends on a parameter's unit. A change is named by its posterior probability against "nothing changed".
+(Gelman et al., Bayesian Data Analysis, 3rd ed., ch. 5 and 7). :math:`\tau` and D are averaged over grids, in units of
+the median :math:`s_i`, so nothing depends on a parameter's unit. A change is named by its posterior probability against
+"nothing changed".
 """
 
 from __future__ import annotations
@@ -29,7 +32,9 @@ from scipy.stats import norm
 Array = NDArray[np.float64]
 
 CHANGE_IN_A_FLEET = 0.1
-"""Prior probability that anything at all changed in a vehicle's flights: one series in ten; spread evenly over its parameters."""
+"""Prior probability that anything at all changed in a vehicle's flights: one series in ten; spread evenly over its
+parameters.
+"""
 NAMED = 0.95
 """Posterior probability from which a change is named: at most one name in twenty is wrong where the prior is right."""
 SHORTEST = 4
@@ -88,7 +93,8 @@ def trend(values: Sequence[float] | Array, stds: Sequence[float] | Array, *, par
     """Scatter, limits and change of one parameter over flights.
 
     Args:
-        values, stds: estimates and their standard deviations, in the order the flights were flown; shape (n,), finite, std > 0.
+        values, stds: estimates and their standard deviations, in the order the flights were flown; shape (n,), finite,
+            std > 0.
         parameters: how many of this vehicle's parameters are looked at; the prior of a change is shared among them.
 
     Raises:

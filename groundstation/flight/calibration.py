@@ -19,6 +19,7 @@ from groundstation.writing import write_whole
 
 Array = NDArray[np.float64]
 _SECTION = re.compile(r"^\[mocap\.calibration\][^\n]*\n(?:(?!\[)[^\n]*\n?)*", re.M)
+_LATENCY = re.compile(r"^([ \t]*latency_s[ \t]*=[ \t]*)[0-9.eE+-]+", re.M)
 SURELY = 3.0
 """Standard deviations beyond which a scale is applied: less is the accelerometer's own."""
 DOCUMENT_BYTES = 1 << 20
@@ -60,7 +61,8 @@ def section(calibration: MarkerCalibration) -> str:
 
 
 def write_calibration(path: Path, calibration: MarkerCalibration) -> None:
-    """Put the section into a station file, in the place of an older one; all else stays as it is.
+    """Put the section into a station file, in the place of an older one. ``latency_s``, which it replaces, becomes 0;
+    all else stays as it is.
 
     Raises:
         BadInput: it is a shipped file, cannot be written, or would not be valid.
@@ -68,7 +70,7 @@ def write_calibration(path: Path, calibration: MarkerCalibration) -> None:
     if path.resolve().is_relative_to(configs_dir().resolve()):
         raise BadInput(f"{path}: is a shipped file; copy it, and give your copy with --station.")
     text = read_bytes(path, "a station file", DOCUMENT_BYTES).decode("utf-8", "replace")
-    rest = _SECTION.sub("", text).rstrip("\n")
+    rest = _LATENCY.sub(r"\g<1>0.0", _SECTION.sub("", text)).rstrip("\n")
     changed = f"{rest}\n\n{section(calibration)}"
     station_from_dict(parse_toml(changed.encode(), str(path)), str(path))
     try:
@@ -80,7 +82,8 @@ def write_calibration(path: Path, calibration: MarkerCalibration) -> None:
 def told(found: HandCalibration, calibration: MarkerCalibration) -> str:
     """For people: value, 95 % half width, and what to make of it."""
     lines = [
-        f"measured over {found.seconds:.0f} s, carried {found.moved_m:.2f} m rms, turned by up to {np.degrees(found.turned_rad):.0f} degrees"
+        f"measured over {found.seconds:.0f} s, carried {found.moved_m:.2f} m rms, turned by up to "
+        f"{np.degrees(found.turned_rad):.0f} degrees"
     ]
     for name, values, std, factor, unit in (
         ("offset", found.position_m, found.position_std_m, 1e3, "mm"),
@@ -98,7 +101,8 @@ def told(found: HandCalibration, calibration: MarkerCalibration) -> str:
         + ("" if calibration.scale else ", left at 1")
     )
     lines.append(
-        f"delay     {1e3 * calibration.delay_s:.2f} +- {1.96e3 * calibration.delay_std_s:.2f} ms of stamps after the exposure"
+        f"delay     {1e3 * calibration.delay_s:.2f} +- {1.96e3 * calibration.delay_std_s:.2f} ms of stamps after the "
+        "exposure; taken off them, so latency_s is 0"
     )
     lines.append(f"noise     {1e3 * found.residual_m:.2f} mm, {np.degrees(found.residual_rad):.2f} degrees")
     return "\n".join(lines)

@@ -16,15 +16,15 @@ IN_FLIGHT = "the vehicle is armed and in flight"
 """Begins the sentence in which a link refuses a vehicle that somebody left in the air."""
 
 CommandName = Literal["start", "agree", "land", "abort", "kill"]
-"""``start``, ``agree`` (to what is proposed, ``CoreStatus.until``), ``land`` and ``kill`` (rotors off, it falls) belong to the holder of the
-lease; ``abort`` to everyone."""
+"""``start``, ``agree`` (to what is proposed, ``CoreStatus.until``), ``land`` and ``kill`` (rotors off, it falls) belong
+to the holder of the lease; ``abort`` to everyone."""
 
 
 class CoreCommand(msgspec.Struct, frozen=True):
     """A client's order to the core. Answered by ``drivers.bus.Answer``.
 
-    ``sequence`` grows from order to order of a client, lease requests included, and across its restarts; an order with an old
-    number is refused. An ``abort`` needs none.
+    ``sequence`` grows from order to order of a client, lease requests included, and across its restarts; an order with
+    an old number is refused. An ``abort`` needs none.
     """
 
     name: CommandName
@@ -33,7 +33,10 @@ class CoreCommand(msgspec.Struct, frozen=True):
 
 
 class Lease(msgspec.Struct, frozen=True):
-    """A client takes (or gives back) the operator's lease; ``force`` takes it from another. ``sequence`` as in :class:`CoreCommand`."""
+    """A client takes (or gives back) the operator's lease; ``force`` takes it from another.
+
+    ``sequence`` as in :class:`CoreCommand`.
+    """
 
     client: str
     take: bool = True
@@ -83,8 +86,8 @@ class KnownStatus(msgspec.Struct, frozen=True):
     """One parameter of a flight that lasts until it is known; None where the motion has not revealed it.
 
     Attributes:
-        spent, at_any_time: half width over target, by the interval whose error is spent over the rest points, and by the one that holds at
-            every moment; 1 or less is met.
+        spent, at_any_time: half width over target, by the interval whose error is spent over the rest points, and by
+            the one that holds at every moment; 1 or less is met.
         seconds: of excitation until the first is met, as it goes.
     """
 
@@ -111,7 +114,9 @@ class UntilStatus(msgspec.Struct, frozen=True):
 
 
 class SuspectStatus(msgspec.Struct, frozen=True):
-    """What the diagnosis of the flight so far holds for likely: an effect, its odds, and what it cannot be told from yet."""
+    """What the diagnosis of the flight so far holds for likely: an effect, its odds, and what it cannot be told from
+    yet.
+    """
 
     effect: str
     odds: float
@@ -138,7 +143,8 @@ class CoreStatus(msgspec.Struct, frozen=True):
         mocap: what the motion capture's client told last: its server's clock, rate and latency, or what is wrong.
         clock_s: stamp of motion capture minus that of the IMU at one instant, (estimate, half its 95 % interval).
         until: of a flight that lasts until it is known; None for any other, and before its excitation.
-        suspects: by the diagnosis of the first ``suspects_s`` seconds of excitation; empty before the first, and where nothing is likely.
+        suspects: by the diagnosis of the first ``suspects_s`` seconds of excitation; empty before the first, and where
+            nothing is likely.
     """
 
     flight: str

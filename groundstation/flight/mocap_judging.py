@@ -1,4 +1,7 @@
-"""What is wrong with a tracked body, from its poses alone: flips, swaps, gaps, a world that stands on its side. Pure."""
+"""What is wrong with a tracked body, from its poses alone: flips, swaps, gaps, a world that stands on its side.
+
+Pure.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +46,8 @@ def faults(track: Track, summary: Summary, others: Sequence[Track] = (), needed_
         out.append(f"'{track.name}' comes at {summary.rate_hz:.0f} Hz, {needed_hz:.0f} Hz are needed")
     if summary.unseen > UNSEEN:
         out.append(
-            f"'{track.name}' is lost in {100 * summary.unseen:.0f} % of the frames (longest {summary.longest_gap_s:.2f} s)"
+            f"'{track.name}' is lost in {100 * summary.unseen:.0f} % of the frames (longest "
+            f"{summary.longest_gap_s:.2f} s)"
         )
     if summary.latency_p99_s > LATE_S:
         out.append(f"'{track.name}' arrives {1e3 * summary.latency_p99_s:.0f} ms late at p99: look at the network")

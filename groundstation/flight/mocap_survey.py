@@ -11,6 +11,7 @@ import numpy as np
 from drivers.mocap.discovery import Found
 from drivers.mocap.health import Health, Summary
 from drivers.mocap.session import SYSTEMS, Session
+from drivers.secure import Identity, read_identity
 from groundstation.flight import timeouts
 from groundstation.flight.mocap_judging import Track, body_row, faults
 
@@ -59,6 +60,14 @@ class _Watched:
     rows: list[tuple[float, ...]] = field(default_factory=list)
 
 
+def _shown(host: str) -> Identity | None:
+    if not host.startswith("tls/"):
+        return None
+    from groundstation.flight.share.passes import station_file
+
+    return read_identity(station_file())
+
+
 def survey(found: Found, seconds: float = 3.0, body: str = "") -> SystemSurvey:
     """Watch one system for a while.
 
@@ -66,7 +75,7 @@ def survey(found: Found, seconds: float = 3.0, body: str = "") -> SystemSurvey:
         body: the one wanted: its absence is a fault, and zenoh is asked for it alone.
     """
     try:
-        session = Session(found.system, found.host, body)
+        session = Session(found.system, found.host, body, identity=_shown(found.host))
     except OSError as error:
         return SystemSurvey(found, found.said, {}, None, "", "", (f"cannot be reached: {error}",))
     watched: dict[str, _Watched] = {}

@@ -8,7 +8,8 @@ Rules that hold whatever arrives, in whatever order (tests/test_flight_sequence.
 * the vehicle is asked to arm only in ``checked``, and ``exciting`` is reached only from ``airborne``;
 * an abort on the ground ends in ``aborted`` at once; once the vehicle was told to start, it goes through ``landing``;
 * every state that waits for somebody else has a deadline, so silence also ends the flight;
-* the status says 4 only of a vehicle that was seen on the ground, or never left it; of any other 5: it may still be flying;
+* the status says 4 only of a vehicle that was seen on the ground, or never left it; of any other 5: it may still be
+  flying;
 * ``done`` and ``aborted`` are final, and the recording is closed exactly once on the way to them.
 """
 
@@ -126,7 +127,9 @@ class VehicleLanding:
 
 @dataclass(frozen=True, slots=True)
 class VehicleLanded:
-    """The vehicle stands on the ground, disarmed; with a reason when it came down early, and its landing was not heard of."""
+    """The vehicle stands on the ground, disarmed; with a reason when it came down early, and its landing was not heard
+    of.
+    """
 
     abort_reason: str = ""
 
@@ -251,6 +254,8 @@ class Sequence:
         return self.phase in FINAL
 
 
+GIVEN_UP = "the analysis was given up"
+"""What is said of a flight that is down and recorded, and whose analysis somebody ended."""
 MAY_FLY = "the link died; the vehicle may still be flying: go and look, with the remote control at hand"
 """What is said of a vehicle that nobody saw on the ground."""
 
@@ -298,7 +303,7 @@ def _abort(state: Sequence, reason: str, now_s: float, *, rotors_off: bool = Fal
     kill = Action(Do.KILL, reason)
     if state.phase in (Phase.LANDED, Phase.IDENTIFYING):
         # On the ground with the recording closed: only the analysis is given up.
-        why = "; ".join(filter(None, (state.aborting, f"the analysis was given up: {reason}")))
+        why = "; ".join(filter(None, (state.aborting, f"{GIVEN_UP}: {reason}")))
         actions = ((kill,) if rotors_off else ()) + (Action(Do.FINISH, why),)
         return _enter(state, Phase.ABORTED, now_s, *actions, exit_status=FlightAborted.exit_status, reason=why)
     if not state.started:

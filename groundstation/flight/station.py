@@ -1,4 +1,7 @@
-"""The station file: the room, the limits and what happens at each, and what the operator's policy is. Validated whole."""
+"""The station file: the room, the limits and what happens at each, and what the operator's policy is.
+
+Validated whole.
+"""
 
 from __future__ import annotations
 
@@ -78,8 +81,8 @@ class Policy(_Section):
         settle_timeout_s: lands if it has not settled by then.
         hold_s: a hold becomes a landing after this.
         when_core_is_silent: land, or complete the plan first.
-        trajectory: ``auto``: flown on board by our script where the autopilot takes it, else by setpoints from the link;
-            ``setpoints``: always by setpoints.
+        trajectory: ``auto``: flown on board by our script where the autopilot takes it, else by setpoints from the
+            link; ``setpoints``: always by setpoints.
     """
 
     placement: Literal["takeoff", "world"] = "takeoff"
@@ -104,7 +107,8 @@ class MarkerCalibration(_Section):
         rotation_rad, rotation_std_rad: rotation vector from its axes to the body's.
         tilt_rad: of the poses' world against gravity, about x and y.
         scale: the poses' metre is this much too long, as a share.
-        delay_s, delay_std_s: how much later than the exposure stamps are, beyond what the protocol tells.
+        delay_s, delay_std_s: how much later than the exposure stamps are, beyond what the protocol tells; the driver
+            takes it off them, so that they are those of the exposure for everyone: vehicle, recording, guard.
     """
 
     body: str
@@ -130,8 +134,9 @@ class MocapSource(_Section):
         needed_hz: preflight refuses below this.
         to_vehicle_hz: rate of poses to the vehicle's estimator; 0 sends none.
         std_m, std_rad: what the estimator is told of their accuracy.
-        latency_s: how much later than its exposure a pose is stamped; declared to the estimator indoors. Each flight with poses
-            measures it and says the line to write.
+        latency_s: how much later than its exposure a pose is stamped, of a system that was not calibrated; stamps stay
+            as they are, and the estimator is told of it indoors. Each flight with poses measures it and says the line
+            to write. 0 with a calibration, whose ``delay_s`` takes its place.
         calibration: how the marker body sits; None takes it for the vehicle's declared tracked point.
     """
 
@@ -156,7 +161,13 @@ class MocapSource(_Section):
     def _of_this_body(self) -> MocapSource:
         if self.calibration is not None and self.calibration.body != self.body:
             raise ValueError(
-                f"calibration is of body '{self.calibration.body}', body is '{self.body}': calibrate it, or delete the section"
+                f"calibration is of body '{self.calibration.body}', body is '{self.body}': calibrate it, or delete the "
+                "section"
+            )
+        if self.calibration is not None and self.latency_s:
+            raise ValueError(
+                f"latency_s = {self.latency_s:g} beside a calibration counts a delay twice: calibration.delay_s is "
+                "taken off the stamps already, so delete latency_s (or the calibration)"
             )
         return self
 
@@ -165,8 +176,8 @@ class Station(_Section):
     """A station file.
 
     Attributes:
-        indoors: the vehicle's estimator flies by the poses, without satellites. Left out, it is so where poses are sent to it;
-            false leaves the poses to the recording, and the vehicle to its own estimate.
+        indoors: the vehicle's estimator flies by the poses, without satellites. Left out, it is so where poses are sent
+            to it; false leaves the poses to the recording, and the vehicle to its own estimate.
         until: how long flights last where that is decided in flight; the vehicle file's goes before it.
     """
 

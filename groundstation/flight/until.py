@@ -1,8 +1,10 @@
-"""Fly until known: at each rest point of an excitation, whether it ends there, goes on, or leaves that to the operator. No I/O, no clock.
+"""Fly until known: at each rest point of an excitation, whether it ends there, goes on, or leaves that to the operator.
+No I/O, no clock.
 
-A plan with ``[until]`` is checked before the flight at its full length, which is the stated maximum; it is flown for ``planned_periods``
-unless it is told to end at an earlier rest point or to go on for a period more. So nothing goes past what preflight allowed, and a
-flight that nobody decides about is the planned one. Intervals are those of :mod:`groundstation.identification.sequential`.
+A plan with ``[until]`` is checked before the flight at its full length, which is the stated maximum; it is flown for
+``planned_periods`` unless it is told to end at an earlier rest point or to go on for a period more. So nothing goes
+past what preflight allowed, and a flight that nobody decides about is the planned one. Intervals are those of
+:mod:`groundstation.identification.sequential`.
 """
 
 from __future__ import annotations
@@ -24,8 +26,8 @@ from groundstation.vehicle import Until
 Order = Literal["finish", "extend", ""]
 
 VOLTAGE_MARGIN = 2.0
-"""A further period is flown only where the battery would still hold so many periods' voltage drops above empty: one for the period, one to
-land with."""
+"""A further period is flown only where the battery would still hold so many periods' voltage drops above empty: one for
+the period, one to land with."""
 
 
 def lasting_until(plan: Plan, until: Until, *, automatic: bool) -> Plan:
@@ -43,7 +45,8 @@ def lasting_until(plan: Plan, until: Until, *, automatic: bool) -> Plan:
     most = math.floor(until.at_most_s / period_s + 1e-6)
     if most < 1:
         raise BadInput(
-            f"one period of this plan takes {period_s:.1f} s, longer than the maximum of {until.at_most_s:g} s; allow more."
+            f"one period of this plan takes {period_s:.1f} s, longer than the maximum of {until.at_most_s:g} s; allow "
+            "more."
         )
     planned = min(max(1, math.floor(plan.periods + 1e-6)), most)
     section = PlannedUntil(targets=targets, planned_periods=planned, automatic=automatic)
@@ -72,7 +75,8 @@ class Goal:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """One parameter: half widths over its target by the spent and by the any-time interval, and seconds until the first is met.
+    """One parameter: half widths over its target by the spent and by the any-time interval, and seconds until the first
+    is met.
 
     Infinite where the motion has not revealed it.
     """

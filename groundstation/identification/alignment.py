@@ -12,10 +12,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.flightdata import FlightData, Stream
-from groundstation.frames import quat_rotate
+from groundstation.flightdata import FlightData, Stream, resampled
+from groundstation.frames import quat_rotate, slerp
 from groundstation.identification.instruments import FlownMotion
-from groundstation.identification.reconstruction import slerp
 from groundstation.model.rotors import MotorInput, declared_thrust, interpolate_columns, wrench_matrix
 
 Array = NDArray[np.float64]
@@ -33,7 +32,9 @@ WEAKEST = 0.3
 """Correlation below which nine tenths of the motion are something else, and a lag is chance or the disturbance's."""
 PARTS = 6
 SIGNIFICANT = 2.5
-"""Student's t over the parts of a flight (five degrees of freedom): by chance one time in forty, beside all of the above."""
+"""Student's t over the parts of a flight (five degrees of freedom): by chance one time in forty, beside all of the
+above.
+"""
 ONE_DEVICE = ("crazyflie usd log", "PX4 ULog", "ArduPilot DataFlash")
 """Logs that the vehicle itself wrote: one clock stamped everything in them."""
 
@@ -84,7 +85,9 @@ class Lag:
 def lag_between(
     first: Array, second: Array, step_s: float, *, reach_s: float = REACH_S, own_s: tuple[float, float] = OWN_S
 ) -> Lag:
-    """By how much the columns of ``second`` come after those of ``first``, shapes (k, d), mean of the columns' correlations."""
+    """By how much the columns of ``second`` come after those of ``first``, shapes (k, d), mean of the columns'
+    correlations.
+    """
     from scipy.signal import correlate
 
     first, second = (x / (np.std(x, axis=0) + 1e-12) for x in (first, second))
@@ -148,11 +151,15 @@ def motor_offset(flight: FlightData, motion: FlownMotion, inputs: MotorInput) ->
         how = "angular acceleration and specific force" if agree else "angular acceleration"
         text = (
             f"The motors' stamps run {offset * 1e3:+.0f} +- {found.std_s * 1e3:.0f} ms against the IMU's, by {how} "
-            f"(correlation {found.correlation:.2f}, {max(found.rival, 0.0):.2f} at the next best shift); they were shifted by that."
+            f"(correlation {found.correlation:.2f}, {max(found.rival, 0.0):.2f} at the next best shift); they were "
+            "shifted by that."
         )
         return offset, [text]
     if centre != 0.0:
-        text = f"The motors' stamps run {centre * 1e3:+.0f} ms against the IMU's by their arrival; they were shifted by that."
+        text = (
+            f"The motors' stamps run {centre * 1e3:+.0f} ms against the IMU's by their arrival; they were shifted by "
+            "that."
+        )
         return centre, [text]
     return 0.0, []
 
@@ -160,7 +167,9 @@ def motor_offset(flight: FlightData, motion: FlownMotion, inputs: MotorInput) ->
 def _turning_and_force(
     flight: FlightData, motion: FlownMotion, inputs: MotorInput, centre: float
 ) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Measured and predicted angular acceleration (roll, pitch) and specific force z in one band, (k, 2) and (k, 1) each."""
+    """Measured and predicted angular acceleration (roll, pitch) and specific force z in one band, (k, 2) and (k, 1)
+    each.
+    """
     from scipy.signal import butter, sosfiltfilt
 
     vehicle = flight.vehicle
@@ -172,7 +181,7 @@ def _turning_and_force(
     def passed(values: Array) -> Array:
         return np.asarray(sosfiltfilt(low_pass, values, axis=0), dtype=float)
 
-    rate = np.stack([np.interp(grid, motion.t_s, c) for c in motion.rate.T], axis=-1)
+    rate = resampled(grid, motion.t_s, motion.rate)
     made = interpolate_columns(grid + centre, inputs.start_s, inputs.step_s, wrench)
     torque = passed(made[:, 3:] @ np.linalg.inv(vehicle.inertia_tensor()))[:, :2]
     turning = passed(np.gradient(rate, STEP_S, axis=0))[:, :2]
@@ -190,8 +199,8 @@ def with_one_stamp(
 ) -> tuple[Stream, list[str]]:
     """Poses whose positions are taken at the attitudes' time, where both of a pose are late by different amounts.
 
-    The world's acceleration by second differences of the positions, against the specific force turned into the world by the
-    attitudes and less gravity, over lags.
+    The world's acceleration by second differences of the positions, against the specific force turned into the world by
+    the attitudes and less gravity, over lags.
 
     Args:
         pose: positions and attitudes, (m, 7).
@@ -210,10 +219,10 @@ def with_one_stamp(
     def passed(values: Array) -> Array:
         return np.asarray(sosfiltfilt(band, values, axis=0), dtype=float)
 
-    position = np.stack([np.interp(grid, when, c) for c in pose.values[:, :3].T], axis=-1)
+    position = resampled(grid, when, pose.values[:, :3])
     seen = np.gradient(np.gradient(passed(position), STEP_S, axis=0), STEP_S, axis=0)
     felt = quat_rotate(slerp(t_imu, when, pose.values[:, 3:7]), accel) - np.array([0.0, 0.0, gravity_m_s2])
-    felt = passed(np.stack([np.interp(grid, t_imu, c) for c in felt.T], axis=-1))
+    felt = passed(resampled(grid, t_imu, felt))
     axes = [
         lag_between(felt[:, i : i + 1], seen[:, i : i + 1], STEP_S, reach_s=0.5, own_s=(-LATE_S, LATE_S))
         for i in range(3)
@@ -222,7 +231,7 @@ def with_one_stamp(
     if abs(late) < max(LATE_S, 4.0 * std):
         return pose, []
     at = np.clip(pose.t_s + late, pose.t_s[0], pose.t_s[-1])
-    moved = np.stack([np.interp(at, pose.t_s, c) for c in pose.values[:, :3].T], axis=-1)
+    moved = resampled(at, pose.t_s, pose.values[:, :3])
     inside = (pose.t_s + late >= pose.t_s[0]) & (pose.t_s + late <= pose.t_s[-1])
     text = (
         f"Positions are {late * 1e3:+.0f} +- {std * 1e3:.0f} ms late against the attitudes of the same poses "
@@ -234,8 +243,8 @@ def with_one_stamp(
 def _joined(axes: list[Lag]) -> tuple[float, float, float]:
     """Weighted mean lag, its standard deviation, and the mean correlation; no lag where no axis shows one.
 
-    A tilt that is a little wrong turns gravity into the plane and moves the lags of x and y: where the axes disagree, the
-    standard deviation says so (Birge ratio).
+    A tilt that is a little wrong turns gravity into the plane and moves the lags of x and y: where the axes disagree,
+    the standard deviation says so (Birge ratio).
     """
     if not axes:
         return 0.0, np.inf, 0.0

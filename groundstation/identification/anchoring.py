@@ -1,7 +1,8 @@
 """What fixes the scale: trusted rotor constants, or a weighed mass. Both are the same fit read in two ways.
 
-Thrusts enter only as T/m and tau(T) J^-1: scaling thrust constant, mass and tensor by one factor changes nothing a flight
-could show. The fit takes the declared thrust; the anchor turns its result into the parameters that were asked for.
+Thrusts enter only as T/m and tau(T) J^-1: scaling thrust constant, mass and tensor by one factor changes nothing a
+flight could show. The fit takes the declared thrust; the anchor turns its result into the parameters that were asked
+for.
 """
 
 from __future__ import annotations
@@ -34,14 +35,18 @@ def anchored(
 
 
 def anchored_covariance(vehicle: Vehicle, names: Sequence[str], values: Array, covariance: Array) -> Array:
-    """Covariance of mass and tensor, shape (7, 7), in the order of MASS_AND_TENSOR, whose diagonal :func:`anchored` gives."""
+    """Covariance of mass and tensor, shape (7, 7), in the order of MASS_AND_TENSOR, whose diagonal :func:`anchored`
+    gives.
+    """
     return _under_anchor(vehicle, names, values, covariance)[1]
 
 
 def _under_anchor(
     vehicle: Vehicle, names: Sequence[str], values: Array, covariance: Array
 ) -> tuple[Array, Array, float | None, float]:
-    """Mass and tensor, their covariance, and the factor of the thrust constants with its deviation; None where they are trusted."""
+    """Mass and tensor, their covariance, and the factor of the thrust constants with its deviation; None where they are
+    trusted.
+    """
     settings = vehicle.identification
     index = [names.index(name) for name in MASS_AND_TENSOR]
     theta = np.asarray(values, dtype=float)[index]

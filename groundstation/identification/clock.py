@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import Refused
+from groundstation.flightdata import resampled
 from groundstation.frames import quat_conjugate, quat_exp, quat_log, quat_multiply, quat_rotate
 
 Array = NDArray[np.float64]
@@ -35,7 +36,8 @@ def coarse_offset(
     """Pose stamp minus gyro stamp of one instant, to a few milliseconds, by correlating smoothed rates.
 
     Args:
-        expected_s: centre of the search, e.g. from arrival times; the search goes as far as half of each record overlaps.
+        expected_s: centre of the search, e.g. from arrival times; the search goes as far as half of each record
+            overlaps.
         source: of the attitudes, for the refusal.
         by_size: compare how fast both turn, not about which axes: for a marker body that is mounted anyhow.
 
@@ -61,7 +63,8 @@ def coarse_offset(
     best = int(np.argmax(score))
     if coefficient[best] < 0.3:
         raise Refused(
-            f"the clocks of {source} and IMU cannot be aligned: their rates correlate by {coefficient[best]:.2f} at best.",
+            f"the clocks of {source} and IMU cannot be aligned: their rates correlate by {coefficient[best]:.2f} at "
+            "best.",
             "Fly with rotation about at least one axis, and check that both streams are of the same vehicle.",
         )
     return float(offsets[best] + _peak_shift(total, best) * step), float(coefficient[best])
@@ -71,7 +74,7 @@ def _smooth_rates(grid: Array, t: Array, rate: Array) -> Array:
     """Rates on a grid, clipped where they stray, low-passed without phase and without their mean."""
     from scipy.signal import butter, sosfiltfilt
 
-    on_grid = np.stack([np.interp(grid, t, c) for c in rate.T], axis=-1)
+    on_grid = resampled(grid, t, rate)
     limit = 8.0 * np.median(np.abs(on_grid), axis=0) + 0.5
     low_pass = butter(4, SMOOTHING_HZ, fs=GRID_HZ, output="sos")
     smooth = sosfiltfilt(low_pass, np.clip(on_grid, -limit, limit), axis=0)
@@ -79,11 +82,14 @@ def _smooth_rates(grid: Array, t: Array, rate: Array) -> Array:
 
 
 def _correlation(a: Array, b: Array) -> tuple[Array, Array]:
-    """Correlation of b with a at every lag, and its coefficient; -1 where less than half of the shorter one overlaps."""
+    """Correlation of b with a at every lag, and its coefficient; -1 where less than half of the shorter one
+    overlaps.
+    """
     from scipy.signal import correlate
 
     total = np.asarray(sum(correlate(b[:, i], a[:, i], method="fft") for i in range(a.shape[1])))
-    # The energies are those of the overlapping parts, so that the length of an overlap counts neither for nor against it.
+    # The energies are those of the overlapping parts, so that the length of an overlap counts neither for nor against
+    # it.
     ones_a, ones_b = np.ones(len(a)), np.ones(len(b))
     energy = np.sqrt(
         np.maximum(correlate((b**2).sum(axis=1), ones_a, method="fft"), 0.0)
@@ -103,21 +109,23 @@ def _peak_shift(values: Array, best: int) -> float:
 
 
 def fine_offset(t_gyro: Array, gyro: Array, t_pose: Array, quaternion: Array, coarse_s: float) -> float:
-    r"""Pose stamp minus gyro stamp over some seconds, from attitudes instead of rates, whose noise is not differentiated.
+    r"""Pose stamp minus gyro stamp over some seconds, from attitudes instead of rates, whose noise is not
+    differentiated.
 
-    With Q the gyro's integral, R its matrix and d the offset less ``coarse_s``, a pose at t differs from Q(t - coarse) by
+    With Q the gyro's integral, R its matrix and d the offset less ``coarse_s``, a pose at t differs from Q(t - coarse)
+    by
 
         log(q_pose Q^*) = c + k t - d R w    (world axes, small angles),
 
-    where c is the unknown start, k t the drift by the gyro's bias, and w the rate there. Linear least squares gives d; poses
-    more than four deviations off (jumps, frozen ones) are left out of a second pass.
+    where c is the unknown start, k t the drift by the gyro's bias, and w the rate there. Linear least squares gives d;
+    poses more than four deviations off (jumps, frozen ones) are left out of a second pass.
 
     Args:
         coarse_s: from :func:`coarse_offset`.
     """
     step = 1.0 / INTEGRATION_HZ
     grid = np.arange(t_gyro[0], t_gyro[-1], step)
-    rate = np.stack([np.interp(grid, t_gyro, column) for column in gyro.T], axis=-1)
+    rate = resampled(grid, t_gyro, gyro)
     turns = quat_exp(0.5 * step * (rate[1:] + rate[:-1]))
     attitude = np.empty((len(grid), 4))
     attitude[0] = quaternion[0]
@@ -126,7 +134,7 @@ def fine_offset(t_gyro: Array, gyro: Array, t_pose: Array, quaternion: Array, co
     at = t_pose - coarse_s
     inside = (at > grid[0]) & (at < grid[-1])
     place = np.clip(np.searchsorted(grid, at[inside]) - 1, 0, len(grid) - 2)
-    local = np.stack([np.interp(at[inside], grid, column) for column in rate.T], axis=-1)
+    local = resampled(at[inside], grid, rate)
     here = quat_multiply(attitude[place], quat_exp(local * (at[inside] - grid[place])[:, None]))
     error = quat_log(quat_multiply(quaternion[inside], quat_conjugate(here)))
     turning = quat_rotate(here, local)

@@ -15,7 +15,8 @@ Array = NDArray[np.float64]
 
 BLOCK_S = 0.5
 STEP_S = 0.01
-"""Below, a step is within what the fit's own drift and the jitter of arrivals take; NTP sets clocks by 128 ms and more."""
+"""Below, a step is within what the fit's own drift and the jitter of arrivals take; NTP sets clocks by 128 ms and more.
+"""
 BESIDE = 5
 """Blocks on each side that must agree: congestion does not last longer on the networks that a flight is flown on."""
 CUT_S = 0.05
@@ -40,8 +41,10 @@ def cut_steps(stream: Stream, name: str = "motion capture") -> tuple[Stream, lis
         stamps[index:] += jump_s
         beside = np.abs(stream.received_s - stream.received_s[index]) < CUT_S
         notes.append(
-            f"The clock of {name} stepped by {-1e3 * jump_s:+.0f} ms, {stream.t_s[index - 1] - stream.t_s[0]:.1f} s into the "
-            f"recording (set by NTP, or its server restarted); stamps after it were moved back, {int(beside.sum())} samples beside it cut."
+            f"The clock of {name} stepped by {-1e3 * jump_s:+.0f} ms, {stream.t_s[index - 1] - stream.t_s[0]:.1f} s "
+            "into the "
+            f"recording (set by NTP, or its server restarted); stamps after it were moved back, {int(beside.sum())} "
+            "samples beside it cut."
         )
         moved = Stream(stamps, stream.values, stream.columns, stream.received_s)
         stream = moved.select(~beside)

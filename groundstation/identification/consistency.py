@@ -1,8 +1,9 @@
 r"""Can a mass and tensor belong to a rigid body, and if not, which rigid body is nearest to what was measured?
 
-A body of positive density has a positive mass m and a positive definite second moment of mass Sigma = tr(J)/2 1 - J about its
-centre of mass (the pseudo-inertia of Wensing, Kim and Slotine 2018, IEEE RA-L 3(1), here with its first moment at nought, as J is about
-the centre of mass): J itself is then positive definite and its principal moments obey the triangle inequality.
+A body of positive density has a positive mass m and a positive definite second moment of mass Sigma = tr(J)/2 1 - J
+about its centre of mass (the pseudo-inertia of Wensing, Kim and Slotine 2018, IEEE RA-L 3(1), here with its first
+moment at nought, as J is about the centre of mass): J itself is then positive definite and its principal moments obey
+the triangle inequality.
 """
 
 from __future__ import annotations
@@ -36,17 +37,21 @@ def physically_consistent(parameters: Mapping[str, Estimate]) -> str:
     if moments[0] <= 0.0:
         return "its tensor is not positive definite"
     if moments[2] > moments[0] + moments[1]:
-        return f"its largest principal moment is {moments[2] / (moments[0] + moments[1]):.2f} times the sum of the other two"
+        return (
+            f"its largest principal moment is {moments[2] / (moments[0] + moments[1]):.2f} times the sum of the "
+            "other two"
+        )
     return ""
 
 
 def nearest_rigid_body(fitted: Fitted, extra_names: Sequence[str]) -> tuple[Fitted, float]:
-    r"""The rigid body nearest to an estimate in the metric of its covariance, and how many standard deviations away it is.
+    r"""The rigid body nearest to an estimate in the metric of its covariance, and how many standard deviations away it
+    is.
 
-    Minimise (theta - theta_hat)^T P^-1 (theta - theta_hat) over m = e^a and Sigma = L L^T with the diagonal of L as exponentials
-    (log-Cholesky: Rucker and Wensing 2022, IEEE RA-L 7(2)), where P is the covariance of mass and tensor whatever the other
-    parameters are. Those follow by what the fit knows of them, P_xm P^-1 (theta - theta_hat). The covariance is kept: cut off at the
-    edge of the possible, the true spread is smaller.
+    Minimise (theta - theta_hat)^T P^-1 (theta - theta_hat) over m = e^a and Sigma = L L^T with the diagonal of L as
+    exponentials (log-Cholesky: Rucker and Wensing 2022, IEEE RA-L 7(2)), where P is the covariance of mass and tensor
+    whatever the other parameters are. Those follow by what the fit knows of them, P_xm P^-1 (theta - theta_hat). The
+    covariance is kept: cut off at the edge of the possible, the true spread is smaller.
 
     Args:
         extra_names: of the fit's extra wrench terms.
@@ -86,7 +91,9 @@ def _mass_and_tensor(logs: Array) -> Array:
 
 
 def _logarithms(values: Array) -> Array:
-    """Log-Cholesky coordinates of a body near some values: second moments under a hundredth of the largest are raised to it."""
+    """Log-Cholesky coordinates of a body near some values: second moments under a hundredth of the largest are raised
+    to it.
+    """
     tensor = _symmetric(values[1:])
     moments, axes = np.linalg.eigh(0.5 * np.trace(tensor) * np.eye(3) - tensor)
     raised = np.maximum(moments, 0.01 * np.abs(moments).max())

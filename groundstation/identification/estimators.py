@@ -1,6 +1,16 @@
 """The seed's two estimators, least squares (40) and gradient descent (42), with their evolution over time.
 
 Both are linear in the output, so both get their intervals from :mod:`uncertainty` through their influence H_k.
+
+The printed update of gradient descent, Theta <- Theta - sigma T Gamma^T e, is unstable: at sigma = 30 and T = 2 ms the
+mass row alone makes sigma T g^2 = 5.8 > 2, and on a vehicle of 30 g the tensor's rows would too. Here every parameter
+has a gain of its own, d_j = T rate / mean(|Gamma_j|^2), so that all forget at one rate in 1/s whatever their unit, and
+the step is the backward Euler form of (41), taken row by row with the row G and output y:
+
+    Theta <- Theta - d G^T (G Theta - y) / (1 + G d G^T),
+
+a contraction for every gain and every sample. The price is noise: it remembers about 1/rate seconds, where least
+squares remembers all.
 """
 
 from __future__ import annotations
@@ -63,17 +73,7 @@ def least_squares(
     rows = _used_rows(used)
     gamma, upsilon = regressor[rows], output[rows]
     stops = _stops(len(rows), points)
-    blocks = [slice(a, b) for a, b in zip(np.append(0, stops[:-1]), stops, strict=True)]
-    flat, target = gamma.reshape(-1, gamma.shape[2]), upsilon.reshape(-1)
-    per_sample = gamma.shape[1]
-    normals = np.empty((len(stops), gamma.shape[2], gamma.shape[2]))
-    moments = np.empty((len(stops), gamma.shape[2]))
-    for index, block in enumerate(blocks):
-        part = flat[block.start * per_sample : block.stop * per_sample]
-        normals[index] = part.T @ part
-        moments[index] = target[block.start * per_sample : block.stop * per_sample] @ part
-    normals, moments = np.cumsum(normals, axis=0), np.cumsum(moments, axis=0)
-
+    normals, moments = _cumulated(gamma, upsilon, stops)
     length = np.sqrt(np.diag(normals[-1]))
     unit = np.where(length > 0.0, length, 1.0)
     scaled = normals / np.outer(unit, unit)
@@ -89,6 +89,19 @@ def least_squares(
     evolution[:, ~known] = values[~known] = np.nan
     rms = np.sqrt(np.sum(residual**2, axis=0) / len(rows))
     return LinearEstimate(values, covariance, _condition(normals[-1]), rms, t_s[rows[stops - 1]], evolution)
+
+
+def _cumulated(gamma: Array, upsilon: Array, stops: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Gamma^T Gamma (n, p, p) and Gamma^T Upsilon (n, p) of the samples up to each stop."""
+    count, per_sample = gamma.shape[2], gamma.shape[1]
+    flat, target = gamma.reshape(-1, count), upsilon.reshape(-1)
+    normals, moments = np.empty((len(stops), count, count)), np.empty((len(stops), count))
+    for index, (first, last) in enumerate(zip(np.append(0, stops[:-1]), stops, strict=True)):
+        rows = slice(first * per_sample, last * per_sample)
+        part = flat[rows]
+        normals[index] = part.T @ part
+        moments[index] = target[rows] @ part
+    return np.cumsum(normals, axis=0), np.cumsum(moments, axis=0)
 
 
 def _determined(correlation: Array) -> NDArray[np.bool_]:
@@ -119,25 +132,11 @@ def gradient_descent(
     rate_per_s: float = ADAPTATION_RATE_PER_S,
     points: int = 400,
 ) -> LinearEstimate:
-    r"""Gradient descent (seed eq. 42) from zero, scaled so that it is stable on every vehicle.
-
-    The printed update, Theta <- Theta - sigma T Gamma^T e, is unstable: at sigma = 30 and T = 2 ms the mass row alone makes
-    sigma T g^2 = 5.8 > 2, and on a vehicle of 30 g the tensor's rows would too. Here every parameter has a gain of its
-    own, d_j = T rate / mean(|Gamma_j|^2), so that all forget at one rate in 1/s whatever their unit, and the step is the
-    backward Euler form of (41), taken row by row with the row G and output y:
-
-        Theta <- Theta - d G^T (G Theta - y) / (1 + G d G^T),
-
-    a contraction for every gain and every sample. The price is noise: it remembers about 1/rate seconds, where least
-    squares remembers all.
+    r"""Gradient descent (seed eq. 42) from zero, scaled so that it is stable on every vehicle (see the module's head).
 
     Args:
-        regressor: Gamma, shape (k, n_outputs, p).
-        output: Upsilon, shape (k, n_outputs), N and N m.
-        t_s: times on a uniform grid, shape (k,).
-        used: which samples count, shape (k,).
+        regressor, output, t_s, used, points: as for :func:`least_squares`.
         rate_per_s: adaptation rate.
-        points: how many points of the evolution to keep.
 
     Raises:
         NotIdentifiable: no sample is used.
@@ -154,21 +153,26 @@ def gradient_descent(
     stops = _stops(len(rows), points)
     evolution = descend(gamma, upsilon, gain, stops)
     values = evolution[-1].copy()
-    # The disturbance is what least squares leaves; this method's own error would add lines where it listens.
-    moment = np.tensordot(gamma, upsilon, axes=((0, 1), (0, 1)))
-    fitted = np.asarray(np.linalg.lstsq(normal, moment, rcond=SINGULAR)[0], dtype=float)
-    residual = _residual(gamma, upsilon, fitted, rows, len(used))
     influence = np.zeros((len(used), regressor.shape[2], regressor.shape[1]))
     influence[rows], initial = descent_influence(gamma, gain)
+    residual = _residual(gamma, upsilon, _fitted(gamma, upsilon, normal), rows, len(used))
     covariance = coloured_covariance(influence, residual, period_s)
-    # What is left of the start at zero is an error of its own, -M Theta.
-    left = initial @ values
+    left = initial @ values  # what is left of the start at zero is an error of its own, -M Theta
     covariance += np.outer(left, left)
     covariance[~known, :] = covariance[:, ~known] = np.inf
     evolution[:, ~known] = np.nan
     rms = np.sqrt(np.mean((gamma @ values - upsilon) ** 2, axis=0))
     values[~known] = np.nan
     return LinearEstimate(values, covariance, _condition(normal), rms, t_s[rows[stops - 1]], evolution)
+
+
+def _fitted(gamma: Array, upsilon: Array, normal: Array) -> Array:
+    """Least squares, (p,): what it leaves is the disturbance.
+
+    A descent's own error would add lines where it listens.
+    """
+    moment = np.tensordot(gamma, upsilon, axes=((0, 1), (0, 1)))
+    return np.asarray(np.linalg.lstsq(normal, moment, rcond=SINGULAR)[0], dtype=float)
 
 
 def _used_rows(used: NDArray[np.bool_]) -> NDArray[np.intp]:

@@ -1,4 +1,5 @@
-"""First-order filter pairs f(s) = lambda/(s + lambda) and g(s) = s f(s) for the filtered regression model (seed eq. 14-15).
+"""First-order filter pairs f(s) = lambda/(s + lambda) and g(s) = s f(s) for the filtered regression model (seed eq.
+14-15).
 
 The filtered model holds exactly only if the discrete g is the discrete f times one and the same derivative. The seed's
 pair (35)-(36) is not of that kind: g_D/f_D = lambda (z - 1)/(1 - e^{-lambda T}), a forward difference times
@@ -49,13 +50,16 @@ class FilterPair:
 
 
 def seed_pair(cutoff_rad_s: float, period_s: float) -> FilterPair:
-    """f_D and g_D as printed (seed eq. 35-36): (1 - e^{-lambda T})/(z - e^{-lambda T}), lambda (z - 1)/(z - e^{-lambda T})."""
+    """f_D and g_D as printed (seed eq. 35-36): (1 - e^{-lambda T})/(z - e^{-lambda T}), lambda (z - 1)/(z - e^{-lambda
+    T}).
+    """
     pole = float(np.exp(-cutoff_rad_s * period_s))
     return FilterPair((0.0, 1.0 - pole), (cutoff_rad_s, -cutoff_rad_s), (1.0, -pole), period_s)
 
 
 def matched_pair(cutoff_rad_s: float, period_s: float) -> FilterPair:
-    """Bilinear pair, s = (2/T)(z - 1)/(z + 1) in both: g/f is the trapezoidal derivative, without lead or gain at low frequency.
+    """Bilinear pair, s = (2/T)(z - 1)/(z + 1) in both: g/f is the trapezoidal derivative, without lead or gain at low
+    frequency.
 
     Its gain at w is tan(wT/2)/(wT/2): 1 + 3e-6 at 3 rad/s and 2 ms.
     """
@@ -69,7 +73,8 @@ def matched_pair(cutoff_rad_s: float, period_s: float) -> FilterPair:
 
 
 def zero_phase_low_pass(signal: ArrayLike, cutoff_hz: float, period_s: float, order: int = 2) -> Array:
-    """Butterworth low-pass run forward and backward along the first axis (seed II-C.1, with a cut-off that keeps the motion).
+    """Butterworth low-pass run forward and backward along the first axis (seed II-C.1, with a cut-off that keeps the
+    motion).
 
     Both passes together have the gain 1/(1 + (f/f_c)^(2 order)); at a tenth of the cut-off that is 1e-4 below one.
     The ends are continued by point reflection, which keeps value and slope. Short signals get the padding they allow.

@@ -7,8 +7,8 @@ Kinematics alone, as for a flight (:mod:`groundstation.identification.reconstruc
    :math:`\sum |w - R m|^2` (Wahba 1965), by the singular values of :math:`\sum w m^T` (Markley 1988). Positions must
    accelerate as the specific force says under it: where the best orthogonal map is no rotation, the poses are mirrored.
 3. *Up*: the mean specific force, turned into the poses' world: a hand that goes nowhere for long carries g upwards.
-4. From there the whitened least squares of the reconstruction: offset, rotation, clock, tilt, and the scale of the poses
-   against the accelerometer, with standard deviations.
+4. From there the whitened least squares of the reconstruction: offset, rotation, clock, tilt, and the scale of the
+   poses against the accelerometer, with standard deviations.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import NotIdentifiable, Refused
+from groundstation.flightdata import resampled
 from groundstation.frames import matrix_from_quat, quat_exp, quat_from_matrix, quat_log, quat_multiply, quat_rotate
+from groundstation.identification.attitude_fit import Recording
 from groundstation.identification.clock import coarse_offset, rates_from_attitude
 from groundstation.identification.reconstruction import Compatibility, reconstruct
 
@@ -100,10 +102,8 @@ def calibrate_by_hand(
     marker = marker_axes(t_imu, gyro, t_pose - coarse, quaternion)
     refuse_mirrored(t_imu, accel, (t_pose - coarse, position, quaternion), marker)
     refuse_other_up(t_imu, accel, t_pose - coarse, quaternion, marker)
-    found = reconstruct(
-        t_imu, gyro, accel, t_pose, position, quaternion,
-        offset_s=coarse, gravity_m_s2=gravity_m_s2, mocap_rotation_rad=quat_log(marker), scale=True,
-    )  # fmt: skip
+    recording = Recording(t_imu, gyro, accel, t_pose, position, quaternion, quat_log(marker))
+    found = reconstruct(recording, offset_s=coarse, gravity_m_s2=gravity_m_s2, scale=True)
     return _result(found, marker, position, quaternion, float(seconds))
 
 
@@ -116,7 +116,7 @@ def marker_axes(t_gyro: Array, gyro: Array, t_pose: Array, quaternion: Array) ->
     rates, middle = rates_from_attitude(t_pose, quaternion)
     step = float(np.median(np.diff(t_pose)))
     good = np.diff(t_pose) < 3.0 * step
-    w, m = _at(middle[good], t_gyro, _smoothed(t_gyro, gyro)), _smoothed(middle[good], rates[good])
+    w, m = resampled(middle[good], t_gyro, _smoothed(t_gyro, gyro)), _smoothed(middle[good], rates[good])
     w, m = w - w.mean(axis=0), m - m.mean(axis=0)
     u, spread, vt = np.linalg.svd(w.T @ m / len(w))
     if np.sqrt(spread[1]) < LEAST_TURNING_RAD_S:
@@ -129,13 +129,14 @@ def marker_axes(t_gyro: Array, gyro: Array, t_pose: Array, quaternion: Array) ->
 
 
 def refuse_mirrored(t_imu: Array, accel: Array, poses: tuple[Array, Array, Array], marker: Array) -> None:
-    """Check that positions accelerate as the specific force says: a mirror turns attitudes into rotations again, but not these.
+    """Check that positions accelerate as the specific force says: a mirror turns attitudes into rotations again, but
+    not these.
 
     Raises:
         Refused: the best orthogonal map between both is no rotation.
     """
     t, position, quaternion = poses
-    force = quat_rotate(quat_multiply(quaternion, marker * _CONJUGATE), _at(t, t_imu, accel))
+    force = quat_rotate(quat_multiply(quaternion, marker * _CONJUGATE), resampled(t, t_imu, accel))
     speed = np.gradient(_smoothed(t, position), t, axis=0)
     a, f = _smoothed(t, np.gradient(speed, t, axis=0)), _smoothed(t, force)
     ends = slice(len(t) // 20, -len(t) // 20)
@@ -168,13 +169,9 @@ def refuse_other_up(t_imu: Array, accel: Array, t_pose: Array, quaternion: Array
 def up_axis(t_imu: Array, accel: Array, t_pose: Array, quaternion: Array, marker: Array) -> Array:
     """Unit vector of the mean specific force in the poses' world, shape (3,)."""
     inside = (t_pose > t_imu[0]) & (t_pose < t_imu[-1])
-    force = _at(t_pose[inside], t_imu, accel)
+    force = resampled(t_pose[inside], t_imu, accel)
     mean = quat_rotate(quat_multiply(quaternion[inside], marker * _CONJUGATE), force).mean(axis=0)
     return mean / max(float(np.linalg.norm(mean)), 1e-9)
-
-
-def _at(query: Array, t: Array, values: Array) -> Array:
-    return np.stack([np.interp(query, t, c) for c in values.T], axis=-1)
 
 
 def _smoothed(t: Array, values: Array) -> Array:

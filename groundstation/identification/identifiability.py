@@ -1,4 +1,6 @@
-"""What a motion revealed: parameters that get no number, with what would show them, and why a flight shows only a part."""
+"""What a motion revealed: parameters that get no number, with what would show them, and why a flight shows only a
+part.
+"""
 
 from __future__ import annotations
 
@@ -59,9 +61,10 @@ def angular_acceleration(prepared: Prepared) -> Array:
 def revealed(models: Sequence[RecordModel], vehicle: Vehicle, options: FitOptions) -> list[Revealed]:
     """Which combinations of mass and tensor the motion acts on, from singular values in scaled units, before any fit.
 
-    The sensitivities of torque and vertical force at the declared vehicle, as shares of weight (times arm), to each parameter
-    in units of its declared value (products: of the trace), less what lags, delays, offsets and biases could do in their place
-    (Golub and Van Loan, Matrix Computations, 2.4; for rigid bodies Gautier and Khalil 1990). The largest first.
+    The sensitivities of torque and vertical force at the declared vehicle, as shares of weight (times arm), to each
+    parameter in units of its declared value (products: of the trace), less what lags, delays, offsets and biases could
+    do in their place (Golub and Van Loan, Matrix Computations, 2.4; for rigid bodies Gautier and Khalil 1990). The
+    largest first.
     """
     start = declared_parameters(vehicle, lag_s=TYPICAL_LAG_S, extra=len(models[0].extra))
     weight = vehicle.mass_kg * vehicle.gravity_m_s2
@@ -124,7 +127,9 @@ def unrevealed(fit: Fitted, prepared: Sequence[Prepared]) -> dict[str, str]:
 
 
 def unsettled(one: Fitted, other: Fitted) -> dict[str, str]:
-    """Moments of inertia that two estimates of the same flight give a factor APART of each other: neither is known to a quarter."""
+    """Moments of inertia that two estimates of the same flight give a factor APART of each other: neither is known to a
+    quarter.
+    """
     ratios = {name: abs(one.value(name) / other.value(name)) for name in ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")}
     return {name: REMEDY[name] for name, ratio in ratios.items() if not 1.0 / APART < ratio < APART}
 
@@ -143,7 +148,8 @@ def unphysical(fit: Fitted, prepared: Sequence[Prepared]) -> dict[str, str]:
 
 
 def partial_answer(fit: Fitted, hidden: Mapping[str, str], prepared: Sequence[Prepared]) -> str | None:
-    """Why a flight shows at most one moment of inertia, for a warning beside what it does show; None where it shows more.
+    """Why a flight shows at most one moment of inertia, for a warning beside what it does show; None where it shows
+    more.
 
     Raises:
         NotIdentifiable: it is a hover, or shows neither mass nor any moment.
@@ -161,7 +167,10 @@ def partial_answer(fit: Fitted, hidden: Mapping[str, str], prepared: Sequence[Pr
     asked = first.flight.plan is not None or first.flight.setpoint is not None
     hover = not heaves and (rate < STILL_RAD_S or (asked and first.planned is None and line is None))
     if hover:
-        reason = f"this flight is a hover: the largest body rate is {rate:.3f} rad/s RMS, and inertia shows only when the body turns."
+        reason = (
+            f"this flight is a hover: the largest body rate is {rate:.3f} rad/s RMS, and inertia shows only when the "
+            "body turns."
+        )
     elif line is not None and moments:
         reason = f"this flight turns about one axis only ({line}), so it shows at most one moment of inertia."
     else:
@@ -178,7 +187,9 @@ def partial_answer(fit: Fitted, hidden: Mapping[str, str], prepared: Sequence[Pr
 
 
 def _one_axis(rate: Array) -> str | None:
-    """The axis in words when a vehicle turns about one axis only (its second principal rate is under 0.3 of the first)."""
+    """The axis in words when a vehicle turns about one axis only (its second principal rate is under 0.3 of the
+    first).
+    """
     values, vectors = np.linalg.eigh(np.cov(rate.T))
     if values[1] > 0.3**2 * values[2]:
         return None

@@ -1,34 +1,59 @@
 r"""Instrumental variable estimate: consistent whatever the controller saw and however noisy the rotor speeds are.
 
-Solve Z^T W e(theta) = 0, where e are the residuals of ``record_model``, W whitens by the flight's own disturbance and Z are
-the sensitivities that the planned motion would have (``instruments``).
+Solve Z^T W e(theta) = 0, where e are the residuals of ``record_model``, W whitens by the flight's own disturbance and Z
+are the sensitivities that the planned motion would have (``instruments``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.identification.prediction_error import (
-    Fitted,
-    huber,
-    inverted,
-    noise_model,
-    per_flight,
-    priors,
-    whiten,
-)
+from groundstation.identification.flight_noise import FlightNoise
+from groundstation.identification.prediction_error import Fitted, Point, Problem, huber, inverted, noise_of
 from groundstation.identification.record_model import RecordModel
 from groundstation.identification.sensitivities import planned_sensitivities
-from groundstation.model.parameters import FitOptions, Parameters, table, values_of, with_values
+from groundstation.model.parameters import FitOptions, Parameters, table
 
 Array = NDArray[np.float64]
 
 ROUNDS = 3
 """How often the noise model is refitted to the residual."""
+STEPS = 10
+"""Steps under one noise model, at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Instruments:
+    """Under one noise model: what the residual is multiplied by, and what else weighs on the estimate.
+
+    Attributes:
+        columns: whitened sensitivities of the planned motion, by flight and channel, (n, P) each.
+        spent: of each of them, by how much its variance exceeds what the residual says.
+        precision: of the priors and of the lag's division, (P, P). information: with the instruments' own, (P, P).
+        pull: mean and variance of the priors, (P,) each.
+        split: precision of what is held near the first estimate, (P, P).
+    """
+
+    columns: tuple[tuple[Array, ...], ...]
+    spent: tuple[tuple[float, ...], ...]
+    precision: Array
+    information: Array
+    pull: tuple[Array, Array]
+    split: Array
+
+
+@dataclass(frozen=True, slots=True)
+class _Solution:
+    """Where the steps have led, the estimate's covariance (P, P), and Z^T W X (P, P)."""
+
+    point: Point
+    covariance: Array
+    crossed: Array
+    iterations: int
 
 
 def instrumental(models: Sequence[RecordModel], start: Fitted, options: FitOptions) -> Fitted:
@@ -39,82 +64,123 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: FitOptio
 
         theta <- theta + (Z^T W X)^-1 Z^T W e,    cov = (Z^T W X)^-1 (Z^T W Z) (X^T W Z)^-1
 
-    with X, Z, e whitened by the same noise model, which is refitted to the residual (Young's refined IV). Z is as wide as X, one
-    instrument for each parameter over all channels together: every instrument more keeps a share of the bias that
-    instruments are there to remove (Bekker 1994), and with gentle flights that share was the larger part of the error.
+    with X, Z, e whitened by the same noise model, which is refitted to the residual (Young's refined IV). Z is as wide
+    as X, one instrument for each parameter over all channels together: every instrument more keeps a share of the bias
+    that instruments are there to remove (Bekker 1994), and with gentle flights that share was the larger part of the
+    error.
     """
-    extra_names = [term.name for term in models[0].extra]
-    channels = [model.channels(options) for model in models]
-    colours, polynomials = per_flight(start.colours, channels), per_flight(start.whiteners, channels)
-    p, names = start.parameters, start.names
-    covariance, information = start.covariance, inverted(start.covariance)
+    problem = Problem(tuple(models), options, start.parameters)
+    noise = noise_of(start, models, options)
+    split, held = _held_near_start(start.names)
+    point = problem.at(start.parameters)
+    instruments = _instruments(problem, point, noise, split)
+    found = _solve(problem, point, noise, instruments, start)
+    for _ in range(ROUNDS - 1):
+        noise = problem.noise(found.point, noise, autoregression=options.autoregression)
+        instruments = _instruments(problem, found.point, noise, split)
+        found = _solve(problem, found.point, noise, instruments, start, found.iterations)
+    covariance = found.covariance
+    for index in held:
+        covariance = _with_uncertain(covariance, found.crossed, index, float(start.covariance[index, index]))
+    return replace(
+        start,
+        parameters=found.point.parameters,
+        values=problem.values(found.point),
+        covariance=covariance,
+        bound=inverted(instruments.information),
+        residual_rms=found.point.rms(),
+        iterations=found.iterations,
+        colours=tuple(colour for each in noise for colour in each.colours),
+        whiteners=tuple(whitener for each in noise for whitener in each.whiteners),
+    )
+
+
+def _held_near_start(names: Sequence[str]) -> tuple[Array, list[int]]:
+    """Precision (P, P) that keeps some parameters near the first estimate, and those that stay at it."""
     entries = table()
     held = [index for index, name in enumerate(names) if name in entries and entries[name].held is not None]
     split = lag_split_precision(names)
     for index in held:
         split[index, index] += 1.0 / (entries[names[index]].held or np.inf) ** 2
-    evaluated = [model.evaluate(p, options) for model in models]
-    iterations = 0
-    for round_index in range(ROUNDS):
-        if round_index > 0:
-            for index, (model, found) in enumerate(zip(models, evaluated, strict=True)):
-                colours[index], polynomials[index] = noise_model(
-                    model, found[0], channels[index], colours[index], options.autoregression
-                )
-        planned = [
-            whiten(
-                model, model.residual(p), planned_sensitivities(model, p, options),
-                channels[index], colours[index], polynomials[index],
-            )[1]
-            for index, model in enumerate(models)
-        ]  # fmt: skip
-        mean, std = priors(models[0].record, start.parameters, names, models[0].extra, options)
-        precision = np.diag(1.0 / std**2) + split
-        information = precision + sum(z.T @ z for columns in planned for z in columns)
-        root = _root_of_inverse(information)
-        freedom = [[_spent_freedom(z @ root) for z in columns] for columns in planned]
-        for _ in range(10):
-            theta = values_of(p, names, extra_names)
-            zx, zz = precision.copy(), precision.copy()
-            ze = (mean - theta) / std**2 + split @ (start.values - theta)
-            for index, model in enumerate(models):
-                ys, xs, _ = whiten(model, *evaluated[index][:2], channels[index], colours[index], polynomials[index])
-                for y, x, z, spent in zip(ys, xs, planned[index], freedom[index], strict=True):
-                    w = huber(y)[:, None]
-                    zx += z.T @ (x * w)
-                    zz += spent * z.T @ (z * w)
-                    ze += z.T @ (w[:, 0] * y)
-            step = np.asarray(np.linalg.solve(zx, ze), dtype=float)
-            inverse = np.linalg.inv(zx)
-            covariance = inverse @ zz @ inverse.T
-            p = _bounded_move(p, names, theta, step, extra_names)
-            evaluated = [model.evaluate(p, options) for model in models]
-            iterations += 1
-            change = values_of(p, names, extra_names) - theta
-            if np.all(np.abs(change) < 0.02 * np.sqrt(np.diag(covariance))):
-                break
-    theta = values_of(p, names, extra_names)
-    rms = np.sqrt(np.mean(np.concatenate([e[0] for e in evaluated]) ** 2, axis=0))
-    for index in held:
-        covariance = _with_uncertain(covariance, zx, index, float(start.covariance[index, index]))
-    return replace(
-        start,
-        parameters=p,
-        values=theta,
-        covariance=covariance,
-        bound=inverted(information),
-        residual_rms=rms,
-        iterations=iterations,
-        colours=tuple(c for s in colours for c in s),
-        whiteners=tuple(q for s in polynomials for q in s),
+    return split, held
+
+
+def _instruments(problem: Problem, point: Point, noise: Sequence[FlightNoise], split: Array) -> _Instruments:
+    """The planned motion's sensitivities at a point under given noise models."""
+    columns = tuple(
+        each.whitened(model, residual, planned_sensitivities(model, point.parameters, problem.options)).sensitivity
+        for model, residual, each in zip(problem.models, point.residuals, noise, strict=True)
     )
+    mean, std = problem.prior(point.names)
+    precision = np.diag(1.0 / std**2) + split
+    information = precision + sum(z.T @ z for flight in columns for z in flight)
+    root = _root_of_inverse(information)
+    return _Instruments(
+        columns=columns,
+        spent=tuple(tuple(_spent_freedom(z @ root) for z in flight) for flight in columns),
+        precision=precision,
+        information=information,
+        pull=(mean, std**2),
+        split=split,
+    )
+
+
+def _equations(
+    problem: Problem, point: Point, noise: Sequence[FlightNoise], instruments: _Instruments, start: Fitted
+) -> tuple[Array, Array, Array]:
+    """Z^T W X, Z^T W Z (P, P) and Z^T W e (P,) over all flights and channels, with priors."""
+    theta = problem.values(point)
+    mean, variance = instruments.pull
+    zx, zz = instruments.precision.copy(), instruments.precision.copy()
+    ze = (mean - theta) / variance + instruments.split @ (start.values - theta)
+    for index, (model, each) in enumerate(zip(problem.models, noise, strict=True)):
+        found = each.whitened(model, point.residuals[index], point.sensitivities[index])
+        columns, spent = instruments.columns[index], instruments.spent[index]
+        for y, x, z, factor in zip(found.residual, found.sensitivity, columns, spent, strict=True):
+            w = huber(y)[:, None]
+            zx += z.T @ (x * w)
+            zz += factor * z.T @ (z * w)
+            ze += z.T @ (w[:, 0] * y)
+    return zx, zz, ze
+
+
+def _step(
+    problem: Problem, point: Point, noise: Sequence[FlightNoise], instruments: _Instruments, start: Fitted
+) -> tuple[_Solution, bool]:
+    """One step towards Z^T W e = 0, and whether it was small beside the standard deviations."""
+    zx, zz, ze = _equations(problem, point, noise, instruments, start)
+    step = np.asarray(np.linalg.solve(zx, ze), dtype=float)
+    inverse = np.linalg.inv(zx)
+    covariance = inverse @ zz @ inverse.T
+    after = problem.at(_bounded_move(problem, point, step))
+    change = problem.values(after) - problem.values(point)
+    small = bool(np.all(np.abs(change) < 0.02 * np.sqrt(np.diag(covariance))))
+    return _Solution(after, covariance, zx, 1), small
+
+
+def _solve(
+    problem: Problem,
+    point: Point,
+    noise: Sequence[FlightNoise],
+    instruments: _Instruments,
+    start: Fitted,
+    taken_before: int = 0,
+) -> _Solution:
+    """Steps under one noise model until they are small."""
+    found, small = _step(problem, point, noise, instruments, start)
+    iterations = 1
+    while not small and iterations < STEPS:
+        found, small = _step(problem, found.point, noise, instruments, start)
+        iterations += 1
+    return replace(found, iterations=taken_before + iterations)
 
 
 def _with_uncertain(covariance: Array, zx: Array, held: int, variance: float) -> Array:
     """The covariance with that of a parameter which was held, and what its uncertainty does to the others.
 
     Args:
-        zx: Z^T W X with the precision of the held one in its place; the others answer a change of it by -zx_oo^-1 zx_oh.
+        zx: Z^T W X with the precision of the held one in its place; the others answer a change of it by -zx_oo^-1
+            zx_oh.
     """
     others = np.arange(len(zx)) != held
     answer = np.ones(len(zx))
@@ -127,7 +193,8 @@ def _with_uncertain(covariance: Array, zx: Array, held: int, variance: float) ->
 def _root_of_inverse(information: Array) -> Array:
     """A square root R of the inverse, R R^T = information^-1, by eigenvalues in units in which the diagonal is one.
 
-    What the flight tells nothing of in double precision (a flight without noise tells the rest to ten digits) counts for nothing.
+    What the flight tells nothing of in double precision (a flight without noise tells the rest to ten digits) counts
+    for nothing.
     """
     unit = 1.0 / np.sqrt(np.diag(information))
     eigenvalues, vectors = np.linalg.eigh(information * np.outer(unit, unit))
@@ -138,10 +205,10 @@ def _root_of_inverse(information: Array) -> Array:
 def _spent_freedom(z: Array) -> float:
     """By how much the variance of an estimate exceeds what its residual says: n / (n - p - 2).
 
-    A flight has few independent values n in the band an estimate uses (two at each frequency, up to the 95 % point of the
-    whitened instruments' power), and a fit of p parameters takes its share out of the residual that the disturbance is read
-    from: n / (n - p). What is left is a Student variable of n - p degrees of freedom, of variance (n - p) / (n - p - 2).
-    p is this channel's leverage, trace(I^-1 Z^T Z).
+    A flight has few independent values n in the band an estimate uses (two at each frequency, up to the 95 % point of
+    the whitened instruments' power), and a fit of p parameters takes its share out of the residual that the disturbance
+    is read from: n / (n - p). What is left is a Student variable of n - p degrees of freedom, of variance (n - p) / (n
+    - p - 2). p is this channel's leverage, trace(I^-1 Z^T Z).
 
     Args:
         z: whitened instruments of one channel in units of the whole fit's standard deviations, (rows, P).
@@ -153,11 +220,12 @@ def _spent_freedom(z: Array) -> float:
 
 
 def lag_split_precision(names: Sequence[str]) -> Array:
-    """Prior precision that keeps how the total delay divides into lag up, lag down and dead time near the first estimate.
+    """Prior precision that keeps how the total delay divides into lag up, lag down and dead time near the first
+    estimate.
 
-    The plan excites low frequencies, where only the sum shows; its division comes from the prediction error estimate, to
-    2 ms for the dead time (in 28 drawn flights it was never wrong by more than 1 ms, however wrong the lag) and 5 ms for up against
-    down. The sum stays free.
+    The plan excites low frequencies, where only the sum shows; its division comes from the prediction error estimate,
+    to 2 ms for the dead time (in 28 drawn flights it was never wrong by more than 1 ms, however wrong the lag) and 5 ms
+    for up against down. The sum stays free.
     """
     precision = np.zeros((len(names), len(names)))
     row = np.zeros(len(names))
@@ -171,13 +239,11 @@ def lag_split_precision(names: Sequence[str]) -> Array:
     return precision
 
 
-def _bounded_move(
-    p: Parameters, names: Sequence[str], theta: Array, step: Array, extra_names: Sequence[str]
-) -> Parameters:
+def _bounded_move(problem: Problem, point: Point, step: Array) -> Parameters:
     """The step, shortened until the tensor stays positive definite and the mass positive."""
-    fraction = 1.0
+    p, theta, fraction = point.parameters, problem.values(point), 1.0
     for _ in range(12):
-        trial = with_values(p, names, theta + fraction * step, extra_names)
+        trial = problem.moved(point, theta + fraction * step)
         if (
             trial.mass_kg > 0.2 * p.mass_kg
             and np.linalg.eigvalsh(trial.tensor)[0] > 0.05 * np.linalg.eigvalsh(p.tensor)[0]

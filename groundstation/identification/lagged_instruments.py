@@ -1,15 +1,16 @@
-r"""Regression of a signal on motion in closed loop, where nothing was planned: past motion as the instrument, parts of flights as each
-other's check.
+r"""Regression of a signal on motion in closed loop, where nothing was planned: past motion as the instrument, parts of
+flights as each other's check.
 
-In :math:`y = A \theta + d` the controller answers the disturbance d, so motion and d are correlated and least squares lies. What the
-vehicle did a while ago is not: a disturbance that lasts less than the lag cannot have caused it, and a manoeuvre that lasts longer makes
-it resemble the motion now. So :math:`Z(t) = A(t - \ell)` for a few lags are the instruments of two-stage least squares (Soderstrom and
-Stoica 1983, section 5; Gilson and Van den Hof 2005 for closed loops). Everything is low-passed: below the band's edge, telemetry
-that is filtered or late is still right but for terms that the regressors hold.
+In :math:`y = A \theta + d` the controller answers the disturbance d, so motion and d are correlated and least squares
+lies. What the vehicle did a while ago is not: a disturbance that lasts less than the lag cannot have caused it, and a
+manoeuvre that lasts longer makes it resemble the motion now. So :math:`Z(t) = A(t - \ell)` for a few lags are the
+instruments of two-stage least squares (Soderstrom and Stoica 1983, section 5; Gilson and Van den Hof 2005 for closed
+loops). Everything is low-passed: below the band's edge, telemetry that is filtered or late is still right but for terms
+that the regressors hold.
 
-Disturbances that last longer, and what the equation leaves out, show as disagreement between parts of the flights. Each part is an
-estimate of its own; the pooled one has the scatter between parts in its interval (Birge 1932; the scale factor of the Particle Data
-Group's reviews).
+Disturbances that last longer, and what the equation leaves out, show as disagreement between parts of the flights. Each
+part is an estimate of its own; the pooled one has the scatter between parts in its interval (Birge 1932; the scale
+factor of the Particle Data Group's reviews).
 """
 
 from __future__ import annotations
@@ -66,10 +67,11 @@ class PartEstimate:
 
 @dataclass(frozen=True, slots=True)
 class Pooled:
-    """One parameter by all parts: value, standard deviation with the scatter between parts in it, and that scatter's scale (1 and more).
+    """One parameter by all parts: value, standard deviation with the scatter between parts in it, and that scatter's
+    scale (1 and more).
 
-    ``freedom`` is how many independent samples the parts are worth, ``gain`` the fall of the squared error of each part, in units of
-    its noise, with the value that the other parts give.
+    ``freedom`` is how many independent samples the parts are worth, ``gain`` the fall of the squared error of each
+    part, in units of its noise, with the value that the other parts give.
     """
 
     value: float
@@ -94,7 +96,9 @@ def _with_past(used: Mask, lags: Sequence[int]) -> Mask:
 
 
 def two_stage(equation: Equation) -> PartEstimate | None:
-    """Two-stage least squares with lagged instruments; None where too few samples are left or an effect's column is zero."""
+    """Two-stage least squares with lagged instruments; None where too few samples are left or an effect's column is
+    zero.
+    """
     lags = [max(1, round(lag / equation.step_s)) for lag in LAGS_S]
     used = _with_past(equation.used, lags)
     a = np.column_stack([equation.columns, equation.known])
@@ -134,7 +138,9 @@ Parts = Sequence[tuple[Equation, PartEstimate, int]]
 
 
 def pooled(parts: Parts) -> Pooled:
-    """Weighted mean of the parts; its deviation times the scatter between them where they scatter by more than they say."""
+    """Weighted mean of the parts; its deviation times the scatter between them where they scatter by more than they
+    say.
+    """
     values, std = (np.array([getattr(p, name)[i] for _, p, i in parts]) for name in ("values", "std"))
     value, own, scale = _mean(values, std)
     freedom = sum(p.samples / p.correlation[i] for _, p, i in parts)

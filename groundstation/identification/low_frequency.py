@@ -1,12 +1,14 @@
-r"""The equations of motion turned round, in the band where rotor telemetry that is filtered and late still has the torque.
+r"""The equations of motion turned round, in the band where rotor telemetry that is filtered and late still has the
+torque.
 
     torque   tau(T) = J w' - (lag) J w'' + D w + k (-v_y, v_x, 0) + trim + T offset    roll, pitch, yaw
-    force    m f_xy = -d v_xy s + m bias                                               the accelerometer is the force: it needs no rotor
-    lift     m f_z  = a T + b (T - mean)^2 + (lag) T' - k_w v_z s + l T |v_xy|^2 + m bias
+    force    m f_xy = -d v_xy s + m bias                                               the accelerometer is the force:
+    it needs no rotor lift     m f_z  = a T + b (T - mean)^2 + (lag) T' - k_w v_z s + l T |v_xy|^2 + m bias
 
-with T the thrust, f the specific force, v the velocity in the body, w the body rates, s the rotors' speed over that at hover. The rotors'
-wrench is the output: its noise attenuates nothing (inverse dynamics: Janot, Vandanjon and Gautier 2014). J w'' is what a delay or a
-filter of the telemetry does, to first order; above the band it is of second order, and the torque is lost.
+with T the thrust, f the specific force, v the velocity in the body, w the body rates, s the rotors' speed over that at
+hover. The rotors' wrench is the output: its noise attenuates nothing (inverse dynamics: Janot, Vandanjon and Gautier
+2014). J w'' is what a delay or a filter of the telemetry does, to first order; above the band it is of second order,
+and the torque is lost.
 """
 
 from __future__ import annotations
@@ -49,7 +51,8 @@ class Slow:
         rate, turning, jerk: body rates and their derivatives, (k, 3).
         velocity: in the body, (k, 3). speed2: |v_xy|^2, (k,). share: the rotors' speed over that at hover, (k,).
         force: specific force, (k, 3).
-        tensor, mass_kg: declared, and of the base fit under the anchor. scale_n, arm_m: weight and arm, the scales of the equations.
+        tensor, mass_kg: declared, and of the base fit under the anchor. scale_n, arm_m: weight and arm, the scales of
+            the equations.
     """
 
     used: NDArray[np.bool_]
@@ -138,7 +141,9 @@ def parts_of(whole: Slow) -> list[Slow]:
 
 
 def torque_equations(part: Slow) -> Named:
-    """Roll, pitch and yaw, in shares of weight times arm: damping, flapping, then inertia, lateness and an offset of the centre of mass."""
+    """Roll, pitch and yaw, in shares of weight times arm: damping, flapping, then inertia, lateness and an offset of
+    the centre of mass.
+    """
     ones = np.ones((len(part.thrust), 1))
     gyroscopic = np.cross(part.rate, part.rate @ part.tensor)
     scale = part.scale_n * part.arm_m
@@ -166,7 +171,9 @@ def force_equations(part: Slow) -> Named:
 
 
 def lift_equations(part: Slow) -> Named:
-    """Along the thrust, in shares of the weight: inflow and translational lift, then thrust constant, curve and lateness."""
+    """Along the thrust, in shares of the weight: inflow and translational lift, then thrust constant, curve and
+    lateness.
+    """
     ones = np.ones((len(part.thrust), 1))
     output = part.mass_kg * part.force[:, 2] / part.scale_n
     return [(_equation(part, output, _lift_columns(part), ones, 2), ("k_kg_s", "lift_s2_m2"))]
@@ -182,7 +189,10 @@ def moment_equations(part: Slow) -> list[Equation]:
 
 
 def lightness_equation(part: Slow) -> Equation:
-    """f_z = T / m with inflow, lift and curve beside it: one over the mass first. The accelerometer's bias is left to its interval."""
+    """f_z = T / m with inflow, lift and curve beside it: one over the mass first.
+
+    The accelerometer's bias is left to its interval.
+    """
     columns = _lift_columns(part)[:, [2, 0, 1, 3, 4]]
     return _equation(part, part.force[:, 2] / part.scale_n, columns, np.zeros((len(part.thrust), 0)), 1)
 

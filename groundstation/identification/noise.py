@@ -1,8 +1,8 @@
 r"""Coloured disturbance and sensor noise of one channel, and the innovations they leave.
 
 Every flight has a disturbance d(t) of its own (draughts, blade wash), coloured and of unknown size. With the rates as
-output, z = omega_measured - integral of the model = integral of d + white noise; with the accelerometer as output, z = d +
-white noise. Both are small state models; the Kalman filter turns z, and every column of sensitivities, into
+output, z = omega_measured - integral of the model = integral of d + white noise; with the accelerometer as output, z =
+d + white noise. Both are small state models; the Kalman filter turns z, and every column of sensitivities, into
 one-step innovations. A prediction error estimate from those is consistent in closed loop (Ljung, System Identification,
 2nd ed., section 13.4), which a regression on the wrench is not.
 """
@@ -54,20 +54,22 @@ class NoiseModel:
 
 
 @njit(cache=True)
-def _integrated_innovations(z: Array, dt: Array, restart: NDArray[np.bool_], noise: Array) -> tuple[Array, Array]:
+def _integrated_innovations(
+    z: Array, dt: Array, restart: NDArray[np.bool_], noise: Array, x: Array, p: Array, fresh: bool
+) -> tuple[Array, Array]:
     """Innovations and their variances of z = integral(d + white) + white; state [integral, d]; diffuse at restarts.
 
     z has shape (k, m): the first column drives nothing special, all columns pass the same filter. dt[i] is the time
-    from sample i - 1 to i. Variances at restarts are infinite (the level is unknown there).
+    from sample i - 1 to i. Variances at restarts are infinite (the level is unknown there). Columns' states x (2, m)
+    and their covariance p (3,) go in and come out, so that a long series passes in parts, the first of them ``fresh``.
     """
     sigma, tau, q, r = noise
     k, m = z.shape
     out = np.zeros((k, m))
     variance = np.empty(k)
-    x = np.zeros((2, m))
-    p00, p01, p11 = 0.0, 0.0, sigma * sigma
+    p00, p01, p11 = p
     for i in range(k):
-        if restart[i] or i == 0:
+        if restart[i] or (fresh and i == 0):
             for j in range(m):
                 x[0, j] = z[i, j]
                 x[1, j] = 0.0
@@ -98,37 +100,40 @@ def _integrated_innovations(z: Array, dt: Array, restart: NDArray[np.bool_], noi
             x[1, j] = x1 + k1 * e
         p00, p01, p11 = n00 - k0 * n00, n01 - k0 * n01, n11 - k1 * n01
         variance[i] = s
+    p[0], p[1], p[2] = p00, p01, p11
     return out, variance
 
 
 @njit(cache=True)
-def _direct_innovations(z: Array, dt: Array, restart: NDArray[np.bool_], noise: Array) -> tuple[Array, Array]:
+def _direct_innovations(
+    z: Array, dt: Array, restart: NDArray[np.bool_], noise: Array, x: Array, p: Array, fresh: bool
+) -> tuple[Array, Array]:
     """Innovations and their variances of z = d + white, with stationary start at restarts. Shapes as above."""
     sigma, tau, q, r = noise
     k, m = z.shape
     out = np.empty((k, m))
     variance = np.empty(k)
-    x = np.zeros(m)
-    p = sigma * sigma
+    spread = p[0]
     for i in range(k):
         h = dt[i]
-        if restart[i] or i == 0:
-            x[:] = 0.0
-            p = sigma * sigma
+        if restart[i] or (fresh and i == 0):
+            x[0] = 0.0
+            spread = sigma * sigma
             h = 1.0
         else:
             phi = np.exp(-h / tau)
             for j in range(m):
-                x[j] *= phi
-            p = phi * phi * p + sigma * sigma * (1.0 - phi * phi)
-        s = p + r * r + q * q / h
-        gain = p / s
+                x[0, j] *= phi
+            spread = phi * phi * spread + sigma * sigma * (1.0 - phi * phi)
+        s = spread + r * r + q * q / h
+        gain = spread / s
         for j in range(m):
-            e = z[i, j] - x[j]
+            e = z[i, j] - x[0, j]
             out[i, j] = e
-            x[j] += gain * e
-        p -= gain * p
+            x[0, j] += gain * e
+        spread -= gain * spread
         variance[i] = s
+    p[0] = spread
     return out, variance
 
 
@@ -147,13 +152,35 @@ def innovations(
         Innovations (k, m), variances (k,) with inf where a level was only initialised.
     """
     kernel = _integrated_innovations if integrated else _direct_innovations
-    return kernel(np.ascontiguousarray(z), dt, restart, colour.vector())
+    return kernel(np.ascontiguousarray(z), dt, restart, colour.vector(), np.zeros((2, z.shape[1])), np.zeros(3), True)
+
+
+PART = 4096
+"""Samples whose innovations are held at a time where only products of them are asked for."""
+
+
+def innovation_products(
+    z: Array, columns: Array, dt: Array, restart: NDArray[np.bool_], colour: NoiseModel, *, integrated: bool
+) -> Array:
+    """Sums of products of the normalised innovations of z (k,) and of columns (k, m), z first, shape (1 + m, 1 + m)."""
+    kernel = _integrated_innovations if integrated else _direct_innovations
+    width = 1 + columns.shape[1]
+    states, covariance, out = np.zeros((2, width)), np.zeros(3), np.zeros((width, width))
+    for first in range(0, len(z), PART):
+        part = slice(first, first + PART)
+        stacked = np.column_stack([z[part], columns[part]])
+        e, s = kernel(stacked, dt[part], restart[part], colour.vector(), states, covariance, first == 0)
+        white = e / np.sqrt(s)[:, None]  # zero where a level was only initialised
+        out += white.T @ white
+    return out
 
 
 def minus_log_likelihood(
     residual: Array, dt: Array, restart: NDArray[np.bool_], colour: NoiseModel, integrated: bool
 ) -> float:
-    """Half the Gaussian minus-log-likelihood of a residual, robustified (pseudo-Huber at 4 sigma), constants dropped."""
+    """Half the Gaussian minus-log-likelihood of a residual, robustified (pseudo-Huber at 4 sigma), constants
+    dropped.
+    """
     kernel = integrated_costs if integrated else direct_costs
     noises = colour.vector()[None, :]
     return float(kernel(np.ascontiguousarray(residual), dt, restart, noises, float(np.median(dt)))[0])

@@ -1,7 +1,7 @@
 """The likelihood of a channel under eight noise models at once, one in each lane of a vector register.
 
-All that the filters keep and all that they are told lies in one array, a row of LANES for each quantity: rows lie a constant distance
-apart, so the compiler knows that lanes do not touch each other.
+All that the filters keep and all that they are told lies in one array, a row of LANES for each quantity: rows lie a
+constant distance apart, so the compiler knows that lanes do not touch each other.
 """
 
 from __future__ import annotations
@@ -15,11 +15,14 @@ Array = NDArray[np.float64]
 LANES = 8
 """The doubles of the widest vector registers."""
 LOGARITHM_EVERY = 8
-"""Variances are multiplied before their logarithm is taken, few enough that the product stays within a double's range."""
+"""Variances are multiplied before their logarithm is taken, few enough that the product stays within a double's range.
+"""
 LEVEL, SLOPE, P00, P01, P11, COST, PRODUCT, SQUARE, TIME, WHITE, SENSOR, KEPT, USUAL, ROWS = (
     LANES * row for row in range(14)
 )
-"""Where the rows begin: states, covariances, cost and product of variances; squares and time of the noise; share kept over a step."""
+"""Where the rows begin: states, covariances, cost and product of variances; squares and time of the noise; share kept
+over a step.
+"""
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,8 +1,10 @@
-"""What a vehicle's geometry can hold: an estimate outside is evidence that something else is wrong, and is not published.
+"""What a vehicle's geometry can hold: an estimate outside is evidence that something else is wrong, and is not
+published.
 
-A multirotor hovers only with its centre of mass inside the polygon of its rotors (the thrusts of a hover are positive and balance
-about it). Its mass lies within twice the arm of its centre, so no moment exceeds m (2 arm)^2. A rotor that gives none of its declared
-thrust, or three times as much, is another rotor, or its speeds, units or numbering are not what is declared.
+A multirotor hovers only with its centre of mass inside the polygon of its rotors (the thrusts of a hover are positive
+and balance about it). Its mass lies within twice the arm of its centre, so no moment exceeds m (2 arm)^2. A rotor that
+gives none of its declared thrust, or three times as much, is another rotor, or its speeds, units or numbering are not
+what is declared.
 """
 
 from __future__ import annotations
@@ -15,12 +17,16 @@ from groundstation.identification.results import Estimate
 from groundstation.vehicle import Vehicle
 
 THRUST_FACTOR = (0.0, 3.0)
-"""Of the declared thrust: batteries, blades and height change it by a third; a factor of three is a wrong declaration."""
+"""Of the declared thrust: batteries, blades and height change it by a third; a factor of three is a wrong declaration.
+"""
 REACH = 2.0
 """Arms within which all of a vehicle's mass lies: rotors end at less than two."""
 LONGEST_LAG_S = 1.0
 """No vehicle whose thrust takes longer to follow its command can be held in the air by attitude control."""
-ELSE = "; something else is wrong (rotor numbering, units, time stamps, or an effect the model lacks), so it is not published"
+ELSE = (
+    "; something else is wrong (rotor numbering, units, time stamps, or an effect the model lacks), so it is not "
+    "published"
+)
 
 
 def outside(vehicle: Vehicle, parameters: Mapping[str, Estimate], model: Mapping[str, Estimate]) -> dict[str, str]:
@@ -45,7 +51,8 @@ def _moments(vehicle: Vehicle, parameters: Mapping[str, Estimate]) -> dict[str, 
     for name in ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2"):
         if name in parameters and not 0.0 < parameters[name].value <= most:
             found[name] = (
-                f"a moment of {parameters[name].value:.3g} kg m^2 came out, where this frame holds 0 to {most:.3g}{ELSE}"
+                f"a moment of {parameters[name].value:.3g} kg m^2 came out, where this frame holds 0 to "
+                f"{most:.3g}{ELSE}"
             )
     for name, (first, second) in {"ixy_kg_m2": "xy", "ixz_kg_m2": "xz", "iyz_kg_m2": "yz"}.items():
         pair = [parameters.get(f"i{axis}{axis}_kg_m2") for axis in (first, second)]
@@ -63,7 +70,10 @@ def _centre(vehicle: Vehicle, model: Mapping[str, Estimate]) -> dict[str, str]:
     point = np.array([model[name].value for name in names])
     if inside_polygon(point, np.asarray(vehicle.rotors.position_m, dtype=float)[:, :2]):
         return {}
-    text = f"a centre of mass at ({1e3 * point[0]:.0f}, {1e3 * point[1]:.0f}) mm came out, outside the rotors, where nothing hovers{ELSE}"
+    text = (
+        f"a centre of mass at ({1e3 * point[0]:.0f}, {1e3 * point[1]:.0f}) mm came out, outside the rotors, where "
+        f"nothing hovers{ELSE}"
+    )
     return dict.fromkeys(names, text)
 
 

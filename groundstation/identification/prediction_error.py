@@ -5,10 +5,11 @@ Rates and specific force are the outputs, rotor thrusts the inputs, seen through
     omega(t) = omega(0) + J^-1 H(t) + integral of d_tau,    H = integral of (tau(T) - c x T e_z - omega x J omega)
     f_z(t) = T / m + b_z + d_F
 
-d are Ornstein-Uhlenbeck disturbances of unknown size and colour, estimated along with the parameters. Innovations from a Kalman
-filter per channel (``noise``) make the estimate a maximum-likelihood one and consistent although the controller feeds the
-disturbance back into the thrusts (Ljung 1999, ch. 7 and 13.4). omega x J omega uses the measured rates, whose noise
-is a part in a thousand there. Sensitivities are analytic, those of lag and delay are differences of the exact lag.
+d are Ornstein-Uhlenbeck disturbances of unknown size and colour, estimated along with the parameters. Innovations from
+a Kalman filter per channel (``noise``) make the estimate a maximum-likelihood one and consistent although the
+controller feeds the disturbance back into the thrusts (Ljung 1999, ch. 7 and 13.4). omega x J omega uses the measured
+rates, whose noise is a part in a thousand there. Sensitivities are analytic, those of lag and delay are differences of
+the exact lag.
 """
 
 from __future__ import annotations
@@ -19,14 +20,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.identification.noise import (
-    NoiseModel,
-    apply_polynomial,
-    fit_noise_model,
-    innovations,
-    whitening_polynomial,
-)
-from groundstation.identification.record_model import BodyWrench, DynamicRecord, RecordModel
+from groundstation.identification.flight_noise import PLAIN, FlightNoise, fitted_noise, per_flight
+from groundstation.identification.noise import NoiseModel
+from groundstation.identification.record_model import RecordModel
 from groundstation.model.parameters import (
     FitOptions,
     Parameters,
@@ -40,6 +36,11 @@ from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+STEPS = 8
+"""Gauss-Newton steps under one noise model, at most."""
+HUBER = 3.0
+"""Standard deviations of an innovation from which its weight falls."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,54 +72,205 @@ class Fitted:
         return float(self.values[self.names.index(name)])
 
 
-def priors(
-    record: DynamicRecord, p0: Parameters, names: Sequence[str], extra: Sequence[BodyWrench], options: FitOptions
-) -> tuple[Array, Array]:
-    """Weak prior means and standard deviations that keep an unexcited direction finite; far wider than any claim."""
-    context = PriorContext(record.vehicle, p0, record.force_bias_std, options.mass)
-    entries, terms = table(), {term.name: (term.prior, term.prior_std) for term in extra}
-    pairs = [terms[name] if name in terms else entries[name].prior(context) for name in names]
-    mean, std = zip(*pairs, strict=True)
-    return np.array(mean, dtype=float), np.array(std, dtype=float)
+@dataclass(frozen=True, slots=True)
+class Point:
+    """Parameters, and the flights' outputs there.
+
+    Attributes:
+        names: of what is free. residuals: measured less predicted, (blocks, 6) for each flight.
+        sensitivities: of the prediction to ``names``, (blocks, 6, P) for each flight.
+    """
+
+    parameters: Parameters
+    names: tuple[str, ...]
+    residuals: tuple[Array, ...]
+    sensitivities: tuple[Array, ...]
+
+    def rms(self) -> Array:
+        """Root mean square of the residuals of all flights, (6,)."""
+        return np.asarray(np.sqrt(np.mean(np.concatenate(self.residuals) ** 2, axis=0)), dtype=float)
 
 
-def whiten(
-    model: RecordModel,
-    residual: Array,
-    sensitivity: Array,
-    channels: Sequence[int],
-    colours: Sequence[NoiseModel],
-    polynomials: Sequence[Array],
-) -> tuple[list[Array], list[Array], float]:
-    """Normalised innovations and sensitivities per channel, and the log-determinant part of the cost."""
-    ys, xs, logs = [], [], 0.0
-    for channel, colour, polynomial in zip(channels, colours, polynomials, strict=True):
-        stacked = np.concatenate([residual[:, channel : channel + 1], sensitivity[:, channel, :]], axis=1)
-        e, s = innovations(stacked, model.dt, model.restart, colour, integrated=channel < 3)
-        good = np.isfinite(s)
-        e = apply_polynomial(polynomial, np.where(good[:, None], e / np.sqrt(np.where(good, s, 1.0))[:, None], 0.0))
-        ys.append(e[:, 0])
-        xs.append(e[:, 1:])
-        logs += 0.5 * float(np.sum(np.log(s[good])))
-    return ys, xs, logs
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """What a fit minimises: models of one vehicle's flights, what is free, and the guess that the weak priors stand
+    about.
+    """
+
+    models: tuple[RecordModel, ...]
+    options: FitOptions
+    start: Parameters
+
+    @property
+    def extra_names(self) -> list[str]:
+        """Names of the wrench terms, the same in every flight."""
+        return [term.name for term in self.models[0].extra]
+
+    @property
+    def channels(self) -> list[tuple[int, ...]]:
+        """Outputs of each flight that the fit uses."""
+        return [model.channels(self.options) for model in self.models]
+
+    def at(self, p: Parameters) -> Point:
+        """Residuals and sensitivities at ``p``."""
+        found = [model.evaluate(p, self.options) for model in self.models]
+        return Point(p, found[0][2], tuple(each[0] for each in found), tuple(each[1] for each in found))
+
+    def values(self, point: Point) -> Array:
+        """Values of what is free at a point, (P,)."""
+        return values_of(point.parameters, point.names, self.extra_names)
+
+    def moved(self, point: Point, values: Array) -> Parameters:
+        """The point's parameters with what is free at other values."""
+        return with_values(point.parameters, point.names, values, self.extra_names)
+
+    def prior(self, names: Sequence[str]) -> tuple[Array, Array]:
+        """Weak means and standard deviations that keep an unexcited direction finite; far wider than any claim."""
+        record = self.models[0].record
+        context = PriorContext(record.vehicle, self.start, record.force_bias_std, self.options.mass)
+        entries, terms = table(), {term.name: (term.prior, term.prior_std) for term in self.models[0].extra}
+        pairs = [terms[name] if name in terms else entries[name].prior(context) for name in names]
+        mean, std = zip(*pairs, strict=True)
+        return np.array(mean, dtype=float), np.array(std, dtype=float)
+
+    def noise(
+        self, point: Point, start: Sequence[FlightNoise] | None, *, autoregression: int = 0
+    ) -> tuple[FlightNoise, ...]:
+        """The noise model of each flight's residual, beginning from an earlier one's colours."""
+        before = [None] * len(self.models) if start is None else [noise.colours for noise in start]
+        return tuple(
+            fitted_noise(model, residual, channels, colours, autoregression)
+            for model, residual, channels, colours in zip(
+                self.models, point.residuals, self.channels, before, strict=True
+            )
+        )
+
+    def misfit(self, p: Parameters, noise: Sequence[FlightNoise]) -> float:
+        """Half the robust squared innovations and the logarithms of their deviations, at ``p`` under given noise
+        models.
+        """
+        pairs = zip(self.models, noise, strict=True)
+        return sum(_innovation_cost(model, model.residual(p), each) for model, each in pairs)
+
+    def misfits(self, trials: Sequence[Parameters], noise: Sequence[FlightNoise]) -> Array:
+        """:meth:`misfit` at many points that differ in lags and dead time, (trials,), for less."""
+        costs = np.zeros(len(trials))
+        for model, each in zip(self.models, noise, strict=True):
+            costs += [_innovation_cost(model, residual, each) for residual in model.residuals(trials)]
+        return costs
 
 
-def huber(y: Array, limit: float = 3.0) -> Array:
+def _innovation_cost(model: RecordModel, residual: Array, noise: FlightNoise) -> float:
+    """Half the robust squared innovations of one flight's residual, and the logarithms of their deviations."""
+    found = noise.whitened_residual(model, residual)
+    return found.log_deviation + sum(huber_cost(y) for y in found.residual)
+
+
+def huber(y: Array, limit: float = HUBER) -> Array:
+    """Weights of a robust fit: one within the limit, falling as 1/|y| beyond."""
     return np.minimum(1.0, limit / np.maximum(np.abs(y), 1e-12))
 
 
+def huber_cost(y: Array, limit: float = HUBER) -> float:
+    """Half the square within the limit, linear beyond, summed."""
+    return float(np.sum(np.where(huber(y, limit) < 1.0, limit * np.abs(y) - 0.5 * limit**2, 0.5 * y**2)))
+
+
 def inverted(information: Array) -> Array:
-    """The inverse of an information matrix, in units in which its diagonal is one: kilograms and kg m^2 of a nano-quadrotor lie 1e10 apart."""
+    """The inverse of an information matrix, in units in which its diagonal is one: kilograms and kg m^2 of a
+    nano-quadrotor lie 1e10 apart.
+    """
     unit = 1.0 / np.sqrt(np.diag(information))
     scale = np.outer(unit, unit)
     return np.asarray(np.linalg.inv(information * scale) * scale, dtype=float)
+
+
+@dataclass(frozen=True, slots=True)
+class _Local:
+    """The cost at a point and its quadratic model: values (P,), normal matrix (P, P), descent direction's right side
+    (P,).
+    """
+
+    theta: Array
+    normal: Array
+    gradient: Array
+    cost: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Descent:
+    """Where steps under one noise model have led; covariance and cost are those of the last step's start."""
+
+    point: Point
+    covariance: Array
+    cost: float
+    iterations: int
+
+
+def _linearised(problem: Problem, point: Point, noise: Sequence[FlightNoise]) -> _Local:
+    """Normal equations of all flights and the priors, innovations beyond the limit weighted down."""
+    mean, std = problem.prior(point.names)
+    theta = problem.values(point)
+    normal = np.diag(1.0 / std**2)
+    gradient = (mean - theta) / std**2
+    cost = 0.5 * float(np.sum(((theta - mean) / std) ** 2))
+    flights = zip(problem.models, noise, point.residuals, point.sensitivities, strict=True)
+    for model, each, residual, sensitivity in flights:
+        found = each.whitened(model, residual, sensitivity)
+        cost += found.log_deviation
+        for y, x in zip(found.residual, found.sensitivity, strict=True):
+            w = huber(y)
+            normal = normal + x.T @ (x * w[:, None])
+            gradient = gradient + x.T @ (w * y)
+            cost += huber_cost(y)
+    return _Local(theta, normal, gradient, cost)
+
+
+def _line_search(
+    problem: Problem, point: Point, local: _Local, step: Array, noise: Sequence[FlightNoise]
+) -> tuple[Parameters, float]:
+    """Halve the step until the cost falls; keep the tensor positive definite and the mass positive."""
+    mean, std = problem.prior(point.names)
+    p, fraction = point.parameters, 1.0
+    for _ in range(10):
+        trial = problem.moved(point, local.theta + fraction * step)
+        if trial.mass_kg > 0.0 and np.linalg.eigvalsh(trial.tensor)[0] > 0.02 * np.linalg.eigvalsh(p.tensor)[0]:
+            values = values_of(trial, point.names, problem.extra_names)
+            total = 0.5 * float(np.sum(((values - mean) / std) ** 2))
+            total += problem.misfit(trial, noise)
+            if total <= local.cost + 1e-9 * abs(local.cost):
+                return trial, fraction
+        fraction *= 0.5
+    return p, 0.0
+
+
+def _step(problem: Problem, point: Point, noise: Sequence[FlightNoise], taken_before: int) -> tuple[_Descent, bool]:
+    """One Gauss-Newton step, and whether it is the last: it did not lower the cost, or moved little beside the
+    deviations.
+    """
+    local = _linearised(problem, point, noise)
+    step = np.asarray(np.linalg.solve(local.normal, local.gradient), dtype=float)
+    moved, taken = _line_search(problem, point, local, step, noise)
+    covariance = inverted(local.normal)
+    variance = np.maximum(np.diag(covariance), 0.0)  # of what a flight does not show, rounding may make it negative
+    last = taken == 0.0 or bool(np.all(np.abs(taken * step) < 0.02 * np.sqrt(variance)))
+    after = problem.at(moved) if taken > 0.0 else point
+    return _Descent(after, covariance, local.cost, taken_before + 1), last
+
+
+def _descend(problem: Problem, point: Point, noise: Sequence[FlightNoise], taken_before: int = 0) -> _Descent:
+    """Gauss-Newton steps under given noise models."""
+    found, last = _step(problem, point, noise, taken_before)
+    while not last and found.iterations - taken_before < STEPS:
+        found, last = _step(problem, found.point, noise, found.iterations)
+    return found
 
 
 def fit(
     models: Sequence[RecordModel],
     start: Parameters,
     options: FitOptions,
-    colours: Sequence[Sequence[NoiseModel]] | None = None,
+    noise: Sequence[FlightNoise] | None = None,
     *,
     fixed: bool = False,
 ) -> Fitted:
@@ -127,142 +279,37 @@ def fit(
     Args:
         models: one per flight, with the same extra terms; biases and noise models are each flight's own.
         start: first guess.
-        colours: per flight and channel, from an earlier fit, to begin from.
-        fixed: take ``colours`` as they are.
+        noise: per flight, from an earlier fit, whose colours to begin from.
+        fixed: take ``noise`` as it is.
     """
-    records = [model.record for model in models]
-    extra_names = [term.name for term in models[0].extra]
-    p = start
-    channels = [model.channels(options) for model in models]
-    state: list[list[NoiseModel]] = [list(c) for c in colours] if colours is not None else [[] for _ in models]
-    polynomials = [[np.array([1.0])] * len(c) for c in channels]
-    iterations = 0
-    cost = np.inf
-    normal = np.eye(1)
-    names: tuple[str, ...] = ()
-    evaluated = [model.evaluate(p, options) for model in models]
-    for round_index in range(options.colour_rounds + 1):
-        for index, model in enumerate(models):
-            residual = evaluated[index][0]
-            previous = state[index]
-            if fixed:
-                continue
-            state[index] = [
-                fit_noise_model(
-                    residual[:, c],
-                    model.dt,
-                    model.restart,
-                    integrated=c < 3,
-                    start=previous[i] if previous else None,
-                )
-                for i, c in enumerate(channels[index])
-            ]
-            if options.autoregression and round_index > 0:
-                blank = evaluated[index][1][:, :, :0]
-                ys, _, _ = whiten(
-                    model, residual, blank, channels[index], state[index], [np.array([1.0])] * len(channels[index])
-                )
-                polynomials[index] = [whitening_polynomial(y, model.restart, options.autoregression) for y in ys]
-        for _ in range(8):
-            names = evaluated[0][2]
-            mean, std = priors(records[0], start, names, models[0].extra, options)
-            theta = values_of(p, names, extra_names)
-            normal = np.diag(1.0 / std**2)
-            gradient = (mean - theta) / std**2
-            cost = 0.5 * float(np.sum(((theta - mean) / std) ** 2))
-            for index, model in enumerate(models):
-                ys, xs, logs = whiten(
-                    model, evaluated[index][0], evaluated[index][1], channels[index], state[index], polynomials[index]
-                )
-                cost += logs
-                for y, x in zip(ys, xs, strict=True):
-                    w = huber(y)
-                    normal = normal + x.T @ (x * w[:, None])
-                    gradient = gradient + x.T @ (w * y)
-                    cost += float(np.sum(np.where(w < 1.0, 3.0 * np.abs(y) - 4.5, 0.5 * y**2)))
-            step = np.asarray(np.linalg.solve(normal, gradient), dtype=float)
-            p, taken = _line_search(
-                models, p, names, theta, step, extra_names, channels, state, polynomials, cost, mean, std
-            )
-            iterations += 1
-            if taken > 0.0:
-                evaluated = [model.evaluate(p, options) for model in models]
-            variance = np.maximum(
-                np.diag(inverted(normal)), 0.0
-            )  # of what a flight does not show, rounding may make it negative
-            if taken == 0.0 or np.all(np.abs(taken * step) < 0.02 * np.sqrt(variance)):
-                break
-    theta = values_of(p, names, extra_names)
-    covariance = inverted(normal)
-    rms = np.sqrt(np.mean(np.concatenate([e[0] for e in evaluated]) ** 2, axis=0))
-    samples = sum(len(m.t_s) for m in models)
+    problem = Problem(tuple(models), options, start)
+    point = problem.at(start)
+    used = tuple(noise) if fixed and noise is not None else problem.noise(point, noise)
+    found = _descend(problem, point, used)
+    for _ in range(0 if fixed else options.colour_rounds):
+        used = problem.noise(found.point, used, autoregression=options.autoregression)
+        found = _descend(problem, found.point, used, found.iterations)
     return Fitted(
-        p,
-        names,
-        theta,
-        covariance,
-        covariance,
-        tuple(c for s in state for c in s),
-        tuple(q for s in polynomials for q in s),
-        cost,
-        rms,
-        samples,
-        iterations,
+        parameters=found.point.parameters,
+        names=found.point.names,
+        values=problem.values(found.point),
+        covariance=found.covariance,
+        bound=found.covariance,
+        colours=tuple(colour for each in used for colour in each.colours),
+        whiteners=tuple(whitener for each in used for whitener in each.whiteners),
+        cost=found.cost,
+        residual_rms=found.point.rms(),
+        samples=sum(len(model.t_s) for model in models),
+        iterations=found.iterations,
     )
-
-
-def _line_search(
-    models: Sequence[RecordModel],
-    p: Parameters,
-    names: Sequence[str],
-    theta: Array,
-    step: Array,
-    extra_names: Sequence[str],
-    channels: Sequence[tuple[int, ...]],
-    state: Sequence,
-    polynomials: Sequence,
-    cost: float,
-    mean: Array,
-    std: Array,
-) -> tuple[Parameters, float]:
-    """Halve the step until the cost falls; keep the tensor positive definite and the mass positive."""
-    fraction = 1.0
-    for _ in range(10):
-        trial = with_values(p, names, theta + fraction * step, extra_names)
-        if trial.mass_kg > 0.0 and np.linalg.eigvalsh(trial.tensor)[0] > 0.02 * np.linalg.eigvalsh(p.tensor)[0]:
-            values = values_of(trial, names, extra_names)
-            total = 0.5 * float(np.sum(((values - mean) / std) ** 2))
-            total += misfit(models, trial, channels, state, polynomials)
-            if total <= cost + 1e-9 * abs(cost):
-                return trial, fraction
-        fraction *= 0.5
-    return p, 0.0
-
-
-def misfit(
-    models: Sequence[RecordModel],
-    p: Parameters,
-    channels: Sequence[tuple[int, ...]],
-    state: Sequence[Sequence[NoiseModel]],
-    polynomials: Sequence[Sequence[Array]],
-) -> float:
-    """Half the robust squared innovations and the logarithms of their deviations, at ``p`` under given noise models."""
-    total = 0.0
-    for index, model in enumerate(models):
-        residual = model.residual(p)
-        blank = np.zeros((*residual.shape, 0))
-        ys, _, logs = whiten(model, residual, blank, channels[index], state[index], polynomials[index])
-        total += logs
-        for y in ys:
-            total += float(np.sum(np.where(huber(y) < 1.0, 3.0 * np.abs(y) - 4.5, 0.5 * y**2)))
-    return total
 
 
 def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: FitOptions) -> Fitted:
     """Prediction error estimate from the declared vehicle: first one lag and no dead time from two starts, then all.
 
-    What divides the total into lag and dead time are the commands' highest frequencies, a narrow band: each of its periods has a
-    minimum. So the division is looked for over all of the total before the last fit, and once more after it.
+    What divides the total into lag and dead time are the commands' highest frequencies, a narrow band: each of its
+    periods has a minimum. So the division is looked for over all of the total before the last fit, and once more after
+    it.
     """
     extra = len(models[0].extra)
     if not options.lag:
@@ -270,12 +317,17 @@ def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: 
     first = replace(options, symmetric_lag=True, delay=False, colour_rounds=1, autoregression=0)
     tried = [fit(models, declared_parameters(vehicle, lag_s=lag, extra=extra), first) for lag in (0.02, 0.08)]
     best = min(tried, key=lambda found: found.cost)
-    channels = [model.channels(options) for model in models]
-    best = fit(models, divided_anew(models, best, options), options, per_flight(best.colours, channels))
+    best = fit(models, divided_anew(models, best, options), options, noise_of(best, models, options))
     start = divided_anew(models, best, options)
     if start is best.parameters:
         return best
-    return min(best, fit(models, start, options, per_flight(best.colours, channels)), key=lambda found: found.cost)
+    again = fit(models, start, options, noise_of(best, models, options))
+    return min(best, again, key=lambda found: found.cost)
+
+
+def noise_of(fitted: Fitted, models: Sequence[RecordModel], options: FitOptions) -> list[FlightNoise]:
+    """The noise model of each flight of a fit."""
+    return per_flight(fitted.colours, fitted.whiteners, [model.channels(options) for model in models])
 
 
 DIVISION_S = 0.002
@@ -284,15 +336,15 @@ DIVISION_S = 0.002
 
 def divided_anew(models: Sequence[RecordModel], found: Fitted, options: FitOptions) -> Parameters:
     """The parameters found, or those whose dead time and lags, of the same sum, suit the residual better."""
-    p, channels = found.parameters, [model.channels(options) for model in models]
-    noise = per_flight(found.colours, channels), per_flight(found.whiteners, channels)
+    p, noise = found.parameters, noise_of(found, models, options)
+    problem = Problem(tuple(models), options, p)
     shifts = DIVISION_S * np.arange(
         -np.floor(max(p.delay_s, 0.0) / DIVISION_S), min(p.lag_up_s, p.lag_down_s) / DIVISION_S
     )
     tried = [p] + [
         replace(p, lag_up_s=p.lag_up_s - s, lag_down_s=p.lag_down_s - s, delay_s=p.delay_s + s) for s in shifts if s
     ]
-    return min(tried, key=lambda each: misfit(models, each, channels, *noise))
+    return tried[int(np.argmin(problem.misfits(tried, noise)))]
 
 
 SHOOTING_S = 2.0
@@ -303,8 +355,8 @@ def output_error(models: Sequence[RecordModel], start: Parameters, options: FitO
 
     The classical estimate (Klein and Morelli, ch. 6), for comparison: what it takes for noise is mostly disturbance.
     """
-    white = []
-    shooting = []
+    white: list[FlightNoise] = []
+    shooting: list[RecordModel] = []
     for model in models:
         every = max(2, round(SHOOTING_S / float(np.median(model.dt))))
         restart = model.restart.copy()
@@ -316,29 +368,6 @@ def output_error(models: Sequence[RecordModel], start: Parameters, options: FitO
             max(float(np.std(np.diff(residual[:, c])[~model.restart[1:]] if c < 3 else residual[:, c])), 1e-9)
             for c in chosen
         ]
-        white.append([NoiseModel(1e-9 * s, 1.0, 1e-9 * s, s) for s in spread])
+        colours = tuple(NoiseModel(1e-9 * s, 1.0, 1e-9 * s, s) for s in spread)
+        white.append(FlightNoise(chosen, colours, (PLAIN,) * len(chosen)))
     return fit(shooting, start, replace(options, colour_rounds=0, autoregression=0), white, fixed=True)
-
-
-def noise_model(
-    model: RecordModel, residual: Array, channels: Sequence[int], previous: Sequence[NoiseModel], autoregression: int
-) -> tuple[list[NoiseModel], list[Array]]:
-    """Noise model of each channel of a residual: its colour, and the autoregression for what the colour leaves."""
-    colours = [
-        fit_noise_model(residual[:, c], model.dt, model.restart, integrated=c < 3, start=colour)
-        for c, colour in zip(channels, previous, strict=True)
-    ]
-    plain = [np.array([1.0])] * len(channels)
-    if not autoregression:
-        return colours, plain
-    ys, _, _ = whiten(model, residual, np.zeros((*residual.shape, 0)), channels, colours, plain)
-    return colours, [whitening_polynomial(y, model.restart, autoregression) for y in ys]
-
-
-def per_flight(items: Sequence, channels: Sequence[Sequence[int]]) -> list[list]:
-    """Split what :class:`Fitted` keeps in one row into one list per flight."""
-    out, first = [], 0
-    for chosen in channels:
-        out.append(list(items[first : first + len(chosen)]))
-        first += len(chosen)
-    return out

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 
 from groundstation.errors import BadInput
 from groundstation.identification.predictive_fit import SHORTEST_S, WINDOWS, Judgement, Shooting, judged, shooting
-from groundstation.identification.preparation import Prepared, own_states, smoothed_states
+from groundstation.identification.preparation import Prepared
 from groundstation.identification.results import Estimate
+from groundstation.identification.starts import own_states, smoothed_states
 from groundstation.model.disturbance import TurningDisturbance
-from groundstation.model.prediction import FlightStates, VehicleModel, declared_model, model_from_document
+from groundstation.model.flight_states import FlightStates
+from groundstation.model.vehicle_model import VehicleModel, declared_model, model_from_document
 from groundstation.vehicle import Vehicle
 
 UNITS = {"position_m": "m", "velocity_m_s": "m/s", "attitude_rad": "rad", "body_rate_rad_s": "rad/s"}
@@ -67,7 +69,9 @@ def _base(physical: VehicleModel, vehicle: Vehicle) -> VehicleModel:
 
 
 def _shots(prepared: Prepared, flight: int, windows: int) -> Shooting | None:
-    """Windows from the vehicle's own state where it recorded one as densely as rates need, else from the smoothed motion."""
+    """Windows from the vehicle's own state where it recorded one as densely as rates need, else from the smoothed
+    motion.
+    """
     state = prepared.flight.state
     record = prepared.record
     if state is not None and len(state) >= 50 and state.rate_hz() >= 50.0:

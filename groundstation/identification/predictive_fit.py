@@ -1,9 +1,11 @@
-"""Fit of the prediction model to what lies 0.1 and 0.5 s ahead (multiple shooting), and the choice between it and simpler ones.
+"""Fit of the prediction model to what lies 0.1 and 0.5 s ahead (multiple shooting), and the choice between it and
+simpler ones.
 
-Windows start all over the flights (Bock and Plitt 1984, multiple shooting, with every start given by the flight). The size of each
-error counts, not its square, in units of what a guess of constant velocity and rate misses in that flight, so one wild stretch does
-not decide. The choice is made on blocks of time, or whole flights, that the judged fit has not seen, by the rule of one standard
-error (Breiman et al. 1984, Classification and regression trees, 3.4.3): a simpler model stays unless a richer one is clearly better.
+Windows start all over the flights (Bock and Plitt 1984, multiple shooting, with every start given by the flight). The
+size of each error counts, not its square, in units of what a guess of constant velocity and rate misses in that flight,
+so one wild stretch does not decide. The choice is made on blocks of time, or whole flights, that the judged fit has not
+seen, by the rule of one standard error (Breiman et al. 1984, Classification and regression trees, 3.4.3): a simpler
+model stays unless a richer one is clearly better.
 """
 
 from __future__ import annotations
@@ -14,8 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.flightdata import resampled
 from groundstation.frames import quat_conjugate, quat_exp, quat_log, quat_multiply, quat_normalise
-from groundstation.model.prediction import QUANTITIES, FlightStates, VehicleModel, declared_model, error_norms
+from groundstation.model.flight_states import FlightStates
+from groundstation.model.prediction import QUANTITIES, error_norms
 from groundstation.model.predictive import (
     NAMES,
     NUMBERS,
@@ -28,21 +32,27 @@ from groundstation.model.predictive import (
     windows,
 )
 from groundstation.model.predictive_kernel import missed
+from groundstation.model.vehicle_model import VehicleModel, declared_model
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 HORIZONS_S = (0.01, 0.1, 0.5)
-"""What a fit looks at: half a second is what a planner needs, 0.1 s what a controller needs, 0.01 s holds the start to the measured state."""
+"""What a fit looks at: half a second is what a planner needs, 0.1 s what a controller needs, 0.01 s holds the start to
+the measured state.
+"""
 WEIGHTS = (0.2, 0.36, 1.0)
 """Of the horizons: the shorter one is, the more of its error is noise of the measured state."""
 WINDOWS = 450
-"""Most windows of a fit, over all flights: on the nano-drone benchmark twice as many change no error by half a percent."""
+"""Most windows of a fit, over all flights: on the nano-drone benchmark twice as many change no error by half a percent.
+"""
 FIT_STEP_S = 0.01
 WIDEST = 1e3
 """Error, in those of constant velocity, beyond which a model has run away, and how far does not matter."""
 SHRINK = 0.02
-"""Cost of one spread away from a number's start; the errors themselves cost about 5 together, one prediction of constant velocity 11."""
+"""Cost of one spread away from a number's start; the errors themselves cost about 5 together, one prediction of
+constant velocity 11.
+"""
 EVALUATIONS = 14
 BLOCK_S = 4.0
 """Blocks of a judgement: several times as long as a horizon, and many in a minute."""
@@ -128,7 +138,7 @@ def _at(states: FlightStates, at_s: Array) -> Array:
     nearest = np.clip(np.searchsorted(states.t_s, at_s - 0.5 * np.median(np.diff(states.t_s))), 0, len(states.t_s) - 1)
 
     def columns(values: Array) -> Array:
-        return np.stack([np.interp(at_s, states.t_s, c) for c in values.T], axis=-1)
+        return resampled(at_s, states.t_s, values)
 
     parts = (columns(states.position_m), columns(states.velocity_m_s), states.quaternion[nearest])
     return np.concatenate([*parts, columns(states.rate_rad_s)], axis=1)
@@ -141,7 +151,9 @@ def _constant(states: FlightStates, index: Index, horizons: Sequence[float]) -> 
 
 
 def _differences(found: Array, truth: Array) -> Array:
-    """Position, velocity, attitude (rotation vector) and rate less the truth, (m, k, 4, 3); zero where nothing is known."""
+    """Position, velocity, attitude (rotation vector) and rate less the truth, (m, k, 4, 3); zero where nothing is
+    known.
+    """
     turned = quat_log(quat_normalise(quat_multiply(quat_conjugate(truth[..., 6:10]), found[..., 6:10])))
     parts = (found[..., :3] - truth[..., :3], found[..., 3:6] - truth[..., 3:6], turned)
     return np.stack([*(np.nan_to_num(x) for x in parts), found[..., 10:] - truth[..., 10:]], axis=-2)
@@ -195,7 +207,9 @@ def _fit(shots: Sequence[Shooting], model: VehicleModel, torque: bool) -> Predic
 
 
 def _folds(shots: Sequence[Shooting]) -> list[list[NDArray[np.bool_]]]:
-    """For each fold, which windows of each flight are judged: whole flights where there are enough, else blocks of time."""
+    """For each fold, which windows of each flight are judged: whole flights where there are enough, else blocks of
+    time.
+    """
     if len(shots) >= FOLDS:
         return [[np.full(len(s.index), s.flight % FOLDS == fold) for s in shots] for fold in range(FOLDS)]
     return [[s.block % FOLDS == fold for s in shots] for fold in range(FOLDS)]
@@ -303,7 +317,8 @@ def _chosen(
     )
     text = ", ".join(f"{name} {score[name][0]:.2f}" for name in sorted(score, key=lambda n: score[n][0]))
     reason = (
-        f"mean error 0.1 and 0.5 s ahead on {len(blocks[kind])} blocks that no fit of it has seen, in units of constant "
+        f"mean error 0.1 and 0.5 s ahead on {len(blocks[kind])} blocks that no fit of it has seen, in units of "
+        "constant "
         f"velocity's: {text}; the simplest within one standard error of the best is taken."
     )
     return Judgement(kind, model, errors, score, loses, len(blocks[kind]), reason)

@@ -1,13 +1,15 @@
-r"""A first estimate in a fraction of a second: weighted least squares on the filtered wrench, ten parameters, with intervals.
+r"""A first estimate in a fraction of a second: weighted least squares on the filtered wrench, ten parameters, with
+intervals.
 
     m f_z = F_z,    J w' + w x J w + (c_y F_z, -c_x F_z, n) = tau
 
-for mass, tensor, centre of mass and yaw trim (Khalil and Dombre 2002, Modeling, Identification and Control of Robots, section 12.3),
-all signals through one zero-phase low-pass. Rotors answer late, and most of what a regression on commands misses is that: so rotors are
-taken behind a first-order lag, which is found along with the rest, W(t) = W_lag(t) - d tau W_lag'(t), by Gauss-Newton. Every row
-weighs by the scatter of its own residual. The residual is coloured: the covariance is taken from sums over blocks of time longer than
-its memory (batch means: Heidelberger and Welch 1981). The full estimate follows and replaces this one: nothing here models what the
-controller feeds back, and clocks are taken as they are.
+for mass, tensor, centre of mass and yaw trim (Khalil and Dombre 2002, Modeling, Identification and Control of Robots,
+section 12.3), all signals through one zero-phase low-pass. Rotors answer late, and most of what a regression on
+commands misses is that: so rotors are taken behind a first-order lag, which is found along with the rest, W(t) =
+W_lag(t) - d tau W_lag'(t), by Gauss-Newton. Every row weighs by the scatter of its own residual. The residual is
+coloured: the covariance is taken from sums over blocks of time longer than its memory (batch means: Heidelberger and
+Welch 1981). The full estimate follows and replaces this one: nothing here models what the controller feeds back, and
+clocks are taken as they are.
 """
 
 from __future__ import annotations
@@ -21,9 +23,10 @@ from groundstation.identification.alignment import arrival_difference
 from groundstation.identification.anchoring import anchored
 from groundstation.identification.clock import coarse_offset
 from groundstation.identification.filters import zero_phase_low_pass
-from groundstation.identification.processing import Signals, clean, process_flight
 from groundstation.identification.regressors import standard_regressor
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
+from groundstation.identification.seed_signals import Processing, SeedSignals, process_flight
+from groundstation.identification.streams import clean
 from groundstation.identification.wrench import declared_wrench
 from groundstation.vehicle import Vehicle
 
@@ -35,13 +38,17 @@ LAG_S = 0.05
 LAG_MOST_S = 0.3
 ROUNDS = 4
 BLOCK_S = 1.5
-"""Of the batch means: several times the memory of a low-passed disturbance, and enough of them in 20 s to know a spread."""
+"""Of the batch means: several times the memory of a low-passed disturbance, and enough of them in 20 s to know a
+spread.
+"""
 TELLS = 0.5
 """Share of its size by which a moment of inertia has to be known to be shown at all."""
 SETTLED_S = 5e-4
 """Change of the lag below which the search ends: it moves no parameter by a tenth of a percent."""
 FORM = 0.01
-"""Share of itself by which a number may be wrong for what is left out here: lags of rising and falling rotors, feedback, the pull of air."""
+"""Share of itself by which a number may be wrong for what is left out here: lags of rising and falling rotors,
+feedback, the pull of air.
+"""
 RATE_HZ = 100.0
 """Rows a second: ten times what the low-pass leaves."""
 
@@ -52,7 +59,7 @@ def first_estimate(flight: FlightData) -> dict[str, Estimate]:
     Raises:
         NotIdentifiable: the streams overlap for too short, or the motion reveals nothing.
     """
-    signals = process_flight(flight, mocap_minus_imu_s=_pose_offset_s(flight))
+    signals = process_flight(flight, Processing(mocap_minus_imu_s=_pose_offset_s(flight)))
     if signals.specific_force is None:
         raise NotIdentifiable("Nothing tells the specific force.", "Record an accelerometer or poses.")
     values, covariance = _fitted(flight, signals)
@@ -87,7 +94,7 @@ def _pose_offset_s(flight: FlightData) -> float:
         return 0.0
 
 
-def _fitted(flight: FlightData, signals: Signals) -> tuple[Array, Array]:
+def _fitted(flight: FlightData, signals: SeedSignals) -> tuple[Array, Array]:
     """Values and covariance (10, 10) of NAMES."""
     late = _answers_late(flight.vehicle)
     step = max(1, round(1.0 / (RATE_HZ * signals.period_s)))
@@ -110,7 +117,7 @@ def _fitted(flight: FlightData, signals: Signals) -> tuple[Array, Array]:
     return theta[: len(NAMES)], covariance[: len(NAMES), : len(NAMES)]
 
 
-def _wrench(flight: FlightData, signals: Signals, lag_s: float) -> Array:
+def _wrench(flight: FlightData, signals: SeedSignals, lag_s: float) -> Array:
     """The wrench of rotors behind a lag, through the signals' low-pass, (k, 4)."""
     lag = flight.vehicle.rotors.lag.model_copy(update={"up_s": lag_s, "down_s": lag_s})
     rotors = flight.vehicle.rotors.model_copy(update={"lag": lag})
@@ -130,7 +137,9 @@ def _columns(gamma: Array, wrench: Array, slope: Array | None) -> Array:
 
 
 def _solved(a: Array, y: Array, weight: Array, block: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-    """Weighted least squares, its covariance from sums over blocks of time, and the scatter of each of the four rows."""
+    """Weighted least squares, its covariance from sums over blocks of time, and the scatter of each of the four
+    rows.
+    """
     white, target = a * weight[:, None], y * weight
     scale = np.sqrt(np.einsum("kij,kij->j", white, white)) + 1e-30
     flat = (white / scale).reshape(-1, a.shape[2])

@@ -1,7 +1,8 @@
-r"""Mass and tensor while the vehicle still flies: least squares on the equations of motion in weak form, block by block.
+r"""Mass and tensor while the vehicle still flies: least squares on the equations of motion in weak form, block by
+block.
 
-With J the tensor, c the centre of mass in the rotor plane, q a yaw trim, and [F, tau] the wrench that the declared rotors
-make of the motor values, the rigid body says
+With J the tensor, c the centre of mass in the rotor plane, q a yaw trim, and [F, tau] the wrench that the declared
+rotors make of the motor values, the rigid body says
 
     J w' + w x J w = tau - c x F e_z - q e_z,        m (f_z - b) = F.
 
@@ -10,21 +11,23 @@ Multiplied by a function phi that is zero at both ends of a short window, and in
     -int phi' J w + int phi (w x J w) = int phi (tau - c x F e_z - q e_z).
 
 Modulating functions: Shinbrot (1957), "On the analysis of linear and nonlinear systems", Trans. ASME 79; Preisig and
-Rippin (1993), Computers & Chemical Engineering 17. Here phi is a hat over two blocks of h = 80 ms, so that -int phi' w / h
-is the difference of two consecutive means of the measured rates over h: noise and vibration above 1/h average out, and no
-signal is differentiated. Hats follow each other at h, which is a new row, hence a new estimate, 12.5 times a second.
+Rippin (1993), Computers & Chemical Engineering 17. Here phi is a hat over two blocks of h = 80 ms, so that -int phi' w
+/ h is the difference of two consecutive means of the measured rates over h: noise and vibration above 1/h average out,
+and no signal is differentiated. Hats follow each other at h, which is a new row, hence a new estimate, 12.5 times a
+second.
 
-All that rows say of the parameters is kept as the triangular square root of their information, [R z], with R^T R = sum G^T G and
-R theta = z; each row is rotated in (Bierman 1977, Factorization Methods for Discrete Sequential Estimation, ch. IV), which keeps the
-digits that the normal equations would square away.
+All that rows say of the parameters is kept as the triangular square root of their information, [R z], with R^T R = sum
+G^T G and R theta = z; each row is rotated in (Bierman 1977, Factorization Methods for Discrete Sequential Estimation,
+ch. IV), which keeps the digits that the normal equations would square away.
 Rows overlap and disturbances are coloured, so the covariance is that of :mod:`uncertainty`, from the spectrum of the
 residuals where the regressor listens; it is renewed every fifth row, because it costs most. After T seconds a spectral
 average over 0.5 Hz holds K = 0.5 Hz T ordinates, one of which the fit has taken out: the covariance is multiplied by
 K/(K - 1), and the interval is Student's with 2 (K - 1) degrees of freedom.
 
 What it does not do: it estimates no lag (the declared one is applied), and it takes the regressor for exact. A vehicle
-under feedback answers a disturbance d, so part of d is correlated with w'; ``best`` of the analysis after landing is immune
-to that, this first look is not. The bias b of the accelerometer is read off the vehicle while it stands: |f| - g.
+under feedback answers a disturbance d, so part of d is correlated with w'; ``best`` of the analysis after landing is
+immune to that, this first look is not. The bias b of the accelerometer is read off the vehicle while it stands: |f| -
+g.
 """
 
 from __future__ import annotations
@@ -68,7 +71,10 @@ FASTEST_RATE_RAD_S = 50.0
 
 @dataclass(frozen=True, slots=True)
 class RecursiveEstimate:
-    """What is known so far. ``parameters`` holds those of SHOWN that the motion has revealed by ``t_s`` (the IMU's clock)."""
+    """What is known so far.
+
+    ``parameters`` holds those of SHOWN that the motion has revealed by ``t_s`` (the IMU's clock).
+    """
 
     t_s: float
     parameters: Mapping[str, Estimate]
@@ -98,7 +104,9 @@ class _Signal:
         self.t_s, self.values = self.t_s[first:], self.values[first:]
 
     def means(self, start_s: float, length_s: float) -> tuple[Array, Array] | None:
-        """Mean over [start, start + length], and with a weight that rises from 0 to 1; None where samples are missing."""
+        """Mean over [start, start + length], and with a weight that rises from 0 to 1; None where samples are
+        missing.
+        """
         end_s = start_s + length_s
         first, last = np.searchsorted(self.t_s, [start_s, end_s])
         around = self.t_s[max(first - 1, 0) : last + 1]
@@ -128,7 +136,7 @@ class RecursiveEstimator:
     def __init__(self, vehicle: Vehicle):
         rotors = vehicle.rotors
         self._vehicle = vehicle
-        measured = rotors.input == "rotor_speed" and rotors.speed_source == "telemetry"
+        measured = rotors.measured
         lag = () if measured or rotors.input == "wrench" else (rotors.lag.up_s, rotors.lag.down_s)
         self._lag = lag if any(lag) else ()
         self._lagged: tuple[float, Array, Array] | None = None
@@ -146,7 +154,9 @@ class RecursiveEstimator:
         self._covariance = np.zeros((10, 10))
 
     def rest(self, imu: Array) -> None:
-        """Take samples of the ground in, rows as in :meth:`add`; those at which it stood still tell the accelerometer's bias."""
+        """Take samples of the ground in, rows as in :meth:`add`; those at which it stood still tell the accelerometer's
+        bias.
+        """
         still = imu[(np.abs(imu[:, 1:4]) < STILL_RAD_S).all(axis=1) & np.isfinite(imu).all(axis=1), 4:7]
         count, total = self._rest
         self._rest = (count + len(still), total + still.sum(axis=0))
@@ -213,7 +223,10 @@ class RecursiveEstimator:
         return out
 
     def _take_block(self, start_s: float) -> None:
-        """Means of the block; with the block before it, a row. Missing samples make a row of zeros, which says nothing."""
+        """Means of the block; with the block before it, a row.
+
+        Missing samples make a row of zeros, which says nothing.
+        """
         imu, wrench = self._imu.means(start_s, BLOCK_S), self._wrench.means(start_s, BLOCK_S)
         before, self._last = self._last, None
         if imu is None or wrench is None:
@@ -228,7 +241,9 @@ class RecursiveEstimator:
             self._append(*self._row((now[0] - before[0])[:3] / BLOCK_S, hat))
 
     def _row(self, alpha: Array, hat: Array) -> tuple[Array, Array]:
-        """Rows [torque; force] of [J, c_x, c_y, q, m] from the angular acceleration and the hat means of everything else."""
+        """Rows [torque; force] of [J, c_x, c_y, q, m] from the angular acceleration and the hat means of everything
+        else.
+        """
         products, force, wrench = hat[3:9], hat[9:12], hat[12:16]
         gamma = np.zeros((4, 10))
         gamma[:3, :6] = inertia_columns(alpha[None], products[None])[0]
@@ -259,7 +274,9 @@ class RecursiveEstimator:
         self._root = _triangle(np.concatenate([self._root, np.column_stack([gamma, upsilon])]))
 
     def _estimate(self) -> RecursiveEstimate | None:
-        """From the square root of the information: [R z; 0 e] with R'R = Gamma' Gamma and R theta = z (Bierman 1977, ch. IV)."""
+        """From the square root of the information: [R z; 0 e] with R'R = Gamma' Gamma and R theta = z (Bierman 1977,
+        ch. IV).
+        """
         root, z = self._root[:10, :10], self._root[:10, 10]
         size = np.linalg.norm(root, axis=0)
         if not (size > 0.0).all():

@@ -20,7 +20,8 @@ def rate_products(rate: ArrayLike) -> Array:
 
 
 def inertia_columns(alpha: ArrayLike, products: ArrayLike) -> Array:
-    """Columns that multiply [Ixx, Ixy, Ixz, Iyy, Iyz, Izz] in I alpha + omega x I omega (seed eq. 8-10, signs restored).
+    """Columns that multiply [Ixx, Ixy, Ixz, Iyy, Iyz, Izz] in I alpha + omega x I omega (seed eq. 8-10, signs
+    restored).
 
     Args:
         alpha: angular acceleration (or s f(s) of the rate), rad/s^2, shape (k, 3).
@@ -90,8 +91,8 @@ def transport_and_gravity(velocity: ArrayLike, rate: ArrayLike, gravity_body: Ar
 def six_row_regressor(specific_force: ArrayLike, rate: ArrayLike, rate_derivative: ArrayLike) -> Array:
     """Regressor of [F_x, F_y, F_z, tau_x, tau_y, tau_z] on Theta, shape (k, 6, 7).
 
-    The body x and y rows (seed eq. 5-6 times m) say what the seed drops: without drag, wind or tether the specific force
-    along x and y is zero, so m times it is the residual force there.
+    The body x and y rows (seed eq. 5-6 times m) say what the seed drops: without drag, wind or tether the specific
+    force along x and y is zero, so m times it is the residual force there.
     """
     specific_force = np.asarray(specific_force, dtype=float)
     out = np.zeros((len(specific_force), 6, 7))

@@ -43,9 +43,9 @@ class Estimate:
     def time(cls, value: float, std: float, step_s: float = 0.0) -> Estimate:
         """A lag or delay, which is not negative, nor is its interval.
 
-        When within an interval of recorded commands ``step_s`` one took effect, and by which steps an autopilot or simulator runs a
-        lag, no record says: a lag tau in Euler steps of h acts as one of -h / ln(1 - h / tau), about tau - h / 2. Lag and dead time
-        carry that as an error that is uniform over the interval.
+        When within an interval of recorded commands ``step_s`` one took effect, and by which steps an autopilot or
+        simulator runs a lag, no record says: a lag tau in Euler steps of h acts as one of -h / ln(1 - h / tau), about
+        tau - h / 2. Lag and dead time carry that as an error that is uniform over the interval.
         """
         std = float(np.hypot(std, step_s / np.sqrt(12.0)))
         low = max(0.0, value - 1.96 * std)
@@ -94,9 +94,11 @@ class MethodResult:
 
 @dataclass(frozen=True, slots=True)
 class Revealed:
-    """A combination of mass and tensor, and what all of it makes of torque and force in this motion: a share of weight (times arm).
+    """A combination of mass and tensor, and what all of it makes of torque and force in this motion: a share of weight
+    (times arm).
 
-    ``combination`` holds the weight of each parameter, in units of its declared value (products: of the trace); squares add up to 1.
+    ``combination`` holds the weight of each parameter, in units of its declared value (products: of the trace); squares
+    add up to 1.
     """
 
     share: float
@@ -111,7 +113,8 @@ class Revealed:
 class Clock:
     """Motion-capture stamp minus IMU stamp of one instant, at the middle of the flight, and its drift (s/s).
 
-    ``online_s`` within ``online_error_s`` is what the link knew of it in flight, without looking at the motion; None where it told nothing.
+    ``online_s`` within ``online_error_s`` is what the link knew of it in flight, without looking at the motion; None
+    where it told nothing.
     """
 
     mocap_minus_imu_s: float
@@ -155,7 +158,8 @@ class Identification(Tabular):
         window_s: the part of the flight that was used, on the IMU's clock (motors' without IMU).
         revealed: which combinations of mass and tensor the motion acted on, and how strongly, before any fit.
         disturbance: what turned the vehicle beside the model; None where it was not estimated.
-        prediction: the ``[prediction]`` section of a model file; empty where it was not asked for or the flights are too short.
+        prediction: the ``[prediction]`` section of a model file; empty where it was not asked for or the flights are
+            too short.
         quality: repairs and data-compatibility findings, one sentence each.
     """
 
@@ -180,7 +184,9 @@ class Identification(Tabular):
     prediction: Mapping[str, Any] = field(default_factory=dict)
 
     def records(self) -> list[Record]:
-        """One row per parameter: the best method's estimate with its 95 % interval; None where the flight does not tell."""
+        """One row per parameter: the best method's estimate with its 95 % interval; None where the flight does not
+        tell.
+        """
         best = self.methods.get(self.best)
         found = {**(best.parameters if best else {}), **self.model}
         rows: list[Record] = [

@@ -1,4 +1,6 @@
-"""The seed paper's four methods on a flight: LS, GD on the standard model (34), FMLS, FMGD on the filtered model (38)."""
+"""The seed paper's four methods on a flight: LS, GD on the standard model (34), FMLS, FMGD on the filtered model
+(38).
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,6 @@ from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import thrust_constants
 from groundstation.identification.estimators import LinearEstimate, gradient_descent, least_squares
 from groundstation.identification.filters import FilterPair, seed_pair
-from groundstation.identification.processing import Signals, process_flight
 from groundstation.identification.regressors import (
     assemble,
     rate_products,
@@ -21,6 +22,7 @@ from groundstation.identification.regressors import (
     transport_and_gravity,
 )
 from groundstation.identification.results import MASS_AND_TENSOR, OUTPUTS, Estimate, Evolution, MethodResult
+from groundstation.identification.seed_signals import Processing, SeedSignals, process_flight
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -32,7 +34,8 @@ FINEST_GAIN_ERROR = 0.0038
 LARGEST_STD = 0.25
 """A parameter whose standard deviation exceeds this share of its size gets no number; a product's size is the trace."""
 NOISE_SHARE = 0.25
-"""A direction of the tensor in which sensor noise makes more than this share of the regressor's power gets no number."""
+"""A direction of the tensor in which sensor noise makes more than this share of the regressor's power gets no number.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +57,7 @@ class Regression:
     note: str = ""
 
 
-def standard_regression(signals: Signals) -> Regression:
+def standard_regression(signals: SeedSignals) -> Regression:
     """The standard model (34): accelerations from differentiated signals."""
     rate, derivative = signals.rate, signals.rate_derivative
     first = np.zeros(len(rate)) if signals.specific_force is None else signals.specific_force[:, 2]
@@ -62,7 +65,7 @@ def standard_regression(signals: Signals) -> Regression:
 
 
 def filtered_regression(
-    signals: Signals,
+    signals: SeedSignals,
     pair: Callable[[float, float], FilterPair] = seed_pair,
     *,
     cutoff_rad_s: float = FILTER_CUTOFF_RAD_S,
@@ -74,8 +77,8 @@ def filtered_regression(
         signals: processed flight.
         pair: (lambda, T) -> filters; the seed's (35)-(36), or :func:`filters.matched_pair`.
         cutoff_rad_s: lambda.
-        period_s: the filters' T. None: the grid's, divided until the seed's pair is off by at most 0.38 %. The paper's is
-            2 ms, which makes inertias 2.9 % too low.
+        period_s: the filters' T. None: the grid's, divided until the seed's pair is off by at most 0.38 %. The paper's
+            is 2 ms, which makes inertias 2.9 % too low.
     """
     rate = signals.rate
     finest = 2.0 * FINEST_GAIN_ERROR / cutoff_rad_s
@@ -114,12 +117,12 @@ def identify_seed(
     Raises:
         NotIdentifiable: this motion reveals none of the parameters, or the streams do not overlap.
     """
-    signals = process_flight(flight, mocap_minus_imu_s=mocap_minus_imu_s, exclude=exclude)
+    signals = process_flight(flight, Processing(mocap_minus_imu_s=mocap_minus_imu_s, exclude=exclude))
     return seed_methods(signals, flight.vehicle)
 
 
 def seed_methods(
-    signals: Signals, vehicle: Vehicle, *, filter_period_s: float | None = None, refuse: bool = True
+    signals: SeedSignals, vehicle: Vehicle, *, filter_period_s: float | None = None, refuse: bool = True
 ) -> dict[str, MethodResult]:
     """The four methods on processed signals; see :func:`identify_seed`.
 
@@ -220,9 +223,9 @@ def _anchored(estimate: LinearEstimate, vehicle: Vehicle) -> tuple[Array, Array,
     """Apply the anchor: which constant carries the scale, and how surely it is known.
 
     With "thrust", Theta is as estimated, and the declared uncertainties of the thrust constant (everything) and of the
-    torque-to-thrust ratio (what the yaw torque tells: Izz) are added. With "mass", the declared thrust constant is wrong by
-    s = m_declared/m_estimated: it is s k, the tensor is s times what was estimated, and the torque-to-thrust ratio stays as
-    declared, because the yaw row only tells Izz over it.
+    torque-to-thrust ratio (what the yaw torque tells: Izz) are added. With "mass", the declared thrust constant is
+    wrong by s = m_declared/m_estimated: it is s k, the tensor is s times what was estimated, and the torque-to-thrust
+    ratio stays as declared, because the yaw row only tells Izz over it.
     """
     settings = vehicle.identification
     values, covariance, evolution = estimate.values.copy(), estimate.covariance.copy(), estimate.evolution

@@ -1,17 +1,20 @@
-r"""Intervals that may be looked at until they are small: error spent over finitely many looks, and a bound for every moment. Numbers only.
+r"""Intervals that may be looked at until they are small: error spent over finitely many looks, and a bound for every
+moment. Numbers only.
 
-An interval of 95 % holds at one moment that was chosen beforehand. Who looks again and again, and stops when it is narrow, looks at
-many intervals. Two ways keep the error of *all* looks together at :math:`\alpha`. Both use that the estimate at look k has information
-:math:`I_k = 1/\sigma_k^2`, and that the score :math:`S_k = I_k(\hat\theta_k-\theta)` is, for efficient estimates, Brownian motion at time
-:math:`I_k`: independent increments :math:`N(0, I_k-I_{k-1})` (Jennison and Turnbull, Group Sequential Methods, 2000, ch. 11).
+An interval of 95 % holds at one moment that was chosen beforehand. Who looks again and again, and stops when it is
+narrow, looks at many intervals. Two ways keep the error of *all* looks together at :math:`\alpha`. Both use that the
+estimate at look k has information :math:`I_k = 1/\sigma_k^2`, and that the score :math:`S_k = I_k(\hat\theta_k-\theta)`
+is, for efficient estimates, Brownian motion at time :math:`I_k`: independent increments :math:`N(0, I_k-I_{k-1})`
+(Jennison and Turnbull, Group Sequential Methods, 2000, ch. 11).
 
-* **Spent** (:class:`Spending`). The looks are known beforehand, K of them. At look k the share k/K of :math:`\alpha` may be spent, and the
-  critical value :math:`c_k` solves :math:`P(|S_j|\le c_j\sqrt{I_j}, j<k;\ |S_k|>c_k\sqrt{I_k}) = \alpha/K` (Lan and DeMets, Biometrika 70,
-  1983; linear spending, Kim and DeMets, Biometrika 74, 1987), by recursive integration (Armitage, McPherson and Rowe, JRSS A 132, 1969).
-* **At any time** (:func:`at_any_time`). Mixing :math:`\exp(\lambda S-\lambda^2 I/2)` over :math:`\lambda\sim N(0,1/\rho)` gives a
-  martingale; Ville's inequality bounds it for ever (Robbins, Ann. Math. Statist. 41, 1970; asymptotic form with estimated variance:
-  Waudby-Smith, Arbour, Sinha, Kennedy and Ramdas, Ann. Statist. 52, 2024, theorem 2.2):
-  :math:`|S|\le\sqrt{(I+\rho)(\ln\frac{I+\rho}{\rho}-2\ln\alpha)}`.
+* **Spent** (:class:`Spending`). The looks are known beforehand, K of them. At look k the share k/K of :math:`\alpha`
+  may be spent, and the critical value :math:`c_k` solves :math:`P(|S_j|\le c_j\sqrt{I_j}, j<k;\ |S_k|>c_k\sqrt{I_k}) =
+  \alpha/K` (Lan and DeMets, Biometrika 70, 1983; linear spending, Kim and DeMets, Biometrika 74, 1987), by recursive
+  integration (Armitage, McPherson and Rowe, JRSS A 132, 1969).
+* **At any time** (:func:`at_any_time`). Mixing :math:`\exp(\lambda S-\lambda^2 I/2)` over :math:`\lambda\sim
+  N(0,1/\rho)` gives a martingale; Ville's inequality bounds it for ever (Robbins, Ann. Math. Statist. 41, 1970;
+  asymptotic form with estimated variance: Waudby-Smith, Arbour, Sinha, Kennedy and Ramdas, Ann. Statist. 52, 2024,
+  theorem 2.2): :math:`|S|\le\sqrt{(I+\rho)(\ln\frac{I+\rho}{\rho}-2\ln\alpha)}`.
 """
 
 from __future__ import annotations
@@ -56,8 +59,8 @@ class Spending:
         """Critical value of the next look: the interval is the estimate +- this times ``std``.
 
         Args:
-            std: standard deviation of the estimate now, in any unit that stays. Infinite: nothing is known, and what this look may spend
-                is left to the next. No smaller than at the look before: that look's value goes on.
+            std: standard deviation of the estimate now, in any unit that stays. Infinite: nothing is known, and what
+                this look may spend is left to the next. No smaller than at the look before: that look's value goes on.
         """
         self._spared += self._each
         information = std**-2 if math.isfinite(std) and std > 0.0 else 0.0
@@ -91,7 +94,8 @@ def at_any_time(std: float, sharpest: float, error: float = ERROR) -> float:
 
     Args:
         std: standard deviation of the estimate now.
-        sharpest: that at which the bound is to be tightest, for example the target's. There :math:`\rho = I/(-W_{-1}(-\alpha^2/e)-1)`.
+        sharpest: that at which the bound is to be tightest, for example the target's. There :math:`\rho =
+            I/(-W_{-1}(-\alpha^2/e)-1)`.
         error: of all moments together.
     """
     if not (math.isfinite(std) and std > 0.0):

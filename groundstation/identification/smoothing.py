@@ -1,4 +1,5 @@
-"""Compiled recursions of the flight-path reconstruction: rates to attitude, and Kalman filters and smoothers of what poses differ by.
+"""Compiled recursions of the flight-path reconstruction: rates to attitude, and Kalman filters and smoothers of what
+poses differ by.
 
 The smoothers are those of Rauch, Tung and Striebel (1965).
 """
@@ -10,6 +11,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Upper = tuple[float, float, float, float, float, float]
+"""Entries 00, 01, 02, 11, 12, 22 of a covariance."""
 
 
 @njit(cache=True)
@@ -56,62 +59,77 @@ def local_level(z: Array, dt: Array, q: float, r: float) -> tuple[Array, Array]:
 
 
 @njit(cache=True)
+def _ahead(p: Upper, h: float, a: float, b: float) -> Upper:
+    """F P F' + Q with F = [[1, h, h^2/2], [0, 1, h], [0, 0, 1]]."""
+    p00, p01, p02, p11, p12, p22 = p
+    g = 0.5 * h * h
+    f00, f01, f02 = p00 + h * p01 + g * p02, p01 + h * p11 + g * p12, p02 + h * p12 + g * p22
+    f11, f12 = p11 + h * p12, p12 + h * p22
+    return (
+        f00 + h * f01 + g * f02 + a * h**3 / 3 + b * h**5 / 20,
+        f01 + h * f02 + a * h**2 / 2 + b * h**4 / 8,
+        f02 + b * h**3 / 6,
+        f11 + h * f12 + a * h + b * h**3 / 3,
+        f12 + b * h**2 / 2,
+        p22 + b * h,
+    )
+
+
+@njit(cache=True)
+def _seen(p: Upper, r: float) -> Upper:
+    """The covariance after a position of variance r^2 was seen."""
+    p00, p01, p02, p11, p12, p22 = p
+    s = p00 + r * r
+    k1, k2 = p01 / s, p02 / s
+    left = r * r / s  # 1 - k0 without the cancellation
+    return left * p00, left * p01, left * p02, p11 - k1 * p01, p12 - k1 * p02, p22 - k2 * p02
+
+
+@njit(cache=True)
+def _fill(out: Array, p: Upper) -> None:
+    """The symmetric matrix (3, 3) of its upper entries."""
+    out[0, 0], out[0, 1], out[0, 2] = p[0], p[1], p[2]
+    out[1, 0], out[1, 1], out[1, 2] = p[1], p[3], p[4]
+    out[2, 0], out[2, 1], out[2, 2] = p[2], p[4], p[5]
+
+
+@njit(cache=True)
 def position_filter(z: Array, dt: Array, noise: Array) -> tuple[Array, Array, Array, Array, Array]:
     """Kalman filter of [position, velocity, acceleration] errors seen in position; columns alike.
 
-    ``noise`` is (pose noise, white acceleration density, acceleration random walk density, initial acceleration). Returns
-    innovations (k, m), variances (k,), filtered states (k, 3, m), filtered and predicted covariances (k, 3, 3).
+    ``noise`` is (pose noise, white acceleration density, acceleration random walk density, initial acceleration).
+    Returns innovations (k, m), variances (k,), filtered states (k, 3, m), filtered and predicted covariances (k, 3, 3).
     The first three samples only initialise (variance inf).
     """
     r, qv, qa, a0 = noise
     k, m = z.shape
     out = np.zeros((k, m))
-    variance = np.empty(k)
+    variance = np.full(k, np.inf)
     states = np.empty((k, 3, m))
     pf = np.empty((k, 3, 3))
     pp = np.empty((k, 3, 3))
     x0, x1, x2 = z[0].copy(), np.zeros(m), np.zeros(m)
-    a, b = qv * qv, qa * qa
-    p00, p01, p02, p11, p12, p22 = r * r, 0.0, 0.0, 25.0, 0.0, a0 * a0
+    p = (r * r, 0.0, 0.0, 25.0, 0.0, a0 * a0)
+    _fill(pp[0], p)
     for i in range(k):
         h = dt[i]
         if i > 0:
-            # F P F' + Q with F = [[1, h, h^2/2], [0, 1, h], [0, 0, 1]]
-            g = 0.5 * h * h
-            f00, f01, f02 = p00 + h * p01 + g * p02, p01 + h * p11 + g * p12, p02 + h * p12 + g * p22
-            f11, f12 = p11 + h * p12, p12 + h * p22
-            p00 = f00 + h * f01 + g * f02 + a * h**3 / 3 + b * h**5 / 20
-            p01 = f01 + h * f02 + a * h**2 / 2 + b * h**4 / 8
-            p02 = f02 + b * h**3 / 6
-            p11 = f11 + h * f12 + a * h + b * h**3 / 3
-            p12 = f12 + b * h**2 / 2
-            p22 = p22 + b * h
-        pp[i, 0, 0], pp[i, 0, 1], pp[i, 0, 2] = p00, p01, p02
-        pp[i, 1, 0], pp[i, 1, 1], pp[i, 1, 2] = p01, p11, p12
-        pp[i, 2, 0], pp[i, 2, 1], pp[i, 2, 2] = p02, p12, p22
-        variance[i] = np.inf
-        if i > 0:
-            s = p00 + r * r
-            k0, k1, k2 = p00 / s, p01 / s, p02 / s
+            p = _ahead(p, h, qv * qv, qa * qa)
+            _fill(pp[i], p)
+            s = p[0] + r * r
+            k0, k1, k2 = p[0] / s, p[1] / s, p[2] / s
             for j in range(m):
                 x0[j] += h * x1[j] + 0.5 * h * h * x2[j]
                 x1[j] += h * x2[j]
-                e = z[i, j] - x0[j]
-                out[i, j] = e
-                x0[j] += k0 * e
-                x1[j] += k1 * e
-                x2[j] += k2 * e
-            p22 -= k2 * p02
-            p12 -= k1 * p02
-            p11 -= k1 * p01
-            left = r * r / s  # 1 - k0 without the cancellation
-            p00, p01, p02 = left * p00, left * p01, left * p02
+                out[i, j] = z[i, j] - x0[j]
+                x0[j] += k0 * out[i, j]
+                x1[j] += k1 * out[i, j]
+                x2[j] += k2 * out[i, j]
+            p = _seen(p, r)
             if i >= 3:
                 variance[i] = s
         states[i, 0], states[i, 1], states[i, 2] = x0, x1, x2
-        pf[i, 0, 0], pf[i, 0, 1], pf[i, 0, 2] = p00, p01, p02
-        pf[i, 1, 0], pf[i, 1, 1], pf[i, 1, 2] = p01, p11, p12
-        pf[i, 2, 0], pf[i, 2, 1], pf[i, 2, 2] = p02, p12, p22
+        _fill(pf[i], p)
     return out, variance, states, pf, pp
 
 

@@ -15,18 +15,23 @@ Mask = NDArray[np.bool_]
 Stretch = tuple[float, float]
 
 DIP_S = 1.0
-"""At less than half its thrust for a second a vehicle falls 2.5 m or more; what is shorter is a manoeuvre, what is longer the ground."""
+"""At less than half its thrust for a second a vehicle falls 2.5 m or more; what is shorter is a manoeuvre, what is
+longer the ground.
+"""
 CONTACT_S = 1.0
 """Left out beside the ground: landing gear carries weight and the air below is squeezed."""
 SHORTEST_S = 2.0
 """A stretch that is shorter, ground contact left out, holds no manoeuvre."""
 GAP_S = 0.1
 GAP_STEPS = 3.0
-"""Interpolating over 0.1 s of a 0.5 Hz motion is 1.2 % off at worst; a stream that is slower throughout has no gaps for that."""
+"""Interpolating over 0.1 s of a 0.5 Hz motion is 1.2 % off at worst; a stream that is slower throughout has no gaps for
+that.
+"""
 
 
 def airborne(t_s: Array, thrust: Array) -> tuple[Stretch, ...]:
-    """Stretches in the air: over half of the thrust flown with, dips of under a second bridged, ground contact left out.
+    """Stretches in the air: over half of the thrust flown with, dips of under a second bridged, ground contact left
+    out.
 
     Args:
         t_s: increasing stamps, shape (k,).

@@ -3,8 +3,8 @@ r"""Covariance of linear estimates whose residual is coloured.
 An estimate that is linear in the output, theta = sum_k H_k y_k, errs by sum_k H_k e_k. With e stationary, of spectrum
 S(f), its covariance is the integral of H(f)* S(f) H(f): the residual's spectrum *at the frequencies where the estimator
 listens*. For least squares H_k = A^{-1} Gamma_k^T, and this is the coloured-residual covariance of Morelli and Klein
-(1997), A^{-1} [sum_ij Gamma_i^T R(i - j) Gamma_j] A^{-1}, evaluated in the frequency domain, where the autocorrelation R
-need not be truncated. White residuals give the textbook sigma^2 A^{-1} back.
+(1997), A^{-1} [sum_ij Gamma_i^T R(i - j) Gamma_j] A^{-1}, evaluated in the frequency domain, where the autocorrelation
+R need not be truncated. White residuals give the textbook sigma^2 A^{-1} back.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 SMOOTHING_HZ = 0.25
-"""Half-width of the spectral average: wider than a harmonic's line, narrower than the colour of what flights are disturbed by."""
+"""Half-width of the spectral average: wider than a harmonic's line, narrower than the colour of what flights are
+disturbed by.
+"""
 
 
 def coloured_covariance(influence: Array, residual: Array, period_s: float) -> Array:

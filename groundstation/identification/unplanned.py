@@ -1,10 +1,12 @@
-r"""Mass and moments of flights without a plan whose rotor speeds are telemetry: by the equations turned round, below 1.5 Hz.
+r"""Mass and moments of flights without a plan whose rotor speeds are telemetry: by the equations turned round, below
+1.5 Hz.
 
-There the fits to the rates give moments that are wrong by any factor at intervals that deny it: what is filtered or late has lost the
-torque, and drag, flapping and damping pass for inertia. What is left is feedback: the controller answers the disturbance, so
-motion and disturbance are correlated by some :math:`\rho`, and a regression is off by :math:`\rho \sigma_e / \sigma_x`, with
-:math:`\sigma_e` what is left of the output and :math:`\sigma_x` of the regressor beside the others. No data of one flight tell
-:math:`\rho`; a bound on it goes into the interval (plausibly exogenous regressors: Conley, Hansen and Rossi 2012).
+There the fits to the rates give moments that are wrong by any factor at intervals that deny it: what is filtered or
+late has lost the torque, and drag, flapping and damping pass for inertia. What is left is feedback: the controller
+answers the disturbance, so motion and disturbance are correlated by some :math:`\rho`, and a regression is off by
+:math:`\rho \sigma_e / \sigma_x`, with :math:`\sigma_e` what is left of the output and :math:`\sigma_x` of the regressor
+beside the others. No data of one flight tell :math:`\rho`; a bound on it goes into the interval (plausibly exogenous
+regressors: Conley, Hansen and Rossi 2012).
 """
 
 from __future__ import annotations
@@ -32,15 +34,21 @@ from groundstation.model.parameters import with_values
 Array = NDArray[np.float64]
 
 FEEDBACK = 0.25
-"""Standard deviation of the correlation that feedback leaves between motion and disturbance in the band: between -0.54 and 0.59 in 36
-simulated flights of 18 vehicles (benchmarks.unplanned, seeds 4000 to 4017), of which 95 % lay within a half."""
+"""Standard deviation of the correlation that feedback leaves between motion and disturbance in the band: between -0.54
+and 0.59 in 36 simulated flights of 18 vehicles (benchmarks.unplanned, seeds 4000 to 4017), of which 95 % lay within a
+half.
+"""
 LEAST = 0.1
 """Of the declared moment, below which an estimate is none."""
 MOMENTS = ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
 LOW = "LF"
-LOW_NOTE = "Low frequencies: torque and thrust regressed on the motion below 1.5 Hz, with what feedback can do in the intervals."
+LOW_NOTE = (
+    "Low frequencies: torque and thrust regressed on the motion below 1.5 Hz, with what feedback can do in the "
+    "intervals."
+)
 LOW_REASON = (
-    "LF: neither plan nor setpoints are recorded and rotor speeds are telemetry, which loses the fast torque; below 1.5 Hz it is "
+    "LF: neither plan nor setpoints are recorded and rotor speeds are telemetry, which loses the fast torque; below "
+    "1.5 Hz it is "
     "right. Feedback from disturbances is in the intervals. Products of inertia are not told."
 )
 
@@ -67,7 +75,8 @@ def applies(prepared: Sequence[Prepared]) -> bool:
 
 
 def by_low_frequencies(prepared: Sequence[Prepared], fitted: Fitted) -> Fitted | None:
-    """The fit with mass and moments by low frequencies, products of inertia unknown; None where no stretch is long enough for that.
+    """The fit with mass and moments by low frequencies, products of inertia unknown; None where no stretch is long
+    enough for that.
 
     Args:
         prepared: the flights.
@@ -107,7 +116,9 @@ def _by_thrust(prepared: Prepared) -> Prepared:
 
 
 def _mass(equations: Sequence[Equation], prepared: Sequence[Prepared]) -> tuple[float, float] | None:
-    """Mass by one over its inverse, with the accelerometer's bias and what the effects beside it leave open; None where none shows."""
+    """Mass by one over its inverse, with the accelerometer's bias and what the effects beside it leave open; None where
+    none shows.
+    """
     value, std = _pooled([_plain(equation) for equation in equations])
     if not np.isfinite(std) or value <= 0.0:
         return None

@@ -1,4 +1,6 @@
-"""The seed's two validations: output prediction error (43), and the closed loop simulated against the flight (Tables 4-6)."""
+"""The seed's two validations: output prediction error (43), and the closed loop simulated against the flight (Tables
+4-6).
+"""
 
 from __future__ import annotations
 
@@ -10,10 +12,11 @@ from numpy.typing import NDArray
 
 from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import FlightData, Stream
-from groundstation.frames import euler_from_quat, quat_conjugate, quat_exp, quat_multiply, quat_rotate
-from groundstation.identification.processing import clean, excitation_window, interpolate, process_flight, slerp
+from groundstation.frames import euler_from_quat, slerp
 from groundstation.identification.results import MASS_AND_TENSOR, OUTPUTS, MethodResult, Validation
 from groundstation.identification.seed import Regression, filtered_regression, standard_regression
+from groundstation.identification.seed_signals import Processing, interpolate, process_flight
+from groundstation.identification.streams import clean, excitation_window, origin_poses
 from groundstation.identification.wrench import declared_wrench, held_mean
 from groundstation.model.closed_loop import STEP_S, ClosedLoop, Conditions, Wrench, simulate_closed_loop
 from groundstation.trajectory import Plan
@@ -59,8 +62,8 @@ def validate(
 ) -> tuple[Validation, ...]:
     """All checks of section IV that a flight allows: output error on both models, and the closed loop.
 
-    The closed loop needs poses, the plan with its start, and a vehicle file that declares its controller; what is missing
-    leaves that check out.
+    The closed loop needs poses, the plan with its start, and a vehicle file that declares its controller; what is
+    missing leaves that check out.
 
     Args:
         flight: recorded.
@@ -71,7 +74,7 @@ def validate(
     sets = parameter_sets(flight.vehicle, methods)
     checks: list[Validation] = []
     try:
-        signals = process_flight(flight, mocap_minus_imu_s=mocap_minus_imu_s, exclude=exclude)
+        signals = process_flight(flight, Processing(mocap_minus_imu_s=mocap_minus_imu_s, exclude=exclude))
         checks.append(output_validation(standard_regression(signals), sets, "Standard regression model (34)."))
         checks.append(output_validation(filtered_regression(signals), sets, "Filtered regression model (38)."))
         if flight.plan is not None and "control" in flight.vehicle.model_fields_set:
@@ -105,8 +108,8 @@ def closed_loop_validation(
 ) -> Validation:
     """Simulate the closed loop with each parameter set and compare it with the flight (Table 4).
 
-    The loop is the declared controller on the plan, started where the flight was three seconds before the excitation. It
-    stands for the flight only as far as the vehicle flew by that controller.
+    The loop is the declared controller on the plan, started where the flight was three seconds before the excitation.
+    It stands for the flight only as far as the vehicle flew by that controller.
 
     Args:
         flight: with poses and a known excitation window.
@@ -125,23 +128,11 @@ def closed_loop_validation(
         raise NotIdentifiable(f"A closed-loop comparison needs {missing}.", "Record it, or validate by output error.")
     conditions = conditions or Conditions(pose_hz=flight.mocap.rate_hz())
     flown = _Flown.of(flight, flight.mocap, flight.window_s, mocap_minus_imu_s, exclude)
-    rms = {}
+    rms: dict[str, dict[str, float]] = {}
     for name, values in sets.items():
-        tensor = _tensor(values)
-        if np.linalg.eigvalsh(tensor)[0] <= 0.0 or values["mass_kg"] <= 0.0:
+        if np.linalg.eigvalsh(_tensor(values))[0] <= 0.0 or values["mass_kg"] <= 0.0:
             continue
-        simulated = simulate_closed_loop(
-            flight.vehicle,
-            plan.series(),
-            mass_kg=values["mass_kg"],
-            inertia=tensor,
-            start_s=flown.t_s[0] - flight.window_s[0],
-            duration_s=float(flown.t_s[-1] - flown.t_s[0]),
-            initial=_start_state(flown.t_s, flown.pose),
-            conditions=conditions,
-            wrench=(wrenches or {}).get(name),
-        )
-        error = flown.error(simulated)
+        error = flown.error(flown.simulated(plan, values, conditions, (wrenches or {}).get(name)))
         if np.isfinite(error).all():
             rms[name] = dict(zip(CLOSED_LOOP_SIGNALS, map(float, np.sqrt(np.mean(error**2, axis=0))), strict=True))
     left_out = [name for name in sets if name not in rms]
@@ -156,12 +147,16 @@ class _Flown:
     """The flight on the simulation's grid.
 
     Attributes:
+        vehicle: as declared.
+        begin_s: first instant on the plan's time.
         t_s: instants, from before the excitation, shape (k,).
         pose: position of the origin (m) and roll, pitch, yaw (rad), shape (k, 6).
         wrench: declared, N and N m, shape (k, 4).
         used: whether an instant is compared, shape (k,).
     """
 
+    vehicle: Vehicle
+    begin_s: float
     t_s: Array
     pose: Array
     wrench: Array
@@ -187,7 +182,24 @@ class _Flown:
         for first, last in exclude:
             used &= (t < first) | (t > last)
         wrench = declared_wrench(flight.vehicle, motors, flight.battery, t)
-        return cls(t, _pose(flight.vehicle, t, stamps, poses.values), wrench, used)
+        pose = _pose(flight.vehicle, t, stamps, poses.values)
+        return cls(flight.vehicle, t[0] - window_s[0], t, pose, wrench, used)
+
+    def simulated(
+        self, plan: Plan, values: Mapping[str, float], conditions: Conditions, wrench: Wrench | None
+    ) -> ClosedLoop:
+        """The declared controller on the plan with other parameters, from where the flight was."""
+        return simulate_closed_loop(
+            self.vehicle,
+            plan.series(),
+            mass_kg=values["mass_kg"],
+            inertia=_tensor(values),
+            start_s=self.begin_s,
+            duration_s=float(self.t_s[-1] - self.t_s[0]),
+            initial=_start_state(self.t_s, self.pose),
+            conditions=conditions,
+            wrench=wrench,
+        )
 
     def error(self, simulated: ClosedLoop) -> Array:
         """Flown less simulated, the instants in use, in the order of ``CLOSED_LOOP_SIGNALS``."""
@@ -209,9 +221,8 @@ def _tensor(values: Mapping[str, float]) -> Array:
 
 def _pose(vehicle: Vehicle, t_s: Array, stamps_s: Array, poses: Array) -> Array:
     """Position of the origin and roll, pitch, yaw at the grid times, shape (k, 6)."""
-    mounting = vehicle.mocap
-    q = quat_multiply(slerp(t_s, stamps_s, poses[:, 3:7]), quat_conjugate(quat_exp(np.asarray(mounting.rotation_rad))))
-    position = interpolate(t_s, stamps_s, poses[:, :3]) - quat_rotate(q, np.asarray(mounting.position_m))
+    tracked = interpolate(t_s, stamps_s, poses[:, :3]), slerp(t_s, stamps_s, poses[:, 3:7])
+    position, q = origin_poses(vehicle.mocap, *tracked)
     return np.column_stack([position, euler_from_quat(q)])
 
 

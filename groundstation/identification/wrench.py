@@ -21,7 +21,7 @@ def declared_wrench(vehicle: Vehicle, motors: Stream, battery: Stream | None, t_
     stamps, values = motors.t_s, motors.values
     if vehicle.rotors.input == "wrench":
         return held_mean(t_s, stamps, values)
-    measured = vehicle.rotors.input == "rotor_speed" and vehicle.rotors.speed_source == "telemetry"
+    measured = vehicle.rotors.measured
     if measured:
         columns = [np.interp(t_s, stamps, column) for column in values.T]
         return vehicle.thrust(np.stack(columns, axis=1)) @ vehicle.allocation().T
@@ -52,7 +52,9 @@ def held_mean(t_s: Array, stamps_s: Array, values: Array) -> Array:
 
 
 def voltage_ratio(vehicle: Vehicle, battery: Stream | None, t_s: Array) -> Array:
-    """Voltage over the full battery's (declared, or the flight's highest) at given times; one without a battery stream."""
+    """Voltage over the full battery's (declared, or the flight's highest) at given times; one without a battery
+    stream.
+    """
     if battery is None or len(battery) == 0:
         return np.ones(len(t_s))
     voltage = battery.column("voltage_v")

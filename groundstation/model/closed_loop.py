@@ -1,11 +1,12 @@
 """The seed's closed loop: rigid body (1)-(4) under its PID (28)-(32), in the conditions of section IV-A.
 
-Used to ask which parameter set flies most like the recorded flight (Tables 4-6). Fixed step of 1 ms; position and yaw are
-sampled and held at the motion capture's rate, roll, pitch and their rates at the IMU's; commanded tilt is differentiated by
-20 s/(s + 20); thrust and torque saturate. The controller knows the declared mass, whatever the plant weighs.
+Used to ask which parameter set flies most like the recorded flight (Tables 4-6). Fixed step of 1 ms; position and yaw
+are sampled and held at the motion capture's rate, roll, pitch and their rates at the IMU's; commanded tilt is
+differentiated by 20 s/(s + 20); thrust and torque saturate. The controller knows the declared mass, whatever the plant
+weighs.
 
-Two corrections to the printed equations: virtual work with d(eta)/dt = W omega gives tau = W^T (...) in (31), and (29)-(30)
-need no factor m, f_p being a force.
+Two corrections to the printed equations: virtual work with d(eta)/dt = W omega gives tau = W^T (...) in (31), and
+(29)-(30) need no factor m, f_p being a force.
 """
 
 from __future__ import annotations
@@ -85,11 +86,12 @@ def simulate_closed_loop(
         inertia: tensor of the plant about the centre of mass, kg m^2, shape (3, 3).
         start_s: time on the trajectory at which the simulation starts; before its start it is held.
         duration_s: None: to the trajectory's end.
-        initial: position (world), velocity (body), roll, pitch, yaw, body rates, shape (12,); None: on the trajectory, at
-            rest and level.
+        initial: position (world), velocity (body), roll, pitch, yaw, body rates, shape (12,); None: on the trajectory,
+            at rest and level.
         conditions: sampling and limits; None: those of section IV-A.
-        wrench: body force and torque of effects, (k, 6) from signals. The loop is flown again with what the last round's
-            motion makes of them (waveform relaxation, Lelarasmee 1982), four times; effects are weak beside the loop.
+        wrench: body force and torque of effects, (k, 6) from signals. The loop is flown again with what the last
+            round's motion makes of them (waveform relaxation, Lelarasmee 1982), four times; effects are weak beside the
+            loop.
     """
     from groundstation.model.closed_loop_kernel import fly
 

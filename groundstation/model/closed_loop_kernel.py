@@ -1,4 +1,7 @@
-"""Compiled loop of :mod:`closed_loop`, in scalars, which compile fast. Import where it is used: numba takes time to load."""
+"""Compiled loop of :mod:`closed_loop`, in scalars, which compile fast.
+
+Import where it is used: numba takes time to load.
+"""
 
 from __future__ import annotations
 
@@ -68,7 +71,9 @@ def _sample(x, held, poses, tilts):
 
 @njit(cache=True)
 def _control(wanted, held, memory, declared, gains, limits, step, first, wrench):
-    """PID (28)-(32) on held measurements; memory: position sums (0-2), angle sums (3-5), filtered roll and pitch (6-7)."""
+    """PID (28)-(32) on held measurements; memory: position sums (0-2), angle sums (3-5), filtered roll and pitch
+    (6-7).
+    """
     force = np.empty(3)
     weight = declared[0] * declared[1]
     for i in range(3):
@@ -102,7 +107,9 @@ def _control(wanted, held, memory, declared, gains, limits, step, first, wrench)
 
 @njit(cache=True)
 def _by_rotors(wrench, side, allocation, mixing, largest):
-    """What the rotors make of a wrench: their sideways force, and where they are limited to [0, largest] the wrench as well."""
+    """What the rotors make of a wrench: their sideways force, and where they are limited to [0, largest] the wrench as
+    well.
+    """
     thrusts = np.empty(allocation.shape[1])
     for rotor in range(len(thrusts)):
         thrusts[rotor] = 0.0

@@ -1,20 +1,22 @@
 r"""What turns a vehicle beside its model, carried on into a prediction.
 
-About each axis the rate is the model's, plus a disturbance that an Ornstein-Uhlenbeck process describes, as the prediction error
-estimate found it on the identified flights (:mod:`groundstation.identification.noise`):
+About each axis the rate is the model's, plus a disturbance that an Ornstein-Uhlenbeck process describes, as the
+prediction error estimate found it on the identified flights (:mod:`groundstation.identification.noise`):
 
     omega' = a(inputs, state) + d + white,    d' = -d / tau + white,    y = omega + white
 
-A Kalman filter of these two states tells d at the start of a prediction from the rates measured until then (Anderson and Moore,
-Optimal Filtering, ch. 4); from there it fades with its correlation time.
+A Kalman filter of these two states tells d at the start of a prediction from the rates measured until then (Anderson
+and Moore, Optimal Filtering, ch. 4); from there it fades with its correlation time.
 
-Beyond that the recorded inputs hold the controller's answer to disturbances that came later, and no model knows those: an open loop
-drifts away while the flight did not. That a vehicle under control keeps turning back is information, too. Its rates, of variance S
-and correlation time T, obey omega' = -omega / T + white of density 2 S / T; along the prediction that is a measurement of d
+Beyond that the recorded inputs hold the controller's answer to disturbances that came later, and no model knows those:
+an open loop drifts away while the flight did not. That a vehicle under control keeps turning back is information, too.
+Its rates, of variance S and correlation time T, obey omega' = -omega / T + white of density 2 S / T; along the
+prediction that is a measurement of d
 
     0 = a + d + omega / T + white,
 
-and the covariances decide what it is worth: nothing for a model that knows its vehicle, much for one that is pushed about.
+and the covariances decide what it is worth: nothing for a model that knows its vehicle, much for one that is pushed
+about.
 """
 
 from __future__ import annotations
@@ -50,7 +52,8 @@ class TurningDisturbance:
         acceleration_rad_s2: standard deviation of d. correlation_s: tau.
         process_rad_s_rs: density root of the white part of the acceleration, rad/s per root second.
         sensor_rad_rs: density root of the white noise of the measured rates, rad per root second.
-        turning_rad_s, turning_correlation_s: of the rates themselves, sqrt(S) and T; S is infinite where they tell nothing.
+        turning_rad_s, turning_correlation_s: of the rates themselves, sqrt(S) and T; S is infinite where they tell
+            nothing.
     """
 
     acceleration_rad_s2: tuple[float, float, float]
@@ -82,7 +85,9 @@ class TurningDisturbance:
 
 @dataclass(frozen=True, slots=True)
 class Carried:
-    """Disturbance at each stamp from the past alone, (k, 3), and the covariance of (omega, d) it is known with, (3, 2, 2)."""
+    """Disturbance at each stamp from the past alone, (k, 3), and the covariance of (omega, d) it is known with, (3, 2,
+    2).
+    """
 
     acceleration_rad_s2: Array
     covariance: Array
@@ -101,7 +106,9 @@ def carried(noise: TurningDisturbance, t_s: Array, beside: Array) -> Carried:
 
 
 def gains(noise: TurningDisturbance, covariance: Array, step_s: float, steps: int) -> Array:
-    """By how much each step of a prediction moves (omega, d) per unit of a + d + omega / T, against it, (steps, 2, 3)."""
+    """By how much each step of a prediction moves (omega, d) per unit of a + d + omega / T, against it, (steps, 2,
+    3).
+    """
     out = np.zeros((steps, 2, 3))
     for axis in range(3):
         _, transition, process, _ = _stepped(step_s, *_densities(noise, axis))
@@ -123,7 +130,9 @@ def fading(noise: TurningDisturbance, step_s: float) -> Array:
 
 
 def turning(rate_rad_s: Array, step_s: float) -> tuple[Array, Array]:
-    """sqrt(S) and T of each axis of evenly sampled rates (k, 3): T is the autocovariance summed until it first is negative, over S."""
+    """sqrt(S) and T of each axis of evenly sampled rates (k, 3): T is the autocovariance summed until it first is
+    negative, over S.
+    """
     time = np.zeros(3)
     square = np.mean(rate_rad_s**2, axis=0)
     for axis, values in enumerate(rate_rad_s.T):
@@ -137,7 +146,9 @@ def turning(rate_rad_s: Array, step_s: float) -> tuple[Array, Array]:
 
 
 def pooled(parts: Sequence[TurningDisturbance]) -> TurningDisturbance:
-    """One disturbance for several flights: mean variances and densities of the flights that tell of an axis, mean correlation times."""
+    """One disturbance for several flights: mean variances and densities of the flights that tell of an axis, mean
+    correlation times.
+    """
 
     def told(name: str, power: float) -> tuple[float, float, float]:
         values = np.array([getattr(part, name) for part in parts], dtype=float)
@@ -179,7 +190,9 @@ def _stepped(
 def _filtered(
     y: Array, step: Array, variance: float, correlation: float, process: float, sensor: float
 ) -> tuple[Array, Array]:
-    """Causal estimate of d at each sample of omega less the model's, and the covariance of (omega, d) at the last one."""
+    """Causal estimate of d at each sample of omega less the model's, and the covariance of (omega, d) at the last
+    one.
+    """
     out = np.zeros(len(y))
     state = np.array([y[0], 0.0])
     p = np.array([[sensor / step[0], 0.0], [0.0, variance]])

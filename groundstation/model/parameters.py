@@ -1,8 +1,9 @@
-"""The parameters a flight's dynamics are fitted in: one table that fit, diagnosis, model file, prediction and report read.
+"""The parameters a flight's dynamics are fitted in: one table that fit, diagnosis, model file, prediction and report
+read.
 
-Adding a parameter is one entry here and its sensitivity in ``identification/sensitivities.py``. An entry without physics of its own
-in the model (:class:`Parameters` has no field for it) is kept in ``others``; the fit then takes it for linear: what it adds to the
-outputs is its value times its sensitivity.
+Adding a parameter is one entry here and its sensitivity in ``identification/sensitivities.py``. An entry without
+physics of its own in the model (:class:`Parameters` has no field for it) is kept in ``others``; the fit then takes it
+for linear: what it adds to the outputs is its value times its sensitivity.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ class Parameters:
 
     Attributes:
         tensor: about the centre of mass, (3, 3).
-        lag_up_s, lag_down_s: of rising and falling rotors; lag_slope: share by which a rotor's rate of response rises with its speed.
+        lag_up_s, lag_down_s: of rising and falling rotors; lag_slope: share by which a rotor's rate of response rises
+            with its speed.
         delay_s: dead time of the inputs. com_m: centre of mass, (3,). yaw_trim_nm: steady yaw torque.
         force_bias_m_s2: of the accelerometer, (3,).
         extra: coefficients of a fit's further wrench terms, in their order.
@@ -56,8 +58,8 @@ class Parameters:
 class FitOptions:
     """What a fit is free to change.
 
-    ``channels`` are the outputs used (rates, then specific forces); ``lag``, ``delay``, ``com``, ``yaw_trim``, ``mass`` and
-    ``accel_delay`` free those parameters.
+    ``channels`` are the outputs used (rates, then specific forces); ``lag``, ``delay``, ``com``, ``yaw_trim``, ``mass``
+    and ``accel_delay`` free those parameters.
     """
 
     lag: bool = True
@@ -103,12 +105,15 @@ class Free:
         name: in every document, with its unit last. symbol: in formulas. label: for people.
         get, put: read it from the model's parameters, and put it into them (within its plausible range).
         free: whether these options free it.
-        prior: weak mean and standard deviation of a fit, which keep an unexcited direction finite; far wider than any claim.
+        prior: weak mean and standard deviation of a fit, which keep an unexcited direction finite; far wider than any
+            claim.
         joint_std: standard deviation of the prior of its change in the diagnosis' joint estimate.
         plausible: range of any vehicle from 20 g to 10 kg.
         declared: what the vehicle file says; None where a file cannot say it.
-        timing: it delays the inputs. A plan's own columns instrument it weakly: all columns of the plan do, channel by channel.
-        held: standard deviation by which the instrumental estimate holds it at the prediction error estimate; None: it does not.
+        timing: it delays the inputs. A plan's own columns instrument it weakly: all columns of the plan do, channel by
+            channel.
+        held: standard deviation by which the instrumental estimate holds it at the prediction error estimate; None: it
+            does not.
         offset: where a model carries its effects, they say this number instead.
     """
 
@@ -219,7 +224,9 @@ def _one_lag() -> Free:
 
 
 def _lag_slope() -> Free:
-    """Decision 8: a plan's own columns say little of it, and the estimate ran away with it; it stays with its interval."""
+    """Decision 8: a plan's own columns say little of it, and the estimate ran away with it; it stays with its
+    interval.
+    """
     return Free(
         name="rotor_lag_slope",
         symbol="s",
@@ -257,9 +264,9 @@ ACCEL_DELAY_S = 2e-3
 
 
 def _accel_delay() -> Free:
-    """Forces later than torques. Gyro and accelerometer pass different filters, and held commands reach a rate through their integral,
-    a force at once. Without this a millisecond between the two looks like thrust lost to climbing, as jerk runs against velocity.
-    Only a joint estimate frees it, as a change about a fit: the fit itself has none.
+    """Forces later than torques. Gyro and accelerometer pass different filters, and held commands reach a rate through
+    their integral, a force at once. Without this a millisecond between the two looks like thrust lost to climbing, as
+    jerk runs against velocity. Only a joint estimate frees it, as a change about a fit: the fit itself has none.
     """
     return Free(
         name="accel_delay_s",
@@ -370,14 +377,15 @@ def with_values(p: Parameters, names: Sequence[str], values: Array, extra_names:
 
 
 def declared_parameters(vehicle: Vehicle, *, lag_s: float = 0.0, extra: int = 0) -> Parameters:
-    """The declared vehicle with a lag for where none is declared; speeds that were measured have their lag behind them."""
+    """The declared vehicle with a lag for where none is declared; speeds that were measured have their lag behind
+    them.
+    """
     rotors = vehicle.rotors
-    measured = rotors.input == "rotor_speed" and rotors.speed_source == "telemetry"
     return Parameters(
         mass_kg=vehicle.mass_kg,
         tensor=vehicle.inertia_tensor(),
-        lag_up_s=0.0 if measured else rotors.lag.up_s or lag_s,
-        lag_down_s=0.0 if measured else rotors.lag.down_s or lag_s,
+        lag_up_s=0.0 if rotors.measured else rotors.lag.up_s or lag_s,
+        lag_down_s=0.0 if rotors.measured else rotors.lag.down_s or lag_s,
         delay_s=0.0,
         com_m=np.zeros(3),
         yaw_trim_nm=0.0,

@@ -1,41 +1,44 @@
 r"""The prediction model: what predicts a flight best from what its vehicle records, beside the physical model.
 
-A physical parameter is a claim about the vehicle. Rotor speeds that arrive filtered, late or over a radio lose the torque, and an
-open loop with all of it drifts away, however right the tensor. This model takes each signal for what it is worth:
+A physical parameter is a claim about the vehicle. Rotor speeds that arrive filtered, late or over a radio lose the
+torque, and an open loop with all of it drifts away, however right the tensor. This model takes each signal for what it
+is worth:
 
     v' = R (G_T T / m (1 + c |v_xy|^2) e_z - D v_b + f) - g e_z
     w' = G (J^-1 tau - (1 - s) [J^-1 tau]_slow) - L w + K (v_b,y, -v_b,x, 0) + b + d - J^-1 (w x J w)
 
-with v_b the velocity in the body, thrust T and torque tau of the rotors as the base model (physical or declared) has them, delayed
-and led by du/dt. G in [0, 4] are the gains the signals are worth, s is the share of the torque's slow part: what holds a trim that
-the model does not know turns nothing. D is drag, c translational lift, L damping, K the moment of flapping rotors (Faessler, Franchi
-and Scaramuzza 2018; Mahony, Kumar and Corke 2012). d and f are a disturbance that an observer of constant gains tells from the past
-(Luenberger 1971, An introduction to observers); each fades with a time of its own. A window starts from the observer's rates, less
-or more of the measured ones put in.
+with v_b the velocity in the body, thrust T and torque tau of the rotors as the base model (physical or declared) has
+them, delayed and led by du/dt. G in [0, 4] are the gains the signals are worth, s is the share of the torque's slow
+part: what holds a trim that the model does not know turns nothing. D is drag, c translational lift, L damping, K the
+moment of flapping rotors (Faessler, Franchi and Scaramuzza 2018; Mahony, Kumar and Corke 2012). d and f are a
+disturbance that an observer of constant gains tells from the past (Luenberger 1971, An introduction to observers); each
+fades with a time of its own. A window starts from the observer's rates, less or more of the measured ones put in.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInput
+from groundstation.model.flight_states import FlightStates
 from groundstation.model.predictive_kernel import FLAPPING, integrated, observed, seen, simulated
 from groundstation.model.rotors import declared_thrust, wrench_matrix
-
-if TYPE_CHECKING:
-    from groundstation.model.prediction import FlightStates, VehicleModel
+from groundstation.model.vehicle_model import VehicleModel
 
 Array = NDArray[np.float64]
 
 GRID_S = 0.005
 """Grid of the rotor signals: well below the time in which a rotor answers."""
 OBSERVED_S = 0.008
-"""Between two stamps that the observer takes: of denser ones it takes each n-th, and where a window starts. Its gains act over longer."""
+"""Between two stamps that the observer takes: of denser ones it takes each n-th, and where a window starts.
+
+Its gains act over longer.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +81,9 @@ NUMBERS: tuple[Number, ...] = (
     Number("force_bandwidth_1_s", 0.0, 20.0, 0.5, 0.5, pose=True),
     Number("force_time_s", 0.05, 20.0, 2.0, 1.0, pose=True),
 )
-"""Ranges hold what a multirotor can have; starts and spreads are a small vehicle's, and weigh little against a flight's data."""
+"""Ranges hold what a multirotor can have; starts and spreads are a small vehicle's, and weigh little against a flight's
+data.
+"""
 NAMES = tuple(number.name for number in NUMBERS)
 WITHOUT_TORQUE = (
     "torque_gain_x",
@@ -94,7 +99,9 @@ WITHOUT_TORQUE = (
 
 @dataclass(frozen=True, slots=True)
 class Base:
-    """The rotors' thrust and torque, and the inertia, that gains refer to; taken from the physical or the declared model."""
+    """The rotors' thrust and torque, and the inertia, that gains refer to; taken from the physical or the declared
+    model.
+    """
 
     mass_kg: float
     tensor: Array
@@ -160,7 +167,8 @@ class PredictiveModel:
         for number, value in zip(NUMBERS, values, strict=True):
             if not number.low - 1e-9 <= value <= number.high + 1e-9:
                 raise BadInput(
-                    f"the model's [prediction] has {number.name} = {value:g}, outside {number.low:g} to {number.high:g}; identify again."
+                    f"the model's [prediction] has {number.name} = {value:g}, outside {number.low:g} to "
+                    f"{number.high:g}; identify again."
                 )
         if rest["mass_kg"] <= 0.0 or np.linalg.eigvalsh(tensor)[0] <= 0.0:
             raise BadInput("the model's [prediction.base] belongs to no rigid body; identify again.")
@@ -228,7 +236,8 @@ class Windows:
 
     Attributes:
         flown: the course.
-        t_s, rate, told: stamps that the observer takes, measured rates there, and what it needs of them (:func:`.seen`).
+        t_s, rate, told: stamps that the observer takes, measured rates there, and what it needs of them
+            (:func:`.seen`).
         at: which of those the windows start from, (k,).
         start_s, pose: times of the starts, and positions, velocities and attitudes there, (k, 10).
     """
@@ -273,7 +282,9 @@ def run(values: Array, begun: Windows, horizons: Sequence[float], step_s: float 
 def simulate(
     model: PredictiveModel, states: FlightStates, index: NDArray[np.int64], horizons: Sequence[float]
 ) -> dict[float, dict[str, Array]]:
-    """The states at each horizon, as :func:`groundstation.model.prediction.predict` judges them; NaN where no pose is known."""
+    """The states at each horizon, as :func:`groundstation.model.prediction.predict` judges them; NaN where no pose is
+    known.
+    """
     found = run(model.values, windows(course(model.base, states), index), horizons)
     known = np.isfinite(states.start_quaternion[index]).all(axis=1, keepdims=True)
     blank = np.where(known, 1.0, np.nan)

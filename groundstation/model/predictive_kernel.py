@@ -1,10 +1,10 @@
 """Compiled kernels of the prediction model: rotor signals, the observer that tells the start, windows side by side.
 
-State: position and velocity in the world, attitude, body rates. Accelerations are those of :mod:`.predictive`, whose numbers come
-as one vector in the order of its ``NAMES``. Rotor signals are rows (specific thrust, three angular accelerations, specific forces along x and y)
-on a uniform grid.
-A fit runs these some thousand times. So what does not depend on the numbers is worked out once per flight (:func:`seen`), and eight
-windows advance at once, one in each lane of a vector register.
+State: position and velocity in the world, attitude, body rates. Accelerations are those of :mod:`.predictive`, whose
+numbers come as one vector in the order of its ``NAMES``. Rotor signals are rows (specific thrust, three angular
+accelerations, specific forces along x and y) on a uniform grid.
+A fit runs these some thousand times. So what does not depend on the numbers is worked out once per flight
+(:func:`seen`), and eight windows advance at once, one in each lane of a vector register.
 """
 
 from __future__ import annotations
@@ -27,7 +27,10 @@ Shape = tuple[
 
 THRUST, DRAG, LIFT, TORQUE, DAMPING, FLAPPING, TRIM = 0, 1, 4, 5, 8, 11, 13
 DELAY, LEAD, SLOW_SHARE, SLOW_TIME, OBSERVER, MEASURED, FORCE_BANDWIDTH, FORCE_TIME = 16, 17, 18, 19, 20, 26, 27, 28
-"""Where each group of numbers begins in the vector. The observer has bandwidth, gain and time of roll and pitch, then of yaw."""
+"""Where each group of numbers begins in the vector.
+
+The observer has bandwidth, gain and time of roll and pitch, then of yaw.
+"""
 LANES = 8
 """Windows side by side: the doubles of the widest vector registers."""
 POSITION, VELOCITY, ATTITUDE, RATE, PUSH, ROTOR, ROWS = (LANES * first for first in (0, 3, 6, 10, 13, 19, 25))
@@ -60,7 +63,9 @@ def integrated(u: Array, step_s: float, p: Array) -> Array:
 
 @njit(cache=True)
 def _mean(integral: Array, start: float, step_s: float, begin: float, end: float, out: Array, first: int) -> None:
-    """Mean rotor signals from ``begin`` to ``end`` (s) into ``out[first]``, one lane apart; held before and after the record."""
+    """Mean rotor signals from ``begin`` to ``end`` (s) into ``out[first]``, one lane apart; held before and after the
+    record.
+    """
     last = len(integral) - 1.000001
     a = min(max((begin - start) / step_s, 0.0), last)
     b = min(max((end - start) / step_s, 0.0), last)
@@ -79,8 +84,8 @@ def _mean(integral: Array, start: float, step_s: float, begin: float, end: float
 def seen(t: Array, v: Array, q: Array, w: Array, tensor: Array, inverse: Array, g: float) -> Array:
     """What the observer needs of each stamp, whatever the numbers are, (k, 10).
 
-    Time since the last stamp; velocity in the body and the angular acceleration of a free body there, at the last stamp; and the
-    specific force in the body since then.
+    Time since the last stamp; velocity in the body and the angular acceleration of a free body there, at the last
+    stamp; and the specific force in the body since then.
     """
     out = np.zeros((len(t), 10))
     for k in range(1, len(t)):
@@ -111,7 +116,9 @@ def seen(t: Array, v: Array, q: Array, w: Array, tensor: Array, inverse: Array, 
 
 @njit(cache=True)
 def _shares(p: Array, h: float, left: Array, new: Array) -> None:
-    """Shares of the disturbance that are left after h, force then turning, and of what is new that the observer takes over h."""
+    """Shares of the disturbance that are left after h, force then turning, and of what is new that the observer takes
+    over h.
+    """
     left[0], new[0] = np.exp(-h / p[FORCE_TIME]), 1.0 - np.exp(-p[FORCE_BANDWIDTH] * h)
     left[1], new[1] = np.exp(-h / p[OBSERVER + 2]), 1.0 - np.exp(-p[OBSERVER] * h)
     left[2], new[2] = np.exp(-h / p[OBSERVER + 5]), 1.0 - np.exp(-p[OBSERVER + 3] * h)
@@ -173,7 +180,9 @@ def observed(
 
 @njit(inline="always")
 def _turned(q: Four, w: Three, time_s: float) -> Four:
-    """Attitude after turning at w, normalised: by the series of sine and cosine to the seventh power, right to 1e-9 up to 0.6 rad."""
+    """Attitude after turning at w, normalised: by the series of sine and cosine to the seventh power, right to 1e-9 up
+    to 0.6 rad.
+    """
     a, x, y, z = q
     half = 0.5 * time_s
     square = half * half * (w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
@@ -279,7 +288,8 @@ def simulated(
     begin: tuple[Array, Array], rates: Array, extras: Array, rotor: tuple[Array, float, float], p: Array,
     body: tuple[Array, Array, float], h: float, marks: Index,
 ) -> Array:  # fmt: skip
-    """States (position, velocity, attitude, rates) after each number of steps of h in ``marks`` (ascending), (m, k, 13).
+    """States (position, velocity, attitude, rates) after each number of steps of h in ``marks`` (ascending), (m, k,
+    13).
 
     Args:
         begin: times (k,), and positions, velocities and attitudes (k, 10) of the windows' starts.

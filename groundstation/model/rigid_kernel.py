@@ -61,10 +61,12 @@ def _turn(q: Array, w: Array, time_s: float, out: Array) -> None:
 
 @njit(cache=True, error_model="numpy")
 def stepped(x: Array, wrench: Array, pushed: Array, body: Body, h: float) -> Array:
-    """Advance states in place by the rule of Runge and Kutta under constant wrenches; mean angular accelerations, (k, 3).
+    """Advance states in place by the rule of Runge and Kutta under constant wrenches; mean angular accelerations, (k,
+    3).
 
     Args:
-        x: position, velocity, attitude and rates, (k, 13). wrench: in the body, (k, 6). pushed: angular disturbance, (k, 3).
+        x: position, velocity, attitude and rates, (k, 13). wrench: in the body, (k, 6). pushed: angular disturbance,
+            (k, 3).
     """
     turning = np.empty((len(x), 3))
     linear, angular, rates = np.empty((4, 3)), np.empty((4, 3)), np.empty((4, 3))

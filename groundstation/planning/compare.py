@@ -29,8 +29,8 @@ class Entry:
         text: what a pilot should know.
         top_frequency_hz: of the highest harmonic that moves.
         condition_number: cond(W).
-        mass_percent, inertia_percent, products_percent: predicted standard deviation of mass, of the worst diagonal inertia
-            and of the worst product, as per cent (products: of the geometric mean of their diagonal entries).
+        mass_percent, inertia_percent, products_percent: predicted standard deviation of mass, of the worst diagonal
+            inertia and of the worst product, as per cent (products: of the geometric mean of their diagonal entries).
         effects_std: predicted standard deviations of the effects' parameters, everything estimated together.
         largest_violation: of a limit, in its own unit.
         plan: to be flown; None where the family does not fit.

@@ -1,7 +1,7 @@
 r"""The next flight when two explanations of the last one are left: the motion that tells them apart best.
 
-Each candidate predicts the wrench that a motion takes. Under the first, the second is wrong by :math:`\delta(t)`; part of
-that its free parameters absorb. What is left, weighed by the disturbance and sensor noise every flight has, is the
+Each candidate predicts the wrench that a motion takes. Under the first, the second is wrong by :math:`\delta(t)`; part
+of that its free parameters absorb. What is left, weighed by the disturbance and sensor noise every flight has, is the
 T-optimality of Atkinson and Fedorov (1975),
 
 .. math:: \Delta = \min_\theta T \sum_r \sum_k |\delta_{r,k} - \Phi_{r,k}\theta|^2 / S_r(k\,\omega_f),
@@ -38,10 +38,11 @@ class Candidate:
 
     Attributes:
         name: of the effect.
-        wrench: body forces and torques it predicts beyond what all candidates share, shape (k, 6), at its fitted size; None
-            where its size is unknown, which leaves it a rival only.
-        explanations: what it can predict at any size, as pairs of an offset (k, 6) and columns (k, 6, p) for what is fitted
-            anew on the next flight, the base parameters that all candidates fit among them; one pair for each of its settings.
+        wrench: body forces and torques it predicts beyond what all candidates share, shape (k, 6), at its fitted size;
+            None where its size is unknown, which leaves it a rival only.
+        explanations: what it can predict at any size, as pairs of an offset (k, 6) and columns (k, 6, p) for what is
+            fitted anew on the next flight, the base parameters that all candidates fit among them; one pair for each of
+            its settings.
     """
 
     name: str
@@ -80,7 +81,9 @@ class Separation(Tabular):
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """A candidate along one flight, weighed by the noise: rows are real and imaginary Fourier coefficients, (2 h, 6, ...)."""
+    """A candidate along one flight, weighed by the noise: rows are real and imaginary Fourier coefficients, (2 h, 6,
+    ...).
+    """
 
     wrench: Array | None
     explanations: tuple[tuple[Array, Array], ...]

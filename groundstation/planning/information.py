@@ -7,9 +7,10 @@ System Identification, 2nd ed., ch. 13)
 
 .. math:: M = T \sum_r \sum_{k=-\infty}^{\infty} \Phi_{r,k}^H \Phi_{r,k} / S_r(k\,\omega_f).
 
-The noise is what every flight has: a disturbance of the air with a memory of its own, and the gyro's noise, which reaches
-the torque equation through the derivative that turns rates into angular acceleration. Effects (identifiers of
-``docs/diagnosis.md``) may be added as further parameters: then every standard deviation is the one with them estimated too.
+The noise is what every flight has: a disturbance of the air with a memory of its own, and the gyro's noise, which
+reaches the torque equation through the derivative that turns rates into angular acceleration. Effects (identifiers of
+``docs/diagnosis.md``) may be added as further parameters: then every standard deviation is the one with them estimated
+too.
 """
 
 from __future__ import annotations
@@ -105,7 +106,9 @@ class Parameter:
 
 
 def base_parameters(vehicle: Vehicle) -> tuple[Parameter, ...]:
-    """Mass and inertia (eq. 12); products of inertia are measured against the geometric mean of their diagonal entries."""
+    """Mass and inertia (eq. 12); products of inertia are measured against the geometric mean of their diagonal
+    entries.
+    """
     xx, yy, zz = np.diag(vehicle.inertia_tensor())
     scales = np.array([xx, np.sqrt(xx * yy), np.sqrt(xx * zz), yy, np.sqrt(yy * zz), zz])
     mass = Parameter(PARAMETERS[0], vehicle.mass_kg, (Column(2, _unit(_THRUST)),))
@@ -137,8 +140,8 @@ def _nominal_wrench(vehicle: Vehicle) -> list[tuple[int, Array]]:
 def effect_parameters(vehicle: Vehicle, effect: str) -> tuple[Parameter, ...]:
     """Parameters of one effect, linearised about its absence (a lag about the declared one, or 50 ms).
 
-    The scales are sizes worth finding: drag of 0.2 m kg/s, a centre of mass off by 2 % of the arm, damping that halves a
-    rate in a second, 1 % of weight times arm per m/s of flapping, 50 ms of lag, 20 ms of delay.
+    The scales are sizes worth finding: drag of 0.2 m kg/s, a centre of mass off by 2 % of the arm, damping that halves
+    a rate in a second, 1 % of weight times arm per m/s of flapping, 50 ms of lag, 20 ms of delay.
 
     Raises:
         BadInput: the effect is none of those that a plan can weigh.
@@ -285,7 +288,9 @@ def information(
 def predicted_std(
     series: FourierSeries, vehicle: Vehicle, noise: Noise = DEFAULT_NOISE, effects: Sequence[str] = ()
 ) -> dict[str, float]:
-    """Expected standard deviation of each parameter in its own unit (Cramer-Rao); infinite where nothing is revealed."""
+    """Expected standard deviation of each parameter in its own unit (Cramer-Rao); infinite where nothing is
+    revealed.
+    """
     model = parameters(vehicle, effects)
     values, vectors = np.linalg.eigh(information(series, vehicle, noise, effects))
     revealed = values > 1e-12 * values[-1]

@@ -3,9 +3,9 @@ r"""A feasible primal-dual interior point for small dense programs with matrix i
 .. math:: \min_y f(y) \quad\text{subject to}\quad h(y) \ge 0,\; S_j(y) \succeq 0 .
 
 Both kinds of constraint get the logarithmic barrier; multipliers z and Z_j are kept beside the point, so that Newton's
-system is that of the perturbed optimality conditions :math:`z_i h_i = \mu`, :math:`S_j Z_j = \mu I` (Nocedal and Wright,
-Numerical Optimization, 2nd ed., ch. 19; for matrices the direction of Helmberg, Rendl, Vanderbei and Wolkowicz 1996).
-Every iterate lies strictly inside the constraints. A constraint that curves away from the region it bounds
+system is that of the perturbed optimality conditions :math:`z_i h_i = \mu`, :math:`S_j Z_j = \mu I` (Nocedal and
+Wright, Numerical Optimization, 2nd ed., ch. 19; for matrices the direction of Helmberg, Rendl, Vanderbei and Wolkowicz
+1996). Every iterate lies strictly inside the constraints. A constraint that curves away from the region it bounds
 makes Newton's system indefinite; such a step is made as if it were straight (the convex-concave procedure of Yuille and
 Rangarajan 2003: straight, it promises less than it holds), and what is still indefinite gets a larger diagonal.
 """

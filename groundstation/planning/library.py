@@ -1,8 +1,9 @@
 r"""Plans that were solved before, as starts for a new task.
 
-Lengths in :math:`g/\omega^2`, times in :math:`1/\omega` (base frequency :math:`\omega`): in these units the motion of a plan, its
-tilt and its criterion "condition" depend neither on gravity nor on the base frequency, and a room is a few numbers. A new
-task takes the solved ones with as many harmonics whose rooms are most like its own, each channel stretched to its limits.
+Lengths in :math:`g/\omega^2`, times in :math:`1/\omega` (base frequency :math:`\omega`): in these units the motion of a
+plan, its tilt and its criterion "condition" depend neither on gravity nor on the base frequency, and a room is a few
+numbers. A new task takes the solved ones with as many harmonics whose rooms are most like its own, each channel
+stretched to its limits.
 """
 
 from __future__ import annotations
@@ -90,7 +91,9 @@ def solved(series: FourierSeries, problem: Problem) -> Solved:
 
 
 def scaled_starts(library: Sequence[Solved], problem: Problem, most: int = 2) -> list[Array]:
-    """Unknowns of the nearest solved plans, stretched to a task; the caller draws them in where they leave its limits."""
+    """Unknowns of the nearest solved plans, stretched to a task; the caller draws them in where they leave its
+    limits.
+    """
     room = room_of(problem)
     fitting = [each for each in library if each.a.shape[1] == problem.harmonics]
     fitting.sort(key=lambda each: _distance(each, room, problem.criterion))
@@ -103,7 +106,9 @@ def _distance(each: Solved, room: Array, criterion: str) -> float:
 
 
 def _stretched(each: Solved, room: Array, problem: Problem) -> Array:
-    """Channels x and y by what they have in common of tilt and room, z by its height, yaw by its rate; each within a factor 3."""
+    """Channels x and y by what they have in common of tilt and room, z by its height, yaw by its rate; each within a
+    factor 3.
+    """
     ratio = np.clip((room + 1e-6) / (each.room + 1e-6), 1.0 / 3.0, 3.0)
     x, y, height, _, tilt, yaw = ratio
     factor = np.array([min(x, tilt) if x < 1.0 else tilt, min(y, tilt) if y < 1.0 else tilt, height, yaw])[:, None]

@@ -1,9 +1,10 @@
 """From starts to the best feasible plan: a coarse program, exchange of limit points, and a last repair.
 
 Limits hold at every instant, a program holds them at finitely many phases. A coarse program finds the basin; then the
-phases at which a limit is nearly reached on a fine grid join the program (an exchange method for semi-infinite programs,
-Hettich and Kortanek 1993). What is left is removed by drawing the motion together by that much: hovering at the start
-keeps every limit. The first starts are plans that were solved before, scaled to the task (``library``); the others are random.
+phases at which a limit is nearly reached on a fine grid join the program (an exchange method for semi-infinite
+programs, Hettich and Kortanek 1993). What is left is removed by drawing the motion together by that much: hovering at
+the start keeps every limit. The first starts are plans that were solved before, scaled to the task (``library``); the
+others are random.
 """
 
 from __future__ import annotations
@@ -56,8 +57,8 @@ class Outcome:
         series: one period.
         cost: its criterion (see :func:`cost`), smaller is better.
         violation: largest excess over any limit.
-        sampled_bound: the best that a search found where limits hold at sampled phases only, less its gap: no plan within the
-            limits was seen to go below; nan without a search.
+        sampled_bound: the best that a search found where limits hold at sampled phases only, less its gap: no plan
+            within the limits was seen to go below; nan without a search.
         starts: starting points tried.
         seconds: time it took.
     """
@@ -92,7 +93,9 @@ def _expected_cost(series: FourierSeries, vehicle: Vehicle, problem: Problem) ->
 
 
 def inner_motion(problem: Problem, start: Array) -> FourierSeries:
-    """A gentle motion strictly inside every limit but for its start: at rest, and (1 - cos)^2 off any edge of the room."""
+    """A gentle motion strictly inside every limit but for its start: at rest, and (1 - cos)^2 off any edge of the
+    room.
+    """
     count = problem.harmonics
     a, b = np.zeros((2, 4, count))
     for channel, (low, high) in enumerate(problem.room):
@@ -197,7 +200,9 @@ class _Exchange:
         return added
 
     def near(self, series: FourierSeries) -> list[dict[str, Array]]:
-        """Fine phases at which a limit is nearly reached or exceeded, beside the coarse ones, by vehicle and limit group."""
+        """Fine phases at which a limit is nearly reached or exceeded, beside the coarse ones, by vehicle and limit
+        group.
+        """
         samples = self._samples(series)
         found: list[dict[str, Array]] = []
         for groups, coarse in zip(self.groups, self.coarse, strict=True):

@@ -27,11 +27,14 @@ PAPER_HARMONICS = 5
 PAPER_DURATION_S = 40.0  # section III-D identifies on 10 s < t < 50 s
 
 FREQUENCY_MAX_HZ = 1.0
-"""Highest harmonic where the base frequency is free: a position loop on a 30 Hz motion capture follows little above it."""
+"""Highest harmonic where the base frequency is free: a position loop on a 30 Hz motion capture follows little above it.
+"""
 
 AUTOPILOT = {"frequency_max_hz": 0.5, "acceleration_max_m_s2": 1.5}
-"""Of a plan for a vehicle on a link: ArduCopter's firmware, tuned for another vehicle, was 0.45 m off at most within these
-limits, and lost a plan of 0.8 Hz and 2 m/s^2 (docs/firmware.md). A plan made with ``groundstation plan`` may ask for more."""
+"""Of a plan for a vehicle on a link: ArduCopter's firmware, tuned for another vehicle, was 0.45 m off at most within
+these limits, and lost a plan of 0.8 Hz and 2 m/s^2 (docs/firmware.md). A plan made with ``groundstation plan`` may ask
+for more.
+"""
 
 _HARMONICS = (3, 5, 8)
 _NEARLY = 0.005  # a limit is reached when this share of it is left
@@ -86,8 +89,9 @@ def plan_excitation(
         noise: the disturbance and sensor noise to expect.
         effects: identifiers of effects whose parameters are estimated with mass and inertia (criteria D, A and E).
         seed: of the random starting points.
-        time_budget_s: seconds for random starts beside the solved rooms that ship; None: one start at each base frequency, from the
-            solved room most like this one. An interrupt (Ctrl-C) ends the search early and keeps the best so far.
+        time_budget_s: seconds for random starts beside the solved rooms that ship; None: one start at each base
+            frequency, from the solved room most like this one. An interrupt (Ctrl-C) ends the search early and keeps
+            the best so far.
         starts: number of starting points instead of a time.
         progress: called with the share of the work that is done and a line of text.
         watch: called with each trajectory that the solver tries; KeyboardInterrupt raised in it ends the search.
@@ -123,7 +127,10 @@ def plan_excitation(
     series = replace(found.series, periods=float(round(problems[0].duration_s / found.series.period_s)))
     plan = describe(series, vehicles[0], envelopes, criterion=criterion, noise=noise, effects=effects)
     if math.isfinite(found.sampled_bound):
-        said = f"criterion {found.cost:.5g}; with limits held at sampled instants only, the search reached {found.sampled_bound:.5g}"
+        said = (
+            f"criterion {found.cost:.5g}; with limits held at sampled instants only, the search reached "
+            f"{found.sampled_bound:.5g}"
+        )
         plan = plan.model_copy(update={"note": f"{plan.note}; {said}"})
     return plan
 
@@ -174,7 +181,10 @@ def _note(series: FourierSeries, vehicle: Vehicle, envelopes: Sequence[Envelope]
     poor = {name: share for name, share in percentages(std, vehicle).items() if not share <= _POOR_PERCENT}
     if poor:
         worst = max(poor, key=lambda name: poor[name])
-        text += f"; hardly reveals {', '.join(poor)} ({worst} to {poor[worst]:.3g} %): widen the limits reached or fly longer"
+        text += (
+            f"; hardly reveals {', '.join(poor)} ({worst} to {poor[worst]:.3g} %): widen the limits reached or fly "
+            "longer"
+        )
     return text
 
 
@@ -202,7 +212,8 @@ def _timing(
     most = math.floor(wanted * frequency_max_hz / harmonics + 1e-9)
     if most < 1:
         raise BadInput(
-            f"{harmonics} harmonics below {frequency_max_hz:g} Hz take {harmonics / frequency_max_hz:.4g} s, longer than "
+            f"{harmonics} harmonics below {frequency_max_hz:g} Hz take {harmonics / frequency_max_hz:.4g} s, longer "
+            "than "
             f"the duration of {wanted:g} s; use fewer harmonics, a longer flight or a higher top frequency."
         )
     return wanted, sorted({max(round(most / share), 1) for share in (1.0, 1.3, 1.7, 2.2, 3.0, 4.0)}, reverse=True)

@@ -110,7 +110,9 @@ class Problem:
         return np.concatenate(parts)
 
     def flat_basis(self, phase: Array) -> tuple[Array, Array]:
-        """Flat samples at phases of the base frequency: (B, c) with u = B x + c, shapes (18, k, unknowns) and (18, 1)."""
+        """Flat samples at phases of the base frequency: (B, c) with u = B x + c, shapes (18, k, unknowns) and (18,
+        1).
+        """
         count, frequency, bases = self.harmonics, self.base_frequency_rad_s, self.bases
         edges = np.concatenate([[0], np.cumsum([basis.shape[1] for basis in bases])])
         matrix, constant = np.zeros((FLAT_INPUTS, len(phase), self.unknowns)), np.zeros((FLAT_INPUTS, 1))

@@ -4,7 +4,8 @@ Every iterate starts and ends at rest, because the unknowns live in the null spa
 eigenvalue is not smooth where eigenvalues meet, and at an optimum they do; it is therefore a matrix inequality. With a
 few further variables every criterion is smooth (M of each vehicle over a common scale):
 
-* ``condition``: minimise :math:`\log\lambda_{max}(M) - u` subject to :math:`e^u I \preceq M`; the largest eigenvalue, mass, is simple,
+* ``condition``: minimise :math:`\log\lambda_{max}(M) - u` subject to :math:`e^u I \preceq M`; the largest eigenvalue,
+  mass, is simple,
 * ``E``: minimise -u subject to :math:`e^u I \preceq M`,
 * ``A``: minimise v subject to :math:`v \ge \log \operatorname{tr} M^{-1}`,
 * ``D``: minimise v subject to :math:`v \ge -\log \det M`.
@@ -145,7 +146,9 @@ class Program:
         )
 
     def curvature(self, y: Array, z: Array, multipliers: list[Array]) -> tuple[Array, Array]:
-        """Second derivative of the constraints' weighted sum less the cost: that of M, which is nearly convex, and the rest."""
+        """Second derivative of the constraints' weighted sum less the cost: that of M, which is nearly convex, and the
+        rest.
+        """
         x, n = y[: self._count], len(y)
         total, row = np.zeros((n, n)), 0
         convex = np.zeros((n, n))

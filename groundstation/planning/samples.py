@@ -54,7 +54,9 @@ class SampleFunction:
         self._maps: dict[tuple[str, int], tuple[Callable[[], None], list[Array], Array, object]] = {}
 
     def _evaluated(self, kind: str, *inputs: Array) -> Array:
-        """Outputs for columns of inputs, by memory that is shared with CasADi: its own matrices cost more than the numbers."""
+        """Outputs for columns of inputs, by memory that is shared with CasADi: its own matrices cost more than the
+        numbers.
+        """
         count = inputs[0].shape[1]
         if (kind, count) not in self._maps:
             mapped = self._single[kind].map(count)

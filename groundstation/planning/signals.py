@@ -48,8 +48,8 @@ def family_series(family: Family, problem: Problem) -> FourierSeries:
 
     Args:
         family: which.
-        problem: vehicle, limits, duration and start; criterion, harmonics and base frequency are not used. A start on the
-            edge of the room is replaced by the room's middle, since these signals move to both sides.
+        problem: vehicle, limits, duration and start; criterion, harmonics and base frequency are not used. A start on
+            the edge of the room is replaced by the room's middle, since these signals move to both sides.
 
     Raises:
         BadInput: the duration is too short for the family's band.
@@ -85,8 +85,8 @@ def roomy_start(problem: Problem) -> tuple[float, float, float, float]:
 def _multisines(lowest: int, highest: int) -> Array:
     """[a, b] of four channels with flat acceleration (rate for yaw) on interleaved harmonics, shape (4, 2, highest).
 
-    No two channels share a harmonic, so that their regressors are orthogonal over a period (Morelli 2003). Phases start as
-    Schroeder's and are improved by clipping (van der Ouderaa, Schoukens and Renneboog 1988).
+    No two channels share a harmonic, so that their regressors are orthogonal over a period (Morelli 2003). Phases start
+    as Schroeder's and are improved by clipping (van der Ouderaa, Schoukens and Renneboog 1988).
     """
     waves = np.zeros((4, 2, highest))
     for channel in range(4):

@@ -1,7 +1,8 @@
 """Where each motor of an airframe sits and how it turns, by the numbers autopilots give to their frames.
 
-Sources: ArduPilot, AP_MotorsMatrix (``setup_quad_matrix`` and its siblings; angles clockwise from ahead) and the parameter
-documentation of FRAME_CLASS and FRAME_TYPE; PX4's airframe reference; Betaflight's and INAV's mixer documentation.
+Sources: ArduPilot, AP_MotorsMatrix (``setup_quad_matrix`` and its siblings; angles clockwise from ahead) and the
+parameter documentation of FRAME_CLASS and FRAME_TYPE; PX4's airframe reference; Betaflight's and INAV's mixer
+documentation.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """What logs of autopilots share: frames, motor numbering, and sentences about streams that are too slow.
 
-PX4 and ArduPilot write NED in the world and FRD in the body. With N -> x, -E -> y, -D -> z and F -> x, -R -> y, -D -> z, world and
-body both turn by pi about x, so that a vector changes the signs of y and z, and so does a quaternion's vector part.
+PX4 and ArduPilot write NED in the world and FRD in the body. With N -> x, -E -> y, -D -> z and F -> x, -R -> y, -D ->
+z, world and body both turn by pi about x, so that a vector changes the signs of y and z, and so does a quaternion's
+vector part.
 """
 
 from __future__ import annotations
@@ -60,7 +61,8 @@ def motor_order(vehicle: Vehicle, airframe: Airframe, source: str) -> tuple[list
     far = max(float(apart[rotor, motor]) for rotor, motor in enumerate(order))
     if far > _FAR:
         raise BadInput(
-            f"{source}: the log's frame is {airframe.name}, and the rotors of '{vehicle.name}' do not stand like that (one is "
+            f"{source}: the log's frame is {airframe.name}, and the rotors of '{vehicle.name}' do not stand like that "
+            "(one is "
             f"{far:.1f} arms away in the best match); correct position_m, or give the file of the vehicle that flew."
         )
     return order, spin_notes(vehicle, order, airframe.spin)
@@ -116,7 +118,8 @@ def slow_note(name: str, stream: Stream, least_hz: float, remedy: str) -> list[s
 
 
 def wanted_input(vehicle: Vehicle, available: Mapping[str, bool], source: str) -> str:
-    """The motor values to take: what the vehicle file declares, or commands where speeds were asked for and top speed is.
+    """The motor values to take: what the vehicle file declares, or commands where speeds were asked for and top speed
+    is.
 
     Raises:
         BadInput: the log has the other kind alone.

@@ -1,8 +1,9 @@
 """Blackbox logs of Betaflight and INAV as streams.
 
-Body axes are x ahead, y left, z up already: a positive pitch of the firmware's is nose down, a positive yaw counter-clockwise,
-and the accelerometer reads +1 g on z at rest (imu.c, mixer.c). Scales are in the header: ``gyro_scale`` (degrees/s per
-count), ``acc_1G`` (counts per g), ``motorOutput`` and ``motor_pwm_protocol``, ``motor_poles``.
+Body axes are x ahead, y left, z up already: a positive pitch of the firmware's is nose down, a positive yaw
+counter-clockwise, and the accelerometer reads +1 g on z at rest (imu.c, mixer.c). Scales are in the header:
+``gyro_scale`` (degrees/s per count), ``acc_1G`` (counts per g), ``motorOutput`` and ``motor_pwm_protocol``,
+``motor_poles``.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from groundstation.recording.autopilot import (
     wanted_input,
 )
 from groundstation.recording.blackboxfile import BlackboxLog, decode_blackbox
+from groundstation.recording.part import WHOLE, Part
 from groundstation.recording.recorded import Recording
 from groundstation.vehicle import Vehicle
 
@@ -39,24 +41,25 @@ _FIRST_DIGITAL = 5.0  # motor_pwm_protocol: PWM, OneShot125, OneShot42, Multisho
 _USED = ("loopIteration", "time", "vbatLatest", "amperageLatest", "vbat", "amperage")
 
 
-def read_blackbox(path: Path, vehicle: Vehicle) -> Recording:
-    """The longest log of the file: gyro and accelerometer, motor values as commands, or the ESCs' speeds.
+def read_blackbox(path: Path, vehicle: Vehicle, part: Part = WHOLE) -> Recording:
+    """The longest log of the file, or a part: gyro and accelerometer, motor values as commands, or the ESCs' speeds.
 
     Raises:
         BadInput: it is damaged, holds no flight, or one of another vehicle.
     """
     try:
-        logs = decode_blackbox(path.read_bytes())
+        logs = decode_blackbox(np.memmap(path, np.uint8, mode="r"), part)
     except (ValueError, IndexError) as error:
         raise BadInput(f"{path}: a header is damaged ({one_line(error)}); copy the log again.") from None
     if not logs:
         raise BadInput(f"{path}: holds no frames of flight; copy the log again, or log for longer.")
     log = max(logs, key=lambda log: len(log.rows))
-    t_s = _stamps(log)
+    t_s = log.column("time") / 1e6
     notes, losses = [], _losses(path, log)
     if len(logs) > 1:
         notes.append(
-            f"{path.name}: holds {len(logs)} logs; number {logs.index(log) + 1}, the longest ({t_s[-1] - t_s[0]:.0f} s), is read."
+            f"{path.name}: holds {len(logs)} logs; number {logs.index(log) + 1}, the longest ({t_s[-1] - t_s[0]:.0f} "
+            "s), is read."
         )
     streams: dict[str, Stream] = {}
     streams["motors"], said = _motors(log, t_s, vehicle, str(path))
@@ -66,7 +69,7 @@ def read_blackbox(path: Path, vehicle: Vehicle) -> Recording:
         notes += said
         if stream is not None:
             streams[name] = stream
-    extras = {"blackbox": Stream(t_s, log.rows.astype(float), log.names)}
+    extras = {"blackbox": Stream(t_s, log.rows.astype(float), log.names)} if part == WHOLE else {}
     revision = log.headers.get("Firmware revision", "")
     return Recording(
         name=path.stem,
@@ -76,12 +79,6 @@ def read_blackbox(path: Path, vehicle: Vehicle) -> Recording:
         notes=tuple(notes),
         left_out=tuple(losses),
     )
-
-
-def _stamps(log: BlackboxLog) -> Array:
-    """Seconds; the 32 bits of microseconds run over after 71 minutes."""
-    ticks = log.column("time")
-    return (ticks + 2.0**32 * np.cumsum(np.diff(ticks, prepend=ticks[:1]) < -(2.0**31))) / 1e6
 
 
 def _losses(path: Path, log: BlackboxLog) -> list[str]:
@@ -129,8 +126,8 @@ def _battery(log: BlackboxLog, t_s: Array) -> tuple[Stream | None, list[str]]:
 def _state(log: BlackboxLog, t_s: Array) -> tuple[Stream | None, list[str]]:
     """INAV's own estimate; no other firmware of this family logs one.
 
-    navPos and navVel are centimetres north, east and up of where it first knew its position; attitude is in tenths of a degree, yaw
-    clockwise from north (imu.c, navigation_pos_estimator.c). Ours is x north, y west, z up.
+    navPos and navVel are centimetres north, east and up of where it first knew its position; attitude is in tenths of a
+    degree, yaw clockwise from north (imu.c, navigation_pos_estimator.c). Ours is x north, y west, z up.
     """
     if not all(log.elements(name) == 3 for name in ("navPos", "navVel", "attitude")):
         return None, []
@@ -185,8 +182,10 @@ def _commands(log: BlackboxLog, source: str) -> tuple[Array, str]:
         said = f"pulses from {least:g} to maxthrottle {full:g}"
     if full <= least or float(np.mean(sent > full + 1.0)) > 0.01:
         raise BadInput(
-            f"{source}: motor values of {np.min(sent):g} to {np.max(sent):g} do not fit the header's range (motorOutput "
-            f"'{low},{high}', motor_pwm_protocol {protocol:g}; tested: {said}); say the scale with `groundstation convert --map`."
+            f"{source}: motor values of {np.min(sent):g} to {np.max(sent):g} do not fit the header's range "
+            "(motorOutput "
+            f"'{low},{high}', motor_pwm_protocol {protocol:g}; tested: {said}); say the scale with `groundstation "
+            "convert --map`."
         )
     return np.clip((sent - least) / (full - least), 0.0, 1.0), f"motors: motor[] as {said}."
 

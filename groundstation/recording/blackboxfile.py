@@ -13,13 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.recording.tables import MissingField
+from groundstation.recording.part import WHOLE, Part
+from groundstation.recording.tables import Bytes, MissingField, forget_pages
 
 Array = NDArray[np.float64]
 
 MAGIC = b"H Product:Blackbox"
 _KINDS = "IPSGH"
-_LONGEST_HEADER, _MOST_FIELDS = 200_000, 512
+_LONGEST_HEADER, _MOST_FIELDS, _BLOCK = 200_000, 512, 1 << 24
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +30,7 @@ class BlackboxLog:
     Attributes:
         headers: by name, as they were written.
         names: of the main frames' fields.
-        rows: their values as logged, shape (k, len(names)).
+        rows: their values as logged, but the time without the run-overs of its 32 bits, shape (k, len(names)).
         damaged: bytes that were skipped.
         ended: whether the log ends as it should.
     """
@@ -72,51 +73,53 @@ class BlackboxLog:
             return default
 
 
-def decode_blackbox(data: bytes) -> list[BlackboxLog]:
-    """Decode all logs of a file that have main frames.
+def decode_blackbox(data: Bytes, part: Part = WHOLE) -> list[BlackboxLog]:
+    """Decode all logs of a file that have main frames in a part of their time.
 
     Raises:
         ValueError: a header is torn.
     """
-    starts = [match.start() for match in re.finditer(re.escape(MAGIC), data)]
-    logs = [_log(data[begin:end]) for begin, end in zip(starts, [*starts[1:], len(data)], strict=True)]
+    starts = _places(data, MAGIC)
+    logs = [_log(data[begin:end], part) for begin, end in zip(starts, [*starts[1:], len(data)], strict=True)]
     return [log for log in logs if log is not None and len(log.rows)]
 
 
-def _log(data: bytes) -> BlackboxLog | None:
-    headers, start = _headers(data)
+def _places(data: Bytes, pattern: bytes) -> list[int]:
+    """Where a pattern stands in a file, which is gone through block by block."""
+    found: list[int] = []
+    for first in range(0, len(data), _BLOCK):
+        block = data[first : first + _BLOCK + len(pattern) - 1].tobytes()
+        found += [first + match.start() for match in re.finditer(re.escape(pattern), block)]
+        forget_pages(data)
+    return found
+
+
+def _log(data: Bytes, part: Part) -> BlackboxLog | None:
+    headers, start = _headers(data[:_LONGEST_HEADER].tobytes())
     names = _listed(headers, "Field I name")
     if not names:
         return None
     if len(names) > _MOST_FIELDS:
         raise ValueError(f"{len(names)} fields in a frame")
     most = max(len(_listed(headers, f"Field {kind} name")) for kind in _KINDS)
-    encoding, predictor = (np.zeros((len(_KINDS), most), np.int64) for _ in range(2))
+    fields = np.zeros((3, len(_KINDS), most), np.int64)
     counts = np.zeros(len(_KINDS), np.int64)
     for row, kind in enumerate(_KINDS):
         counts[row] = len(names) if kind == "P" else len(_listed(headers, f"Field {kind} name"))
-        for table, word in ((encoding, "encoding"), (predictor, "predictor")):
+        for table, word in zip(fields, ("encoding", "predictor"), strict=False):
             values = _numbers(headers, f"Field {kind} {word}")
             if len(values) < counts[row]:
                 raise ValueError(f"'Field {kind} {word}' has {len(values)} of {counts[row]} entries")
             table[row, : counts[row]] = values[: counts[row]]
-    signed = np.array(_numbers(headers, "Field I signed") or [1] * len(names), np.int64)
+    signed = _numbers(headers, "Field I signed") or [1] * len(names)
     if len(signed) < len(names):
         raise ValueError("'Field I signed' is too short")
+    fields[2, :2, : len(names)] = signed[: len(names)]
     from groundstation.recording.blackboxkernel import decode_frames
 
-    motor = names.index("motor[0]") if "motor[0]" in names else -1
-    rows, damaged, ended = decode_frames(
-        np.frombuffer(data, np.uint8),
-        start,
-        encoding,
-        predictor,
-        signed,
-        counts,
-        _constants(headers),
-        _interval(headers),
-        motor,
-    )
+    places = np.array([names.index(name) if name in names else -1 for name in ("motor[0]", "time")], np.int64)
+    layout = (fields, counts, _constants(headers), _interval(headers), places)
+    rows, damaged, ended = decode_frames(data, start, layout, part)
     return BlackboxLog(headers, names, rows, damaged, ended)
 
 

@@ -1,8 +1,8 @@
 """The compiled decoder of blackbox frames. Import where it is used: numba takes a third of a second to load.
 
-Encodings and predictors follow Betaflight's "Blackbox internals" documentation. Frame kinds are numbered I 0, P 1, S 2, G 3,
-H 4; E (events) are skipped by their own lengths. A frame counts where a known mark follows it; past a damaged place frames
-count again from the next I.
+Encodings and predictors follow Betaflight's "Blackbox internals" documentation. Frame kinds are numbered I 0, P 1, S 2,
+G 3, H 4; E (events) are skipped by their own lengths. A frame counts where a known mark follows it; past a damaged
+place frames count again from the next I.
 """
 
 from __future__ import annotations
@@ -10,8 +10,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from groundstation.recording.tables import forget_pages
+
 _I, _P, _S, _G, _H = range(5)
 _MOST_PER_BYTE, _LEAST_BOUND = 64, 1 << 24  # of memory per byte of the file; real logs make about 15
+_FOUND, _DAMAGED, _VALID, _OVERRUNS, _STAMP, _FOUND_ANY = range(6, 12)  # places in the state of a decoder
+_BLOCK = 1 << 24
 _MARKS = np.full(256, -1, np.int64)
 for _number, _mark in enumerate(b"IPSGHE"):
     _MARKS[_mark] = _number
@@ -209,35 +213,36 @@ def _event(data, at, resumed):
 
 
 @njit(cache=True)
-def decode(data, start, encoding, predictor, is_signed, counts, constants, interval, motor, marks, rows):
-    """Decode main frames from a byte on.
+def decode(data, stop, layout, marks, part, past, state, rows):
+    """Go on decoding main frames up to a byte.
 
     Args:
-        data: the log, from its first frame to its end.
-        start: byte of the first frame.
-        encoding, predictor, is_signed: per kind of frame and field, shape (5, most fields).
-        counts: fields per kind, shape (5,).
-        constants: least throttle, reference voltage, least motor output.
-        interval: I interval, numerator and denominator of the P interval.
-        motor: field of motor[0].
+        data: the log.
+        stop: byte from which no further frame is begun.
+        layout: encoding, predictor and sign per kind of frame and field, shape (3, 5, most fields); fields per kind,
+            (5,); least throttle, reference voltage, least motor output, (3,); I interval, numerator and denominator of
+            the P interval, (3,); field of motor[0] and of the time.
         marks: number of a kind by its mark, shape (256,).
-        rows: filled with the fields of each frame, shape (k, fields); of no rows to count only.
-
-    Returns:
-        number of frames, bytes skipped as damaged, whether the log ended as it should.
+        part: first and last stamp and least step of what is kept, microseconds, shape (3,).
+        past: the fields of the last frame, of the one before it, and of the current one, shape (3, fields).
+        state: where the next frame begins, whether the data end within a field, loop and time after a pause (2),
+            whether one was, whether the log has ended, frames kept, bytes skipped, whether frames count, times the
+            clock ran over, last stamp kept (-1 of none), whether there was a frame, shape (12,).
+        rows: filled with the fields of each frame that is kept, shape (k, fields); of no rows to count only.
     """
-    fields = counts[_I]
-    last, before, current = np.zeros(fields, np.int64), np.zeros(fields, np.int64), np.zeros(fields, np.int64)
+    encoding, predictor, is_signed = layout[0][0], layout[0][1], layout[0][2]
+    counts, constants, interval, motor, clock = layout[1], layout[2], layout[3], layout[4][0], layout[4][1]
+    fields, size = counts[_I], len(data)
+    last, before, current = past[0], past[1], past[2]
     side = np.zeros(encoding.shape[1], np.int64)
-    at, resumed = np.array([start, 0]), np.zeros(4, np.int64)
-    valid, found, damaged, size = False, 0, 0, len(data)
-    while at[0] < size and not resumed[3]:
+    at, resumed = state[:2], state[2:6]
+    while at[0] < min(size, stop) and not resumed[3]:
         begin, kind = at[0], marks[data[at[0]]]
         at[0] += 1
         at[1] = 0
         if kind < 0:
-            damaged += 1
-            valid = False
+            state[_DAMAGED] += 1
+            state[_VALID] = 0
             continue
         if kind == 5:
             _event(data, at, resumed)
@@ -248,8 +253,8 @@ def decode(data, start, encoding, predictor, is_signed, counts, constants, inter
         whole = not at[1] and at[0] <= size and (at[0] == size or marks[data[at[0]]] >= 0 or resumed[3])
         if not whole:
             at[0] = begin + 1
-            damaged += 1
-            valid = False
+            state[_DAMAGED] += 1
+            state[_VALID] = 0
             resumed[3] = 0
             continue
         if resumed[2]:
@@ -257,8 +262,8 @@ def decode(data, start, encoding, predictor, is_signed, counts, constants, inter
             last[0] = resumed[0]
         if kind > _P:
             continue
-        if kind == _P and not valid:
-            damaged += at[0] - begin
+        if kind == _P and not state[_VALID]:
+            state[_DAMAGED] += at[0] - begin
             continue
         skipped = 0
         if kind == _P:
@@ -270,29 +275,56 @@ def decode(data, start, encoding, predictor, is_signed, counts, constants, inter
         for field in range(fields):
             p = predictor[kind, field]
             value = current[field] + _predicted(p, field, last, before, current, constants, skipped, motor)
-            current[field] = _extended(value, 32) if is_signed[field] else value & 0xFFFFFFFF
+            current[field] = _extended(value, 32) if is_signed[kind, field] else value & 0xFFFFFFFF
+        if clock >= 0 and state[_FOUND_ANY] and current[clock] - last[clock] < -(1 << 31):
+            state[_OVERRUNS] += 1
+        state[_FOUND_ANY] = 1
         if kind == _I:
             before[:] = current
         else:
             before[:] = last
         last[:] = current
-        valid = True
-        if found < len(rows):
-            rows[found] = current
-        found += 1
-    return found, damaged, resumed[3] == 1
+        state[_VALID] = 1
+        _keep(current, clock, part, state, rows)
 
 
-def decode_frames(data, start, encoding, predictor, is_signed, counts, constants, interval, motor):
-    """The main frames, shape (k, fields); bytes skipped as damaged; whether the log ended as it should.
+@njit(cache=True)
+def _keep(current, clock, part, state, rows):
+    """Note a frame that is of the part, with the times that its clock of 32 bits ran over."""
+    stamp = np.int64(0)
+    if clock >= 0:
+        stamp = current[clock] + (state[_OVERRUNS] << 32)
+        if stamp < part[0] or stamp > part[1]:
+            return
+        if part[2] > 0 and state[_STAMP] >= 0 and abs(stamp - state[_STAMP]) < part[2]:
+            return
+        state[_STAMP] = stamp
+    if state[_FOUND] < len(rows):
+        rows[state[_FOUND]] = current
+        if clock >= 0:
+            rows[state[_FOUND], clock] = stamp
+    state[_FOUND] += 1
+
+
+def decode_frames(data, start, layout, part):
+    """The main frames of a part, shape (k, fields), the time without run-overs; bytes skipped as damaged; whether the
+    log ended.
 
     Raises:
         ValueError: fields that take no bytes would make more samples of the file than a flight controller can log.
     """
-    setting = (data, start, encoding, predictor, is_signed, counts, constants, interval, motor, _MARKS)
-    number, damaged, ended = decode(*setting, np.empty((0, counts[_I]), np.int64))
-    if 8 * number * int(counts[_I]) > _MOST_PER_BYTE * len(data) + _LEAST_BOUND:
-        raise ValueError(f"{number} frames of {int(counts[_I])} fields in {len(data)} bytes")
-    rows = np.empty((number, counts[_I]), np.int64)
-    decode(*setting, rows)
-    return rows, int(damaged), bool(ended)
+    fields = int(layout[1][_I])
+    rows = np.empty((0, fields), np.int64)
+    for _ in range(2):
+        state, past = np.zeros(12, np.int64), np.zeros((3, fields), np.int64)
+        state[0], state[_STAMP] = start, -1
+        for stop in range(start + _BLOCK, len(data) + _BLOCK, _BLOCK):
+            decode(data, stop, layout, _MARKS, part.ticks(1e6), past, state, rows)
+            if len(data) > _BLOCK:
+                forget_pages(data)
+        if len(rows) or not state[_FOUND]:
+            break
+        if 8 * int(state[_FOUND]) * fields > _MOST_PER_BYTE * len(data) + _LEAST_BOUND:
+            raise ValueError(f"{state[_FOUND]} frames of {fields} fields in {len(data)} bytes")
+        rows = np.empty((state[_FOUND], fields), np.int64)
+    return rows, int(state[_DAMAGED]), bool(state[5])

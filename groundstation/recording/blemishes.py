@@ -37,7 +37,8 @@ def runs_backwards(t_s: Array) -> bool:
 def increasing(t_s: Array) -> Mask:
     """The largest set of samples whose stamps increase strictly, without strays beyond the rest of the stream.
 
-    A longest increasing subsequence (patience sorting): a single stamp that leaps ahead is dropped, not all that follow it.
+    A longest increasing subsequence (patience sorting): a single stamp that leaps ahead is dropped, not all that follow
+    it.
     """
     keep = np.isfinite(t_s)
     if np.any(np.diff(t_s[keep]) <= 0.0):
@@ -71,12 +72,13 @@ def _without_strays(t_s: Array, keep: Mask) -> Mask:
     """Drop up to 1 % of samples at either end that lie farther from the rest than the rest is long."""
     index = np.flatnonzero(keep)
     few = max(3, len(index) // 100)
-    for end in (slice(0, few), slice(len(index) - 1 - few, len(index) - 1)):
+    for at_the_end in (False, True):
         if len(index) <= 2 * few + 2:
             break
         steps = np.diff(t_s[index])
-        at = int(np.argmax(steps[end])) + (end.start or 0)
-        body = index[at + 1 :] if end.start == 0 else index[: at + 1]
+        first = len(steps) - few if at_the_end else 0
+        at = first + int(np.argmax(steps[first : first + few]))
+        body = index[: at + 1] if at_the_end else index[at + 1 :]
         if steps[at] > t_s[body[-1]] - t_s[body[0]]:
             keep = keep.copy()
             keep[np.setdiff1d(index, body)] = False
@@ -118,11 +120,12 @@ def spikes(values: Array, floor: float) -> Mask:
 
 
 def too_slow(t_s: Array, speeds: Array) -> Mask:
-    """Measured rotor speeds far below what carries a vehicle, reached in flight by a leap that no rotor makes, shape (k, n).
+    """Measured rotor speeds far below what carries a vehicle, reached in flight by a leap that no rotor makes, shape
+    (k, n).
 
-    A rotor below a third of its usual speed gives a ninth of its thrust. A manoeuvre takes it there along its lag of 20 ms and
-    more; telemetry that failed leaps there and back, by over half its usual speed within a step of that lag's half. All rotors
-    together for a second or more stand on the ground.
+    A rotor below a third of its usual speed gives a ninth of its thrust. A manoeuvre takes it there along its lag of 20
+    ms and more; telemetry that failed leaps there and back, by over half its usual speed within a step of that lag's
+    half. All rotors together for a second or more stand on the ground.
     """
     low = np.zeros(speeds.shape, bool)
     if not np.any(speeds > 0.0):
@@ -149,7 +152,9 @@ def _runs(mask: Mask) -> list[tuple[int, int]]:
 
 
 def curvature_floor(base: float, second_derivative: float, step_s: float) -> float:
-    """What a smooth signal of bounded second derivative may deviate from its neighbours two samples away, plus a base."""
+    """What a smooth signal of bounded second derivative may deviate from its neighbours two samples away, plus a
+    base.
+    """
     return base + 0.5 * second_derivative * (2.0 * step_s) ** 2
 
 
@@ -175,9 +180,9 @@ def _hemisphere(quaternion: Array) -> Array:
 def frozen(t_s: Array, position_m: Array, quaternion: Array, *, leap_m: float = 0.0, leap_rad: float = 0.0) -> Mask:
     """Poses that repeat their predecessor bit for bit while the vehicle moves.
 
-    Measured poses carry noise, so that a repeated one is an old one, and when the tracker finds the vehicle again the pose
-    leaps. Repeats are kept where the pose creeps away from them, or rests on the ground to the end: there a pose without
-    noise is of a vehicle at rest.
+    Measured poses carry noise, so that a repeated one is an old one, and when the tracker finds the vehicle again the
+    pose leaps. Repeats are kept where the pose creeps away from them, or rests on the ground to the end: there a pose
+    without noise is of a vehicle at rest.
 
     Args:
         t_s: increasing stamps, shape (k,).

@@ -181,7 +181,8 @@ def _motor_columns(data: bytes, vehicle: Vehicle | None, source: str) -> tuple[s
         more = f"m{count + 1}{suffix}"
         if kind != "wrench" and more in present:
             raise BadInput(
-                f"{source}: has column {more}, but the vehicle file declares {count} rotors; correct position_m and spin."
+                f"{source}: has column {more}, but the vehicle file declares {count} rotors; correct position_m and "
+                "spin."
             )
         return wanted
     same_kind = [name for name in present if name.startswith("m") and name.endswith(suffix)]
@@ -253,7 +254,9 @@ def write_recording_as_bundle(recording: Recording, folder: Path) -> None:
 
 
 def unholdable(recording: Recording) -> tuple[str, ...]:
-    """What a bundle cannot hold: files and streams whose names lead out of the folder, or are those of its own files."""
+    """What a bundle cannot hold: files and streams whose names lead out of the folder, or are those of its own
+    files.
+    """
     own = [name for name in (*recording.extras, *recording.texts) if name not in (*STREAMS, *LOG_COLUMNS)]
     return (
         *(_unheld("attachment", name) for name in recording.files if not _is_extra_file(name)),

@@ -3,9 +3,10 @@
 PX4's simulator link reports ``esc_rpm = 6000 control`` whatever turns at the other end (``send_esc_telemetry`` in its
 ``SimulatorMavlink.cpp``). Taken for measurements, such speeds give every force and inertia on the scale of that number.
 A rotor's speed lags its command by tens of milliseconds and sags with the battery, so that it is not the command of the
-same instant times one number, down to the last digit of both, on every rotor at once: where it is, at more than half of all
-instants, the command is all that is known. Half, because on a late or lossy line a speed stands beside the command before
-or after its own; of measured rotors hardly one instant in a hundred agrees like that (tests/test_recording_computed_speeds.py).
+same instant times one number, down to the last digit of both, on every rotor at once: where it is, at more than half of
+all instants, the command is all that is known. Half, because on a late or lossy line a speed stands beside the command
+before or after its own; of measured rotors hardly one instant in a hundred agrees like that
+(tests/test_recording_computed_speeds.py).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from groundstation.flightdata import Stream, motor_columns
+from groundstation.flightdata import Stream, motor_columns, resampled
 from groundstation.recording.recorded import Recording
 
 COMMANDS = "motor_commands"
@@ -58,16 +59,36 @@ def _commonest(ratios: np.ndarray) -> float:
 
 def commands_behind(speeds: Stream, commands: Stream) -> tuple[Stream, str] | None:
     """The commands, at the faster of both rates, and what to say of it; None where the speeds are measurements."""
+    if silent := _silent(speeds, commands):
+        names = ", ".join(map(str, silent))
+        return commands, f"motors: the ESCs tell no speed of rotor {names} while it is driven; the commands are used."
     gain = computed_gain(speeds, commands)
     if gain is None:
         return None
     note = (
-        f"motors: the ESCs' speeds are the commands times {gain / _RPM:.0f} rpm at every instant, to the last digit: the "
+        f"motors: the ESCs' speeds are the commands times {gain / _RPM:.0f} rpm at every instant, to the last digit: "
+        "the "
         "autopilot's simulator computed them, nobody measured them; the commands are used."
     )
     if commands.rate_hz() >= speeds.rate_hz():
         return commands, note
     return replace(speeds, values=speeds.values / gain, columns=commands.columns), note
+
+
+_DRIVEN = 0.05
+"""Command from which on a rotor turns, whatever its idle speed."""
+
+
+def _silent(speeds: Stream, commands: Stream) -> list[int]:
+    """Rotors (from 1) whose speed is told as zero all along while they are driven.
+
+    ArduPilot's simulator does that of its own frames.
+    """
+    if min(len(speeds), len(commands)) < _LEAST:
+        return []
+    span = (commands.t_s >= speeds.t_s[0]) & (commands.t_s <= speeds.t_s[-1])
+    driven = np.count_nonzero(commands.values[span] > _DRIVEN, axis=0) >= _LEAST
+    return [int(i) + 1 for i in np.flatnonzero(driven & ~np.any(speeds.values > 0.0, axis=0))]
 
 
 _FOLLOWS, _CLEARLY = 0.5, 0.2
@@ -92,7 +113,7 @@ def motors_by_data(speeds: Stream, commands: Stream) -> list[int] | None:
     if len(speeds.columns) != count or min(len(speeds), len(commands)) < _LEAST:
         return None
     inside = (speeds.t_s >= commands.t_s[0]) & (speeds.t_s <= commands.t_s[-1])
-    sent = np.column_stack([np.interp(speeds.t_s[inside], commands.t_s, column) for column in commands.values.T])
+    sent = resampled(speeds.t_s[inside], commands.t_s, commands.values)
     made = speeds.values[inside]
     on = (sent.mean(axis=1) > 0.1 * sent.mean(axis=1).max(initial=0.0)) & np.all(made > 0.0, axis=1)
     sent, made = sent[on], made[on]

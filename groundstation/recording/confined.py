@@ -2,9 +2,9 @@
 
     python -P -m groundstation.recording.confined
 
-reads a pickled call from its parent on standard input and answers on standard output. ``rosbags`` decompresses whatever a bag
-says, however far that expands; only the system can bound it. Small bags without compression are read in place, since the
-process costs a second.
+reads a pickled call from its parent on standard input and answers on standard output. ``rosbags`` decompresses whatever
+a bag says, however far that expands; only the system can bound it. Small bags without compression are read in place,
+since the process costs a second.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ from groundstation.errors import BadInput
 SMALL = 20_000_000
 """Bytes of a bag that is read in place where nothing in it is compressed."""
 FREE, RATIO = 1 << 30, 24
-"""Bytes that a bag may take, in memory or on the disk, beside so many times its own size; recordings compress tenfold at most."""
+"""Bytes that a bag may take, in memory or on the disk, beside so many times its own size; recordings compress tenfold
+at most.
+"""
 LEAST_S, PER_MB_S = 60.0, 2.0
 """The library reads some megabytes a second where the machine is busy."""
 _MARKS = (b"zstd", b"lz4", b"\x28\xb5\x2f\xfd", b"\x04\x22\x4d\x18")
@@ -36,7 +38,9 @@ R = TypeVar("R")
 
 
 def confined(function: Callable[Concatenate[Path, P], R]) -> Callable[Concatenate[Path, P], R]:
-    """A function of ``groundstation.recording.rosbag`` that runs in a process of its own where its bag asks for that."""
+    """A function of ``groundstation.recording.rosbag`` that runs in a process of its own where its bag asks for
+    that.
+    """
 
     @wraps(function)
     def run(path: Path, *args: P.args, **kwargs: P.kwargs) -> R:
@@ -87,7 +91,8 @@ def _elsewhere(name: str, path: Path, size: int, args: tuple[object, ...], kwarg
             raise BadInput(f"{path}: could not be read within {limit_s:.0f} s; record it again, or cut it.") from None
     if done.returncode != 0:
         raise BadInput(
-            f"{path}: its {size} bytes take more than the {room >> 20} MiB that they may, or end the library that reads them; "
+            f"{path}: its {size} bytes take more than the {room >> 20} MiB that they may, or end the library that "
+            "reads them; "
             "record it again without compression."
         )
     good, answer = pickle.loads(done.stdout)  # noqa: S301  our own child's, over a pipe

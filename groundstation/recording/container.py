@@ -25,7 +25,9 @@ MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 64 * 1024
 _EXPANDED_FREE = 64 * 1024 * 1024
 _EXPANDED_RATIO = 24
-"""A file may expand to 64 MiB and 24 times its size: recorded flights compress two- to fivefold, a drone at rest tenfold."""
+"""A file may expand to 64 MiB and 24 times its size: recorded flights compress two- to fivefold, a drone at rest
+tenfold.
+"""
 _MESSAGE = struct.Struct("<BQHIQQ")
 _RECORD = struct.Struct("<BQ")
 
@@ -251,8 +253,8 @@ class Contents:
 def read_container(data: bytes) -> Contents:
     """Read every whole record of an MCAP file.
 
-    A record that the file ends in the middle of is left out, and ``complete`` is then false. A record that is not what it
-    says it is costs itself alone, and ``damaged`` counts it.
+    A record that the file ends in the middle of is left out, and ``complete`` is then false. A record that is not what
+    it says it is costs itself alone, and ``damaged`` counts it.
 
     Raises:
         ValueError: the data do not begin like an MCAP file, or expand beyond all measure.

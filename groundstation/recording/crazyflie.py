@@ -1,7 +1,7 @@
 """Micro-SD logs of Bitcraze's Crazyflie ("usd log"), a binary format that its own header describes.
 
-Layout, little endian: ``0xBC``, version (u16: 1 has millisecond, 2 microsecond stamps), number of event types (u16); for
-each its id (u16), its name (zero-terminated), its number of variables (u16) and for each variable ``name(type)``,
+Layout, little endian: ``0xBC``, version (u16: 1 has millisecond, 2 microsecond stamps), number of event types (u16);
+for each its id (u16), its name (zero-terminated), its number of variables (u16) and for each variable ``name(type)``,
 zero-terminated, with the type as in Python's ``struct``. Then events: id (u16), time stamp (u32 in version 1, u64 in
 version 2), variables, packed. The last four bytes are the CRC-32 of all that precedes them.
 """
@@ -11,7 +11,10 @@ from __future__ import annotations
 import re
 import struct
 import zlib
+from array import array
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +31,14 @@ from groundstation.flightdata import (
 from groundstation.frames import quat_from_euler
 from groundstation.recording.autopilot import check_count, present, wanted_input
 from groundstation.recording.derive import body_rates
+from groundstation.recording.part import WHOLE, Part
 from groundstation.recording.recorded import Recording
-from groundstation.recording.tables import MissingField
+from groundstation.recording.tables import Bytes, MissingField, forget_pages, gather
 from groundstation.vehicle import Vehicle
 
 MAGIC = 0xBC
 _G = 9.80665
+_LONGEST_HEADER, _BLOCK = 1 << 16, 1 << 24
 _FULL_COMMAND = 65535.0
 _VERSIONS, _NEWEST_THINKABLE = (1, 2), 99  # a file of another kind has a larger number here
 _TYPES = {
@@ -57,48 +62,87 @@ def is_usd_log(head: bytes) -> bool:
     return len(head) >= 5 and head[0] == MAGIC and 1 <= struct.unpack_from("<H", head, 1)[0] <= _NEWEST_THINKABLE
 
 
-def decode_usd(data: bytes, source: str) -> UsdLog:
-    """Decode a log; one that was cut off is read up to the cut, and a note says so.
+def decode_usd(data: Bytes, source: str, part: Part = WHOLE) -> UsdLog:
+    """Decode a log or a part of it; one that was cut off is read up to the cut, and a note says so.
+
+    Args:
+        data: the whole file (it may be a memory map).
+        source: its path, for messages.
+        part: the events that are wanted.
 
     Raises:
         BadInput: the header is not that of a usd log.
     """
-    version = struct.unpack_from("<H", data, 1)[0] if len(data) >= 5 else 0
+    head = data[:_LONGEST_HEADER].tobytes()
+    version = struct.unpack_from("<H", head, 1)[0] if len(head) >= 5 else 0
     if version > max(_VERSIONS):
         raise BadInput(
-            f"{source}: is a usd log of version {version}; this program reads versions 1 and 2. Update it, or convert the log "
+            f"{source}: is a usd log of version {version}; this program reads versions 1 and 2. Update it, or convert "
+            "the log "
             "with the Crazyflie firmware's own tools and `groundstation convert --map`."
         )
     try:
-        version, records, position = _header(data)
+        version, records, position = _header(head)
     except (struct.error, ValueError, TypeError, IndexError):
         raise BadInput(f"{source}: the header is damaged; copy the log from the card again.") from None
-    whole = len(data) - 4 > position and struct.unpack_from("<I", data, len(data) - 4)[0] == zlib.crc32(data[:-4])
-    end = len(data) - 4 if whole else len(data)
-    offsets: dict[int, list[int]] = {event: [] for event in records}
+    per_s = 1e3 if version == 1 else 1e6
+    end = len(data) - 4 if _is_whole(data, position) else len(data)
     sizes = {event: record.itemsize for event, (_, record) in records.items()}
-    identify = struct.Struct("<H").unpack_from
-    while position + 2 <= end:
-        event = identify(data, position)[0]
+    offsets, stop = _places(data, (position, end), sizes, ("<I" if version == 1 else "<Q", part.ticks(per_s).tolist()))
+    notes = []
+    if end == len(data):
+        notes.append(
+            f"{source}: the log was cut off or damaged (its checksum does not match); read up to byte {stop} of "
+            f"{len(data)}."
+        )
+    t_s, columns = {}, {}
+    for event, (name, record) in records.items():
+        rows = gather(data, np.frombuffer(offsets[event], np.int64), record)
+        t_s[name] = rows["_t"] / per_s
+        columns[name] = {key: rows[key].astype(float) for key in record.names or () if not key.startswith("_")}
+    return UsdLog(t_s, columns, tuple(notes))
+
+
+def _is_whole(data: Bytes, position: int) -> bool:
+    """Whether the file ends with the checksum of all that precedes it."""
+    if len(data) - 4 <= position:
+        return False
+    found = 0
+    for first in range(0, len(data) - 4, _BLOCK):
+        found = zlib.crc32(data[first : min(first + _BLOCK, len(data) - 4)].tobytes(), found)
+        forget_pages(data)
+    return int.from_bytes(data[-4:].tobytes(), "little") == found
+
+
+def _places(
+    data: Bytes, span: tuple[int, int], sizes: Mapping[int, int], clock: tuple[str, list[int]]
+) -> tuple[dict[int, array[int]], int]:
+    """Where each event of the part begins, by its number, and where events end.
+
+    Args:
+        data: the file.
+        span: first and last byte of the events.
+        sizes: bytes of an event by its number.
+        clock: type of the stamps, and the first, the last and the least step that are wanted.
+    """
+    (position, end), (kind, (start, last, step)) = span, clock
+    offsets = {event: array("q") for event in sizes}
+    before: dict[int, int] = {}
+    read = struct.Struct("<H" + kind[1:])
+    bytes_read, given_back = data.data, position
+    while position + read.size <= end:
+        event, stamp = read.unpack_from(bytes_read, position)
         size = sizes.get(event)
         if size is None or position + size > end:
             break
-        offsets[event].append(position)
+        if start <= stamp <= last and (not step or abs(stamp - before.get(event, -step)) >= step):
+            offsets[event].append(position)
+            before[event] = stamp
         position += size
-    notes = []
-    if not whole:
-        notes.append(
-            f"{source}: the log was cut off or damaged (its checksum does not match); "
-            f"read up to byte {position} of {len(data)}."
-        )
-    buffer = np.frombuffer(data, np.uint8)
-    t_s, columns = {}, {}
-    for event, (name, record) in records.items():
-        where = np.asarray(offsets[event], dtype=np.int64)
-        rows = buffer[where[:, None] + np.arange(record.itemsize)].reshape(-1).view(record)
-        t_s[name] = rows["_t"] / (1e3 if version == 1 else 1e6)
-        columns[name] = {key: rows[key].astype(float) for key in record.names or () if not key.startswith("_")}
-    return UsdLog(t_s, columns, tuple(notes))
+        if position - given_back > _BLOCK:
+            forget_pages(data)
+            given_back = position
+    return offsets, position
 
 
 def _header(data: bytes) -> tuple[int, dict[int, tuple[str, np.dtype]], int]:
@@ -129,19 +173,19 @@ def _text(data: bytes, position: int) -> tuple[str, int]:
     return data[position:end].decode("ascii"), end + 1
 
 
-def read_usd(data: bytes, source: str, name: str, vehicle: Vehicle) -> Recording:
-    """A log as streams in SI units.
+def read_usd(path: Path, vehicle: Vehicle, part: Part = WHOLE) -> Recording:
+    """A log, or a part of it, as streams in SI units.
 
     Args:
-        data: the file.
-        source: its path, for messages.
-        name: of the flight.
+        path: of the log, whose name is that of the flight.
         vehicle: declared; says which motor values are meant.
+        part: what is wanted of it.
 
     Raises:
         BadInput: no usd log, or it lacks the motors.
     """
-    log = decode_usd(data, source)
+    source = str(path)
+    log = decode_usd(np.memmap(path, np.uint8, mode="r"), source, part)
     variables = _Variables(log)
     streams: dict[str, Stream] = {}
     streams["motors"], said = _motors(variables, vehicle, source)
@@ -154,10 +198,10 @@ def read_usd(data: bytes, source: str, name: str, vehicle: Vehicle) -> Recording
     extras = {
         f"usd_{event}": Stream(log.t_s[event], np.column_stack(list(found.values())), tuple(found))
         for event, found in log.columns.items()
-        if len(log.t_s[event]) and found
+        if len(log.t_s[event]) and found and part == WHOLE
     }
     return Recording(
-        name=name,
+        name=path.name,
         streams=streams,
         extras=extras,
         metadata={"format": "crazyflie usd log"},
@@ -224,9 +268,9 @@ def _battery(variables: _Variables) -> tuple[Stream | None, list[str]]:
 def _motors(variables: _Variables, vehicle: Vehicle, source: str) -> tuple[Stream, list[str]]:
     """Commands as a fraction of full scale (65535), or the speeds of an rpm deck.
 
-    A firmware that compensates the battery takes motor.m1 and on for thrusts and raises pwm.m1_pwm and on as the voltage falls
-    (motors.c, motorsCompensateBatteryVoltage). Where both and the voltage are logged, the command is what the motors got:
-    the share of the full battery's voltage.
+    A firmware that compensates the battery takes motor.m1 and on for thrusts and raises pwm.m1_pwm and on as the
+    voltage falls (motors.c, motorsCompensateBatteryVoltage). Where both and the voltage are logged, the command is what
+    the motors got: the share of the full battery's voltage.
     """
     prefixes = {"command": "motor", "rotor_speed": "rpm"}
     count = vehicle.rotors.count
@@ -249,7 +293,8 @@ def _motors(variables: _Variables, vehicle: Vehicle, source: str) -> tuple[Strea
     if battery is None or full is None:
         lacking = "no voltage is logged (pm.vbatMV)" if battery is None else "the vehicle file lacks [battery] full_v"
         return plain, [
-            f"motors: pwm.m1_pwm and on, which a firmware that compensates the battery sends to the motors, are not used: {lacking}. "
+            "motors: pwm.m1_pwm and on, which a firmware that compensates the battery sends to the motors, are not "
+            f"used: {lacking}. "
             "The commands are motor.m1 and on."
         ]
     _, sent = variables.together(f"{prefixes[kind]}.m1", *widths, battery[0])

@@ -1,4 +1,6 @@
-"""Columns of numbers and texts from a CSV file and back: fast where a file is well formed, exact about where it is not."""
+"""Columns of numbers and texts from a CSV file and back: fast where a file is well formed, exact about where it is
+not.
+"""
 
 from __future__ import annotations
 
@@ -89,7 +91,8 @@ def with_commas(text: str, source: str) -> str:
             if "," in cell and _is_number(cell.replace(",", "").replace(".", "")):
                 if "." in cell or cell.count(",") > 1:
                     raise BadInput(
-                        f"{source}: line {number}: '{cell[:40]}' may be thousands or decimals; write numbers as 1234.5, or save "
+                        f"{source}: line {number}: '{cell[:40]}' may be thousands or decimals; write numbers as "
+                        "1234.5, or save "
                         "the table with commas between the cells."
                     )
                 row[index] = cell.replace(",", ".")
@@ -128,7 +131,9 @@ def _fast(body: str, width: int) -> Array | None:
 def _careful(
     body: str, names: tuple[str, ...], source: str, required: frozenset[str], as_texts: frozenset[str]
 ) -> Columns:
-    """Cell by cell: tells line and column of what is no number, keeps texts, leaves out a last line that was cut off."""
+    """Cell by cell: tells line and column of what is no number, keeps texts, leaves out a last line that was cut
+    off.
+    """
     rows: list[list[str]] = []
     lines: list[int] = []
     reader = csv.reader(io.StringIO(body))
@@ -146,7 +151,8 @@ def _careful(
     for line, row in zip(lines, rows, strict=False):
         if len(row) != len(names):
             raise BadInput(
-                f"{source}: line {line} has {len(row)} cells where line 1 names {len(names)} columns; correct that line."
+                f"{source}: line {line} has {len(row)} cells where line 1 names {len(names)} columns; correct that "
+                "line."
             )
     numbers: dict[str, Array] = {}
     texts: dict[str, tuple[str, ...]] = {}

@@ -15,12 +15,13 @@ from groundstation.flightdata import (
     SETPOINT_COLUMNS,
     STATE_COLUMNS,
     Stream,
+    resampled,
 )
-from groundstation.frames import quat_from_euler
+from groundstation.frames import quat_from_euler, quat_normalise, slerp
 from groundstation.recording.autopilot import present, slow_note, z_up, z_up_quaternion
 from groundstation.recording.dataflash_motors import Tables, read_motors
 from groundstation.recording.dataflashfile import DataFlashFile, decode_dataflash
-from groundstation.recording.derive import slerp
+from groundstation.recording.part import WHOLE, Part
 from groundstation.recording.recorded import Recording
 from groundstation.recording.tables import Table
 from groundstation.vehicle import Vehicle
@@ -47,17 +48,17 @@ _IMU_REMEDY = (
 )
 
 
-def read_dataflash(path: Path, vehicle: Vehicle) -> Recording:
-    """Read the messages that identification needs.
+def read_dataflash(path: Path, vehicle: Vehicle, part: Part = WHOLE) -> Recording:
+    """Read the messages that identification needs, of a part of the log.
 
-    GYR and ACC where raw logging was on, else IMU (first instance of each), RCOU as commands or ESC as speeds, the filter's
-    position and attitude as the vehicle's own state, VISP (or in simulation SIM and SIM2) for motion capture, BAT, GUIP as
-    setpoints.
+    GYR and ACC where raw logging was on, else IMU (first instance of each), RCOU as commands or ESC as speeds, the
+    filter's position and attitude as the vehicle's own state, VISP (or in simulation SIM and SIM2) for motion capture,
+    BAT, GUIP as setpoints.
 
     Raises:
         BadInput: it is damaged at the start, holds no motor outputs, or those of another vehicle.
     """
-    log = decode_dataflash(np.memmap(path, np.uint8, mode="r"))
+    log = decode_dataflash(np.memmap(path, np.uint8, mode="r"), part)
     tables = {name: table for name, table in log.tables.items() if len(table) > 1}
     lost = _losses(path, log)
     streams: dict[str, Stream] = {}
@@ -83,7 +84,8 @@ def _losses(path: Path, log: DataFlashFile) -> list[str]:
     notes = [f"{path.name}: {log.damaged} damaged bytes were skipped."] if log.damaged else []
     if log.missing:
         notes.append(
-            f"{path.name}: the log is cut off in the middle of a record ({log.missing} bytes of it are missing); it was read "
+            f"{path.name}: the log is cut off in the middle of a record ({log.missing} bytes of it are missing); it "
+            "was read "
             "up to there."
         )
     return notes
@@ -162,7 +164,7 @@ def _mocap(tables: Tables) -> tuple[Stream | None, list[str]]:
     t_s, t_position = attitude.seconds(), position.seconds()
     inside = (t_s >= t_position[0]) & (t_s <= t_position[-1])
     xyz = z_up(position.columns("PN", "PE", "PD"))
-    xyz = np.column_stack([np.interp(t_s[inside], t_position, column) for column in xyz.T])
+    xyz = resampled(t_s[inside], t_position, xyz)
     stream = Stream(t_s[inside], np.hstack([xyz, q[inside]]), MOCAP_COLUMNS)
     return stream, ["mocap: the simulator's ground truth stands in for it, position at the stamps of attitude."]
 
@@ -174,8 +176,8 @@ def _state(tables: Tables) -> tuple[Stream | None, list[str]]:
     t_attitude, t_imu, t_s = attitude.seconds(), imu.seconds(), position.seconds()
     inside = (t_s >= max(t_attitude[0], t_imu[0])) & (t_s <= min(t_attitude[-1], t_imu[-1]))
     t_s = t_s[inside]
-    q = slerp(t_attitude, z_up_quaternion(attitude.columns("Q1", "Q2", "Q3", "Q4")), t_s)
-    rates = np.column_stack([np.interp(t_s, t_imu, column) for column in z_up(imu.columns(*_GYRO)).T])
+    q = slerp(t_s, t_attitude, quat_normalise(z_up_quaternion(attitude.columns("Q1", "Q2", "Q3", "Q4"))))
+    rates = resampled(t_s, t_imu, z_up(imu.columns(*_GYRO)))
     values = [
         z_up(position.columns("PN", "PE", "PD"))[inside],
         z_up(position.columns("VN", "VE", "VD"))[inside],

@@ -1,7 +1,7 @@
 """What an ArduPilot log says of its motors: which outputs they are, on which scale, and what their ESCs report.
 
-Sources: ArduPilot's parameter documentation (``FRAME_CLASS``, ``FRAME_TYPE``, ``SERVOn_FUNCTION``, ``MOT_PWM_MIN``, ``_MAX``)
-and log messages (RCOU, ESC).
+Sources: ArduPilot's parameter documentation (``FRAME_CLASS``, ``FRAME_TYPE``, ``SERVOn_FUNCTION``, ``MOT_PWM_MIN``,
+``_MAX``) and log messages (RCOU, ESC).
 """
 
 from __future__ import annotations
@@ -114,7 +114,8 @@ def _channels(settings: Settings, at_s: float, rotors: int, source: str) -> tupl
         if functions and (stem == "SERVO" or by_motor):
             given = ", ".join(f"{stem}{channel}_FUNCTION {f}" for channel, f in functions.items() if f) or "all 0"
             raise BadInput(
-                f"{source}: its outputs are not those of a multicopter's motors 1 to n ({given}); motors have the functions "
+                f"{source}: its outputs are not those of a multicopter's motors 1 to n ({given}); motors have the "
+                "functions "
                 "33 and on. Give a log of a multicopter."
             )
     return list(range(1, rotors + 1)), [
@@ -138,13 +139,16 @@ def _airframe(settings: Settings, at_s: float, motors: int, source: str) -> Airf
     name = ARDUPILOT_CLASSES.get(kind[0], "unknown")
     if airframe is None:
         raise BadInput(
-            f"{source}: the motors' places on a frame of class {kind[0]} ({name}) and type {kind[1]} are not known here "
+            f"{source}: the motors' places on a frame of class {kind[0]} ({name}) and type {kind[1]} are not known "
+            "here "
             f"({motors} outputs are motors); say which output is which rotor with `groundstation convert --map`."
         )
     if airframe.count != motors:
         raise BadInput(
-            f"{source}: FRAME_CLASS {kind[0]} ({airframe.name}) has {airframe.count} motors, and {motors} outputs are motors "
-            "by their functions; the log contradicts itself. Say which output is which rotor with `groundstation convert --map`."
+            f"{source}: FRAME_CLASS {kind[0]} ({airframe.name}) has {airframe.count} motors, and {motors} outputs are "
+            "motors "
+            "by their functions; the log contradicts itself. Say which output is which rotor with `groundstation "
+            "convert --map`."
         )
     return airframe
 
@@ -225,8 +229,10 @@ def _speeds(
         chosen = [instances[follows.index(motor)] for motor in range(count)] if follows else None
     if chosen is None:
         raise BadInput(
-            f"{source}: ESC telemetry covers {len(instances)} of {count} rotors, or under numbers that are not theirs: it has "
-            f"the instances {', '.join(map(str, instances))}; tested were the outputs' ({', '.join(map(str, sorted(by_output)))}), the "
+            f"{source}: ESC telemetry covers {len(instances)} of {count} rotors, or under numbers that are not theirs: "
+            "it has "
+            f"the instances {', '.join(map(str, instances))}; tested were the outputs' "
+            f"({', '.join(map(str, sorted(by_output)))}), the "
             f"motors' (0 to {count - 1}), and which command each speed follows."
         )
     values = stream.values[:, [instances.index(i) for i in chosen]]

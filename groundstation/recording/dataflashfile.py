@@ -1,4 +1,6 @@
-"""ArduPilot's DataFlash container (AP_Logger): self-describing records behind A3 95, by column; parameters with their times."""
+"""ArduPilot's DataFlash container (AP_Logger): self-describing records behind A3 95, by column; parameters with their
+times.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.recording.part import WHOLE, Part
 from groundstation.recording.settings import Settings, settings_of
 from groundstation.recording.tables import Bytes, Table, gather
 
@@ -40,15 +43,16 @@ class DataFlashFile:
     missing: int
 
 
-def decode_dataflash(data: Bytes) -> DataFlashFile:
+def decode_dataflash(data: Bytes, part: Part = WHOLE) -> DataFlashFile:
     """Decode a file.
 
     Args:
         data: the whole file (it may be a memory map).
+        part: the records that are wanted; settings and messages are those of the whole file.
     """
     from groundstation.recording.kernels import scan_dataflash
 
-    where, kinds, damaged, missing = scan_dataflash(data)
+    where, kinds, damaged, missing = scan_dataflash(data, part)
     tables: dict[str, Table] = {}
     for number, name, letters, columns in _formats(data, where[kinds == _FORMAT]):
         fields = _layout(letters, columns)
@@ -72,7 +76,9 @@ def _formats(data: Bytes, where: NDArray[np.int64]) -> list[tuple[int, str, str,
 
 
 def _layout(letters: str, columns: str) -> dict[str, tuple[int, str, float]]:
-    """Offset (the head of three bytes included), type and factor of each column; empty for letters that are not known."""
+    """Offset (the head of three bytes included), type and factor of each column; empty for letters that are not
+    known.
+    """
     fields: dict[str, tuple[int, str, float]] = {}
     at = 3
     for letter, name in zip(letters, columns.split(","), strict=False):

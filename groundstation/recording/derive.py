@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.frames import quat_conjugate, quat_continuous, quat_exp, quat_log, quat_multiply, quat_normalise
+from groundstation.frames import quat_conjugate, quat_continuous, quat_log, quat_multiply, quat_normalise
 
 Array = NDArray[np.float64]
 
@@ -27,13 +27,3 @@ def body_rates(t_s: Array, quaternion: Array) -> Array:
     after = np.minimum(np.arange(len(t_s)) + 1, len(t_s) - 1)
     delta = quat_multiply(quat_conjugate(q[before]), q[after])
     return quat_log(delta) / (t_s[after] - t_s[before])[:, None]
-
-
-def slerp(t_s: Array, quaternion: Array, at_s: Array) -> Array:
-    """Attitude at other times within the samples', along the great circle between neighbours, shape (m, 4)."""
-    q = quat_continuous(quat_normalise(quaternion))
-    right = np.clip(np.searchsorted(t_s, at_s, side="right"), 1, len(t_s) - 1)
-    left = right - 1
-    fraction = ((at_s - t_s[left]) / (t_s[right] - t_s[left]))[:, None]
-    step = quat_log(quat_multiply(quat_conjugate(q[left]), q[right])) * fraction
-    return quat_multiply(q[left], quat_exp(step))

@@ -1,7 +1,7 @@
 """Watches over a recording while it is made: on the disk at an interval, and still where it should be.
 
-A thread of its own, because a sync may take as long as the disk likes; nothing that flies or records waits for it. With the
-file's own flush once a second of flight, a power cut costs at most two seconds of it (and what a disk lies about).
+A thread of its own, because a sync may take as long as the disk likes; nothing that flies or records waits for it. With
+the file's own flush once a second of flight, a power cut costs at most two seconds of it (and what a disk lies about).
 """
 
 from __future__ import annotations

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 READABLE = (
-    "an MCAP recording, a flight bundle (folder), a PX4 ULog, an ArduPilot DataFlash log, a Betaflight or INAV blackbox log, "
+    "an MCAP recording, a flight bundle (folder), a PX4 ULog, an ArduPilot DataFlash log, a Betaflight or INAV "
+    "blackbox log, "
     "a ROS 2 bag or a Crazyflie usd log"
 )
 _PACKED = {
@@ -41,7 +42,8 @@ def described(head: bytes, size: int) -> str:
             return what
     if len(head) > 8 and head[8] in (0xFD, 0xFE):
         return (
-            "is a telemetry log of MAVLink (.tlog): it holds what came over the radio, too slow for inertias; give the log of "
+            "is a telemetry log of MAVLink (.tlog): it holds what came over the radio, too slow for inertias; give the "
+            "log of "
             "the vehicle's own memory (.ulg, .bin)"
         )
     return _text(head)
@@ -61,7 +63,8 @@ def _text(head: bytes) -> str:
         return "is an ArduPilot log that was turned into text (.log); give the .bin it was made from"
     if first.count(",") + first.count(";") + first.count("\t") >= 2:
         return (
-            "is a table in one file; a flight bundle is a folder of such tables (docs/formats.md), or say what its columns are "
+            "is a table in one file; a flight bundle is a folder of such tables (docs/formats.md), or say what its "
+            "columns are "
             "with `groundstation convert --map FILE.toml`"
         )
     return f"is a text file; give {READABLE}"

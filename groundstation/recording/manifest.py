@@ -1,8 +1,9 @@
-"""The manifest of a flight: checksums of its files, signed when it was closed, so that a report can say they are as flown.
+"""The manifest of a flight: checksums of its files, signed when it was closed, so that a report can say they are as
+flown.
 
-SHA-256 of each file; the document is signed by HMAC-SHA256 (RFC 2104) with a key of this station. The key lies in the user's
-configuration folder and not beside the flights, so that it does not travel with a copy of them. It proves that whoever changed
-a file had not the key; against another process of the same user, which can read it, it proves nothing.
+SHA-256 of each file; the document is signed by HMAC-SHA256 (RFC 2104) with a key of this station. The key lies in the
+user's configuration folder and not beside the flights, so that it does not travel with a copy of them. It proves that
+whoever changed a file had not the key; against another process of the same user, which can read it, it proves nothing.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import Any
 
 from groundstation.errors import BadInput
 from groundstation.outside import inside, read_bytes, read_json
+from groundstation.paths import settings_dir
 from groundstation.recording.merge import onboard_log_of
 from groundstation.writing import write_whole
 
@@ -61,8 +63,7 @@ def _signature(body: Mapping[str, Any], key: bytes) -> str:
 
 def key_file() -> Path:
     """Where the key of this station lies."""
-    home = os.environ.get("XDG_CONFIG_HOME") or Path("~/.config").expanduser()
-    return Path(home) / "groundstation" / "manifest.key"
+    return settings_dir() / "manifest.key"
 
 
 def station_key(*, make: bool = False) -> bytes | None:

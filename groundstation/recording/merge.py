@@ -1,7 +1,7 @@
 """The vehicle's own log, fetched after landing, joined with what came over the link: one flight on one clock.
 
-The autopilot stamps its log and its telemetry with the same clock. That is verified, not assumed: turn rates of both must
-go together, and where they do so at another offset, the log's stamps are moved to it.
+The autopilot stamps its log and its telemetry with the same clock. That is verified, not assumed: turn rates of both
+must go together, and where they do so at another offset, the log's stamps are moved to it.
 """
 
 from __future__ import annotations

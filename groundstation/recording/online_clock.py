@@ -10,7 +10,8 @@ from groundstation.recording.recorded import Texts
 
 
 def online_clock(events: Texts | None) -> OnlineClock | None:
-    """Motion capture's stamps are on the host's clock, the IMU's on the vehicle's: the host minus vehicle that TIMESYNC told.
+    """Motion capture's stamps are on the host's clock, the IMU's on the vehicle's: the host minus vehicle that TIMESYNC
+    told.
 
     Its bound is that of the stamps plus that of TIMESYNC. None where nothing was told.
     """

@@ -26,7 +26,9 @@ _FASTEST_RAD_S = 100.0  # 5700 degrees/s: beyond the range of the gyros that fly
 
 
 def check_times(stream: Stream, name: str) -> None:
-    """Raise where a stream that samples motion has steps no such stream has: its stamps count another unit than seconds."""
+    """Raise where a stream that samples motion has steps no such stream has: its stamps count another unit than
+    seconds.
+    """
     if len(stream) < 100:
         return
     step = float(np.median(np.diff(stream.t_s)))
@@ -34,7 +36,8 @@ def check_times(stream: Stream, name: str) -> None:
         return
     unit, factor = next((unit for unit in _TIME_UNITS if step / unit[1] < _LONGEST_STEP_S), _TIME_UNITS[-1])
     raise BadInput(
-        f"{name}: t_s cannot be in seconds: its median step is {step:.4g}, where motion is sampled every 0.0002 to 0.2 s; "
+        f"{name}: t_s cannot be in seconds: its median step is {step:.4g}, where motion is sampled every 0.0002 to 0.2 "
+        "s; "
         f"is it in {unit}? Divide by {factor:.0e}."
     )
 
@@ -72,15 +75,16 @@ def check_accelerometer(stream: Stream, gravity_m_s2: float) -> None:
     if vertical < -0.5 * gravity_m_s2:
         raise BadInput(
             f"imu: gravity is upside down: accel_z_m_s2 has the median {vertical:.3g}, where a vehicle upright shows "
-            f"{gravity_m_s2:+.4g}; give specific force in a body frame with z up (from FRD: change the sign of y and z)."
+            f"{gravity_m_s2:+.4g}; give specific force in a body frame with z up (from FRD: change the sign of y and "
+            "z)."
         )
 
 
 def check_gyro(imu: Stream, attitude: Stream | None, motors: Stream, vehicle: Vehicle) -> None:
     """Raise where the gyro cannot be in rad/s.
 
-    With poses: the vehicle turned as much as they say. Without: it turned as the declared rotors can turn it. And in any
-    case no faster than gyros measure, for five samples in a row.
+    With poses: the vehicle turned as much as they say. Without: it turned as the declared rotors can turn it. And in
+    any case no faster than gyros measure, for five samples in a row.
     """
     gyro = imu.values[:, :3]
     good = np.isfinite(gyro).all(axis=1)
@@ -112,7 +116,9 @@ def _window_means(t_s: Array, values: Array) -> Array:
 
 
 def _ratio_to_poses(t_s: Array, gyro: Array, attitude: Stream) -> float | None:
-    """RMS turn rate of the gyro over that of the poses, both over 0.1 s; None where the gyro shows too little to judge."""
+    """RMS turn rate of the gyro over that of the poses, both over 0.1 s; None where the gyro shows too little to
+    judge.
+    """
     first = attitude.columns.index("qw")
     q = attitude.values[:, first : first + 4]
     norm = np.linalg.norm(q, axis=1)
@@ -201,7 +207,8 @@ def _check_speeds(stream: Stream, values: Array, vehicle: Vehicle) -> None:
     what = "are they in rpm? Divide by 9.549297."
     if excess > 2.0 * _PER_RAD_S:
         what = (
-            f"are they electrical rpm? Divide by 9.549297 and by the motor's pole pairs (about {pairs} would fit; half the "
+            f"are they electrical rpm? Divide by 9.549297 and by the motor's pole pairs (about {pairs} would fit; half "
+            "the "
             "number of magnets, which is on the motor's data sheet)."
         )
     raise BadInput(

@@ -33,6 +33,8 @@ from groundstation.vehicle import Vehicle
 Array = NDArray[np.float64]
 Topics = Mapping[tuple[str, int], Table]
 
+PX4_MOTORS = ("actuator_motors", "actuator_outputs", "esc_status")
+"""Topics that tell of the motors."""
 SETTINGS_REMEDY = "set SDLOG_PROFILE to 25, and IMU_INTEG_RATE and IMU_GYRO_RATEMAX to 1000."
 _FIRST_FUNCTION, _MOST_MOTORS = 101, 12  # actuator function Motor 1, and how many there are
 _DSHOT_FULL = 1999.0
@@ -82,7 +84,9 @@ def read_motors(topics: Topics, settings: Settings, vehicle: Vehicle, source: st
 
 
 def _airframe(settings: Settings, at_s: float, count: int) -> Airframe | None:
-    """The control allocator's geometry (CA_ROTORi_PX, _PY in FRD), else the airframe's number; None where neither is told."""
+    """The control allocator's geometry (CA_ROTORi_PX, _PY in FRD), else the airframe's number; None where neither is
+    told.
+    """
     told = settings.value("CA_ROTOR_COUNT", at_s, 0.0)
     if 0.0 < told <= _MOST_MOTORS:  # a damaged log may say anything
         rotors = int(told)
@@ -104,13 +108,16 @@ def _commands(topics: Topics, settings: Settings, source: str) -> _Commands | No
     kind = int(settings.value("MAV_TYPE", np.inf, 0.0))
     if outputs and (kind == 1 or 19 <= kind <= 25):
         raise BadInput(
-            f"{source}: is the log of a {'plane' if kind == 1 else 'VTOL plane'} (MAV_TYPE {kind}), not of a multicopter."
+            f"{source}: is the log of a {'plane' if kind == 1 else 'VTOL plane'} (MAV_TYPE {kind}), not of a "
+            "multicopter."
         )
     return _from_outputs(outputs, settings, source) if outputs else None
 
 
 def _from_motors(topic: Table, settings: Settings) -> _Commands:
-    """``actuator_motors`` is a thrust per motor, whatever output it goes to; what reaches the ESC follows from THR_MDL_FAC."""
+    """``actuator_motors`` is a thrust per motor, whatever output it goes to; what reaches the ESC follows from
+    THR_MDL_FAC.
+    """
     thrust = topic.array("control", _MOST_MOTORS)
     driven = np.isfinite(thrust).any(axis=0)
     count = int(np.flatnonzero(driven)[-1]) + 1 if driven.any() else 0
@@ -123,7 +130,9 @@ def _from_motors(topic: Table, settings: Settings) -> _Commands:
 
 
 def thrust_curve(thrust: Array, factor: Array) -> Array:
-    """The command that reaches the ESC: PX4 inverts thrust = f u^2 + (1 - f) u with f = THR_MDL_FAC before it sends u."""
+    """The command that reaches the ESC: PX4 inverts thrust = f u^2 + (1 - f) u with f = THR_MDL_FAC before it sends
+    u.
+    """
     f = np.maximum(factor, 1e-9)
     curved = (f - 1.0 + np.sqrt((1.0 - f) ** 2 + 4.0 * f * np.maximum(thrust, 0.0))) / (2.0 * f)
     return np.where(factor > 1e-6, curved, thrust)
@@ -214,8 +223,8 @@ def _unnamed(values: Array, settings: Settings) -> _Wiring:
 def _scaled(sent: Array, t_s: Array, wiring: _Wiring, settings: Settings) -> tuple[Array, str, tuple[str, ...]] | str:
     """Commands 0..1, by what they were scaled and the parameters used; or why no scale fits.
 
-    Limits and protocol decide, and the range of the values must agree: DShot runs from 0 (stopped) to 1999, a pulse from
-    the least to the greatest width that the parameters give.
+    Limits and protocol decide, and the range of the values must agree: DShot runs from 0 (stopped) to 1999, a pulse
+    from the least to the greatest width that the parameters give.
     """
     lowest, highest = float(np.min(sent)), float(np.max(sent))
     timers = [name for name in settings.names() if re.fullmatch(rf"{wiring.prefix}_TIM\d+", name)]
@@ -234,7 +243,10 @@ def _scaled(sent: Array, t_s: Array, wiring: _Wiring, settings: Settings) -> tup
         )
     bounds = [_limits(wiring, output, settings, t_s) for output in wiring.outputs]
     if any(bound is None for bound in bounds):
-        return f"values {lowest:g} to {highest:g}, and the log has no limits ({wiring.prefix or 'PWM'}_MINn, _MAXn) for them"
+        return (
+            f"values {lowest:g} to {highest:g}, and the log has no limits ({wiring.prefix or 'PWM'}_MINn, _MAXn) "
+            "for them"
+        )
     names = tuple(name for bound in bounds if bound for name in bound[2])
     low, high = (np.column_stack([bound[side] for bound in bounds if bound]) for side in (0, 1))
     if np.any(high <= low):
@@ -297,7 +309,8 @@ def _speeds(
     by_motor = {motor_of[i]: i for i in turning}
     if sorted(by_motor) != list(range(count)):
         raise BadInput(
-            f"{source}: esc_status tells speeds of {len(turning)} ESCs (places {', '.join(str(i) for i in turning)}), and "
+            f"{source}: esc_status tells speeds of {len(turning)} ESCs (places {', '.join(str(i) for i in turning)}), "
+            "and "
             f"they cannot be told apart as the {count} motors; tested: "
             "actuator_function, the place in the message, and which command each speed follows. "
             'Use input = "command", or say it with `groundstation convert --map`.'

@@ -264,7 +264,7 @@ def _repair_state(stream: Stream, name: str, vehicle: Vehicle) -> tuple[Stream, 
 
 def _repair_motors(stream: Stream, name: str, vehicle: Vehicle) -> tuple[Stream, list[str]]:
     rotors = vehicle.rotors
-    measured = rotors.input == "rotor_speed" and rotors.speed_source == "telemetry"
+    measured = rotors.measured
     notes: list[str] = []
     values = stream.values
     nonfinite = ~np.isfinite(values)
@@ -289,7 +289,8 @@ def _repair_motors(stream: Stream, name: str, vehicle: Vehicle) -> tuple[Stream,
     for column, share in zip(stream.columns, np.count_nonzero(bad, axis=0) / max(len(bad), 1), strict=True):
         if share > 0.5:
             raise BadInput(
-                f"{name}: {share:.0%} of {column} is no number, no possible value or far too low in flight; the stream is refused. "
+                f"{name}: {share:.0%} of {column} is no number, no possible value or far too low in flight; the stream "
+                "is refused. "
                 "Mend that rotor's telemetry and fly again."
             )
     causes = {

@@ -60,7 +60,8 @@ class Settings:
     def told(self, names: Iterable[str], start_s: float, end_s: float) -> list[str]:
         """A sentence on each change of these parameters while the motors ran."""
         return [
-            f"settings: {name} changed from {before:g} to {after:g} at {moment:.2f} s, with the motors on; each value is used "
+            f"settings: {name} changed from {before:g} to {after:g} at {moment:.2f} s, with the motors on; each value "
+            "is used "
             "for its own time."
             for name in names
             for moment, before, after in self.changes(name, start_s, end_s)

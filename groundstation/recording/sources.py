@@ -20,7 +20,8 @@ Source = Callable[[], Table]
 
 
 def sources_of(path: Path) -> dict[str, Source]:
-    """Each table of a log; it is read when it is called for. A file of one table names it after itself, without a suffix.
+    """Each table of a log; it is read when it is called for. A file of one table names it after itself, without a
+    suffix.
 
     Raises:
         BadInput: the log is missing, or of no kind that has tables.
@@ -43,7 +44,7 @@ def sources_of(path: Path) -> dict[str, Source]:
     if head.startswith(b"PAR1"):
         return {path.stem: lambda: _parquet(path)}
     if is_usd_log(head):
-        log = decode_usd(path.read_bytes(), str(path))
+        log = decode_usd(np.memmap(path, np.uint8, mode="r"), str(path))
         return {
             event: lambda e=event: table_of(e, {"t_s": log.t_s[e], **log.columns[e]}, ("t_s", 1.0)) for event in log.t_s
         }
@@ -68,7 +69,7 @@ def _csv(path: Path) -> Table:
 def _blackbox(path: Path) -> Table:
     from groundstation.recording.blackboxfile import decode_blackbox
 
-    log = max(decode_blackbox(path.read_bytes()), key=lambda log: len(log.rows))
+    log = max(decode_blackbox(np.memmap(path, np.uint8, mode="r")), key=lambda log: len(log.rows))
     return table_of("blackbox", dict(zip(log.names, log.rows.T.astype(float), strict=True)), ("time", 1e6))
 
 

@@ -107,23 +107,24 @@ def table_of(name: str, columns: Mapping[str, Array], clock: tuple[str, float]) 
 
 _AT_ONCE = 1 << 18
 """Records that are gathered together: their places, eight bytes each, are what a column costs besides itself."""
+_SPAN = 1 << 24
+"""Bytes of a mapped file after which its pages are given back; a long log's are most of what it takes else."""
 
 
-_LARGE = 1 << 23
-"""Bytes of a column after which the mapped file's pages are given back; a long log's are most of what it takes else."""
-
-
-def gather(data: Bytes, where: NDArray[np.int64], kind: str, offset: int = 0) -> NDArray:
-    """Values of a type that begin ``offset`` bytes after these places, shape (k,)."""
+def gather(data: Bytes, where: NDArray[np.int64], kind: str | np.dtype, offset: int = 0) -> NDArray:
+    """Values of a type that begin ``offset`` bytes after these places, which rise, shape (k,)."""
     dtype = np.dtype(kind)
     out = np.empty((len(where), dtype.itemsize), np.uint8)
-    for first in range(0, len(where), _AT_ONCE):
-        part = slice(first, first + _AT_ONCE)
-        places = where[part] + offset
+    first, since = 0, int(where[0]) if len(where) else 0
+    while first < len(where):
+        end = min(first + _AT_ONCE, max(first + 1, int(np.searchsorted(where, where[first] + _SPAN))))
+        places = where[first:end] + offset
         for byte in range(dtype.itemsize):
-            out[part, byte] = data[places + byte]
-    if out.nbytes > _LARGE:
-        forget_pages(data)
+            out[first:end, byte] = data[places + byte]
+        if where[end - 1] - since > _SPAN:
+            forget_pages(data)
+            since = int(where[end - 1])
+        first = end
     return out.reshape(-1).view(dtype)
 
 

@@ -1,11 +1,13 @@
 """Long logs: the stretch of a flight that tells most of the vehicle, when nobody said which part to use.
 
-What a stretch tells of inertias, lags and thrust grows with the square of what the vehicle does in it: turn rates and specific
-force that vary. The most informative stretch of a given length is the one where the sum of those variances is greatest. One
-stretch is taken, not several, since samples on both sides of a seam do not follow each other.
+What a stretch tells of inertias, lags and thrust grows with the square of what the vehicle does in it: turn rates and
+specific force that vary. The most informative stretch of a given length is the one where the sum of those variances is
+greatest. One stretch is taken, not several, since samples on both sides of a seam do not follow each other.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +17,28 @@ from groundstation.flightdata import Stream
 Array = NDArray[np.float64]
 
 LONG_S = 600.0
-"""A flight up to here is used whole. A fit of ten minutes takes about a minute and one gigabyte; batteries rarely last longer."""
+"""A flight up to here is used whole.
+
+A fit of ten minutes takes about a minute and one gigabyte; batteries rarely last longer.
+"""
 KEPT_S = 180.0
-"""What is kept of a longer one: six times the excitation that a plan flies, at a cost that stays near a planned flight's."""
+"""What is kept of a longer one: six times the excitation that a plan flies, at a cost that stays near a planned
+flight's.
+"""
 _BLOCK_S = 1.0
 
 
-def informative_stretch(imu: Stream | None, motors: Stream) -> tuple[float, float] | None:
-    """Start and end (on the motors' clock) of what to use of a long flight; None where it is short, or has no IMU, or its stamps stray.
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """A part of a flight on the motors' clock, and how long the flight is."""
+
+    start_s: float
+    end_s: float
+    of_s: float = np.inf
+
+
+def informative_stretch(imu: Stream | None, motors: Stream) -> Stretch | None:
+    """What to use of a long flight; None where it is short, or has no IMU, or its stamps stray.
 
     Blocks of a second in which the motors stand still count nothing, and no block more than the twentieth part of them
     exceeds: a landing, or a vehicle that is carried about, is no flight.
@@ -40,7 +56,7 @@ def informative_stretch(imu: Stream | None, motors: Stream) -> tuple[float, floa
     width = round(KEPT_S / _BLOCK_S)
     total = np.convolve(told, np.ones(width), mode="valid")
     begin = float(edges[int(np.argmax(total))])
-    return begin, begin + KEPT_S
+    return Stretch(begin, begin + KEPT_S, span_s)
 
 
 def _variation(imu: Stream, edges: Array) -> Array:

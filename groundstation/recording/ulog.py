@@ -17,9 +17,11 @@ from groundstation.flightdata import (
     SETPOINT_COLUMNS,
     STATE_COLUMNS,
     Stream,
+    resampled,
 )
+from groundstation.frames import quat_normalise, slerp
 from groundstation.recording.autopilot import one_line, present, slow_note, z_up, z_up_quaternion
-from groundstation.recording.derive import slerp
+from groundstation.recording.part import WHOLE, Part
 from groundstation.recording.px4_motors import SETTINGS_REMEDY, Topics, read_motors
 from groundstation.recording.recorded import Recording
 from groundstation.recording.settings import Settings
@@ -51,21 +53,21 @@ TOPICS = (
 )
 
 
-def load_ulog(path: Path) -> ULogFile:
-    """The file, decoded.
+def load_ulog(path: Path, part: Part = WHOLE) -> ULogFile:
+    """The file, or a part, decoded.
 
     Raises:
         BadInput: its definitions are torn.
     """
     data = np.memmap(path, np.uint8, mode="r")
     try:
-        return decode_ulog(data)
+        return decode_ulog(data, part)
     except (ValueError, IndexError) as error:
         raise BadInput(f"{path}: its definitions are damaged ({one_line(error)}); download the log again.") from None
 
 
-def read_ulog(path: Path, vehicle: Vehicle) -> Recording:
-    """Read the topics that identification needs.
+def read_ulog(path: Path, vehicle: Vehicle, part: Part = WHOLE) -> Recording:
+    """Read the topics that identification needs, of a part of the log.
 
     IMU: ``sensor_combined``, or ``vehicle_angular_velocity`` with ``vehicle_acceleration`` where those are faster.
     Motors: ``actuator_motors`` (or ``actuator_outputs``) as commands, ``esc_status`` as speeds, sorted into the vehicle
@@ -74,7 +76,7 @@ def read_ulog(path: Path, vehicle: Vehicle) -> Recording:
     Raises:
         BadInput: it is damaged at the start, holds no motor outputs, or those of another vehicle.
     """
-    log = load_ulog(path)
+    log = load_ulog(path, part)
     topics = {key: topic for key, topic in log.topics.items() if len(topic) > 1}
     lost = _losses(path, log)
     streams: dict[str, Stream] = {}
@@ -133,7 +135,8 @@ def _setpoint(topics: Mapping[str, Table], settings: Settings) -> tuple[Stream |
 def _left_out(topics: Topics) -> list[str]:
     """One line per topic that is not read, with its size."""
     return [
-        f"{name}{f' (instance {instance})' if instance else ''}: {len(topic)} samples at {_rate_hz(topic):.0f} Hz are not read."
+        f"{name}{f' (instance {instance})' if instance else ''}: {len(topic)} samples at {_rate_hz(topic):.0f} Hz are "
+        "not read."
         for (name, instance), topic in sorted(topics.items())
         if name not in TOPICS
     ]
@@ -141,7 +144,8 @@ def _left_out(topics: Topics) -> list[str]:
 
 def _metadata(log: ULogFile) -> dict[str, str]:
     info = {key: value for key, value in log.info.items() if key in ("sys_name", "ver_sw", "ver_hw")}
-    # The simulator's own parameters are the answer, not an input: they are carried for reports and read by nothing else.
+    # The simulator's own parameters are the answer, not an input: they are carried for reports and read by nothing
+    # else.
     truth = {key: log.settings.value(key, np.inf, 0.0) for key in log.settings.names() if key.startswith("SIH_")}
     return {"format": "PX4 ULog", **info, **({"simulator_parameters": json.dumps(truth)} if truth else {})}
 
@@ -187,7 +191,7 @@ def _imu(topics: Mapping[str, Table], settings: Settings) -> tuple[Stream | None
         t_s, t_accel = _sampled(rate), _sampled(accel)
         inside = (t_s >= t_accel[0]) & (t_s <= t_accel[-1])
         force = z_up(accel.array("xyz", 3))
-        force = np.column_stack([np.interp(t_s[inside], t_accel, column) for column in force.T])
+        force = resampled(t_s[inside], t_accel, force)
         values = np.hstack([z_up(rate.array("xyz", 3))[inside], force])
         stream = Stream(t_s[inside], values, IMU_COLUMNS)
         cut = {key: settings.value(key, np.inf, np.nan) for key in ("IMU_GYRO_CUTOFF", "IMU_ACCEL_CUTOFF")}
@@ -219,13 +223,15 @@ def _mocap(topics: Mapping[str, Table], settings: Settings) -> tuple[Stream | No
 
 
 def _joined(position: Table, attitude: Table) -> tuple[Array, Array, Array]:
-    """Position's stamps within those of attitude, positions there, and attitude by interpolation on the great circle."""
+    """Position's stamps within those of attitude, positions there, and attitude by interpolation on the great
+    circle.
+    """
     t_attitude, t_s = _rising(_sampled(attitude)), _sampled(position)
     q = z_up_quaternion(attitude.array("q", 4))[t_attitude]
     t_attitude = _sampled(attitude)[t_attitude]
     inside = (t_s >= t_attitude[0]) & (t_s <= t_attitude[-1])
     xyz = z_up(np.column_stack([position.column(axis) for axis in "xyz"]))
-    return t_s[inside], xyz[inside], slerp(t_attitude, q, t_s[inside])
+    return t_s[inside], xyz[inside], slerp(t_s[inside], t_attitude, quat_normalise(q))
 
 
 def _rising(t_s: Array) -> NDArray[np.int64]:
@@ -243,7 +249,7 @@ def _state(topics: Mapping[str, Table], settings: Settings) -> tuple[Stream | No
     velocity = z_up(np.column_stack([position.column(f"v{axis}") for axis in "xyz"]))
     velocity = velocity[np.isin(_sampled(position), t_s)]
     t_rate = _sampled(rate)
-    rates = np.column_stack([np.interp(t_s, t_rate, column) for column in z_up(rate.array("xyz", 3)).T])
+    rates = resampled(t_s, t_rate, z_up(rate.array("xyz", 3)))
     inside = (t_s >= t_rate[0]) & (t_s <= t_rate[-1])
     values = np.hstack([xyz, velocity, q, rates])[inside]
     return Stream(t_s[inside], values, STATE_COLUMNS), [

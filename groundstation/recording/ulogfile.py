@@ -1,7 +1,7 @@
 """PX4's ULog container (docs.px4.io, "ULog File Format"): topics by column, parameters with their times, losses.
 
-A file is scanned once for the borders of its messages; a column is gathered when it is asked for. Damaged bytes are skipped
-up to the next place from which messages follow each other, and counted.
+A file is scanned once for the borders of its messages; a column is gathered when it is asked for. Damaged bytes are
+skipped up to the next place from which messages follow each other, and counted.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.recording.part import WHOLE, Part
 from groundstation.recording.settings import Settings, settings_of
 from groundstation.recording.tables import Bytes, Table, forget_pages, gather
 
@@ -51,20 +52,21 @@ class ULogFile:
     dropouts_s: tuple[tuple[float, float], ...]
 
 
-def decode_ulog(data: Bytes) -> ULogFile:
+def decode_ulog(data: Bytes, part: Part = WHOLE) -> ULogFile:
     """Decode a file.
 
     Args:
         data: the whole file (it may be a memory map).
+        part: the samples that are wanted; settings and losses are those of the whole file.
 
     Raises:
         ValueError: its definitions are torn.
     """
-    from groundstation.recording.kernels import scan_ulog
+    from groundstation.recording.kernels import CLOCK_ALONE, scan_ulog
 
     position, kind, damaged, missing = [], [], 0, 0
     for start, end in _segments(data):
-        found, types, skipped, lacking = scan_ulog(data[:end], start)
+        found, types, skipped, lacking = scan_ulog(data[:end], start, part)
         position.append(found)
         kind.append(types)
         damaged, missing = damaged + int(skipped), int(lacking)
@@ -73,7 +75,7 @@ def decode_ulog(data: Bytes) -> ULogFile:
     forget_pages(data)
     formats = dict(_format(data, at) for at in where[types == _FORMAT].tolist())
     topics, torn = _topics(data, where, types, formats)
-    clock = _Clock(data, where[types == _DATA])
+    clock = _Clock(data, where[(types == _DATA) | (types == CLOCK_ALONE)])
     settings = settings_of(_parameters(data, where[types == _PARAMETER].tolist(), clock))
     lost = tuple((clock.before(at), _u16(data, at + 3) / 1000.0) for at in where[types == _DROPOUT].tolist())
     info = dict(filter(None, (_text_info(data, at) for at in where[types == _INFO].tolist())))

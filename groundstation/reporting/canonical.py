@@ -1,4 +1,7 @@
-"""The one estimate of a flight: what every place shows, with the findings put in. Estimates without them stand in the methods table alone."""
+"""The one estimate of a flight: what every place shows, with the findings put in.
+
+Estimates without them stand in the methods table alone.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +46,9 @@ class Canonical:
         return {"source": self.source, "note": self.note, "parameters": values} | self.joint()
 
     def joint(self) -> dict[str, Any]:
-        """The block ``joint``: covariance and correlation of mass and tensor, and the names of their rows; empty where there is none."""
+        """The block ``joint``: covariance and correlation of mass and tensor, and the names of their rows; empty where
+        there is none.
+        """
         if self.correlation is None:
             return {}
         kept = [i for i, name in enumerate(MASS_AND_TENSOR) if name in self.parameters]
@@ -57,8 +62,9 @@ class Canonical:
 def canonical(identification: Identification, diagnosis: Diagnosis | None = None) -> Canonical:
     """The estimate of the best method; after a diagnosis, with its findings put in where they were adopted.
 
-    What the flight does not reveal stays hidden. Where a residual remains that nothing explains, the intervals are widened: by what the
-    residual adds to the noise they were made of (Birge 1932), and to hold the estimates with the findings and without.
+    What the flight does not reveal stays hidden. Where a residual remains that nothing explains, the intervals are
+    widened: by what the residual adds to the noise they were made of (Birge 1932), and to hold the estimates with the
+    findings and without.
     """
     best = identification.methods.get(identification.best)
     own = dict(best.parameters if best else {}) | dict(identification.model)
@@ -102,7 +108,9 @@ def _widened(estimate: Estimate, without: Estimate | None, diagnosis: Diagnosis)
 
 
 def estimate_in(document: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
-    """Source and parameters of the estimate in an identification's document; of one written before there was the block, its best method."""
+    """Source and parameters of the estimate in an identification's document; of one written before there was the block,
+    its best method.
+    """
     block = document.get("estimate")
     if block:
         return str(block["source"]), block["parameters"]

@@ -28,7 +28,8 @@ def landing_card(
     Args:
         identification, diagnosis: the documents; empty where there is none.
         declared: parameters as the vehicle file declares them.
-        refusal: why there is no identification; planned: the file of the flight that would tell more, where one is proposed.
+        refusal: why there is no identification; planned: the file of the flight that would tell more, where one is
+            proposed.
     """
     if not identification:
         return (
@@ -75,12 +76,12 @@ def _changed(identification: Mapping[str, Any], diagnosis: Mapping[str, Any], de
     known = estimate_in(identification)[1]
     mass = estimate_of(known.get("mass_kg"))
     text = "Mass: not revealed" if mass is None else f"Mass: {quantity('mass_kg', mass)}"
-    own = "" if mass is None else _difference(mass, declared.get("mass_kg"))
+    own = "" if mass is None else difference(mass, declared.get("mass_kg"))
     if mass is not None and declared.get("mass_kg"):
         text += f", {own} than declared" if own else ", as declared"
     moments = ((name, estimate_of(known.get(name))) for name in MOMENTS)
     apart = [
-        f"{label(name)} {more}" for name, e in moments if e is not None and (more := _difference(e, declared.get(name)))
+        f"{label(name)} {more}" for name, e in moments if e is not None and (more := difference(e, declared.get(name)))
     ]
     if apart:
         text += f"; {', '.join(apart)}"
@@ -109,7 +110,7 @@ def _next(identification: Mapping[str, Any], diagnosis: Mapping[str, Any], effec
     return "export the model, or fly again and predict that flight to confirm it."
 
 
-def _difference(estimate: Estimate, declared: float | None) -> str:
+def difference(estimate: Estimate, declared: float | None) -> str:
     """By how much it is more or less, in percent, where that is beyond the interval and matters; empty otherwise."""
     if not declared or abs(estimate.value - declared) <= half_width(estimate):
         return ""

@@ -1,4 +1,6 @@
-"""Two flights or more on one page: what agrees, what changed and by how many standard deviations, as HTML and as Markdown."""
+"""Two flights or more on one page: what agrees, what changed and by how many standard deviations, as HTML and as
+Markdown.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +30,8 @@ from groundstation.reporting.units import (
 from groundstation.writing import write_whole
 
 DIFFERS = 2.8
-"""Standard deviations of a difference from which it is said to be one: 5 chances in 1000 for one parameter, and of the ten that are
-compared, one comparison in twenty by chance."""
+"""Standard deviations of a difference from which it is said to be one: 5 chances in 1000 for one parameter, and of the
+ten that are compared, one comparison in twenty by chance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +81,9 @@ def change(name: str, first: Estimate, second: Estimate) -> str:
 
 
 def comparison_rows(flights: Sequence[Flown]) -> list[tuple[str, ...]]:
-    """A row for each parameter that two flights or more tell: name, unit, each flight, change from first to last, judgement."""
+    """A row for each parameter that two flights or more tell: name, unit, each flight, change from first to last,
+    judgement.
+    """
     told = [flight.parameters() for flight in flights]
     rows = []
     for name in dict.fromkeys(name for known in told for name in known):
@@ -98,12 +102,16 @@ def comparison_rows(flights: Sequence[Flown]) -> list[tuple[str, ...]]:
 def summary(flights: Sequence[Flown]) -> str:
     """What differs between the first flight and the last, in a sentence."""
     rows = comparison_rows(flights)
-    if not rows:
-        return "These flights share no parameter that both reveal."
     moved = [f"{row[0]} {row[-2]}" for row in rows if row[-1].startswith("differs")]
-    first, last = flights[0].name, flights[-1].name
+    return comparison_sentence(flights[0].name, flights[-1].name, len(rows), moved)
+
+
+def comparison_sentence(first: str, last: str, compared: int, moved: Sequence[str]) -> str:
+    """What moved ("mass +2.0 %") between two flights or groups, of how many parameters."""
+    if not compared:
+        return "These flights share no parameter that both reveal."
     if not moved:
-        return f"Nothing differs between {first} and {last} beyond the intervals, over {len(rows)} parameters."
+        return f"Nothing differs between {first} and {last} beyond the intervals, over {compared} parameters."
     return f"From {first} to {last} these differ beyond their intervals: {', '.join(moved)}."
 
 

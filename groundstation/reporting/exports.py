@@ -8,11 +8,11 @@ A *model document* is a plain dictionary that carries everything a prediction ne
      "model": {"rotor_lag_up_s": {"value": 0.045, "std": 0.001}},
      "effects": {"rotor_drag": {"d_x_kg_s": {"value": 0.3, "std": 0.01}}},
      "disturbance": {"acceleration_rad_s2": [1.2, 1.3, 0.4], ...},  # what turns it besides (model/disturbance.py)
-     "prediction": {"kind": "fitted", ...},          # what predicts best (model/predictive.py); exports take the physical part
-     "not_identifiable": ["com_offset_z_m"]}
+     "prediction": {"kind": "fitted", ...},          # what predicts best (model/predictive.py); exports take the
+     physical part "not_identifiable": ["com_offset_z_m"]}
 
-An effect that is found more than once (two weak rotors) has the later ones under "weak_rotor/2" and so on. Settings of an effect
-(which rotor, since when) stand among its parameters, without a spread.
+An effect that is found more than once (two weak rotors) has the later ones under "weak_rotor/2" and so on. Settings of
+an effect (which rotor, since when) stand among its parameters, without a spread.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Figures as plotly documents (data and layout), drawn in the browser. Colours are names ("@1") that the page resolves.
 
-Long series are thinned to their envelope: every bin keeps its smallest and its largest sample at their own times, so that
-no peak is lost and nothing is averaged.
+Long series are thinned to their envelope: every bin keeps its smallest and its largest sample at their own times, so
+that no peak is lost and nothing is averaged.
 """
 
 from __future__ import annotations
@@ -204,7 +204,9 @@ def interval_figure(
     truth: float | None,
     unit: str,
 ) -> Figure:
-    """Dot and whisker per method (value, low, high), nominal dashed, truth solid; ``methods`` fixes each one's style."""
+    """Dot and whisker per method (value, low, high), nominal dashed, truth solid; ``methods`` fixes each one's
+    style.
+    """
     names = list(intervals)[::-1]
     data = [_interval(name, methods.index(name), *intervals[name]) for name in names]
     shapes = [
@@ -236,9 +238,15 @@ def _interval(name: str, style: int, value: float, low: float, high: float) -> d
         "arrayminus": [value - low],
     }
     return {
-        "type": "scatter", "mode": "markers", "x": [value], "y": [name], "name": name, "showlegend": False, "error_x": whisker,
+        "type": "scatter",
+        "mode": "markers",
+        "x": [value],
+        "y": [name],
+        "name": name,
+        "showlegend": False,
+        "error_x": whisker,
         "marker": {"color": f"@{style % COLOURS + 1}", "symbol": MARKERS[style % len(MARKERS)], "size": 9},
-    }  # fmt: skip
+    }
 
 
 def spectrum(t_s: Array, values: Array) -> tuple[Array, Array]:

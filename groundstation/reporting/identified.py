@@ -85,8 +85,8 @@ class Identified:
 def as_rigid_body(model: Identified) -> Identified:
     """The same where its tensor is a rigid body's, else with the nearest one, which the file's head then says.
 
-    A rigid body's principal moments keep the triangle inequality, I3 <= I1 + I2 (Wensing, Kim and Slotine, RA-L 2018, eq. 8). The
-    nearest tensor in the Frobenius norm keeps the axes and moves each moment by a third of the excess.
+    A rigid body's principal moments keep the triangle inequality, I3 <= I1 + I2 (Wensing, Kim and Slotine, RA-L 2018,
+    eq. 8). The nearest tensor in the Frobenius norm keeps the axes and moves each moment by a third of the excess.
     """
     moments, axes = np.linalg.eigh(model.vehicle.inertia_tensor())
     excess = float(moments[2] - moments[0] - moments[1])

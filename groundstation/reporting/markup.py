@@ -35,8 +35,8 @@ def fragment(*children: Child) -> Markup:
 def element(tag: str, *children: Child, **attributes: str | None) -> Markup:
     """``<tag attributes>children</tag>``.
 
-    Attribute names drop a trailing underscore and turn the others into hyphens (``class_``, ``aria_label``); None leaves
-    the attribute out. Values are escaped.
+    Attribute names drop a trailing underscore and turn the others into hyphens (``class_``, ``aria_label``); None
+    leaves the attribute out. Values are escaped.
     """
     written = "".join(
         f' {name.rstrip("_").replace("_", "-")}="{html.escape(value, quote=True)}"'

@@ -1,4 +1,6 @@
-"""The page around the sections: one HTML file with style, script, plotly and figures inside, and no way to the network."""
+"""The page around the sections: one HTML file with style, script, plotly and figures inside, and no way to the
+network.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from typing import Any
 from groundstation.reporting.markup import Child, Markup, element, fragment
 
 POLICY = "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:"
-"""Content security policy: nothing is fetched, wherever the file is opened ('unsafe-eval': plotly compiles its shaders)."""
+"""Content security policy: nothing is fetched, wherever the file is opened ('unsafe-eval': plotly compiles its
+shaders).
+"""
 
 
 @dataclass
@@ -26,7 +30,9 @@ class Page:
     figures: dict[str, Any] = field(default_factory=dict)
 
     def section(self, anchor: str, heading: str, *content: Child, folded: bool = False) -> None:
-        """Add a section with a heading that the table of contents points at; one that is ``folded`` opens at a click, and for print."""
+        """Add a section with a heading that the table of contents points at; one that is ``folded`` opens at a click,
+        and for print.
+        """
         if self.sections:  # the first one, the verdict, is always seen
             fold = {"open": None if folded else "", "class_": "fold"}
             body = element(

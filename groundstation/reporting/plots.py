@@ -1,4 +1,7 @@
-"""Matplotlib figures of results, for notebooks and papers. The report's figures are interactive and live in :mod:`.figures`."""
+"""Matplotlib figures of results, for notebooks and papers.
+
+The report's figures are interactive and live in :mod:`.figures`.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +48,9 @@ def plot(result: Plottable, flight: FlightData | None = None) -> Figure:
 
 
 def _identification(found: Identification, flight: FlightData | None) -> Figure:
-    """Each parameter in a row of its own: value and 95 % interval, the declared and the true value where they are known."""
+    """Each parameter in a row of its own: value and 95 % interval, the declared and the true value where they are
+    known.
+    """
     marks: dict[str, tuple[Mapping[str, float], str, str]] = {}
     if flight is not None:
         marks["declared"] = (flight.vehicle.parameters(), "|", GREY)

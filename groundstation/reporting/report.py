@@ -46,7 +46,7 @@ def report_html(
     """
     page = Page(f"{flight.name} – flight report")
     result = None if isinstance(identification, Refused) else identification
-    add_verdict(page, identification, diagnosis)
+    add_verdict(page, identification, diagnosis, flight.vehicle.parameters())
     if result is not None:
         add_parameters(page, flight, result)
     add_flight(page, flight, result)

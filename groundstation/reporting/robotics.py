@@ -1,6 +1,7 @@
 """Writers for further simulators, firmware and tools. Common ground as in :mod:`.simulators`.
 
-Each states in its head, or beside its numbers where it has no comments, what was identified and what its format does not hold.
+Each states in its head, or beside its numbers where it has no comments, what was identified and what its format does
+not hold.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from groundstation.reporting.simulators import (
     child,
     comment,
     hash_comment,
+    hover_motor_share,
     identifier,
     number,
     numbers,
@@ -30,6 +32,10 @@ MAT_TEXT = 116
 """Bytes of text at the head of a MAT-file (MAT-File Format, version 5, MathWorks, Level 5 header)."""
 RPM = 30.0 / np.pi
 """Revolutions per minute in a radian per second."""
+ARDUPILOT_AIR = 1.157
+"""Density at ArduPilot's reference height of 593 m, kg/m^3 (International Standard Atmosphere)."""
+ARDUPILOT_TILT_DEG = 45.0
+"""Of the reference flight; ArduPilot's own."""
 
 
 def _speed_driven(model: Identified, format_name: str) -> tuple[float, float]:
@@ -41,16 +47,21 @@ def _speed_driven(model: Identified, format_name: str) -> tuple[float, float]:
     rotors = model.vehicle.rotors
     if rotors.thrust_coefficient_n_s2 is None or rotors.speed_max_rad_s is None:
         raise BadInput(
-            f"{format_name} drives rotors by speed: declare thrust_coefficient_n_s2 and speed_max_rad_s, or export mjcf."
+            f"{format_name} drives rotors by speed: declare thrust_coefficient_n_s2 and speed_max_rad_s, or export "
+            "mjcf."
         )
     return rotors.thrust_coefficient_n_s2, rotors.speed_max_rad_s
 
 
 def to_ardupilot_sitl(model: Identified) -> str:
-    """A frame file for ArduPilot's simulator (``-f quad:vehicle.json``). ArduPilot's axes are FRD; lines with # are comments.
+    """A frame file for ArduPilot's simulator (``-f quad:vehicle.json``). ArduPilot's axes are FRD; lines with # are
+    comments.
 
-    Its thrust is hover thrust / hoverThrOut at full command, shaped by propExpo between linear (0) and square (1). It has principal
-    moments only, no lag and no offset of the centre of mass. What no flight of ours shows (battery, drag) keeps ArduPilot's defaults.
+    Formulas and keys: libraries/SITL/SIM_Frame.cpp and SIM_Motor.cpp. With u the servo output between pwmMin and
+    pwmMax, a rotor gives T = hover / hoverThrOut ((1 - propExpo) u + propExpo u^2), which is matched at hover and at
+    full command, and the torque 0.05 diagonal_size yaw u T, whose slope is matched at hover. Rotor positions are from
+    the centre of mass. Drag is the linear momentum drag alone, and angular damping one rate; both are zero where none
+    was found. It has principal moments only and no lag.
     """
     vehicle = model.vehicle
     top = vehicle.rotor_thrust_max_n()
@@ -59,28 +70,66 @@ def to_ardupilot_sitl(model: Identified) -> str:
             "ardupilot-sitl needs the rotors' top thrust: declare speed_max_rad_s, a thrust_curve or thrust_max_n."
         )
     positions = np.asarray(vehicle.rotors.position_m)
-    hover = vehicle.mass_kg * vehicle.gravity_m_s2 / len(positions)
+    diagonal = 2.0 * float(np.linalg.norm(positions[:, :2], axis=1).mean())
+    share = vehicle.mass_kg * vehicle.gravity_m_s2 / len(positions) / top
+    u = hover_motor_share(vehicle)
+    bend = float(np.clip((u - share) / (u - u**2), 0.0, 1.0)) if 0.0 < u < 1.0 else 0.0
+    slope = 1.0 - bend + 2.0 * bend * u
+    yaw = vehicle.rotors.torque_to_thrust_m * slope / (share + u * slope) / (0.05 * diagonal)
     frame: dict[str, Any] = {
         "mass": vehicle.mass_kg,
-        "diagonal_size": 2.0 * float(np.linalg.norm(positions[:, :2], axis=1).mean()),
-        "hoverThrOut": hover / top,
-        "propExpo": 1.0 if vehicle.rotors.input == "rotor_speed" else 0.0,
-        "disc_area": len(positions) * np.pi * vehicle.rotors.radius_m**2,
+        "diagonal_size": diagonal,
+        "hoverThrOut": share,
+        "propExpo": bend,
+        "pwmMin": 1000,
+        "pwmMax": 2000,
+        "spin_min": 0.0,
+        "spin_max": 1.0,
+        **_ardupilot_drag(model, len(positions) * np.pi * vehicle.rotors.radius_m**2),
         "moment_inertia": [getattr(vehicle.inertia_kg_m2, name) for name in ("xx", "yy", "zz")],
         "num_motors": len(positions),
+        "maxVoltage": vehicle.battery.full_v,
     }
-    for i, (x, y, z) in enumerate(positions.tolist(), start=1):
-        frame[f"motor{i}_position"] = [x, -y, -z]
+    for i, (x, y, z) in enumerate((positions - model.com_offset_m).tolist(), start=1):
+        frame[f"motor{i}_position"] = [x, 0.0 - y, 0.0 - z]
+        frame[f"motor{i}_yaw"] = vehicle.rotors.spin[i - 1] * yaw
     notes = [
-        *model.provenance(),
-        "Axes are FRD, SI units. Products of inertia, centre of mass and lag are not held.",
+        *model.provenance({"com_offset", "rotor_drag"}),
+        "Axes are FRD, SI units. Products of inertia and lag are not held; the drag acts along z, too.",
+        "ArduPilot's simulator divides torque by moment: it has no gyroscopic torque.",
+        "Thrust is that of air at refAlt (593 m, as ArduPilot starts) and of a full battery, which does not sag.",
         "Motor 1 is rotor 1 of the vehicle file; ArduPilot's frame class must number its motors alike.",
+        "ArduPilot reads it from the folder it runs in: --model quad:NAME.json, without a path.",
     ]
     return hash_comment(notes) + json.dumps(frame, indent=2) + "\n"
 
 
+def _ardupilot_drag(model: Identified, disc_m2: float) -> dict[str, float]:
+    """Drag and angular damping as SIM_Frame.cpp derives them from a reference flight: at ``refAngle`` the speed is
+    ``refSpd``.
+
+    Momentum drag of all rotors is mdrag_coef sqrt(rho A W) v at hover. What the reference flight needs beyond it
+    becomes drag by the square of the speed; the reference speed is therefore the one that momentum drag alone explains.
+    """
+    weight = model.vehicle.mass_kg * model.vehicle.gravity_m_s2
+    drag = max(0.0, float(np.mean(model.rotor_drag_kg_s)))
+    moments = np.array([getattr(model.vehicle.inertia_kg_m2, name) for name in ("xx", "yy", "zz")])
+    rate = float(np.mean(np.maximum(model.damping_nms, 0.0) / moments))
+    values = {"disc_area": disc_m2, "mdrag_coef": 0.0, "refAngle": 0.0, "refSpd": 15.0}
+    if drag > 0.0:
+        tilt = np.radians(ARDUPILOT_TILT_DEG)
+        thrust = np.sqrt(np.cos(tilt))  # a tilted rotor pushes more, and drags by the root of that
+        values |= {
+            "mdrag_coef": drag / float(np.sqrt(ARDUPILOT_AIR * disc_m2 * weight)),
+            "refAngle": ARDUPILOT_TILT_DEG,
+            "refSpd": float(weight * np.tan(tilt) / drag * thrust / np.cos(tilt) ** 2),
+        }
+    return values | {"refRotRate": float(np.radians(400.0)) / rate if rate > 0.0 else 0.0}
+
+
 def to_pybullet(model: Identified) -> str:
-    """A URDF as gym-pybullet-drones reads it: ``<properties>``, four propeller links from prop0 on, a link at the centre of mass.
+    """A URDF as gym-pybullet-drones reads it: ``<properties>``, four propeller links from prop0 on, a link at the
+    centre of mass.
 
     Its kf and km are per squared RPM. Ground effect, drag and downwash are zero where nothing was found.
     """
@@ -154,7 +203,10 @@ def to_crazyflow(model: Identified) -> str:
 
 
 def to_agilicious(model: Identified) -> str:
-    """A quadrotor file for Agilicious and Flightmare (YAML). Principal moments only; thrust_map is per squared rotor speed."""
+    """A quadrotor file for Agilicious and Flightmare (YAML).
+
+    Principal moments only; thrust_map is per squared rotor speed.
+    """
     k, top = _speed_driven(model, "agilicious")
     vehicle = model.vehicle
     positions = np.asarray(vehicle.rotors.position_m) - model.com_offset_m
@@ -185,7 +237,9 @@ def to_agilicious(model: Identified) -> str:
 
 
 def to_webots(model: Identified) -> str:
-    """A Webots PROTO: a robot with mass, centre and tensor, and a propeller device per rotor (thrust k Omega |Omega|)."""
+    """A Webots PROTO: a robot with mass, centre and tensor, and a propeller device per rotor (thrust k Omega
+    |Omega|).
+    """
     k, top = _speed_driven(model, "webots")
     rigid = as_rigid_body(model)
     vehicle = rigid.vehicle
@@ -246,7 +300,9 @@ def _flat(model: Identified) -> dict[str, float]:
 
 
 def to_matlab(model: Identified) -> str:
-    """A MATLAB script that fills the struct ``vehicle``: values, standard deviations, geometry, and the variances as a matrix."""
+    """A MATLAB script that fills the struct ``vehicle``: values, standard deviations, geometry, and the variances as a
+    matrix.
+    """
     values = _flat(model)
     vehicle = model.vehicle
     lines = [*(f"% {line}" for sentence in model.provenance() for line in sentence.splitlines())]
@@ -265,7 +321,9 @@ def to_matlab(model: Identified) -> str:
 
 
 def to_matfile(model: Identified) -> bytes:
-    """A MAT-file (version 5) with the struct ``vehicle``, as :func:`to_matlab` fills it; the same model gives the same bytes."""
+    """A MAT-file (version 5) with the struct ``vehicle``, as :func:`to_matlab` fills it; the same model gives the same
+    bytes.
+    """
     from scipy.io import savemat
 
     vehicle, values = model.vehicle, _flat(model)

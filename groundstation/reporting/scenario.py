@@ -1,9 +1,10 @@
 """An identified model as a scenario of the simulated drone, so that the next rehearsal has what was found.
 
-The simulator writes its physics down by itself and is met on the wire alone; what is known of it here is its file format.
-Each effect is refitted to the form that ``sim/scenario.py`` documents: where the two differ, the simulator's parameter is
-the one that comes nearest in the least-squares sense over the speeds (or heights) that the vehicle's limits allow, and the
-head of the file says what got lost. Sensors and disturbance, which no model holds, are those of the shipped laboratory.
+The simulator writes its physics down by itself and is met on the wire alone; what is known of it here is its file
+format. Each effect is refitted to the form that ``sim/scenario.py`` documents: where the two differ, the simulator's
+parameter is the one that comes nearest in the least-squares sense over the speeds (or heights) that the vehicle's
+limits allow, and the head of the file says what got lost. Sensors and disturbance, which no model holds, are those of
+the shipped laboratory.
 """
 
 from __future__ import annotations
@@ -197,8 +198,8 @@ def _mocap_tilt(v: Values, model: Identified) -> Held:
 def _motor_lag(v: Values, model: Identified) -> Held | None:
     """A lag whose rate goes with the speed is a motor's with its propeller; else ``truth.lag`` holds it.
 
-    About hover the motor's rate rises by ``propeller_share`` of it per share of speed, and what brakes is that share and as much of the
-    rest as the controller uses: tau_up / tau_down = share + braking (1 - share).
+    About hover the motor's rate rises by ``propeller_share`` of it per share of speed, and what brakes is that share
+    and as much of the rest as the controller uses: tau_up / tau_down = share + braking (1 - share).
     """
     share = v.get("rotor_lag_slope", 0.0)
     if share < LEAST_SHARE:

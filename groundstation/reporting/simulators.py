@@ -1,8 +1,8 @@
 """Writers for simulators: each documents, in the file it writes, the units, the signs and what got lost.
 
-Common ground: body x forward, y left, z up, origin at the declared geometric centre; the tensor is about the centre of mass
-and its products are the tensor's entries (I_xy = -integral x y dm). A rotor with spin +1 turns counter-clockwise seen from
-above, and its reaction torque about body z is -c T.
+Common ground: body x forward, y left, z up, origin at the declared geometric centre; the tensor is about the centre of
+mass and its products are the tensor's entries (I_xy = -integral x y dm). A rotor with spin +1 turns counter-clockwise
+seen from above, and its reaction torque about body z is -c T.
 """
 
 from __future__ import annotations
@@ -85,6 +85,12 @@ def to_vehicle_toml(model: Identified) -> str:
     return hash_comment(model.provenance()) + tomli_w.dumps(vehicle_to_dict(model.vehicle))
 
 
+SIH_STEP_S = 0.005
+"""Longest step of SIH, which divides by the lag and steps it by Euler's rule: a shorter lag would not be stable
+(sih.cpp).
+"""
+
+
 def sih_order(model: Identified) -> tuple[int, int, int, int]:
     """Our rotor numbers (from 0) in the order of PX4's SIH quadrotor: front right, rear left, front left, rear right.
 
@@ -111,7 +117,9 @@ def sih_order(model: Identified) -> tuple[int, int, int, int]:
 
 
 def hover_motor_share(vehicle: Vehicle) -> float:
-    """The motor command at hover as a share of the full one: of the top speed where speeds are the input, else of the command."""
+    """The motor command at hover as a share of the full one: of the top speed where speeds are the input, else of the
+    command.
+    """
     motor = float(vehicle.motor_for_thrust(vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.rotors.count))
     if vehicle.rotors.input == "rotor_speed":
         return motor / (vehicle.rotors.speed_max_rad_s or motor)
@@ -121,9 +129,9 @@ def hover_motor_share(vehicle: Vehicle) -> float:
 def to_px4_sih(model: Identified) -> str:
     """A parameter file (tab separated, as ground stations load it) for PX4's simulation in hardware.
 
-    SIH works in FRD: with x kept and y, z turned round, I_xy and I_xz change sign and I_yz does not. Its thrust is linear in
-    the command, T = SIH_T_MAX u. Hover is matched, as a vehicle flies there; the head gives the error at full throttle. Drag is one
-    number, the mean of x and y.
+    SIH works in FRD: with x kept and y, z turned round, I_xy and I_xz change sign and I_yz does not. Its thrust is
+    linear in the command, T = SIH_T_MAX u. Hover is matched, as a vehicle flies there; the head gives the error at full
+    throttle. Drag is one number, the mean of x and y.
     """
     order = sih_order(model)
     vehicle = model.vehicle
@@ -145,16 +153,18 @@ def to_px4_sih(model: Identified) -> str:
         "SIH_L_PITCH": float(np.mean(np.abs(position[:, 0]))),
         "SIH_KDV": max(0.0, float(np.mean(model.rotor_drag_kg_s))),
         "SIH_KDW": max(0.0, float(np.mean(model.damping_nms))),
-        "SIH_T_TAU": model.mean_lag_s(),
+        "SIH_T_TAU": max(model.mean_lag_s(), SIH_STEP_S),
     }
     offset = " ".join(number(v) for v in model.com_offset_m)
     notes = [
         *model.provenance({"rotor_drag", "angular_damping"}),
         "Axes are FRD: I_xy and I_xz have the sign opposite to FLU. SI units.",
-        f"SIH thrust is linear in the command. SIH_T_MAX matches hover, at {share:.3f} of full command; at full command a rotor of this "
+        f"SIH thrust is linear in the command. SIH_T_MAX matches hover, at {share:.3f} of full command; at full "
+        "command a rotor of this "
         f"vehicle gives {top:.4g} N, and SIH {100.0 * (full / top - 1.0):+.0f} % of that off.",
         f"PX4 motors 1 to 4 are rotors {', '.join(str(i + 1) for i in order)} of the vehicle file.",
-        f"SIH has its centre of mass at the origin (here it is at {offset} m, FLU) and one lag, the mean of up and down.",
+        f"SIH has its centre of mass at the origin (here it is at {offset} m, FLU) and one lag, the mean of up and "
+        "down.",
     ]
     lines = [f"1\t1\t{name}\t{number(value)}\t9" for name, value in values.items()]
     return hash_comment(notes) + "#\n# Vehicle-Id Component-Id Name Value Type\n" + "\n".join(lines) + "\n"
@@ -232,9 +242,11 @@ def _parallel_axis(mass: float, offset: np.ndarray) -> np.ndarray:
 
 
 def to_sdf(model: Identified) -> str:
-    """A Gazebo model: a base link, a turning link per rotor, and the multicopter motor model where rotor speeds are known.
+    """A Gazebo model: a base link, a turning link per rotor, and the multicopter motor model where rotor speeds are
+    known.
 
-    What the rotor links weigh is taken off the base, so that all links together have the identified mass, centre and tensor.
+    What the rotor links weigh is taken off the base, so that all links together have the identified mass, centre and
+    tensor.
     """
     model = as_rigid_body(model)
     vehicle, rotors = model.vehicle, model.vehicle.rotors
@@ -311,7 +323,9 @@ def _motor_plugin(body: ET.Element, model: Identified, index: int) -> None:
 
 
 def to_mjcf(model: Identified) -> str:
-    """A MuJoCo model: a free body with one site and one actuator per rotor; the control is the rotor's thrust in newton."""
+    """A MuJoCo model: a free body with one site and one actuator per rotor; the control is the rotor's thrust in
+    newton.
+    """
     model = as_rigid_body(model)
     vehicle, rotors = model.vehicle, model.vehicle.rotors
     tensor = vehicle.inertia_kg_m2
@@ -325,7 +339,8 @@ def to_mjcf(model: Identified) -> str:
         comment(
             [
                 *model.provenance({"com_offset", "weak_rotor"}),
-                "SI units; x forward, y left, z up; fullinertia is xx yy zz xy xz yz, entries of the tensor about the centre of mass.",
+                "SI units; x forward, y left, z up; fullinertia is xx yy zz xy xz yz, entries of the tensor about the "
+                "centre of mass.",
                 f"Controls are rotor thrusts in newton ({curve}); the mean of the lags up and down acts on the thrust.",
             ]
         )
@@ -379,10 +394,11 @@ _ROTORPY_HOLDS = ("com_offset", "rotor_drag", "climb_inflow", "body_drag", "tran
 
 
 def to_rotorpy(model: Identified) -> str:
-    """A Python module with RotorPy's ``quad_params``. Positions are from the centre of mass; +direction is +torque about z.
+    """A Python module with RotorPy's ``quad_params``. Positions are from the centre of mass; +direction is +torque
+    about z.
 
-    Rotor coefficients are per rotor and rotor speed: those found at hover, shared out over the hover speeds; lift at hover
-    thrust. RotorPy's flapping moment has the sign opposite to ours (ours lifts the nose when flying forward).
+    Rotor coefficients are per rotor and rotor speed: those found at hover, shared out over the hover speeds; lift at
+    hover thrust. RotorPy's flapping moment has the sign opposite to ours (ours lifts the nose when flying forward).
     """
     rotors = model.vehicle.rotors
     if rotors.thrust_coefficient_n_s2 is None or rotors.speed_max_rad_s is None:

@@ -83,6 +83,26 @@ def label(name: str) -> str:
     return stem.replace("_", " ")
 
 
+_METHODS: Mapping[str, str] = {
+    "IV": "instrumental variables",
+    "OE": "output error",
+    "FE": "filter error",
+    "PE": "prediction error",
+    "LF": "low frequencies",
+    "LS": "least squares",
+    "GD": "gradient descent",
+    "FMLS": "least squares on the filtered model",
+    "FMGD": "gradient descent on the filtered model",
+}
+
+
+def method_text(source: str) -> str:
+    """A method in words: "IV + findings" is "instrumental variables (IV), findings put in"."""
+    method, plus, _ = source.partition(" + findings")
+    words = f"{_METHODS[method]} ({method})" if method in _METHODS else method
+    return f"{words}, findings put in" if plus else words
+
+
 _NAME = re.compile(r"(?<![\w/.`-])[a-z][a-z0-9]*(?:_[a-z0-9]+)+(?!\w|[/`-]|\.\w)")
 
 
@@ -99,6 +119,8 @@ def readable(text: str, identifiers: Collection[str] = ()) -> str:
 def scale_for(unit: str, magnitudes: Iterable[float]) -> Scale:
     """The prefix, or power of ten, that puts the largest magnitude between 0.1 and 100 (engineering notation)."""
     largest = max((abs(m) for m in magnitudes if math.isfinite(m)), default=0.0)
+    if unit == "" and 0.0 < largest < 1e-4:
+        return Scale(1e6, "ppm")
     if largest == 0.0 or unit in {"", "°", "Hz", "rpm", "m/s", "m/s²"}:
         return Scale(1.0, unit)
     exponent = 3 * math.floor((math.log10(largest) + 1.0) / 3 + 1e-12)
@@ -109,6 +131,15 @@ def scale_for(unit: str, magnitudes: Iterable[float]) -> Scale:
     if unit in _PREFIXED and exponent in _PREFIXES:
         return Scale(10.0**-exponent, _PREFIXES[exponent] + unit)
     return Scale(10.0**-exponent, f"10{str(exponent).translate(_SUPERSCRIPT)} {unit}")
+
+
+ROUNDING = 1e-12
+"""An error below this, in SI, is the arithmetic's own: no sensor here tells a millionth of a millionth."""
+
+
+def beyond_rounding(value: float) -> float:
+    """The error, or zero where it is rounding alone."""
+    return value if abs(value) >= ROUNDING else 0.0
 
 
 def decimals(uncertainty: float, digits: int = 2) -> int:
@@ -147,7 +178,9 @@ def half_width(estimate: Estimate) -> float:
 
 
 def interval_text(estimate: Estimate, scale: Scale) -> str:
-    """Value and 95 % half width without the unit: "1.8254 ± 0.0012"; the value alone where nothing is known of its width."""
+    """Value and 95 % half width without the unit: "1.8254 ± 0.0012"; the value alone where nothing is known of its
+    width.
+    """
     width = half_width(estimate) * scale.factor
     if width <= 0.0 or not math.isfinite(width):
         return significant(estimate.value * scale.factor)

@@ -1,4 +1,6 @@
-"""A flight's report as Markdown, for a lab's wiki or a merge request: the same numbers as the page, without its figures."""
+"""A flight's report as Markdown, for a lab's wiki or a merge request: the same numbers as the page, without its
+figures.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,15 @@ from groundstation.reporting.canonical import Canonical, canonical
 from groundstation.reporting.card import landing_card
 from groundstation.reporting.compare import cell, markdown_table
 from groundstation.reporting.sections.data import hashes, reproduction_commands
-from groundstation.reporting.units import interval_text, label, readable, scale_for, significant, split_unit
+from groundstation.reporting.units import (
+    interval_text,
+    label,
+    method_text,
+    readable,
+    scale_for,
+    significant,
+    split_unit,
+)
 
 if TYPE_CHECKING:  # the diagnosis is heavy to import, and only its type is needed
     from groundstation.diagnosis.results import Diagnosis
@@ -56,7 +66,7 @@ def _results(flight: FlightData, identification: Identification, diagnosis: Diag
     )
     yield from (verdict.rstrip(), "") if verdict else ()
     yield from (f"- {cell(line)}" for line in landing_card(document, told, flight.vehicle.parameters()))
-    yield from ("", f"## Parameters ({cell(estimate.source)})", "")
+    yield from ("", f"## Parameters, by {cell(method_text(estimate.source))}", "")
     yield from _parameters(flight, estimate)
     if estimate.note:
         yield from ("", cell(estimate.note))

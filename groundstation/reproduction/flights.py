@@ -17,7 +17,9 @@ from groundstation.vehicle import load_vehicle, vehicle_from_dict, vehicle_to_di
 PERIODS = 5.0
 """The paper flies 0 s < t < 50 s."""
 CLOCK_S = 0.012
-"""Offset between motion capture and IMU in the simulated laboratory; told to the methods, as the paper's are synchronised."""
+"""Offset between motion capture and IMU in the simulated laboratory; told to the methods, as the paper's are
+synchronised.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +49,8 @@ TRUTHS = (
         "Table 3's tilt inertias",
         1.8225,
         {"xx": 0.012, "yy": 0.0154, "zz": 0.027, "xy": -0.0008, "yz": -0.0006},
-        "Ixx and Iyy of Table 3 (LS) with nearly the largest Izz that such a body can have (Ixx + Iyy), where the table has 0.083",
+        "Ixx and Iyy of Table 3 (LS) with nearly the largest Izz that such a body can have (Ixx + Iyy), where the "
+        "table has 0.083",
     ),
 )
 
@@ -60,8 +63,8 @@ def identification_plan() -> Plan:
 def circle_plan(radius_m: float, altitude_m: float) -> Plan:
     """The circle of IV-C as a Fourier series of one harmonic, ten rounds of 5 s.
 
-    The paper climbs to the altitude during the first 5 s; here the take-off does, and the 0.1 m oscillation is there from
-    the start. Both begin with the speed of the circle, from rest.
+    The paper climbs to the altitude during the first 5 s; here the take-off does, and the 0.1 m oscillation is there
+    from the start. Both begin with the speed of the circle, from rest.
     """
     w = 2.0 * math.pi / 5.0
 

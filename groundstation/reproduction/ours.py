@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from groundstation.flightdata import FlightData
-from groundstation.identification.processing import process_flight
 from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.identification.seed import filtered_regression, seed_methods, standard_regression
+from groundstation.identification.seed_signals import Processing, process_flight
 from groundstation.identification.validation import closed_loop_validation, output_validation, parameter_sets
 from groundstation.reproduction.flights import CLOCK_S, Truth, circle_plan, fly, identification_plan
 from groundstation.reproduction.published import CIRCLES, FILTERED, METHODS, STANDARD
@@ -59,7 +59,7 @@ def run(truth: Truth, folder: Path, progress: Progress, *, circles: bool = True)
     progress(0.0, f"flying Table 2's trajectory ({truth.name})")
     plan = identification_plan()
     flight = fly(plan, truth, 1, folder / "identification")
-    signals = process_flight(flight, mocap_minus_imu_s=CLOCK_S, accelerometer=False)
+    signals = process_flight(flight, Processing(mocap_minus_imu_s=CLOCK_S, accelerometer=False))
     methods = seed_methods(signals, flight.vehicle, filter_period_s=PAPER_PERIOD_S, refuse=False)
     sets = parameter_sets(flight.vehicle, methods)
     progress(0.3, "simulating the closed loop with each parameter set")
@@ -84,7 +84,7 @@ def run(truth: Truth, folder: Path, progress: Progress, *, circles: bool = True)
 
 def _outputs(flight: FlightData, sets: Columns) -> tuple[Columns, Columns]:
     """RMS output errors on the standard and on the filtered model over the whole 50 s."""
-    signals = process_flight(flight, mocap_minus_imu_s=CLOCK_S, accelerometer=False, transient_s=0.0)
+    signals = process_flight(flight, Processing(mocap_minus_imu_s=CLOCK_S, accelerometer=False, transient_s=0.0))
     filtered = filtered_regression(signals, period_s=PAPER_PERIOD_S)
     return (
         output_validation(standard_regression(signals), _of(sets, STANDARD)).rms,
@@ -94,7 +94,7 @@ def _outputs(flight: FlightData, sets: Columns) -> tuple[Columns, Columns]:
 
 def _slow_fmls(flight: FlightData) -> dict[str, float]:
     """FMLS as it comes out if all is sampled at the poses' rate and the filters' T is that."""
-    signals = process_flight(flight, mocap_minus_imu_s=CLOCK_S, accelerometer=False, period_s=POSE_PERIOD_S)
+    signals = process_flight(flight, Processing(mocap_minus_imu_s=CLOCK_S, accelerometer=False, period_s=POSE_PERIOD_S))
     result = seed_methods(signals, flight.vehicle, filter_period_s=POSE_PERIOD_S, refuse=False)["FMLS"]
     return {key: result.parameters[key].value for key in MASS_AND_TENSOR}
 

@@ -32,35 +32,20 @@ from groundstation.tui.margins import Announcer, FlightLimits, margins
 from groundstation.tui.results import FlightResults, read_results
 from groundstation.tui.screens.base import StationScreen
 from groundstation.tui.setup import Setup, begin_flight, flight_limits, plan_at_hand
+from groundstation.tui.text import CONFIRM, ELSEWHERE, KEYS, KILL
 from groundstation.tui.watch import CoreWatch
 from groundstation.tui.widgets.bars import REFRESH_S, SCREENS
 from groundstation.tui.widgets.dialogs import Question, TextPage, TypedQuestion
 
 if TYPE_CHECKING:
     from groundstation.trajectory import Plan
+    from groundstation.tui.remote import StationWatch
     from groundstation.tui.screens.diagnose import Diagnose
     from groundstation.tui.screens.identify import Identify
     from groundstation.tui.screens.plan import Planner
 
 AFTER_LANDING = (Phase.LANDED, Phase.IDENTIFYING, Phase.DONE)
 """A view may see any of them first."""
-KEYS = """\
-^g, F8  abort and land
-^o, F9  stop the rotors, after a question
-^p      every command by name
-1 … 7   the screens
-Escape  leave a field
-l       the run's log
-t       light or dark
-?, F1   this help
-q       close this program; a flight goes on
-"""
-CONFIRM = """\
-Everything is checked. A real vehicle is about to arm and take off.
-Is the area clear, and is the pilot ready to take over?"""
-KILL = """\
-Stop the rotors now? The vehicle falls from where it is.
-Abort and land (^g) brings it down under control."""
 
 
 def _screen(mode: str, name: str) -> Callable[[], StationScreen]:
@@ -78,6 +63,7 @@ class GroundStation(App[int]):
     Args:
         logs: where flights are kept.
         analyse: identify, diagnose and report after landing.
+        remote: the station on another machine that is shown instead of this one.
 
     Attributes:
         core: the flight that is followed; None before the first.
@@ -109,9 +95,10 @@ class GroundStation(App[int]):
         Binding("q", "leave", "Quit"),
     ]
 
-    def __init__(self, logs: Path = LOGS, *, analyse: bool = True):
+    def __init__(self, logs: Path = LOGS, *, analyse: bool = True, remote: StationWatch | None = None):
         super().__init__()
-        self.logs, self._analyse = logs, analyse
+        self.logs, self._analyse, self.remote = logs, analyse, remote
+        self._flight = ""
         self.setup = Setup()
         self.core: CoreWatch | None = None
         self.plan: Plan | None = None
@@ -130,7 +117,10 @@ class GroundStation(App[int]):
     def on_mount(self) -> None:
         """Find a flight that goes on, and refresh from now on."""
         self.set_interval(REFRESH_S, self._refresh_view)
-        self.run_worker(self._find_flight, thread=True)
+        if self.remote is not None:
+            self.core = self.remote
+        else:
+            self.run_worker(self._find_flight, thread=True)
 
     def on_unmount(self) -> None:
         """Stop following; the flight goes on."""
@@ -141,11 +131,12 @@ class GroundStation(App[int]):
 
     def follow(self, core: CoreWatch, *, simulated: bool = False) -> None:
         """Show this flight from now on; one that is not known to be simulated starts only after a typed word."""
-        if self.core is not None:
+        if self.core is not None and self.core is not core:
             self.core.stop()
         self.core, self._shown, self.trouble, self.results = core, None, "", None
         self._simulated = simulated
-        self.limits = flight_limits(core.folder, self.setup.station, simulated=simulated)
+        guard = self.setup.station if self.remote is None else ""  # which file holds there is not known here
+        self.limits = flight_limits(core.folder, guard, simulated=simulated)
         self._announcer = Announcer()
         self.switch_mode("fly")
 
@@ -160,10 +151,15 @@ class GroundStation(App[int]):
         return self._preparing
 
     @property
+    def may_prepare(self) -> bool:
+        """Nothing is prepared or flies here, and flights are prepared here."""
+        return self.remote is None and not self.flying and not self._preparing
+
+    @property
     def may_take_lease(self) -> bool:
-        """Another client is the operator."""
+        """This client is not the operator, and may be."""
         core = self.core
-        return core is not None and core.newest is not None and bool(core.newest.lease) and not core.operator
+        return core is not None and core.newest is not None and core.may_operate and not core.operator
 
     @property
     def flying(self) -> bool:
@@ -179,8 +175,9 @@ class GroundStation(App[int]):
         self, setup: Setup, plan: Plan | None, begun: Callable[[Path], None] = lambda folder: None
     ) -> None:
         """Start a core with a plan, or the one at hand; ``begun`` is told the flight's folder, on a thread."""
-        if self.flying or self._preparing:
-            self.notify("a flight is prepared already; s on Fly starts it, ^g gives it up.")
+        if not self.may_prepare:
+            there = "a flight is prepared already; s on Fly starts it, ^g gives it up."
+            self.notify(there if self.remote is None else ELSEWHERE)
             return
         self._preparing, self._start_wanted, self.trouble = True, False, ""
         self._simulated = setup.simulated
@@ -277,6 +274,9 @@ class GroundStation(App[int]):
         """The newest status, if it is new, to the screen that is open."""
         core = self.core
         self._watch_child()
+        if self.remote is not None and self.remote.flight != self._flight:
+            self._flight = self.remote.flight
+            self.follow(self.remote)
         screens = [screen for screen in self.screen_stack if isinstance(screen, StationScreen)]
         status = core.newest if core else None
         new = status is not None and status is not self._shown
@@ -435,15 +435,15 @@ class GroundStation(App[int]):
         """Close, after a question while something flies."""
         if self.phase in IN_FLIGHT:
             text = "The flight goes on without this program: the plan is completed and the vehicle lands.\nClose it?"
-            self.push_screen(Question(text), self._on_leave)
+            self.push_screen(Question(text), lambda yes: self.exit(0) if yes else None)
         else:
             self.exit(0)
 
-    def _on_leave(self, yes: bool | None) -> None:
-        if yes:
-            self.exit(0)
 
+def run(host: str | None = None) -> int:
+    """Open it in this terminal, for this station or the one on another machine."""
+    if host is None:
+        return GroundStation().run() or 0
+    from groundstation.tui.remote import watch_station
 
-def run() -> int:
-    """Open it in this terminal."""
-    return GroundStation().run() or 0
+    return GroundStation(remote=watch_station(host)).run() or 0

@@ -14,12 +14,15 @@ from groundstation.identification.results import MASS_AND_TENSOR, Estimate
 from groundstation.reporting.canonical import estimate_in, estimate_of
 from groundstation.reporting.compare import change
 from groundstation.reporting.units import (
+    beyond_rounding,
     decimals,
     fixed,
     half_width,
     interval_text,
     label,
+    method_text,
     percent,
+    quantity,
     readable,
     scale_for,
     significant,
@@ -71,7 +74,9 @@ def live_rows(table: Mapping[str, tuple[float, float, float, float]]) -> list[Ro
 
 
 def until_lines(status: CoreStatus) -> str:
-    """Time to target of each parameter, what is proposed, and what the flight so far lets suspect; empty where there is none of it."""
+    """Time to target of each parameter, what is proposed, and what the flight so far lets suspect; empty where there is
+    none of it.
+    """
     lines = []
     if (until := status.until) is not None:
         lines.append(f"until known: {until.length_s:.0f} s as it stands, {until.at_most_s:.0f} s at the most")
@@ -94,7 +99,9 @@ def _to_target(known: KnownStatus) -> str:
 
 
 def round_row(number: int, done: Round) -> Row:
-    """One flight of a campaign: number, seconds, verdict, what is found, how far the worst target is, error before and after the effects."""
+    """One flight of a campaign: number, seconds, verdict, what is found, how far the worst target is, error before and
+    after the effects.
+    """
     worst = max(done.reached, key=lambda name: done.reached[name], default="")
     far = f"{label(worst)} {done.reached[worst]:.2f}" if worst else "–"
     errors = "–"
@@ -133,7 +140,9 @@ def _against_nominal(name: str, nominal: float, estimate: Estimate | None) -> Ro
 
 
 def method_table(document: Mapping[str, Any], declared: Mapping[str, float], most: int) -> tuple[Row, list[Row]]:
-    """Header and rows of mass and tensor: the one estimate, then the methods, at most so many columns, with 95 % half widths."""
+    """Header and rows of mass and tensor: the one estimate, then the methods, at most so many columns, with 95 % half
+    widths.
+    """
     source, estimate = estimate_in(document)
     methods = {**document["methods"], source: {"parameters": estimate}}
     names = [source, *(name for name in methods if name != source)][:most]
@@ -160,10 +169,11 @@ def _online(clock: Mapping[str, Any]) -> str:
 
 def identification_notes(document: Mapping[str, Any]) -> str:
     """Best method and why, clock, condition, what is not revealed, warnings, and the errors before and after."""
-    lines = [f"best: {readable(document.get('best_reason') or document['best'])}"]
+    because = readable(str(document.get("best_reason", "")).removeprefix(f"{document['best']}:").strip())
+    lines = [f"best: {method_text(document['best'])}{f'; {because}' if because else ''}"]
     if clock := document.get("clock"):
-        offset, std = 1e3 * clock["mocap_minus_imu_s"], 1e3 * clock["std_s"]
-        lines.append(f"clock: motion capture minus IMU {offset:+.2f} ± {1.96 * std:.2f} ms{_online(clock)}")
+        offset = Estimate.normal(clock["mocap_minus_imu_s"], clock["std_s"])
+        lines.append(f"clock: motion capture minus IMU {quantity('offset_s', offset)}{_online(clock)}")
     conditions = {k: m.get("condition_number") for k, m in document["methods"].items()}
     known = ", ".join(f"{name} {value:.1f}" for name, value in conditions.items() if value)
     lines.append(f"condition number: {known or 'none given'}")
@@ -187,6 +197,7 @@ def validation_rows(document: Mapping[str, Any]) -> list[Row]:
 
 
 def _change(signal: str, before: float | None, after: float | None) -> Row:
+    before, after = (v if v is None else beyond_rounding(v) for v in (before, after))
     known = [v for v in (before, after) if v is not None]
     scale = scale_for(split_unit(signal)[1], known)
     texts = ["–" if v is None else f"{significant(v * scale.factor)} {scale.unit}" for v in (before, after)]

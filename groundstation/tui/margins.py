@@ -20,8 +20,8 @@ if TYPE_CHECKING:  # the first screen waits for no numerics
 Range = tuple[float, float]
 
 NEAR, AT = 0.75, 0.92
-"""Shares of a limit from which it counts as near, and as reached: a flight as planned uses less, and at a walking pace the
-quarter that is left is the second in which an operator can still act."""
+"""Shares of a limit from which it counts as near, and as reached: a flight as planned uses less, and at a walking pace
+the quarter that is left is the second in which an operator can still act."""
 AGAIN = 0.65
 """Share below which a limit has to fall before it is announced again."""
 WALL_M = 0.4

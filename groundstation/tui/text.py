@@ -9,6 +9,27 @@ from groundstation.flight.messages import CoreStatus
 from groundstation.flight.sequence import Phase
 
 Row = tuple[str, ...]
+KEYS = """\
+^g, F8  abort and land
+^o, F9  stop the rotors, after a question
+^p      every command by name
+1 … 7   the screens
+Escape  leave a field
+l       the run's log
+t       light or dark
+?, F1   this help
+q       close this program; a flight goes on
+"""
+CONFIRM = """\
+Everything is checked. A real vehicle is about to arm and take off.
+Is the area clear, and is the pilot ready to take over?"""
+ELSEWHERE = (
+    "This shows another station. Flights are prepared at that station's own machine and appear here; ^g aborts and "
+    "lands. With a pass for operators, o takes the lease and s starts."
+)
+KILL = """\
+Stop the rotors now? The vehicle falls from where it is.
+Abort and land (^g) brings it down under control."""
 OWN_CLOCK_S = 10.0
 """A stamp further than this from its arrival is of a clock that began at another time."""
 PHASES: Mapping[str, str] = {

@@ -1,4 +1,7 @@
-"""Follows one core over the bus on a thread of its own and gives it orders. Frames may be dropped, samples never pass."""
+"""Follows one core over the bus on a thread of its own and gives it orders.
+
+Frames may be dropped, samples never pass.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,12 @@ import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol
 
 from drivers.access import Access
+from drivers.bus import Answer
 from groundstation.flight.client.client import CoreClient, connect
-from groundstation.flight.messages import CommandName, CoreStatus
+from groundstation.flight.messages import CommandName, CoreStatus, LeaseAnswer
 from groundstation.flight.sequence import FINAL
 
 HISTORY = 1200
@@ -19,6 +24,20 @@ CONNECT_S = 15.0
 """How long a core may take to come up."""
 SILENT_S = 3.0
 """Wall time without a status after which the core is said to be silent."""
+
+
+class Client(Protocol):
+    """What gives orders: a client of a core, or of a station's gate."""
+
+    name: str
+
+    def command(self, name: CommandName, timeout_s: float = 5.0) -> Answer:
+        """Give an order."""
+        ...
+
+    def take_lease(self, *, force: bool = False) -> LeaseAnswer:
+        """Become the operator."""
+        ...
 
 
 class CoreWatch:
@@ -33,15 +52,17 @@ class CoreWatch:
         newest: the last status; None before the first.
         history: the last statuses, oldest first.
         fault: why nothing more will come; empty while the core is followed, and after a flight that ended.
+        place: name of the station, where it is another machine's.
+        may_operate: this client may take the lease.
     """
 
     def __init__(self, endpoint: Access, folder: Path, clock: Callable[[], float] = time.monotonic):
         self.endpoint, self.folder = endpoint, folder
-        self.name, self.fault = "", ""
+        self.name, self.place, self.fault, self.may_operate = "", "", "", True
         self.newest: CoreStatus | None = None
         self.history: deque[CoreStatus] = deque(maxlen=HISTORY)
         self._clock, self._heard_s = clock, clock()
-        self._client: CoreClient | None = None
+        self._client: Client | None = None
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="core-watch", daemon=True)
         self._thread.start()
@@ -103,8 +124,11 @@ class CoreWatch:
             status = client.status(0.2)
             if status is None:
                 continue
-            self._heard_s = self._clock()
-            self.newest = status
-            self.history.append(status)
+            self._take(status)
             if status.phase in FINAL:
                 return
+
+    def _take(self, status: CoreStatus) -> None:
+        self._heard_s = self._clock()
+        self.newest = status
+        self.history.append(status)

@@ -15,8 +15,8 @@ class MotorLag(NamedTuple):
     """A brushless motor on an open-loop controller (Franklin, Powell & Emami-Naeini, sec. 2.3; Bangura & Mahony 2014).
 
     J dOmega/dt = K (V - K Omega)/R - c Omega^2, with V chosen so that the command is the steady state:
-    dOmega/dt = (Omega_c - Omega)(1/tau + beta (Omega_c + Omega)). Without regenerative braking only part of the negative current
-    is available, so it slows down more slowly than it speeds up.
+    dOmega/dt = (Omega_c - Omega)(1/tau + beta (Omega_c + Omega)). Without regenerative braking only part of the
+    negative current is available, so it slows down more slowly than it speeds up.
 
     Attributes:
         hover_s: time constant of small changes at hover.
@@ -55,9 +55,11 @@ class BatterySag(NamedTuple):
 
 
 class RotorGyroscopic(NamedTuple):
-    """The rotors' own angular momentum h = J sum s_i Omega_i e_z turns with the body and takes up torque when it changes.
+    """The rotors' own angular momentum h = J sum s_i Omega_i e_z turns with the body and takes up torque when it
+    changes.
 
-    Where neither ``truth.lag`` nor ``motor_lag`` is on, speeds jump and take up none: only what turns with the body is left.
+    Where neither ``truth.lag`` nor ``motor_lag`` is on, speeds jump and take up none: only what turns with the body is
+    left.
 
     Attributes:
         inertia_kg_m2: J of one rotor with its motor's bell.

@@ -23,7 +23,8 @@ class BodyDrag(NamedTuple):
 
 
 class AngularDamping(NamedTuple):
-    """Moment against the body rate: linear from the rotors' inflow when their hubs rise and fall, quadratic from the arms.
+    """Moment against the body rate: linear from the rotors' inflow when their hubs rise and fall, quadratic from the
+    arms.
 
     Attributes:
         damping_nms: about body x, y, z.
@@ -72,8 +73,8 @@ def angular_damping(p: AngularDamping, w: Vector) -> Vector:
 def gust_step(p: Wind, state, noise, dt: float) -> Vector:
     """Advance the turbulence and return the wind in the world.
 
-    Along the wind sigma sqrt(2 T)/(1 + T s), across it sigma sqrt(T) (1 + sqrt(3) T s)/(1 + T s)^2 with T = L/V. With p a unit
-    first-order process and r = p/(1 + T s), the latter is (sqrt(3) p + (1 - sqrt(3)) r)/sqrt(2).
+    Along the wind sigma sqrt(2 T)/(1 + T s), across it sigma sqrt(T) (1 + sqrt(3) T s)/(1 + T s)^2 with T = L/V. With p
+    a unit first-order process and r = p/(1 + T s), the latter is (sqrt(3) p + (1 - sqrt(3)) r)/sqrt(2).
 
     Args:
         p: parameters.

@@ -21,8 +21,9 @@ NonNegative = Annotated[float, Field(ge=0.0)]
 class RotorDrag(NamedTuple):
     """H-force: profile drag of the blades, linear in speed, and induced drag, which fades as the inflow does.
 
-    Each rotor pulls back with d_i (Omega/Omega_hover) ((1 - s) + s v_i(V)/v_h) u_xy (blade element theory, Bramwell 2001,
-    sec. 3.7: C_H = sigma C_d0 mu / 4 + sigma a mu lambda theta / ...; both parts are proportional to mu near hover).
+    Each rotor pulls back with d_i (Omega/Omega_hover) ((1 - s) + s v_i(V)/v_h) u_xy (blade element theory, Bramwell
+    2001, sec. 3.7: C_H = sigma C_d0 mu / 4 + sigma a mu lambda theta / ...; both parts are proportional to mu near
+    hover).
 
     Attributes:
         drag_kg_s: force per air speed of the whole vehicle in hover, along body x and y.
@@ -74,7 +75,8 @@ class ClimbInflow(NamedTuple):
 
 
 class GroundEffect(NamedTuple):
-    """Thrust rises near the floor as by an image source: T/T_0 = 1/(1 - k (R/(4 z))^2) (Cheeseman & Bennett, ARC R&M 3021).
+    """Thrust rises near the floor as by an image source: T/T_0 = 1/(1 - k (R/(4 z))^2) (Cheeseman & Bennett, ARC R&M
+    3021).
 
     Every rotor has its own height above the floor.
 

@@ -26,7 +26,8 @@ class WeakRotor(NamedTuple):
 
 
 class RotorDegradation(NamedTuple):
-    """A rotor that loses thrust during the flight, along a logistic curve; torque falls with D^5 as for a cut propeller.
+    """A rotor that loses thrust during the flight, along a logistic curve; torque falls with D^5 as for a cut
+    propeller.
 
     Attributes:
         rotor: its number, from 1.

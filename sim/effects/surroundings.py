@@ -26,7 +26,8 @@ class ConstantWrench(NamedTuple):
 
 
 class AttractingWall(NamedTuple):
-    """A wall that draws the vehicle in as the air between them speeds up: F = strength / (d + 0.5)^3 towards it. Invented.
+    """A wall that draws the vehicle in as the air between them speeds up: F = strength / (d + 0.5)^3 towards it.
+    Invented.
 
     Attributes:
         distance_m: of the wall from the world's origin.
@@ -41,7 +42,8 @@ class AttractingWall(NamedTuple):
 
 
 class Magnet(NamedTuple):
-    """A magnet in the room and one on board, as point dipoles that attract: F ~ 1/r^4, and a torque that turns ours to it.
+    """A magnet in the room and one on board, as point dipoles that attract: F ~ 1/r^4, and a torque that turns ours to
+    it.
 
     Attributes:
         position_m: of the one in the room.

@@ -14,6 +14,7 @@ from drivers.mavlink.transports import SerialTransport
 from groundstation.errors import BadInput, GroundStationError
 from groundstation.paths import find_config
 from groundstation.vehicle import load_vehicle
+from sim.arguments import Parser
 from sim.firmware.arducopter import JsonExchange
 from sim.firmware.px4 import HilExchange
 
@@ -79,7 +80,7 @@ def serve_serial(exchange: HilExchange, line: SerialTransport, stopped: Callable
 
 def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     """Parse the command line."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="python -P -m sim.firmware",
         description="The simulated vehicle as physics for ArduCopter's or PX4's own firmware.",
         epilog="example: python -P -m sim.firmware --px4 tcp://127.0.0.1:4560 --vehicle x500 --scenario clean",

@@ -1,5 +1,5 @@
-"""ArduPilot's JSON interface (libraries/SITL/examples/JSON/readme.md of its sources): a UDP packet of servo outputs in, one
-line of JSON out, in lock-step. The firmware's time is the one we send.
+"""ArduPilot's JSON interface (libraries/SITL/examples/JSON/readme.md of its sources): a UDP packet of servo outputs in,
+one line of JSON out, in lock-step. The firmware's time is the one we send.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class JsonExchange:
     def answer(self, packet: bytes) -> bytes | None:
         """The line that answers a packet; None for what is no servo packet.
 
-        A frame counted twice is a resend after a lost answer: it is answered again and moves nothing. A count that falls
-        back is a restarted firmware.
+        A frame counted twice is a resend after a lost answer: it is answered again and moves nothing. A count that
+        falls back is a restarted firmware.
         """
         parsed = _parse(packet)
         if parsed is None:

@@ -1,9 +1,9 @@
-"""PX4's simulator link (docs.px4.io, "Simulation", MAVLink API): HIL_SENSOR, HIL_GPS and the truth (HIL_STATE_QUATERNION)
-out, HIL_ACTUATOR_CONTROLS in.
+"""PX4's simulator link (docs.px4.io, "Simulation", MAVLink API): HIL_SENSOR, HIL_GPS and the truth
+(HIL_STATE_QUATERNION) out, HIL_ACTUATOR_CONTROLS in.
 
-``time_usec`` of HIL_SENSOR *is* PX4's clock. Until its first answer the sensors flow freely; from then on each step waits
-for the answer to the last one (lock-step over TCP). A flight controller on the bench has a clock of its own: there the
-sensors are paced by ours, and the newest answer counts.
+``time_usec`` of HIL_SENSOR *is* PX4's clock. Until its first answer the sensors flow freely; from then on each step
+waits for the answer to the last one (lock-step over TCP). A flight controller on the bench has a clock of its own:
+there the sensors are paced by ours, and the newest answer counts.
 """
 
 from __future__ import annotations
@@ -25,7 +25,10 @@ FIELD_NED_GAUSS: Vector = (0.2152, 0.0077, 0.4274)
 """Earth's field at the place the positions are reported for."""
 
 FIELD_NOISE_GAUSS, PRESSURE_NOISE_HPA = 5e-4, 5e-3
-"""Of the magnetometer and the barometer. Without any, PX4 takes a vehicle at rest for a sensor that is stuck, after a second."""
+"""Of the magnetometer and the barometer.
+
+Without any, PX4 takes a vehicle at rest for a sensor that is stuck, after a second.
+"""
 
 FIELDS = 0x1BFF
 """Accelerometer, gyro, magnetometer, pressure, pressure altitude and temperature; no differential pressure."""

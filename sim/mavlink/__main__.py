@@ -10,6 +10,7 @@ from pathlib import Path
 from groundstation.errors import BadInput, GroundStationError
 from groundstation.paths import find_config
 from groundstation.vehicle import load_vehicle
+from sim.arguments import Parser
 from sim.mavlink.process import DEFAULT_LINKS, Service, attach
 
 DRIFT = {"px4": -0.012, "arducopter": 0.0}
@@ -18,7 +19,7 @@ DRIFT = {"px4": -0.012, "arducopter": 0.0}
 
 def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     """Parse the command line."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="groundstation sim --mavlink",
         description="A simulated vehicle that speaks MAVLink as PX4 or ArduCopter do.",
         epilog="example: python -P -m sim.mavlink --profile px4 --vehicle x500 --scenario clean --seed 1",
@@ -31,7 +32,8 @@ def arguments(argv: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0, help="of all noise")
     parser.add_argument(
         "--link", action="append", default=[], metavar="URL",
-        help="udpout://HOST:PORT, udpin://HOST:PORT, tcpin://HOST:PORT, tcp://HOST:PORT or serial://DEVICE:BAUD; repeatable",
+        help="udpout://HOST:PORT, udpin://HOST:PORT, tcpin://HOST:PORT, tcp://HOST:PORT or serial://DEVICE:BAUD; "
+             "repeatable",
     )  # fmt: skip
     parser.add_argument("--real-time", type=float, default=1.0, metavar="SPEED", help="simulated seconds per second")
     parser.add_argument(

@@ -1,8 +1,8 @@
 """ArduCopter's onboard log of an emulated flight: the records, their fields and their rates by LOG_BITMASK.
 
-By default IMU 25 Hz, ATT and RATE 10 Hz; with fast-attitude logging (bit 0) ATT and RATE at the loop rate and with fast or
-raw IMU logging (bits 18, 19) IMU too; with INS_RAW_LOG_OPT the sensors' own samples (GYR, ACC) at 1 kHz; RCOU 10 Hz whatever
-is set, ESC 100 Hz per motor (measured).
+By default IMU 25 Hz, ATT and RATE 10 Hz; with fast-attitude logging (bit 0) ATT and RATE at the loop rate and with fast
+or raw IMU logging (bits 18, 19) IMU too; with INS_RAW_LOG_OPT the sensors' own samples (GYR, ACC) at 1 kHz; RCOU 10 Hz
+whatever is set, ESC 100 Hz per motor (measured).
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """ArduCopter's manners, as measured on its software-in-the-loop build (4.8) and as its recorded traffic shows.
 
-Where the recordings are silent the behaviour follows the firmware's documentation; docs/emulator.md says which is which.
+Where the recordings are silent the behaviour follows the firmware's documentation; docs/emulator.md says which is
+which.
 """
 
 from __future__ import annotations

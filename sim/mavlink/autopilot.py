@@ -1,9 +1,9 @@
 """The emulated autopilot without I/O: bytes and a time in, bytes out.
 
-:class:`Autopilot` holds what both firmwares share: the control cycle, the protocols, take-off and landing. Their manners
-(modes, arming, acknowledgements, failsafes, texts, rates, logs) are in :mod:`sim.mavlink.px4` and
-:mod:`sim.mavlink.arducopter`. It lives on its own clock, which advances in whole control cycles as the firmware's does in
-simulation, runs at its own speed against the host's, and starts at the time since boot.
+:class:`Autopilot` holds what both firmwares share: the control cycle, the protocols, take-off and landing. Their
+manners (modes, arming, acknowledgements, failsafes, texts, rates, logs) are in :mod:`sim.mavlink.px4` and
+:mod:`sim.mavlink.arducopter`. It lives on its own clock, which advances in whole control cycles as the firmware's does
+in simulation, runs at its own speed against the host's, and starts at the time since boot.
 """
 
 from __future__ import annotations
@@ -435,7 +435,7 @@ class Autopilot(ABC):
     def has_esc_telemetry(self) -> bool:
         """Whether the vehicle's ESCs report their speed."""
         rotors = self.vehicle.rotors
-        return rotors.input == "rotor_speed" and rotors.speed_source == "telemetry"
+        return rotors.measured
 
     @property
     def distance_from_home(self) -> tuple[float, float]:

@@ -32,7 +32,9 @@ class Setpoint:
 
 @dataclass(frozen=True, slots=True)
 class Gains:
-    """Gains in SI; the two firmwares' defaults where they are of this form (MPC_XY_P, MPC_XY_VEL_P_ACC, MC_ROLL_P...)."""
+    """Gains in SI; the two firmwares' defaults where they are of this form (MPC_XY_P, MPC_XY_VEL_P_ACC,
+    MC_ROLL_P...).
+    """
 
     position_p: Vector = (0.95, 0.95, 1.0)
     velocity_p: Vector = (1.8, 1.8, 4.0)

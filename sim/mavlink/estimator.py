@@ -1,8 +1,8 @@
 """The emulated autopilot's own idea of where it is: right on GPS, as good as what it is fed on external vision.
 
-No filter is run. The estimate is the truth plus an error that moves as the source in use makes it move: a wandering error
-on GPS; pulled to the poses that arrive on vision; growing by a velocity error once they stop. That is all a ground station
-can see of an estimator: offsets, frames, time-outs, flags.
+No filter is run. The estimate is the truth plus an error that moves as the source in use makes it move: a wandering
+error on GPS; pulled to the poses that arrive on vision; growing by a velocity error once they stop. That is all a
+ground station can see of an estimator: offsets, frames, time-outs, flags.
 """
 
 from __future__ import annotations
@@ -125,8 +125,8 @@ class Estimator:
     def _wander(self, dt: float) -> None:
         """Position error e on GPS: e' = v - e/T with v a Gauss-Markov process of correlation time T_v.
 
-        Its standard deviation is sd(v) T sqrt(T_v / (T + T_v)); the velocity error reported is e', so that position and velocity
-        belong together as in a filter's output.
+        Its standard deviation is sd(v) T sqrt(T_v / (T + T_v)); the velocity error reported is e', so that position and
+        velocity belong together as in a filter's output.
         """
         long, short = self.GPS_CORRELATION_S, self.GPS_VELOCITY_S
         decay = dt / short

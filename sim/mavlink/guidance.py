@@ -15,7 +15,9 @@ Kind = Literal["idle", "hold", "follow", "takeoff", "land", "blind", "return"]
 
 @dataclass(frozen=True, slots=True)
 class GuidanceSettings:
-    """Speeds of the automatic flight phases, m/s; below ``crawl_below_m`` over home a landing slows to ``crawl_m_s``."""
+    """Speeds of the automatic flight phases, m/s; below ``crawl_below_m`` over home a landing slows to
+    ``crawl_m_s``.
+    """
 
     climb_m_s: float = 1.5
     descend_m_s: float = 0.7

@@ -271,9 +271,19 @@ def sim_state(a: Autopilot) -> Message:
     q = flip_quaternion(t.quaternion)
     latitude, longitude, height = geodetic(t.position_m, a.ALTITUDE_M)
     return mavlink.MAVLink_sim_state_message(
-        *q, *euler(q), *flip(t.specific_force_m_s2), *flip(t.rate_rad_s), float(latitude), float(longitude), height, 0.0,
-        0.0, *flip(t.velocity_m_s), latitude, longitude,
-    )  # fmt: skip
+        *q,
+        *euler(q),
+        *flip(t.specific_force_m_s2),
+        *flip(t.rate_rad_s),
+        float(latitude),
+        float(longitude),
+        height,
+        0.0,
+        0.0,
+        *flip(t.velocity_m_s),
+        latitude,
+        longitude,
+    )
 
 
 COMMON: dict[int, Builder] = {

@@ -18,8 +18,8 @@ class MissionServer:
     """The items on board and the upload in progress.
 
     Args:
-        dialect: ArduPilot asks with MISSION_REQUEST, makes item 0 its home and reads frames back without "_INT"; PX4 asks
-            with MISSION_REQUEST_INT and gives back what it got.
+        dialect: ArduPilot asks with MISSION_REQUEST, makes item 0 its home and reads frames back without "_INT"; PX4
+            asks with MISSION_REQUEST_INT and gives back what it got.
         home: latitude and longitude in 1e-7 deg, altitude in m: what ArduPilot puts into item 0.
     """
 

@@ -108,7 +108,8 @@ def open_link(url: str) -> Line:
 def attach(autopilot: Autopilot, urls: tuple[str, ...], *, key: bytes | None = None) -> dict[str, Line]:
     """Open the links and tell the autopilot of them.
 
-    A serial line carries a tenth of its baud rate in bytes. With a key every frame is signed, and unsigned ones are refused.
+    A serial line carries a tenth of its baud rate in bytes. With a key every frame is signed, and unsigned ones are
+    refused.
     """
     transports: dict[str, Line] = {}
     for url in urls:

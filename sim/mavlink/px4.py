@@ -1,6 +1,7 @@
 """PX4's manners, as measured on its software-in-the-loop build (main of March 2026) and as its recorded traffic shows.
 
-Where the recordings are silent the behaviour follows the firmware's documentation; docs/emulator.md says which is which.
+Where the recordings are silent the behaviour follows the firmware's documentation; docs/emulator.md says which is
+which.
 """
 
 from __future__ import annotations
@@ -234,7 +235,9 @@ class Px4(Autopilot):
 
     @property
     def vision_height_m(self) -> float:
-        """Heights of external poses are altitudes to its filter: less that of the origin, which satellites have set by now."""
+        """Heights of external poses are altitudes to its filter: less that of the origin, which satellites have set by
+        now.
+        """
         return -self._origin_altitude_m
 
     def set_origin(self, altitude_m: float) -> None:

@@ -1,4 +1,5 @@
-"""PX4's onboard log of an emulated flight: the topics, their fields and their rates by SDLOG_PROFILE and IMU_INTEG_RATE.
+"""PX4's onboard log of an emulated flight: the topics, their fields and their rates by SDLOG_PROFILE and
+IMU_INTEG_RATE.
 
 Rates are those measured on the firmware (default, and profile 25 = default + high rate + system identification). Field
 definitions follow PX4's uORB messages; topics are logged with the fields an importer reads.
@@ -15,25 +16,41 @@ from sim.mavlink.ulog import ULogWriter
 if TYPE_CHECKING:
     from sim.mavlink.px4 import Px4
 
-_LOCAL_POSITION = "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;float vx;float vy;float vz;bool xy_valid;bool z_valid;"
+_LOCAL_POSITION = (
+    "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;float vx;float vy;float vz;bool "
+    "xy_valid;bool z_valid;"
+)
 FORMATS = {
-    "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;uint32_t gyro_integral_dt;int32_t accelerometer_timestamp_relative;float[3] accelerometer_m_s2;uint32_t accelerometer_integral_dt;uint8_t accelerometer_clipping;uint8_t gyro_clipping;uint8_t accel_calibration_count;uint8_t gyro_calibration_count;",
+    "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;uint32_t gyro_integral_dt;int32_t "
+                       "accelerometer_timestamp_relative;float[3] accelerometer_m_s2;uint32_t "
+                       "accelerometer_integral_dt;uint8_t accelerometer_clipping;uint8_t gyro_clipping;uint8_t "
+                       "accel_calibration_count;uint8_t gyro_calibration_count;",
     "vehicle_angular_velocity": "uint64_t timestamp;uint64_t timestamp_sample;float[3] xyz;float[3] xyz_derivative;",
     "vehicle_acceleration": "uint64_t timestamp;uint64_t timestamp_sample;float[3] xyz;",
     "actuator_motors": "uint64_t timestamp;uint64_t timestamp_sample;float[12] control;uint16_t reversible_flags;",
     "actuator_outputs": "uint64_t timestamp;uint32_t noutputs;float[16] output;",
-    "battery_status": "uint64_t timestamp;float voltage_v;float current_a;float discharged_mah;float remaining;bool connected;uint8_t cell_count;uint8_t id;uint8_t warning;",
-    "vehicle_attitude": "uint64_t timestamp;uint64_t timestamp_sample;float[4] q;float[4] delta_q_reset;uint8_t quat_reset_counter;",
+    "battery_status": "uint64_t timestamp;float voltage_v;float current_a;float discharged_mah;float remaining;bool "
+                      "connected;uint8_t cell_count;uint8_t id;uint8_t warning;",
+    "vehicle_attitude": "uint64_t timestamp;uint64_t timestamp_sample;float[4] q;float[4] delta_q_reset;uint8_t "
+                        "quat_reset_counter;",
     "vehicle_local_position": _LOCAL_POSITION,
-    "vehicle_attitude_groundtruth": "uint64_t timestamp;uint64_t timestamp_sample;float[4] q;float[4] delta_q_reset;uint8_t quat_reset_counter;",
-    "vehicle_angular_velocity_groundtruth": "uint64_t timestamp;uint64_t timestamp_sample;float[3] xyz;float[3] xyz_derivative;",
+    "vehicle_attitude_groundtruth": "uint64_t timestamp;uint64_t timestamp_sample;float[4] q;float[4] "
+                                    "delta_q_reset;uint8_t quat_reset_counter;",
+    "vehicle_angular_velocity_groundtruth": "uint64_t timestamp;uint64_t timestamp_sample;float[3] xyz;float[3] "
+                                            "xyz_derivative;",
     "vehicle_local_position_groundtruth": _LOCAL_POSITION,
-    "trajectory_setpoint": "uint64_t timestamp;float[3] position;float[3] velocity;float[3] acceleration;float[3] jerk;float yaw;float yawspeed;",
-    "vehicle_status": "uint64_t timestamp;uint8_t arming_state;uint8_t nav_state_user_intention;uint8_t nav_state;bool failsafe;bool gcs_connection_lost;",
+    "trajectory_setpoint": "uint64_t timestamp;float[3] position;float[3] velocity;float[3] acceleration;float[3] "
+                           "jerk;float yaw;float yawspeed;",
+    "vehicle_status": "uint64_t timestamp;uint8_t arming_state;uint8_t nav_state_user_intention;uint8_t nav_state;bool "
+                      "failsafe;bool gcs_connection_lost;",
     "vehicle_land_detected": "uint64_t timestamp;bool landed;bool ground_contact;bool maybe_landed;",
     "vehicle_visual_odometry": "uint64_t timestamp;uint64_t timestamp_sample;float[3] position;float[4] q;",
-    "esc_report": "uint64_t timestamp;uint32_t esc_errorcount;int32_t esc_rpm;float esc_voltage;float esc_current;float esc_temperature;int16_t motor_temperature;uint16_t failures;uint8_t esc_address;uint8_t esc_cmdcount;uint8_t esc_state;uint8_t actuator_function;int8_t esc_power;uint8_t[3] _padding0;",
-    "esc_status": "uint64_t timestamp;uint16_t counter;uint8_t esc_count;uint8_t esc_connectiontype;uint8_t esc_online_flags;uint8_t esc_armed_flags;uint8_t[2] _padding0;esc_report[8] esc;",
+    "esc_report": "uint64_t timestamp;uint32_t esc_errorcount;int32_t esc_rpm;float esc_voltage;float "
+                  "esc_current;float esc_temperature;int16_t motor_temperature;uint16_t failures;uint8_t "
+                  "esc_address;uint8_t esc_cmdcount;uint8_t esc_state;uint8_t actuator_function;int8_t "
+                  "esc_power;uint8_t[3] _padding0;",
+    "esc_status": "uint64_t timestamp;uint16_t counter;uint8_t esc_count;uint8_t esc_connectiontype;uint8_t "
+                  "esc_online_flags;uint8_t esc_armed_flags;uint8_t[2] _padding0;esc_report[8] esc;",
 }  # fmt: skip
 
 # nav_state of vehicle_status by mode name

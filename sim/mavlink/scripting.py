@@ -1,7 +1,9 @@
-"""Lua scripts on board of the emulated ArduCopter: the real script, run by a Lua interpreter against the firmware's bindings.
+"""Lua scripts on board of the emulated ArduCopter: the real script, run by a Lua interpreter against the firmware's
+bindings.
 
-Only what a trajectory needs is bound: clock, mode, arming, parameters, texts, named floats, guided targets, files in the
-scripts folder. The interpreter is the development package lupa; without it scripting is refused, as on a small board.
+Only what a trajectory needs is bound: clock, mode, arming, parameters, texts, named floats, guided targets, files in
+the scripts folder. The interpreter is the development package lupa; without it scripting is refused, as on a small
+board.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ SWITCHES = (
 
 _BINDINGS = """
 return function(python)
-  local host = {}  -- looked up once: a wrapper made at each call would be garbage, collected in the middle of another call
+  -- Looked up once: a wrapper made at each call would be garbage, collected in the middle of another call.
+  local host = {}
   for _, k in ipairs({"millis", "mode", "flying", "armed", "parameter", "text", "named", "target", "file"}) do
     host[k] = python[k]
   end
@@ -85,7 +88,9 @@ class ScriptHost:
             self._run(call)
 
     def _run(self, call: Any) -> None:
-        """A script returns the function to call next and in how many milliseconds; one that fails is not called again."""
+        """A script returns the function to call next and in how many milliseconds; one that fails is not called
+        again.
+        """
         from lupa import lua53  # the version ArduPilot carries
 
         try:

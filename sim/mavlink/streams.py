@@ -1,9 +1,9 @@
 """Which message goes out on a link and when, with the two firmwares' different ideas of an interval.
 
 PX4 checks every stream in each pass of its 4 ms loop: one is due once its age exceeds the interval less a part of the
-loop's delay; the next is counted from the due time unless half an interval was missed. So 5 ms become 8 ms, 10 ms hold on
-average, and nothing is faster than its topic (recorded: 247, 186 and 123 Hz at most). ArduPilot keeps whole milliseconds
-and catches up (recorded: a request for 3333 us came at 333 Hz).
+loop's delay; the next is counted from the due time unless half an interval was missed. So 5 ms become 8 ms, 10 ms hold
+on average, and nothing is faster than its topic (recorded: 247, 186 and 123 Hz at most). ArduPilot keeps whole
+milliseconds and catches up (recorded: a request for 3333 us came at 333 Hz).
 """
 
 from __future__ import annotations

@@ -1,12 +1,14 @@
-"""Entry point: ``python -P -m sim.mocap --system natnet``: emulated cameras that see a drone on a figure, until Ctrl-C."""
+"""Entry point: ``python -P -m sim.mocap --system natnet``: emulated cameras that see a drone on a figure, until
+Ctrl-C.
+"""
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from contextlib import suppress
 
+from sim.arguments import Parser
 from sim.mocap.server import Server, Setup
 
 SYSTEMS = ("natnet", "qtm", "vicon", "vrpn", "zenoh", "ros2", "mavlink")
@@ -14,7 +16,7 @@ SYSTEMS = ("natnet", "qtm", "vicon", "vrpn", "zenoh", "ros2", "mavlink")
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one server."""
-    parser = argparse.ArgumentParser(prog="sim.mocap", description=__doc__)
+    parser = Parser(prog="sim.mocap", description=__doc__)
     parser.add_argument("--system", choices=SYSTEMS, required=True)
     parser.add_argument("--port", type=int, default=0, help="port; a free one by default")
     parser.add_argument("--rate", type=float, default=200.0, help="frames per second")

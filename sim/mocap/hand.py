@@ -1,4 +1,7 @@
-"""A vehicle carried and turned by hand: what its IMU and the cameras record. Random sums of sines, as fast as hands are."""
+"""A vehicle carried and turned by hand: what its IMU and the cameras record.
+
+Random sums of sines, as fast as hands are.
+"""
 
 from __future__ import annotations
 

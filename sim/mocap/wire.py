@@ -83,7 +83,7 @@ class NatNetWire:
         if number == 4:
             return [self._say(5, self._model())]
         if number == 12 and len(data) >= 12:
-            return [self._say(13, data[4:12] + struct.pack("<Q", int(clock_s * self.TICKS)))]
+            return [self._say(13, data[4:12] + struct.pack("<Q", round(clock_s * self.TICKS)))]
         return []
 
     def _say(self, number: int, payload: bytes) -> bytes:
@@ -127,7 +127,7 @@ class NatNetWire:
         if self._version >= (4, 1):
             out += self._section(0)
         out += self._section(1, labeled) + self._section(0) + self._section(0)
-        exposure, sent = int(shot.exposure_s * self.TICKS), int(shot.sent_s * self.TICKS)
+        exposure, sent = round(shot.exposure_s * self.TICKS), round(shot.sent_s * self.TICKS)
         out += struct.pack("<IIdQQQ", 0, 0, shot.exposure_s, exposure, (exposure + sent) // 2, sent)
         if self._version >= (4, 1):
             out += struct.pack("<II", int(shot.exposure_s), 0)
@@ -168,7 +168,8 @@ class QtmWire:
         if text.startswith("getparameters"):
             bodies = "".join(f"<Body><Name>{n}</Name><Color R='0' G='0' B='0'/></Body>" for n in self._names)
             general = "<General><Frequency>200</Frequency><Vertical_Axis>+Z</Vertical_Axis></General>"
-            xml = f"<QTM_Parameters_Ver_1.23>{general}<The_6D><Bodies>{len(self._names)}</Bodies>{bodies}</The_6D></QTM_Parameters_Ver_1.23>"
+            tracked = f"<The_6D><Bodies>{len(self._names)}</Bodies>{bodies}</The_6D>"
+            xml = f"<QTM_Parameters_Ver_1.23>{general}{tracked}</QTM_Parameters_Ver_1.23>"
             return [self._say(2, xml.encode() + b"\0")]
         if text.startswith("streamframes"):
             self.wanted = "stop" not in text

@@ -1,4 +1,4 @@
-"""Small sound files of every kind that is read from outside: what :mod:`benchmarks.fuzz` mutates.
+"""Small sound files of every kind that is read from outside: what :mod:`studies.fuzz` mutates.
 
 python -m tests.corpus.regenerate          # writes them again; regressions (crash-*) are left alone
 """
@@ -32,7 +32,7 @@ SHORT_S = 0.08
 
 
 def servers(folder: Path) -> None:
-    """What each motion-capture server says, as ``benchmarks.fuzz_readers`` takes it."""
+    """What each motion-capture server says, as ``studies.fuzz_readers`` takes it."""
     for number, system in enumerate(SYSTEMS):
         messages = b"".join(len(data).to_bytes(4, "little") + data for data in said(system))
         (folder / f"{system}.bin").write_bytes(bytes([number]) + messages)

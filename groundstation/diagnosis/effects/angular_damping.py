@@ -29,7 +29,8 @@ EFFECT = Effect(
     ),
     wrench=_wrench,
     sentence=(
-        "Damping resists turning with {damping_x_nms:N m} in roll, {damping_y_nms:N m} in pitch and {damping_z_nms:N m} in yaw, per rad/s."
+        "Damping resists turning with {damping_x_nms:N m} in roll, {damping_y_nms:N m} in pitch and {damping_z_nms:N "
+        "m} in yaw, per rad/s."
     ),
     confused_with=("motor_lag", "input_delay"),
     manoeuvre="fast roll, pitch and yaw reversals: damping follows the rate, lag the change of command",

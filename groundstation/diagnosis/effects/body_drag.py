@@ -22,7 +22,8 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
 EFFECT = Effect(
     identifier="body_drag",
     equation="F = -c |v| v",
-    source="McCormick, Aerodynamics, Aeronautics and Flight Mechanics, 2nd ed. 1995, ch. 4 (drag with the square of speed)",
+    source="McCormick, Aerodynamics, Aeronautics and Flight Mechanics, 2nd ed. 1995, ch. 4 (drag with the square of "
+    "speed)",
     parameters=(ParameterInfo("c_kg_m", lambda v: v.mass_kg, (0.0, MOST_KG_M)),),
     wrench=_wrench,
     sentence="Air resistance of the frame is {c_kg_m:N} at 1 m/s and grows with the square of speed.",

@@ -9,7 +9,9 @@ from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
 CURVATURES_S_M = np.linspace(-0.1, 0.2, 13)
-"""Second-order terms that a closer look tries; 1 / (4 v_h) in momentum theory, v_h the induced speed at hover (4 to 8 m/s)."""
+"""Second-order terms that a closer look tries; 1 / (4 v_h) in momentum theory, v_h the induced speed at hover (4 to 8
+m/s).
+"""
 
 MOST_KG_S = 100.0
 """At 1 m/s the lift of 10 kg would be gone."""
@@ -31,7 +33,8 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarra
 EFFECT = Effect(
     identifier="climb_inflow",
     equation="T_i = T_0i - (k/n) (w + b w^2) Omega_i / Omega_hover, torques with them",
-    source="Svacha, Mohta and Kumar 2017 (thrust falls with vertical speed); its second order: Johnson, Helicopter Theory, 1994",
+    source="Svacha, Mohta and Kumar 2017 (thrust falls with vertical speed); its second order: Johnson, Helicopter "
+    "Theory, 1994",
     parameters=(ParameterInfo("k_kg_s", lambda v: v.mass_kg, (0.0, MOST_KG_S)),),
     wrench=_wrench,
     sentence="Climbing at 1 m/s, the rotors give {k_kg_s:N|less|more} thrust.",

@@ -6,7 +6,8 @@ from groundstation.diagnosis.effect import ParameterInfo, Reading, SensorEffect
 
 EFFECT = SensorEffect(
     identifier="clock_offset",
-    equation="t_capture = t_imu + d + e (t_imu - t_middle): attitude(t_capture) is what the gyro integrates to at t_imu",
+    equation="t_capture = t_imu + d + e (t_imu - t_middle): attitude(t_capture) is what the gyro integrates to at "
+    "t_imu",
     source="Furgale, Rehder, Siegwart 2013, IROS (time offset between sensors); Klein & Morelli 2006, ch. 10",
     parameters=(
         ParameterInfo("mocap_minus_imu_s", plausible=(-1.0, 1.0)),

@@ -40,6 +40,7 @@ EFFECT = Effect(
         "of the declared origin."
     ),
     confused_with=("weak_rotor", "constant_wrench"),
-    manoeuvre="climb and sink hard: the torque of an offset grows with total thrust; yaw both ways to exclude a weak rotor",
+    manoeuvre="climb and sink hard: the torque of an offset grows with total thrust; yaw both ways to exclude a weak "
+    "rotor",
     shared_by_healthy=0,
 )

@@ -25,7 +25,8 @@ EFFECT = Effect(
     source="Sanchez-Cuevas, Heredia, Ollero 2017, eq. 4 (first term)",
     parameters=(ParameterInfo("strength", lambda v: 3.0, (0.0, MOST)),),
     wrench=_wrench,
-    sentence="One rotor radius above the floor thrust is {strength:%} higher; the gain falls with the square of height.",
+    sentence="One rotor radius above the floor thrust is {strength:%} higher; the gain falls with the square of "
+    "height.",
     confused_with=("battery_sag", "translational_lift", "tether"),
     manoeuvre="descend to one rotor radius and climb again, early and late in the flight",
 )

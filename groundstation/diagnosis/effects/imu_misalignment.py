@@ -1,7 +1,7 @@
 """IMU misalignment: the IMU's axes are turned in the body.
 
-IMU and marker body turned against each other is all that their data say; which of the two is turned in the body, the direction
-of thrust decides (``kinematic.py``).
+IMU and marker body turned against each other is all that their data say; which of the two is turned in the body, the
+direction of thrust decides (``kinematic.py``).
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Marker-body misalignment: the frame that motion capture tracks is turned and shifted in the body beyond what is declared."""
+"""Marker-body misalignment: the frame that motion capture tracks is turned and shifted in the body beyond what is
+declared.
+"""
 
 from __future__ import annotations
 

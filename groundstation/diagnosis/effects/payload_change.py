@@ -35,7 +35,8 @@ def _settled(settings: Settings, values: np.ndarray) -> Settings:
 
 EFFECT = Effect(
     identifier="payload_change",
-    equation="(m + dm (H(t - t_0) - c)) f = T e_z, so F_z = -dm (H - c) T / (m - c dm); c = 1: carried at first, let go at t_0",
+    equation="(m + dm (H(t - t_0) - c)) f = T e_z, so F_z = -dm (H - c) T / (m - c dm); c = 1: carried at first, let "
+    "go at t_0",
     source="Newton's second law with a step in mass",
     parameters=(ParameterInfo("mass_change_kg", lambda v: 0.5 * v.mass_kg, (-MOST_KG, MOST_KG)),),
     wrench=_wrench,

@@ -1,4 +1,6 @@
-"""Rotor drag: the rotors resist air speed in proportion to speed and rotor speed, sideways or (isotropic) in all directions."""
+"""Rotor drag: the rotors resist air speed in proportion to speed and rotor speed, sideways or (isotropic) in all
+directions.
+"""
 
 from __future__ import annotations
 

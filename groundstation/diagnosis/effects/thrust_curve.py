@@ -26,7 +26,8 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarra
 
 EFFECT = Effect(
     identifier="thrust_curve",
-    equation="T = T_declared (x / x_hover)^e, x = sqrt(T_declared), linear in e by the secant through e_0: exact for e = e_0",
+    equation="T = T_declared (x / x_hover)^e, x = sqrt(T_declared), linear in e by the secant through e_0: exact for e "
+    "= e_0",
     source="power law about hover; Bangura et al. 2016 measure such departures",
     parameters=(ParameterInfo("exponent_error", lambda v: 1.5, (-2.0, 2.0)),),
     wrench=_wrench,

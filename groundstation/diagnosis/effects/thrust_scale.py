@@ -1,7 +1,7 @@
 """Thrust scale: all rotors' thrust constant is off, which only a weighed mass tells.
 
-Mass, tilt inertias and thrust scale together. Under the anchor "mass" the base fit gives the thrust constants, and their ratio to the
-declared ones is the effect.
+Mass, tilt inertias and thrust scale together. Under the anchor "mass" the base fit gives the thrust constants, and
+their ratio to the declared ones is the effect.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ EFFECT = FittedEffect(
     source="Newton's second law",
     parameters=(ParameterInfo("thrust_scale", plausible=(0.2, 5.0)),),
     least=THRESHOLDS.material_share,  # a force of as much of the weight: what is material of every force
-    sentence="By its weighed mass, the rotors of the vehicle give {thrust_scale:% change|more|less} thrust than declared.",
+    sentence="By its weighed mass, the rotors of the vehicle give {thrust_scale:% change|more|less} thrust than "
+    "declared.",
     confused_with=("payload_change",),
     manoeuvre='weigh the vehicle, declare its mass as the anchor ("mass"), and hover',
 )

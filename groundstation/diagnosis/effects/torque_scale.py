@@ -1,7 +1,8 @@
 """Torque scale: all rotors' ratio of torque to thrust is off. No flight shows it, and it never makes a finding.
 
-Yaw torque and yaw inertia scale together in everything that flies: the ratio of the two is the yaw acceleration. Weighing
-fixes the thrust constant and not this; a reaction torque measured on a stand does, or a yaw inertia measured on a torsion pendulum.
+Yaw torque and yaw inertia scale together in everything that flies: the ratio of the two is the yaw acceleration.
+Weighing fixes the thrust constant and not this; a reaction torque measured on a stand does, or a yaw inertia measured
+on a torsion pendulum.
 """
 
 from __future__ import annotations

@@ -26,7 +26,8 @@ EFFECT = Effect(
     wrench=_wrench,
     sentence="Rotor {rotor} gives {loss:%|less|more} thrust than declared.",
     confused_with=("com_offset", "constant_wrench"),
-    manoeuvre="turn in yaw both ways and climb hard: a weak rotor shows in yaw torque, an offset centre of mass does not",
+    manoeuvre="turn in yaw both ways and climb hard: a weak rotor shows in yaw torque, an offset centre of mass does "
+    "not",
     variants=lambda signals, vehicle: tuple({"rotor": float(i)} for i in range(1, vehicle.rotors.count + 1)),
     applies=has_rotors,
     of_one_rotor=True,

@@ -39,7 +39,8 @@ EFFECT = Effect(
     ),
     wrench=_wrench,
     sentence=(
-        "Wind pushes with {force_world_x_n:N|toward +x|toward −x} and {force_world_y_n:N|toward +y|toward −y} of the room, "
+        "Wind pushes with {force_world_x_n:N|toward +x|toward −x} and {force_world_y_n:N|toward +y|toward −y} of the "
+        "room, "
         "whichever way the vehicle points."
     ),
     rests_on=("rotor_drag", "body_drag"),

@@ -1,19 +1,19 @@
-"""The files that say how to reach a running core: for this user alone, believed only where they can be this user's own."""
+"""The files that say how to reach a running core: for this user alone, believed only where they can be this user's
+own.
+"""
 
 from __future__ import annotations
 
 import json
-import os
 import re
-import stat
 from pathlib import Path
 
 from drivers.access import Access, Login
 from groundstation.errors import BadInput
-from groundstation.outside import read_json, require_file
+from groundstation.outside import read_json, require_own
+from groundstation.writing import write_private
 
 _ENDPOINT = re.compile(r"tcp/127\.0\.0\.1:[0-9]{1,5}")
-_BYTES = 4096
 
 
 def write_access(path: Path, access: Access) -> None:
@@ -24,10 +24,7 @@ def write_access(path: Path, access: Access) -> None:
         "role": login.role if login else "",
         "secret": login.secret if login else "",
     }
-    path.unlink(missing_ok=True)
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with os.fdopen(descriptor, "w", encoding="ascii") as file:
-        json.dump(document, file)
+    write_private(path, json.dumps(document))
 
 
 def read_access(path: Path) -> Access:
@@ -37,12 +34,7 @@ def read_access(path: Path) -> Access:
         BadInput: the file is a link, others could have written or read it, or it names no core of this machine.
     """
     remedy = "It is not followed; remove it if no flight is under way."
-    if path.is_symlink():
-        raise BadInput(f"{path}: is a link. {remedy}")
-    require_file(path, "a flight's endpoint", _BYTES)
-    status = path.stat()
-    if hasattr(os, "getuid") and (status.st_uid != os.getuid() or stat.S_IMODE(status.st_mode) & 0o077):
-        raise BadInput(f"{path}: belongs to somebody else, or others may read it. {remedy}")
+    require_own(path, "a flight's endpoint", remedy)
     try:
         document = read_json(path, "a flight's endpoint")
         endpoint, role, secret = (document[key] for key in ("endpoint", "role", "secret"))

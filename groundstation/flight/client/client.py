@@ -27,11 +27,16 @@ if TYPE_CHECKING:
 
 
 class CoreClient:
-    """A connection to a core. Use :func:`connect`."""
+    """A connection to a core. Use :func:`connect`.
+
+    Attributes:
+        seen: the newest status it was asked for; None before the first.
+    """
 
     def __init__(self, session: zenoh.Session, name: str):
         self._session = session
         self.name = name
+        self.seen: CoreStatus | None = None
         self._sequence = 0
         self._inbox: queue.SimpleQueue[CoreStatus] = queue.SimpleQueue()
         self._subscription = bus.subscribe(
@@ -45,9 +50,9 @@ class CoreClient:
         """The newest status; waits for one, and returns None when none came in time."""
         newest = None
         try:
-            newest = self._inbox.get(timeout=timeout_s)
+            newest = self.seen = self._inbox.get(timeout=timeout_s)
             while True:
-                newest = self._inbox.get_nowait()
+                newest = self.seen = self._inbox.get_nowait()
         except queue.Empty:
             return newest
 
@@ -118,7 +123,8 @@ def start_core(
         secrets: of the roles; new ones by default.
 
     Returns:
-        The process, and an operator's access to it, which is also in ``core.endpoint`` in the folder, for this user alone;
+        The process, and an operator's access to it, which is also in ``core.endpoint`` in the folder, for this user
+            alone;
         in ``watch.endpoint`` is that of those who may watch and abort.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -143,7 +149,9 @@ def start_core(
 def running_cores(
     logs: Path, timeout_s: float = 1.0, told: Callable[[str], None] = lambda sentence: None
 ) -> list[tuple[Path, Access]]:
-    """Flights in ``logs`` whose core answers now: (folder, access), newest first; ``told`` hears of files that are not ours."""
+    """Flights in ``logs`` whose core answers now: (folder, access), newest first; ``told`` hears of files that are not
+    ours.
+    """
     found = []
     for file in sorted(logs.glob(f"*/{ENDPOINT_FILE}"), reverse=True):
         try:

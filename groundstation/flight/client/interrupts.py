@@ -1,7 +1,8 @@
 """Ctrl-C (and SIGTERM) of a command that flies: from its first line on nothing is lost, whoever swallows the exception.
 
-A solver written in C may take KeyboardInterrupt for its own and go on; the word stays here, and is asked for before each
-further step. Once the core runs, the signal is an order to it: before arming nothing is ever armed, afterwards it lands.
+A solver written in C may take KeyboardInterrupt for its own and go on; the word stays here, and is asked for before
+each further step. Once the core runs, the signal is an order to it: before arming nothing is ever armed, afterwards it
+lands.
 """
 
 from __future__ import annotations

@@ -10,13 +10,14 @@ from typing import Any
 
 from drivers.access import Access
 from groundstation.errors import BadInput, FlightAborted, LinkLost, Refused
+from groundstation.flight import timeouts
 from groundstation.flight.children import Child
 from groundstation.flight.client.client import CoreClient, connect, outcome, start_core
 from groundstation.flight.client.interrupts import Interrupts
 from groundstation.flight.journal import RAW_LOG
 from groundstation.flight.link.parameter_journal import left_changed
 from groundstation.flight.messages import WAY, CoreStatus
-from groundstation.flight.sequence import FINAL, IN_FLIGHT, Phase
+from groundstation.flight.sequence import FINAL, GIVEN_UP, IN_FLIGHT, Phase
 from groundstation.identification.results import Estimate
 from groundstation.reporting.canonical import estimate_in
 from groundstation.reporting.units import decimals, fixed, half_width, label, scale_for, split_unit
@@ -109,10 +110,13 @@ def _as_client(core: Child, endpoint: Access, body: Callable[[CoreClient], None]
             connected = True
             client.take_lease()
             body(client)
-    except ConnectionError as error:
+    except ConnectionError:
         if not connected and core.poll() is None:
             core.interrupt()
-            raise BadInput(f"the core does not answer ({error}); see core.log in the flight's folder.") from None
+            raise BadInput(
+                f"the core did not answer within {timeouts.CORE_CONNECT_S:g} s; the machine may be busy: try again. "
+                "Its log is core.log in the flight's folder."
+            ) from None
     core.wait()
 
 
@@ -142,7 +146,8 @@ def fly(
         take_over: ``land`` or ``hold`` a vehicle found in flight, instead of flying a plan.
 
     Raises:
-        FlightAborted: the flight was aborted and the vehicle is down, or nothing was armed; what was flown told nothing.
+        FlightAborted: the flight was aborted and the vehicle is down, or nothing was armed; what was flown told
+            nothing.
         LinkLost: it ended, and nobody saw the vehicle on the ground.
         Refused: the vehicle or the checks refused to fly.
     """
@@ -171,10 +176,13 @@ def fly(
 
         _as_client(core, endpoint, body)
     status, reason = outcome(folder)
+    recording = folder / "flight.mcap"
+    if status == FlightAborted.exit_status and GIVEN_UP in reason:
+        raise FlightAborted(f"{reason}. The recording is kept; `groundstation report {recording}` analyses it.")
     if status == FlightAborted.exit_status and not (folder / "identification.json").is_file():
-        raise FlightAborted(f"aborted: {reason}. The recording is {folder / 'flight.mcap'}")
+        raise FlightAborted(f"aborted: {reason}." + (f" The recording is {recording}" if recording.is_file() else ""))
     if status == LinkLost.exit_status:
-        raise LinkLost(f"{reason}. The recording is {folder / 'flight.mcap'}{_still_changed(folder)}")
+        raise LinkLost(f"{reason}. The recording is {recording}{_still_changed(folder)}")
     if status == Refused.exit_status and not (folder / "report.html").is_file():
         raise Refused(reason)
     return FlightResult(folder, status, reason)
@@ -187,7 +195,9 @@ def _still_changed(folder: Path) -> str:
 
 
 def _abort(client: CoreClient, say: Say) -> None:
-    say("abort: asking the vehicle to land")
+    """The core lands what flies; of a flight that is down it ends the analysis."""
+    down = client.seen is not None and client.seen.phase in (Phase.LANDED, Phase.IDENTIFYING)
+    say("abort: ending the analysis" if down else "abort: asking the vehicle to land")
     try:
         client.command("abort")
     except ConnectionError as error:

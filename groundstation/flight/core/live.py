@@ -1,4 +1,5 @@
-"""The estimates that views are shown during a flight. They fly nothing: they may be late or fail, and nothing waits for them.
+"""The estimates that views are shown during a flight. They fly nothing: they may be late or fail, and nothing waits for
+them.
 
 Samples go into a short queue that a thread of low importance empties; when it is full, samples are left out of this
 estimate (never out of the recording), and the estimator takes the hole as a hole.
@@ -40,9 +41,9 @@ _ON_GROUND = frozenset({Phase.PLANNED, Phase.UPLOADED, Phase.CHECKED})
 class LiveClock:
     """Stamp of motion capture minus that of the IMU, from the rotation that both saw in stretches of four seconds.
 
-    Each stretch gives an offset (:func:`groundstation.identification.clock.fine_offset`); their mean and Student's interval
-    from their scatter are what is shown. A stretch without rotation tells nothing, and one far from the others' median had
-    samples missing: both are left out.
+    Each stretch gives an offset (:func:`groundstation.identification.clock.fine_offset`); their mean and Student's
+    interval from their scatter are what is shown. A stretch without rotation tells nothing, and one far from the
+    others' median had samples missing: both are left out.
     """
 
     def __init__(self) -> None:
@@ -154,7 +155,9 @@ class LiveEstimate:
             self.table, self.estimates = self._rows(newest), newest.parameters
 
     def _judge(self, motors: Sequence[Motors]) -> None:
-        """End the estimates, once, where the ESCs' speeds are the commands times a number: the flight goes by the commands."""
+        """End the estimates, once, where the ESCs' speeds are the commands times a number: the flight goes by the
+        commands.
+        """
         from groundstation.recording.computed_speeds import commands_behind
 
         self._unjudged = seen = [*(self._unjudged or ()), *motors]

@@ -13,7 +13,10 @@ from groundstation.flight.messages import CoreCommand, Lease, LeaseAnswer
 from groundstation.texts import shown
 
 PER_S = 10.0
-"""Orders and lease requests a second, of the lease's holder and of all others together. A key held down repeats at about 30."""
+"""Orders and lease requests a second, of the lease's holder and of all others together.
+
+A key held down repeats at about 30.
+"""
 BURST = 20.0
 """How many may come at once."""
 KNOWN = 256
@@ -23,8 +26,9 @@ KNOWN = 256
 class OrderGate:
     """Counts orders and remembers their numbers. Its methods may be called from any thread.
 
-    The holder of the lease has an allowance of its own, so that nobody else's flood costs the operator an order; all others
-    share one, so that a new name brings no new allowance. What is refused costs nothing. Aborts do not pass here.
+    The holder of the lease has an allowance of its own, so that nobody else's flood costs the operator an order; all
+    others share one, so that a new name brings no new allowance. What is refused costs nothing. Aborts do not pass
+    here.
 
     Args:
         clock: monotonic seconds.
@@ -47,7 +51,10 @@ class OrderGate:
         """
         with self._lock:
             if sequence <= self._newest.get(client, 0):
-                return f"order {sequence} is not newer than the last of this client; it was given before and is not repeated."
+                return (
+                    f"order {sequence} is not newer than the last of this client; it was given before and is not "
+                    "repeated."
+                )
             own, now = client == holder, self._clock()
             self._left[own] = min(BURST, self._left[own] + PER_S * (now - self._seen_s[own]))
             self._seen_s[own] = now

@@ -1,9 +1,9 @@
 """How far a lock-stepped vehicle may run: to fixed instants on the ground, ahead of the recorder in the air. No I/O.
 
-What is asked of a simulated vehicle takes effect at the simulated instant at which it stands. On the ground, time therefore
-stands still wherever an order may come: at 0 until the plan is uploaded, and at the end of the look at its streams until
-somebody starts the flight. However long that takes on the wall's clock, the same orders meet the same vehicle, and one
-seed gives one flight, to the last bit.
+What is asked of a simulated vehicle takes effect at the simulated instant at which it stands. On the ground, time
+therefore stands still wherever an order may come: at 0 until the plan is uploaded, and at the end of the look at its
+streams until somebody starts the flight. However long that takes on the wall's clock, the same orders meet the same
+vehicle, and one seed gives one flight, to the last bit.
 """
 
 from __future__ import annotations

@@ -1,12 +1,13 @@
 """The core process of one flight: sequence, recorder and bus. It flies on when every client is gone.
 
-    python -P -m groundstation.flight.core.process --folder logs/NAME --plan P --vehicle V --listen tcp/127.0.0.1:7450 -- sim ...
+    python -P -m groundstation.flight.core.process --folder logs/NAME --plan P --vehicle V --listen tcp/127.0.0.1:7450
+    -- sim ...
 
 What follows ``--`` is the module and arguments of the process that stands for the vehicle: the simulated drone, or the
 link to a real one. Both speak the drone's side of ``drivers.bus``; the core adds ``--drone`` and ``--connect``.
 
-The main thread owns the sequence and waits on one queue; zenoh's threads and the recorder put into it. Requests that can
-take time (upload, arm, abort) are asked on a thread of their own, so that credit and status never wait for them.
+The main thread owns the sequence and waits on one queue; zenoh's threads and the recorder put into it. Requests that
+can take time (upload, arm, abort) are asked on a thread of their own, so that credit and status never wait for them.
 """
 
 from __future__ import annotations
@@ -269,7 +270,8 @@ class FlightCore:
             self._requests.change_length(order, lambda ok: until.answered(order, ok=ok))
 
     def _suspect(self) -> None:
-        """A flight at the wall clock's pace is diagnosed while it flies; a simulated one is over before that would tell anything.
+        """A flight at the wall clock's pace is diagnosed while it flies; a simulated one is over before that would tell
+        anything.
 
         In the hover before the excitation its declarations are checked, which no effect can be told behind.
         """
@@ -323,7 +325,7 @@ class FlightCore:
             self.journal.write(
                 "recording",
                 f"{self.recorder.recorded} samples recorded, {self.recorder.lost_batches} batches were lost",
-                streams={k: v.count for k, v in self.recorder.streams(self.digested_s).items()},
+                streams=self.recorder.counts(),
             )
             self._seal("plan.toml", *(file.name for file in self.settings.folder.glob("flight*.mcap")))
 

@@ -10,25 +10,21 @@ import json
 import platform
 import queue
 import threading
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-
 from drivers.bus import Description, DroneStatus
 from drivers.samples import Batch, Event, Motors, Raw, Sample
 from groundstation.flight import timeouts
+from groundstation.flight.core.meters import StreamMeter
 from groundstation.flight.messages import StreamStatus
 from groundstation.paths import commit
 from groundstation.recording.computed_speeds import COMMANDS
 
 if TYPE_CHECKING:
     from groundstation.recording.recorder import McapRecorder
-
-RATE_WINDOW_S = 1.0
 
 
 class Sink(Protocol):
@@ -53,39 +49,9 @@ class Sink(Protocol):
         ...
 
 
-class StreamMeter:
-    """Counts one stream. Rates come from device stamps, so that batches do not distort them."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.longest_gap_s = 0.0
-        self.last_host_s = 0.0
-        self._stamps: deque[float] = deque()
-        self._delays: deque[float] = deque()
-
-    def add(self, device_s: float, host_s: float) -> None:
-        """Take note of a sample."""
-        self.count += 1
-        self.last_host_s = host_s
-        if self._stamps:
-            self.longest_gap_s = max(self.longest_gap_s, device_s - self._stamps[-1])
-        self._stamps.append(device_s)
-        self._delays.append(host_s - device_s)
-        while device_s - self._stamps[0] > RATE_WINDOW_S:
-            self._stamps.popleft()
-            self._delays.popleft()
-
-    def status(self, host_s: float) -> StreamStatus:
-        """As of host time."""
-        span = self._stamps[-1] - self._stamps[0] if len(self._stamps) > 1 else 0.0
-        rate = (len(self._stamps) - 1) / span if span > 0.0 else 0.0
-        age = max(0.0, host_s - self.last_host_s)
-        delays = np.array(self._delays or (0.0,))
-        return StreamStatus(self.count, rate, age, self.longest_gap_s, float(delays.mean()), float(delays.std()))
-
-
 LATEST_S = 1e11
-"""No clock of a device or a host, not even one that counts from 1970 in microseconds taken for seconds, is beyond it."""
+"""No clock of a device or a host, not even one that counts from 1970 in microseconds taken for seconds, is beyond it.
+"""
 
 
 def sound(batch: Batch, rotors: int) -> bool:
@@ -157,6 +123,7 @@ class Recorder:
     def close(self) -> None:
         """Write what is queued and finish the file. Idempotent."""
         if self._thread.is_alive():
+            self._queue.put(lambda: self._sink.set_metadata({"streams": json.dumps(self.counts())}))
             self._queue.put(None)
             self._thread.join()
 
@@ -164,6 +131,11 @@ class Recorder:
         """How each stream does."""
         with self._lock:
             return {name: meter.status(host_s) for name, meter in self._meters.items()}
+
+    def counts(self) -> dict[str, dict[str, float]]:
+        """What was counted of each stream: samples, gaps, duplicates, reordered ones, clock jumps."""
+        with self._lock:
+            return {name: meter.counts.document() for name, meter in self._meters.items()}
 
     def _run(self) -> None:
         while (job := self._queue.get()) is not None:
@@ -200,7 +172,9 @@ class Recorder:
 def open_recording(
     folder: Path, plan: Path, vehicle: Path, description: Description, drone: Sequence[str] = ()
 ) -> McapRecorder:
-    """``flight.mcap`` of a flight, with what has to be known to read it: vehicle, plan, truth if simulated, seed, versions."""
+    """``flight.mcap`` of a flight, with what has to be known to read it: vehicle, plan, truth if simulated, seed,
+    versions.
+    """
     from groundstation.recording.recorder import McapRecorder
 
     metadata = {

@@ -34,7 +34,8 @@ class Core(Protocol):
 
 
 class Requests:
-    """Asks the vehicle. Requests run two at a time; rotors off has a thread of its own, so that it waits for no other answer.
+    """Asks the vehicle. Requests run two at a time; rotors off has a thread of its own, so that it waits for no other
+    answer.
 
     Args:
         session, keys: how the vehicle is reached.

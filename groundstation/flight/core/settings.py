@@ -14,8 +14,8 @@ from drivers.access import Secrets, new_secrets, own_secrets
 class Settings:
     """What one flight needs to know.
 
-    ``drone`` is the module and arguments of the vehicle's process; ``take_over`` what it does with a vehicle in flight: the
-    folder is then an interrupted flight's, and is continued.
+    ``drone`` is the module and arguments of the vehicle's process; ``take_over`` what it does with a vehicle in flight:
+    the folder is then an interrupted flight's, and is continued.
     """
 
     folder: Path

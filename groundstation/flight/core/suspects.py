@@ -1,4 +1,6 @@
-"""The diagnosis of a flight while it flies, as the core sees it: a process that is asked every few seconds, and that nothing waits for."""
+"""The diagnosis of a flight while it flies, as the core sees it: a process that is asked every few seconds, and that
+nothing waits for.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Fly until known, as the core does it: when to look, what is told to clients, which order leaves. The decision is :mod:`flight.until`."""
+"""Fly until known, as the core does it: when to look, what is told to clients, which order leaves.
+
+The decision is :mod:`flight.until`.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +30,13 @@ class FlyUntil:
         assert plan.until is not None  # noqa: S101 - asked by the caller
         period_s = plan.series().period_s
         goal = Goal(
-            plan.until.targets, period_s, plan.until.planned_periods, round(plan.periods), plan.until.automatic, vehicle.battery.empty_v or 0.0
-        )  # fmt: skip
+            plan.until.targets,
+            period_s,
+            plan.until.planned_periods,
+            round(plan.periods),
+            plan.until.automatic,
+            vehicle.battery.empty_v or 0.0,
+        )
         self._known = UntilKnown(goal)
         self._lock_step = lock_step
         self._start_s: float | None = None
@@ -57,7 +65,9 @@ class FlyUntil:
     def moment(
         self, host_s: float, batch_s: float, estimates: Mapping[str, Estimate], volts: float
     ) -> tuple[Order, str]:
-        """Everything up to a moment is known: the order that leaves now, and the sentence for the log; both empty between looks."""
+        """Everything up to a moment is known: the order that leaves now, and the sentence for the log; both empty
+        between looks.
+        """
         self._moment_s = host_s
         if self._waiting or self._start_s is None:
             return "", ""

@@ -1,11 +1,13 @@
-"""The process that stands for the vehicle, as the core watches it: a link that ends or hangs in flight gets a successor, which lands."""
+"""The process that stands for the vehicle, as the core watches it: a link that ends or hangs in flight gets a
+successor, which lands.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 from drivers.access import Login, hand_over
-from groundstation.errors import Refused
+from groundstation.errors import BadInput, Refused
 from groundstation.flight import sequence as seq
 from groundstation.flight import timeouts
 from groundstation.flight.children import Child, module_command, start_child
@@ -69,7 +71,7 @@ class VehicleProcess:
             return None
         detail = self._child.last_words()
         text = f"the vehicle's process ended with status {status}" + (f": {detail}" if detail else "")
-        return text, detail if status == Refused.exit_status else ""
+        return text, detail if status in (BadInput.exit_status, Refused.exit_status) else ""
 
     def silent(self, state: seq.Sequence, *, described: bool, seen: bool) -> str:
         """What to say of it once nothing was heard for too long; empty before that.
@@ -87,7 +89,10 @@ class VehicleProcess:
         return f"nothing was heard from the vehicle's process for {patience:g} s"
 
     def leave(self) -> int | None:
-        """Wait for its end; its process id where it goes on by itself, to bring its vehicle down or restore parameters. Never killed."""
+        """Wait for its end; its process id where it goes on by itself, to bring its vehicle down or restore parameters.
+
+        Never killed.
+        """
         if self._child is None or self._child.leave(timeouts.VEHICLE_LEAVE_S):
             return None
         return self._child.pid

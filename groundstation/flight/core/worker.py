@@ -1,4 +1,6 @@
-"""The worker that analyses a flight after landing, as the core sees it: started early, told to go, followed to its end."""
+"""The worker that analyses a flight after landing, as the core sees it: started early, told to go, followed to its
+end.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Whether the vehicle's estimator flies by the external poses: by its own flags and innovations, and by where it says it is. Pure."""
+"""Whether the vehicle's estimator flies by the external poses: by its own flags and innovations, and by where it says
+it is. Pure.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +10,13 @@ from drivers.mavlink.dialect import mavlink
 from groundstation.flight.link.view import VehicleView
 
 WITHIN_M = 0.3
-"""Standing, estimate and pose lie closer than this where the one is made from the other; 0.4 m in flight land the vehicle."""
+"""Standing, estimate and pose lie closer than this where the one is made from the other; 0.4 m in flight land the
+vehicle.
+"""
 GATE = 0.8
-"""Of its innovation gates: above it ArduPilot's own failsafe (FS_EKF_THRESH) takes the estimate for lost; PX4 rejects at 1."""
+"""Of its innovation gates: above it ArduPilot's own failsafe (FS_EKF_THRESH) takes the estimate for lost; PX4 rejects
+at 1.
+"""
 
 _HORIZONTAL = mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_POS_HORIZ_ABS
 _AIDED = mavlink.ESTIMATOR_PRED_POS_HORIZ_REL | mavlink.ESTIMATOR_PRED_POS_HORIZ_ABS
@@ -21,7 +27,8 @@ _VERTICAL, _CONSTANT = mavlink.ESTIMATOR_POS_VERT_ABS, mavlink.ESTIMATOR_CONST_P
 def not_fused(view: VehicleView) -> str:
     """Why the estimator does not use the poses; empty while it does.
 
-    ESTIMATOR_STATUS (PX4) and EKF_STATUS_REPORT (ArduPilot) have the same flags, and ratios of innovations to their gates.
+    ESTIMATOR_STATUS (PX4) and EKF_STATUS_REPORT (ArduPilot) have the same flags, and ratios of innovations to their
+    gates.
     """
     flags, ratios = view.estimator_flags, view.estimator_ratios
     if flags is None:
@@ -31,7 +38,10 @@ def not_fused(view: VehicleView) -> str:
     if not flags & _VERTICAL:
         return f"the estimator has no height (flags {flags:#x})"
     if not max(ratios) <= GATE:
-        return f"its innovations are at {max(ratios):.2f} of their gates, more than {GATE:g}: poses and inertial sensors disagree"
+        return (
+            f"its innovations are at {max(ratios):.2f} of their gates, more than {GATE:g}: poses and inertial "
+            "sensors disagree"
+        )
     if view.pose is None or view.state is None:
         return "there is no pose or no estimate"
     distance = sqrt(sum((a - b) ** 2 for a, b in zip(view.pose.position_m, view.state.position_m, strict=True)))

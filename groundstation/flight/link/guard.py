@@ -148,7 +148,10 @@ class Guard:
 
 
 def _late(seen: Observations) -> str:
-    """What a vehicle whose clock falls behind ours adds to a tracking error. Crystals differ by far less than a tenth."""
+    """What a vehicle whose clock falls behind ours adds to a tracking error.
+
+    Crystals differ by far less than a tenth.
+    """
     if seen.clock_rate is None or seen.clock_rate > _SLOW_CLOCK:
         return ""
     return (

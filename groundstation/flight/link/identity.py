@@ -11,7 +11,8 @@ from groundstation.flight.link.inlet import CLOCK_S, Arrival, stamp_s
 from groundstation.flight.link.profiles import Profile
 
 Who = Literal["vehicle", "moved", "beside", "other"]
-"""``moved``: the vehicle, from a new address; ``beside``: another component of its system; ``other``: to be left out."""
+"""``moved``: the vehicle, from a new address; ``beside``: another component of its system; ``other``: to be left out.
+"""
 
 
 @dataclass(frozen=True, slots=True)

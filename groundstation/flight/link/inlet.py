@@ -2,11 +2,12 @@
 
 Three promises:
 
-* The peer is bound to the flight. Setpoints go where the vehicle was found; another address is taken in its place only in
-  flight, only while the old one is silent, and only for the same system and component whose clock goes on. On the ground
-  the operator starts the link again.
-* Work is bounded. A step decodes so many frames and bytes of the vehicle's and less of strangers'; what is left waits, with
-  the time it came, and the oldest of too much is dropped and counted. Strangers are not decoded once the vehicle is known.
+* The peer is bound to the flight. Setpoints go where the vehicle was found; another address is taken in its place only
+  in flight, only while the old one is silent, and only for the same system and component whose clock goes on. On the
+  ground the operator starts the link again.
+* Work is bounded. A step decodes so many frames and bytes of the vehicle's and less of strangers'; what is left waits,
+  with the time it came, and the oldest of too much is dropped and counted. Strangers are not decoded once the vehicle
+  is known.
 * Only the autopilot is believed. Frames of other components of its system are recorded, those of other systems counted.
 """
 
@@ -38,7 +39,9 @@ CLOCK_S = 0.5
 
 
 class Complaints:
-    """What was not believed, failed, or did not belong here: counted by name, and told at the 1st, 10th, 100th, ... time."""
+    """What was not believed, failed, or did not belong here: counted by name, and told at the 1st, 10th, 100th, ...
+    time.
+    """
 
     def __init__(self, most: int = 100):
         self.counts: dict[str, int] = {}

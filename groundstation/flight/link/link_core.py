@@ -1,9 +1,9 @@
 """The link without I/O: bytes and orders in, bytes, samples and answers out, on the time it is given.
 
-One :class:`LinkCore` serves one vehicle. Its :meth:`~LinkCore.step` is called whenever bytes arrive, and at least as often
-as setpoints are due; guard and setpoints come first in it and wait for nothing. What the vehicle or strangers send cannot
-end it: work is bounded (:mod:`~groundstation.flight.link.inlet`), fields pass a gate, and a handler that fails is counted,
-told and skipped.
+One :class:`LinkCore` serves one vehicle. Its :meth:`~LinkCore.step` is called whenever bytes arrive, and at least as
+often as setpoints are due; guard and setpoints come first in it and wait for nothing. What the vehicle or strangers
+send cannot end it: work is bounded (:mod:`~groundstation.flight.link.inlet`), fields pass a gate, and a handler that
+fails is counted, told and skipped.
 """
 
 from __future__ import annotations
@@ -348,7 +348,9 @@ class LinkCore:
         self._tell(out, now_s, "link", f"{profile.name} heard as system {profile.system} from {peer}")
 
     def _take_over(self, now_s: float, *, armed: bool) -> None:
-        """Bring down what another link or station left in the air; what it does is known from its first heartbeat on."""
+        """Bring down what another link or station left in the air; what it does is known from its first heartbeat
+        on.
+        """
         assert self.pilot is not None and self.view is not None  # noqa: S101 - discovered
         self.preparation = Preparation(self.view, self.station, False, self.options.bytes_per_s, self._left_changed)
         self.converse(self.preparation.listen())
@@ -432,8 +434,8 @@ class LinkCore:
             self._tell(out, now_s, "link", f"{self._phase} -> {self.pilot.phase} {self.pilot.reason}".strip())
             self._phase = self.pilot.phase
             if self._phase is Phase.LANDED and (found := self._latency.result()) is not None:
-                declared_s = self.station.mocap.latency_s
-                self._tell(out, now_s, "latency", latency_sentence(found, self.clock.error_s(now_s), declared_s))
+                told = latency_sentence(found, self.clock.error_s(now_s), self.station.mocap)
+                self._tell(out, now_s, "latency", told)
 
     def converse(self, steps: Steps[T]) -> Conversation[T]:
         """Hold a conversation beside the flight: parameters, files, logs. Watch its ``done``."""

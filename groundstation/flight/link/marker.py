@@ -1,7 +1,8 @@
-"""Whether the marker body still sits where it was calibrated: measured again whenever the vehicle is carried to its place.
+"""Whether the marker body still sits where it was calibrated: measured again whenever the vehicle is carried to its
+place.
 
-While it stands, gravity tells of a turn about its horizontal axes. After it was carried and turned for a while, the whole
-calibration is made anew, in a thread of its own, and compared.
+While it stands, gravity tells of a turn about its horizontal axes. After it was carried and turned for a while, the
+whole calibration is made anew, in a thread of its own, and compared.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ CARRIED_S = 12.0
 """Of turning until it is measured again; the calibration itself wants 30, a check against a millimetre less."""
 TURNING_RAD_S, STILL_RAD_S = 0.4, 0.1
 MOVED_M, TURNED_RAD = 0.003, 0.01
-"""Moved by less, a marker body changes no parameter by its interval; and 0.6 degrees is what a firm grip may bend it."""
+"""Moved by less, a marker body changes no parameter by its interval; and 0.6 degrees is what a firm grip may bend it.
+"""
 SURE = 3.0
 STANDING_SAMPLES = 20
 

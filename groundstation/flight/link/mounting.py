@@ -14,9 +14,9 @@ from groundstation.vehicle import Vehicle
 class Mounting:
     r"""Undoes what the calibration found, so that everything after sees the vehicle as its file declares it.
 
-    With W the tilt of the poses' world, s their scale, M the rotation from the marker body's axes to the body's and r its
-    origin from the IMU: :math:`q = W^* q_m M^*`, :math:`p_{imu} = W^T p_m / (1 + s) - R(q) r`; then the declared tracked
-    point and marker axes of the vehicle file are put in their place.
+    With W the tilt of the poses' world, s their scale, M the rotation from the marker body's axes to the body's and r
+    its origin from the IMU: :math:`q = W^* q_m M^*`, :math:`p_{imu} = W^T p_m / (1 + s) - R(q) r`; then the declared
+    tracked point and marker axes of the vehicle file are put in their place.
     """
 
     def __init__(self, calibration: MarkerCalibration, vehicle: Vehicle):

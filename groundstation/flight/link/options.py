@@ -21,8 +21,8 @@ class Options:
         bytes_per_s: what the line carries; None where that is no limit.
         keep_raw: raw frames become samples too.
         quiet: ask for no messages and read no parameters: for fetching files alone.
-        take_over: what is done with a vehicle that is found in flight: ``land``, or ``hold`` (a minute, then land). Empty leaves
-            it to its own failsafe: it gets no heartbeat of ours, which would hold that off.
+        take_over: what is done with a vehicle that is found in flight: ``land``, or ``hold`` (a minute, then land).
+            Empty leaves it to its own failsafe: it gets no heartbeat of ours, which would hold that off.
     """
 
     system: int | None = None
@@ -39,7 +39,9 @@ PLAIN = Options()
 
 @dataclass(slots=True)
 class Output:
-    """What one step gives: bytes to send, samples with the host time they came, parameters changed (name, before, now)."""
+    """What one step gives: bytes to send, samples with the host time they came, parameters changed (name, before,
+    now).
+    """
 
     send: list[bytes] = field(default_factory=list)
     samples: list[tuple[Sample, float]] = field(default_factory=list)

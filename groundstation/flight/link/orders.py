@@ -1,4 +1,5 @@
-"""What the vehicle is asked to do, step by step, until it *shows* it: an acknowledgement alone is none. No I/O, no clock.
+"""What the vehicle is asked to do, step by step, until it *shows* it: an acknowledgement alone is none. No I/O, no
+clock.
 
 Each order is a conversation that ends with "" or with the reason of a refusal, the vehicle's own texts included.
 """
@@ -90,7 +91,9 @@ class Orders:
     def _confirmed(
         self, command: Message, what: str, there: Callable[[], bool], wait_s: float = timeouts.MODE_CHANGED_S
     ) -> Steps[str]:
-        """Send a command, take its acknowledgement, and wait until the vehicle shows the effect: an acknowledgement is none."""
+        """Send a command, take its acknowledgement, and wait until the vehicle shows the effect: an acknowledgement is
+        none.
+        """
         told = len(self.view.texts)
 
         def final(m: Message) -> bool:

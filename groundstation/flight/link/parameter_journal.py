@@ -58,7 +58,9 @@ class ParameterJournal:
 
 
 def left_changed(path: Path) -> str:
-    """What flights changed and did not restore, as "NAME (1 before), ..."; empty when nothing, or when it cannot be read."""
+    """What flights changed and did not restore, as "NAME (1 before), ..."; empty when nothing, or when it cannot be
+    read.
+    """
     try:
         pending = ParameterJournal(path).pending()
     except BadInput as error:

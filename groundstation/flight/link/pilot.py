@@ -5,11 +5,11 @@ r"""The link's own state machine of one flight: what leaves towards the vehicle,
 
 Rules that hold whatever else happens:
 
-* Setpoints leave only while ``climbing`` (where the autopilot climbs by setpoints) and ``following``; where it arms in no
-  other mode (PX4 by poses alone), also before, for a place under the ground that it stands on. After any loss they
+* Setpoints leave only while ``climbing`` (where the autopilot climbs by setpoints) and ``following``; where it arms in
+  no other mode (PX4 by poses alone), also before, for a place under the ground that it stands on. After any loss they
   never come back by themselves: PX4 re-enters OFFBOARD on the first one, and takes off again from the ground.
-* A mode we did not command means somebody else decided: released at once. From then on only the operator's ``land`` sends
-  anything.
+* A mode we did not command means somebody else decided: released at once. From then on only the operator's ``land``
+  sends anything.
 * A landing is commanded again and again until the vehicle shows it or a pilot takes over.
 """
 
@@ -36,7 +36,8 @@ from groundstation.flight.station import Policy
 from groundstation.trajectory import Plan, Sequence, changed_length, flight_path, with_periods
 
 UNDER_GROUND_M = 0.3
-"""How far under it the place lies that an armed vehicle is led to while it stands: near enough to be no order to move."""
+"""How far under it the place lies that an armed vehicle is led to while it stands: near enough to be no order to move.
+"""
 _ABORTED = "the flight was aborted; upload a plan again to"
 
 
@@ -114,7 +115,10 @@ class Pilot:
     # Orders -----------------------------------------------------------------------------------------------------------
 
     def upload(self, plan: Plan, *, onboard: bool = False) -> Answered:
-        """Take a plan; only on the ground. ``onboard``: its excitation is on the vehicle, for the script there to fly."""
+        """Take a plan; only on the ground.
+
+        ``onboard``: its excitation is on the vehicle, for the script there to fly.
+        """
         if self.phase in IN_AIR or self.view.armed:
             return Answered(False, f"a plan is taken only on the ground and disarmed; the flight is {self.phase}.")
         self.plan, self.reason, self.excitation_s = plan, "", (None, None)
@@ -202,7 +206,10 @@ class Pilot:
         return self._begin(self._orders.stand_down(), now_s) if asked else Answered(True)
 
     def take_over(self, now_s: float, reason: str, *, hold_s: float = 0.0) -> None:
-        """Bring down a vehicle that somebody else started; ``hold_s``: hold it so long before. A pilot goes before it."""
+        """Bring down a vehicle that somebody else started; ``hold_s``: hold it so long before.
+
+        A pilot goes before it.
+        """
         self.reason, self._hold_s, self._led = reason, hold_s, True
         self._enter(Phase.HOLDING if hold_s > 0.0 else Phase.LANDING, now_s)
 
@@ -273,7 +280,9 @@ class Pilot:
         return self.excitation_s[0] is not None and self.excitation_s[1] is None and self.phase is Phase.FOLLOWING
 
     def window_s(self, now_s: float) -> tuple[float, float] | None:
-        """Host times of the excitation: as it happened, what has not happened as planned; None before the path begins."""
+        """Host times of the excitation: as it happened, what has not happened as planned; None before the path
+        begins.
+        """
         begun, ended = self.excitation_s
         if begun is not None:
             return begun, ended if ended is not None else begun + self._excitation_lasts_s

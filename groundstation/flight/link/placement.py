@@ -12,7 +12,9 @@ from groundstation.trajectory import Sequence
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """How the plan's frame lies in the vehicle's: moved by ``origin_m`` and turned by ``yaw_rad`` about the vertical."""
+    """How the plan's frame lies in the vehicle's: moved by ``origin_m`` and turned by ``yaw_rad`` about the
+    vertical.
+    """
 
     origin_m: Vector3 = (0.0, 0.0, 0.0)
     yaw_rad: float = 0.0

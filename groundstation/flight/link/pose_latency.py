@@ -1,10 +1,11 @@
 r"""How late the poses are stamped, measured in flight from the attitude: poses against the vehicle's estimate. Pure.
 
-A pose stamped ``t`` that shows the vehicle at ``t - L`` has the attitude :math:`q(t)\exp(-L\omega(t))`. The small rotation from the
-estimate to the pose, in the body, is therefore :math:`e_k = c - L\,\omega_k` with a constant c (how the rigid body lies in the
-vehicle), and L is the slope of a line, least squares over all poses and axes (textbook linear regression; first order in
-:math:`L\omega`, so that 30 ms at 0.5 Hz are off by 0.3 %). The estimate follows the gyros over the plan's periods, whatever
-delay the estimator was told; its stamps are mapped to the host's clock by TIMESYNC.
+A pose stamped ``t`` that shows the vehicle at ``t - L`` has the attitude :math:`q(t)\exp(-L\omega(t))`. The small
+rotation from the estimate to the pose, in the body, is therefore :math:`e_k = c - L\,\omega_k` with a constant c (how
+the rigid body lies in the vehicle), and L is the slope of a line, least squares over all poses and axes (textbook
+linear regression; first order in :math:`L\omega`, so that 30 ms at 0.5 Hz are off by 0.3 %). The estimate follows the
+gyros over the plan's periods, whatever delay the estimator was told; its stamps are mapped to the host's clock by
+TIMESYNC.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from math import sqrt
 
 from drivers.mavlink.geometry import turned
 from drivers.samples import Quaternion, State, Vector3
+from groundstation.flight.station import MocapSource
 
 LEAST_POSES = 200
 """Some seconds of them."""
@@ -104,12 +106,18 @@ def _rotation(a: Quaternion, b: Quaternion) -> Vector3:
     )
 
 
-def latency_sentence(found: Latency, clock_error_s: float, declared_s: float) -> str:
-    """What the recording shall say of it."""
+def latency_sentence(found: Latency, clock_error_s: float, mocap: MocapSource) -> str:
+    """What the recording shall say of it: as declared, or what to write; of a calibrated system, that it is to be
+    calibrated again.
+    """
+    declared_s = mocap.latency_s
     error_s = sqrt((2.0 * found.std_s) ** 2 + clock_error_s**2)
     measured = f"poses are stamped {1e3 * found.seconds:.1f} ms (+- {1e3 * error_s:.1f} ms) after their exposure"
-    if found.seconds < 0.0 or abs(found.seconds - declared_s) <= max(error_s, 1e-3):
+    if abs(found.seconds - declared_s) <= max(error_s, 1e-3) or (found.seconds < 0.0 and mocap.calibration is None):
         return f"{measured}; {1e3 * declared_s:.1f} ms are declared"
+    if mocap.calibration is not None:
+        taken_ms = 1e3 * mocap.calibration.delay_s
+        return f"{measured}, though the calibration takes {taken_ms:.1f} ms off; run `groundstation calibrate` again"
     return (
         f"{measured}, and {1e3 * declared_s:.1f} ms are declared; write into [mocap] of the station file: "
         f"latency_s = {round(found.seconds, 3):g}"

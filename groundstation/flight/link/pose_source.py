@@ -13,6 +13,14 @@ from groundstation.flight.station import MocapSource
 from groundstation.vehicle import Vehicle
 
 
+def _shown(host: str) -> tuple[str, ...]:
+    if not host.startswith("tls/"):
+        return ()
+    from groundstation.flight.share.passes import station_file
+
+    return ("--identity", str(station_file()))
+
+
 class PoseSource:
     """The motion-capture client's process, read without waiting; started again by itself when it ends."""
 
@@ -25,7 +33,7 @@ class PoseSource:
         )
         self._command = module_command(
             "drivers.mocap.source", "--system", mocap.system, f"--host={mocap.host}", f"--body={mocap.body}",
-            "--up", mocap.up, *measured,
+            "--up", mocap.up, *measured, *_shown(mocap.host),
         )  # fmt: skip
         self._mounting = None if calibration is None else Mounting(calibration, vehicle)
         self._reader = FrameReader()

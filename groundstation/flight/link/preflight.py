@@ -1,6 +1,7 @@
 """Checks before a flight over MAVLink: each says yes or no with its reason and remedy; none is skipped silently.
 
-A check that cannot be made fails, saying so. ``force`` names checks whose failure the operator answers for; it is recorded.
+A check that cannot be made fails, saying so. ``force`` names checks whose failure the operator answers for; it is
+recorded.
 """
 
 from __future__ import annotations
@@ -307,13 +308,17 @@ def _marker(s: Situation) -> Check:
         return Check(
             "marker",
             True,
-            "not calibrated: the marker body is taken for the vehicle's declared tracked point (`groundstation calibrate`)",
+            "not calibrated: the marker body is taken for the vehicle's declared tracked point (`groundstation "
+            "calibrate`)",
         )
     return _answer("marker", s.marker.ok, s.marker.seen, "fasten it and calibrate again with `groundstation calibrate`")
 
 
 def _frames(s: Situation) -> Check:
-    """Poses and estimate move alike: same axes, same yaw. Told from a hand-carried move, or from standing (yaw alone)."""
+    """Poses and estimate move alike: same axes, same yaw.
+
+    Told from a hand-carried move, or from standing (yaw alone).
+    """
     if s.view.pose is None or s.view.state is None:
         return Check("frames", False, "no pose or no estimate to compare", "see 'poses' and 'estimate'")
     gap = yaw_of(s.view.pose.quaternion) - yaw_of(s.view.state.quaternion)
@@ -327,9 +332,12 @@ def _frames(s: Situation) -> Check:
     if verdict is None:
         distance = sqrt(sum((a - b) ** 2 for a, b in zip(s.view.pose.position_m, s.view.state.position_m, strict=True)))
         return _answer(
-            "frames", distance < 0.3, f"standing, poses and estimate lie {distance:.2f} m apart, yaw {np.degrees(gap):.0f} degrees",
-            f"the estimator does not use the poses, or axes are swapped: carry the vehicle {MOVED_M:g} m along x, then y, and check again",
-        )  # fmt: skip
+            "frames",
+            distance < 0.3,
+            f"standing, poses and estimate lie {distance:.2f} m apart, yaw {np.degrees(gap):.0f} degrees",
+            f"the estimator does not use the poses, or axes are swapped: carry the vehicle {MOVED_M:g} m along x, then "
+            "y, and check again",
+        )
     return verdict
 
 

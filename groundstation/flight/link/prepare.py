@@ -1,4 +1,7 @@
-"""What a flight asks of the vehicle beforehand, and gives back afterwards: messages, parameters, our script. No I/O, no clock."""
+"""What a flight asks of the vehicle beforehand, and gives back afterwards: messages, parameters, our script.
+
+No I/O, no clock.
+"""
 
 from __future__ import annotations
 
@@ -174,7 +177,10 @@ class Preparation:
         return restart
 
     def _restart(self) -> Steps[None]:
-        """Disarmed and on the ground, since nothing else is prepared. A firmware that refuses is found not to use the poses."""
+        """Disarmed and on the ground, since nothing else is prepared.
+
+        A firmware that refuses is found not to use the poses.
+        """
         profile = self.view.profile
         number = mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN
         answer = yield Ask((profile.command(number, 1.0),), lambda m: _acknowledges(m, number), 1.0, 3)

@@ -3,10 +3,10 @@
     python -P -m groundstation.flight.link.process --link udpin://127.0.0.1:14540 --vehicle V --station S \
         --drone vehicle --connect tcp/127.0.0.1:7450
 
-Towards the core it is a drone like the simulated one (``drivers.bus``). One thread flies: it waits for bytes or for the next
-setpoint, steps :class:`~groundstation.flight.link.link_core.LinkCore` and writes what comes out. Publishing and the raw log have
-threads and queues of their own, so that neither a slow core nor a full disk delays a setpoint. When the core dies the
-vehicle is landed, parameters are restored, and the process ends.
+Towards the core it is a drone like the simulated one (``drivers.bus``). One thread flies: it waits for bytes or for the
+next setpoint, steps :class:`~groundstation.flight.link.link_core.LinkCore` and writes what comes out. Publishing and
+the raw log have threads and queues of their own, so that neither a slow core nor a full disk delays a setpoint. When
+the core dies the vehicle is landed, parameters are restored, and the process ends.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ from groundstation.flight.link.signing_memory import SigningMemory
 from groundstation.flight.messages import IN_FLIGHT
 from groundstation.flight.station import load_station
 from groundstation.outside import parse_json, parse_toml
+from groundstation.priority import set_nice
 from groundstation.trajectory import plan_from_dict
 from groundstation.vehicle import Vehicle, load_vehicle
 
@@ -110,9 +111,7 @@ class LinkProcess:
 
     def run(self, endpoint: str) -> int:
         """Serve the core at an endpoint; returns the exit status."""
-        try:
-            os.setpriority(os.PRIO_PROCESS, 0, -10)  # ahead of the analysis, where the system allows it
-        except OSError:
+        if not set_nice(-10):  # ahead of the analysis, where the system allows it
             self._notes = (NOT_AHEAD,)
         sys.setswitchinterval(timeouts.SWITCH_INTERVAL_S)
         gc.freeze()
@@ -181,7 +180,8 @@ class LinkProcess:
         raise Refused(
             f"{IN_FLIGHT} ({view.mode or 'mode not told'}{height}); it gets no heartbeat from here, so that its own "
             "failsafe acts where it has one for a lost station.",
-            "To bring it down: the same command with --take-over land, or --take-over hold (a minute, then it lands); the "
+            "To bring it down: the same command with --take-over land, or --take-over hold (a minute, then it lands); "
+            "the "
             "interrupted flight's folder is continued. The remote control goes before either.",
         )
 
@@ -323,7 +323,9 @@ class LinkProcess:
         return self._ask(lambda: self.core.order(command.name, self.clock()), at_once=command.name == "start")
 
     def _ask(self, job: Callable[[], Answered], *, at_once: bool = False) -> bus.Answer:
-        """Run a request on the flying thread and wait for its answer; ``at_once``: that it has begun is answer enough."""
+        """Run a request on the flying thread and wait for its answer; ``at_once``: that it has begun is answer
+        enough.
+        """
         reply: queue.SimpleQueue[bus.Answer] = queue.SimpleQueue()
 
         def run() -> None:

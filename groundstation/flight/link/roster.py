@@ -18,7 +18,9 @@ class Roster:
         self.systems: dict[int, str] = {}
 
     def hears(self, system: int, autopilot: int) -> str:
-        """A heartbeat of an autopilot: what to tell of it; empty for one heard before, and for the only one that is expected."""
+        """A heartbeat of an autopilot: what to tell of it; empty for one heard before, and for the only one that is
+        expected.
+        """
         if system in self.systems or len(self.systems) >= _MOST:
             return ""
         self.systems[system] = _NAMES.get(autopilot, f"autopilot {autopilot}")
@@ -26,7 +28,8 @@ class Roster:
             return ""
         if self.wanted is None:
             return (
-                f"systems heard on the link: {self}; the first that can be flown is taken; choose with --system N, or with "
+                f"systems heard on the link: {self}; the first that can be flown is taken; choose with --system N, or "
+                "with "
                 "the station file's key system"
             )
         return f"systems heard on the link: {self}; system {self.wanted} is wanted"

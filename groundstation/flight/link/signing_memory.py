@@ -1,7 +1,7 @@
 """What message signing must remember from one run to the next: stamps sent and heard, per key. One small file.
 
-MAVLink 2 message signing: a stamp is never used twice, and a stream's stamps only grow. A station that starts again and has
-forgotten them would take frames that somebody recorded a minute ago for new ones.
+MAVLink 2 message signing: a stamp is never used twice, and a stream's stamps only grow. A station that starts again and
+has forgotten them would take frames that somebody recorded a minute ago for new ones.
 """
 
 from __future__ import annotations
@@ -59,7 +59,8 @@ class SigningMemory:
             return {str(name): dict(values) for name, values in document.items()}
         except (OSError, ValueError, AttributeError, TypeError):
             raise BadInput(
-                f"{self._path}: remembers the stamps of signed links and cannot be read; if it is damaged, remove it after "
+                f"{self._path}: remembers the stamps of signed links and cannot be read; if it is damaged, remove it "
+                "after "
                 "a minute without flights."
             ) from None
 

@@ -1,7 +1,7 @@
 """The trajectory on its way to the vehicle: on board where the autopilot can fly it, else as setpoints from the link.
 
-On board means our script and the plan's coefficients in the autopilot's scripts folder, each confirmed by its checksum. The
-script goes up while the link prepares, the coefficients with each plan; where the plan lies is told at the start
+On board means our script and the plan's coefficients in the autopilot's scripts folder, each confirmed by its checksum.
+The script goes up while the link prepares, the coefficients with each plan; where the plan lies is told at the start
 (:mod:`groundstation.flight.link.onboard`).
 """
 
@@ -63,7 +63,9 @@ def choose_way(profile: Profile, policy: Policy, parameters: Mapping[str, float 
 
 
 def coefficients_text(series: FourierSeries) -> str:
-    """What the script reads: the series in the plan's own frame, with y and z turned round (north, east, down, heading)."""
+    """What the script reads: the series in the plan's own frame, with y and z turned round (north, east, down,
+    heading).
+    """
     to_ned = np.array([1.0, -1.0, -1.0, -1.0])
     numbers: list[float] = [series.a.shape[1], series.base_frequency_rad_s, series.duration_s]
     for sign, a, b, c in zip(to_ned, series.a, series.b, series.c, strict=True):

@@ -147,8 +147,8 @@ class VehicleView:
                 self.capabilities, self.software = m.capabilities, m.flight_sw_version
                 self.serial = bytes(m.uid2).hex().rstrip("0") or (f"{m.uid:x}" if m.uid else "")
             case "ODOMETRY":
-                # Its reset counter is no alarm: PX4 counts the heading's alignment, a metre and a half after each take-off.
-                # How far the position jumped is measured from the positions themselves.
+                # Its reset counter is no alarm: PX4 counts the heading's alignment, a metre and a half after each
+                # take-off. How far the position jumped is measured from the positions themselves.
                 self.resets += self._reset_counter not in (None, m.reset_counter)
                 self._reset_counter = m.reset_counter
 
@@ -228,7 +228,9 @@ class VehicleView:
 
 
 def _jump(before: State | None, after: State) -> float:
-    """How far the estimate moved beyond what its own velocities explain; gaps over 0.2 s are the age limits' business."""
+    """How far the estimate moved beyond what its own velocities explain; gaps over 0.2 s are the age limits'
+    business.
+    """
     if before is None or not 0.0 < after.device_s - before.device_s < 0.2:
         return 0.0
     dt = after.device_s - before.device_s

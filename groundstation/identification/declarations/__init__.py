@@ -1,4 +1,7 @@
-"""Declaration checks: the data among themselves and against the vehicle file, before any fit. None of them changes the data."""
+"""Declaration checks: the data among themselves and against the vehicle file, before any fit.
+
+None of them changes the data.
+"""
 
 from __future__ import annotations
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.flightdata import FlightData, Stream
-from groundstation.frames import quat_conjugate, quat_exp, quat_multiply, quat_rotate
+from groundstation.flightdata import FlightData, Stream, resampled
+from groundstation.frames import quat_conjugate, quat_exp, quat_multiply, quat_rotate, slerp
 from groundstation.identification.clock import rates_from_attitude
 from groundstation.identification.declarations.check import Check
 from groundstation.identification.declarations.signals import (
@@ -17,11 +17,9 @@ from groundstation.identification.declarations.signals import (
     correlations,
     in_words,
     long_enough,
-    on_grid,
     passed,
     signed_permutations,
 )
-from groundstation.identification.reconstruction import slerp
 
 Array = NDArray[np.float64]
 
@@ -45,7 +43,9 @@ def read_as(quaternion: Array, reading: str) -> Array:
 
 
 def frame_checks(flight: FlightData) -> list[Check]:
-    """Checks of the pose stream ("quaternion", "body_frame", "world_frame", "position_unit") and of the state's velocity."""
+    """Checks of the pose stream ("quaternion", "body_frame", "world_frame", "position_unit") and of the state's
+    velocity.
+    """
     found: list[Check] = []
     pose, state, imu = (long_enough(stream) for stream in (flight.mocap, flight.state, flight.imu))
     if state is not None:
@@ -66,7 +66,7 @@ def _rates(pose: Stream, quaternion: Array, grid: Array) -> Array:
     """Body rates of attitudes on a grid, in the band."""
     rate, middle = rates_from_attitude(pose.t_s, quaternion)
     limit = 8.0 * np.median(np.abs(rate), axis=0) + 1.0
-    return passed(on_grid(grid, middle, np.clip(rate, -limit, limit)), (0.3, 4.0))
+    return passed(resampled(grid, middle, np.clip(rate, -limit, limit)), (0.3, 4.0))
 
 
 def _best_shift(first: Array, second: Array) -> int:
@@ -88,7 +88,7 @@ def _attitude(imu: Stream, pose: Stream, mounting: Array) -> tuple[str, float | 
     """Under which reading of quaternions and naming of axes gyro and attitudes agree."""
     grid = np.arange(imu.t_s[0], imu.t_s[-1], STEP_S)
     when = np.arange(pose.t_s[0], pose.t_s[-1], STEP_S)
-    gyro = passed(on_grid(grid, imu.t_s, imu.values[:, :3]), (0.3, 4.0))
+    gyro = passed(resampled(grid, imu.t_s, imu.values[:, :3]), (0.3, 4.0))
     names = signed_permutations()
     results = {}
     for reading in READINGS:
@@ -111,7 +111,8 @@ def _attitude(imu: Stream, pose: Stream, mounting: Array) -> tuple[str, float | 
     own = max((value for key, value in results.items() if key[:2] == (declared, 0)), default=0.0)
     top = results[best]
     reading, number, shift = best
-    # A wrong order of four numbers may come out as a wrong naming of axes: the declared naming goes first where it is as good.
+    # A wrong order of four numbers may come out as a wrong naming of axes: the declared naming goes first where it is
+    # as good.
     plain = max((k for k in results if k[1] == 0), key=results.__getitem__)
     if results[plain] > 0.95 * top:
         reading, number, shift = plain
@@ -153,8 +154,8 @@ def _world(imu: Stream, pose: Stream, quaternion: Array, offset: float, gravity:
         return []
     felt = quat_rotate(slerp(imu.t_s, pose.t_s - offset, quaternion), imu.values[:, 3:6])
     upward = np.median(felt, axis=0) / gravity
-    felt = passed(on_grid(grid, imu.t_s, felt - np.array([0.0, 0.0, gravity])), band)
-    smooth = passed(on_grid(grid, pose.t_s - offset, pose.values[:, :3]), band)
+    felt = passed(resampled(grid, imu.t_s, felt - np.array([0.0, 0.0, gravity])), band)
+    smooth = passed(resampled(grid, pose.t_s - offset, pose.values[:, :3]), band)
     seen = np.gradient(np.gradient(smooth, STEP_S, axis=0), STEP_S, axis=0)
     names = signed_permutations()
     late = [correlations(*_overlap(felt, seen, shift)) for shift in range(-15, 16, 3)]
@@ -170,7 +171,10 @@ def _world(imu: Stream, pose: Stream, quaternion: Array, offset: float, gravity:
     found = []
     if winner and own < FAR * top:
         words = in_words(names[winner])
-        says = f"Positions are in another world than attitudes and accelerometer: they move as its axes {words}{_world_word(names[winner])}."
+        says = (
+            "Positions are in another world than attitudes and accelerometer: they move as its axes "
+            f"{words}{_world_word(names[winner])}."
+        )
         line = f"give x_m, y_m, z_m and attitudes in one right-handed world with z up: positions are {words} of it"
         return [Check("world_frame", tested, evidence, "contradicted", says, line)]
     found.append(Check("world_frame", tested, evidence, "agrees"))
@@ -199,8 +203,8 @@ def _velocity(state: Stream) -> list[Check]:
     grid = np.arange(state.t_s[0], state.t_s[-1], STEP_S)
     if len(grid) < 300:
         return []
-    place = passed(on_grid(grid, state.t_s, state.values[:, :3]), (0.1, 2.0))
-    told = passed(on_grid(grid, state.t_s, state.values[:, 3:6]), (0.1, 2.0))
+    place = passed(resampled(grid, state.t_s, state.values[:, :3]), (0.1, 2.0))
+    told = passed(resampled(grid, state.t_s, state.values[:, 3:6]), (0.1, 2.0))
     seen = np.gradient(place, STEP_S, axis=0)
     names = signed_permutations()
     found = correlations(told, seen)

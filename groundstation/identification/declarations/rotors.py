@@ -14,11 +14,16 @@ from groundstation.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 PLAIN = 0.35
-"""Correlation from which an order explains turning at all: an eighth of the power, in a flight of hundreds of independent samples."""
+"""Correlation from which an order explains turning at all: an eighth of the power, in a flight of hundreds of
+independent samples.
+"""
 PLAIN_WITHOUT_GYRO = 0.75
-"""The same where rates are slopes of an estimated attitude, which carries the estimator's own dynamics and the loop's."""
+"""The same where rates are slopes of an estimated attitude, which carries the estimator's own dynamics and the loop's.
+"""
 FAR = 0.6
-"""A declared order this share as good as the best one or better is not contradicted: noise of telemetry takes that much."""
+"""A declared order this share as good as the best one or better is not contradicted: noise of telemetry takes that
+much.
+"""
 T_FAR = 4.0
 """Student's t over twelve parts of a flight (eleven degrees of freedom): chance in one of a thousand."""
 MOMENTUM_S = (0.0, 0.03, 0.1)
@@ -79,15 +84,18 @@ def _order(thrust: Array, turning: Array, vehicle: Vehicle, used: NDArray[np.boo
     if best == tried[0] or own > FAR * top or t < T_FAR:
         return Check("rotor_order", tested, evidence, "agrees" if own > FAR * top else "cannot tell")
     places = [list(vehicle.rotors.position_m[i]) for i in best]
-    says = f"The rotors are in another order: motors 1 to {len(best)} sit where {', '.join(str(i + 1) for i in best)} are declared."
+    says = (
+        f"The rotors are in another order: motors 1 to {len(best)} sit where {', '.join(str(i + 1) for i in best)} are "
+        "declared."
+    )
     return Check("rotor_order", tested, evidence, "contradicted", says, f"position_m = {places}")
 
 
 def _spin(thrust: Array, turning: Array, vehicle: Vehicle, used: NDArray[np.bool_], plain: float) -> Check:
     """Yaw acceleration against the reaction torque and its change of each pattern of spins.
 
-    Drag on a propeller and the momentum of a rotor that speeds up both turn the body against the spin, so both have one sign.
-    Tilted rotors turn it by their levers besides.
+    Drag on a propeller and the momentum of a rotor that speeds up both turn the body against the spin, so both have one
+    sign. Tilted rotors turn it by their levers besides.
     """
     axes, position = vehicle.rotors.axes(), np.asarray(vehicle.rotors.position_m, dtype=float)
     levers = np.cross(position, axes)[:, 2] / vehicle.rotors.torque_to_thrust_m

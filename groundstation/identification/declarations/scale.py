@@ -14,7 +14,9 @@ from groundstation.vehicle import Vehicle
 PARTS = 6
 
 DOUBTFUL = 1.15
-"""A vehicle is weighed, and its thrust taken from a bench, to a few percent; 15 % off is worth a question before anything else."""
+"""A vehicle is weighed, and its thrust taken from a bench, to a few percent; 15 % off is worth a question before
+anything else.
+"""
 WRONG = 1.5
 """No battery, payload or wear comes near: it is another vehicle, another constant or another unit."""
 
@@ -35,9 +37,12 @@ def scale_checks(flown: Flown, vehicle: Vehicle) -> list[Check]:
     if len(parts) < 3:
         return [Check("thrust", tested, "the accelerometer felt no weight", "cannot tell")]
     ratio = float(np.mean(parts))
+    if ratio <= 0.0:
+        says = "The recorded rotor values make no thrust in flight: they are not what drove these rotors."
+        return [Check("thrust", tested, f"{ratio:.3g}, where 1 is right", "contradicted", says)]
     spread = float(np.std(parts, ddof=1) / np.sqrt(len(parts)))
     evidence = f"{ratio:.3f} +- {spread:.3f}, where 1 is right"
-    off = max(ratio, 1.0 / max(ratio, 1e-9))
+    off = max(ratio, 1.0 / ratio)
     trusted = "thrust constant" if vehicle.identification.anchor == "thrust" else "mass"
     free = off < (DOUBTFUL if vehicle.identification.anchor == "thrust" else WRONG)
     if free or abs(ratio - 1.0) < 3.0 * spread:
@@ -50,7 +55,8 @@ def scale_checks(flown: Flown, vehicle: Vehicle) -> list[Check]:
         line.append(f"or thrust_coefficient_n_s2 = {(vehicle.rotors.thrust_coefficient_n_s2 or 0.0) / ratio:.4g}")
     unit = _unit(float(np.sqrt(ratio)))
     says = (
-        f"Is this the right vehicle? The declared rotors make {ratio:.2f} times the thrust that the declared mass needs; "
+        f"Is this the right vehicle? The declared rotors make {ratio:.2f} times the thrust that the declared mass "
+        "needs; "
         f"the {trusted} is trusted, so the other follows it{unit}."
     )
     return [Check("thrust", tested, evidence, "contradicted" if off > WRONG else "doubtful", says, " ".join(line))]
@@ -63,7 +69,8 @@ THICKNESS = 1.02
 def tensor_checks(vehicle: Vehicle) -> list[Check]:
     """Check "tensor": whether any rigid body has the declared one. It says nothing where one has.
 
-    No moment of a body exceeds the sum of the other two (the triangle inequality: Wensing, Kim and Slotine 2018, IEEE RA-L 3(1)).
+    No moment of a body exceeds the sum of the other two (the triangle inequality: Wensing, Kim and Slotine 2018, IEEE
+    RA-L 3(1)).
     """
     moments = np.linalg.eigvalsh(vehicle.inertia_tensor())
     tested = "Principal moments of the declared tensor"
@@ -73,7 +80,10 @@ def tensor_checks(vehicle: Vehicle) -> list[Check]:
     why = "is not positive" if moments[0] <= 0.0 else "is larger than the other two together"
     which = "smallest" if moments[0] <= 0.0 else "largest"
     says = f"No rigid body has the declared tensor: its {which} principal moment {why}."
-    line = "[vehicle.inertia_kg_m2] with every moment below the sum of the other two; look for a unit, a swapped axis or a product's sign"
+    line = (
+        "[vehicle.inertia_kg_m2] with every moment below the sum of the other two; look for a unit, a swapped axis or "
+        "a product's sign"
+    )
     return [Check("tensor", tested, evidence, "doubtful", says, line)]
 
 
@@ -97,7 +107,8 @@ def lag_doubts(found: Mapping[str, Estimate], vehicle: Vehicle) -> list[str]:
         away = abs(estimate.value - declared)
         if away > (DOUBTFUL - 1.0) * declared and away > 3.0 * estimate.std:
             said.append(
-                f"Is this the right vehicle? Its rotors lag by {1e3 * estimate.value:.0f} +- {1e3 * estimate.std:.0f} ms ({key}), "
+                f"Is this the right vehicle? Its rotors lag by {1e3 * estimate.value:.0f} +- {1e3 * estimate.std:.0f} "
+                f"ms ({key}), "
                 f"where {1e3 * declared:.0f} ms are declared. Write: [rotors.lag] {key} = {estimate.value:.4g}"
             )
     return said

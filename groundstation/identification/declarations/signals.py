@@ -8,8 +8,8 @@ from itertools import pairwise, permutations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.flightdata import FlightData, Stream
-from groundstation.identification.processing import clean, flown_stretches
+from groundstation.flightdata import FlightData, Stream, resampled
+from groundstation.identification.streams import clean, flown_stretches
 from groundstation.identification.stretches import within
 from groundstation.identification.wrench import voltage_ratio
 
@@ -48,11 +48,6 @@ def passed(values: Array, band_hz: tuple[float, float] = BAND_HZ) -> Array:
     return np.asarray(sosfiltfilt(sos, values, axis=0), dtype=float)
 
 
-def on_grid(grid: Array, t_s: Array, values: Array) -> Array:
-    """Linear interpolation of columns, (k, d)."""
-    return np.stack([np.interp(grid, t_s, column) for column in values.T], axis=-1)
-
-
 def long_enough(stream: Stream | None) -> Stream | None:
     """A stream's good samples; None where they are too few or too short."""
     kept = None if stream is None or len(stream) < 100 else clean(stream)
@@ -72,7 +67,8 @@ def correlations(first: Array, second: Array) -> Array:
 
 
 def alike(found: Array, matrix: Array) -> float:
-    """Mean correlation of the columns under a naming of the first one's axes, so that an axis that moves little has a say.
+    """Mean correlation of the columns under a naming of the first one's axes, so that an axis that moves little has a
+    say.
 
     Args:
         found: of :func:`correlations`.
@@ -81,7 +77,9 @@ def alike(found: Array, matrix: Array) -> float:
 
 
 def apart(better: Array, declared: Array, measured: Array) -> float:
-    """Student's t over parts of equal motion of how much more alike ``better`` is to ``measured`` than ``declared`` is."""
+    """Student's t over parts of equal motion of how much more alike ``better`` is to ``measured`` than ``declared``
+    is.
+    """
     moved = np.cumsum(np.sum(measured**2, axis=1))
     bounds = np.searchsorted(moved, moved[-1] * np.arange(PARTS + 1) / PARTS)
     gain = [
@@ -129,14 +127,14 @@ def flown(flight: FlightData) -> Flown:
     source = imu if imu is not None else _rates_of(flight)
     rate = force = None
     if source is not None:
-        rate = on_grid(grid - offset, source.t_s, source.values[:, :3])
-        force = on_grid(grid - offset, source.t_s, source.values[:, 3:6]) if imu is not None else None
+        rate = resampled(grid - offset, source.t_s, source.values[:, :3])
+        force = resampled(grid - offset, source.t_s, source.values[:, 3:6]) if imu is not None else None
     thrust = None
     if flight.vehicle.rotors.input != "wrench":
         values = motors.values
         if flight.vehicle.rotors.input == "command":
             values = values * voltage_ratio(flight.vehicle, flight.battery, motors.t_s)[:, None]
-        thrust = on_grid(grid, motors.t_s, flight.vehicle.thrust(values))
+        thrust = resampled(grid, motors.t_s, flight.vehicle.thrust(values))
     return Flown(grid, within(grid, stretches), rate, force, thrust)
 
 

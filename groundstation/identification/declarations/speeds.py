@@ -1,7 +1,8 @@
 """Rotor speeds that are declared as measured and lead the motion: commands do, measured speeds do not.
 
-A measured speed and the torque it makes are simultaneous; telemetry is late, if anything. A command leads by the rotors' lag, 20 to
-100 ms. Where commands are recorded beside the speeds, reading a flight compares the two; this check needs the speeds alone.
+A measured speed and the torque it makes are simultaneous; telemetry is late, if anything. A command leads by the
+rotors' lag, 20 to 100 ms. Where commands are recorded beside the speeds, reading a flight compares the two; this check
+needs the speeds alone.
 """
 
 from __future__ import annotations
@@ -22,8 +23,10 @@ SHIFTS: NDArray[np.int64] = np.arange(-8, 16)
 PLAIN = 0.35
 """Correlation from which speeds explain turning at all, as in the check of the rotors' order."""
 LEAD_S = 0.03
-"""Lead that no measured speed has: gyro filters and half a sample make 10 ms, and measured speeds of which half are corrupt led by 33 +- 3 ms
-(square_run1 of the nano-drone benchmark, seen while this was set). Rotors quicker than that are not found out."""
+"""Lead that no measured speed has: gyro filters and half a sample make 10 ms, and measured speeds of which half are
+corrupt led by 33 +- 3 ms (square_run1 of the nano-drone benchmark, seen while this was set). Rotors quicker than that
+are not found out.
+"""
 T_LEAD = 5.0
 """Student's t over the parts of a flight (up to eleven degrees of freedom): chance in one of several thousand."""
 
@@ -31,7 +34,7 @@ T_LEAD = 5.0
 def speed_checks(flown: Flown, vehicle: Vehicle) -> list[Check]:
     """Check "speed_source", where speeds are declared as telemetry and an IMU is recorded."""
     rotors = vehicle.rotors
-    measured = rotors.input == "rotor_speed" and rotors.speed_source == "telemetry"
+    measured = rotors.measured
     if not measured or flown.thrust is None or flown.rate is None or flown.force is None:
         return []
     if flown.used.sum() * STEP_S < SHORTEST_S:
@@ -49,7 +52,8 @@ def speed_checks(flown: Flown, vehicle: Vehicle) -> list[Check]:
     if lead < LEAD_S or (lead - LEAD_S) / std < T_LEAD:
         return [Check("speed_source", tested, evidence, "agrees")]
     says = (
-        "The rotor speeds lead the motion as commands do, which a measured speed does not: nobody measured them, or the motors' stamps "
+        "The rotor speeds lead the motion as commands do, which a measured speed does not: nobody measured them, or "
+        "the motors' stamps "
         "are early."
     )
     return [Check("speed_source", tested, evidence, "doubtful", says, 'speed_source = "command" under [rotors]')]

@@ -139,7 +139,9 @@ def _metadata(known: Mapping[str, str]) -> Markup:
 def add_reproduction(
     page: Page, flight: FlightData, identification: Identification | None, source: str, recording: Path | None = None
 ) -> None:
-    """Versions, hashes of what went in, what is known about the recording, and the commands that give the same numbers again."""
+    """Versions, hashes of what went in, what is known about the recording, and the commands that give the same numbers
+    again.
+    """
     versions = [("groundstation", groundstation.__version__), ("Python", platform.python_version())]
     versions += [(name, metadata.version(name)) for name in ("numpy", "scipy")]
     versions += [("commit", made_of)] if (made_of := commit()) else []
@@ -178,7 +180,9 @@ def _plan_text(plan: Plan) -> str:
 
 
 def hashes(flight: FlightData, recording: Path | None) -> list[tuple[str, str]]:
-    """SHA-256 of the recording, of the plan and of the vehicle as declared; the latter two of their JSON with sorted keys."""
+    """SHA-256 of the recording, of the plan and of the vehicle as declared; the latter two of their JSON with sorted
+    keys.
+    """
     found = []
     if recording is not None and recording.is_file():
         with recording.open("rb") as file:

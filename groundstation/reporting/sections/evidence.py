@@ -1,4 +1,6 @@
-"""Why to believe it: evolution of the estimates, prediction errors, closed-loop simulation, residuals and their colour."""
+"""Why to believe it: evolution of the estimates, prediction errors, closed-loop simulation, residuals and their
+colour.
+"""
 
 from __future__ import annotations
 
@@ -94,7 +96,9 @@ def add_evolution(page: Page, flight: FlightData, identification: Identification
 
 
 def _robust_range(figure: figures.Figure) -> None:
-    """Start zoomed on where the estimates settle: the second half of every line, and the reference lines, with a margin."""
+    """Start zoomed on where the estimates settle: the second half of every line, and the reference lines, with a
+    margin.
+    """
     settled = []
     for drawn in figure["data"]:
         values = [v for v in drawn["y"][len(drawn["y"]) // 2 :] if v is not None]

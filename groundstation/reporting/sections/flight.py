@@ -76,7 +76,8 @@ def _paths(page: Page, motion: Flown, view: View) -> Markup:
         "div",
         page.figure(
             figures.path_figure(path, wanted),
-            f"The path {part}, from {motion.source}. Drag to turn, scroll to zoom; the modebar's arrow turns it by itself.",
+            f"The path {part}, from {motion.source}. Drag to turn, scroll to zoom; the modebar's arrow turns it by "
+            "itself.",
         ),
         page.figure(figures.plane_figure(path, wanted, 0, 1), "The same from above, equal scales."),
         class_="pair",

@@ -221,8 +221,10 @@ def _revealed(identification: Identification) -> Markup | None:
         words = [f"{value / top:+.1f} {label(name)}" for name, value in parts if abs(value / top) > LEAST_PART]
         rows.append((" ".join(words).removeprefix("+1.0 "), f"{significant(100.0 * each.share, 2)} %"))
     caption = (
-        "Combinations of mass and tensor, each in units of its declared value (products: of the trace), by the torque or force "
-        "that all of it makes in this motion, as a share of weight (times arm). From singular values, before any fit. A flight's "
+        "Combinations of mass and tensor, each in units of its declared value (products: of the trace), by the torque "
+        "or force "
+        "that all of it makes in this motion, as a share of weight (times arm). From singular values, before any fit. "
+        "A flight's "
         "disturbance is usually 0.1 % and more."
     )
     return fragment(

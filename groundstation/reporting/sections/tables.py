@@ -8,6 +8,7 @@ from groundstation.identification.results import Estimate
 from groundstation.reporting.markup import Child, Markup, element, fragment, table
 from groundstation.reporting.units import (
     Scale,
+    beyond_rounding,
     decimals,
     fixed,
     half_width,
@@ -47,12 +48,13 @@ def error_table(
 ) -> Markup:
     """RMS errors by signal (rows) and parameter set (columns), each with its change from ``reference``.
 
-    The change is 100 (RMS / RMS of the reference - 1), the seed paper's improvement (Tables 4-6) with the sign of what the error did:
-    negative where it fell. Columns left of the reference get none.
+    The change is 100 (RMS / RMS of the reference - 1), the seed paper's improvement (Tables 4-6) with the sign of what
+    the error did: negative where it fell. Columns left of the reference get none.
     """
     signals = list(dict.fromkeys(signal for errors in sets.values() for signal in errors))
     columns = list(sets)
     rows = []
+    sets = {name: {s: beyond_rounding(v) for s, v in errors.items()} for name, errors in sets.items()}
     for signal in signals:
         scale = scale_for(split_unit(signal)[1], [errors.get(signal, 0.0) for errors in sets.values()])
         base = sets.get(reference, {}).get(signal)

@@ -10,7 +10,7 @@ from groundstation.errors import Refused
 from groundstation.identification.results import Estimate, Identification
 from groundstation.reporting import figures
 from groundstation.reporting.canonical import canonical
-from groundstation.reporting.card import landing_card
+from groundstation.reporting.card import difference, landing_card
 from groundstation.reporting.markup import Markup, element, fragment, sentence_list, table
 from groundstation.reporting.page import Page
 from groundstation.reporting.sections.parameters import reason
@@ -19,6 +19,7 @@ from groundstation.reporting.units import (
     half_width,
     interval_text,
     label,
+    method_text,
     percent,
     quantity,
     readable,
@@ -50,8 +51,10 @@ def effect_name(effect: str) -> str:
     return _NAMES.get(effect, effect.replace("_", " ").capitalize())
 
 
-def add_verdict(page: Page, identification: Identification | Refused, diagnosis: Diagnosis | None) -> None:
-    """The section a reader sees first."""
+def add_verdict(
+    page: Page, identification: Identification | Refused, diagnosis: Diagnosis | None, declared: Mapping[str, float]
+) -> None:
+    """The section a reader sees first; the tiles tell what differs from what was declared."""
     warnings = _warnings(identification, diagnosis)
     if isinstance(identification, Refused):
         content = _banner(
@@ -66,7 +69,7 @@ def add_verdict(page: Page, identification: Identification | Refused, diagnosis:
             "Verdict",
             _banner("open", "Identified; not diagnosed.", best),
             warnings,
-            _cards(identification, None),
+            _cards(identification, None, declared),
         )
         return
     page.section(
@@ -74,7 +77,8 @@ def add_verdict(page: Page, identification: Identification | Refused, diagnosis:
         "Verdict",
         _judgement(identification, diagnosis),
         warnings,
-        _cards(identification, diagnosis),
+        _cards(identification, diagnosis, declared),
+        _reason(diagnosis),
         _findings(diagnosis),
         _unexplained(diagnosis),
         _before_after(page, diagnosis),
@@ -85,11 +89,20 @@ def add_verdict(page: Page, identification: Identification | Refused, diagnosis:
 
 
 def _judgement(identification: Identification, diagnosis: Diagnosis) -> Markup:
-    """The verdict with the landing card's word on trust and on what is next: a tick stands only where nothing is in doubt."""
+    """The verdict with the landing card's word on trust and on what is next: a tick stands only where nothing is in
+    doubt.
+    """
     trust, _, following = landing_card(identification.to_dict(), diagnosis.to_dict(), {})
     doubtful = diagnosis.verdict in ("clean", "explained") and not trust.startswith("Trust: yes")
-    reason_ = readable(diagnosis.reason, _identifiers(diagnosis))
-    return _banner("open" if doubtful else diagnosis.verdict, VERDICTS[diagnosis.verdict], trust, reason_, following)
+    refused = readable(diagnosis.reason) if diagnosis.verdict == "refused" else ""
+    return _banner("open" if doubtful else diagnosis.verdict, VERDICTS[diagnosis.verdict], trust, refused, following)
+
+
+def _reason(diagnosis: Diagnosis) -> Markup | None:
+    """What the verdict rests on, below the tiles; a refusal has it in its banner."""
+    if diagnosis.verdict == "refused":
+        return None
+    return element("p", readable(diagnosis.reason, _identifiers(diagnosis)))
 
 
 def _banner(kind: str, title: str, *sentences: str) -> Markup:
@@ -108,31 +121,36 @@ def _warnings(identification: Identification | Refused, diagnosis: Diagnosis | N
     found |= {*(diagnosis.warnings if diagnosis else ())}
     if not found:
         return None
-    text = "One warning" if len(found) == 1 else f"{len(found)} warnings"
-    return element("p", element("a", f"{text}: read them before you use these numbers.", href="#warnings"))
+    text = "One warning: read it" if len(found) == 1 else f"{len(found)} warnings: read them"
+    return element("p", element("a", f"{text} before you use these numbers.", href="#warnings"))
 
 
 def _missing(names: tuple[str, ...]) -> Markup | None:
     return element("p", "No number is given for: ", ", ".join(label(n) for n in names), ".") if names else None
 
 
-def _cards(identification: Identification, diagnosis: Diagnosis | None) -> Markup:
+def _cards(identification: Identification, diagnosis: Diagnosis | None, declared: Mapping[str, float]) -> Markup:
     """Mass, moments and lag of the one estimate, and what it is to be read with."""
     estimate = canonical(identification, diagnosis)
     kept = estimate.parameters
     shown = [name for name in ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2") if name in kept]
     shown += [name for name in kept if name.startswith("rotor_lag")][:1]
-    note = element("p", f"Estimate: {estimate.source}. {estimate.note}".strip(), class_="note")
+    note = f"Estimate by {method_text(estimate.source)}; percentages are against the declared vehicle. {estimate.note}"
     widened = diagnosis is not None and bool(diagnosis.unexplained)
-    return fragment(element("div", [_card(name, kept[name], widened) for name in shown], class_="cards"), note)
+    return fragment(
+        element("div", [_card(name, kept[name], declared.get(name), widened) for name in shown], class_="cards"),
+        element("p", note.strip(), class_="note"),
+    )
 
 
-def _card(name: str, estimate: Estimate, widened: bool) -> Markup:
-    """Name, value with interval, unit; an interval that an unexplained residual has widened is called so."""
+def _card(name: str, estimate: Estimate, declared: float | None, widened: bool) -> Markup:
+    """Name, how far from the declared value, value with interval, unit; a widened interval is called so."""
     scale = scale_for(split_unit(name)[1], [estimate.value])
     number = element("b", interval_text(estimate, scale), " ", element("span", scale.unit))
     doubt = element("span", "interval widened", class_="doubt") if widened else None
-    return element("div", element("span", label(name)), number, doubt, class_="card")
+    more = percent(estimate.value / declared - 1.0) if declared and difference(estimate, declared) else None
+    head = element("span", element("span", label(name)), element("span", more, title="against declared"), class_="name")
+    return element("div", head, number, doubt, class_="card")
 
 
 def _identifiers(diagnosis: Diagnosis) -> set[str]:
@@ -192,7 +210,8 @@ def _before_after(page: Page, diagnosis: Diagnosis) -> Markup | None:
             if "before" not in known:
                 continue
             caption = (
-                f"RMS, {check.replace('_', '-')} data: {title}. Before: mass and inertia re-estimated on the same training "
+                f"RMS, {check.replace('_', '-')} data: {title}. Before: mass and inertia re-estimated on the same "
+                "training "
                 "blocks without the effects. After: with them (▾ it fell). Nominal: the vehicle as declared."
             )
             rms = error_table(caption, known, reference="before", improved="after")
@@ -224,7 +243,8 @@ def _prediction(stages: Mapping[str, Mapping[str, float]]) -> Markup | None:
             told = fragment(after, _ratio(before, values[-1]))
             rows.append((name_and_unit, nominal, significant(scale.factor * before), told))
     caption = (
-        "RMS, held-out data: open-loop prediction with the recorded inputs, from what the sensors had said until its start. "
+        "RMS, held-out data: open-loop prediction with the recorded inputs, from what the sensors had said until its "
+        "start. "
         "Ratio: error before over error after."
     )
     return table(caption, ("prediction", *columns), rows, highlight=3) if rows else None

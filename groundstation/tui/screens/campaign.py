@@ -26,11 +26,12 @@ class Campaign(StationScreen):
 
     MODE = "campaign"
     HELP_TEXT = """\
-A campaign flies until the targets are met, nothing is missing and the model predicts a flight that it has not seen. Each row is a
-flight: what all flights so far show, how far the worst parameter is from its target, and the error of the body rate on that
-flight before it was used, without and with the effects. n does what is next: it takes in the flight that was flown, decides what to fly, and prepares it on Fly
-(3), where s starts it; on a real vehicle FLY is typed for every flight, and a battery may be changed before. b begins a campaign, c shows the
-one before, e opens its report. `groundstation campaign` does the same on the command line, and either goes on with the other's."""
+A campaign flies until the targets are met, nothing is missing and the model predicts a flight that it has not seen.
+Each row is a flight: what all flights so far show, how far the worst parameter is from its target, and the error of
+the body rate on that flight before it was used, without and with the effects. n does what is next: it takes in the
+flight that was flown, decides what to fly, and prepares it on Fly (3), where s starts it; on a real vehicle FLY is
+typed for every flight, and a battery may be changed before. b begins a campaign, c shows the one before, e opens its
+report. `groundstation campaign` does the same on the command line, and either goes on with the other's."""
     BINDINGS: ClassVar = [
         Binding("n", "next_flight", "Next flight"),
         Binding("b", "begin", "Begin"),

@@ -21,11 +21,11 @@ class Flights(StationScreen):
 
     MODE = "flights"
     HELP_TEXT = """\
-Enter shows a flight on Identify and Diagnose; e opens its report in the browser. m marks a flight, and m on a second one
-compares the two; w writes that comparison as a page. t sorts by the next column, / filters: only flights whose line holds what is
-typed are shown. i identifies the flight under the cursor, d diagnoses it, r does both and writes its report; v shows how the vehicle's
-parameters moved over its flights. g edits the flight's tags, n its note. b does identification, diagnosis and report of every
-recording here that has no results yet."""
+Enter shows a flight on Identify and Diagnose; e opens its report in the browser. m marks a flight, and m on a second
+one compares the two; w writes that comparison as a page. t sorts by the next column, / filters: only flights whose
+line holds what is typed are shown. i identifies the flight under the cursor, d diagnoses it, r does both and writes
+its report; v shows how the vehicle's parameters moved over its flights. g edits the flight's tags, n its note. b
+does identification, diagnosis and report of every recording here that has no results yet."""
     BINDINGS: ClassVar = [
         Binding("m", "mark", "Compare"),
         Binding("t", "sort", "Sort", show=False),
@@ -90,7 +90,10 @@ recording here that has no results yet."""
     def _fill(self, rows: list[dict[str, Any]]) -> None:
         self._rows = rows
         self._list()
-        if not self.query_one("#filter", Input).has_focus:
+        typed = self.query_one("#filter", Input)
+        if not self._shown and not typed.value:
+            self.set_focus(None)  # nothing to walk through: the screens' keys are not the filter's
+        elif not typed.has_focus:
             self.query_one("#catalogue", DataTable).focus()
 
     def _list(self) -> None:

@@ -1,4 +1,6 @@
-"""Fly: the checks and the plan before a flight, then the room, the distances to the guard's limits, and the first estimates."""
+"""Fly: the checks and the plan before a flight, then the room, the distances to the guard's limits, and the first
+estimates.
+"""
 
 from __future__ import annotations
 
@@ -18,12 +20,15 @@ from groundstation.tui.checks import checklist
 from groundstation.tui.documents import live_rows, motor_lines, plan_lines, until_lines
 from groundstation.tui.margins import health, margin_text, margins
 from groundstation.tui.screens.base import WIDE, StationScreen, fill
-from groundstation.tui.text import PHASES, state_lines
+from groundstation.tui.text import ELSEWHERE, PHASES, state_lines
 from groundstation.tui.widgets.dialogs import Choice
 from groundstation.tui.widgets.plots import Line, Plot
 from groundstation.tui.widgets.room import RoomView
 
-WAITING = "No flight is prepared.\n\nr prepares one of the vehicle chosen on the Station screen (1), with the plan of the Plan screen (2)."
+WAITING = (
+    "No flight is prepared.\n\nr prepares one of the vehicle chosen on the Station screen (1), with the plan of the "
+    "Plan screen (2)."
+)
 POINTS = 300
 HUGE = 180
 """Columns from which charts stand beside the room."""
@@ -37,17 +42,17 @@ class Fly(StationScreen):
     MODE = "fly"
     HORIZONTAL_BREAKPOINTS: ClassVar = [(0, "-narrow"), (WIDE, "-wide"), (HUGE, "-huge")]
     HELP_TEXT = """\
-r prepares a flight: the vehicle's process starts, takes the plan, and everything is checked; each check says what was
-seen, what to do where it failed, and why it is looked at. The plan that will be flown is drawn before. s starts it; on a real
-vehicle only after FLY is typed. b lands early, ^g aborts and lands (everyone may, from everywhere); both keep what was flown,
-and it is analysed. Where a flight lasts until something is known (station or vehicle file, [until]), u agrees to what is
-proposed: to end at the next rest point, or to go on for a period, never past what was checked. Closing or killing this program does not end a flight: the plan is completed and the vehicle lands, and the
-program started again finds it. o takes the operator's lease from another.
-
-The bars show how much of each limit of the guard is used; a word, a colour and the terminal's bell tell when one is near. The
-guard acts at the station file's limits; a simulated drone has no guard, and is shown against the same limits. The room is to
-scale, from above and from the side: grey the plan, blue what was flown, ◉ the vehicle, + where it should be; z goes between
-the plan's room, the path close up, and all of the guard's box. c chooses signals for the chart: any that is recorded."""
+r prepares a flight: the vehicle's process starts, takes the plan, and everything is checked; each check says what
+was seen, what to do where it failed, and why it is looked at. The plan that will be flown is drawn before. s starts
+it; on a real vehicle only after FLY is typed. b lands early, ^g aborts and lands (everyone may, from everywhere);
+both keep what was flown, and it is analysed. Where a flight lasts until something is known (station or vehicle file,
+[until]), u agrees to what is proposed: to end at the next rest point, or to go on for a period, never past what was
+checked. Closing or killing this program does not end a flight: the plan is completed and the vehicle lands, and the
+program started again finds it. o takes the operator's lease from another. The bars show how much of each limit of
+the guard is used; a word, a colour and the terminal's bell tell when one is near. The guard acts at the station
+file's limits; a simulated drone has no guard, and is shown against the same limits. The room is to scale, from above
+and from the side: grey the plan, blue what was flown, ◉ the vehicle, + where it should be; z goes between the plan's
+room, the path close up, and all of the guard's box. c chooses signals for the chart: any that is recorded."""
     BINDINGS: ClassVar = [
         Binding("s", "start", "Start"),
         Binding("b", "land", "Land early"),
@@ -68,7 +73,9 @@ the plan's room, the path close up, and all of the guard's box. c chooses signal
         yield Static("no flight", id="big-state", markup=False)
         with Horizontal(id="fly-columns"):
             with VerticalScroll(id="fly-left", can_focus=False):
-                yield Static(WAITING, id="checks", classes="panel", markup=False)
+                yield Static(
+                    WAITING if self.station.remote is None else ELSEWHERE, id="checks", classes="panel", markup=False
+                )
                 yield Static("", id="margins", classes="panel", markup=False)
                 yield DataTable(id="live", show_cursor=False)
                 yield Static("", id="until", classes="panel", markup=False)
@@ -90,7 +97,7 @@ the plan's room, the path close up, and all of the guard's box. c chooses signal
         if action == "land":
             return phase in IN_FLIGHT
         if action == "rehearse":
-            return not station.flying and not station.preparing
+            return station.may_prepare
         if action == "operate":
             return station.may_take_lease
         if action == "agree":

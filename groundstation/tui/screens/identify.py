@@ -26,10 +26,11 @@ class Identify(StationScreen):
 
     MODE = "identify"
     HELP_TEXT = """\
-Comes up after landing. First the analysis and its preliminary estimates, then the table: each parameter by method with
-its 95 % half width, the best method first, beside what the vehicle file declares. Below, why that method is the best,
-the clocks' offset, what the flight does not reveal, and the errors with the nominal and with the identified vehicle.
-The drawings show how the live estimates moved while it flew, between their 95 % intervals. e opens the report in the browser. Choose another flight on the Flights screen (6)."""
+Comes up after landing. First the analysis and its preliminary estimates, then the table: each parameter by method
+with its 95 % half width, the best method first, beside what the vehicle file declares. Below, why that method is the
+best, the clocks' offset, what the flight does not reveal, and the errors with the nominal and with the identified
+vehicle. The drawings show how the live estimates moved while it flew, between their 95 % intervals. e opens the
+report in the browser. Choose another flight on the Flights screen (6)."""
     BINDINGS: ClassVar = [Binding("e", "report", "Report")]
 
     def __init__(self) -> None:
@@ -114,7 +115,7 @@ The drawings show how the live estimates moved while it flew, between their 95 %
                 lines = [
                     Line(column["t_s"], [unit.factor * v for v in column[key]]) for key in ("value", "low", "high")
                 ]
-                plot.border_title = f"{label(name)}, {unit.unit}, over s, and its 95 % interval"
+                plot.border_title = f"{label(name)}, {unit.unit}, over s"
                 plot.draw_interval(*lines)
 
     def action_report(self) -> None:

@@ -60,10 +60,10 @@ class Planner(StationScreen):
 
     MODE = "plan"
     HELP_TEXT = """\
-p starts the optimiser; the drawings follow what it tries, and c stops it with the best so far. Empty fields keep the vehicle's own
-limits. The criterion "condition" is the seed paper's; A makes the sum of the variances small. The table shows the
-standard deviation to expect of each parameter, beside that of the plan before; u goes back to that one. w writes the plan to a file in the
-folder of the flights; the Fly screen flies the plan that is shown here."""
+p starts the optimiser; the drawings follow what it tries, and c stops it with the best so far. Empty fields keep the
+vehicle's own limits. The criterion "condition" is the seed paper's; A makes the sum of the variances small. The
+table shows the standard deviation to expect of each parameter, beside that of the plan before; u goes back to that
+one. w writes the plan to a file in the folder of the flights; the Fly screen flies the plan that is shown here."""
     BINDINGS: ClassVar = [
         Binding("p", "plan", "Plan"),
         Binding("c", "stop", "Stop with the best"),
@@ -97,7 +97,9 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
             for name, (text, unit, _) in FIELDS.items():
                 yield Label(f"{text}, {unit}")
                 yield Input(placeholder="the vehicle's", id=name, type="number", compact=True)
-        yield ProgressBar(total=1.0, show_eta=False, id="plan-progress")
+        progress = ProgressBar(total=1.0, show_eta=False, id="plan-progress")
+        progress.display = False
+        yield progress
         yield Static("p plans an excitation", id="plan-text", markup=False)
         yield Static("", id="trial", markup=False)
         with Horizontal(classes="columns"):
@@ -226,7 +228,9 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
         self.station.call_from_thread(self._progress, fraction, text)
 
     def _progress(self, fraction: float, text: str) -> None:
-        self.query_one(ProgressBar).update(progress=fraction)
+        bar = self.query_one(ProgressBar)
+        bar.display = True  # an empty bar before anything is planned looks like something that hangs
+        bar.update(progress=fraction)
         self.say("#plan-text", text)
 
     def _draw_trial(self) -> None:
@@ -256,7 +260,8 @@ folder of the flights; the Fly screen flies the plan that is shown here."""
         was = f" (before: {before.condition_number:.2f})" if before and before.condition_number and condition else ""
         self.say(
             "#plan-text",
-            f"{plan.vehicle}: {series.duration_s:.0f} s, {series.a.shape[1]} harmonics, criterion {plan.criterion}{condition}{was}."
+            f"{plan.vehicle}: {series.duration_s:.0f} s, {series.a.shape[1]} harmonics, criterion "
+            f"{plan.criterion}{condition}{was}."
             f"\n{readable(plan.note)}",
         )
         fill(

@@ -12,14 +12,15 @@ from textual.widgets import Checkbox, DataTable, Input, Label, Select, Static
 from groundstation.flight.messages import CoreStatus
 from groundstation.tui.screens.base import StationScreen, fill
 from groundstation.tui.setup import SIMULATOR, Setup, links, shipped
-from groundstation.tui.text import state_lines, stream_notes, stream_rows
+from groundstation.tui.text import ELSEWHERE, state_lines, stream_notes, stream_rows
 
 STREAMS = ("stream", "rate", "age", "gap", "samples", "latency", "state")
 WELCOME = """\
 Nothing is connected. Two keys fly a simulated drone:
     r   rehearse: plan, upload and checks on the simulator
     s   start, as soon as everything is checked
-After landing come the parameters, the diagnosis and the report. To fly a real vehicle, choose its link below, then r."""
+After landing come the parameters, the diagnosis and the report. To fly a real vehicle, choose its link below, then \
+r."""
 
 
 class Station(StationScreen):
@@ -38,7 +39,9 @@ IMU are apart. Batches lost on the way and payloads that did not decode are coun
 
     def body(self) -> Iterable:
         """Streams on top, choices below."""
-        yield Static(WELCOME, id="station-state", classes="panel", markup=False)
+        yield Static(
+            WELCOME if self.station.remote is None else ELSEWHERE, id="station-state", classes="panel", markup=False
+        )
         yield DataTable(id="streams", show_cursor=False)
         yield Static("", id="station-notes", classes="panel", markup=False)
         with Grid(id="setup", classes="panel form"):
@@ -60,7 +63,7 @@ IMU are apart. Batches lost on the way and payloads that did not decode are coun
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Only what can be done now is offered."""
-        return action != "rehearse" or not (self.station.flying or self.station.preparing)
+        return action != "rehearse" or self.station.may_prepare
 
     def show_status(self, status: CoreStatus) -> None:
         """Streams and vehicle."""

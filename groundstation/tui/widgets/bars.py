@@ -89,7 +89,7 @@ class FlightBar(Horizontal):
             fault=station.trouble or (watch.fault if watch else ""),
         )
         self.set_class(status is not None and status.phase in IN_FLIGHT, "airborne")
-        text = shown(text)
+        text = shown(f"{watch.place} · {text}" if watch and watch.place else text)
         line = self.query_one("#flight-line", Static)
         if line.content != text:
             line.update(text)

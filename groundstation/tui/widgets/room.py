@@ -54,7 +54,9 @@ class View:
 
 
 def layout(width: int, height: int, low: Array, high: Array) -> tuple[View, View]:
-    """The view from above (y up) and from the side (z up), at one scale, beside or below each other, whichever is larger."""
+    """The view from above (y up) and from the side (z up), at one scale, beside or below each other, whichever is
+    larger.
+    """
     size = np.maximum(high - low, LEAST_M)
     x, y, z = (float(v) for v in size * (1.0 + 2.0 * MARGIN))
     above_rows = max(1, min(height - 2, round((height - 1) * y / (y + z))))
@@ -84,8 +86,8 @@ TITLES = {
 def extent(limits: FlightLimits, flown: Array, zoom: str) -> tuple[Array, Array]:
     """Lowest and highest corner of what is shown.
 
-    Of "room" the plan with its room and the floor, of "path" the plan alone, of "box" also the guard's box. Without any of them
-    it is what was flown, or the origin.
+    Of "room" the plan with its room and the floor, of "path" the plan alone, of "box" also the guard's box. Without any
+    of them it is what was flown, or the origin.
     """
     path = np.asarray(limits.path, dtype=float).reshape(-1, 3)
     points = [path, flown if zoom != "path" or not len(path) else path]

@@ -1,7 +1,7 @@
 """The parameter tables of the two autopilots and a store that answers for them.
 
-``px4.csv`` and ``arducopter.csv`` list what the firmwares reported in the recorded flights (names, types, values), in the
-order of their own indices. Values travel in the float field of PARAM_VALUE: PX4 copies an integer's bytes into it,
+``px4.csv`` and ``arducopter.csv`` list what the firmwares reported in the recorded flights (names, types, values), in
+the order of their own indices. Values travel in the float field of PARAM_VALUE: PX4 copies an integer's bytes into it,
 ArduPilot converts.
 """
 

@@ -81,7 +81,8 @@ class ArduCopter(Profile):
         ),
         *(
             ParameterRule(name, (value,), settable=True, required=False, or_less=True, since=since, before=before,
-                          why="the take-off climbs at this speed, and overshoots by half a metre at the default of 2.5 m/s")
+                          why="the take-off climbs at this speed, and overshoots by half a metre at the default of 2.5 "
+                              "m/s")
             for name, value, since, before in (
                 ("WP_SPD_UP", 1.0, (4, 7), (255, 0)), ("WPNAV_SPEED_UP", 100.0, (0, 0), (4, 7)),
             )

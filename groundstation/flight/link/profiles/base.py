@@ -180,7 +180,8 @@ class Profile:
         return inf, inf
 
     def setpoint(self, target: Target, device_s: float) -> Message:
-        """Position, velocity, acceleration, yaw and yaw rate in one message: nothing is ignored, so nothing is chosen for us.
+        """Position, velocity, acceleration, yaw and yaw rate in one message: nothing is ignored, so nothing is chosen
+        for us.
 
         Without a yaw ArduCopter turns to face along the path; without velocity and acceleration the controller lags.
         """
@@ -203,13 +204,16 @@ class Profile:
     def origin(self) -> Message:
         """SET_GPS_GLOBAL_ORIGIN, for a position that satellites do not tell.
 
-        ArduCopter has no position without one, and takes an altitude of 0 for none, so that it resets its height every second. PX4 takes the height of a pose for an altitude, and tells its own as what that is above
-        the origin's: one that satellites set before would put the vehicle hundreds of metres under the floor.
+        ArduCopter has no position without one, and takes an altitude of 0 for none, so that it resets its height every
+        second. PX4 takes the height of a pose for an altitude, and tells its own as what that is above the origin's:
+        one that satellites set before would put the vehicle hundreds of metres under the floor.
         """
         return mavlink.MAVLink_set_gps_global_origin_message(self.system, *PLACE, self.origin_altitude_mm)
 
     def external_pose(self, pose: Pose, stamp_s: float, std_m: float, std_rad: float, resets: int) -> Sequence[Message]:
-        """A motion-capture pose for the estimator, stamped with its capture time on the clock we answer TIMESYNC with."""
+        """A motion-capture pose for the estimator, stamped with its capture time on the clock we answer TIMESYNC
+        with.
+        """
         raise NotImplementedError
 
 

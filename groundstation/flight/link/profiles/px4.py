@@ -82,7 +82,8 @@ class Px4(Profile):
                       why="the vehicle's own geofence is the last resort when both link and station fail"),
         *(
             ParameterRule(name, (1.0,), required=False, or_more=True,
-                          why="at 0 there is no geofence, whatever GF_ACTION says (a polygon on the vehicle is not read)")
+                          why="at 0 there is no geofence, whatever GF_ACTION says (a polygon on the vehicle is not "
+                              "read)")
             for name in ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST")
         ),
         ParameterRule("EKF2_GPS_CTRL", (0.0,), settable=True, indoors=True, why="no satellites indoors"),

@@ -1,4 +1,4 @@
-"""What reads files from outside, each as one function of a path that uses all it read; for :mod:`benchmarks.fuzz`."""
+"""What reads files from outside, each as one function of a path that uses all it read; for :mod:`studies.fuzz`."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def _scenario(path: Path) -> object:
 def _model(path: Path) -> object:
     from groundstation.diagnosis.effect import library, wrench_of
     from groundstation.errors import GroundStationError
-    from groundstation.model.prediction import model_from_document
+    from groundstation.model.vehicle_model import model_from_document
     from groundstation.reporting.exports import FORMATS, export, read_model
 
     document = read_model(path, vehicle("qball2") if path.suffix == ".json" else None)
@@ -211,7 +211,9 @@ def _batch(path: Path) -> object:
 
 
 def _mocap(path: Path) -> object:
-    """What a motion-capture server sends: a byte that names the system, then messages with their lengths, one datagram each."""
+    """What a motion-capture server sends: a byte that names the system, then messages with their lengths, one datagram
+    each.
+    """
     import struct
 
     from drivers.mocap.readings import Frame

@@ -1,4 +1,6 @@
-"""Studies over many flights: on the cores of this machine, or on a Dask cluster, by the runner that ``groundstation batch`` uses."""
+"""Studies over many flights: on the cores of this machine, or on a Dask cluster, by the runner that ``groundstation
+batch`` uses.
+"""
 
 from __future__ import annotations
 

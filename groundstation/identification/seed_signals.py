@@ -20,31 +20,28 @@ from numpy.typing import ArrayLike, NDArray
 from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import FlightData, Stream
 from groundstation.frames import (
+    lever_arm,
     quat_conjugate,
     quat_continuous,
-    quat_exp,
-    quat_log,
     quat_multiply,
     quat_normalise,
-    quat_rotate,
     quat_rotate_inverse,
+    slerp,
 )
 from groundstation.identification.filters import central_difference, zero_phase_low_pass
-from groundstation.identification.stretches import SHORTEST_S, airborne, gaps, within
+from groundstation.identification.streams import Segments, clean, flown_stretches, origin_poses
+from groundstation.identification.stretches import SHORTEST_S, gaps, within
 from groundstation.identification.wrench import declared_wrench
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-Segments = Sequence[tuple[float, float]]
 
-TRANSIENT_S = 10.0
-"""Left out at the start, as in the paper (10 s < t < 50 s), but at most a fifth of the window."""
 MARGIN_S = 2.0
 """Processed beyond the window where there are data, so that filters have settled inside it."""
 
 
 @dataclass(frozen=True, slots=True)
-class Signals:
+class SeedSignals:
     """What the regressors need, on a uniform grid of k samples on the IMU's clock. Absent quantities are None.
 
     Attributes:
@@ -128,50 +125,130 @@ class _Translation:
     specific_force: Array
 
 
-def process_flight(
-    flight: FlightData,
-    *,
-    mocap_minus_imu_s: float = 0.0,
-    exclude: Segments = (),
-    cutoff_hz: float | None = None,
-    period_s: float | None = None,
-    transient_s: float | None = None,
-    accelerometer: bool = True,
-) -> Signals:
-    """Bring a flight's streams together and differentiate them.
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """Rates, the translation where poses show it, and what to say of both."""
 
-    Args:
-        flight: the recorded streams; motors, IMU and state are taken to share a clock.
+    rates: _Rates
+    translation: _Translation | None
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _SpecificForce:
+    """At the origin, (k, 3), where it comes from, and what to say of it."""
+
+    value: Array | None
+    source: str
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Processing:
+    """How a flight's streams are brought together.
+
+    Attributes:
         mocap_minus_imu_s: motion-capture stamp minus IMU stamp of one and the same instant.
         exclude: segments [start, end] on the IMU's clock that are not used.
         cutoff_hz: of the low-pass; None: see :func:`default_cutoff_hz`.
         period_s: grid spacing; None: the IMU's (or the state's, or 2 ms), between 1 and 20 ms.
         transient_s: left out at the start of a known excitation; None: 10 s, at most a fifth of it.
         accelerometer: may be used where poses are there too; the paper has none.
+    """
+
+    mocap_minus_imu_s: float = 0.0
+    exclude: Segments = ()
+    cutoff_hz: float | None = None
+    period_s: float | None = None
+    transient_s: float | None = None
+    accelerometer: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class _Streams:
+    """A flight's good samples on the IMU's clock."""
+
+    motors: Stream
+    imu: Stream | None
+    state: Stream | None
+    pose: _Pose | None
+
+    @classmethod
+    def of(cls, flight: FlightData, processing: Processing) -> _Streams:
+        exclude = processing.exclude
+        return cls(
+            motors=clean(flight.motors, exclude),
+            imu=None if flight.imu is None else clean(flight.imu, exclude),
+            state=None if flight.state is None else clean(flight.state, exclude),
+            pose=_pose(flight, processing.mocap_minus_imu_s, exclude),
+        )
+
+    @property
+    def inertial(self) -> Stream | None:
+        """Where rates come from, if not from poses."""
+        return self.imu or self.state
+
+    def stamps(self) -> list[Array]:
+        """Of every stream that is used."""
+        return [stream.t_s for stream in (self.motors, self.inertial, self.pose) if stream is not None]
+
+
+def process_flight(flight: FlightData, processing: Processing | None = None) -> SeedSignals:
+    """Bring a flight's streams together and differentiate them.
+
+    Args:
+        flight: the recorded streams; motors, IMU and state are taken to share a clock.
+        processing: how; None: as :class:`Processing` has it.
 
     Raises:
         NotIdentifiable: the streams overlap for less than 2 s, or hold no motion at all.
     """
-    motors = clean(flight.motors, exclude)
-    imu = None if flight.imu is None else clean(flight.imu, exclude)
-    state = None if flight.state is None else clean(flight.state, exclude)
-    pose = _pose(flight, mocap_minus_imu_s, exclude)
-    stretches = flown_stretches(flight, transient_s)
-    window = stretches[0][0], stretches[-1][1]
-    stamps = [stream.t_s for stream in (motors, imu or state, pose) if stream is not None]
-    grid = _grid(flight, imu or state, stamps, window, cutoff_hz, period_s)
-    t = grid.t_s
-    notes = [f"Zero-phase Butterworth low-pass at {grid.cutoff_hz:.2f} Hz on a {1e3 * grid.period_s:.2f} ms grid."]
+    processing = processing or Processing()
+    streams = _Streams.of(flight, processing)
+    stretches = flown_stretches(flight, processing.transient_s)
+    grid = _grid(flight, streams, (stretches[0][0], stretches[-1][1]), processing)
+    wrench = grid.smooth(declared_wrench(flight.vehicle, streams.motors, flight.battery, grid.t_s))
+    motion = _motion(grid, streams, flight.vehicle)
+    used = _used(grid, stretches, streams.stamps(), processing.exclude)
+    accelerometer = processing.accelerometer or streams.pose is None
+    specific = _specific_force(grid, flight.vehicle, streams, motion, used, accelerometer=accelerometer)
+    low_pass = f"Zero-phase Butterworth low-pass at {grid.cutoff_hz:.2f} Hz on a {1e3 * grid.period_s:.2f} ms grid."
+    seen, t = motion.translation, grid.t_s
+    return SeedSignals(
+        t_s=t,
+        used=used,
+        period_s=grid.period_s,
+        cutoff_hz=grid.cutoff_hz,
+        wrench=wrench,
+        rate=motion.rates.rate,
+        rate_derivative=motion.rates.derivative,
+        specific_force=specific.value,
+        velocity_body=None if seen is None else seen.velocity,
+        gravity_body=None if seen is None else seen.gravity,
+        rate_derivative_noise=motion.rates.derivative_noise,
+        specific_force_source=specific.source,
+        window_s=(float(t[used][0]), float(t[used][-1])),
+        notes=(low_pass, *motion.notes, *specific.notes),
+    )
 
-    wrench = grid.smooth(declared_wrench(flight.vehicle, motors, flight.battery, t))
+
+def _motion(grid: _Grid, streams: _Streams, vehicle: Vehicle) -> _Motion:
+    """Rates, and the translation where there are poses."""
+    pose = streams.pose
+    if pose is None:
+        rates, notes = _body_rates(grid, streams, None)
+        unknown = "No poses: velocity and attitude are unknown; drag, wind and position effects cannot be seen."
+        return _Motion(rates, None, (*notes, unknown))
     # Poses hold nothing above half their rate but the images that interpolation makes.
-    slow = grid if pose is None else replace(grid, cutoff_hz=min(grid.cutoff_hz, 0.4 * pose.rate_hz()))
-    rotation = None if pose is None else quat_normalise(slow.smooth(slerp(t, pose.t_s, pose.quaternion)))
-    rates, rate_note = _body_rates(slow if imu is None and state is None else grid, imu, state, pose, rotation)
-    seen = None if pose is None or rotation is None else _translation(slow, pose, rotation, rates, flight.vehicle)
-    if seen is None:
-        rate_note.append("No poses: velocity and attitude are unknown; drag, wind and position effects cannot be seen.")
+    slow = replace(grid, cutoff_hz=min(grid.cutoff_hz, 0.4 * pose.rate_hz()))
+    rotation = quat_normalise(slow.smooth(slerp(grid.t_s, pose.t_s, pose.quaternion)))
+    rates, notes = _body_rates(slow if streams.inertial is None else grid, streams, rotation)
+    return _Motion(rates, _translation(slow, pose, rotation, rates, vehicle), tuple(notes))
 
+
+def _used(grid: _Grid, stretches: Segments, stamps: Sequence[Array], exclude: Segments) -> NDArray[np.bool_]:
+    """Which instants count: in the air, outside gaps and exclusions, and clear of the filter's ends."""
+    t = grid.t_s
     guard = 0.5 / grid.cutoff_hz  # how far the low-pass carries what lies beyond an end
     used = within(t, stretches) & (t >= t[0] + guard) & (t <= t[-1] - guard)
     for series in stamps:
@@ -184,36 +261,13 @@ def process_flight(
             f"Only {left:.1f} s are left outside gaps and excluded segments.",
             f"Exclude less, or record at least {SHORTEST_S:.0f} s of motion.",
         )
-    specific, source, force_note = _specific_force(
-        grid, flight.vehicle, imu if accelerometer or pose is None else None, pose, rates, seen, used
-    )
-    return Signals(
-        t_s=t,
-        used=used,
-        period_s=grid.period_s,
-        cutoff_hz=grid.cutoff_hz,
-        wrench=wrench,
-        rate=rates.rate,
-        rate_derivative=rates.derivative,
-        specific_force=specific,
-        velocity_body=None if seen is None else seen.velocity,
-        gravity_body=None if seen is None else seen.gravity,
-        rate_derivative_noise=rates.derivative_noise,
-        specific_force_source=source,
-        window_s=(float(t[used][0]), float(t[used][-1])),
-        notes=(*notes, *rate_note, *force_note),
-    )
+    return used
 
 
-def _grid(
-    flight: FlightData,
-    inertial: Stream | None,
-    stamps: Sequence[Array],
-    window: tuple[float, float],
-    cutoff_hz: float | None,
-    period_s: float | None,
-) -> _Grid:
+def _grid(flight: FlightData, streams: _Streams, window: tuple[float, float], processing: Processing) -> _Grid:
     """The grid that all streams cover, around the window, and the low-pass."""
+    inertial, stamps = streams.inertial, streams.stamps()
+    period_s, cutoff_hz = processing.period_s, processing.cutoff_hz
     if period_s is None:
         period_s = 1.0 / float(np.clip(inertial.rate_hz() if inertial is not None else 500.0, 50.0, 1000.0))
     if any(len(series) == 0 for series in stamps):
@@ -232,10 +286,9 @@ def _grid(
     return _Grid(t, period_s, min([cutoff_hz, 0.4 / period_s, *slowest]))
 
 
-def _body_rates(
-    grid: _Grid, imu: Stream | None, state: Stream | None, pose: _Pose | None, rotation: Array | None
-) -> tuple[_Rates, list[str]]:
+def _body_rates(grid: _Grid, streams: _Streams, rotation: Array | None) -> tuple[_Rates, list[str]]:
     """Rates from the gyro, else from the vehicle's own state, else from differentiated attitudes."""
+    imu, state, pose = streams.imu, streams.state, streams.pose
     if imu is not None:
         rate = grid.resample(imu.t_s, imu.values[:, :3])
         noise = white_noise_std(imu.values[:, :3]) * differentiated_noise_gain(1, grid.cutoff_hz, imu.rate_hz())
@@ -265,30 +318,26 @@ def _translation(grid: _Grid, pose: _Pose, rotation: Array, rates: _Rates, vehic
 
 
 def _specific_force(
-    grid: _Grid,
-    vehicle: Vehicle,
-    imu: Stream | None,
-    pose: _Pose | None,
-    rates: _Rates,
-    seen: _Translation | None,
-    used: NDArray[np.bool_],
-) -> tuple[Array | None, str, list[str]]:
+    grid: _Grid, vehicle: Vehicle, streams: _Streams, motion: _Motion, used: NDArray[np.bool_], *, accelerometer: bool
+) -> _SpecificForce:
     """From the accelerometer where it is quieter than differentiated poses, which then give it its mean."""
-    if imu is not None and (pose is None or _accelerometer_is_better(imu, pose, grid.cutoff_hz)):
+    imu, pose, seen = streams.imu, streams.pose, motion.translation
+    if accelerometer and imu is not None and (pose is None or _accelerometer_is_better(imu, pose, grid.cutoff_hz)):
         felt = grid.resample(imu.t_s, imu.values[:, 3:6])
-        felt -= _lever_arm(rates.rate, rates.derivative, vehicle.imu.position_m)
+        felt -= lever_arm(motion.rates.rate, motion.rates.derivative, vehicle.imu.position_m)
         if seen is None:
-            return felt, "accelerometer", ["The accelerometer's bias is unknown without poses and goes into mass."]
+            note = "The accelerometer's bias is unknown without poses and goes into mass."
+            return _SpecificForce(felt, "accelerometer", (note,))
         bias = np.mean((felt - seen.specific_force)[used], axis=0)
         note = (
             "Specific force from the accelerometer, which is quieter here than differentiated poses; "
             f"its mean is held to theirs (bias {bias[0]:.3f}, {bias[1]:.3f}, {bias[2]:.3f} m/s^2)."
         )
-        return felt - bias, "accelerometer", [note]
+        return _SpecificForce(felt - bias, "accelerometer", (note,))
     if seen is None or pose is None:
-        return None, "", ["Nothing tells the specific force, so mass gets no number."]
+        return _SpecificForce(None, "", ("Nothing tells the specific force, so mass gets no number.",))
     what = "velocities" if pose.source == "state" else "positions"
-    return seen.specific_force, pose.source, [f"Specific force from differentiated {what}."]
+    return _SpecificForce(seen.specific_force, pose.source, (f"Specific force from differentiated {what}.",))
 
 
 def default_cutoff_hz(flight: FlightData, imu: Stream | None, t_s: Array) -> float:
@@ -312,64 +361,17 @@ def default_cutoff_hz(flight: FlightData, imu: Stream | None, t_s: Array) -> flo
     return max(2.0, 10.0 * top)
 
 
-def flown_stretches(flight: FlightData, transient_s: float | None = None) -> tuple[tuple[float, float], ...]:
-    """What is used of a flight: the known excitation less the transient, or every stretch in the air (:mod:`.stretches`).
-
-    Raises:
-        NotIdentifiable: the vehicle did not fly.
-    """
-    if flight.window_s is not None:
-        start, end = flight.window_s
-        return ((start + (min(TRANSIENT_S, 0.2 * (end - start)) if transient_s is None else transient_s), end),)
-    motors = clean(flight.motors)
-    t = motors.t_s
-    thrust = declared_wrench(flight.vehicle, motors, flight.battery, t)[:, 0]
-    found = airborne(t, thrust)
-    if not found:
-        if not np.any(thrust > 0.0):
-            raise NotIdentifiable("The rotors never made thrust.", "Record a flight.")
-        raise NotIdentifiable(f"The vehicle was in the air for less than {SHORTEST_S + 2.0:.0f} s.", "Fly longer.")
-    return found
-
-
-def excitation_window(flight: FlightData, transient_s: float | None = None) -> tuple[float, float]:
-    """First start and last end of what is used of a flight.
-
-    Raises:
-        NotIdentifiable: the vehicle did not fly.
-    """
-    stretches = flown_stretches(flight, transient_s)
-    return stretches[0][0], stretches[-1][1]
-
-
 def interpolate(t_s: ArrayLike, stamps_s: Array, values: Array) -> Array:
-    """Linear interpolation of the columns of ``values`` (n, d) at ``t_s``; shape (k, d)."""
+    """Linear interpolation of the columns of ``values`` (n, d) at ``t_s``; shape (k, d).
+
+    It rounds otherwise than :func:`groundstation.flightdata.resampled`, and the tables of the paper are held to the
+    last bit.
+    """
     t = np.asarray(t_s, dtype=float)
     right = np.clip(np.searchsorted(stamps_s, t, side="right"), 1, len(stamps_s) - 1)
     left = right - 1
     share = ((t - stamps_s[left]) / (stamps_s[right] - stamps_s[left]))[:, None]
     return values[left] + share * (values[right] - values[left])
-
-
-def slerp(t_s: ArrayLike, stamps_s: Array, quaternions: Array) -> Array:
-    """Spherical linear interpolation of unit quaternions (n, 4) at ``t_s``, sign-continuous, shape (k, 4)."""
-    t = np.asarray(t_s, dtype=float)
-    q = quat_continuous(quaternions)
-    right = np.clip(np.searchsorted(stamps_s, t, side="right"), 1, len(stamps_s) - 1)
-    left = right - 1
-    share = (t - stamps_s[left]) / (stamps_s[right] - stamps_s[left])
-    turn = quat_log(quat_multiply(quat_conjugate(q[:-1]), q[1:]))
-    return quat_continuous(quat_multiply(q[left], quat_exp(share[:, None] * turn[left])))
-
-
-def clean(stream: Stream, exclude: Segments = ()) -> Stream:
-    """Samples with finite values and strictly increasing stamps, outside the excluded segments."""
-    keep = np.isfinite(stream.values).all(axis=1) & np.isfinite(stream.t_s)
-    for first, last in exclude:
-        keep &= (stream.t_s < first) | (stream.t_s > last)
-    kept = stream.select(keep)
-    latest = np.maximum.accumulate(np.concatenate([[-np.inf], kept.t_s[:-1]]))
-    return kept.select(kept.t_s > latest)
 
 
 def white_noise_std(values: Array) -> Array:
@@ -408,18 +410,10 @@ def _pose(flight: FlightData, mocap_minus_imu_s: float, exclude: Segments) -> _P
         mounting = flight.vehicle.mocap
         moved = Stream(flight.mocap.t_s - mocap_minus_imu_s, flight.mocap.values, flight.mocap.columns)
         stream = clean(moved, exclude)
-        marker_to_body = quat_conjugate(quat_exp(np.asarray(mounting.rotation_rad)))
-        q = quat_continuous(quat_multiply(quat_normalise(stream.values[:, 3:7]), marker_to_body))
-        p = stream.values[:, :3] - quat_rotate(q, np.asarray(mounting.position_m))
-        return _Pose(stream.t_s, p, q, None, "positions")
+        p, q = origin_poses(mounting, stream.values[:, :3], quat_normalise(stream.values[:, 3:7]))
+        return _Pose(stream.t_s, p, quat_continuous(q), None, "positions")
     if flight.state is not None and len(flight.state) > 3:
         stream = clean(flight.state, exclude)
         q = quat_continuous(quat_normalise(stream.values[:, 6:10]))
         return _Pose(stream.t_s, stream.values[:, :3], q, stream.values[:, 3:6], "state")
     return None
-
-
-def _lever_arm(rate: Array, rate_derivative: Array, position_m: ArrayLike) -> Array:
-    """dw/dt x r + w x (w x r): what an accelerometer at r feels beyond the origin."""
-    r = np.asarray(position_m, dtype=float)
-    return np.cross(rate_derivative, r) + np.cross(rate, np.cross(rate, r))

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.study import IMU_NOISE
 from groundstation.paths import find_config
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
 from sim.scenario import Scenario, scenario_from_dict
+from studies.study import IMU_NOISE
 
 COMMANDED = ("motor_lag", "input_delay", "battery_sag")
 """Effects that show only where rotor speeds are commanded, not measured."""

@@ -1,4 +1,7 @@
-"""Mutators: from sound bytes, documents and bundles to hostile ones. Pure functions of a seed's bytes and a generator."""
+"""Mutators: from sound bytes, documents and bundles to hostile ones.
+
+Pure functions of a seed's bytes and a generator.
+"""
 
 from __future__ import annotations
 

@@ -1,0 +1,248 @@
+"""One flight whitened about a base fit: its residual, the base's columns and instruments, and those of any
+candidate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.diagnosis.columns import Candidate, Columns, Solution
+from groundstation.diagnosis.effect import library
+from groundstation.diagnosis.joint import updated_rigid_body
+from groundstation.diagnosis.signals import planned_signals, thinned
+from groundstation.diagnosis.thresholds import THRESHOLDS
+from groundstation.diagnosis.whitening import Whitening
+from groundstation.identification.prediction_error import Fitted
+from groundstation.identification.preparation import Prepared
+from groundstation.identification.record_model import RecordModel
+from groundstation.identification.sensitivities import planned_sensitivities
+from groundstation.model.parameters import RIGID_BODY, FitOptions, table, values_of, with_values
+
+Array = NDArray[np.float64]
+
+WRENCH_ROW = {0: 3, 1: 4, 2: 5, 3: 0, 4: 1, 5: 2}
+"""Of each channel, where its force or torque stands in a wrench."""
+
+
+class FlightEvidence:
+    """One flight, whitened about a base fit.
+
+    Args:
+        known: effects that are kept out of its noise model.
+        generic: keep out of it, too, whatever any effect may look like (:meth:`_generic`), so that none hides in the
+            noise; else the noise is all that base and known effects leave.
+    """
+
+    def __init__(
+        self,
+        prepared: Prepared,
+        fitted: Fitted,
+        options: FitOptions,
+        known: Sequence[Candidate] = (),
+        *,
+        generic: bool = True,
+    ):
+        self.prepared, self.known = prepared, tuple(known)
+        self._fitted, self._given = fitted, options
+        record, p = prepared.record, fitted.parameters
+        self.parameters = replace(p, com_m=np.zeros(3), yaw_trim_nm=0.0, force_bias_m_s2=np.zeros(3), extra=np.zeros(0))
+        self.channels = _channels_of(prepared)
+        self.options = FitOptions(
+            lag=options.lag,
+            delay=options.delay,
+            accel_delay=True,
+            com=False,
+            yaw_trim=False,
+            channels=self.channels,
+        )
+        self.model = RecordModel(record, (), None if prepared.planned is None else replace(prepared.planned, extra=()))
+        self.signals = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
+        self.excited = thinned(self.signals, record.keep)
+        self._share = record.keep / np.sum(record.keep)
+        self._inverse = np.linalg.inv(self.parameters.tensor)
+        self.residual, self.sensitivity, self.names = self.model.evaluate(self.parameters, self.options)
+        self.planned = planned_signals(prepared, self.parameters)
+        self.whitening = Whitening(
+            self.channels, self.model.dt, self.model.restart, self.residual, self._nuisance(generic)
+        )
+        self.y = self.whitened_residual(self.residual)
+        self.x = self.whitening.apply(self.sensitivity)
+        self.z = self.x if prepared.planned is None else self._base_instruments()
+
+    def _base_instruments(self) -> Array:
+        """The base's columns along the planned motion; what delays the inputs takes what all of those explain of its
+        own.
+        """
+        z = self.whitening.apply(planned_sensitivities(self.model, self.parameters, self.options))
+        entries = table()
+        timing = [index for index, name in enumerate(self.names) if entries[name].timing]
+        z[:, timing] = self.whitening.explained(self.x[:, timing], z)
+        return z
+
+    def base_std(self, name: str) -> float:
+        """Standard deviation of a parameter of the base fit."""
+        return self._fitted.std(name)
+
+    def of(self, other: Prepared) -> FlightEvidence:
+        """Another flight about the same base fit."""
+        return FlightEvidence(other, self._fitted, self._given, self.known)
+
+    def updated_base(self, fitted: Fitted, solution: Solution) -> Fitted:
+        """The base fit at a joint estimate, for the next linearisation; as it was where that is no rigid body
+        (:func:`updated_rigid_body`).
+        """
+        names = list(self.names)
+        values = values_of(self.parameters, names) + solution.theta[: len(names)]
+        found = updated_rigid_body(*self._rigid_step(solution))
+        if found is None:
+            return fitted
+        values[[names.index(name) for name in RIGID_BODY]] = found[0]
+        p = with_values(self.parameters, names, values)
+        return replace(fitted, parameters=replace(p, delay_s=max(p.delay_s, 0.0), force_bias_m_s2=np.zeros(3)))
+
+    def rigid_body(self, solution: Solution) -> tuple[Array, Array]:
+        """Mass and tensor of a joint estimate, in the order of RIGID_BODY, and their Jacobian by its parameters.
+
+        Those parameters themselves where no rigid body lies there (:func:`updated_rigid_body`).
+        """
+        about, step = self._rigid_step(solution)
+        return updated_rigid_body(about, step) or (about + step, np.eye(len(about)))
+
+    def _rigid_step(self, solution: Solution) -> tuple[Array, Array]:
+        index = [self.names.index(name) for name in RIGID_BODY]
+        return values_of(self.parameters, RIGID_BODY), solution.theta[index]
+
+    def whitened_residual(self, residual: Array) -> Array:
+        """Any residual (blocks, 6) of this flight, whitened as its own, (rows,)."""
+        return self.whitening.apply(residual[:, :, None])[:, 0]
+
+    def _nuisance(self, generic: bool) -> list[Array]:
+        """Columns (blocks, m) of each known channel that keep an effect's own residual out of the noise model."""
+        vehicle = self.prepared.record.vehicle
+        known = [self.predicted(c.effect.wrench(self.signals, vehicle, c.settings)) for c in self.known]
+        parts: list[list[Array]] = [[_of_channel(self.sensitivity, c)] for c in self.channels]
+        for columns in known:
+            _add(parts, columns, self.channels)
+        if generic:
+            for own, drift in zip(parts, self._drift(), strict=True):
+                own.append(drift)
+            self._add_library(parts)
+        return [np.concatenate(own, axis=1) for own in parts]
+
+    def _drift(self) -> list[Array]:
+        """Columns (blocks, m) of each known channel: slow drift, its own speed and thrust as torque and as force.
+
+        Without them a step or a trend would pass for a disturbance of long memory, and hide itself.
+        """
+        signals = self.signals
+        elapsed = signals.t_s - signals.t_s[0]
+        knots = np.linspace(0.0, elapsed[-1], int(np.clip(elapsed[-1] / THRESHOLDS.drift_knot_s, 3, 16)) + 1)
+        drift = np.column_stack([np.interp(elapsed, knots, peak) for peak in np.eye(len(knots))])
+        thrust, mass = signals.thrust_n.sum(axis=1)[:, None], self.parameters.mass_kg
+        velocity = signals.velocity_body_m_s()
+        turning = [np.concatenate([drift, signals.rate_rad_s[:, i : i + 1], thrust], axis=1) for i in range(3)]
+        turned = [self.model.integrated(known) for known in map(_finite, turning)]
+        out: list[Array] = []
+        for channel in self.channels:
+            if channel < 3:
+                columns = [self._inverse[channel, axis] * turned[axis] for axis in range(3)]
+                out.append(_shown(np.concatenate(columns, axis=1)))
+            else:
+                own = velocity[:, channel - 3 : channel - 2]
+                pushing = _finite(np.concatenate([drift, own, thrust], axis=1))
+                out.append(_shown(self.model.average(pushing) / mass))
+        return out
+
+    def _add_library(self, parts: list[list[Array]]) -> None:
+        """Columns of the library's effects, in a few settings of each."""
+        vehicle = self.prepared.record.vehicle
+        for effect in library().values():
+            settings = effect.variants(self.excited, vehicle) if effect.applies(vehicle) else ()
+            for chosen in settings[:: max(1, len(settings) // THRESHOLDS.variants_in_noise)]:
+                wrench = effect.wrench(self.signals, vehicle, chosen)
+                if np.isfinite(wrench).all():
+                    _add(parts, self.predicted(wrench), self.channels)
+
+    def predicted(self, wrench: Array) -> Array:
+        """Rates and specific forces (blocks, 6, p) that a body wrench (k, 6, p) adds."""
+        out = self.model.of_wrench(wrench)
+        out[:, :3] = np.einsum("ij,kjp->kip", self._inverse, out[:, :3])
+        out[:, 3:] /= self.parameters.mass_kg
+        return out
+
+    def columns(self, candidate: Candidate) -> Columns | None:
+        """Whitened sensitivities and instruments of a candidate; None where its signals are unknown or it does
+        nothing.
+        """
+        vehicle = self.prepared.record.vehicle
+        wrench = candidate.effect.wrench(self.signals, vehicle, candidate.settings)
+        if not np.isfinite(wrench.sum()):  # nothing adds up to a number that holds none
+            return None
+        flat = wrench.reshape(len(wrench), -1)
+        rms = np.sqrt(np.einsum("k,kj,kj->j", self._share, flat, flat)).reshape(wrench.shape[1:])
+        seen = self.predicted(wrench)
+        if self.planned is None:
+            sensitivity = self.whitening.apply(seen)
+            return Columns.of(sensitivity, sensitivity, rms)
+        wished = candidate.effect.wrench(self.planned, vehicle, candidate.settings)
+        if not np.isfinite(wished.sum()):
+            return None
+        white = self.whitening.apply(np.concatenate([seen, self.predicted(wished)], axis=2))
+        return Columns.of(white[:, : wrench.shape[2]], white[:, wrench.shape[2] :], rms)
+
+    def along(self, basis: Array, wished: Array | None) -> dict[int, Columns]:
+        """Columns of the same functions of time (k, p) as torque or force of each known channel, by channel.
+
+        Args:
+            basis: along the measured motion; wished: along the planned one, where there is one.
+        """
+        both = basis if wished is None else np.concatenate([basis, wished], axis=1)
+        count, blocks = basis.shape[1], len(self.model.t_s)
+        turning, pushing = self.model.integrated(both), self.model.average(both) / self.parameters.mass_kg
+        parts = [self.whitening.channel(n, turning if c < 3 else pushing) for n, c in enumerate(self.channels)]
+        size = np.sqrt(self._share @ (basis * basis))
+        out: dict[int, Columns] = {}
+        for channel in self.channels:
+            white, rms = np.zeros((len(self.channels), blocks, both.shape[1])), np.zeros((6, count))
+            for n, c in enumerate(self.channels):
+                if channel < 3 and c < 3:
+                    white[n] = self._inverse[c, channel] * parts[n]
+                elif c == channel:
+                    white[n] = parts[n]
+            rms[WRENCH_ROW[channel]] = size
+            flat = white.reshape(-1, both.shape[1])
+            out[channel] = Columns.of(flat[:, :count], flat[:, :count] if wished is None else flat[:, count:], rms)
+        return out
+
+
+def _channels_of(prepared: Prepared) -> tuple[int, ...]:
+    """Outputs that a flight's evidence uses: rates, and forces as far as they are measured."""
+    if not np.isfinite(prepared.record.force_m_s2).all():
+        return (0, 1, 2)
+    sideways = prepared.source == "imu" or np.isfinite(prepared.velocity_m_s).all()
+    return (0, 1, 2, 3, 4, 5) if sideways else (0, 1, 2, 5)
+
+
+def _shown(columns: Array) -> Array:
+    """Those that are not zero all along."""
+    return columns[:, np.any(columns != 0.0, axis=0)]
+
+
+def _finite(columns: Array) -> Array:
+    """Those that are known all along."""
+    return columns[:, np.isfinite(columns).all(axis=0)]
+
+
+def _of_channel(columns: Array, channel: int) -> Array:
+    """The columns (blocks, m) of (blocks, 6, m) that show in a channel."""
+    return _shown(columns[:, channel])
+
+
+def _add(parts: list[list[Array]], columns: Array, channels: Sequence[int]) -> None:
+    """Columns (blocks, 6, p) to those of each channel."""
+    for own, channel in zip(parts, channels, strict=True):
+        own.append(_of_channel(columns, channel))

@@ -1,0 +1,44 @@
+"""Linear damping of the rates and of climb, free in every fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.frames import quat_rotate_inverse
+from groundstation.identification.preparation import Prepared
+from groundstation.identification.record_model import BodyWrench, PlannedMotion
+
+Array = NDArray[np.float64]
+
+
+def damping_terms(prepared: Prepared) -> tuple[list[BodyWrench], PlannedMotion | None]:
+    """Linear damping of the three rates and of climb, free in every fit, and the plan with their planned values.
+
+    Every vehicle has some; left out, it passes for rotor lag and lengthens the moments of inertia. Its regressor stands
+    at a right angle to the acceleration's, so freeing it costs mass and inertia next to nothing.
+    """
+    record = prepared.record
+    vehicle = record.vehicle
+    count = len(record.t_s)
+    climb = quat_rotate_inverse(prepared.quaternion, prepared.velocity_m_s)[:, 2]
+    sources = [(3, record.rate_rad_s[:, 0]), (4, record.rate_rad_s[:, 1]), (5, record.rate_rad_s[:, 2]), (2, climb)]
+    plan = prepared.planned
+    terms: list[BodyWrench] = []
+    planned: list[Array] = []
+    moments = np.diag(vehicle.inertia_tensor())
+    scales = (*(5.0 * moments), vehicle.mass_kg)
+    names = ("damping_x_nms", "damping_y_nms", "damping_z_nms", "damping_climb_kg_s")
+    for index, ((column, values), name, scale) in enumerate(zip(sources, names, scales, strict=True)):
+        if not np.isfinite(values).all():
+            continue
+        wrench = np.zeros((count, 6))
+        wrench[:, column] = -values
+        terms.append(BodyWrench(name, wrench, prior_std=float(scale)))
+        if plan is not None:
+            wished = np.zeros((count, 6))
+            wished[:, column] = -(plan.rate_rad_s[:, index] if index < 3 else plan.velocity_body_m_s[:, 2])
+            planned.append(wished)
+    return terms, None if plan is None else replace(plan, extra=tuple(planned))

@@ -1,0 +1,168 @@
+"""The second act of a flight-path reconstruction: the specific force, integrated twice, against the positions of motion
+capture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.flightdata import resampled
+from groundstation.frames import matrix_from_quat, slerp
+from groundstation.identification.attitude_fit import AttitudeFit, Recording, whitened_fit
+from groundstation.identification.newton import minimum
+from groundstation.identification.noise_kernel import LANES
+from groundstation.identification.position_kernel import position_costs
+from groundstation.identification.smoothing import position_filter, position_smoother
+
+Array = NDArray[np.float64]
+
+POSITION = (
+    "mocap_minus_imu_s", "clock_drift",
+    "accel_bias_x_m_s2", "accel_bias_y_m_s2", "accel_bias_z_m_s2",
+    "mocap_position_x_m", "mocap_position_y_m", "mocap_position_z_m",
+    "mocap_tilt_x_rad", "mocap_tilt_y_rad",
+)  # fmt: skip
+POSITION_PRIOR = np.array([0.2, 3e-3, *[0.5] * 3, *[0.3] * 3, *[0.1] * 2])
+SCALES = ("mocap_scale", "accel_scale")
+SCALE_PRIOR = np.array([0.2, 0.005])
+"""A MEMS accelerometer's scale after its factory trim: the poses' scale can be no surer than that."""
+# Columns of the linear fit, by what they stand for.
+_CLOCK, _LEVER = slice(0, 2), slice(5, 8)
+# No capture system resolves less than a micrometre; a simulated one without noise must not make the filter singular.
+_FINEST = np.array([1e-6, 1e-5, 1e-5])
+_COARSEST = np.array([1e2, 1e3, 1e3])
+"""Metres of pose noise, and a hundred g over a second: nothing that is measured is worse."""
+_STEPS = 20
+"""Of the search for the noise of positions."""
+_INITIAL_M_S2 = 0.3
+"""What of an acceleration is unknown at first."""
+
+
+@dataclass(frozen=True, slots=True)
+class PositionFit:
+    """The second act: positions against the specific force, integrated twice with the attitude of the first.
+
+    Attributes:
+        values, covariance: of the parameters in ``POSITION``. noise: of the poses' filter.
+        causal, smoothed: position and velocity at the IMU's stamps, (k, 3) each.
+    """
+
+    values: Array
+    covariance: Array
+    noise: Array
+    causal: tuple[Array, Array]
+    smoothed: tuple[Array, Array]
+
+
+def _twice(values: Array, dt: Array) -> tuple[Array, Array]:
+    """Running integral and its running integral by the trapezoidal rule, shapes of ``values``."""
+    mean = 0.5 * (values[1:] + values[:-1]) * dt[1:, None]
+    speed = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(mean, axis=0)])
+    path = 0.5 * (speed[1:] + speed[:-1]) * dt[1:, None]
+    return speed, np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(path, axis=0)])
+
+
+def _position_columns(
+    recording: Recording, attitude: AttitudeFit, tk: Array, velocity: Array, gravity_m_s2: float
+) -> Array:
+    """What each parameter in ``POSITION`` changes of the positions, (n, 3, 10)."""
+    t_imu = recording.t_imu
+    _, biased = _twice(matrix_from_quat(attitude.smoothed).reshape(-1, 9), recording.dt_imu)
+    elapsed = tk - tk[0]
+    tilt = np.zeros((len(tk), 3, 2))
+    tilt[:, 0, 1] = 0.5 * gravity_m_s2 * elapsed**2
+    tilt[:, 1, 0] = -0.5 * gravity_m_s2 * elapsed**2
+    return np.concatenate(
+        [
+            -velocity[:, :, None],
+            (-velocity * (tk - recording.middle_s)[:, None])[:, :, None],
+            -resampled(tk, t_imu, biased).reshape(-1, 3, 3),
+            matrix_from_quat(slerp(tk, t_imu, attitude.smoothed)),
+            tilt,
+        ],
+        axis=2,
+    )
+
+
+def _fitted_position(error: Array, columns: Array, dt: Array, noise: Array) -> tuple[Array, Array, Array, Array]:
+    """Values, covariance, residual (n, 3) and noise after three rounds of fit and noise model."""
+    count = columns.shape[2]
+    prior = np.concatenate([POSITION_PRIOR, SCALE_PRIOR])[:count]
+    values, covariance, residual = np.zeros(count), np.eye(count), error
+    for _ in range(3):
+        noise = _position_noise(residual, dt, noise)
+        tight = noise.copy()
+        tight[3] = 1e-3  # a constant acceleration is named (bias, tilt), not absorbed
+        parts = [
+            position_filter(np.concatenate([error[:, i : i + 1], columns[:, i, :]], axis=1), dt, tight)[:2]
+            for i in range(3)
+        ]
+        e = np.concatenate([p[0] for p in parts])
+        s = np.concatenate([p[1] for p in parts])
+        fit = whitened_fit(e[:, 0], e[:, 1:], s, prior)
+        values, covariance = fit.values, fit.covariance
+        residual = error - columns @ values
+    return values, covariance, residual, noise
+
+
+def align_position(
+    recording: Recording, attitude: AttitudeFit, gravity_m_s2: float, *, scale: bool = False
+) -> PositionFit:
+    """Accelerometer bias, lever arm and tilt of the world from positions and specific force; the poses' scale where
+    asked.
+    """
+    t_imu = recording.t_imu
+    tk = attitude.errors.stamps(recording, attitude.kept)
+    dt = np.concatenate([[0.0], np.diff(tk)])
+    force = np.einsum("nij,nj->ni", matrix_from_quat(attitude.smoothed), recording.accel)
+    speed, path = _twice(force - np.array([0.0, 0.0, gravity_m_s2]), recording.dt_imu)
+    error = recording.position[attitude.kept] - resampled(tk, t_imu, path)
+    noise = _position_noise(error, dt)
+    _, _, states, _, _ = position_filter(error, dt, noise)
+    # from the past alone: a velocity or place that knows this pose's noise would pull clock and scale towards it
+    expected = states[:-1, 1, :] + dt[1:, None] * states[:-1, 2, :]
+    velocity = resampled(tk, t_imu, speed) + np.concatenate([states[:1, 1, :], expected])
+    columns = _position_columns(recording, attitude, tk, velocity, gravity_m_s2)
+    if scale:
+        ahead = states[:-1, 0, :] + dt[1:, None] * states[:-1, 1, :] + 0.5 * dt[1:, None] ** 2 * states[:-1, 2, :]
+        place = resampled(tk, t_imu, path) + np.concatenate([states[:1, 0, :], ahead])
+        _, felt = _twice(force, recording.dt_imu)
+        both = np.stack([place - place.mean(axis=0), -resampled(tk, t_imu, felt)], axis=2)
+        columns = np.concatenate([columns, both], axis=2)
+    values, covariance, residual, noise = _fitted_position(error, columns, dt, noise)
+    _, _, states, pf, pp = position_filter(residual, dt, noise)
+    smooth = position_smoother(dt, states, pf, pp)
+    named = columns.copy()
+    named[:, :, _CLOCK] = 0.0  # clock terms move stamps, not the vehicle
+    named[:, :, _LEVER] = 0.0  # neither does the lever arm
+    named[:, :, len(POSITION) : len(POSITION) + 1] = 0.0  # nor the poses' scale
+    shift = named @ values
+    slope = np.gradient(shift, tk, axis=0) if len(tk) > 2 else np.zeros_like(shift)
+
+    def motion(found: Array) -> tuple[Array, Array]:
+        return (
+            resampled(t_imu, tk, found[:, 0, :] + shift) + path,
+            resampled(t_imu, tk, found[:, 1, :] + slope) + speed,
+        )
+
+    return PositionFit(values, covariance, noise, causal=motion(states), smoothed=motion(smooth))
+
+
+def _position_noise(error: Array, dt: Array, start: Array | None = None) -> Array:
+    """Most likely (pose noise, white acceleration, acceleration walk, initial acceleration) of position errors."""
+    if start is None:
+        third = np.diff(error, 3, axis=0)
+        rough = float(np.median(np.abs(third)) / 0.6745 / np.sqrt(20.0)) + 1e-7
+        start = np.array([rough, 0.01, 0.01, _INITIAL_M_S2])
+    series = np.ascontiguousarray(error)
+
+    def costs(points: Array) -> Array:
+        noises = np.column_stack([np.exp(points), np.full(len(points), _INITIAL_M_S2)])
+        parts = [position_costs(series, dt, noises[i : i + LANES]) for i in range(0, len(noises), LANES)]
+        return np.concatenate(parts)
+
+    found, _ = minimum(costs, np.log(start[:3]), np.log(_FINEST), np.log(_COARSEST), _STEPS)
+    return np.array([*np.exp(found), _INITIAL_M_S2])

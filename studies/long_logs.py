@@ -1,0 +1,160 @@
+"""Long logs of every format, for what reading them takes: hovering, with a minute of motion in every five, at 1 kHz.
+
+All have IMU and motors alone, written with NumPy a minute at a time; :data:`WRITERS` gives each by its name.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+RATE_HZ = 1000.0
+G = 9.80665
+_AT_ONCE = 60_000
+
+
+def motion(k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Microseconds, rates, specific force (z up) and commands of these samples."""
+    t_s = k / RATE_HZ
+    size = np.where(t_s % 300.0 < 60.0, 1.0, 0.1)[:, None]
+    rng = np.random.default_rng(int(k[0]))
+    turning = np.sin(t_s[:, None] * [2.0, 2.5, 1.5, 3.0])
+    gyro = size * turning[:, :3] + 0.005 * rng.normal(size=(len(k), 3))
+    force = 0.05 * rng.normal(size=(len(k), 3)) + [0.0, 0.0, G]
+    return np.round(k * (1e6 / RATE_HZ)).astype(np.int64) + 1_000_000, gyro, force, 0.5 + 0.1 * size * turning
+
+
+def _blocks(minutes: float) -> Iterator[np.ndarray]:
+    count = int(minutes * 60.0 * RATE_HZ)
+    for first in range(0, count, _AT_ONCE):
+        yield np.arange(first, min(first + _AT_ONCE, count))
+
+
+def _together(*parts: np.ndarray) -> bytes:
+    """Records that are written one of each kind in turn."""
+    return np.concatenate([np.ascontiguousarray(p).view(np.uint8).reshape(len(p), -1) for p in parts], axis=1).tobytes()
+
+
+def write_ulog(path: Path, minutes: float) -> None:
+    """PX4: sensor_combined, actuator_motors, vehicle_attitude."""
+    from sim.mavlink.ulog import ULogWriter
+
+    formats = {
+        "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;uint32_t gyro_integral_dt;float[3] "
+        "accelerometer_m_s2;",
+        "actuator_motors": "uint64_t timestamp;uint64_t timestamp_sample;float[12] control;",
+        "vehicle_attitude": "uint64_t timestamp;uint64_t timestamp_sample;float[4] q;",
+    }
+    x, y = (1.0, -1.0, 1.0, -1.0), (1.0, -1.0, -1.0, 1.0)
+    parameters: list[tuple[str, bool, float]] = [("CA_ROTOR_COUNT", False, 4)]
+    parameters += [(f"CA_ROTOR{i}_P{axis}", True, v[i]) for axis, v in (("X", x), ("Y", y)) for i in range(4)]
+    parameters += [(f"CA_ROTOR{i}_KM", True, 0.05 if i < 2 else -0.05) for i in range(4)]
+    with path.open("wb") as file:
+        file.write(bytes(ULogWriter(0, formats, {"sys_name": "PX4"}, parameters).data))
+        for k in _blocks(minutes):
+            t_us, gyro, force, u = motion(k)
+            imu = _ulog(0, len(k), [("t", "<u8"), ("gyro", "<f4", 3), ("dt", "<u4"), ("acc", "<f4", 3)])
+            imu["t"], imu["dt"], imu["gyro"], imu["acc"] = t_us, 0, gyro * [1, -1, -1], force * [1, -1, -1]
+            motors = _ulog(1, len(k), [("t", "<u8"), ("s", "<u8"), ("u", "<f4", 12)])
+            motors["t"], motors["s"], motors["u"] = t_us, t_us, np.nan
+            motors["u"][:, :4] = u
+            attitude = _ulog(2, len(k), [("t", "<u8"), ("s", "<u8"), ("q", "<f4", 4)])
+            attitude["t"], attitude["s"], attitude["q"] = t_us, t_us, [1.0, 0.0, 0.0, 0.0]
+            file.write(_together(imu, motors, attitude))
+
+
+def _ulog(topic: int, count: int, fields: list) -> np.ndarray:
+    kind = np.dtype([("length", "<u2"), ("kind", "u1"), ("id", "<u2"), *fields])
+    records = np.zeros(count, kind)
+    records["length"], records["kind"], records["id"] = kind.itemsize - 3, ord("D"), topic
+    return records
+
+
+def write_dataflash(path: Path, minutes: float) -> None:
+    """ArduPilot: IMU of two instances and RCOU."""
+    from sim.mavlink.dataflash import DataFlashWriter
+
+    log = DataFlashWriter(
+        {
+            "IMU": (164, "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+            "RCOU": (165, "QHHHHHHHH", "TimeUS,C1,C2,C3,C4,C5,C6,C7,C8"),
+            "PARM": (166, "QNff", "TimeUS,Name,Value,Default"),
+        }
+    )
+    settings = {"FRAME_CLASS": 1, "FRAME_TYPE": 1, "MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000, "MOT_SPIN_MIN": 0.0}
+    settings |= {f"SERVO{i}_FUNCTION": 32 + i for i in range(1, 5)}
+    for name, value in settings.items():
+        log.add("PARM", 0, name.encode(), float(value), 0.0)
+    imu = np.dtype([("head", "u1", 3), ("t", "<u8"), ("i", "u1"), ("gyro", "<f4", 3), ("acc", "<f4", 3)])
+    out = np.dtype([("head", "u1", 3), ("t", "<u8"), ("c", "<u2", 8)])
+    with path.open("wb") as file:
+        file.write(bytes(log.data))
+        for k in _blocks(minutes):
+            t_us, gyro, force, u = motion(k)
+            rows = [np.zeros(len(k), imu), np.zeros(len(k), imu), np.zeros(len(k), out)]
+            for number, (row, kind) in enumerate(zip(rows, (164, 164, 165), strict=True)):
+                row["head"], row["t"] = [0xA3, 0x95, kind], t_us
+                if kind == 164:
+                    row["i"], row["gyro"], row["acc"] = number, gyro * [1, -1, -1], force * [1, -1, -1]
+                else:
+                    row["c"][:, :4] = np.round(1000.0 + 1000.0 * u)
+            file.write(_together(*rows))
+
+
+def write_blackbox(path: Path, minutes: float) -> None:
+    """Betaflight: every frame whole (an I frame), every number in five bytes."""
+    names = ["loopIteration", "time", *(f"{n}[{i}]" for n in ("gyroADC", "accSmooth") for i in range(3))]
+    names += [f"motor[{i}]" for i in range(4)]
+    lines = {
+        "Product": "Blackbox flight data recorder by Nicholas Sherlock",
+        "Firmware revision": "Betaflight 4.5.0",
+        "Field I name": ",".join(names),
+        "Field I signed": ",".join("0" if i < 2 else "1" for i in range(len(names))),
+        **{f"Field {k} predictor": ",".join(["0"] * len(names)) for k in "IP"},
+        **{f"Field {k} encoding": ",".join("1" if i < 2 else "0" for i in range(len(names))) for k in "IP"},
+        **{"I interval": "1", "P interval": "1/1", "motorOutput": "48,2047", "motor_pwm_protocol": "6"},
+        **{"gyro_scale": "0x" + struct.pack(">f", 0.06).hex(), "acc_1G": "2048"},
+    }
+    with path.open("wb") as file:
+        file.write(b"".join(f"H {key}:{value}\n".encode() for key, value in lines.items()))
+        for k in _blocks(minutes):
+            t_us, gyro, force, u = motion(k)
+            values = np.column_stack([np.degrees(gyro) / 0.06, force / G * 2048.0, 48.0 + 1999.0 * u])
+            whole = np.round(values).astype(np.int64)
+            numbers = np.column_stack([k, t_us, np.where(whole < 0, -2 * whole - 1, 2 * whole)])
+            digits = (numbers[..., None] >> (7 * np.arange(5))) & 127 | [128, 128, 128, 128, 0]
+            rows = np.column_stack([np.full(len(k), ord("I")), digits.reshape(len(k), -1)]).astype(np.uint8)
+            file.write(rows.tobytes())
+        file.write(b"E\xffEnd of log\0")
+
+
+def write_usd(path: Path, minutes: float) -> None:
+    """Crazyflie: one event with gyro, acc and motor."""
+    names = [f"{stem}.{axis}" for stem in ("gyro", "acc") for axis in "xyz"] + [f"motor.m{i}" for i in range(1, 5)]
+    kind = np.dtype([("id", "<u2"), ("t", "<u8"), ("v", "<f4", 6), ("m", "<u2", 4)])
+    head = struct.pack("<BHHH", 0xBC, 2, 1, 0) + b"fixedFrequency\0" + struct.pack("<H", len(names))
+    head += b"".join(f"{name}({'f' if i < 6 else 'H'})".encode() + b"\0" for i, name in enumerate(names))
+    check = zlib.crc32(head)
+    with path.open("wb") as file:
+        file.write(head)
+        for k in _blocks(minutes):
+            t_us, gyro, force, u = motion(k)
+            rows = np.zeros(len(k), kind)
+            rows["t"], rows["v"], rows["m"] = t_us, np.hstack([np.degrees(gyro), force / G]), np.round(65535.0 * u)
+            data = rows.tobytes()
+            check = zlib.crc32(data, check)
+            file.write(data)
+        file.write(struct.pack("<I", check))
+
+
+WRITERS: dict[str, tuple[str, Callable[[Path, float], None]]] = {
+    "PX4 ULog": ("long.ulg", write_ulog),
+    "ArduPilot DataFlash": ("long.bin", write_dataflash),
+    "Betaflight blackbox": ("long.bbl", write_blackbox),
+    "Crazyflie usd log": ("long_usd", write_usd),
+}
+"""By format: the file's name, and what writes it."""
