@@ -15,7 +15,7 @@ from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.left_open import left_open
 from groundstation.diagnosis.rivals import Entry
-from groundstation.identification.pipeline import fit_dynamics
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.model.parameters import RIGID_BODY
 from groundstation.paths import find_config

@@ -27,7 +27,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.columns import Candidate, Columns, Solution
+from groundstation.diagnosis.columns import Candidate, Columns, Pair, Solution
 from groundstation.diagnosis.effect import ParameterInfo, Settings
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.rivals import Entry, kind_of, plausible
@@ -39,9 +39,8 @@ from groundstation.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 
-def _relative(size: Array) -> Array:
-    return np.asarray(size / (float(np.sqrt(np.mean(size**2))) or 1.0), dtype=float)
-
+Change = Callable[[Signals, Array], Array]
+"""From the signals and a wrench (k, 6, p) to another one."""
 
 SOFT = 0.2
 """Of its RMS, below which a quantity that an effect is divided by counts as no smaller."""
@@ -68,14 +67,17 @@ def left_open(
     named = evidence.solve(chosen)
     forms = list(_misshapen(evidence, chosen, named))
     beside, total, spread = list(chosen), 0.0, np.zeros((len(index), len(index)))
+    choice = [*pool, *forms]
     for _ in range(THRESHOLDS.effects_most):
-        margin, entry = _strongest(evidence, beside, [*pool, *forms], threshold)
-        if entry is None:
+        margins = _margins(evidence, beside, choice, threshold)
+        best = int(np.argmax(margins)) if margins else -1
+        if best < 0 or margins[best] <= 0.0:
             break
-        beside.append(entry)
+        beside.append(choice[best])
         moved = evidence.solve(beside).theta[index] - named.theta[index]
-        total += margin
-        spread += margin * np.outer(moved, moved)
+        total += margins[best]
+        spread += margins[best] * np.outer(moved, moved)
+        choice = [entry for entry, margin in zip(choice, margins, strict=True) if margin > 0.0]
     shown = {kind_of(entry) for entry in beside}
     unseen = [_unseen(evidence, chosen, named, form, index) for form in forms if kind_of(form) not in shown]
     return sum(unseen, spread / total if total > 0.0 else spread)
@@ -90,25 +92,26 @@ def _unseen(evidence: Evidence, chosen: Sequence[Entry], named: Solution, form: 
     return np.outer(moved, moved) + (axes * np.maximum(values, 0.0)) @ axes.T
 
 
-def _strongest(
+def _margins(
     evidence: Evidence,
     beside: Sequence[Entry],
     choice: Sequence[Entry],
     threshold: Callable[[Candidate, Columns], float],
-) -> tuple[float, Entry | None]:
-    """The plausible entry that beats chance by most beside others, and by how much."""
+) -> list[float]:
+    """By how much each entry beats chance beside others; nothing where it is among them or implausible."""
     offset = sum(len(candidate.effect.parameters) for candidate, _ in beside)
     taken = {kind_of(entry) for entry in beside}
-    best: tuple[float, Entry | None] = (0.0, None)
+    out = []
     for entry in choice:
         effect = entry[0].effect
         if kind_of(entry) in taken:
+            out.append(0.0)
             continue
         found = evidence.solve([*beside, entry])
         margin = found.wald(offset, effect.telling()) - threshold(*entry)
-        if margin > best[0] and plausible(entry[0], *found.part(offset, len(effect.parameters))):
-            best = margin, entry
-    return best
+        right = margin > 0.0 and plausible(entry[0], *found.part(offset, len(effect.parameters)))
+        out.append(margin if right else 0.0)
+    return out
 
 
 def _misshapen(evidence: Evidence, chosen: Sequence[Entry], solution: Solution) -> Iterator[Entry]:
@@ -116,34 +119,55 @@ def _misshapen(evidence: Evidence, chosen: Sequence[Entry], solution: Solution) 
     first = 0
     for candidate, _ in chosen:
         count = len(candidate.effect.parameters)
-        forms = _forms(candidate, solution.part(first, count)[0])
+        values = solution.part(first, count)[0]
         first += count
-        together = evidence.columns(forms)
-        if together is None:
-            continue
-        for number, parameter in enumerate(forms.effect.parameters):
-            own = slice(number, number + 1)
-            columns = Columns(together.sensitivity[:, own], together.instrument[:, own], together.wrench_rms[:, own])
-            if np.any(columns.sensitivity != 0.0) and np.any(columns.instrument != 0.0):
-                name = f"{candidate.identifier}, {parameter.name}"
-                effect = replace(forms.effect, identifier=name, parameters=(parameter,))
-                yield Candidate(effect, candidate.settings), columns
+        for forms in _forms(candidate, values):
+            together = evidence.columns(forms)
+            if together is not None:
+                yield from _one_by_one(forms, together)
 
 
-def _forms(candidate: Candidate, values: Array) -> Candidate:
-    """All the forms of one effect of these values, a parameter each: the share by which it takes that form."""
+def _one_by_one(forms: Candidate, together: Columns) -> Iterator[Entry]:
+    """A candidate of several parameters as one for each, without those that do nothing."""
+    for number, parameter in enumerate(forms.effect.parameters):
+        own = slice(number, number + 1)
+        if np.any(together.sensitivity[:, own] != 0.0) and np.any(together.instrument[:, own] != 0.0):
+            effect = replace(forms.effect, identifier=parameter.name, parameters=(parameter,))
+            rms = together.wrench_rms[:, own]
+            yield Candidate(effect, forms.settings), Columns(lambda own=own: _part(together, own), rms)
+
+
+def _part(together: Columns, own: slice) -> Pair:
+    sensitivity, instrument = together.pair()
+    return sensitivity[:, own], instrument[:, own]
+
+
+def _forms(candidate: Candidate, values: Array) -> Iterator[Candidate]:
+    """Forms of an effect of these values; a parameter is the share by which it takes one."""
+    names = candidate.effect.names()
+    for name, quantity in QUANTITIES.items():
+        yield _changed(candidate, [f"{n} by {name}" for n in names], _scaled(quantity, values, over=False))
+        yield _changed(candidate, [f"{n} over {name}" for n in names], _scaled(quantity, values, over=True))
+    rows = [f"row {row}" for row in range(6)]
+    yield _changed(candidate, rows, lambda signals, wrench: (wrench @ values)[:, :, None] * np.eye(6))
+
+
+def _scaled(quantity: Callable[[Signals], Array], values: Array, *, over: bool) -> Change:
+    def change(signals: Signals, wrench: Array) -> Array:
+        size = quantity(signals)
+        size = size / (float(np.sqrt(np.mean(size**2))) or 1.0)
+        return wrench * values * (1.0 / (SOFT + size) if over else size)[:, None, None]
+
+    return change
+
+
+def _changed(candidate: Candidate, names: Sequence[str], change: Change) -> Candidate:
     effect = candidate.effect
-    names = [f"{p.name} {way} {q}" for q in QUANTITIES for way in ("by", "over") for p in effect.parameters]
+    shares = tuple(
+        ParameterInfo(f"{effect.identifier}, {name}", lambda vehicle: THRESHOLDS.form_share) for name in names
+    )
 
     def wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
-        plain = effect.wrench(signals, vehicle, settings) * values
-        sizes = [_relative(quantity(signals)) for quantity in QUANTITIES.values()]
-        scales = [scale for size in sizes for scale in (size, 1.0 / (SOFT + size))]
-        parts = [plain * np.where(np.isfinite(s).all(), s, 0.0)[:, None, None] for s in scales]
-        return np.concatenate([*parts, plain.sum(axis=2)[:, :, None] * np.eye(6)], axis=2)
+        return change(signals, effect.wrench(signals, vehicle, settings))
 
-    shares = tuple(
-        ParameterInfo(name, lambda vehicle: THRESHOLDS.form_share)
-        for name in (*names, *(f"row {row}" for row in range(6)))
-    )
     return Candidate(replace(effect, parameters=shares, wrench=wrench), candidate.settings)
