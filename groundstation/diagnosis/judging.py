@@ -78,12 +78,9 @@ def judge(
     """Judge a selection.
 
     Args:
-        case: its flights at the evidence's rate.
-        selected: effects about the last base.
-        kinematic: findings of the sensors.
+        case: its flights at the evidence's rate. selected: effects about the last base.
+        kinematic: findings of the sensors. left: what the residual still depends on.
         exponent_departure: of the thrust curve that all was estimated about from the declared one.
-        left: what the residual still depends on.
-        progress: told the fraction done and what is being done.
     """
     evidence, baseline, chosen = selected.evidence, selected.baseline, selected.chosen
     lag = [] if case.healthy else lag_findings(evidence, selected.solution)

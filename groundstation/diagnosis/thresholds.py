@@ -273,10 +273,9 @@ class Thresholds:
     trim_scatter_shares: tuple[float, float] = _entry(
         (3e-3, 3e-2),
         "Between which scales trims of a healthy vehicle differ from session to session, as shares of the weight (and "
-        "arm, and torque"
-        " ratio), each as likely on a logarithmic scale: a battery of a quarter of the weight put in 1 mm aside shifts "
-        "the centre of a"
-        " nano-quadrotor by a hundredth of its arm. Healthy flights of one session do not tell this.",
+        "arm, and torque ratio), each as likely on a logarithmic scale: a battery of a quarter of the weight put in 1 "
+        "mm aside shifts the centre of a nano-quadrotor by a hundredth of its arm. Healthy flights of one session do "
+        "not tell this.",
         source="statics",
         chosen_on=f"5a54091, {AFTER}",
     )

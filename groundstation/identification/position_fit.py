@@ -87,6 +87,12 @@ def _position_columns(
     )
 
 
+def _scale_columns(recording: Recording, tk: Array, place: Array, force: Array) -> Array:
+    """What the scales of poses and accelerometer change of the positions, (n, 3, 2)."""
+    _, felt = _twice(force, recording.dt_imu)
+    return np.stack([place - place.mean(axis=0), -resampled(tk, recording.t_imu, felt)], axis=2)
+
+
 def _fitted_position(error: Array, columns: Array, dt: Array, noise: Array) -> tuple[Array, Array, Array, Array]:
     """Values, covariance, residual (n, 3) and noise after three rounds of fit and noise model."""
     count = columns.shape[2]
@@ -106,6 +112,14 @@ def _fitted_position(error: Array, columns: Array, dt: Array, noise: Array) -> t
         values, covariance = fit.values, fit.covariance
         residual = error - columns @ values
     return values, covariance, residual, noise
+
+
+def _of_the_vehicle(columns: Array) -> Array:
+    """The columns of what moves the vehicle itself: not clock, lever arm and the poses' scale, (n, 3, P)."""
+    named = columns.copy()
+    named[:, :, _CLOCK] = named[:, :, _LEVER] = 0.0
+    named[:, :, len(POSITION) : len(POSITION) + 1] = 0.0
+    return named
 
 
 def align_position(
@@ -129,17 +143,11 @@ def align_position(
     if scale:
         ahead = states[:-1, 0, :] + dt[1:, None] * states[:-1, 1, :] + 0.5 * dt[1:, None] ** 2 * states[:-1, 2, :]
         place = resampled(tk, t_imu, path) + np.concatenate([states[:1, 0, :], ahead])
-        _, felt = _twice(force, recording.dt_imu)
-        both = np.stack([place - place.mean(axis=0), -resampled(tk, t_imu, felt)], axis=2)
-        columns = np.concatenate([columns, both], axis=2)
+        columns = np.concatenate([columns, _scale_columns(recording, tk, place, force)], axis=2)
     values, covariance, residual, noise = _fitted_position(error, columns, dt, noise)
     _, _, states, pf, pp = position_filter(residual, dt, noise)
     smooth = position_smoother(dt, states, pf, pp)
-    named = columns.copy()
-    named[:, :, _CLOCK] = 0.0  # clock terms move stamps, not the vehicle
-    named[:, :, _LEVER] = 0.0  # neither does the lever arm
-    named[:, :, len(POSITION) : len(POSITION) + 1] = 0.0  # nor the poses' scale
-    shift = named @ values
+    shift = _of_the_vehicle(columns) @ values
     slope = np.gradient(shift, tk, axis=0) if len(tk) > 2 else np.zeros_like(shift)
 
     def motion(found: Array) -> tuple[Array, Array]:

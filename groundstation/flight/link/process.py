@@ -32,7 +32,7 @@ from groundstation.flight.link.arguments import bandwidth_of, free_bytes, parse,
 from groundstation.flight.link.background import Writer
 from groundstation.flight.link.link_core import LinkCore, Options, Output
 from groundstation.flight.link.parameter_journal import ParameterJournal
-from groundstation.flight.link.pilot import IN_AIR, Answered, Phase
+from groundstation.flight.link.phase import IN_AIR, Answered, Phase
 from groundstation.flight.link.pose_source import PoseSource
 from groundstation.flight.link.signing_memory import SigningMemory
 from groundstation.flight.messages import IN_FLIGHT
@@ -181,8 +181,7 @@ class LinkProcess:
             f"{IN_FLIGHT} ({view.mode or 'mode not told'}{height}); it gets no heartbeat from here, so that its own "
             "failsafe acts where it has one for a lost station.",
             "To bring it down: the same command with --take-over land, or --take-over hold (a minute, then it lands); "
-            "the "
-            "interrupted flight's folder is continued. The remote control goes before either.",
+            "the interrupted flight's folder is continued. The remote control goes before either.",
         )
 
     def stop(self, reason: str) -> None:
