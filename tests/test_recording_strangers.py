@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import random
 import struct
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from groundstation.errors import BadInput
 from groundstation.frames import quat_from_euler
@@ -72,6 +75,42 @@ SUFFIXES = [
 def test_degrees_g_and_rpm_by_the_units_in_the_names(tmp_path):
     check(by_its_names(write(tmp_path / "a.csv", BRACKETS, [1e3 * T, *NUMBERS])))
     check(by_its_names(write(tmp_path / "b.csv", SUFFIXES, [1e6 * T, *NUMBERS])))
+
+
+RATES = {"rad/s": 1.0, "deg/s": DEG, "dps": DEG, "mrad/s": 1e3}
+FORCES = {"m/s^2": 1.0, "m/s2": 1.0, "g": 1.0 / G, "mg": 1e3 / G}
+TURNS = {"rad/s": 1.0, "rpm": RPM, "Hz": 0.5 / np.pi}
+TIMES = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+FORMS = ("{name} [{unit}]", "{name} ({unit})", "{name}[{unit}]")
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 10**6))
+def test_any_order_units_names_and_separators_give_the_same_streams(tmp_path_factory, seed):
+    rng = random.Random(seed)
+    gyro, accel, motor = (
+        rng.choice(["gyro_", "Gyro ", "omega."]),
+        rng.choice(["acc_", "Accel ", "a."]),
+        rng.choice("mrR"),
+    )
+    first, cells = rng.choice([0, 1]), []
+    for i, axis in enumerate(rng.choice(("xyz", "XYZ"))):
+        cells += [(f"{gyro}{axis}", rng.choice(list(RATES)), RATES, GYRO[:, i])]
+        cells += [(f"{accel}{axis}", rng.choice(list(FORCES)), FORCES, FORCE[:, i])]
+    names = {"m": "motor", "r": "rotor_", "R": "RPM"}
+    for i in range(4):
+        unit = "rpm" if motor == "R" else rng.choice(list(TURNS))
+        cells += [(f"{names[motor]}{i + first}", unit, TURNS, SPEED[:, i])]
+    cells += [("time", rng.choice(list(TIMES)), TIMES, T), ("note", "V", {"V": 1.0}, T)]
+    rng.shuffle(cells)
+    form = rng.choice(FORMS)
+    header = [form.format(name=name, unit=unit) for name, unit, _, _ in cells]
+    path = tmp_path_factory.mktemp("table") / "a.csv"
+    separator = rng.choice(",;\t")
+    write(path, header, [table[unit] * column for _, unit, table, column in cells], "{:.17g}", separator)
+    if separator == ";" and rng.random() < 0.5:
+        path.write_text(path.read_text().replace(".", ",") if "." not in "".join(header) else path.read_text())
+    check(by_its_names(path))
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "cp1252"])

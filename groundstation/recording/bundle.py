@@ -16,8 +16,9 @@ import numpy as np
 from groundstation.errors import BadInput
 from groundstation.flightdata import Array, FlightData, Stream, motor_columns
 from groundstation.json_types import JsonObject
-from groundstation.outside import inside, read_bytes, read_json
-from groundstation.recording.csvfile import Columns, header, parse_csv, write_csv
+from groundstation.outside import inside, read_bytes, read_json, require_file
+from groundstation.recording.csvfile import Columns, columns_in, header, parse_csv, write_csv
+from groundstation.recording.part import WHOLE, Part
 from groundstation.recording.recorded import (
     COLUMNS,
     LOG_COLUMNS,
@@ -46,12 +47,13 @@ def _require_files(folder: Path, files: Collection[str], vehicle: Vehicle | None
         raise BadInput(f"{folder}: imu.csv, mocap.csv and state.csv are all missing; the motion must come from one.")
 
 
-def read_bundle(folder: Path, vehicle: Vehicle | None = None) -> Recording:
+def read_bundle(folder: Path, vehicle: Vehicle | None = None, part: Part = WHOLE) -> Recording:
     """Read a bundle as it is.
 
     Args:
         folder: the bundle.
         vehicle: overrides the one in the bundle; decides which motor columns are meant.
+        part: what is wanted of streams in large files, on the motors' clock.
 
     Raises:
         BadInput: names file, line or column, what is wrong and what to do.
@@ -68,7 +70,8 @@ def read_bundle(folder: Path, vehicle: Vehicle | None = None) -> Recording:
     for name in STREAMS:
         path = files.get(f"{name}.csv")
         if path is not None:
-            tables.add_stream(name, read_bytes(path, "a file of a bundle"), f"{folder}/{path.name}", declared)
+            ahead_s = _ahead_s(path) - _ahead_s(files["motors.csv"])
+            tables.add_stream(name, path, declared, part.later(ahead_s if math.isfinite(ahead_s) else 0.0))
     for name in about["extras"]:
         if f"{name}.csv" not in verbatim:
             raise BadInput(f"{folder}: {shown(name, limit=60)}.csv is missing, which {FLIGHT_FILE} names; put it back.")
@@ -100,10 +103,17 @@ class _Tables:
     texts: dict[str, Texts] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
-    def add_stream(self, name: str, data: bytes, source: str, declared: Vehicle | None) -> None:
+    def add_stream(self, name: str, path: Path, declared: Vehicle | None, part: Part) -> None:
         """A stream of a kind that the program knows; its other columns are kept beside it."""
-        wanted = _motor_columns(data, declared, source) if name == "motors" else COLUMNS[name]
-        columns = parse_csv(data, source, frozenset((*wanted, "t_s", "received_s")))
+        source = str(path)
+        require_file(path, "a file of a bundle")
+        with path.open("rb") as file:
+            first = file.readline()
+        wanted = _motor_columns(first, declared, source) if name == "motors" else COLUMNS[name]
+        required = frozenset((*wanted, "t_s", "received_s"))
+        columns = columns_in(path, required, part) if path.stat().st_size >= _LARGE_BYTES else None
+        if columns is None:
+            columns = parse_csv(read_bytes(path, "a file of a bundle"), source, required)
         columns = _without_current(columns) if name == "battery" else columns
         self.streams[name], rest, words = _split(columns, wanted, source)
         if rest is not None:
@@ -120,6 +130,20 @@ class _Tables:
 
 
 _NEEDS = "vehicle.toml, motors.csv, and imu.csv, mocap.csv or state.csv"
+
+
+_LARGE_BYTES = 1 << 22
+
+
+def _ahead_s(path: Path) -> float:
+    """How far a stream's stamps are ahead of its arrivals, by its first sample; NaN where it tells no arrivals."""
+    with path.open("rb") as file:
+        names, first = header(file.readline()), file.readline().decode("ascii", "replace").split(",")
+    row = dict(zip(names, first, strict=False))
+    try:
+        return float(row["t_s"]) - float(row["received_s"])
+    except (KeyError, ValueError):
+        return math.nan
 
 
 def _files(folder: Path) -> dict[str, Path]:

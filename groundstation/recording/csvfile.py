@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInput
+from groundstation.recording.part import Part
 
 Array = NDArray[np.float64]
 _EXACT_INTEGER = 2.0**53
+_BLOCK = 1 << 23
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +59,30 @@ def parse_csv(
         if not len(matrix) or not np.any(np.abs(matrix[:, extras]) >= _EXACT_INTEGER):
             return Columns(names, {name: matrix[:, i] for i, name in enumerate(names)}, {})
     return _careful(body, names, source, required, texts)
+
+
+def columns_in(path: Path, required: frozenset[str], part: Part) -> Columns | None:
+    """Columns of a large file, block by block, and of a part of its time alone; None where :func:`parse_csv` must look
+    at it: it has texts, other separators, or whole numbers beyond what a double holds.
+    """
+    with path.open("rb") as file:
+        first = file.readline()
+        if separator_of(first.decode("utf-8-sig", "replace")) != ",":
+            return None
+        names = header(first)
+        _check_header(names, str(path))
+        if "t_s" not in names:
+            return None
+        at, last, kept = names.index("t_s"), -np.inf, []
+        extras = [i for i, name in enumerate(names) if name not in required]
+        while lines := file.readlines(_BLOCK):
+            matrix = _fast(b"".join(lines).decode("ascii", "replace"), len(names))
+            if matrix is None or (len(matrix) and np.any(np.abs(matrix[:, extras]) >= _EXACT_INTEGER)):
+                return None
+            mask, last = part.of(matrix[:, at], last)
+            kept.append(matrix[mask])
+    whole = np.concatenate(kept) if kept else np.empty((0, len(names)))
+    return Columns(names, {name: whole[:, i].copy() for i, name in enumerate(names)}, {})
 
 
 def header(data: bytes) -> tuple[str, ...]:

@@ -67,7 +67,7 @@ def read_recording(path: str | Path, vehicle: Vehicle | None = None, part: Part 
     if path.is_dir() and (bag := _bag_in(path)) is not None:
         recording = _bag(bag, vehicle, part)
     elif path.is_dir():
-        recording = read_bundle(path, vehicle)
+        recording = read_bundle(path, vehicle, part)
     else:
         require_file(path, READABLE)
         try:
@@ -216,7 +216,7 @@ def _stretch_of_large_log(
     None of a log that is read whole. To find what tells most, the log is read once with a sample of each kind every 20
     ms.
     """
-    if _size_of(path) < LARGE_BYTES:
+    if _size_of(path) < LARGE_BYTES or _is_own_mcap(path):
         return None
     if given is not None:
         return Stretch(
@@ -259,6 +259,15 @@ def checked_flight(recording: Recording, declared: Vehicle, path: str) -> Flight
         online=online_clock(recording.texts.get("events")),
         **recording.streams,
     )
+
+
+def _is_own_mcap(path: Path) -> bool:
+    """Whether a file is a recording of this program, which is read whole: its header names what wrote it."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        head = file.read(200)
+    return head.startswith(MCAP_MAGIC) and b"groundstation" in head
 
 
 def _size_of(path: Path) -> int:

@@ -37,6 +37,7 @@ VERDICTS: Mapping[str, str] = {
     "unexplained": "Unexplained: a real residual remains that no known effect removes.",
     "refused": "Refused: this flight cannot answer the question.",
 }
+NOT_DIAGNOSED = "Next: diagnose it (`groundstation report`), to find what the declared vehicle lacks."
 _SYMBOLS: Mapping[str, str] = {"clean": "✓", "explained": "✓", "unexplained": "?", "refused": "✕", "open": "•"}
 _NAMES: Mapping[str, str] = {
     "com_offset": "Centre-of-mass offset",
@@ -67,7 +68,7 @@ def add_verdict(
         page.section(
             "verdict",
             "Verdict",
-            _banner("open", "Identified; not diagnosed.", best),
+            _banner("open", "Identified; not diagnosed.", best, NOT_DIAGNOSED),
             warnings,
             _cards(identification, None, declared),
         )
