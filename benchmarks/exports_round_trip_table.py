@@ -41,8 +41,7 @@ def tables(results: Mapping[str, Any]) -> str:
     ]
     lines += [
         f"| `{FORMATS[name]}` | {reader(name, told)} | {told.get('flown', '20 s of excitation')} | "
-        f"{told.get('lacks', '–')} | "
-        f"{told['worst_z']:.2f} | {'agrees' if told['agrees'] else 'differs'} |"
+        f"{told.get('lacks', '–')} | {told['worst_z']:.2f} | {'agrees' if told['agrees'] else 'differs'} |"
         for name, told in readers.items()
     ]
     heads = [reader(name, told) for name, told in readers.items()]

@@ -25,6 +25,7 @@ from groundstation.diagnosis.results import Diagnosis
 from groundstation.errors import GroundStationError, NotIdentifiable, Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification
+from groundstation.json_types import JsonObject
 from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
 from groundstation.priority import set_nice
 from groundstation.vehicle import Vehicle
@@ -77,7 +78,7 @@ def preliminary(flight: FlightData) -> Table:
     return _rows(first_estimate(flight), {name: declared.get(name, 0.0) for name in NAMES}, NAMES)
 
 
-def evolution(flight: FlightData) -> dict[str, Any]:
+def evolution(flight: FlightData) -> JsonObject:
     """How the live estimates moved during a flight, with their 95 % intervals; views draw it."""
     from groundstation.identification.recursive import SHOWN, replay
 
@@ -209,7 +210,7 @@ def with_next_flight(folder: Path, diagnosis: Diagnosis, vehicle: Vehicle) -> tu
     return replace(diagnosis, next_flight=text), path
 
 
-def identification_document(identification: Identification, diagnosis: Diagnosis | None = None) -> dict[str, Any]:
+def identification_document(identification: Identification, diagnosis: Diagnosis | None = None) -> JsonObject:
     """The document of an identification with the one estimate that every place shows, as ``estimate``."""
     from groundstation.reporting.canonical import canonical
 

@@ -54,6 +54,16 @@ class NoiseModel:
 
 
 @njit(cache=True)
+def _driven(sigma: float, tau: float, q: float, h: float, phi: float) -> tuple[float, float, float]:
+    """Exact covariance of (integral over h, end value) driven by the Ornstein-Uhlenbeck noise: 00, 01, 11."""
+    s2 = sigma * sigma
+    q11 = s2 * (1.0 - phi * phi)
+    q01 = s2 * tau * (1.0 - phi) * (1.0 - phi)
+    q00 = s2 * tau * (2.0 * h - tau * (3.0 - 4.0 * phi + phi * phi)) + q * q * h
+    return max(q00, q * q * h), q01, q11
+
+
+@njit(cache=True)
 def _integrated_innovations(
     z: Array, dt: Array, restart: NDArray[np.bool_], noise: Array, x: Array, p: Array, fresh: bool
 ) -> tuple[Array, Array]:
@@ -79,13 +89,7 @@ def _integrated_innovations(
         h = dt[i]
         phi = np.exp(-h / tau)
         g = tau * (1.0 - phi)
-        # exact covariance of (integral over h, end value) driven by the Ornstein-Uhlenbeck noise
-        s2 = sigma * sigma
-        q11 = s2 * (1.0 - phi * phi)
-        q01 = s2 * tau * (1.0 - phi) * (1.0 - phi)
-        q00 = s2 * tau * (2.0 * h - tau * (3.0 - 4.0 * phi + phi * phi)) + q * q * h
-        if q00 < q * q * h:
-            q00 = q * q * h
+        q00, q01, q11 = _driven(sigma, tau, q, h, phi)
         n00 = p00 + 2.0 * g * p01 + g * g * p11 + q00
         n01 = phi * (p01 + g * p11) + q01
         n11 = phi * phi * p11 + q11
@@ -186,6 +190,31 @@ def minus_log_likelihood(
     return float(kernel(np.ascontiguousarray(residual), dt, restart, noises, float(np.median(dt)))[0])
 
 
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """Where the most likely noise is looked for: first guesses, and bounds in logarithms, (4,)."""
+
+    starts: list[NoiseModel]
+    floor: Array
+    ceiling: Array
+
+
+def _search(residual: Array, step: float, length: float, *, integrated: bool) -> _Search:
+    """By the residual's own spread and that of its differences."""
+    difference = np.diff(residual)
+    scale = float(1.4826 * np.median(np.abs(difference - np.median(difference)))) + 1e-12
+    spread = float(np.std(residual - np.median(residual))) + 1e-12
+    rough = scale / step * 0.1 if integrated else spread
+    starts = [
+        NoiseModel(rough, 0.5, scale / np.sqrt(step) * 0.2, 0.6 * scale),
+        NoiseModel(rough, 0.05, scale / np.sqrt(step) * 0.05, 0.6 * scale),
+    ]
+    unit = scale / step if integrated else spread
+    floor = np.log([1e-5 * unit, 2.0 * step, 1e-5 * unit * np.sqrt(step), 1e-4 * scale])
+    ceiling = np.log([1e3 * unit, max(length / 4.0, 4.0 * step), 1e2 * unit * np.sqrt(step), 1e2 * scale])
+    return _Search(starts, floor, ceiling)
+
+
 def fit_noise_model(
     residual: Array, dt: Array, restart: NDArray[np.bool_], *, integrated: bool, start: NoiseModel | None = None
 ) -> NoiseModel:
@@ -198,22 +227,9 @@ def fit_noise_model(
     from scipy.optimize import minimize
 
     step = float(np.median(dt[1:]))
-    length = float(np.sum(dt[1:]))
-    difference = np.diff(residual)
-    scale = float(1.4826 * np.median(np.abs(difference - np.median(difference)))) + 1e-12
-    spread = float(np.std(residual - np.median(residual))) + 1e-12
-    if start is None:
-        rough = scale / step * 0.1 if integrated else spread
-        starts = [
-            NoiseModel(rough, 0.5, scale / np.sqrt(step) * 0.2, 0.6 * scale),
-            NoiseModel(rough, 0.05, scale / np.sqrt(step) * 0.05, 0.6 * scale),
-        ]
-    else:
-        starts = [start]
-    unit = scale / step if integrated else spread
-    floor = np.log([1e-5 * unit, 2.0 * step, 1e-5 * unit * np.sqrt(step), 1e-4 * scale])
-    ceiling = np.log([1e3 * unit, max(length / 4.0, 4.0 * step), 1e2 * unit * np.sqrt(step), 1e2 * scale])
-
+    search = _search(residual, step, float(np.sum(dt[1:])), integrated=integrated)
+    starts = search.starts if start is None else [start]
+    floor, ceiling = search.floor, search.ceiling
     series, kernel = np.ascontiguousarray(residual), integrated_costs if integrated else direct_costs
 
     def cost_and_slope(vector: Array) -> tuple[float, Array]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 from groundstation.flightdata import FlightData
 from groundstation.identification.answer import Answer, as_rigid_body, believed, bound_of, with_methods, within_limits
@@ -16,6 +15,7 @@ from groundstation.identification.results import Identification
 from groundstation.identification.turning import turning_disturbance
 from groundstation.identification.validation import validate
 from groundstation.identification.work import Work
+from groundstation.json_types import Document
 from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
 
 
@@ -88,7 +88,7 @@ def _documented(answer: Answer, options: AnalysisOptions, progress: Progress) ->
     )
 
 
-def _predictive(answer: Answer, found: Identification) -> Mapping[str, Any]:
+def _predictive(answer: Answer, found: Identification) -> Document:
     """The prediction model beside the physical one, for the model file."""
     parameters = found.methods[found.best].parameters
     physical = physical_model(answer.vehicle, parameters, answer.model, found.disturbance)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from groundstation.flightdata import resampled
 from groundstation.frames import matrix_from_quat, slerp
 from groundstation.identification.attitude_fit import AttitudeFit, Recording, whitened_fit
-from groundstation.identification.newton import minimum
+from groundstation.identification.newton import DIFFERENCE, minimum
 from groundstation.identification.noise_kernel import LANES
 from groundstation.identification.position_kernel import position_costs
 from groundstation.identification.smoothing import position_filter, position_smoother
@@ -87,6 +87,12 @@ def _position_columns(
     )
 
 
+def _scale_columns(recording: Recording, tk: Array, place: Array, force: Array) -> Array:
+    """What the scales of poses and accelerometer change of the positions, (n, 3, 2)."""
+    _, felt = _twice(force, recording.dt_imu)
+    return np.stack([place - place.mean(axis=0), -resampled(tk, recording.t_imu, felt)], axis=2)
+
+
 def _fitted_position(error: Array, columns: Array, dt: Array, noise: Array) -> tuple[Array, Array, Array, Array]:
     """Values, covariance, residual (n, 3) and noise after three rounds of fit and noise model."""
     count = columns.shape[2]
@@ -106,6 +112,14 @@ def _fitted_position(error: Array, columns: Array, dt: Array, noise: Array) -> t
         values, covariance = fit.values, fit.covariance
         residual = error - columns @ values
     return values, covariance, residual, noise
+
+
+def _of_the_vehicle(columns: Array) -> Array:
+    """The columns of what moves the vehicle itself: not clock, lever arm and the poses' scale, (n, 3, P)."""
+    named = columns.copy()
+    named[:, :, _CLOCK] = named[:, :, _LEVER] = 0.0
+    named[:, :, len(POSITION) : len(POSITION) + 1] = 0.0
+    return named
 
 
 def align_position(
@@ -129,17 +143,11 @@ def align_position(
     if scale:
         ahead = states[:-1, 0, :] + dt[1:, None] * states[:-1, 1, :] + 0.5 * dt[1:, None] ** 2 * states[:-1, 2, :]
         place = resampled(tk, t_imu, path) + np.concatenate([states[:1, 0, :], ahead])
-        _, felt = _twice(force, recording.dt_imu)
-        both = np.stack([place - place.mean(axis=0), -resampled(tk, t_imu, felt)], axis=2)
-        columns = np.concatenate([columns, both], axis=2)
+        columns = np.concatenate([columns, _scale_columns(recording, tk, place, force)], axis=2)
     values, covariance, residual, noise = _fitted_position(error, columns, dt, noise)
     _, _, states, pf, pp = position_filter(residual, dt, noise)
     smooth = position_smoother(dt, states, pf, pp)
-    named = columns.copy()
-    named[:, :, _CLOCK] = 0.0  # clock terms move stamps, not the vehicle
-    named[:, :, _LEVER] = 0.0  # neither does the lever arm
-    named[:, :, len(POSITION) : len(POSITION) + 1] = 0.0  # nor the poses' scale
-    shift = named @ values
+    shift = _of_the_vehicle(columns) @ values
     slope = np.gradient(shift, tk, axis=0) if len(tk) > 2 else np.zeros_like(shift)
 
     def motion(found: Array) -> tuple[Array, Array]:
@@ -164,5 +172,9 @@ def _position_noise(error: Array, dt: Array, start: Array | None = None) -> Arra
         parts = [position_costs(series, dt, noises[i : i + LANES]) for i in range(0, len(noises), LANES)]
         return np.concatenate(parts)
 
-    found, _ = minimum(costs, np.log(start[:3]), np.log(_FINEST), np.log(_COARSEST), _STEPS)
+    floor, ceiling = np.log(_FINEST), np.log(_COARSEST)
+    found, cost = minimum(costs, np.log(start[:3]), floor, ceiling, _STEPS)
+    if found[0] < floor[0] + 2.0 * DIFFERENCE:  # no noise of poses: the way to there may end in a lesser minimum
+        other, lower = minimum(costs, floor + np.log(10.0), floor, ceiling, _STEPS)
+        found = other if lower < cost else found
     return np.array([*np.exp(found), _INITIAL_M_S2])

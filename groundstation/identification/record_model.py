@@ -222,6 +222,10 @@ class RecordModel:
             )
         return self._made[1]
 
+    def wrench(self, p: Parameters) -> Array:
+        """Force and torque of the rotors at ``p``, (blocks, 6)."""
+        return self._predict(p).wrench
+
     def _predict(self, p: Parameters, options: FitOptions | None = None) -> Predicted:
         """At ``p``, with the differences that the sensitivities of these options need (None: those asked for last).
 
