@@ -120,7 +120,7 @@ def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged, air: S
         error={"held_out": judged.error},
         parameters_before=judged.before,
         parameters_after=judged.after,
-        covariance_after=base_covariance(selected.evidence, case.vehicle, selected.chosen),
+        covariance_after=base_covariance(selected.evidence, case.vehicle, selected.chosen, judged.left_open),
         by_flight=tuple(flight_parameters(selected.evidence, selected.chosen)) if len(case.suspects) > 1 else (),
         next_flight=_next_flight(judged.findings, judged.unexplained),
         reason=" ".join(filter(None, (judged.worse, reason))),

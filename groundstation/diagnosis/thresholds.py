@@ -94,6 +94,13 @@ class Thresholds:
         source="rule of thumb for first-order aerodynamic models",
         chosen_on=f"5312b59, {AFTER}; not changed since",
     )
+    form_share: float = _entry(
+        0.3,
+        "Spread of the share in which a named effect may take another power of speed, height, thrust or rates, or act "
+        "on one axis alone.",
+        source="drag goes with powers of the speed between one and two; judgement",
+        chosen_on="MuJoCo flights of seeds 7000 to 8200 (benchmarks.other_forms)",
+    )
     held_out_blocks: int = _entry(
         6,
         "Blocks of time that a flight is divided into; each is judged by the parameters of the others.",
