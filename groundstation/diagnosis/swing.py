@@ -49,8 +49,8 @@ class Swing:
         short, long = (self.length_m * factor for factor in LENGTH_WITHIN)
         return (
             f"What is left of the sideways force swings as a load of {1e3 * low:.2g} to {1e3 * high:.2g} g does on "
-            f"{short:.2g} to {long:.2g} m below the vehicle. The mass and its interval take it for part of the vehicle: "
-            "take it off, or weigh."
+            f"{short:.2g} to {long:.2g} m below the vehicle. The mass and its interval take it for part of the "
+            "vehicle: take it off, or weigh."
         )
 
 
