@@ -361,6 +361,11 @@ def test_a_pass_from_invitation_to_the_end(home: Path, capfd: pytest.CaptureFixt
     assert said()["given"] == [{"name": "laptop", "role": "operate", "until": made["until"], "withdrawn": False}]
     assert "nobody answers" in said("--abort", f"127.0.0.1:{bus.free_port()}", status=5)["error"]
     assert "nobody answers" in said("--watch", f"127.0.0.1:{bus.free_port()}", status=2)["error"]
+    for name, role in (("phone", "watch"), ("spare", "operate")):
+        said("--invite", name, "--role", role, "--out", str(home / name))
+        said("--accept", str(home / name))
+    assert len(said()["accepted"]) == 3
+    assert passes.pass_for("10.0.0.9:7451").role == "operate", "certificates prove who answers, whatever its address"
     said("--withdraw", "laptop")
     assert said()["given"][0]["withdrawn"] is True
     file.write_text(file.read_text().replace("BEGIN CERTIFICATE", "BEGIN NOTHING"))
@@ -371,6 +376,10 @@ def test_a_pass_from_invitation_to_the_end(home: Path, capfd: pytest.CaptureFixt
     old = msgspec.structs.replace(passes.accepted()[0], certificate=past.certificate.decode())
     passes.write_pass(file, old)
     assert "held until" in said("--accept", str(file), status=2)["error"]
+    for path in (home / "config" / "groundstation" / "stations").iterdir():
+        passes.write_pass(path, old)
+    with pytest.raises(BadInput, match="held until"):
+        passes.pass_for("lab")
 
 
 async def test_the_screens_follow_another_station_and_abort_its_flight(place: Place, tmp_path: Path) -> None:
