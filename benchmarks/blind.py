@@ -175,8 +175,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                     rows.write(json.dumps({"seed": master, "vehicle": vehicle, **asdict(outcome)}) + "\n")
             print(
                 f"{each.index + 1}/{len(work)} {vehicle:8} {kind:8} {' + '.join(names) or 'nothing':30} -> "
-                f"{outcome.verdict}: "
-                f"{', '.join(outcome.named) or 'no finding'}",
+                f"{outcome.verdict}: {', '.join(outcome.named) or 'no finding'}",
                 flush=True,
             )
         if time.monotonic() > over:

@@ -24,7 +24,7 @@ from test_link_process import process
 from drivers.bus import make_upload
 from drivers.samples import Batch, Pose, Vector3
 from groundstation.flight.core.recorder import Recorder
-from groundstation.flight.link.pilot import Phase
+from groundstation.flight.link.phase import Phase
 from groundstation.recording.recorded import plan_file
 
 Break = Callable[[Rig], None]

@@ -104,8 +104,7 @@ def table(results: dict[str, list[dict[str, Any]]]) -> str:
         crashes, down = sum(f["link_crashed"] for f in flown), all(f["down"] for f in flown)
         lines.append(
             f"| {profile} | {len(flown)} | {sum(f['sent_in_air'] for f in flown)} | {crashes} | "
-            f"{'yes' if down else 'no'} | "
-            f"{silence:.2f} s | {memory[0]:.0f} MB | {memory[1]:.0f} MB |"
+            f"{'yes' if down else 'no'} | {silence:.2f} s | {memory[0]:.0f} MB | {memory[1]:.0f} MB |"
         )
     return "\n".join(lines)
 

@@ -120,7 +120,7 @@ def walk(shell: Shell, readme: str, folder: Path) -> dict[str, float]:
     convert = printed(readme, "groundstation convert").replace("flight.mcap", str(first))
     step("groundstation convert", shell.done(convert))
     step("groundstation doctor", shell.done(printed(readme, "groundstation doctor")))
-    shell.type("clear; groundstation")
+    shell.type("clear; groundstation; echo the UI ended with $?.")
     step("the terminal UI opens", shell.until("Two keys fly a simulated drone"))
     shell.press("r")
     shell.press("s")
@@ -129,6 +129,7 @@ def walk(shell: Shell, readme: str, folder: Path) -> dict[str, float]:
     shell.press("C-g")
     step("ctrl+g after 15 s: landed and analysed", shell.until("Trust:"))
     shell.press("q")
+    step("q: back at the shell", shell.until("the UI ended with 0."))
     step("groundstation flights --trend", shell.done(printed(readme, "groundstation flights --trend")))
     return took
 

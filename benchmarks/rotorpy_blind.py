@@ -126,6 +126,7 @@ def truth(random: Random, hidden: Hidden) -> dict[str, Any]:
     found["mass"] *= random.uniform(0.95, 1.05)
     for axis in ("xx", "yy", "zz"):
         found[f"I{axis}"] *= random.uniform(0.9, 1.15)
+    found["Izz"] = min(found["Izz"], 0.98 * (found["Ixx"] + found["Iyy"]))  # of a body that exists
     found |= {name: hidden.get(name, 0.0) for name in COEFFICIENTS} | {"tau_m": hidden.get("tau_m", found["tau_m"])}
     com = np.array(hidden.get("com_m", (0.0, 0.0, 0.0)))
     found["rotor_pos"] = {key: np.array(p) - com for key, p in found["rotor_pos"].items()}
@@ -144,12 +145,22 @@ def coloured(random: Random, count: int, rms: float, correlation_s: float) -> Ar
     return out
 
 
-def fly(vehicle: Vehicle, plan: Plan, hidden: Hidden, random: Random) -> FlightData:
-    """One flight by RotorPy's equations and controller (fourth-order Runge-Kutta), as a recording."""
-    real = truth(random, hidden)
+def pilot() -> Any:
+    """RotorPy's controller with the softer gains."""
+    control = SE3Control(quad_params | ATTITUDE)
+    control.kp_pos, control.kd_pos = POSITION
+    return control
+
+
+def fly(vehicle: Vehicle, plan: Plan, hidden: Hidden, random: Random, real: dict[str, Any] | None = None) -> FlightData:
+    """One flight by RotorPy's equations and controller (fourth-order Runge-Kutta), as a recording.
+
+    Args:
+        real: the true vehicle's parameters; drawn where None.
+    """
+    real = truth(random, hidden) if real is None else real
     body = Multirotor(real, aero=True)
-    pilot = SE3Control(quad_params | ATTITUDE)
-    pilot.kp_pos, pilot.kd_pos = POSITION
+    control = pilot()
     series = plan.series()
     count = round((2.0 * SETTLE_S + series.duration_s) / STEP_S)
     t = STEP_S * np.arange(count)
@@ -183,7 +194,7 @@ def fly(vehicle: Vehicle, plan: Plan, hidden: Hidden, random: Random) -> FlightD
             "yaw": flat.yaw[0, i],
             "yaw_dot": flat.yaw[1, i],
         }
-        command = pilot.update(t[i], Multirotor._unpack_state(state), wanted)["cmd_motor_speeds"]
+        command = control.update(t[i], Multirotor._unpack_state(state), wanted)["cmd_motor_speeds"]
         command = np.clip(command, body.rotor_speed_min, body.rotor_speed_max)
         k1 = slope(state, command, i)
         states[i], slopes[i], commands[i] = state, k1, command
@@ -192,26 +203,24 @@ def fly(vehicle: Vehicle, plan: Plan, hidden: Hidden, random: Random) -> FlightD
         k4 = slope(state + STEP_S * k3, command, i)
         state = state + STEP_S / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
         state[6:10] /= np.linalg.norm(state[6:10])
-    return _recorded(vehicle, plan, t, states, slopes, commands, com, random)
+    return recorded(vehicle, plan, t, (states, slopes, commands), com, random)
 
 
 def _yawed(yaw: float) -> list[float]:
     return [0.0, 0.0, float(np.sin(0.5 * yaw)), float(np.cos(0.5 * yaw))]
 
 
-def _recorded(
-    vehicle: Vehicle,
-    plan: Plan,
-    t: Array,
-    states: Array,
-    slopes: Array,
-    commands: Array,
-    com: Array,
-    random: Random,
+def recorded(
+    vehicle: Vehicle, plan: Plan, t: Array, flown: tuple[Array, Array, Array], com: Array, random: Random
 ) -> FlightData:
-    """What sensors at the geometric centre, beside the centre of mass, would have recorded."""
+    """What sensors at the geometric centre, beside the centre of mass, would have recorded.
+
+    Args:
+        flown: states and their slopes as RotorPy packs them, (count, 20), and commanded speeds, (count, 4).
+    """
     from scipy.spatial.transform import Rotation
 
+    states, slopes, commands = flown
     turn = Rotation.from_quat(states[:, 6:10])
     rate, turning = states[:, 10:13], slopes[:, 10:13]
     force = turn.inv().apply(slopes[:, 3:6] + [0.0, 0.0, 9.81])

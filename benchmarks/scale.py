@@ -43,10 +43,9 @@ def runs(found: dict[str, Any]) -> list[str]:
         "that others used at the same time; at four workers nothing can be told here.",
         "",
         f"A recording has {found['bytes_a_flight'] / 1e6:.1f} MB. It is read once by the worker that has it; what goes "
-        "back is a row of some kilobytes. "
-        f"{FLIGHTS} such flights are {FLIGHTS * found['bytes_a_flight'] / 1e9:.0f} GB to read and, at this speed, "
-        f"{FLIGHTS * each / 3600.0:.0f} core-hours: "
-        f"{hours:.1f} hours on {NODES} nodes with one core each. Worked out, not run.",
+        f"back is a row of some kilobytes. {FLIGHTS} such flights are {FLIGHTS * found['bytes_a_flight'] / 1e9:.0f} GB "
+        f"to read and, at this speed, {FLIGHTS * each / 3600.0:.0f} core-hours: {hours:.1f} hours on {NODES} nodes "
+        "with one core each. Worked out, not run.",
     ]  # fmt: skip
 
 
@@ -97,9 +96,8 @@ def trends(found: dict[str, Any]) -> list[str]:
         lines += [
             "",
             "A drift is told from the first flight that has the parameter: the weak rotor is a finding from the fifth "
-            "flight on. The step in mass is found at its "
-            "flight, and smaller than its interval allows. A loss that is too small to be named reads as mass on the "
-            "first flights, which explains a part of that.",
+            "flight on. The step in mass is found at its flight, and smaller than its interval allows. A loss that is "
+            "too small to be named reads as mass on the first flights, which explains a part of that.",
             f"Of {t['fleets']} fleets of 30 flights without a change, drawn from {t['pool']} flown ones, {t['false']} "
             "were said to have one.",
         ]
@@ -127,10 +125,9 @@ def page(fleet: dict[str, Any], listed: dict[str, Any]) -> str:
     parts += [
         "", "## Where it breaks first", "",
         "The catalogue is one file that is read whole and written whole. What grows with the number of flights is its "
-        "first reading (each folder's JSON is parsed "
-        "once) and the check at each listing which folders changed (one stat a folder). Work itself has no part that "
-        "grows faster than the number of flights; "
-        "on a cluster the storage's bandwidth comes next, as each recording is read once.",
+        "first reading (each folder's JSON is parsed once) and the check at each listing which folders changed (one "
+        "stat a folder). Work itself has no part that grows faster than the number of flights; on a cluster the "
+        "storage's bandwidth comes next, as each recording is read once.",
     ]  # fmt: skip
     return "\n".join(parts) + "\n"
 

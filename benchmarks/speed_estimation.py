@@ -42,12 +42,10 @@ SEED = 2001
 """Of the study: rotors by command, so lag and delay are free, which is the slower case."""
 ABOUT = (
     f"Study flight {SEED} (`python -m benchmarks.study`), flown for as long as stated at 500 Hz: mass, six inertias, "
-    "lag and dead time free. "
-    "Processor time of one core, of the second and later calls in a process (warm) or of the whole process with its "
-    "imports (cold). "
-    "*identify* is all methods with intervals; *with prediction* adds the choice and fit of the prediction model; "
-    "*diagnose* goes from the "
-    "streams to findings and forecasts. The yardstick is a plain least-squares loop over 10 s in the same process."
+    "lag and dead time free. Processor time of one core, of the second and later calls in a process (warm) or of the "
+    "whole process with its imports (cold). *identify* is all methods with intervals; *with prediction* adds the "
+    "choice and fit of the prediction model; *diagnose* goes from the streams to findings and forecasts. The yardstick "
+    "is a plain least-squares loop over 10 s in the same process."
 )
 PLAN_S = 40.0
 """Of the study's plan at its own number of periods."""

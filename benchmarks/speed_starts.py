@@ -13,10 +13,8 @@ from benchmarks.speed import Row
 TITLE = "Start-up, and a first plan"
 ABOUT = (
     "Processor time of whole processes with their imports, medians of three; the terminal UI in a pseudo-terminal "
-    "until its first screen stands. "
-    "The yardstick is a process that imports NumPy, in the same run: on a busy machine both take longer. The plan is "
-    "the paper's problem from a "
-    "cold start; its goal holds for an idle machine."
+    "until its first screen stands. The yardstick is a process that imports NumPy, in the same run: on a busy machine "
+    "both take longer. The plan is the paper's problem from a cold start; its goal holds for an idle machine."
 )
 RUNS = 3
 

@@ -94,8 +94,7 @@ def run(width: int, height: int, *, show: bool) -> None:
             (found,) = folder.glob("logs/*/report.html")
             print(
                 f"{width}x{height}: opened {opened:.1f} s, two keys to the air {flying:.1f} s, excitation "
-                f"{landing:.0f} s, "
-                f"report {report:.0f} s after landing began ({found.stat().st_size / 1e6:.1f} MB), "
+                f"{landing:.0f} s, report {report:.0f} s after landing began ({found.stat().st_size / 1e6:.1f} MB), "
                 f"{time.monotonic() - began:.0f} s in all; UI process {100 * share:.0f} % of a core while exciting",
                 flush=True,
             )

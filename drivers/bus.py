@@ -7,8 +7,8 @@ Drone, keys under ``gs/<drone>/`` (:class:`DroneKeys`)::
 
     samples   publication  drone -> core   drivers.samples.Batch: samples in order of arrival, sequence-numbered from 0
     status    publication  drone -> core   DroneStatus, on every change and at least every 0.1 s of the drone's time
-    credit    publication  core -> drone   Credit: how far the drone may run (lock-step), and the sign that the core
-    lives upload    queryable    on the drone    Upload -> Answer
+    credit    publication  core -> drone   Credit: how far the drone may run (lock-step), and that the core lives
+    upload    queryable    on the drone    Upload -> Answer
     command   queryable    on the drone    Command -> Answer
     describe  queryable    on the drone    Describe -> Description: what flies here
     alive     liveliness   of the drone

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from groundstation.errors import BadInput, GroundStationError, NotIdentifiable, Refused
+from groundstation.json_types import Document, JsonObject
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -96,7 +97,7 @@ def load_plan(plan: Plan | str | Path) -> Plan:
     return plan if isinstance(plan, Plan) else load_plan(find_config("plans", plan))
 
 
-def load_scenario(name: str | Path) -> dict[str, Any]:
+def load_scenario(name: str | Path) -> JsonObject:
     """The document of a scenario, to be changed and given to :func:`simulate`: sensors, disturbance, true vehicle,
     effects.
 
@@ -144,9 +145,8 @@ def load_flight(
 
     Returns:
         Streams ``imu``, ``motors``, ``mocap``, ``battery``, ``setpoint``, ``state`` (None where it was not recorded).
-            Each has
-        ``t_s``, shape (k,), seconds on the device's clock, and ``values``, shape (k, len(columns)), units in the column
-            names.
+        Each has ``t_s``, shape (k,), seconds on the device's clock, and ``values``, shape (k, len(columns)), units in
+        the column names.
     """
     from groundstation.recording import load_flight
 
@@ -179,7 +179,7 @@ def plan_excitation(
 def simulate(
     vehicle: Vehicle | str | Path = "qball2",
     *,
-    scenario: Mapping[str, Any] | str | Path = "seed",
+    scenario: Document | str | Path = "seed",
     plan: Plan | str | Path | None = None,
     seed: int = 1,
     folder: str | Path | None = None,
@@ -238,9 +238,8 @@ def identify(
 
     Returns:
         ``methods[best].parameters`` maps each name to an estimate with ``value``, ``std``, ``ci95`` in the unit the
-            name
-        carries; ``model`` has lag, delay and thrust constants; what the flight does not reveal is in
-            ``not_identifiable``.
+        name carries; ``model`` has lag, delay and thrust constants; what the flight does not reveal is in
+        ``not_identifiable``.
     """
     from groundstation.identification.pipeline import identify
     from groundstation.options import AnalysisOptions
@@ -254,7 +253,7 @@ def diagnose(
     exclude: Sequence[tuple[float, float]] = (),
     references: Sequence[FlightData] = (),
     held_out: Sequence[FlightData] = (),
-    model: Mapping[str, Any] | str | Path | None = None,
+    model: Document | str | Path | None = None,
     progress: Progress = _quiet,
 ) -> Diagnosis:
     """Which effects the declared vehicle lacks, with the error before and after on data that no estimate saw.
@@ -269,8 +268,7 @@ def diagnose(
 
     Returns:
         ``verdict`` ("clean", "explained", "unexplained", "refused"), ``findings`` with parameters and confidence,
-            ``error``
-        (RMS in N and N m by channel, before and after), ``next_flight`` in words.
+        ``error`` (RMS in N and N m by channel, before and after), ``next_flight`` in words.
     """
     from groundstation.diagnosis import diagnose
     from groundstation.options import AnalysisOptions
@@ -290,9 +288,7 @@ def diagnose(
     return diagnose(suspects, options, progress=progress)
 
 
-def model_document(
-    identification: Identification, vehicle: Vehicle, diagnosis: Diagnosis | None = None
-) -> dict[str, Any]:
+def model_document(identification: Identification, vehicle: Vehicle, diagnosis: Diagnosis | None = None) -> JsonObject:
     """The model as ``identification.toml`` holds it: what :func:`predict` and :func:`export` read.
 
     Args:
@@ -306,7 +302,7 @@ def model_document(
 
 
 def predict(
-    model: Mapping[str, Any] | str | Path,
+    model: Document | str | Path,
     flight: FlightData,
     *,
     horizon_s: float = 0.5,
@@ -326,9 +322,8 @@ def predict(
 
     Returns:
         ``error[predictor][horizon][quantity]["rms"]`` for the model, the declared vehicle and constant velocity:
-            position
-        (m), velocity (m/s), attitude (rad), body rate (rad/s). ``final`` holds the states predicted at the horizon:
-        position and velocity (k, 3), quaternion (k, 4), rate (k, 3).
+        position (m), velocity (m/s), attitude (rad), body rate (rad/s). ``final`` holds the states predicted at the
+        horizon: position and velocity (k, 3), quaternion (k, 4), rate (k, 3).
     """
     from groundstation.diagnosis.effect import library, wrench_of
     from groundstation.identification.predictive_choice import chosen_name, chosen_predictor
@@ -351,7 +346,7 @@ def predict(
 
 
 def plan_next_flight(
-    diagnosis: Diagnosis | Mapping[str, Any],
+    diagnosis: Diagnosis | Document,
     vehicle: Vehicle | str | Path,
     *,
     duration_s: float | None = None,
@@ -435,11 +430,9 @@ def compare(
 
     Returns:
         ``parameters`` maps each name that both sides tell to ``first``, ``second``, ``size`` (second less first),
-            ``std``, ``z``,
-        ``p`` (corrected for the number of parameters), ``differs`` and ``change`` (in words); ``summary`` is a
-            sentence. A
-        group's value is the random-effects mean of its flights, so flights that scatter more than they say count for
-            less.
+        ``std``, ``z``, ``p`` (corrected for the number of parameters), ``differs`` and ``change`` (in words);
+        ``summary`` is a sentence. A group's value is the random-effects mean of its flights, so flights that scatter
+        more than they say count for less.
     """
     from groundstation.fleet.comparison import compare_flights
 
@@ -470,7 +463,7 @@ def _flown(given: Comparable, progress: Progress) -> Flown:
 
 
 def export(
-    model: Mapping[str, Any] | str | Path,
+    model: Document | str | Path,
     format_name: str,
     *,
     vehicle: Vehicle | str | Path | None = None,

@@ -6,13 +6,13 @@ What is written without a number (JSON has no NaN: null) is absent here. Fields 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from groundstation.errors import BadInput
+from groundstation.json_types import Document, JsonObject
 from groundstation.outside import read_json
 from groundstation.texts import shown
 
@@ -176,7 +176,7 @@ class DiagnosisDocument(_Part):
     candidates: list[CandidateEntry] = []
 
 
-def checked(document: Any, kind: type[_Part], source: str) -> dict[str, Any]:
+def checked(document: Any, kind: type[_Part], source: str) -> JsonObject:
     """A document whose fields have their types, defaults put in.
 
     Raises:
@@ -196,7 +196,7 @@ def _faults(error: ValidationError | RecursionError) -> str:
     return "; ".join(told) + ("; and more" if error.error_count() > len(told) else "")
 
 
-def read_diagnosis(path: Path) -> dict[str, Any]:
+def read_diagnosis(path: Path) -> JsonObject:
     """The document in a ``diagnosis.json``.
 
     Raises:
@@ -211,7 +211,7 @@ def read_diagnosis(path: Path) -> dict[str, Any]:
     return checked(document, DiagnosisDocument, str(path))
 
 
-def read_identification(path: Path) -> dict[str, Any]:
+def read_identification(path: Path) -> JsonObject:
     """The document in an ``identification.json``.
 
     Raises:
@@ -225,7 +225,7 @@ def read_identification(path: Path) -> dict[str, Any]:
     return found
 
 
-def require_best(document: Mapping[str, Any], source: str) -> None:
+def require_best(document: Document, source: str) -> None:
     """Raise BadInput where the best method of an identification is none of its methods."""
     if document["best"] not in document["methods"]:
         names = shown(", ".join(document["methods"])) or "no methods"

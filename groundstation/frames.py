@@ -57,8 +57,14 @@ def quat_rotate(quaternion: ArrayLike, vector: ArrayLike) -> Array:
     """Rotate body vectors into the world."""
     q = np.asarray(quaternion, dtype=float)
     v = np.asarray(vector, dtype=float)
-    t = 2.0 * np.cross(q[..., 1:], v)
-    return v + q[..., :1] * t + np.cross(q[..., 1:], t)
+    w, x, y, z = (q[..., i] for i in range(4))
+    a, b, c = (v[..., i] for i in range(3))
+    tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    out = np.empty((*np.broadcast_shapes(q.shape[:-1], v.shape[:-1]), 3))
+    out[..., 0] = a + w * tx + (y * tz - z * ty)
+    out[..., 1] = b + w * ty + (z * tx - x * tz)
+    out[..., 2] = c + w * tz + (x * ty - y * tx)
+    return out
 
 
 def quat_rotate_inverse(quaternion: ArrayLike, vector: ArrayLike) -> Array:

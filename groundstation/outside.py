@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.errors import BadInput
+from groundstation.json_types import JsonObject
 from groundstation.texts import holdable, shown
 
 DOCUMENT_BYTES = 64 * 1024 * 1024
@@ -98,7 +99,7 @@ def require_own(path: Path, wanted: str, remedy: str) -> None:
         raise BadInput(f"{path}: belongs to somebody else, or others may read it. {remedy}")
 
 
-def read_toml(path: Path, wanted: str) -> dict[str, Any]:
+def read_toml(path: Path, wanted: str) -> JsonObject:
     """The document in a TOML file.
 
     Raises:
@@ -107,7 +108,7 @@ def read_toml(path: Path, wanted: str) -> dict[str, Any]:
     return parse_toml(read_bytes(path, wanted, DOCUMENT_BYTES), str(path))
 
 
-def parse_toml(data: bytes, source: str) -> dict[str, Any]:
+def parse_toml(data: bytes, source: str) -> JsonObject:
     """A TOML document.
 
     Raises:

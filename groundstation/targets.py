@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
 from groundstation.errors import BadInput
+from groundstation.json_types import Document
 
 SHORT = {
     "mass": "mass_kg",
@@ -49,7 +49,7 @@ def _share(text: str, part: str) -> float:
     return value
 
 
-def reached(estimates: Mapping[str, Any], targets: Mapping[str, float]) -> dict[str, float]:
+def reached(estimates: Document, targets: Mapping[str, float]) -> dict[str, float]:
     """Half width of each target's interval as a share of the target: 1 or less is met, infinity is not revealed.
 
     Args:

@@ -7,13 +7,14 @@ in one sentence. Nothing here is estimated; estimates live in ``groundstation.id
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from groundstation.errors import BadInput
+from groundstation.json_types import JsonObject
 from groundstation.outside import read_toml
 from groundstation.targets import parse_targets
 
@@ -346,7 +347,7 @@ def _fault(error: dict) -> str:
     return f"{place}: {text[0].lower() + text[1:] if text else 'is wrong'}"
 
 
-def vehicle_from_dict(document: dict[str, Any], source: str = "vehicle.toml") -> Vehicle:
+def vehicle_from_dict(document: JsonObject, source: str = "vehicle.toml") -> Vehicle:
     """Validate a parsed ``vehicle.toml``.
 
     Raises:

@@ -83,6 +83,33 @@ def _body(vehicle: Vehicle, com: np.ndarray, extra_kg: float, extra_at: np.ndarr
     return Body(float(mass), _vector(centre), _symmetric(tensor), _symmetric(np.linalg.inv(tensor)))
 
 
+def _rotors(declared: Vehicle, truth: Vehicle) -> Rotors:
+    """The true rotors; curve and speeds are the declared vehicle's, lag and hover the true one's."""
+    rotors, curve, k = truth.rotors, motor_curve(declared), _speed_coefficient(declared)
+    hover = truth.mass_kg * truth.gravity_m_s2 / rotors.count
+    # One pole of zero beside one that is not would freeze a rotor: the step is the shortest lag there is.
+    up, down = rotors.lag.up_s, rotors.lag.down_s
+    if up > 0.0 or down > 0.0:
+        up, down = max(up, STEP_S), max(down, STEP_S)
+    return Rotors(
+        position=np.array(rotors.position_m, dtype=float),
+        spin=np.array(rotors.spin, dtype=float),
+        axis=rotors.axes(),
+        curve=curve,
+        torque_ratio=rotors.torque_to_thrust_m,
+        radius=rotors.radius_m,
+        speed_coefficient=k,
+        lag_up=up,
+        lag_down=down,
+        value_max=motor_value_max(declared),
+        thrust_min=-_UNBOUNDED if rotors.input == "wrench" else 0.0,
+        hover_thrust=hover,
+        hover_value=value_for(curve, hover),
+        hover_speed=sqrt(hover / k),
+        hover_inflow=sqrt(hover / (2.0 * truth.identification.air_density_kg_m3 * pi * rotors.radius_m**2)),
+    )
+
+
 def build_plant(declared: Vehicle, scenario: Scenario) -> Plant:
     """Nature: the true vehicle with the scenario's effects."""
     truth = true_vehicle(declared, scenario)
@@ -96,40 +123,15 @@ def build_plant(declared: Vehicle, scenario: Scenario) -> Plant:
     for effect in (effects.weak_rotor, effects.rotor_degradation):
         if effect.on and effect.rotor > rotors.count:
             raise BadInput(f"scenario: there is no rotor {effect.rotor}; {declared.name} has {rotors.count}.")
-    curve = motor_curve(declared)
-    k = _speed_coefficient(declared)
-    hover = truth.mass_kg * truth.gravity_m_s2 / rotors.count
-    radius = rotors.radius_m
-    density = truth.identification.air_density_kg_m3
-    # One pole of zero beside one that is not would freeze a rotor: the step is the shortest lag there is.
-    up, down = rotors.lag.up_s, rotors.lag.down_s
-    if up > 0.0 or down > 0.0:
-        up, down = max(up, STEP_S), max(down, STEP_S)
     wall = effects.attracting_wall.azimuth_rad
     return Plant(
         before=before,
         after=after,
         change_s=float(load.time_s) if load.on else -_UNBOUNDED,
-        rotors=Rotors(
-            position=np.array(rotors.position_m, dtype=float),
-            spin=np.array(rotors.spin, dtype=float),
-            axis=rotors.axes(),
-            curve=curve,
-            torque_ratio=rotors.torque_to_thrust_m,
-            radius=radius,
-            speed_coefficient=k,
-            lag_up=up,
-            lag_down=down,
-            value_max=motor_value_max(declared),
-            thrust_min=-_UNBOUNDED if rotors.input == "wrench" else 0.0,
-            hover_thrust=hover,
-            hover_value=value_for(curve, hover),
-            hover_speed=sqrt(hover / k),
-            hover_inflow=sqrt(hover / (2.0 * density * pi * radius**2)),
-        ),
+        rotors=_rotors(declared, truth),
         effects=effects,
         gravity=truth.gravity_m_s2,
-        air_density=density,
+        air_density=truth.identification.air_density_kg_m3,
         wall_direction=(cos(wall), sin(wall), 0.0),
     )
 

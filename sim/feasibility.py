@@ -71,8 +71,7 @@ def _lacks_thrust(vehicle: Vehicle, motion, t: np.ndarray) -> str:
     if thrusts[when, rotor] > _HEADROOM * most:
         return (
             f"the path asks rotor {rotor + 1} for {thrusts[when, rotor]:.2f} N after {t[when]:.1f} s; it gives "
-            f"{most:.2f} N, "
-            f"of which {1.0 - _HEADROOM:.0%} are kept for control."
+            f"{most:.2f} N, of which {1.0 - _HEADROOM:.0%} are kept for control."
         )
     when, rotor = np.unravel_index(thrusts.argmin(), thrusts.shape)
     if thrusts[when, rotor] < 0.0:

@@ -68,6 +68,17 @@ def excitation_window(path: Sequence, start_s: float) -> tuple[float, float]:
     return begin, begin + path.parts[EXCITATION].duration_s
 
 
+def _refuse_what_cannot_be_flown(simulation: Simulation, name: str, give_up_s: float) -> None:
+    """End a flight that hit the floor, or is in the air though its time is up."""
+    if simulation.crashed:
+        raise FlightAborted(
+            f"{name} hit the floor {simulation.time_s - simulation.flight_start_s:.1f} s after take-off; "
+            "fly a gentler plan, or look whether the scenario leaves it enough thrust."
+        )
+    if simulation.time_s > give_up_s:
+        raise FlightAborted(f"{name} did not come down within 20 s after the plan's end; is its thrust too high?")
+
+
 def simulate(vehicle: Vehicle, plan: Plan, scenario: Scenario, seed: int, *, rest_s: float = 1.0) -> SimulatedFlight:
     """Fly a plan.
 
@@ -92,15 +103,7 @@ def simulate(vehicle: Vehicle, plan: Plan, scenario: Scenario, seed: int, *, res
     give_up = simulation.time_s + path.duration_s + 20.0
     while not (simulation.standing and simulation.time_s > end):
         chunks.append(simulation.fly(_CHUNK, source))
-        if simulation.crashed:
-            raise FlightAborted(
-                f"{vehicle.name} hit the floor {simulation.time_s - simulation.flight_start_s:.1f} s after take-off; "
-                "fly a gentler plan, or look whether the scenario leaves it enough thrust."
-            )
-        if simulation.time_s > give_up:
-            raise FlightAborted(
-                f"{vehicle.name} did not come down within 20 s after the plan's end; is its thrust too high?"
-            )
+        _refuse_what_cannot_be_flown(simulation, vehicle.name, give_up)
     chunks.append(simulation.idle(round(rest_s / STEP_S)))
     joined = {name: tuple(np.concatenate([chunk[name][i] for chunk in chunks]) for i in range(3)) for name in chunks[0]}
     clock = simulation.motor_clock_s

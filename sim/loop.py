@@ -351,9 +351,8 @@ def run(world: World, memory: Memory, stretch: Stretch):
 
     Returns:
         imu (k, 6), poses (k, 7), rotor values (k, n), battery voltage and current (k, 2) at the sample times; and per
-            control
-        tick the motor values asked for (ticks, n) and the estimate (ticks, 13); and per step the true state (steps,
-            13).
+        control tick the motor values asked for (ticks, n) and the estimate (ticks, 13); and per step the true state
+        (steps, 13).
     """
     dt, plant, x, flags = world.dt, world.plant, memory.x, memory.flags
     n, ticks = len(plant.rotors.spin), len(stretch.setpoints)

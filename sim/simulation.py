@@ -5,7 +5,7 @@ One seed gives one flight, however the time is cut into stretches: every source 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from math import cos, sin
 
 import numpy as np
@@ -41,6 +41,9 @@ from sim.plant import ATTITUDE, LOAD, ROTOR
 from sim.scenario import Scenario, true_vehicle
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Times = tuple[Array, Array, Array]
+"""True times, stamps and arrivals, (k,) each."""
 Samples = tuple[Array, Array, Array]
 """Stamps on the device's clock (k,), arrivals on the host's clock (k,), values in the columns of a flight bundle (k,
 c).
@@ -223,18 +226,16 @@ class Simulation:
         rows[:] = motors
         return self._run(steps, EXTERNAL, np.zeros((ticks, SETPOINT_SIZE)) if setpoints is None else setpoints, rows)
 
-    def _run(self, steps: int, mode: int, setpoints: Array, motors: Array | None) -> dict[str, Samples]:
-        end = (self.step + steps) * STEP_S
-        times = {key: ticker.until(end) for key, ticker in self._tickers.items()}
-        ticks = self.control_ticks(steps)
-        times["flight"] = (ticks, *self._flight.stamp(ticks))
-        pose_s, pose_stamp, pose_arrival = times["pose"]
-        lost = self._lost.during(pose_s)
+    def _stretch(
+        self, steps: int, mode: int, setpoints: Array, motors: Array | None, times: Mapping[str, Times], lost: Mask
+    ) -> Stretch:
+        """What the compiled loop needs of the next steps: sample times, noise, what is asked for."""
+        pose_s, _, pose_arrival = times["pose"]
         frozen = self._frozen.during(pose_s)
         mocap = self.scenario.mocap
         pose_std = np.repeat([mocap.position_std_m, mocap.attitude_std_rad], 3)
         count = self.declared.rotors.count
-        stretch = Stretch(
+        return Stretch(
             first=self.step,
             steps=steps,
             mode=mode,
@@ -252,6 +253,15 @@ class Simulation:
             drift_noise=self._random["drift"].standard_normal((steps, 6)),
             gust_noise=self._random["gust"].standard_normal((steps, 3)),
         )
+
+    def _run(self, steps: int, mode: int, setpoints: Array, motors: Array | None) -> dict[str, Samples]:
+        end = (self.step + steps) * STEP_S
+        times = {key: ticker.until(end) for key, ticker in self._tickers.items()}
+        ticks = self.control_ticks(steps)
+        times["flight"] = (ticks, *self._flight.stamp(ticks))
+        _, pose_stamp, pose_arrival = times["pose"]
+        lost = self._lost.during(times["pose"][0])
+        stretch = self._stretch(steps, mode, setpoints, motors, times, lost)
         imu, poses, values, volts, commands, estimates, self.path = run(self.world, self.memory, stretch)
         self.step += steps
         if not np.isfinite(self.memory.x).all():

@@ -151,10 +151,50 @@ def write_usd(path: Path, minutes: float) -> None:
         file.write(struct.pack("<I", check))
 
 
+def write_bag(path: Path, minutes: float) -> None:
+    """ROS 2: sensor_msgs/Imu and actuator_msgs/Actuators in one MCAP file."""
+    from groundstation.recording.cdr import ENCAPSULATION, imu, ros_stamp
+    from groundstation.recording.container import ContainerWriter
+    from groundstation.recording.schemas import IMU
+
+    header = IMU[IMU.index("=" * 80) :].split("MSG: geometry_msgs/Quaternion")[0].rstrip("=\n ")
+    actuators = "std_msgs/Header header\nfloat64[] position\nfloat64[] velocity\nfloat64[] normalized\n" + header
+    with path.open("wb", buffering=0) as file:
+        writer = ContainerWriter(file, "ros2", "long_logs")
+        turns = writer.channel("/imu", "sensor_msgs/msg/Imu", IMU)
+        motors = writer.channel("/motors", "actuator_msgs/msg/Actuators", actuators)
+        for k in _blocks(minutes):
+            t_us, gyro, force, u = motion(k)
+            for t, w, f, command in zip((1e-6 * t_us).tolist(), gyro.tolist(), force.tolist(), u.tolist(), strict=True):
+                at_ns = round(t * 1e9) + 2_000_000
+                writer.message(turns, at_ns, at_ns, imu(t, w, f))
+                data = struct.pack("<4siII5s3xIII4d", ENCAPSULATION, *ros_stamp(t), 5, b"body\0", 0, 0, 4, *command)
+                writer.message(motors, at_ns, at_ns, data)
+        writer.finish()
+
+
+def write_bundle(path: Path, minutes: float) -> None:
+    """A flight bundle: imu.csv and motors.csv."""
+    from groundstation.flightdata import IMU_COLUMNS, motor_columns
+
+    path.mkdir()
+    with (path / "imu.csv").open("w") as imu, (path / "motors.csv").open("w") as motors:
+        imu.write(",".join(("t_s", *IMU_COLUMNS)) + "\n")
+        motors.write(",".join(("t_s", *motor_columns("command", 4))) + "\n")
+        for k in _blocks(minutes):
+            t_us, gyro, force, u = motion(k)
+            for file, values in ((imu, np.hstack([gyro, force])), (motors, u)):
+                rows = np.column_stack([1e-6 * t_us, values]).tolist()
+                cells = (",".join([f"{t:.6f}", *(f"{x:.9g}" for x in row)]) for t, *row in rows)
+                file.writelines(line + "\n" for line in cells)
+
+
 WRITERS: dict[str, tuple[str, Callable[[Path, float], None]]] = {
     "PX4 ULog": ("long.ulg", write_ulog),
     "ArduPilot DataFlash": ("long.bin", write_dataflash),
     "Betaflight blackbox": ("long.bbl", write_blackbox),
     "Crazyflie usd log": ("long_usd", write_usd),
+    "ROS 2 bag (MCAP)": ("long.mcap", write_bag),
+    "flight bundle (CSV)": ("long", write_bundle),
 }
 """By format: the file's name, and what writes it."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from drivers.mavlink.codec import MavlinkCodec
 from drivers.mavlink.dialect import MESSAGES, mavlink
 from groundstation.flight.link.link_core import LinkCore, Options
-from groundstation.flight.link.pilot import IN_AIR, Phase
+from groundstation.flight.link.phase import IN_AIR, Phase
 from groundstation.flight.station import station_from_dict
 from groundstation.trajectory import Plan, plan_from_dict
 from groundstation.vehicle import load_vehicle

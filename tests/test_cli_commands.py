@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -23,14 +23,14 @@ def groundstation(*arguments: str, cwd=None) -> subprocess.CompletedProcess[str]
 
 
 def test_help_is_there_at_once():
-    times = []
-    for _ in range(3):
-        began = time.perf_counter()
-        done = groundstation("--help")
-        times.append(time.perf_counter() - began)
-        assert done.returncode == 0
+    """Processor time, which does not grow when others want the machine too."""
+    before = os.times()
+    done = groundstation("--help")
+    after = os.times()
+    assert done.returncode == 0
     assert all(name in done.stdout for name in COMMANDS)
-    assert min(times) < 1.5  # 0.1 s on an idle machine; the promise is 0.5 s
+    spent = after.children_user + after.children_system - before.children_user - before.children_system
+    assert spent < 1.5  # 0.1 s on an idle machine; the promise is 0.5 s
 
 
 HEAVY = ("numpy", "scipy", "pydantic", "numba", "casadi", "pandas", "duckdb", "plotly", "matplotlib")
@@ -96,13 +96,19 @@ BAD = {
 }
 
 
+PROGRESS = re.compile(r"[^:]+: \d+ s")
+"""What a command says of itself that has been quiet for a second and a half, as on a machine that others keep busy."""
+
+
 @pytest.mark.parametrize(("arguments", "names"), BAD.values(), ids=BAD.keys())
 def test_bad_arguments_are_status_2_one_sentence_and_nothing_written(tmp_path, arguments, names):
     done = groundstation(*arguments, "--json", cwd=tmp_path)
     assert done.returncode == 2, done.stderr
     document = json.loads(done.stdout)
     assert names in document["error"] and document["exit_status"] == 2
-    assert "Traceback" not in done.stderr and len(done.stderr.strip().splitlines()) == 1
+    assert "Traceback" not in done.stderr
+    told = [line for line in done.stderr.strip().splitlines() if not PROGRESS.fullmatch(line)]
+    assert len(told) == 1, done.stderr
     assert not list(tmp_path.iterdir())
 
 

@@ -50,6 +50,19 @@ def test_command_lines_are_imported_by_nobody(folder, never):
     assert not wrong
 
 
+def test_functions_stay_short():
+    lengths = {
+        f"{path.relative_to(ROOT)}: {node.name}": (node.end_lineno or node.lineno) - node.lineno + 1
+        for package in ("groundstation", "drivers", "sim")
+        for path in sorted((ROOT / package).rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    }
+    long = sorted((length, name) for name, length in lengths.items() if length > 40)
+    assert len(long) <= 0.01 * len(lengths), long
+    assert max(lengths.values()) <= 80, long[-1]
+
+
 def test_the_wheel_holds_three_packages_and_the_configs(tmp_path):
     command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path), "."]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)

@@ -10,7 +10,7 @@ from drivers.mavlink.exchange import Conversation
 from drivers.mavlink.ftp import Ftp, FtpError, checksum
 from drivers.mavlink.logs import Logs
 from groundstation.flight.link.link_core import LinkCore, Options
-from groundstation.flight.link.pilot import IN_AIR, Phase
+from groundstation.flight.link.phase import IN_AIR, Phase
 from groundstation.flight.station import station_from_dict
 from groundstation.trajectory import PlannedUntil
 from sim.mavlink.arducopter import ArduCopter

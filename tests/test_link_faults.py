@@ -11,7 +11,7 @@ import pytest
 from mavlink_vehicle import Rig, lossy, small_plan
 
 from drivers.samples import Event, Pose
-from groundstation.flight.link.pilot import Phase
+from groundstation.flight.link.phase import Phase
 
 BOTH = pytest.mark.parametrize("kind", ["px4", "arducopter"])
 MOCAP = {"indoors": False, "mocap": {"system": "natnet"}, "policy": {"placement": "world"}}

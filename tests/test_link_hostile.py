@@ -16,7 +16,7 @@ from drivers.mavlink.codec import MavlinkCodec
 from drivers.mavlink.dialect import MESSAGES, mavlink
 from drivers.mavlink.transports import UdpTransport
 from drivers.samples import Event
-from groundstation.flight.link.pilot import Phase
+from groundstation.flight.link.phase import Phase
 
 BOTH = pytest.mark.parametrize("kind", ["px4", "arducopter"])
 BAD = (math.inf, -math.inf, math.nan, 3e38, -3e38)

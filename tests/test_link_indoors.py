@@ -21,7 +21,8 @@ from drivers.samples import Event, Pose
 from groundstation.errors import BadInput
 from groundstation.flight.link.link_core import LinkCore, Options
 from groundstation.flight.link.markers import Markers
-from groundstation.flight.link.pilot import IN_AIR, Phase, Pilot
+from groundstation.flight.link.phase import IN_AIR, Phase
+from groundstation.flight.link.pilot import Pilot
 from groundstation.flight.link.pose_latency import Latency, latency_sentence
 from groundstation.flight.link.preflight import failures
 from groundstation.flight.link.profiles import PROFILES

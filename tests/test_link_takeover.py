@@ -7,7 +7,7 @@ from mavlink_vehicle import Rig
 
 from drivers.mavlink.codec import MavlinkCodec
 from groundstation.flight.link.link_core import LinkCore, Options
-from groundstation.flight.link.pilot import Phase
+from groundstation.flight.link.phase import Phase
 
 BOTH = pytest.mark.parametrize("kind", ["px4", "arducopter"])
 

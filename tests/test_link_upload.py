@@ -9,7 +9,7 @@ from test_link_emulated import Pair
 
 from drivers.mavlink.ftp import Ftp
 from drivers.samples import Event
-from groundstation.flight.link.pilot import IN_AIR, Phase
+from groundstation.flight.link.phase import IN_AIR, Phase
 from groundstation.flight.link.placement import Placement, target_at
 from groundstation.flight.link.profiles import PROFILES
 from groundstation.flight.link.upload import SCRIPT, coefficients_text

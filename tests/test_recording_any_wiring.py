@@ -105,7 +105,9 @@ def write_bag(path, made, rng):
         return message
 
     def speeds(row):
-        return lambda s, time: s.types["actuator_msgs/msg/Actuators"](rosbag.header(s, time), row)
+        return lambda s, time: s.types["actuator_msgs/msg/Actuators"](
+            rosbag.header(s, time), rosbag.NONE, row, rosbag.NONE
+        )
 
     rows = zip(made.imu.t_s, made.imu.values, strict=True)
     turned = zip(made.motors.t_s, made.motors.values, strict=True)

@@ -108,7 +108,7 @@ HEADERS = {
 }
 
 
-def flown(tmp_path, u, headers=None, scale=lambda u: 48.0 + 1999.0 * u, **options):
+def flown(tmp_path, u, headers=None, scale=lambda u: 48.0 + 1999.0 * u, names=None, **options):
     """A log of commands u at 1 kHz, written as I frames every 32 and differences between."""
     table = np.zeros((len(u), len(NAMES)), np.int64)
     table[:, 0], table[:, 1] = np.arange(len(u)), 70_000_000 + 1000 * np.arange(len(u))
@@ -122,7 +122,7 @@ def flown(tmp_path, u, headers=None, scale=lambda u: 48.0 + 1999.0 * u, **option
         for k, row in enumerate(table)
     ]
     path = tmp_path / "LOG00001.BFL"
-    path.write_bytes(log(frames, NAMES, headers={**HEADERS, **(headers or {})}, **options))
+    path.write_bytes(log(frames, names or NAMES, headers={**HEADERS, **(headers or {})}, **options))
     return path
 
 
@@ -154,6 +154,42 @@ def test_pulses_are_a_share_of_what_the_esc_was_taught(tmp_path, protocol):
     headers = {"motor_pwm_protocol": protocol, "maxthrottle": "1900", "motorOutput": "1070,1900"}
     recording = read_recording(flown(tmp_path, u, headers, lambda u: 1000.0 + 900.0 * u), QUAD)
     assert np.allclose(recording.streams["motors"].values, u, atol=0.5 / 900.0)
+
+
+@pytest.mark.parametrize("protocol", ["0", "4", "5", "6"])
+def test_inav_logs_pulses_whatever_its_protocol_and_the_gyro_before_its_filters(tmp_path, protocol):
+    """As a log of INAV 8 has them: motorOutput 1050,2000 and gyroRaw in degrees/s."""
+    _, u = truth()
+    headers = {"Firmware revision": "INAV 8.0.0 (67ba0919)", "motor_pwm_protocol": protocol, "motorOutput": "1050,2000"}
+    names = [name.replace("eRPM", "gyroRaw") if name != "eRPM[3]" else "rssi" for name in NAMES]
+    recording = read_recording(flown(tmp_path, u, headers, lambda u: 1000.0 + 1000.0 * u, names=names), QUAD)
+    assert np.allclose(recording.streams["motors"].values, u, atol=0.5 / 1000.0)
+    assert np.allclose(recording.streams["imu"].values[:, 0], np.radians(np.round(u * 2000.0)[:, 0]))
+    assert "imu: gyroRaw and accSmooth." in recording.notes
+
+
+@pytest.mark.parametrize(
+    ("revision", "volts"),
+    [("Betaflight 4.5.0", 15.8), ("INAV 8.0.0", 15.8), ("Betaflight 3.4.0", 158.0), ("Cleanflight 2.5.0", 158.0)],
+)
+def test_the_batterys_unit_goes_by_firmware_and_version(tmp_path, revision, volts):
+    found = read_recording(flown(tmp_path, truth()[1], {"Firmware revision": revision}), QUAD).streams["battery"]
+    assert found.values[0, 0] == pytest.approx(volts)
+
+
+def test_a_battery_of_a_firmware_whose_unit_is_not_known_is_left_out(tmp_path):
+    recording = read_recording(flown(tmp_path, truth()[1], {"Firmware revision": "Betaflight 3.0.1"}), QUAD)
+    assert "battery" not in recording.streams
+    assert any("the unit of vbatLatest is not known" in note for note in recording.notes)
+
+
+def test_a_planes_log_is_told_from_a_multicopters(tmp_path):
+    names = [
+        name.replace("motor[1]", "servo[0]").replace("motor[2]", "servo[1]").replace("motor[3]", "servo[2]")
+        for name in NAMES
+    ]
+    with pytest.raises(BadInput, match="is not the log of a multicopter: it has 1 motor and 3 servos"):
+        read_recording(flown(tmp_path, truth()[1], names=names), QUAD)
 
 
 @pytest.mark.parametrize("shuffled", [[0, 1, 2, 3], [3, 1, 0, 2], [2, 3, 1, 0]])

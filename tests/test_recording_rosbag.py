@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 import tempfile
 
 import numpy as np
@@ -22,27 +23,29 @@ rosbags = pytest.importorskip("rosbags")
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer  # noqa: E402
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: E402
 
-ACTUATORS = "std_msgs/Header header\nfloat64[] velocity\n"
+ACTUATORS = "std_msgs/Header header\nfloat64[] position\nfloat64[] velocity\nfloat64[] normalized\n"
 PX4_MOTORS = "uint64 timestamp\nuint64 timestamp_sample\nfloat32[12] control\n"
 PX4_IMU = "uint64 timestamp\nfloat32[3] gyro_rad\nuint32 gyro_integral_dt\nfloat32[3] accelerometer_m_s2\n"
 QUAD = like(ARDUPILOT[1, 1], "rotor_speed")
 EULER = (0.1, -0.2, 0.7)
+NONE = np.empty(0)
 
 
-def types():
+def types(more=None):
     store = get_typestore(Stores.ROS2_HUMBLE)
     for name, text in (
         ("actuator_msgs/msg/Actuators", ACTUATORS),
         ("px4_msgs/msg/ActuatorMotors", PX4_MOTORS),
         ("px4_msgs/msg/SensorCombined", PX4_IMU),
+        *(more or {}).items(),
     ):
         store.register(get_types_from_msg(text, name))
     return store
 
 
-def bag(folder, plugin, topics, mode=None):
+def bag(folder, plugin, topics, mode=None, more=None):
     """A bag of topics: name to (type, [(time, fields)]); its files or messages compressed where a mode says so."""
-    store = types()
+    store = types(more)
     writer = Writer(folder, version=9, storage_plugin=plugin)
     if mode is not None:
         writer.set_compression(mode, CompressionFormat.ZSTD)
@@ -89,7 +92,7 @@ def standard():
         )
 
     def motors(row):
-        return lambda s, time: s.types["actuator_msgs/msg/Actuators"](header(s, time), row)
+        return lambda s, time: s.types["actuator_msgs/msg/Actuators"](header(s, time), NONE, row, NONE)
 
     speeds = 300.0 + 400.0 * u
     return speeds, {
@@ -223,3 +226,114 @@ def test_a_bag_that_takes_for_ever_is_refused(tmp_path, monkeypatch):
     folder = bag(tmp_path / "bag", StoragePlugin.MCAP, standard()[1], CompressionMode.MESSAGE)
     with pytest.raises(BadInput, match="could not be read within 0 s"):
         read_recording(folder, QUAD)
+
+
+def test_a_recording_that_was_not_ended_and_an_export_without_a_profile_are_read(tmp_path):
+    """As a crash leaves it, and as Foxglove writes it; the library takes neither."""
+    speeds, topics = standard()
+    bag(tmp_path / "bag", StoragePlugin.MCAP, topics)
+    (file,) = (tmp_path / "bag").glob("*.mcap")
+    data = file.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: data.rindex(b"\x0f", 0, len(data) - 100)])
+    recording = read_recording(tmp_path / "cut.mcap", QUAD)
+    assert np.allclose(recording.streams["motors"].values, speeds[: len(recording.streams["motors"])])
+    assert "cut.mcap: the recording was not ended; it was read up to its last whole piece." in recording.notes
+    (tmp_path / "export.mcap").write_bytes(data.replace(b"\x04\x00\x00\x00ros2", b"\x04\x00\x00\x00else", 1))
+    assert np.allclose(read_recording(tmp_path / "export.mcap", QUAD).streams["motors"].values, speeds)
+
+
+def test_the_files_of_a_bag_without_their_metadata(tmp_path):
+    """One is read; several are asked to be joined."""
+    speeds, topics = standard()
+    folder = bag(tmp_path / "bag", StoragePlugin.SQLITE3, topics)
+    (folder / "metadata.yaml").unlink()
+    assert np.allclose(read_recording(folder, QUAD).streams["motors"].values, speeds)
+    (file,) = folder.glob("*.db3")
+    (folder / "bag_1.db3").write_bytes(file.read_bytes())
+    with pytest.raises(BadInput, match=r"holds 2 files of a ROS 2 bag, and no metadata\.yaml that joins them"):
+        read_recording(folder, QUAD)
+
+
+def test_a_split_bag_is_one_flight(tmp_path):
+    speeds, topics = standard()
+    half = {name: (kind, rows[: len(rows) // 2]) for name, (kind, rows) in topics.items()}
+    rest = {name: (kind, rows[len(rows) // 2 :]) for name, (kind, rows) in topics.items()}
+    folder, second = bag(tmp_path / "bag", StoragePlugin.MCAP, half), bag(tmp_path / "second", StoragePlugin.MCAP, rest)
+    (one,), (other,) = folder.glob("*.mcap"), second.glob("*.mcap")
+    (folder / other.name).write_bytes(other.read_bytes())
+    text = (folder / "metadata.yaml").read_text()
+    (folder / "metadata.yaml").write_text(text.replace(f"- {one.name}", f"- {one.name}\n  - {other.name}", 1))
+    streams = read_recording(folder, QUAD).streams
+    assert np.allclose(streams["motors"].values, speeds)
+    assert np.all(np.diff(streams["imu"].t_s) > 0.0)
+
+
+def test_a_path_gives_its_poses_and_actuators_their_commands(tmp_path):
+    t, u = truth()
+    _, topics = standard()
+    place = topics["/vrpn/qball2/pose"][1][0][1]
+
+    def path(s, time):
+        return s.types["nav_msgs/msg/Path"](header(s, time), [place(s, x) for x in t if x <= time])
+
+    def motors(row):
+        return lambda s, time: s.types["actuator_msgs/msg/Actuators"](header(s, time), np.empty(0), np.empty(0), row)
+
+    topics = {
+        "/imu/data": topics["/imu/data"],
+        "/path": ("nav_msgs/msg/Path", [(x, path) for x in t[:: len(t) // 4]]),
+        "/motors": ("actuator_msgs/msg/Actuators", [(x, motors(row)) for x, row in zip(t, u, strict=True)]),
+    }
+    recording = read_recording(bag(tmp_path / "bag", StoragePlugin.MCAP, topics), like(ARDUPILOT[1, 1]))
+    assert np.allclose(recording.streams["motors"].values, u)
+    assert np.allclose(recording.streams["mocap"].values[0], [1.0, 2.0, 3.0, *quat_from_euler(*EULER)])
+    assert "mocap: the poses in the last message of topic /path." in recording.notes
+
+
+def test_topics_of_px4_go_by_their_own_names_and_vehicles_by_theirs(tmp_path):
+    """VehicleOdometry is the type of three topics; a swarm has each of them several times."""
+    t, u = truth()
+    odometry = "uint64 timestamp\nuint64 timestamp_sample\nfloat32[3] position\nfloat32[4] q\n"
+
+    def pose(x):
+        return lambda s, time: s.types["px4_msgs/msg/VehicleOdometry"](
+            round(time * 1e6), round(time * 1e6), np.array([x, 0.0, 0.0], "f4"), np.array([1.0, 0.0, 0.0, 0.0], "f4")
+        )
+
+    def motors(row):
+        return lambda s, time: s.types["px4_msgs/msg/ActuatorMotors"](
+            round(time * 1e6), round(time * 1e6), np.array([*row, *[np.nan] * 8], "f4")
+        )
+
+    def of(prefix, x):
+        return {
+            f"{prefix}/fmu/out/vehicle_odometry": ("px4_msgs/msg/VehicleOdometry", [(k, pose(99.0)) for k in t]),
+            f"{prefix}/fmu/in/vehicle_visual_odometry": ("px4_msgs/msg/VehicleOdometry", [(k, pose(x)) for k in t]),
+            f"{prefix}/fmu/out/actuator_motors_v1": (
+                "px4_msgs/msg/ActuatorMotors",
+                [(k, motors(row)) for k, row in zip(t, u, strict=True)],
+            ),
+        }
+
+    quad, more = like(ARDUPILOT[1, 1]), {"px4_msgs/msg/VehicleOdometry": odometry}
+    one = bag(tmp_path / "one", StoragePlugin.MCAP, of("", 1.0), more=more)
+    recording = read_recording(one, quad)
+    assert np.allclose(recording.streams["mocap"].values[:, 0], 1.0)
+    assert np.allclose(recording.streams["motors"].values, u, atol=1e-6)
+    swarm = bag(tmp_path / "swarm", StoragePlugin.MCAP, of("/x1", 1.0) | of(f"/{quad.name}", 2.0), more=more)
+    assert np.allclose(read_recording(swarm, quad).streams["mocap"].values[:, 0], 2.0)
+
+
+def test_a_bag_without_definitions_of_its_types_says_so(tmp_path):
+    """sqlite before ROS 2 Iron."""
+    _, topics = standard()
+    extra = {"my_msgs/msg/Actuators": "std_msgs/Header header\nfloat64[] velocity\n"}
+    rows = [(x, lambda s, time: s.types["my_msgs/msg/Actuators"](header(s, time), np.zeros(4))) for x in (1.0, 2.0)]
+    folder = bag(
+        tmp_path / "bag", StoragePlugin.SQLITE3, topics | {"/mine": ("my_msgs/msg/Actuators", rows)}, more=extra
+    )
+    (file,) = folder.glob("*.db3")
+    with sqlite3.connect(file) as base:
+        base.execute("delete from message_definitions")
+    with pytest.raises(BadInput, match="does not say what my_msgs/msg/Actuators is"):
+        read_topic(file, "/mine")

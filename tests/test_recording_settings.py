@@ -89,6 +89,15 @@ def test_px4_oneshot_pulses_are_an_eighth_as_long(tmp_path):
     assert np.allclose(read_recording(tmp_path / "a.ulg", QUAD).streams["motors"].values, u, atol=1e-6)
 
 
+def test_raw_commands_of_uavcan_before_it_had_limits(tmp_path):
+    """As flight_review's motor_failure.ulg has them: 0 to 8191 on instance 1, nothing on 0, and no UAVCAN_EC_MAXn."""
+    settings = {"UAVCAN_ENABLE": 3.0, "SYS_AUTOSTART": 4006.0}
+    log = Px4Log(functions=False, parameters=settings, raw_full=8191.0, instance=1, decoys=(0,))
+    read, u, recording = motors(tmp_path, log)
+    assert np.allclose(read.values, u, atol=1e-6)
+    assert any("raw commands of UAVCAN, from 0 to 8191" in note for note in recording.notes)
+
+
 def test_px4_outputs_without_a_scale_are_refused_with_what_was_tested(tmp_path):
     with pytest.raises(BadInput, match=r"none fits.*instance 0 as PWM_MAIN.*no limits \(PWM_MAIN_MINn"):
         motors(tmp_path, Px4Log())

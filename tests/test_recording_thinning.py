@@ -12,7 +12,7 @@ from groundstation.commands.common import ProgressLine
 from groundstation.errors import BadInput
 from groundstation.flightdata import IMU_COLUMNS, Stream, motor_columns
 from groundstation.paths import find_config
-from groundstation.recording import load, load_flight, read_recording, write_bundle
+from groundstation.recording import bundle, load, load_flight, read_recording, write_bundle
 from groundstation.recording.thinning import KEPT_S, LONG_S, informative_stretch
 from groundstation.vehicle import load_vehicle, vehicle_from_dict, vehicle_to_dict
 from studies import log_memory, long_logs
@@ -99,6 +99,7 @@ def test_a_large_log_is_read_in_two_passes_and_gives_what_one_would(tmp_path, mo
     part = load_flight(tmp_path / file, vehicle=vehicle, start_s=100.0, end_s=130.0)
     read = []
     monkeypatch.setattr(load, "LARGE_BYTES", 0)
+    monkeypatch.setattr(bundle, "_LARGE_BYTES", 0)
     monkeypatch.setattr(load, "read_recording", lambda *given: read.append(read_recording(*given)) or read[-1])
     twice = load_flight(tmp_path / file, vehicle=vehicle)
     assert [len(recording.streams["motors"]) < 200.0 * 25.0 for recording in read] == [False, True]

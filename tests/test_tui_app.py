@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from textual.app import App
+from textual.events import Event, Key
 from textual.pilot import Pilot
 from textual.widgets import DataTable, Input, Static
 
@@ -29,6 +31,7 @@ from groundstation.paths import find_config
 from groundstation.trajectory import Plan, load_plan
 from groundstation.tui.app import GroundStation
 from groundstation.tui.screens.base import StationScreen
+from groundstation.tui.screens.flights import Flights
 from groundstation.tui.screens.plan import Planner
 from groundstation.tui.setup import Setup
 from groundstation.tui.watch import CoreWatch
@@ -370,10 +373,30 @@ async def test_nothing_in_the_logs_and_a_core_that_does_not_exist_are_sentences(
     async with app.run_test(size=(80, 24)) as pilot:
         await pilot.press("6")
         await until(pilot, lambda: "no flights in" in text_of(app, "#flights-text"))
+        assert app.focused is None, "the screens' digits are not the filter's"
         await pilot.press("4", "5", "ctrl+g", "ctrl+o", "l", "question_mark", "escape")
         assert isinstance(app.screen, StationScreen)
         app.follow(CoreWatch(Access(bus.loopback(bus.free_port())), tmp_path / "gone"))
         await until(pilot, lambda: "no core answers" in text_of(app, "#flight-line"))
+
+
+async def test_keys_on_a_screen_that_opens_and_on_one_that_closes_do_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[Event] = []
+
+    async def take(_: App[int], event: Event) -> None:
+        taken.append(event)
+
+    monkeypatch.setattr(App, "on_event", take)
+    Flights().action_scroll_body(1)  # it has no body yet
+    app, key = station(tmp_path), Key("6", "6")
+    await app.on_event(key)
+    assert taken == [key]
+    monkeypatch.setattr(app, "exit", lambda status: None)
+    app.action_leave()
+    await app.on_event(key)
+    assert taken == [key], "what is typed while it closes is the shell's"
 
 
 async def test_a_flight_under_way_is_found(core: ScriptedCore, tmp_path: Path) -> None:

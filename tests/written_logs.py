@@ -26,8 +26,9 @@ def truth(rotors: int = 4, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 class Px4Log:
     """What a PX4 log says of the motors.
 
-    ``limits`` gives per channel (low, high); ``changes`` are (time, name, value) of parameters; ``scaled`` writes with
-    the limits in force at each time; ``decoys`` are instances of actuator_outputs that drive something else.
+    ``limits`` gives per channel (low, high); ``changes`` are (time, name, value) of parameters, limits in force at each
+    time; ``raw_full`` writes shares of a full scale; ``decoys`` are instances of actuator_outputs that drive something
+    else.
     """
 
     channels: tuple[int, ...] = (1, 2, 3, 4)
@@ -40,6 +41,7 @@ class Px4Log:
     decoys: tuple[int, ...] = ()
     topic: str = "actuator_outputs"
     dshot: bool = False
+    raw_full: float = 0.0
     esc_places: tuple[int, ...] | None = None
     esc_functions: bool = True
 
@@ -80,7 +82,9 @@ class Px4Log:
                 continue
             out = np.zeros(16)
             for motor, channel in enumerate(self.channels):
-                if self.dshot:
+                if self.raw_full:
+                    out[channel - 1] = self.raw_full * u[k, motor]
+                elif self.dshot:
                     low = math.floor(self.parameters.get("DSHOT_MIN", 0.055) * 1999.0)
                     out[channel - 1] = 0.0 if u[k, motor] == 0.0 else low + u[k, motor] * (1999.0 - low)
                 else:

@@ -12,7 +12,6 @@ from typing import Literal
 
 from drivers.mocap.connection import Connection, Tcp, Udp, Zenoh
 from drivers.mocap.natnet import COMMAND_PORT, NatNet
-from drivers.mocap.odometry import Odometry
 from drivers.mocap.qtm import PORT as QTM_PORT
 from drivers.mocap.qtm import Qtm
 from drivers.mocap.readings import Exchange, Frame, Reader, RoundTrip
@@ -57,6 +56,13 @@ class System:
     delay: Delay = Delay(0.0, 0.0)
 
 
+def _odometry() -> Reader:
+    """Loaded where it is read: MAVLink's messages take a third of a second."""
+    from drivers.mocap.odometry import Odometry
+
+    return Odometry()
+
+
 _UNTOLD = Delay(UNTOLD_DELAY_S, UNTOLD_DELAY_ERROR_S)
 SYSTEMS: dict[str, System] = {
     "natnet": System("OptiTrack (NatNet)", "udp", COMMAND_PORT, NatNet),
@@ -65,7 +71,7 @@ SYSTEMS: dict[str, System] = {
     "vrpn": System("VRPN", "tcp", VRPN_PORT, Vrpn, _UNTOLD),
     "zenoh": System("zenoh", "zenoh", 7447, ZenohReader),
     "ros2": System("ROS 2 (through a zenoh bridge)", "zenoh", 7447, Ros2, _UNTOLD),
-    "mavlink": System("MAVLink poses", "udp", 14550, Odometry),
+    "mavlink": System("MAVLink poses", "udp", 14550, _odometry),
 }
 
 

@@ -17,7 +17,7 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from groundstation.analysis.documents import finite, refusal, write_json
 from groundstation.diagnosis.published import published
@@ -25,9 +25,13 @@ from groundstation.diagnosis.results import Diagnosis
 from groundstation.errors import GroundStationError, NotIdentifiable, Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification
+from groundstation.json_types import JsonObject
 from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
 from groundstation.priority import set_nice
 from groundstation.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from groundstation.identification.work import Work
 
 AUGMENTED = "with findings"
 """The parameter set of the augmented model among the validations."""
@@ -74,7 +78,7 @@ def preliminary(flight: FlightData) -> Table:
     return _rows(first_estimate(flight), {name: declared.get(name, 0.0) for name in NAMES}, NAMES)
 
 
-def evolution(flight: FlightData) -> dict[str, Any]:
+def evolution(flight: FlightData) -> JsonObject:
     """How the live estimates moved during a flight, with their 95 % intervals; views draw it."""
     from groundstation.identification.recursive import SHOWN, replay
 
@@ -110,20 +114,26 @@ def analyse(
         BadInput: a flight is malformed.
     """
     from groundstation.identification.pipeline import identify
+    from groundstation.identification.work import Work
     from groundstation.reporting.report import write_report
 
     folder.mkdir(parents=True, exist_ok=True)
+    work = Work()
     try:
         identifying = AnalysisOptions(exclude=options.exclude)
         identification = identify(
-            flights, identifying, predictive=True, progress=lambda f, text: progress(0.05 + 0.5 * f, text)
+            flights,
+            identifying,
+            predictive=True,
+            progress=lambda f, text: progress(0.05 + 0.5 * f, text),
+            work=work,
         )
     except Refused as error:
         write_report(folder / "report.html", flights[0], error, source=source)
         raise
     write_identification(folder, identification, flights[0].vehicle)
     write_json(folder / "evolution.json", evolution(flights[0]))
-    diagnosis = _diagnose(flights, options, lambda f, text: progress(0.55 + 0.35 * f, text))
+    diagnosis = _diagnose(flights, options, lambda f, text: progress(0.55 + 0.35 * f, text), work)
     diagnosis = published(diagnosis, identification.not_identifiable)
     diagnosis, plan = with_next_flight(folder, diagnosis, flights[0].vehicle)
     identification = with_augmented_loop(flights[0], identification, diagnosis, options)
@@ -137,12 +147,12 @@ def analyse(
     return Analysis(identification, diagnosis, files)
 
 
-def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress: Progress) -> Diagnosis:
+def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress: Progress, work: Work) -> Diagnosis:
     from groundstation.diagnosis import diagnose
 
     first = flights[0]
     try:
-        return diagnose(flights, options, progress=progress)
+        return diagnose(flights, options, progress=progress, work=work)
     except Refused as error:
         return Diagnosis(first.name, first.vehicle.name, "refused", reason=str(error))
     except Exception as error:
@@ -200,7 +210,7 @@ def with_next_flight(folder: Path, diagnosis: Diagnosis, vehicle: Vehicle) -> tu
     return replace(diagnosis, next_flight=text), path
 
 
-def identification_document(identification: Identification, diagnosis: Diagnosis | None = None) -> dict[str, Any]:
+def identification_document(identification: Identification, diagnosis: Diagnosis | None = None) -> JsonObject:
     """The document of an identification with the one estimate that every place shows, as ``estimate``."""
     from groundstation.reporting.canonical import canonical
 

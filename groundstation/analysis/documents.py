@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.errors import Refused
+from groundstation.json_types import Document, JsonObject
 from groundstation.writing import write_whole
 
 
-def write_json(path: Path, document: Mapping[str, Any]) -> Path:
+def write_json(path: Path, document: Document) -> Path:
     """A JSON file a person can read. Numbers that are not finite become null, as JSON has none."""
     return write_whole(path, json.dumps(finite(document), indent=1, ensure_ascii=False) + "\n")
 
@@ -30,7 +31,7 @@ def finite(value: Any) -> Any:
     return value
 
 
-def refusal(error: Refused) -> dict[str, Any]:
+def refusal(error: Refused) -> JsonObject:
     """The JSON document of a refusal."""
     return {
         "schema": "groundstation.refusal/1",

@@ -255,6 +255,7 @@ def take_in(campaign: Campaign, folder: Path, why: str, *, say: Say = lambda tex
     from groundstation.analysis.documents import write_json
     from groundstation.diagnosis import diagnose
     from groundstation.identification.pipeline import identify
+    from groundstation.identification.work import Work
     from groundstation.recording import load_flight
     from groundstation.reporting.exports import model_document, write_model
 
@@ -264,8 +265,9 @@ def take_in(campaign: Campaign, folder: Path, why: str, *, say: Say = lambda tex
     flights = [*(load_flight(Path(r.folder), vehicle=campaign.vehicle) for r in campaign.rounds), flight]
     say(f"flight {number}: identifying and diagnosing {number} flight{'s' if number > 1 else ''} together")
     try:
-        found = identify(flights)
-        diagnosis = diagnose(flights)
+        work = Work()
+        found = identify(flights, work=work)
+        diagnosis = diagnose(flights, work=work)
     except Refused as error:
         return _next(campaign, Round(str(folder), why, _seconds(flight), judged, not_settled=(str(error),)))
     model = model_document(found, campaign.vehicle, diagnosis)

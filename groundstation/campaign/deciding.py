@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from groundstation.errors import BadInput, GroundStationError
+from groundstation.json_types import Document
 from groundstation.planning import paper_plan, plan_excitation
 from groundstation.planning.information import DEFAULT_NOISE, Noise, predicted_std
 from groundstation.reporting.units import label
@@ -40,8 +41,8 @@ def first_plan(vehicle: Vehicle, *, seed: int, time_budget_s: float, **limits: f
 
 def next_plan(
     vehicle: Vehicle,
-    diagnosis: Mapping[str, Any],
-    estimates: Mapping[str, Any],
+    diagnosis: Document,
+    estimates: Document,
     reached: Mapping[str, float],
     *,
     seed: int,
@@ -87,9 +88,7 @@ def next_plan(
     return Decision(plan, why + beside)
 
 
-def flights_needed(
-    vehicle: Vehicle, estimates: Mapping[str, Any], targets: Mapping[str, float], plan: Plan
-) -> dict[str, float]:
+def flights_needed(vehicle: Vehicle, estimates: Document, targets: Mapping[str, float], plan: Plan) -> dict[str, float]:
     """Flights of a plan that each target would still take, by the plan's predicted information; 0 where it is met.
 
     Variances add as information: with present variance v, the plan's own p and the target g, n solves
@@ -110,7 +109,7 @@ def flights_needed(
 
 
 def paper_seconds(
-    vehicle: Vehicle, estimates: Mapping[str, Any], plans: Sequence[Plan], names: Sequence[str]
+    vehicle: Vehicle, estimates: Document, plans: Sequence[Plan], names: Sequence[str]
 ) -> dict[str, float]:
     """Seconds of the paper's trajectory, repeated, that tell each parameter as well as flown plans do, by predicted
     information.
@@ -129,7 +128,7 @@ def paper_seconds(
     return out
 
 
-def as_estimated(vehicle: Vehicle, estimates: Mapping[str, Any]) -> Vehicle:
+def as_estimated(vehicle: Vehicle, estimates: Document) -> Vehicle:
     """The vehicle with mass and inertia as they are known now; as declared where they are unknown or of no rigid
     body.
     """

@@ -4,14 +4,12 @@ effects.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from groundstation.diagnosis.effect import library, wrench_of
 from groundstation.flightdata import FlightData
 from groundstation.identification.starts import flight_states
+from groundstation.json_types import Document, JsonObject
 from groundstation.model.prediction import predict
 from groundstation.model.vehicle_model import model_from_document
 from groundstation.vehicle import vehicle_from_dict
@@ -26,7 +24,7 @@ yet.
 Errors = dict[str, float]
 
 
-def prediction_errors(document: Mapping[str, Any], flight: FlightData) -> Errors:
+def prediction_errors(document: Document, flight: FlightData) -> Errors:
     """RMS error after :data:`HORIZON_S`, by quantity, of a model document on a flight."""
     declared = vehicle_from_dict(document["vehicle"], "the campaign's model")
     effects = document.get("effects", {})
@@ -35,7 +33,7 @@ def prediction_errors(document: Mapping[str, Any], flight: FlightData) -> Errors
     return {name: float(entry["rms"]) for name, entry in found.to_dict()["error"]["model"][f"{HORIZON_S:g}"].items()}
 
 
-def without_effects(document: Mapping[str, Any], parameters: Mapping[str, Any]) -> dict[str, Any]:
+def without_effects(document: Document, parameters: Document) -> JsonObject:
     """The same model as it was before the effects: mass and tensor estimated without them."""
     rigid = {name: {"value": e["value"], "std": e["std"]} for name, e in parameters.items()}
     return {**document, "effects": {}, "parameters": {**document["parameters"], **rigid}}

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from groundstation.campaign.campaign import Campaign, Round
 from groundstation.campaign.deciding import paper_seconds
 from groundstation.campaign.pooling import level_of
 from groundstation.errors import BadInput
 from groundstation.identification.results import Estimate
+from groundstation.json_types import JsonObject
 from groundstation.reporting.markup import Child, Markup, definition_list, element, fragment, sentence_list, table
 from groundstation.reporting.page import Page
 from groundstation.reporting.units import fixed, label, quantity, scale_for, significant, split_unit
@@ -75,8 +75,7 @@ def write_campaign_report(path: Path, campaign: Campaign) -> Path:
             element(
                 "p",
                 "RMS error half a second ahead on each flight, before that flight was used: by the declared vehicle, "
-                "by the rigid body "
-                "estimated from the flights before, and by the same with the effects found in them.",
+                "by the rigid body estimated from the flights before, and by the same with the effects found in them.",
             ),
             table("Before and after the effects", _error_header(), _error_rows(judged)),
             page.figure(_error_figure(judged), "Error of the body rate on each unseen flight, half a second ahead"),
@@ -123,9 +122,8 @@ def _levels_section(page: Page, campaign: Campaign) -> None:
         element(
             "p",
             "What another flight is expected to have, and each flight by itself, with 95 % intervals; beside them the "
-            "scatter between days "
-            "and between flights that no interval covers. Mass and tensor here leave out the error of the thrust "
-            "constant, which all flights share.",
+            "scatter between days and between flights that no interval covers. Mass and tensor here leave out the "
+            "error of the thrust constant, which all flights share.",
         ),
         table(
             "Each parameter by level",
@@ -177,8 +175,7 @@ def _cost_section(page: Page, campaign: Campaign) -> None:
         element(
             "p",
             "Seconds of excitation that were flown, and those that the paper's trajectory, repeated, would take to the "
-            "same accuracy, by the "
-            "information that both plans promise for the vehicle as it is estimated now.",
+            "same accuracy, by the information that both plans promise for the vehicle as it is estimated now.",
         ),
         table("Seconds of excitation", ("parameter", "campaign", "paper's trajectory repeated", "times"), rows),
     )
@@ -213,7 +210,7 @@ def _error_rows(judged: Sequence[tuple[int, Round]]) -> list[Sequence[Child]]:
     ]
 
 
-def _error_figure(judged: Sequence[tuple[int, Round]]) -> dict[str, Any]:
+def _error_figure(judged: Sequence[tuple[int, Round]]) -> JsonObject:
     x = [f"flight {n}" for n, _ in judged]
     data = [
         {
@@ -253,7 +250,7 @@ def _cell(name: str, entry: Mapping[str, float] | None) -> Child:
     return quantity(name, estimate) if scale_for(split_unit(name)[1], [entry["value"]]) else fixed(entry["value"], 4)
 
 
-def _interval_figure(campaign: Campaign) -> dict[str, Any]:
+def _interval_figure(campaign: Campaign) -> JsonObject:
     x = [f"flight {n}" for n in range(1, len(campaign.rounds) + 1)]
     data = [
         {

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -16,17 +17,62 @@ from groundstation.commands.common import (
     json_option,
     load_flights,
     logs_option,
+    packed,
     require_there,
     result_folder,
     seconds_pair,
 )
 from groundstation.errors import NotIdentifiable, Refused
+from groundstation.json_types import Document
+
+if TYPE_CHECKING:
+    from groundstation.diagnosis.results import Diagnosis
+    from groundstation.flightdata import FlightData
+    from groundstation.identification.results import Identification
 
 FLIGHT = click.Path(path_type=Path)
 
 
-def flight_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """What every command on recorded flights takes."""
+@dataclass(frozen=True, slots=True)
+class Given:
+    """Recorded flights as the command line names them, and what of them is used."""
+
+    flights: tuple[Path, ...]
+    vehicle: str | None
+    start_s: float | None
+    end_s: float | None
+    everything: bool
+    exclude: tuple[str, ...]
+    accepted: tuple[str, ...]
+    logs: Path
+    reference: tuple[Path, ...] = ()
+    held_out: tuple[Path, ...] = ()
+
+    def loaded(self) -> list[FlightData]:
+        """The flights, unless their data contradict a declaration that was not accepted."""
+        from groundstation.identification.declarations import go_on
+
+        found = load_flights(self.flights, self.vehicle, self.start_s, self.end_s, self.everything)
+        go_on(found, self.accepted)
+        return found
+
+    def excluded(self) -> tuple[tuple[float, float], ...]:
+        """Stretches to leave out, s."""
+        return tuple(seconds_pair(pair) for pair in self.exclude)
+
+    def beside(self) -> tuple[list[FlightData], list[FlightData]]:
+        """Healthy flights, and flights kept for judging."""
+        return load_flights(self.reference, self.vehicle), load_flights(self.held_out, self.vehicle)
+
+    def folder(self) -> Path:
+        """Where results go; made here."""
+        folder = result_folder(self.flights[0], self.logs)
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
+
+
+def flight_options(function: Callable[..., Result]) -> Callable[..., Result]:
+    """What every command on recorded flights takes; the function gets it as one :class:`Given`."""
     options = (
         click.argument("flights", nargs=-1, required=True, type=FLIGHT),
         click.option("--vehicle", default=None, help="Vehicle file or shipped name; overrides the recorded one."),
@@ -44,12 +90,22 @@ def flight_options(function: Callable[..., Any]) -> Callable[..., Any]:
         logs_option,
         json_option,
     )
+    decorated = packed(Given)(function)
     for option in reversed(options):
-        function = option(function)
-    return function
+        decorated = option(decorated)
+    return decorated
 
 
-def first_of_all(document: Mapping[str, Any]) -> list[str]:
+def beside_options(function: Callable[..., Result]) -> Callable[..., Result]:
+    """Flights that a diagnosis compares with."""
+    held_out = click.option("--held-out", multiple=True, type=FLIGHT, help="Flight kept for judging (repeatable).")
+    reference = click.option(
+        "--reference", multiple=True, type=FLIGHT, help="Healthy flight of the same vehicle (repeatable)."
+    )
+    return reference(held_out(function))
+
+
+def first_of_all(document: Document) -> list[str]:
     """What the declaration checks say, before every number."""
     checks = document["declarations"]
     loud = [text for text in document["warnings"] if text.startswith("declaration ")]
@@ -61,111 +117,90 @@ def first_of_all(document: Mapping[str, Any]) -> list[str]:
 
 @click.command(epilog=example("groundstation identify flight.mcap --exclude 12.0:13.5 --json"))
 @flight_options
-def identify(
-    flights: tuple[Path, ...],
-    vehicle: str | None,
-    start_s: float | None,
-    end_s: float | None,
-    everything: bool,
-    exclude: tuple[str, ...],
-    accepted: tuple[str, ...],
-    logs: Path,
-) -> Result:
+def identify(given: Given) -> Result:
     """Estimate mass, inertia and the rest from one flight, or from several together, with intervals.
 
     FLIGHTS are MCAP recordings, bundle folders, PX4 ULog, ArduPilot DataFlash, blackbox, ROS 2 bags or Crazyflie usd
     logs.
     """
-    left_out = tuple(seconds_pair(pair) for pair in exclude)
-    loaded = load_flights(flights, vehicle, start_s, end_s, everything)
-    from groundstation.identification.declarations import go_on
-
-    go_on(loaded, accepted)
+    exclude, loaded = given.excluded(), given.loaded()
     from groundstation import api
     from groundstation.analysis.analyse import identification_document, write_identification
-    from groundstation.flight.client.rehearse import result_table
 
     line = ProgressLine()
     with line.ticking("identifying"):
-        found = api.identify(loaded, exclude=left_out, progress=line.fraction)
-    folder = result_folder(flights[0], logs)
-    folder.mkdir(parents=True, exist_ok=True)
-    files = write_identification(folder, found, loaded[0].vehicle)
+        found = api.identify(loaded, exclude=exclude, progress=line.fraction)
+    files = write_identification(given.folder(), found, loaded[0].vehicle)
     document = identification_document(found)
-    truth = loaded[0].truth.parameters() if loaded[0].truth is not None else {}
-    lines = [
-        *first_of_all(document),
-        *([f"prediction: {found.prediction['summary']}"] if found.prediction else []),
-        *dict.fromkeys(found.quality),
-        *(f"warning: {text}" for text in found.warnings if not text.startswith("declaration ")),
-        f"best: {found.best}" + (f" ({found.best_reason})" if found.best_reason else ""),
-        result_table(document, loaded[0].vehicle.parameters(), truth),
-        *(f"not revealed: {name}: {remedy}" for name, remedy in found.not_identifiable.items()),
-        *(f"written: {path}" for path in files.values()),
-    ]
+    lines = [*_identification_lines(found, document, loaded[0]), *(f"written: {path}" for path in files.values())]
     if not any(method.parameters for method in found.methods.values()):
         raise NotIdentifiable("these flights reveal none of the parameters.", "", tuple(found.not_identifiable))
     return Result(document, "\n".join(lines))
 
 
+def _identification_lines(found: Identification, document: Document, flight: FlightData) -> list[str]:
+    """What ``identify`` prints of its result."""
+    from groundstation.flight.client.rehearse import result_table
+
+    truth = flight.truth.parameters() if flight.truth is not None else {}
+    return [
+        *first_of_all(document),
+        *([f"prediction: {found.prediction['summary']}"] if found.prediction else []),
+        *dict.fromkeys(found.quality),
+        *(f"warning: {text}" for text in found.warnings if not text.startswith("declaration ")),
+        f"best: {found.best}" + (f" ({found.best_reason})" if found.best_reason else ""),
+        result_table(document, flight.vehicle.parameters(), truth),
+        *(f"not revealed: {name}: {remedy}" for name, remedy in found.not_identifiable.items()),
+    ]
+
+
 @click.command(epilog=example("groundstation diagnose flight.mcap --reference healthy.mcap"))
 @flight_options
-@click.option("--reference", multiple=True, type=FLIGHT, help="Healthy flight of the same vehicle (repeatable).")
-@click.option("--held-out", multiple=True, type=FLIGHT, help="Flight kept for judging (repeatable).")
+@beside_options
 @click.option(
     "--model",
     type=FLIGHT,
     default=None,
     help="identification.toml of an earlier flight: what it holds is known, findings are what it lacks.",
 )
-def diagnose(
-    flights: tuple[Path, ...],
-    vehicle: str | None,
-    start_s: float | None,
-    end_s: float | None,
-    everything: bool,
-    exclude: tuple[str, ...],
-    accepted: tuple[str, ...],
-    logs: Path,
-    reference: tuple[Path, ...],
-    held_out: tuple[Path, ...],
-    model: Path | None,
-) -> Result:
+def diagnose(given: Given, model: Path | None) -> Result:
     """Find what the declared vehicle lacks: trace the residual to effects, with the error before and after."""
-    left_out = tuple(seconds_pair(pair) for pair in exclude)
-    loaded = load_flights(flights, vehicle, start_s, end_s, everything)
-    from groundstation.identification.declarations import go_on
-
-    go_on(loaded, accepted)
-    references, judges = load_flights(reference, vehicle), load_flights(held_out, vehicle)
+    exclude, loaded = given.excluded(), given.loaded()
+    references, judges = given.beside()
     from groundstation import api
     from groundstation.analysis.analyse import with_next_flight, write_identification
     from groundstation.analysis.documents import write_json
     from groundstation.diagnosis.published import published
     from groundstation.reporting.exports import read_model
-    from groundstation.reporting.units import readable
 
-    known = None if model is None else read_model(model, loaded[0].vehicle if vehicle is not None else None)
+    vehicle = loaded[0].vehicle
+    known = None if model is None else read_model(model, vehicle if given.vehicle is not None else None)
     line = ProgressLine()
+    base, refused, files = None, [], {}
     with line.ticking("diagnosing"):
         found = api.diagnose(
-            loaded, exclude=left_out, references=references, held_out=judges, model=known, progress=line.fraction
+            loaded, exclude=exclude, references=references, held_out=judges, model=known, progress=line.fraction
         )
         try:
-            base, refused = api.identify(loaded, exclude=left_out, progress=line.fraction), ""
+            base = api.identify(loaded, exclude=exclude, progress=line.fraction)
         except Refused as error:
-            base, refused = None, f"no model file: {error}"
-    folder = result_folder(flights[0], logs)
-    folder.mkdir(parents=True, exist_ok=True)
+            refused = [f"no model file: {error}"]
+    folder = given.folder()
     if base is not None:
         found = published(found, base.not_identifiable)
-        files = write_identification(folder, base, loaded[0].vehicle, found)
-    else:
-        files = {}
-    found, plan = with_next_flight(folder, found, loaded[0].vehicle)
-    written = write_json(folder / "diagnosis.json", found.to_dict())
+        files = write_identification(folder, base, vehicle, found)
+    found, plan = with_next_flight(folder, found, vehicle)
+    written = [write_json(folder / "diagnosis.json", found.to_dict()), *files.values(), *([plan] if plan else [])]
+    lines = [*_diagnosis_lines(found), *refused, *(f"written: {path}" for path in written)]
+    return Result(found.to_dict(), "\n".join(lines), Refused.exit_status if found.verdict == "refused" else 0)
+
+
+def _diagnosis_lines(found: Diagnosis) -> list[str]:
+    """What ``diagnose`` prints of its result."""
+    from groundstation.reporting.units import readable
+
     effects = {name for finding in found.findings for name in (finding.effect, *finding.alternatives)}
-    lines = [
+    return [
         *first_of_all(found.to_dict()),
         f"verdict: {found.verdict}" + (f" ({readable(found.reason)})" if found.reason else ""),
         *(f"{finding.effect} ({finding.confidence:.0%}): {finding.evidence}" for finding in found.findings),
@@ -178,12 +213,7 @@ def diagnose(
         ),
         *(f"warning: {text}" for text in found.warnings if not text.startswith("declaration ")),
         *([f"next flight: {readable(found.next_flight, effects)}"] if found.next_flight else []),
-        *([refused] if refused else []),
-        f"written: {written}",
-        *(f"written: {path}" for path in files.values()),
-        *([f"written: {plan}"] if plan is not None else []),
     ]
-    return Result(found.to_dict(), "\n".join(lines), Refused.exit_status if found.verdict == "refused" else 0)
 
 
 def _arguments(flights: tuple[Path, ...], options: Mapping[str, object], everything: bool) -> str:
@@ -195,59 +225,57 @@ def _arguments(flights: tuple[Path, ...], options: Mapping[str, object], everyth
 
 @click.command(epilog=example("groundstation report logs/2025-01-31T12-00-00-qball2/flight.mcap"))
 @flight_options
-@click.option("--reference", multiple=True, type=FLIGHT, help="Healthy flight of the same vehicle (repeatable).")
-@click.option("--held-out", multiple=True, type=FLIGHT, help="Flight kept for judging (repeatable).")
-def report(
-    flights: tuple[Path, ...],
-    vehicle: str | None,
-    start_s: float | None,
-    end_s: float | None,
-    everything: bool,
-    exclude: tuple[str, ...],
-    accepted: tuple[str, ...],
-    logs: Path,
-    reference: tuple[Path, ...],
-    held_out: tuple[Path, ...],
-) -> Result:
+@beside_options
+def report(given: Given) -> Result:
     """Identify and diagnose, and write the HTML report."""
-    left_out = tuple(seconds_pair(pair) for pair in exclude)
-    loaded = load_flights(flights, vehicle, start_s, end_s, everything)
-    from groundstation.identification.declarations import go_on
-
-    go_on(loaded, accepted)
+    exclude, loaded = given.excluded(), given.loaded()
+    references, judges = given.beside()
     from groundstation import api
     from groundstation.analysis.analyse import identification_document
     from groundstation.reporting.card import landing_card
 
     line = ProgressLine()
-    before, judges = load_flights(reference, vehicle), load_flights(held_out, vehicle)
+    named = {"--vehicle": given.vehicle, "--from": given.start_s, "--to": given.end_s}
     with line.ticking("analysing"):
         done = api.analyse(
             loaded,
-            result_folder(flights[0], logs),
-            exclude=left_out,
-            references=before,
+            result_folder(given.flights[0], given.logs),
+            exclude=exclude,
+            references=references,
             held_out=judges,
             progress=line.fraction,
-            source=_arguments(flights, {"--vehicle": vehicle, "--from": start_s, "--to": end_s}, everything),
+            source=_arguments(given.flights, named, given.everything),
         )
     files = {name: str(path) for name, path in done.files.items()}
     first = done.identification.to_dict()
-    document = {
-        "schema": "groundstation.report/1",
-        "flight": done.identification.flight,
-        "declarations": first["declarations"],
-        "files": files,
-    }
     card = landing_card(
         identification_document(done.identification, done.diagnosis),
         done.diagnosis.to_dict(),
         loaded[0].vehicle.parameters(),
         planned=done.files["next_flight"].name if "next_flight" in done.files else "",
     )
-    document["card"] = list(card)
+    document = {
+        "schema": "groundstation.report/1",
+        "flight": done.identification.flight,
+        "declarations": first["declarations"],
+        "files": files,
+        "card": list(card),
+    }
     lines = [*first_of_all(first), *(f"{name:<16} {path}" for name, path in files.items()), "", *card]
     return Result(document, "\n".join(lines))
+
+
+@dataclass(frozen=True, slots=True)
+class Ahead:
+    """What is predicted of a flight, from what, and with which part of the model."""
+
+    horizon: float
+    state: Literal["smoothed", "own"]
+    use: Literal["prediction", "physical"]
+    save: Path | None
+    vehicle: str | None
+    start_s: float | None
+    end_s: float | None
 
 
 @click.command(epilog=example("groundstation predict identification.toml other.mcap --horizon 0.5 --json"))
@@ -268,31 +296,28 @@ def report(
 @click.option("--from", "start_s", type=float, default=None, help="Use the flight from this time on, s.")
 @click.option("--to", "end_s", type=float, default=None, help="Use the flight up to this time, s.")
 @json_option
-def predict(
-    model: Path,
-    flight: Path,
-    horizon: float,
-    state: str,
-    use: str,
-    save: Path | None,
-    vehicle: str | None,
-    start_s: float | None,
-    end_s: float | None,
-) -> Result:
+@packed(Ahead)
+def predict(asked: Ahead, model: Path, flight: Path) -> Result:
     """Simulate open loop from every sample of FLIGHT with MODEL (identification.toml), and say how far off it is."""
     require_there(model)
-    loaded = load_flights((flight,), vehicle, start_s, end_s)[0]
+    loaded = load_flights((flight,), asked.vehicle, asked.start_s, asked.end_s)[0]
     from groundstation import api
     from groundstation.reporting.exports import read_model
 
     line = ProgressLine()
-    document = read_model(model, loaded.vehicle if vehicle is not None else None)
-    kind: Literal["prediction", "physical"] = "physical" if use == "physical" else "prediction"
-    found = api.predict(document, loaded, horizon_s=horizon, own_state=state == "own", use=kind, progress=line.fraction)
+    document = read_model(model, loaded.vehicle if asked.vehicle is not None else None)
+    found = api.predict(
+        document,
+        loaded,
+        horizon_s=asked.horizon,
+        own_state=asked.state == "own",
+        use=asked.use,
+        progress=line.fraction,
+    )
     line.end()
-    if save is not None:
+    if asked.save is not None:
         from groundstation.recording.csvfile import write_csv
 
         columns, rows = found.rows()
-        write_csv(save, columns, list(rows.T))
+        write_csv(asked.save, columns, list(rows.T))
     return Result(found.to_dict(), found.to_text())

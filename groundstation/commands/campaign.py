@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from groundstation.commands.common import ProgressLine, Result, example, json_option, logs_option
+from groundstation.commands.common import ProgressLine, Result, example, json_option, logs_option, packed
 from groundstation.errors import BadInput, Refused
 
 if TYPE_CHECKING:
@@ -16,6 +17,57 @@ if TYPE_CHECKING:
     from groundstation.flight.client.interrupts import Interrupts
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What the command line says of a campaign."""
+
+    vehicle: str | None
+    scenario: str | None
+    link: str | None
+    station: str
+    yes_simulated: bool
+    until: str
+    at_most: int
+    seed: int
+    given: tuple[Path, ...]
+    resume: Path | None
+    logs: Path
+
+    def begun(self, line: ProgressLine) -> Campaign:
+        """The campaign to go on with: a new one with the flights that are given, or the one to resume."""
+        from groundstation.campaign.campaign import begin, load_campaign, take_in
+
+        if self.resume is not None:
+            self._check_flown()
+            return load_campaign(self.resume)
+        if self.vehicle is None:
+            raise BadInput("name the vehicle with --vehicle, or a campaign that was begun with --resume.")
+        self._check_flown()
+        stand = begin(self.logs, self.vehicle, self.until, at_most=self.at_most, seed=self.seed)
+        for flight in self.given:
+            stand = take_in(stand, flight, "given", say=line.say).save()
+        return stand
+
+    def _check_flown(self) -> None:
+        """Refuse a campaign that could not fly before its folder is made.
+
+        Raises:
+            BadInput: nothing or two things fly, no such scenario ships, or nobody is at the terminal of a real vehicle.
+        """
+        from groundstation.paths import find_config
+
+        if (self.scenario is None) == (self.link is None):
+            raise BadInput(
+                "say what flies: --scenario NAME for the simulated drone, or --link ADDRESS for a vehicle on MAVLink."
+            )
+        if self.scenario is not None:
+            find_config("scenarios", self.scenario)
+        if self.link is not None and not self.yes_simulated and not sys.stdin.isatty():
+            raise BadInput(
+                "a real vehicle is armed only by somebody at a terminal; a simulated one with --yes-simulated."
+            )
 
 
 @click.command(epilog=example("groundstation campaign --vehicle x500 --scenario hall --until ixx,iyy,izz:2%,mass:0.5%"))
@@ -33,42 +85,23 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 @click.option("--resume", type=FOLDER, default=None, help="Go on with the campaign in this folder.")
 @logs_option
 @json_option
-def campaign(
-    vehicle: str | None,
-    scenario: str | None,
-    link: str | None,
-    station: str,
-    yes_simulated: bool,
-    until: str,
-    at_most: int,
-    seed: int,
-    given: tuple[Path, ...],
-    resume: Path | None,
-    logs: Path,
-) -> Result:
+@packed(Order)
+def campaign(order: Order) -> Result:
     """Fly, judge the model on the new flight, find what is missing, plan what settles it, until the targets are met.
 
     It ends when nothing is left open, the targets are met, and the model predicts a flight that no estimate has seen as
     well as its own; or it says what was not reached. Killed at any moment, --resume goes on.
     """
-    from groundstation.campaign.campaign import VEHICLE, autopilot_limits, begin, load_campaign, run, take_in
+    from groundstation.campaign.campaign import autopilot_limits, run
     from groundstation.campaign.report import lines, write_campaign_report
     from groundstation.flight.client.interrupts import Interrupts
 
     line = ProgressLine()
-    if resume is None and vehicle is None:
-        raise BadInput("name the vehicle with --vehicle, or a campaign that was begun with --resume.")
-    _check_flown(scenario, link, yes_simulated=yes_simulated)
-    if resume is not None:
-        stand = load_campaign(resume)
-    elif vehicle is not None:
-        stand = begin(logs, vehicle, until, at_most=at_most, seed=seed)
-        for flight in given:
-            stand = take_in(stand, flight, "given", say=line.say).save()
-    how = {"scenario": scenario, "link": link, "station": station, "yes_simulated": yes_simulated}
+    stand = order.begun(line)
     with Interrupts() as stop:
-        flyer = _Flyer(stand, stand.folder / VEHICLE, logs.resolve(), line, stop, **how)
-        stand = run(stand, flyer, say=line.say, **(autopilot_limits(stand.vehicle) if link is not None else {}))
+        flyer = _Flyer(stand, order, line, stop)
+        limits = autopilot_limits(stand.vehicle) if order.link is not None else {}
+        stand = run(stand, flyer, say=line.say, **limits)
     line.end()
     report = write_campaign_report(stand.folder / "report.html", stand)
     document = {
@@ -83,32 +116,14 @@ def campaign(
     return Result(document, text, 0 if stand.outcome == "settled" else Refused.exit_status)
 
 
-def _check_flown(scenario: str | None, link: str | None, *, yes_simulated: bool) -> None:
-    """Refuse a campaign that could not fly before its folder is made.
-
-    Raises:
-        BadInput: nothing or two things fly, no such scenario ships, or nobody is at the terminal of a real vehicle.
-    """
-    from groundstation.paths import find_config
-
-    if (scenario is None) == (link is None):
-        raise BadInput(
-            "say what flies: --scenario NAME for the simulated drone, or --link ADDRESS for a vehicle on MAVLink."
-        )
-    if scenario is not None:
-        find_config("scenarios", scenario)
-    if link is not None and not yes_simulated and not sys.stdin.isatty():
-        raise BadInput("a real vehicle is armed only by somebody at a terminal; a simulated one with --yes-simulated.")
-
-
 class _Flyer:
     """The simulated drone, or a vehicle on a link that somebody confirms each time."""
 
-    def __init__(
-        self, stand: Campaign, vehicle_file: Path, logs: Path, line: ProgressLine, stop: Interrupts, **how: Any
-    ):
-        self._stand, self._vehicle, self._logs = stand, vehicle_file, logs
-        self._line, self._stop, self._how = line, stop, how
+    def __init__(self, stand: Campaign, order: Order, line: ProgressLine, stop: Interrupts):
+        from groundstation.campaign.campaign import VEHICLE
+
+        self._stand, self._order, self._line, self._stop = stand, order, line, stop
+        self._vehicle, self._logs = stand.folder / VEHICLE, order.logs.resolve()
 
     def place(self) -> Path:
         """A folder's name for a new flight."""
@@ -131,18 +146,17 @@ class _Flyer:
         folder.mkdir(parents=True)
         kept = folder / "plan.toml"
         kept.write_bytes(plan.read_bytes())
-        if self._how["scenario"] is not None:
-            scenario = find_config("scenarios", self._how["scenario"]).resolve()
+        if self._order.scenario is not None:
+            scenario = find_config("scenarios", self._order.scenario).resolve()
             seed = self._stand.seed + int(plan.stem.rpartition("-")[2])
             drone = simulated_drone(self._vehicle, scenario, seed)
         else:
-            simulated = self._how["yes_simulated"]
             drone = linked_vehicle(
                 folder,
                 self._vehicle,
-                link=str(self._how["link"]),
-                station=self._how["station"],
-                set_parameters=simulated,
+                link=str(self._order.link),
+                station=self._order.station,
+                set_parameters=self._order.yes_simulated,
             )
         fly(
             folder, plan=kept, vehicle=self._vehicle, drone=drone, say=self._line.say, confirm=self._confirmed,
@@ -152,5 +166,5 @@ class _Flyer:
     def _confirmed(self) -> bool:
         from groundstation.commands.flying import _typed_confirmation
 
-        asks = self._how["link"] is not None and not self._how["yes_simulated"]
+        asks = self._order.link is not None and not self._order.yes_simulated
         return not asks or _typed_confirmation(self._line)

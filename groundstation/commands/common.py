@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import shutil
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,6 +39,21 @@ class Result:
 def example(line: str) -> str:
     r"""An epilog that click leaves alone."""
     return f"\b\nExample:\n  {line}"
+
+
+def packed(kind: type[Any]) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+    """A decorator of a command: options that a dataclass has fields for reach it as one object of that, its first."""
+    names = {field.name for field in fields(kind)}
+
+    def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
+        @functools.wraps(function)
+        def command(**values: object) -> Result:
+            own = {name: values.pop(name) for name in names & set(values)}
+            return function(kind(**own), **values)
+
+        return command
+
+    return decorate
 
 
 def json_option(function: F) -> F:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from groundstation.commands.common import Choice, ProgressLine, Result, example, json_option, logs_option
 from groundstation.errors import BadInput
+from groundstation.json_types import Document
+
+if TYPE_CHECKING:
+    from groundstation.fleet.catalogue import Catalogue
 
 MOVED = 3.0
 """Combined standard deviations from which a change from flight to flight is worth a word."""
@@ -92,25 +95,25 @@ def _check_date(since: str | None) -> None:
         raise BadInput(f"'{since}' is no date; write it as 2025-01-31.") from None
 
 
-def _is_named(row: Mapping[str, Any], chosen: tuple[str, ...]) -> bool:
+def _is_named(row: Document, chosen: tuple[str, ...]) -> bool:
     names = {row["flight"], row["folder"], Path(row["folder"]).name}
     return any(name.rstrip("/") in names for name in chosen)
 
 
-def _check_named(catalogue: Any, chosen: tuple[str, ...]) -> None:
+def _check_named(catalogue: Catalogue, chosen: tuple[str, ...]) -> None:
     rows = catalogue.rows()
     for name in chosen:
         if not any(_is_named(row, (name,)) for row in rows):
             raise BadInput(f"'{name}' is no flight in {catalogue.logs}; `groundstation flights` lists them.")
 
 
-def _mass(row: Mapping[str, Any]) -> str:
+def _mass(row: Document) -> str:
     mass = row["parameters"].get("mass_kg")
     return f"{mass['value']:020.9f}" if mass else ""
 
 
 def _annotate(
-    catalogue: Any, chosen: tuple[str, ...], add: tuple[str, ...], remove: tuple[str, ...], note: str | None
+    catalogue: Catalogue, chosen: tuple[str, ...], add: tuple[str, ...], remove: tuple[str, ...], note: str | None
 ) -> None:
     from groundstation.fleet.rows import set_notes
 
@@ -120,7 +123,7 @@ def _annotate(
             set_notes(Path(row["folder"]), add=add, remove=remove, note=note)
 
 
-def _asked(catalogue: Any, sql: str) -> Result:
+def _asked(catalogue: Catalogue, sql: str) -> Result:
     columns, rows = catalogue.sql(sql)
     document = {"schema": "groundstation.query/1", "columns": columns, "rows": [list(map(_plain, row)) for row in rows]}
     widths = [max([len(c), *(len(str(row[i])) for row in rows)]) for i, c in enumerate(columns)]
@@ -135,7 +138,7 @@ def _plain(value: Any) -> Any:
 
 
 def _fleet(
-    catalogue: Any, vehicle: str | None, trend: bool, pair: tuple[str, str] | None, report: Path | None
+    catalogue: Catalogue, vehicle: str | None, trend: bool, pair: tuple[str, str] | None, report: Path | None
 ) -> Result:
     from groundstation.fleet.report import compare, comparison_lines, trend_document, trend_lines, write_fleet_report
 
@@ -156,7 +159,7 @@ def _fleet(
     return Result(document, "\n".join(lines))
 
 
-def _flight_line(row: Mapping[str, Any]) -> str:
+def _flight_line(row: Document) -> str:
     """One flight: when, what, how it ended, its mass, and what moved by more than chance allows."""
     mass = row["parameters"].get("mass_kg")
     told = f"mass {mass['value']:.4g} kg" if mass else row["reason"]

@@ -17,6 +17,8 @@ from groundstation.targets import DEFAULT, parse_targets
 if TYPE_CHECKING:
     from groundstation.flight.client.interrupts import Interrupts
     from groundstation.flight.client.rehearse import FlightResult
+    from groundstation.trajectory import Plan
+    from groundstation.vehicle import Until, Vehicle
 
 LOG_S = 120.0
 """How long a flight waits for its onboard log; a fetch that breaks off can be continued."""
@@ -27,7 +29,7 @@ MAVLINK_VEHICLE = "x500"
 """What the simulated autopilot flies unless told otherwise."""
 
 
-def until_options(function: Callable[..., Any]) -> Callable[..., Any]:
+def until_options(function: Callable[..., Result]) -> Callable[..., Result]:
     """How long the excitation lasts, where that is decided in flight."""
     most = click.option(
         "--excitation-at-most-s",
@@ -140,7 +142,7 @@ def _check_targets(asked: Mapping[str, Any]) -> None:
         parse_targets(asked["until"])
 
 
-def _lasting(chosen: Any, declared: Any, asked: Mapping[str, Any], *, automatic: bool) -> Any:
+def _lasting(chosen: Plan, declared: Until | None, asked: Mapping[str, Any], *, automatic: bool) -> Plan:
     """The plan, and where something is to be known by it, its length left to the flight."""
     from groundstation.flight.until import lasting_until
     from groundstation.vehicle import Until
@@ -156,7 +158,7 @@ def _lasting(chosen: Any, declared: Any, asked: Mapping[str, Any], *, automatic:
     return lasting_until(chosen, Until(**given), automatic=automatic)
 
 
-def _plan_for_link(declared: Any, line: ProgressLine) -> Any:
+def _plan_for_link(declared: Vehicle, line: ProgressLine) -> Plan:
     """A plan that an autopilot follows whose tuning is not known."""
     from groundstation.planning import plan_excitation
     from groundstation.planning.plan import AUTOPILOT
@@ -168,17 +170,17 @@ def _plan_for_link(declared: Any, line: ProgressLine) -> Any:
     return plan_excitation(declared, time_budget_s=PLAN_S, progress=line.fraction, **limits)
 
 
-def _new_plan(declared: Any, line: ProgressLine) -> Any:
+def _new_plan(declared: Vehicle, line: ProgressLine) -> Plan:
     """A plan for a rehearsal: the paper's problem for its vehicle, the planner's defaults for any other."""
     from groundstation.planning import paper_problem, plan_excitation
 
-    problem = paper_problem()
+    problem: dict[str, Any] = paper_problem()
     if declared.name != problem["vehicle"].name:
         problem = {}
     return plan_excitation(**{**problem, "vehicle": declared}, time_budget_s=PLAN_S, progress=line.fraction)
 
 
-def _keep_plan(chosen: Any, folder: Path) -> Path:
+def _keep_plan(chosen: Plan, folder: Path) -> Path:
     from groundstation.analysis.plans import write_plan
 
     folder.mkdir(parents=True)
@@ -223,7 +225,7 @@ def _flight_result(flown: FlightResult) -> Result:
     return Result(document, "\n".join(lines), flown.exit_status)
 
 
-def link_options(function: Callable[..., Any]) -> Callable[..., Any]:
+def link_options(function: Callable[..., Result]) -> Callable[..., Result]:
     """What a command on a MAVLink link takes."""
     options = (
         click.option(

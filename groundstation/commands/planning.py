@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from groundstation.commands.common import ProgressLine, Result, assignments, example, json_option, suggestion
+from groundstation.commands.common import ProgressLine, Result, assignments, example, json_option, packed, suggestion
 from groundstation.errors import BadInput
+from groundstation.json_types import JsonObject
 
 if TYPE_CHECKING:
     from groundstation.trajectory import Plan
@@ -38,7 +40,7 @@ BUDGET_S = 8.0
 """Of --compare and --discriminate where none is given."""
 
 
-def limit_options(function: Callable[..., Any]) -> Callable[..., Any]:
+def limit_options(function: Callable[..., Result]) -> Callable[..., Result]:
     """One option per limit."""
     for option, limit in reversed(LIMIT_OPTIONS.items()):
         function = click.option(f"--{option}", limit, type=float, help=f"Override the vehicle's {limit}.")(function)
@@ -49,6 +51,55 @@ def limits_in_si(values: dict[str, float | None]) -> dict[str, float]:
     """The limits that were given, angles in radians."""
     degrees = {limit for option, limit in LIMIT_OPTIONS.items() if "-deg" in option}
     return {k: math.radians(v) if k in degrees else v for k, v in values.items() if v is not None}
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """The plan that the command line asks for; None is the planner's own choice."""
+
+    vehicle: str | None
+    paper: bool
+    criterion: str | None
+    harmonics: int | None
+    base_frequency_deg_s: float | None
+    duration_s: float | None
+    frequency_max_hz: float | None
+    more_limits: tuple[str, ...]
+    seed: int
+    time_budget_s: float | None
+    compare: bool
+    discriminate: Path | None
+    output: Path | None
+
+    def chooses_itself(self) -> bool:
+        """Whether it says how to plan, or for what."""
+        how = self.criterion or self.harmonics or self.base_frequency_deg_s or self.frequency_max_hz
+        return bool(self.paper or self.compare or how)
+
+    def problem(self) -> JsonObject:
+        """What the planner is asked, by its own names.
+
+        Raises:
+            BadInput: the paper's problem for another vehicle.
+        """
+        from groundstation import api
+        from groundstation.planning import paper_problem
+
+        if self.paper and self.vehicle not in (None, "qball2"):
+            raise BadInput("--paper is the QBall 2's problem; leave out --vehicle, or plan without --paper.")
+        found: dict[str, Any] = (
+            paper_problem() if self.paper else {"vehicle": api.load_vehicle(self.vehicle or "qball2")}
+        )
+        given = {
+            "criterion": self.criterion,
+            "harmonics": self.harmonics,
+            "base_frequency_rad_s": None
+            if self.base_frequency_deg_s is None
+            else math.radians(self.base_frequency_deg_s),
+            "duration_s": self.duration_s,
+            "frequency_max_hz": self.frequency_max_hz,
+        }
+        return found | {key: value for key, value in given.items() if value is not None}
 
 
 @click.command(epilog=example("groundstation plan --paper --tilt-max-deg 6.2155 --output plan.toml"))
@@ -74,68 +125,35 @@ def limits_in_si(values: dict[str, float | None]) -> dict[str, float]:
 @click.option("--output", type=click.Path(path_type=Path, dir_okay=False), default=None, help="Plan file to write.")
 @limit_options
 @json_option
-def plan(
-    vehicle: str | None,
-    paper: bool,
-    criterion: str | None,
-    harmonics: int | None,
-    base_frequency_deg_s: float | None,
-    duration_s: float | None,
-    frequency_max_hz: float | None,
-    more_limits: tuple[str, ...],
-    seed: int,
-    time_budget_s: float | None,
-    compare: bool,
-    discriminate: Path | None,
-    output: Path | None,
-    **limits: float | None,
-) -> Result:
+@packed(Wanted)
+def plan(wanted: Wanted, **limits: float | None) -> Result:
     """Optimise an excitation trajectory for a vehicle and a room. Ctrl-C gives the best so far."""
-    if discriminate is not None:
-        if paper or compare or criterion or harmonics or base_frequency_deg_s or frequency_max_hz:
-            raise BadInput("--discriminate chooses criterion and frequencies itself; leave those options out.")
-        bounds = limits_in_si(limits) | known_limits(assignments(more_limits))
-        return _discriminating(discriminate, vehicle, duration_s, seed, time_budget_s or BUDGET_S, output, bounds)
+    bounds = limits_in_si(limits) | known_limits(assignments(wanted.more_limits))
+    if wanted.discriminate is not None:
+        return _discriminating(wanted, wanted.discriminate, bounds)
     from groundstation import api
-    from groundstation.planning import paper_problem, plan_document
+    from groundstation.planning import plan_document
 
-    if paper and vehicle not in (None, "qball2"):
-        raise BadInput("--paper is the QBall 2's problem; leave out --vehicle, or plan without --paper.")
-    problem: dict[str, Any] = paper_problem() if paper else {"vehicle": api.load_vehicle(vehicle or "qball2")}
-    base = None if base_frequency_deg_s is None else math.radians(base_frequency_deg_s)
-    given = {
-        "criterion": criterion,
-        "harmonics": harmonics,
-        "base_frequency_rad_s": base,
-        "duration_s": duration_s,
-        "frequency_max_hz": frequency_max_hz,
-    }
-    problem |= {key: value for key, value in given.items() if value is not None}
-    problem |= limits_in_si(limits) | known_limits(assignments(more_limits))
+    problem: dict[str, Any] = {**wanted.problem(), **bounds}
     line = ProgressLine()
-    if compare:
+    if wanted.compare:
         from groundstation.planning.compare import compare_families
 
-        table = compare_families(seed=seed, time_budget_s=time_budget_s or BUDGET_S, progress=line.fraction, **problem)
+        time_budget_s = wanted.time_budget_s or BUDGET_S
+        table = compare_families(seed=wanted.seed, time_budget_s=time_budget_s, progress=line.fraction, **problem)
         line.end()
         return Result(table.to_dict(), table.to_text())
-    found = api.plan_excitation(seed=seed, time_budget_s=time_budget_s, progress=line.fraction, **problem)
+    found = api.plan_excitation(seed=wanted.seed, time_budget_s=wanted.time_budget_s, progress=line.fraction, **problem)
     line.end()
-    if output is not None:
-        _write(found, output)
-    return Result(plan_document(found), plan_text(found, output))
+    if wanted.output is not None:
+        _write(found, wanted.output)
+    return Result(plan_document(found), plan_text(found, wanted.output))
 
 
-def _discriminating(
-    path: Path,
-    vehicle: str | None,
-    duration_s: float | None,
-    seed: int,
-    time_budget_s: float,
-    output: Path | None,
-    limits: dict[str, float],
-) -> Result:
+def _discriminating(wanted: Wanted, path: Path, limits: dict[str, float]) -> Result:
     """The flight that settles a diagnosis."""
+    if wanted.chooses_itself():
+        raise BadInput("--discriminate chooses criterion and frequencies itself; leave those options out.")
     from groundstation import api
     from groundstation.diagnosis.next_flight import TRIAL_S, odds_sentence
     from groundstation.documents import read_diagnosis
@@ -145,22 +163,22 @@ def _discriminating(
     line = ProgressLine()
     found = api.plan_next_flight(
         document,
-        _vehicle_of(path, document, vehicle),
-        duration_s=duration_s,
-        trials=max(int(time_budget_s / TRIAL_S), 4),
-        seed=seed,
+        _vehicle_of(path, document, wanted.vehicle),
+        duration_s=wanted.duration_s,
+        trials=max(int((wanted.time_budget_s or BUDGET_S) / TRIAL_S), 4),
+        seed=wanted.seed,
         progress=line.fraction,
         **limits,
     )
     line.end()
-    if output is not None:
-        _write(found.plan, output)
+    if wanted.output is not None:
+        _write(found.plan, wanted.output)
     odds = [{"pair": list(pair), "log_odds": value} for pair, value in found.log_odds.items()]
     answer = {**plan_document(found.plan), "expected_log_odds": odds, "channels": found.channels}
-    return Result(answer, f"next flight: {odds_sentence(found)}\n{plan_text(found.plan, output)}")
+    return Result(answer, f"next flight: {odds_sentence(found)}\n{plan_text(found.plan, wanted.output)}")
 
 
-def _vehicle_of(path: Path, document: dict[str, Any], given: str | None) -> Vehicle:
+def _vehicle_of(path: Path, document: JsonObject, given: str | None) -> Vehicle:
     """The vehicle as given, else as declared in the identification beside the diagnosis, else the shipped one of its
     name.
     """

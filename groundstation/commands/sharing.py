@@ -17,6 +17,7 @@ import click
 from drivers.secure import GATE_PORT, PASS_ROLES, POSES_PORT, PassRole
 from groundstation.commands.common import Choice, ProgressLine, Result, example, json_option, logs_option
 from groundstation.errors import BadInput, GroundStationError, LinkLost, Refused
+from groundstation.json_types import JsonObject
 
 if TYPE_CHECKING:
     from groundstation.flight.share.passes import Pass
@@ -125,7 +126,7 @@ def _list() -> Result:
     return Result(document, "\n".join(lines))
 
 
-def _row(given: Pass) -> dict[str, Any]:
+def _row(given: Pass) -> JsonObject:
     return {
         "station": given.station,
         "addresses": list(given.addresses),

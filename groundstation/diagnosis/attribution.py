@@ -95,19 +95,19 @@ class Selection:
         self.discrepancy = Discrepancy(evidence)
         self.lag = self.discrepancy.of_lag(evidence.solve(self.baseline))
         self.variants = Counter(c.identifier for c, _ in self.pool) if variants is None else variants
-        self._thresholds: dict[tuple[int, int], float] = {}
+        self._passed: dict[tuple[int, int], float] = {}
         self._alone: dict[frozenset[int], Array] = {}
         self._beaten: list[tuple[set[Kind], float]] = []
 
-    def _threshold(self, candidate: Candidate, columns: Columns, members: Sequence[int] | None = None) -> float:
+    def threshold(self, candidate: Candidate, columns: Columns, members: Sequence[int] | None = None) -> float:
         """Wald statistic of all parameters (or some) that noise passes with probability ``effect_chance`` in any of an
         effect's variants.
         """
         key = columns.number, -1 if members is None else len(members)
-        if key not in self._thresholds:
+        if key not in self._passed:
             chance = THRESHOLDS.effect_chance / max(self.variants[candidate.identifier], 1)
-            self._thresholds[key] = self.evidence.threshold(columns, chance, members)
-        return self._thresholds[key]
+            self._passed[key] = self.evidence.threshold(columns, chance, members)
+        return self._passed[key]
 
     def _cost(self, entry: Entry) -> float:
         """What an entry has to explain in a contest: what chance gives it, and what an instant gives that was looked
@@ -116,7 +116,7 @@ class Selection:
         The search for an instant is one more parameter, which costs the logarithm of the number of rows (Schwarz 1978),
         about as much as ``inseparable``: a rotor that was weak all along is not one that failed early for less.
         """
-        return self._threshold(*entry) + (THRESHOLDS.inseparable if INSTANTS.intersection(entry[0].settings) else 0.0)
+        return self.threshold(*entry) + (THRESHOLDS.inseparable if INSTANTS.intersection(entry[0].settings) else 0.0)
 
     def _margins(self, chosen: Sequence[Entry], members: Sequence[int] | None = None) -> list[float]:
         """Margin of each member (or of some) over chance and over the others' form errors; -inf if implausible or
@@ -140,7 +140,7 @@ class Selection:
                 continue
             others = self._without(chosen, index)
             telling = candidate.effect.telling()
-            least = self._threshold(candidate, columns, telling) + allowance(energies[index], others)
+            least = self.threshold(candidate, columns, telling) + allowance(energies[index], others)
             out.append(solution.wald(first, telling) - least)
         return out
 

@@ -9,9 +9,10 @@ import numpy as np
 from groundstation.diagnosis.case import Case
 from groundstation.diagnosis.linearisation import linearisation
 from groundstation.diagnosis.thresholds import THRESHOLDS
-from groundstation.identification.dynamic_fit import fit_dynamics, options_for
+from groundstation.identification.dynamic_fit import options_for
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared
+from groundstation.identification.work import Work
 from groundstation.model.parameters import FitOptions
 
 
@@ -23,14 +24,14 @@ class Base:
     options: FitOptions
 
 
-def base_fit(case: Case) -> Base:
+def base_fit(case: Case, work: Work) -> Base:
     """Of the flights that estimates see.
 
     What divides a lag from a dead time lies above the evidence's rate: it keeps its own there.
     """
     flights = [*case.suspects, *case.healthy]
     free = options_for(flights[0])
-    fitted = fit_dynamics(flights if free.lag else [for_evidence(flight) for flight in flights])
+    fitted = work.fitted(flights if free.lag else [for_evidence(flight) for flight in flights])
     return Base(linearisation(fitted), fitted.options)
 
 

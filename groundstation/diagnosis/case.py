@@ -10,6 +10,7 @@ from groundstation.diagnosis.kinematic import kinematic_findings, with_imu_align
 from groundstation.diagnosis.results import Finding
 from groundstation.flightdata import FlightData
 from groundstation.identification.preparation import Prepared, prepare_all
+from groundstation.identification.work import Work
 from groundstation.options import AnalysisOptions
 from groundstation.vehicle import Vehicle
 
@@ -37,7 +38,7 @@ class Case:
         return replace(self, suspects=suspects, healthy=healthy, unseen=unseen)
 
 
-def case_of(flights: Sequence[FlightData], options: AnalysisOptions) -> Case:
+def case_of(flights: Sequence[FlightData], options: AnalysisOptions, work: Work) -> Case:
     """The flights, prepared.
 
     Raises:
@@ -45,7 +46,7 @@ def case_of(flights: Sequence[FlightData], options: AnalysisOptions) -> Case:
         Refused: a flight holds too little to say anything.
     """
     groups = (
-        prepare_all(flights, options.exclude),
+        work.prepared(flights, options.exclude),
         prepare_all(options.references),
         prepare_all(options.held_out),
     )

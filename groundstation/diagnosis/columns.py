@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 
@@ -27,6 +28,40 @@ class Candidate:
         return self.effect.identifier
 
 
+Pair = tuple[Array, Array]
+
+
+class Recent:
+    """The columns that were used last, up to a number of bytes; older ones are made anew where they are asked for.
+
+    A flight of a minute has a hundred megabytes of them, and keeps them all; an hour of it has six gigabytes.
+    """
+
+    def __init__(self, most: int):
+        self._most, self._size = most, 0
+        self._held: OrderedDict[int, Pair] = OrderedDict()
+
+    def hold(self, number: int, pair: Pair) -> Pair:
+        """Keep a pair, and let go of the ones that were not used for longest."""
+        self._held[number] = pair
+        self._size += _bytes(pair)
+        while self._size > self._most and len(self._held) > 1:
+            _, old = self._held.popitem(last=False)
+            self._size -= _bytes(old)
+        return pair
+
+    def pair(self, number: int, anew: Callable[[], Pair]) -> Pair:
+        """A pair that was held, or made anew."""
+        if number not in self._held:
+            return self.hold(number, anew())
+        self._held.move_to_end(number)
+        return self._held[number]
+
+
+def _bytes(pair: Pair) -> int:
+    return pair[0].nbytes + (0 if pair[1] is pair[0] else pair[1].nbytes)
+
+
 @dataclass(frozen=True, slots=True)
 class Columns:
     """Whitened sensitivities to a candidate's parameters and their instruments, (rows, p) each; RMS of its wrench per
@@ -35,10 +70,37 @@ class Columns:
     ``number`` tells one from another where products of pairs are remembered.
     """
 
-    sensitivity: Array
-    instrument: Array
+    pair: Callable[[], Pair]
     wrench_rms: Array
     number: int = field(default_factory=count().__next__)
+
+    @classmethod
+    def of(cls, sensitivity: Array, instrument: Array, wrench_rms: Array) -> Columns:
+        """Columns that stay."""
+        return cls(lambda: (sensitivity, instrument), wrench_rms)
+
+    @property
+    def sensitivity(self) -> Array:
+        """To the parameters, (rows, p)."""
+        return self.pair()[0]
+
+    @property
+    def instrument(self) -> Array:
+        """Of the parameters, (rows, p)."""
+        return self.pair()[1]
+
+    def recent(self, recent: Recent, anew: Callable[[], Columns | None]) -> Columns:
+        """The same, held for as long as there is room, and else made anew."""
+        number = self.number
+        recent.hold(number, self.pair())
+
+        def again() -> Pair:
+            found = anew()
+            if found is None:
+                raise RuntimeError("columns that were there are not any more")
+            return found.pair()
+
+        return Columns(lambda: recent.pair(number, again), self.wrench_rms, number)
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,15 +69,17 @@ def with_plain(splits: Sequence[Split], evidence: Evidence, vehicle: Vehicle) ->
     return [replace(split, plain=as_declared(evidence, vehicle, split.train)) for split in splits]
 
 
-def _base_estimates(evidence: Evidence, vehicle: Vehicle, chosen: Chosen) -> dict[str, Estimate]:
+def _base_estimates(
+    evidence: Evidence, vehicle: Vehicle, chosen: Chosen, left_open: Array | float = 0.0
+) -> dict[str, Estimate]:
     """Mass and tensor of the linearised joint estimate with some effects, under the anchor."""
-    estimates, constants = anchored(vehicle, RIGID_BODY, *_joint(evidence, chosen))
+    estimates, constants = anchored(vehicle, RIGID_BODY, *_joint(evidence, chosen, left_open))
     return {**estimates, **constants}
 
 
-def base_covariance(evidence: Evidence, vehicle: Vehicle, chosen: Chosen) -> NDArray[np.float64]:
+def base_covariance(evidence: Evidence, vehicle: Vehicle, chosen: Chosen, left_open: Array) -> NDArray[np.float64]:
     """Covariance (7, 7) of mass and tensor with the effects put in, under the anchor."""
-    return anchored_covariance(vehicle, RIGID_BODY, *_joint(evidence, chosen))
+    return anchored_covariance(vehicle, RIGID_BODY, *_joint(evidence, chosen, left_open))
 
 
 def flight_parameters(evidence: Evidence, chosen: Chosen) -> list[dict[str, Estimate]]:
@@ -104,12 +106,14 @@ def flight_parameters(evidence: Evidence, chosen: Chosen) -> list[dict[str, Esti
     return out
 
 
-def _joint(evidence: Evidence, chosen: Chosen) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mass and tensor with the effects put in, and their covariance with what the effects' formulas leave open in
-    it.
+def _joint(
+    evidence: Evidence, chosen: Chosen, left_open: Array | float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mass and tensor with the effects put in, and their covariance with what these effects' formulas, and other
+    effects, leave open.
     """
     solution = evidence.solve(chosen)
-    return _rigid_body(evidence, solution, form_covariance(evidence, chosen, solution))
+    return _rigid_body(evidence, solution, form_covariance(evidence, chosen, solution) + left_open)
 
 
 def _rigid_body(
@@ -129,9 +133,14 @@ def base_parameters(
     baseline: Chosen,
     chosen: Chosen,
     plain: Fitted | None,
+    left_open: Array,
 ) -> tuple[dict[str, Estimate], dict[str, Estimate]]:
-    """Base parameters with the effects left out and put in. Left out means re-estimated without them, lag included."""
-    after = _base_estimates(evidence, vehicle, chosen)
+    """Base parameters with the effects left out and put in. Left out means re-estimated without them, lag included.
+
+    Args:
+        left_open: what explanations beside the chosen leave open in mass and tensor.
+    """
+    after = _base_estimates(evidence, vehicle, chosen, left_open)
     if plain is not None:
         before, constants = anchored(vehicle, plain.names, plain.values, plain.covariance)
         return {**before, **constants}, after
@@ -140,7 +149,7 @@ def base_parameters(
 
 def declared_model(flight: FlightEvidence) -> RecordModel:
     """The flight by the thrust curve that was declared."""
-    return RecordModel(replace(flight.model.record, vehicle=flight.prepared.flight.vehicle), (), None)
+    return flight.model.of_vehicle(flight.prepared.flight.vehicle)
 
 
 def as_declared(evidence: Evidence, vehicle: Vehicle, train: NDArray[np.bool_] | None = None) -> Fitted:

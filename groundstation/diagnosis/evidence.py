@@ -14,12 +14,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.columns import Candidate, Columns, Contest, Solution
+from groundstation.diagnosis.columns import Candidate, Columns, Contest, Recent, Solution
 from groundstation.diagnosis.effect import weight
 from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.joint import pseudo_inverse
 from groundstation.diagnosis.thresholds import THRESHOLDS
-from groundstation.diagnosis.whitening import orthonormal
+from groundstation.diagnosis.whitening import spanning
 from groundstation.identification.instrumental import lag_split_precision
 from groundstation.model.parameters import PriorContext, table
 from groundstation.model.signals import Signals
@@ -28,6 +28,10 @@ Array = NDArray[np.float64]
 
 FLIGHTS_OWN = ("accel_bias_x_m_s2", "accel_bias_y_m_s2", "accel_bias_z_m_s2")
 """Base parameters that flights of one vehicle do not share."""
+
+
+COLUMNS_BYTES = 400 * 2**20
+"""Of candidates' columns that are held: those of four minutes of flight, all candidates together."""
 
 
 class Evidence:
@@ -59,8 +63,9 @@ class Evidence:
                 [np.zeros((len(repeated), len(shared))), np.diag(repeated)],
             ]
         )
-        self._base = Columns(self.x, self.z, np.zeros(6))
-        self._output = Columns(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
+        self._base = Columns.of(self.x, self.z, np.zeros(6))
+        self._output = Columns.of(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
+        self._recent = Recent(COLUMNS_BYTES)
         self._products: dict[tuple[int, int], tuple[Array, Array]] = {}
         self._beside: tuple[tuple[int, ...], tuple[Array, Array, Array]] | None = None
         self._priors: dict[str, Array] = {}
@@ -95,6 +100,12 @@ class Evidence:
 
     def columns(self, candidate: Candidate, *, everywhere: bool = False) -> Columns | None:
         """A candidate's columns over all flights, zero on the references unless ``everywhere``."""
+        found = self._over_flights(candidate, everywhere)
+        if found is None:
+            return None
+        return found.recent(self._recent, lambda: self._over_flights(candidate, everywhere))
+
+    def _over_flights(self, candidate: Candidate, everywhere: bool) -> Columns | None:
         count = len(candidate.effect.parameters)
         known: list[Columns] = []
         for number, flight in enumerate(self.flights):
@@ -104,7 +115,7 @@ class Evidence:
                     return None
             else:
                 nothing = np.zeros((len(flight.y), count))
-                part = Columns(nothing, nothing, np.zeros((6, count)))
+                part = Columns.of(nothing, nothing, np.zeros((6, count)))
             known.append(part)
         return self._joined(known)
 
@@ -113,7 +124,7 @@ class Evidence:
         sensitivity, instrument = (
             np.concatenate([getattr(p, n) for p in parts]) for n in ("sensitivity", "instrument")
         )
-        return Columns(sensitivity, instrument, rms)
+        return Columns.of(sensitivity, instrument, rms)
 
     def along(self, function: Callable[[Signals], Array]) -> dict[int, Columns]:
         """Columns of functions of the signals (k, p) as torque or force of each channel; empty where one is unknown."""
@@ -125,7 +136,7 @@ class Evidence:
             found.append(flight.along(basis, wished))
         count = next(iter(found[0].values())).sensitivity.shape[1]
         blank = [np.zeros((len(flight.y), count)) for flight in self.flights[self.suspects :]]
-        rest = [Columns(nothing, nothing, np.zeros((6, count))) for nothing in blank]
+        rest = [Columns.of(nothing, nothing, np.zeros((6, count))) for nothing in blank]
         return {channel: self._joined([*(each[channel] for each in found), *rest]) for channel in found[0]}
 
     def solve(self, chosen: Sequence[tuple[Candidate, Columns]], rows: NDArray[np.bool_] | None = None) -> Solution:
@@ -231,16 +242,12 @@ class Evidence:
         Z is common to all: the base's instruments and those of every member of any set, channel by channel, so that the
         falls compare (moment selection: Andrews 1999, Econometrica 67(3)).
         """
-        root = np.sqrt(self.weight)[:, None]
-        _, channels, _ = self.time_of_rows()
         members = {columns.number: columns for chosen in sets for _, columns in chosen}
-        parts = [root * self.z]
-        for columns in members.values():
-            parts += [root * columns.instrument * (channels == channel)[:, None] for channel in np.unique(channels)]
-        basis = orthonormal(np.concatenate(parts, axis=1))
-        y = basis.T @ (root[:, 0] * self.y)
-        seen = {number: basis.T @ (root * columns.sensitivity) for number, columns in members.items()}
-        base = basis.T @ (root * self.x)
+        basis, crossed = self._common_products(list(members.values()))
+        coordinates = basis.T @ crossed
+        width = [1, self.x.shape[1], *(len(columns.wrench_rms[0]) for columns in members.values())]
+        y, base, *parts = np.split(coordinates, np.cumsum(width)[:-1], axis=1)
+        y, seen = y[:, 0], dict(zip(members, parts, strict=True))
 
         def left(chosen: Sequence[tuple[Candidate, Columns]]) -> float:
             a = np.concatenate([base, *(seen[columns.number] for _, columns in chosen)], axis=1)
@@ -253,6 +260,25 @@ class Evidence:
         used = base.shape[1] + sum(columns.sensitivity.shape[1] for _, columns in sets[best])
         misfit = max(1.0, remaining[best] / max(basis.shape[1] - used, 1))
         return Contest([alone - other for other in remaining], misfit)
+
+    def _common_products(self, members: Sequence[Columns]) -> tuple[Array, Array]:
+        """What makes the base's instruments and those of all members in each channel orthonormal, (Z, r), and the
+        products of those with y, the base and the members' sensitivities, (Z, 1 + P).
+        """
+        _, channels, _ = self.time_of_rows()
+        told, own = np.unique(channels), sum(len(columns.wrench_rms[0]) for columns in members)
+        shared = self.z.shape[1]
+        gram = np.zeros((shared + own * len(told), shared + own * len(told)))
+        crossed = np.zeros((len(gram), 1 + self.x.shape[1] + own))
+        for place, channel in enumerate(told):
+            rows = np.flatnonzero(channels == channel)
+            left = np.concatenate([self.z[rows], *(columns.instrument[rows] for columns in members)], axis=1)
+            parts = [self.y[rows, None], self.x[rows], *(columns.sensitivity[rows] for columns in members)]
+            weighted = (left * self.weight[rows, None]).T
+            index = np.r_[:shared, shared + place * own : shared + (place + 1) * own]
+            gram[np.ix_(index, index)] += weighted @ left
+            crossed[index] += weighted @ np.concatenate(parts, axis=1)
+        return spanning(gram), crossed
 
     def remainder(self, chosen: Sequence[tuple[Candidate, Columns]], solution: Solution) -> Array:
         """Whitened residual after a solution."""

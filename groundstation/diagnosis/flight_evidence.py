@@ -120,56 +120,58 @@ class FlightEvidence:
         """Any residual (blocks, 6) of this flight, whitened as its own, (rows,)."""
         return self.whitening.apply(residual[:, :, None])[:, 0]
 
-    def _nuisance(self, generic: bool) -> Array:
-        """Columns (blocks, 6, m) that keep an effect's own residual out of the noise model."""
+    def _nuisance(self, generic: bool) -> list[Array]:
+        """Columns (blocks, m) of each known channel that keep an effect's own residual out of the noise model."""
         vehicle = self.prepared.record.vehicle
-        wrenches = [c.effect.wrench(self.signals, vehicle, c.settings) for c in self.known]
-        columns = [wrench[:, :, j] for wrench in wrenches for j in range(wrench.shape[2])]
+        known = [self.predicted(c.effect.wrench(self.signals, vehicle, c.settings)) for c in self.known]
+        parts: list[list[Array]] = [[_of_channel(self.sensitivity, c)] for c in self.channels]
+        for columns in known:
+            _add(parts, columns, self.channels)
         if generic:
-            columns += self._generic()
-        if not columns:
-            return self.sensitivity
-        return np.concatenate([self.sensitivity, self.predicted(np.stack(columns, axis=-1))], axis=2)
+            for own, drift in zip(parts, self._drift(), strict=True):
+                own.append(drift)
+            self._add_library(parts)
+        return [np.concatenate(own, axis=1) for own in parts]
 
-    def _generic(self) -> list[Array]:
-        """Wrenches (k, 6) of slow drift, speeds, and the library's effects.
+    def _drift(self) -> list[Array]:
+        """Columns (blocks, m) of each known channel: slow drift, its own speed and thrust as torque and as force.
 
         Without them a step or a trend would pass for a disturbance of long memory, and hide itself.
         """
         signals = self.signals
         elapsed = signals.t_s - signals.t_s[0]
         knots = np.linspace(0.0, elapsed[-1], int(np.clip(elapsed[-1] / THRESHOLDS.drift_knot_s, 3, 16)) + 1)
-        drift = [np.interp(elapsed, knots, np.eye(len(knots))[i]) for i in range(len(knots))]
-        thrust = signals.thrust_n.sum(axis=1)
+        drift = np.column_stack([np.interp(elapsed, knots, peak) for peak in np.eye(len(knots))])
+        thrust, mass = signals.thrust_n.sum(axis=1)[:, None], self.parameters.mass_kg
         velocity = signals.velocity_body_m_s()
-        columns: list[Array] = []
-        for axis in range(3):
-            for row, own in ((3 + axis, signals.rate_rad_s[:, axis]), (axis, velocity[:, axis])):
-                for values in (*drift, own, thrust):
-                    if np.isfinite(values).all():
-                        wrench = np.zeros((len(values), 6))
-                        wrench[:, row] = values
-                        columns.append(wrench)
-        return columns + self._of_the_library()
+        turning = [np.concatenate([drift, signals.rate_rad_s[:, i : i + 1], thrust], axis=1) for i in range(3)]
+        turned = [self.model.integrated(known) for known in map(_finite, turning)]
+        out: list[Array] = []
+        for channel in self.channels:
+            if channel < 3:
+                columns = [self._inverse[channel, axis] * turned[axis] for axis in range(3)]
+                out.append(_shown(np.concatenate(columns, axis=1)))
+            else:
+                own = velocity[:, channel - 3 : channel - 2]
+                pushing = _finite(np.concatenate([drift, own, thrust], axis=1))
+                out.append(_shown(self.model.average(pushing) / mass))
+        return out
 
-    def _of_the_library(self) -> list[Array]:
-        """Wrenches (k, 6) of the library's effects, in a few settings of each."""
+    def _add_library(self, parts: list[list[Array]]) -> None:
+        """Columns of the library's effects, in a few settings of each."""
         vehicle = self.prepared.record.vehicle
-        columns: list[Array] = []
         for effect in library().values():
             settings = effect.variants(self.excited, vehicle) if effect.applies(vehicle) else ()
-            own = [
-                effect.wrench(self.signals, vehicle, s)
-                for s in settings[:: max(1, len(settings) // THRESHOLDS.variants_in_noise)]
-            ]
-            columns += [wrench[:, :, j] for wrench in own for j in range(wrench.shape[2]) if np.isfinite(wrench).all()]
-        return columns
+            for chosen in settings[:: max(1, len(settings) // THRESHOLDS.variants_in_noise)]:
+                wrench = effect.wrench(self.signals, vehicle, chosen)
+                if np.isfinite(wrench).all():
+                    _add(parts, self.predicted(wrench), self.channels)
 
     def predicted(self, wrench: Array) -> Array:
         """Rates and specific forces (blocks, 6, p) that a body wrench (k, 6, p) adds."""
-        out = np.empty((len(self.model.t_s), 6, wrench.shape[2]))
-        out[:, :3] = np.einsum("ij,kjp->kip", self._inverse, self.model.integrated(wrench[:, 3:]))
-        out[:, 3:] = self.model.average(wrench[:, :3]) / self.parameters.mass_kg
+        out = self.model.of_wrench(wrench)
+        out[:, :3] = np.einsum("ij,kjp->kip", self._inverse, out[:, :3])
+        out[:, 3:] /= self.parameters.mass_kg
         return out
 
     def columns(self, candidate: Candidate) -> Columns | None:
@@ -178,17 +180,19 @@ class FlightEvidence:
         """
         vehicle = self.prepared.record.vehicle
         wrench = candidate.effect.wrench(self.signals, vehicle, candidate.settings)
-        if not np.isfinite(wrench).all():
+        if not np.isfinite(wrench.sum()):  # nothing adds up to a number that holds none
             return None
-        rms = np.sqrt(self._share @ (wrench * wrench).reshape(len(wrench), -1)).reshape(wrench.shape[1:])
+        flat = wrench.reshape(len(wrench), -1)
+        rms = np.sqrt(np.einsum("k,kj,kj->j", self._share, flat, flat)).reshape(wrench.shape[1:])
+        seen = self.predicted(wrench)
         if self.planned is None:
-            sensitivity = self.whitening.apply(self.predicted(wrench))
-            return Columns(sensitivity, sensitivity, rms)
+            sensitivity = self.whitening.apply(seen)
+            return Columns.of(sensitivity, sensitivity, rms)
         wished = candidate.effect.wrench(self.planned, vehicle, candidate.settings)
-        if not np.isfinite(wished).all():
+        if not np.isfinite(wished.sum()):
             return None
-        white = self.whitening.apply(self.predicted(np.concatenate([wrench, wished], axis=2)))
-        return Columns(white[:, : wrench.shape[2]], white[:, wrench.shape[2] :], rms)
+        white = self.whitening.apply(np.concatenate([seen, self.predicted(wished)], axis=2))
+        return Columns.of(white[:, : wrench.shape[2]], white[:, wrench.shape[2] :], rms)
 
     def along(self, basis: Array, wished: Array | None) -> dict[int, Columns]:
         """Columns of the same functions of time (k, p) as torque or force of each known channel, by channel.
@@ -211,7 +215,7 @@ class FlightEvidence:
                     white[n] = parts[n]
             rms[WRENCH_ROW[channel]] = size
             flat = white.reshape(-1, both.shape[1])
-            out[channel] = Columns(flat[:, :count], flat[:, :count] if wished is None else flat[:, count:], rms)
+            out[channel] = Columns.of(flat[:, :count], flat[:, :count] if wished is None else flat[:, count:], rms)
         return out
 
 
@@ -221,3 +225,24 @@ def _channels_of(prepared: Prepared) -> tuple[int, ...]:
         return (0, 1, 2)
     sideways = prepared.source == "imu" or np.isfinite(prepared.velocity_m_s).all()
     return (0, 1, 2, 3, 4, 5) if sideways else (0, 1, 2, 5)
+
+
+def _shown(columns: Array) -> Array:
+    """Those that are not zero all along."""
+    return columns[:, np.any(columns != 0.0, axis=0)]
+
+
+def _finite(columns: Array) -> Array:
+    """Those that are known all along."""
+    return columns[:, np.isfinite(columns).all(axis=0)]
+
+
+def _of_channel(columns: Array, channel: int) -> Array:
+    """The columns (blocks, m) of (blocks, 6, m) that show in a channel."""
+    return _shown(columns[:, channel])
+
+
+def _add(parts: list[list[Array]], columns: Array, channels: Sequence[int]) -> None:
+    """Columns (blocks, 6, p) to those of each channel."""
+    for own, channel in zip(parts, channels, strict=True):
+        own.append(_of_channel(columns, channel))

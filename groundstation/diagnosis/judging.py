@@ -44,6 +44,7 @@ class Judged:
         unexplained: what is left, by channel.
         error: on data no estimate saw, by stage and channel or quantity.
         before, after: base parameters with the findings left out and put in.
+        left_open: covariance (7, 7) of mass and tensor that explanations beside the findings leave open.
         worse: the sentence that says what the findings predict worse; empty where they do not.
         residual: of the first flight over time, by channel.
     """
@@ -53,6 +54,7 @@ class Judged:
     error: Mapping[str, dict[str, float]]
     before: dict[str, Estimate]
     after: dict[str, Estimate]
+    left_open: Array
     worse: str
     notes: tuple[str, ...]
     residual: dict[str, Array]
@@ -76,18 +78,16 @@ def judge(
     """Judge a selection.
 
     Args:
-        case: its flights at the evidence's rate.
-        selected: effects about the last base.
-        kinematic: findings of the sensors.
+        case: its flights at the evidence's rate. selected: effects about the last base.
+        kinematic: findings of the sensors. left: what the residual still depends on.
         exponent_departure: of the thrust curve that all was estimated about from the declared one.
-        left: what the residual still depends on.
-        progress: told the fraction done and what is being done.
     """
     evidence, baseline, chosen = selected.evidence, selected.baseline, selected.chosen
     lag = [] if case.healthy else lag_findings(evidence, selected.solution)
     plain = as_declared(evidence, case.vehicle) if lag or exponent_departure else None
     forces = with_exponent(force_findings(selected), exponent_departure, plain_gain(evidence, chosen, plain))
-    before, after = base_parameters(evidence, case.vehicle, baseline, chosen, plain)
+    left_open = selected.left_open()
+    before, after = base_parameters(evidence, case.vehicle, baseline, chosen, plain, left_open)
     findings = sorted([*lag, *forces, *kinematic, *scale_findings(case.vehicle, after)], key=lambda f: -f.gain)
     splits = splits_of(evidence, case.unseen)
     halves = splits if case.unseen else splits_of(evidence, (), 2)
@@ -105,6 +105,7 @@ def judge(
         error=error | ahead,
         before=before,
         after=after,
+        left_open=left_open,
         worse=why_not(ahead) if findings else "",
         notes=notes,
         residual=residual_series(evidence, baseline, chosen, plain),

@@ -22,6 +22,7 @@ from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.errors import BadInput, Refused
 from groundstation.frames import quat_from_euler
+from groundstation.json_types import Document, JsonObject
 from groundstation.model.rotors import thrusts_for
 from groundstation.model.signals import Signals
 from groundstation.planning import discriminate
@@ -56,7 +57,7 @@ def rival_entries(
     chosen: Sequence[tuple[Candidate, Columns]],
     named: Sequence[tuple[Candidate, Sequence[str]]],
     pool: Sequence[Candidate],
-) -> list[dict[str, Any]]:
+) -> list[JsonObject]:
     """What each alternative would have to be to explain the flight as well, for the diagnosis' ``candidates``.
 
     Args:
@@ -86,7 +87,7 @@ def rival_entries(
     return out
 
 
-def contenders(document: Mapping[str, Any]) -> tuple[list[Hypothesis], list[Hypothesis]]:
+def contenders(document: Document) -> tuple[list[Hypothesis], list[Hypothesis]]:
     """The hypotheses of the first finding that is not settled, and the findings that hold whichever is true.
 
     Args:
@@ -123,7 +124,7 @@ def contenders(document: Mapping[str, Any]) -> tuple[list[Hypothesis], list[Hypo
     )
 
 
-def _rival(name: str, entry: Mapping[str, Any]) -> Hypothesis:
+def _rival(name: str, entry: Document) -> Hypothesis:
     """An alternative with its size, where the document holds the whole of it."""
     values, settings = entry.get("values"), entry.get("settings") or {}
     numbers = all(isinstance(value, int | float) for value in settings.values())
@@ -143,7 +144,7 @@ def _shift(parameters: Mapping[str, Mapping[str, float]]) -> float:
     )
 
 
-def _found(finding: Mapping[str, Any]) -> Hypothesis:
+def _found(finding: Document) -> Hypothesis:
     """A finding of the document; what is not among the effect's parameters is a setting."""
     if finding["effect"] in TIMING:
         return Hypothesis(finding["effect"], {}, {"shift_s": _shift(finding["parameters"])})
@@ -290,7 +291,7 @@ def _timing(hypothesis: Hypothesis, vehicle: Vehicle, common: Common) -> discrim
 
 
 def plan_next(
-    document: Mapping[str, Any],
+    document: Document,
     vehicle: Vehicle,
     *,
     duration_s: float = DURATION_S,
@@ -299,13 +300,10 @@ def plan_next(
     progress: Callable[[float, str], None] = lambda fraction, text: None,
     **limits: float,
 ) -> discriminate.Separation:
-    """The flight that tells the first unsettled finding of a diagnosis from its alternatives, within the vehicle's
-    limits.
+    """The flight that tells the first unsettled finding of a diagnosis from its alternatives.
 
     Args:
-        document: of schema groundstation.diagnosis/1.
-        vehicle: as declared.
-        duration_s: of the excitation.
+        document: of schema groundstation.diagnosis/1. vehicle: as declared. duration_s: of the excitation.
         trials: motions tried (0.1 s each and more with more hypotheses); None for what takes a second or two.
         seed: of the search.
         progress: called with the share of the work that is done and a line of text.
@@ -352,8 +350,6 @@ def odds_sentence(found: discriminate.Separation) -> str:
     channel = max(found.channels, key=lambda name: found.channels[name])
     return (
         f"a flight of {found.plan.series().duration_s:.0f} s that should tell {', '.join(names[:-1])} and {names[-1]} "
-        "apart, "
-        f"{hardest}at expected odds of {odds}, mostly by {channel} (in the disturbance of a quiet room, and if what "
-        "happened "
-        "happens again)."
+        f"apart, {hardest}at expected odds of {odds}, mostly by {channel} (in the disturbance of a quiet room, and if "
+        "what happened happens again)."
     )

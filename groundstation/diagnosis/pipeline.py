@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 from groundstation.diagnosis.augmented import known_candidates
 from groundstation.diagnosis.base import Base, base_fit, for_evidence
@@ -32,6 +31,8 @@ from groundstation.identification.preparation import Prepared
 from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.identification.unplanned import applies as low_frequencies_apply
 from groundstation.identification.unplanned import by_low_frequencies
+from groundstation.identification.work import Work
+from groundstation.json_types import JsonObject
 from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
 
 
@@ -40,6 +41,7 @@ def diagnose(
     options: AnalysisOptions = DEFAULT_OPTIONS,
     *,
     progress: Progress = lambda fraction, text: None,
+    work: Work | None = None,
 ) -> Diagnosis:
     """Trace the residual of one or several flights of a vehicle to effects its declaration lacks.
 
@@ -47,9 +49,10 @@ def diagnose(
         flights: under suspicion; pooled.
         options: stretches to leave out, healthy flights to compare with, flights to judge by, effects that are known.
         progress: told the fraction done and what is being done.
+        work: of another analysis of the same flights, or to be kept for one.
     """
     checks = check_declarations(flights[0])
-    found = _diagnose(flights, options, progress)
+    found = _diagnose(flights, options, progress, Work() if work is None else work)
     return replace(
         found,
         declarations=tuple(check.to_dict() for check in checks),
@@ -57,18 +60,18 @@ def diagnose(
     )
 
 
-def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress: Progress) -> Diagnosis:
+def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress: Progress, work: Work) -> Diagnosis:
     """What :func:`diagnose` finds, the declarations taken as they are."""
     name = " + ".join(flight.name for flight in flights)
     augmented = known_candidates(options.known_effects)
     try:
         progress(0.05, "bringing the streams onto one clock")
-        case, kinematic = sensors(case_of(flights, options))
+        case, kinematic = sensors(case_of(flights, options, work))
         if case.healthy and trim_applies(case.suspects, case.healthy):
             return _by_trim(name, case)
         case, departure = thrust_exponent(case)
         progress(0.25, "base fit")
-        base = base_fit(case)
+        base = base_fit(case, work)
         air = [] if case.healthy else tell_unplanned(case.suspects, base.fitted.parameters)
         case = case.map(for_evidence)
         selected = select_beside(air, case, base, augmented, progress)
@@ -117,7 +120,7 @@ def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged, air: S
         error={"held_out": judged.error},
         parameters_before=judged.before,
         parameters_after=judged.after,
-        covariance_after=base_covariance(selected.evidence, case.vehicle, selected.chosen),
+        covariance_after=base_covariance(selected.evidence, case.vehicle, selected.chosen, judged.left_open),
         by_flight=tuple(flight_parameters(selected.evidence, selected.chosen)) if len(case.suspects) > 1 else (),
         next_flight=_next_flight(judged.findings, judged.unexplained),
         reason=" ".join(filter(None, (judged.worse, reason))),
@@ -129,7 +132,7 @@ def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged, air: S
     )
 
 
-def _candidate_entries(case: Case, selected: Selected) -> list[dict[str, Any]]:
+def _candidate_entries(case: Case, selected: Selected) -> list[JsonObject]:
     """The named candidates, and what each alternative would have to be, for planning the next flight."""
     named = [
         {
@@ -173,10 +176,8 @@ def _by_trim(name: str, case: Case) -> Diagnosis:
         reason=_reason(verdict, found.findings, remaining),
         warnings=(
             "Body rates were not measured: only the mean thrusts are compared with those of the healthy flights, by "
-            "the declared "
-            "thrust curve. Yaw alone tells a load from a weak rotor there, and a battery or another day changes it, "
-            "too; a gyro "
-            "and rotor speeds would show inertia, and tell them apart.",
+            "the declared thrust curve. Yaw alone tells a load from a weak rotor there, and a battery or another day "
+            "changes it, too; a gyro and rotor speeds would show inertia, and tell them apart.",
         ),
         notes=(*found.notes, "Prediction and closed-loop simulation are left out: body rates were not measured."),
     )
@@ -214,9 +215,8 @@ def _warnings(suspects: Sequence[Prepared]) -> list[str]:
     if any(without_plan(item) for item in suspects):
         out.append(
             "No plan or setpoints are recorded, and the path flown is no plan: what the controller answers a "
-            "disturbance with "
-            "can pass for an effect of the inputs. Drag, inflow, lift, flapping and damping are told by past motion "
-            "instead."
+            "disturbance with can pass for an effect of the inputs. Drag, inflow, lift, flapping and damping are told "
+            "by past motion instead."
         )
     if any(item.source != "imu" for item in suspects):
         out.append("Rates and accelerations are derived, not measured: small torques cannot be told.")

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.identification.results import Estimate
+from groundstation.json_types import JsonObject
 from groundstation.tabular import Record, Tabular
 
 Verdict = Literal["explained", "unexplained", "clean", "refused"]
@@ -31,7 +32,7 @@ class Finding:
     rotor: int | None = None
     gain: float = 0.0
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """JSON form of docs/formats.md."""
         return {
             "effect": self.effect,
@@ -52,7 +53,7 @@ class Unexplained:
     depends_on: tuple[str, ...] = ()
     proposal: str = ""
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """JSON form of docs/formats.md."""
         return {
             "channel": self.channel,
@@ -117,7 +118,7 @@ class Diagnosis(Tabular):
     def _title(self) -> str:
         return f"{self.flight}: {self.verdict}" + (f". {self.reason}" if self.reason else "")
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """The document ``diagnose --json`` prints (docs/formats.md)."""
         return {
             "schema": "groundstation.diagnosis/1",

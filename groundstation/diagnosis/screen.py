@@ -7,7 +7,7 @@ It sees nonlinear dependence, and colour is in the noise model.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from groundstation.diagnosis.comparison import residual_rms
 from groundstation.diagnosis.discrepancy import Discrepancy
 from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, from_thrust
 from groundstation.diagnosis.evidence import Evidence
-from groundstation.diagnosis.flight_evidence import WRENCH_ROW
+from groundstation.diagnosis.flight_evidence import WRENCH_ROW, FlightEvidence
 from groundstation.diagnosis.results import Unexplained
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import euler_from_quat
@@ -94,51 +94,87 @@ def _hats(name: str, knots: Array) -> Callable[[Signals], Array]:
 
 def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]]) -> list[Dependence]:
     """Every pair of channel and variable that still shows beyond chance, strongest first."""
-    first = evidence.flights[0]
-    vehicle = first.prepared.record.vehicle
-    weight = vehicle.mass_kg * vehicle.gravity_m_s2
-    offset = sum(len(c.effect.parameters) for c, _ in chosen)
-    kept = first.prepared.record.keep
-    discrepancy = Discrepancy(evidence)
-    solution = evidence.solve(chosen)
-    left = residual_rms(evidence, chosen, solution)
-    scales = {c: THRESHOLDS.material_share * weight * (vehicle.arm_m() if c < 3 else 1.0) for c in first.channels}
-    channels = [c for c in first.channels if left[c] >= scales[c]]  # nothing material can hide in less
-    energy = discrepancy.energies(chosen, solution).sum(axis=0) + discrepancy.of_lag(solution)
-    lift = from_thrust(vehicle, first.signals.thrust_n)[:, :, None]
-    known = [c.effect.wrench(first.signals, vehicle, c.settings) for c, _ in chosen]
-    explained = np.concatenate([np.ones_like(lift), lift, *known], axis=2)
-    found = []
-    pairs = len(VARIABLES) * len(first.channels)
+    looked = _Looked.at(evidence, chosen)
+    found: list[Dependence] = []
     for name, variable in VARIABLES.items():
-        values = variable(first.signals)
-        if not np.isfinite(values).all() or np.ptp(values[kept]) < 1e-9:
+        values = variable(looked.flight.signals)
+        if not np.isfinite(values).all() or np.ptp(values[looked.kept]) < 1e-9:
             continue
-        knots = np.unique(np.quantile(values[kept], np.linspace(0.0, 1.0, THRESHOLDS.dependence_knots)))
+        knots = np.unique(np.quantile(values[looked.kept], np.linspace(0.0, 1.0, THRESHOLDS.dependence_knots)))
         if len(knots) < 4:
             continue
         hats, count = _hats(name, knots), len(knots) - 1
         by_channel = evidence.along(hats)
-        for channel in channels:
+        for channel in looked.channels:
             if (columns := by_channel.get(channel)) is None:
                 continue
-            candidate = Candidate(_probe(name, channel, count), {})
-            solution = evidence.solve([*chosen, (candidate, columns)])
-            margin = (
-                solution.wald(offset, range(count))
-                - evidence.threshold(columns, THRESHOLDS.dependence_chance / pairs)
-                - THRESHOLDS.form_error_share**2 * energy[channel]
-            )
-            if margin <= 0.0:
-                continue
-            size = _own_size(
-                hats(first.signals), *solution.part(offset, count), explained[:, WRENCH_ROW[channel], :], kept
-            )
-            if size < scales[channel]:
-                continue
-            disturbance = disturbance_std(evidence, channel)
-            found.append(Dependence(CHANNELS[channel], name, margin, size**2 / (size**2 + disturbance**2)))
+            if (shown := looked.shown(name, channel, columns, hats(looked.flight.signals), count)) is not None:
+                found.append(shown)
     return sorted(found, key=lambda d: -d.margin)
+
+
+@dataclass(frozen=True, slots=True)
+class _Looked:
+    """What is compared with when the residual of a selection is searched for dependences.
+
+    Attributes:
+        flight: the first. kept: its samples in use, (k,).
+        offset: parameters before those of a probe.
+        scales: of each channel, the least size that matters. channels: those that leave as much.
+        energy: of form errors by channel, (6,). explained: wrenches of what is named already, (k, 6, p).
+    """
+
+    evidence: Evidence
+    chosen: Sequence[tuple[Candidate, Columns]]
+    flight: FlightEvidence
+    kept: NDArray[np.bool_]
+    offset: int
+    scales: Mapping[int, float]
+    channels: Sequence[int]
+    energy: Array
+    explained: Array
+
+    @classmethod
+    def at(cls, evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]]) -> _Looked:
+        """From the joint estimate of a selection."""
+        first = evidence.flights[0]
+        vehicle = first.prepared.record.vehicle
+        weight = vehicle.mass_kg * vehicle.gravity_m_s2
+        discrepancy, solution = Discrepancy(evidence), evidence.solve(chosen)
+        left = residual_rms(evidence, chosen, solution)
+        scales = {c: THRESHOLDS.material_share * weight * (vehicle.arm_m() if c < 3 else 1.0) for c in first.channels}
+        lift = from_thrust(vehicle, first.signals.thrust_n)[:, :, None]
+        known = [c.effect.wrench(first.signals, vehicle, c.settings) for c, _ in chosen]
+        return cls(
+            evidence=evidence,
+            chosen=chosen,
+            flight=first,
+            kept=first.prepared.record.keep,
+            offset=sum(len(c.effect.parameters) for c, _ in chosen),
+            scales=scales,
+            channels=[c for c in first.channels if left[c] >= scales[c]],  # nothing material can hide in less
+            energy=discrepancy.energies(chosen, solution).sum(axis=0) + discrepancy.of_lag(solution),
+            explained=np.concatenate([np.ones_like(lift), lift, *known], axis=2),
+        )
+
+    def shown(self, name: str, channel: int, columns: Columns, hats: Array, count: int) -> Dependence | None:
+        """The dependence of a channel on a variable; None where chance, form errors or what is named make it."""
+        candidate = Candidate(_probe(name, channel, count), {})
+        solution = self.evidence.solve([*self.chosen, (candidate, columns)])
+        pairs = len(VARIABLES) * len(self.flight.channels)
+        margin = (
+            solution.wald(self.offset, range(count))
+            - self.evidence.threshold(columns, THRESHOLDS.dependence_chance / pairs)
+            - THRESHOLDS.form_error_share**2 * self.energy[channel]
+        )
+        if margin <= 0.0:
+            return None
+        part, named = solution.part(self.offset, count), self.explained[:, WRENCH_ROW[channel], :]
+        size = _own_size(hats, *part, named, self.kept)
+        if size < self.scales[channel]:
+            return None
+        disturbance = disturbance_std(self.evidence, channel)
+        return Dependence(CHANNELS[channel], name, margin, size**2 / (size**2 + disturbance**2))
 
 
 def _own_size(part: Array, values: Array, covariance: Array, explained: Array, kept: NDArray[np.bool_]) -> float:

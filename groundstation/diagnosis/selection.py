@@ -7,6 +7,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from groundstation.diagnosis.attribution import Named, Selection, candidates
 from groundstation.diagnosis.augmented import is_among
 from groundstation.diagnosis.base import Base
@@ -15,10 +18,12 @@ from groundstation.diagnosis.columns import Candidate, Solution
 from groundstation.diagnosis.effect import library, shared_by_healthy
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import FlightEvidence
+from groundstation.diagnosis.left_open import left_open
 from groundstation.diagnosis.rivals import Entry
 from groundstation.diagnosis.unplanned import Told
 from groundstation.vehicle import Vehicle
 
+Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 
@@ -30,17 +35,23 @@ class Selected:
         baseline: effects that are there in any case: known from an earlier flight, or shared by the healthy flights.
         named: effects that the evidence asks for, in order of the error they take away.
         solution: base, baseline and named effects, estimated together.
+        selection: what they were selected from.
     """
 
     evidence: Evidence
     baseline: list[Entry]
     named: list[Named]
     solution: Solution
+    selection: Selection
 
     @property
     def chosen(self) -> list[Entry]:
         """Baseline and named effects, in the order of the solution."""
         return [*self.baseline, *((n.candidate, n.columns) for n in self.named)]
+
+    def left_open(self) -> Array:
+        """Covariance (7, 7) of mass and tensor that explanations beside them leave open."""
+        return left_open(self.evidence, self.chosen, self.selection.pool, self.selection.threshold)
 
 
 def select(
@@ -116,7 +127,7 @@ def _select(
     selection = Selection(evidence, pool, baseline, lambda f: progress(0.55 + 0.25 * f, "effects one by one"))
     progress(0.8, "selecting")
     chosen = _confirmed(selection, selection.choose(), case, base, augmented)
-    return Selected(evidence, baseline, *selection.named(chosen))
+    return Selected(evidence, baseline, *selection.named(chosen), selection)
 
 
 def _confirmed(

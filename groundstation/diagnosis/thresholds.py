@@ -94,6 +94,13 @@ class Thresholds:
         source="rule of thumb for first-order aerodynamic models",
         chosen_on=f"5312b59, {AFTER}; not changed since",
     )
+    form_share: float = _entry(
+        0.3,
+        "Spread of the share in which a named effect may take another power of speed, height, thrust or rates, or act "
+        "on one axis alone.",
+        source="drag goes with powers of the speed between one and two; judgement",
+        chosen_on="MuJoCo flights of seeds 7000 to 8200 (benchmarks.other_forms)",
+    )
     held_out_blocks: int = _entry(
         6,
         "Blocks of time that a flight is divided into; each is judged by the parameters of the others.",
@@ -266,10 +273,9 @@ class Thresholds:
     trim_scatter_shares: tuple[float, float] = _entry(
         (3e-3, 3e-2),
         "Between which scales trims of a healthy vehicle differ from session to session, as shares of the weight (and "
-        "arm, and torque"
-        " ratio), each as likely on a logarithmic scale: a battery of a quarter of the weight put in 1 mm aside shifts "
-        "the centre of a"
-        " nano-quadrotor by a hundredth of its arm. Healthy flights of one session do not tell this.",
+        "arm, and torque ratio), each as likely on a logarithmic scale: a battery of a quarter of the weight put in 1 "
+        "mm aside shifts the centre of a nano-quadrotor by a hundredth of its arm. Healthy flights of one session do "
+        "not tell this.",
         source="statics",
         chosen_on=f"5a54091, {AFTER}",
     )

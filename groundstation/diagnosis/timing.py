@@ -13,6 +13,7 @@ from groundstation.diagnosis.effect import is_commanded
 from groundstation.diagnosis.effects.input_delay import EFFECT as DELAY
 from groundstation.diagnosis.effects.motor_lag import EFFECT as LAG
 from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import posterior
 from groundstation.diagnosis.sentences import told
@@ -25,6 +26,19 @@ NAMES = (*LAG.names()[:2], *DELAY.names())
 SLOPE = LAG.names()[2]
 
 
+def _estimated(first: FlightEvidence, solution: Solution) -> tuple[Array, Array, _Beside]:
+    """Lags up and down and dead time beyond the declared ones (3,), their covariance (3, 3), and what stands beside."""
+    names, p, declared = list(first.names), first.parameters, first.prepared.record.vehicle.rotors.lag
+    index = [names.index(n) for n in NAMES]
+    values = np.array([p.lag_up_s, p.lag_down_s, p.delay_s]) + solution.theta[index]
+    values -= [declared.up_s, declared.down_s, 0.0]
+    at = names.index(SLOPE)
+    slope = Estimate.normal(float(p.lag_slope + solution.theta[at]), float(np.sqrt(solution.covariance[at, at])))
+    step_s = float(np.median(np.diff(first.prepared.flight.motors.t_s)))
+    beside = _Beside(declared.up_s, declared.down_s, slope, step_s)
+    return values, solution.covariance[np.ix_(index, index)], beside
+
+
 def lag_findings(evidence: Evidence, solution: Solution) -> list[Finding]:
     """From the joint estimate with the named effects; lag and dead time are rivals, or stand together.
 
@@ -32,17 +46,9 @@ def lag_findings(evidence: Evidence, solution: Solution) -> list[Finding]:
     other way round: the two single explanations differ by it.
     """
     first = evidence.flights[0]
-    names = list(first.names)
-    if not is_commanded(first.prepared.record.vehicle) or NAMES[0] not in names:
+    if not is_commanded(first.prepared.record.vehicle) or NAMES[0] not in first.names:
         return []
-    p, declared = first.parameters, first.prepared.record.vehicle.rotors.lag
-    index = [names.index(n) for n in NAMES]
-    values = np.array([p.lag_up_s, p.lag_down_s, p.delay_s]) + solution.theta[index]
-    values -= [declared.up_s, declared.down_s, 0.0]
-    covariance = solution.covariance[np.ix_(index, index)]
-    at = names.index(SLOPE)
-    slope = Estimate.normal(float(p.lag_slope + solution.theta[at]), float(np.sqrt(solution.covariance[at, at])))
-    lags = _Beside(declared.up_s, declared.down_s, slope, float(np.median(np.diff(first.prepared.flight.motors.t_s))))
+    values, covariance, lags = _estimated(first, solution)
 
     def wald(part: Sequence[int]) -> float:
         v, c = values[list(part)], covariance[np.ix_(part, part)]

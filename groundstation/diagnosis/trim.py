@@ -5,9 +5,8 @@ every steady torque. What changed since the healthy flights changes the commande
 to counter it:
 
     rotor i           F, tau_x, tau_y rise by A e_i T_i q, q = loss / (1 - loss); yaw by q + 1 - d of its torque, d the
-    torque per
-                      thrust that is left: 1 for a weak motor, the diameter's share for a shorter propeller (thrust D^4,
-                      torque D^5), above 1 for one that is taped or chipped
+                      torque per thrust that is left: 1 for a weak motor, the diameter's share for a shorter propeller
+                      (thrust D^4, torque D^5), above 1 for one that is taped or chipped
     load at (x, y)    F rises by its weight G, tau_x by +y G, tau_y by -x G, yaw by nothing
 
 Healthy flights differ from each other besides (battery, its place, its voltage). The covariance of that is unknown: it
@@ -58,8 +57,7 @@ FAULTS = ("weak_rotor", "com_offset")
 OTHERS = "a difference between two vehicles"
 STRANGE = (
     "The references may not be of the same vehicle: with {sure:%} probability the difference is as between two "
-    "individuals of one make. "
-    "Give healthy flights of this very vehicle."
+    "individuals of one make. Give healthy flights of this very vehicle."
 )
 MISSED = (
     "No fault is shown. The least that would have been: a rotor with {loss:%} less thrust, or a load of {load:g} "

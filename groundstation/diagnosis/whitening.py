@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.thresholds import THRESHOLDS
-from groundstation.identification.noise import NoiseModel, fit_noise_model, innovations, minus_log_likelihood
+from groundstation.identification.noise import (
+    NoiseModel,
+    fit_noise_model,
+    innovation_products,
+    innovations,
+    minus_log_likelihood,
+)
 
 Array = NDArray[np.float64]
 
@@ -27,11 +33,16 @@ class Whitening:
     Args:
         channels: which of the six (torques as rates, forces as specific forces) are known.
         dt: time since the previous block, (blocks,). restart: True where a new segment begins, (blocks,).
-        residual: (blocks, 6). nuisance: generic columns, (blocks, 6, m).
+        residual: (blocks, 6). nuisance: generic columns of each known channel, (blocks, m) each.
     """
 
     def __init__(
-        self, channels: Sequence[int], dt: Array, restart: NDArray[np.bool_], residual: Array, nuisance: Array
+        self,
+        channels: Sequence[int],
+        dt: Array,
+        restart: NDArray[np.bool_],
+        residual: Array,
+        nuisance: Sequence[Array],
     ):
         self.channels = tuple(channels)
         self._dt, self._restart = dt, restart
@@ -74,7 +85,7 @@ class Whitening:
             part[:] = q @ (q.T @ c)
         return out
 
-    def _fitted_colours(self, residual: Array, nuisance: Array) -> list[NoiseModel]:
+    def _fitted_colours(self, residual: Array, nuisance: Sequence[Array]) -> list[NoiseModel]:
         """Noise of each channel from what generic columns leave of the residual.
 
         Whitened at first by a disturbance of 0.3 s, so that slow effects go into the columns and not into the noise, or
@@ -82,9 +93,7 @@ class Whitening:
         """
         random = np.random.default_rng(SEED)
         found: list[NoiseModel] = []
-        for channel in self.channels:
-            columns = nuisance[:, channel, :]
-            columns = columns[:, np.any(columns != 0.0, axis=0)]
+        for channel, columns in zip(self.channels, nuisance, strict=True):
             z = residual[:, channel]
             step = float(np.median(self._dt)) if channel < 3 else 1.0
             size = float(np.std(np.diff(z))) + 1e-9
@@ -109,31 +118,28 @@ class Whitening:
         given noise.
         """
         integrated = channel < 3
-        stacked = np.concatenate([z[:, None], columns], axis=1)
-        e, s = innovations(stacked, self._dt, self._restart, colour, integrated=integrated)
-        good = np.isfinite(s)
-        white = e[good] / np.sqrt(s[good])[:, None]
-        left = z - columns @ coefficients(white[:, 1:], white[:, 0], random)
+        products = innovation_products(z, columns, self._dt, self._restart, colour, integrated=integrated)
+        left = z - columns @ coefficients(products[1:, 1:], products[1:, 0], random)
         start = None if random is None else colour
         found = fit_noise_model(left, self._dt, self._restart, integrated=integrated, start=start)
         return found, minus_log_likelihood(left, self._dt, self._restart, found, integrated)
 
-    def _fitted_gains(self, residual: Array, nuisance: Array) -> Array:
+    def _fitted_gains(self, residual: Array, nuisance: Sequence[Array]) -> Array:
         """What is left of each channel's colour behind its noise model: a filter (channels, frequencies) that whitens
         the rest.
 
         A disturbance need not be of first order. The periodogram of what generic columns leave, with what they took put
         back, is averaged over bands.
         """
-        rows = len(self.channels)
-        white = self.apply(residual[:, :, None]).reshape(rows, -1)
-        columns = self.apply(nuisance).reshape(rows, white.shape[1], -1)
         random = np.random.default_rng(SEED)
         out = np.ones_like(self._gains)
-        for gain, y, x in zip(out, white, columns, strict=True):
-            power = np.abs(np.fft.rfft(y - x @ coefficients(x, y, random))) ** 2 / len(y)
+        for number, (channel, columns) in enumerate(zip(self.channels, nuisance, strict=True)):
+            z, colour, integrated = residual[:, channel], self.colours[number], channel < 3
+            products = innovation_products(z, columns, self._dt, self._restart, colour, integrated=integrated)
+            left = z - columns @ coefficients(products[1:, 1:], products[1:, 0], random)
+            power = np.abs(np.fft.rfft(self.channel(number, left[:, None])[:, 0])) ** 2 / len(z)
             for band in self.bands:
-                gain[band] = 1.0 / np.sqrt(np.mean(power[band]) + 1e-12)
+                out[number, band] = 1.0 / np.sqrt(np.mean(power[band]) + 1e-12)
         return out
 
 
@@ -149,7 +155,7 @@ def bands_of(count: int) -> list[slice]:
     return out
 
 
-def coefficients(columns: Array, y: Array, random: np.random.Generator | None) -> Array:
+def coefficients(gram: Array, cross: Array, random: np.random.Generator | None) -> Array:
     """Least-squares coefficients of whitened columns; with ``random`` a draw from their posterior instead of its mean.
 
     A fit of p columns takes p degrees of freedom out of the noise, nearly all of them at the low frequencies where they
@@ -157,29 +163,37 @@ def coefficients(columns: Array, y: Array, random: np.random.Generator | None) -
     augmentation: Tanner and Wong 1987; its limit is restricted maximum likelihood, Patterson and Thompson 1971).
 
     Args:
-        columns: (rows, p), a column without innovations may be zero. y: (rows,), of unit variance if the noise is
-            right.
+        gram: products of the columns, (p, p); a column without innovations may be zero. cross: of the columns and y,
+            which is of unit variance if the noise is right, (p,).
     """
-    scale = np.linalg.norm(columns, axis=0)
+    scale = np.sqrt(np.diag(gram))
     shown = scale > 1e-9 * scale.max(initial=1e-300)
-    values, vectors = np.linalg.eigh((columns[:, shown] / scale[shown]).T @ (columns[:, shown] / scale[shown]))
+    unit = scale[shown]
+    values, vectors = np.linalg.eigh(gram[np.ix_(shown, shown)] / np.outer(unit, unit))
     kept = values > 1e-8 * values[-1]
     root = vectors[:, kept] / np.sqrt(values[kept])  # of the inverse information
-    inside = root.T @ (columns[:, shown].T @ y / scale[shown])
+    inside = root.T @ (cross[shown] / unit)
     if random is not None:
         inside = inside + random.standard_normal(len(inside))
-    theta = np.zeros(columns.shape[1])
-    theta[shown] = root @ inside / scale[shown]
+    theta = np.zeros(len(gram))
+    theta[shown] = root @ inside / unit
     return theta
 
 
 def orthonormal(basis: Array) -> Array:
     """An orthonormal basis of what columns span."""
-    size = np.linalg.norm(basis, axis=0)
-    used = basis[:, size > 1e-7 * max(float(size.max(initial=0.0)), 1e-30)]
-    if used.shape[1] == 0 or float(size.max()) < 1e-12:
-        return np.zeros((len(basis), 0))
-    used = used / np.linalg.norm(used, axis=0)
-    values, vectors = np.linalg.eigh(used.T @ used)
+    return basis @ spanning(basis.T @ basis)
+
+
+def spanning(gram: Array) -> Array:
+    """What columns of these products (n, n) are to be multiplied by to become orthonormal, (n, r)."""
+    size = np.sqrt(np.diag(gram))
+    largest = float(size.max(initial=0.0))
+    used = size > 1e-7 * max(largest, 1e-30)
+    if not used.any() or largest < 1e-12:
+        return np.zeros((len(gram), 0))
+    values, vectors = np.linalg.eigh(gram[np.ix_(used, used)] / np.outer(size[used], size[used]))
     keep = values > 1e-6 * values[-1]
-    return used @ (vectors[:, keep] / np.sqrt(values[keep]))
+    out = np.zeros((len(gram), int(keep.sum())))
+    out[used] = vectors[:, keep] / np.sqrt(values[keep]) / size[used, None]
+    return out

@@ -237,12 +237,14 @@ def _analyse(flight: Any, folder: Path, do: Sequence[str]) -> None:
     from groundstation.analysis.documents import write_json
     from groundstation.diagnosis import diagnose
     from groundstation.identification.pipeline import identify
+    from groundstation.identification.work import Work
 
     if "report" in do:
         analyse([flight], folder)
         return
-    found = identify([flight])
-    diagnosis = diagnose([flight]) if "diagnose" in do else None
+    work = Work()
+    found = identify([flight], work=work)
+    diagnosis = diagnose([flight], work=work) if "diagnose" in do else None
     write_identification(folder, found, flight.vehicle, diagnosis)
     if diagnosis is not None:
         write_json(folder / "diagnosis.json", diagnosis.to_dict())

@@ -113,9 +113,8 @@ class Catalogue:
         """Canonical parameters of a vehicle over its flights: (flights, values, stds) by name, oldest flight first."""
         rows = self._connection.execute(
             "SELECT name, list(flight ORDER BY date, flight), list(value ORDER BY date, flight), list(std ORDER BY "
-            "date, flight)"
-            " FROM parameters WHERE method = ? AND vehicle = ? AND std > 0 AND isfinite(value) AND isfinite(std)"
-            " GROUP BY name ORDER BY name",
+            "date, flight) FROM parameters WHERE method = ? AND vehicle = ? AND std > 0 AND isfinite(value) AND "
+            "isfinite(std) GROUP BY name ORDER BY name",
             [CANONICAL, vehicle],
         ).fetchall()
         return {name: (flights, values, stds) for name, flights, values, stds in rows}

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from groundstation.errors import BadInput
 from groundstation.fleet.report import DIFFERENT
 from groundstation.fleet.trends import Groups, compare_groups
 from groundstation.identification.results import Estimate
+from groundstation.json_types import JsonObject
 from groundstation.reporting.compare import DIFFERS, Flown, change, comparison_sentence
 from groundstation.reporting.units import label
 from groundstation.tabular import Record, Tabular
@@ -70,7 +70,7 @@ class Comparison(Tabular):
             for name, row in self.parameters.items()
         ]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """The same as a JSON document."""
         return {
             "schema": "groundstation.differences/1",

@@ -15,6 +15,7 @@ from groundstation.errors import BadInput
 from groundstation.fleet.catalogue import Catalogue, Filter
 from groundstation.fleet.trends import SHORTEST, Difference, Trend, compare_groups, trend
 from groundstation.identification.results import Estimate
+from groundstation.json_types import JsonObject
 from groundstation.reporting.markup import Child, element, fragment, sentence_list, table
 from groundstation.reporting.page import Page
 from groundstation.reporting.units import interval_text, label, percent, quantity, scale_for, split_unit
@@ -104,7 +105,7 @@ def trend_lines(catalogue: Catalogue, vehicle: str) -> list[str]:
     ]
 
 
-def trend_document(catalogue: Catalogue, vehicle: str) -> dict[str, Any]:
+def trend_document(catalogue: Catalogue, vehicle: str) -> JsonObject:
     """The same for machines."""
     return {
         "vehicle": vehicle,
@@ -231,7 +232,7 @@ def _worth_a_chart(series: Series) -> bool:
     return series.trend.change is not None or bool(series.trend.outside) or "." not in series.name
 
 
-def _chart(series: Series) -> dict[str, Any]:
+def _chart(series: Series) -> JsonObject:
     """A control chart: estimates with intervals, the level, and the limits of each flight."""
     scale = scale_for(split_unit(series.name.rpartition(".")[2])[1], series.values)
     x = list(series.flights)
@@ -239,7 +240,7 @@ def _chart(series: Series) -> dict[str, Any]:
     def scaled(values: Any) -> list[float]:
         return [float(v) * scale.factor for v in values]
 
-    def curve(values: Any, name: str, **extra: Any) -> dict[str, Any]:
+    def curve(values: Any, name: str, **extra: Any) -> JsonObject:
         style = {"color": "@muted", "width": 1, "shape": "hvh", "dash": "dot"}
         return {"type": "scatter", "mode": "lines", "x": x, "y": scaled(values), "name": name, "line": style, **extra}
 

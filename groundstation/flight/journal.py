@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from groundstation.errors import BadInput
+from groundstation.json_types import JsonObject
 from groundstation.outside import parse_json, read_bytes
 
 NAME = "flight.log.jsonl"
@@ -46,13 +47,13 @@ class Journal:
             self._file.close()
 
 
-def _is_line(entry: dict[str, Any]) -> bool:
+def _is_line(entry: JsonObject) -> bool:
     """Whether a document has what every line has."""
     stamp = entry.get("monotonic_s")
     return isinstance(stamp, int | float) and all(isinstance(entry.get(key), str) for key in ("kind", "text"))
 
 
-def read_journal(path: Path) -> list[dict[str, Any]]:
+def read_journal(path: Path) -> list[JsonObject]:
     """The lines of a log; a last line that was cut off is left out."""
     entries = []
     for line in read_bytes(path, "a flight's log").decode("utf-8", "replace").split("\n"):

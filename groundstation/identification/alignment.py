@@ -206,12 +206,29 @@ def with_one_stamp(
         pose: positions and attitudes, (m, 7).
         attitude_offset_s: attitude stamp minus IMU stamp.
     """
+    late, std, correlation = _lateness(pose, attitude_offset_s, t_imu, accel, gravity_m_s2)
+    if abs(late) < max(LATE_S, 4.0 * std):
+        return pose, []
+    at = np.clip(pose.t_s + late, pose.t_s[0], pose.t_s[-1])
+    moved = resampled(at, pose.t_s, pose.values[:, :3])
+    inside = (pose.t_s + late >= pose.t_s[0]) & (pose.t_s + late <= pose.t_s[-1])
+    text = (
+        f"Positions are {late * 1e3:+.0f} +- {std * 1e3:.0f} ms late against the attitudes of the same poses "
+        f"(by the accelerometer, correlation {correlation:.2f}); each was taken at its own time."
+    )
+    return replace(pose, values=np.column_stack([moved, pose.values[:, 3:]])).select(inside), [text]
+
+
+def _lateness(
+    pose: Stream, attitude_offset_s: float, t_imu: Array, accel: Array, gravity_m_s2: float
+) -> tuple[float, float, float]:
+    """By how much positions are later than attitudes, its standard deviation and the correlation; 0 if too short."""
     from scipy.signal import butter, sosfiltfilt
 
     when = pose.t_s - attitude_offset_s
     grid = np.arange(max(when[0], t_imu[0]), min(when[-1], t_imu[-1]), STEP_S)
     if len(grid) * STEP_S < 5.0:
-        return pose, []
+        return 0.0, 0.0, 0.0
     step = float(np.median(np.diff(pose.t_s)))
     top = min(LATE_BAND_HZ[1], 0.2 / step)
     band = butter(2, (LATE_BAND_HZ[0], top), btype="band", fs=1.0 / STEP_S, output="sos")
@@ -227,17 +244,7 @@ def with_one_stamp(
         lag_between(felt[:, i : i + 1], seen[:, i : i + 1], STEP_S, reach_s=0.5, own_s=(-LATE_S, LATE_S))
         for i in range(3)
     ]
-    late, std, correlation = _joined([lag for lag in axes if lag.correlation > 0.5])
-    if abs(late) < max(LATE_S, 4.0 * std):
-        return pose, []
-    at = np.clip(pose.t_s + late, pose.t_s[0], pose.t_s[-1])
-    moved = resampled(at, pose.t_s, pose.values[:, :3])
-    inside = (pose.t_s + late >= pose.t_s[0]) & (pose.t_s + late <= pose.t_s[-1])
-    text = (
-        f"Positions are {late * 1e3:+.0f} +- {std * 1e3:.0f} ms late against the attitudes of the same poses "
-        f"(by the accelerometer, correlation {correlation:.2f}); each was taken at its own time."
-    )
-    return replace(pose, values=np.column_stack([moved, pose.values[:, 3:]])).select(inside), [text]
+    return _joined([lag for lag in axes if lag.correlation > 0.5])
 
 
 def _joined(axes: list[Lag]) -> tuple[float, float, float]:

@@ -191,8 +191,7 @@ def _reason(fitted: DynamicFit) -> str:
     if any(flight.plan is None and flight.setpoint is None for flight in flights):
         return (
             "IV: neither plan nor setpoints are recorded, and the smoothed path flown is the instrument: noisy rotor "
-            "speeds do not "
-            f"bias it, but it is not immune to feedback from disturbances; {verdict}."
+            f"speeds do not bias it, but it is not immune to feedback from disturbances; {verdict}."
         )
     return f"IV: the plan is known, so it is immune to feedback from disturbances; {verdict}."
 

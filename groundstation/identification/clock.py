@@ -50,14 +50,9 @@ def coarse_offset(
     pose_rate, t_mid = rates_from_attitude(t_pose, quaternion)
     if by_size:
         gyro, pose_rate = (np.linalg.norm(rate, axis=1, keepdims=True) for rate in (gyro, pose_rate))
-    step = 1.0 / GRID_HZ
-    grid_g = np.arange(t_gyro[0], t_gyro[-1], step)
-    grid_p = np.arange(t_mid[0], t_mid[-1], step)
-    if min(len(grid_g), len(grid_p)) < GRID_HZ:
-        raise Refused("the clocks cannot be aligned: a record is shorter than a second.", "Record the whole flight.")
-    a, b = _smooth_rates(grid_g, t_gyro, gyro), _smooth_rates(grid_p, t_mid, pose_rate)
+    step, a, b = 1.0 / GRID_HZ, _on_grid(t_gyro, gyro), _on_grid(t_mid, pose_rate)
     total, coefficient = _correlation(a, b)
-    offsets = np.arange(-(len(a) - 1), len(b)) * step + grid_p[0] - grid_g[0]
+    offsets = np.arange(-(len(a) - 1), len(b)) * step + t_mid[0] - t_gyro[0]
     # Far from what arrival times say, the evidence has to be better: a periodic excitation repeats itself.
     score = coefficient - 0.02 * np.abs(offsets - expected_s)
     best = int(np.argmax(score))
@@ -68,6 +63,18 @@ def coarse_offset(
             "Fly with rotation about at least one axis, and check that both streams are of the same vehicle.",
         )
     return float(offsets[best] + _peak_shift(total, best) * step), float(coefficient[best])
+
+
+def _on_grid(t: Array, rate: Array) -> Array:
+    """Smoothed rates at GRID_HZ from the first stamp on.
+
+    Raises:
+        Refused: less than a second.
+    """
+    grid = np.arange(t[0], t[-1], 1.0 / GRID_HZ)
+    if len(grid) < GRID_HZ:
+        raise Refused("the clocks cannot be aligned: a record is shorter than a second.", "Record the whole flight.")
+    return _smooth_rates(grid, t, rate)
 
 
 def _smooth_rates(grid: Array, t: Array, rate: Array) -> Array:

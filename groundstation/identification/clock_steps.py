@@ -42,9 +42,8 @@ def cut_steps(stream: Stream, name: str = "motion capture") -> tuple[Stream, lis
         beside = np.abs(stream.received_s - stream.received_s[index]) < CUT_S
         notes.append(
             f"The clock of {name} stepped by {-1e3 * jump_s:+.0f} ms, {stream.t_s[index - 1] - stream.t_s[0]:.1f} s "
-            "into the "
-            f"recording (set by NTP, or its server restarted); stamps after it were moved back, {int(beside.sum())} "
-            "samples beside it cut."
+            "into the recording (set by NTP, or its server restarted); stamps after it were moved back, "
+            f"{int(beside.sum())} samples beside it cut."
         )
         moved = Stream(stamps, stream.values, stream.columns, stream.received_s)
         stream = moved.select(~beside)

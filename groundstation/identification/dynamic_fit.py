@@ -17,6 +17,7 @@ from groundstation.identification.instrumental import instrumental
 from groundstation.identification.prediction_error import Fitted, fit, fit_from_declared
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import BodyWrench, RecordModel
+from groundstation.identification.resolution import no_finer, unresolved_share
 from groundstation.model.parameters import FitOptions, Parameters
 from groundstation.model.rotors import wrench_matrix
 
@@ -87,7 +88,16 @@ def _without_gain(model: RecordModel, fitted: Fitted) -> RecordModel:
 
 
 def fit_dynamics(prepared: Sequence[Prepared], progress: Progress = lambda fraction, text: None) -> DynamicFit:
-    """Prediction error and instrumental estimates of the pooled flights."""
+    """Prediction error and instrumental estimates of the pooled flights, no finer than their streams resolve."""
+    found = _fitted(prepared, progress)
+    p = found.best.parameters
+    shares = [unresolved_share(item, model, p) for item, model in zip(found.prepared, found.models, strict=True)]
+    share = np.mean(shares, axis=0)
+    refined = None if found.instrumental is None else no_finer(found.instrumental, share)
+    return replace(found, filter_error=no_finer(found.filter_error, share), instrumental=refined)
+
+
+def _fitted(prepared: Sequence[Prepared], progress: Progress) -> DynamicFit:
     options = options_for(prepared[0])
     models = _models_of(prepared)
     if any(len(model.t_s) < 50 for model in models):

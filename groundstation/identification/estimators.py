@@ -134,9 +134,7 @@ def gradient_descent(
 ) -> LinearEstimate:
     r"""Gradient descent (seed eq. 42) from zero, scaled so that it is stable on every vehicle (see the module's head).
 
-    Args:
-        regressor, output, t_s, used, points: as for :func:`least_squares`.
-        rate_per_s: adaptation rate.
+    Args are those of :func:`least_squares`, and the adaptation rate.
 
     Raises:
         NotIdentifiable: no sample is used.

@@ -31,6 +31,8 @@ COHERENT = 0.2
 """Correlation of planned and flown body rates below which the plan was not flown."""
 BAND_HZ = 5.0
 """Manoeuvres are slower than this; the filters are fitted below it."""
+PART = 16384
+"""Samples for which the shifted motions are held at a time."""
 SHORT_S: Array = np.linspace(-0.2, 0.2, 3)
 LONG_S: Array = np.linspace(-0.4, 0.4, 9)
 """Taps of the tracking filters, about the vehicle's mean delay."""
@@ -73,8 +75,15 @@ def planned_motion(
     delay_s, coherence = _delay(reference, motion, keep, gravity)
     if coherence < COHERENT:
         return None
-    flat = _tracked_path(reference, delay_s, motion, keep)
-    return _tracked_body(flat, reference, delay_s, motion, keep, gravity)
+    used = np.flatnonzero(keep)[:: max(1, round(motion.rate_hz / 50.0))]
+    shifts = _Shifted(reference, delay_s, gravity, motion.t_s[used])
+    tracking = _Tracking(_path_filters(shifts, motion, used), _body_filters(shifts, motion, used))
+    starts = range(0, len(motion.t_s), PART)
+    parts = [tracking.at(_Shifted(reference, delay_s, gravity, motion.t_s[i : i + PART])) for i in starts]
+    rate, acceleration, thrust, velocity, position, attitude = (
+        np.concatenate([part[n] for part in parts]) for n in range(6)
+    )
+    return PlannedMotion(rate, acceleration, thrust, velocity, position, quat_continuous(attitude))
 
 
 def _reference(flight: FlightData, motion: FlownMotion, keep: Mask, start_s: float, stand_in: bool) -> Reference | None:
@@ -116,58 +125,101 @@ def _delay(reference: Reference, motion: FlownMotion, keep: Mask, gravity: float
     return step * (pad - best), scores[best] / size
 
 
-def _tracked_path(reference: Reference, delay_s: float, motion: FlownMotion, keep: Mask) -> FlatState:
-    """Position and yaw as flown: p(t) = sum_j w_j r(t - delay - s_j) per axis, w fitted to acceleration and yaw
-    rate.
+@dataclass(frozen=True, slots=True)
+class _BodyFilter:
+    """Of an axis of the body: taps, whose axes' rates pass them, and the weights of all, axis by axis."""
+
+    shifts: Array
+    axes: Sequence[int]
+    weights: Array
+
+
+class _Shifted:
+    """The reference at given times, and at those times less a shift of the tracking filters; each worked out once."""
+
+    def __init__(self, reference: Reference, delay_s: float, gravity: float, t_s: Array):
+        self._reference, self._delay_s, self.gravity, self.t_s = reference, delay_s, gravity, t_s
+        self._flat: dict[float, FlatState] = {}
+        self._rigid: dict[float, RigidMotion] = {}
+
+    def flat(self, shift: float) -> FlatState:
+        """Later by a shift."""
+        if shift not in self._flat:
+            self._flat[shift] = self._reference(self.t_s - self._delay_s - shift)
+        return self._flat[shift]
+
+    def columns(self, chosen: _BodyFilter, name: str) -> Array:
+        """What a filter of the body weighs, of one quantity of rigid motion, (k, taps)."""
+        for shift in map(float, chosen.shifts):
+            if shift not in self._rigid:
+                self._rigid[shift] = rigid_motion(self.flat(shift), self.gravity)
+        parts = [getattr(self._rigid[float(s)], name)[:, axis] for axis in chosen.axes for s in chosen.shifts]
+        return np.column_stack(parts)
+
+
+@dataclass(frozen=True, slots=True)
+class _Tracking:
+    """How the vehicle follows: p(t) = sum_j w_j r(t - delay - s_j) for x, y, z and yaw (None: without a filter), and
+    the filters of the body's rates (None: those of that path).
     """
-    moved = [reference(motion.t_s - delay_s - shift) for shift in SHORT_S]
-    middle = moved[len(moved) // 2]
+
+    path: Sequence[Array | None]
+    body: Sequence[_BodyFilter | None]
+
+    def at(self, shifts: _Shifted) -> tuple[Array, ...]:
+        """Rates, their derivatives, specific thrust, velocity in the body, position, attitude."""
+        middle = shifts.flat(float(SHORT_S[len(SHORT_S) // 2]))
+        position, yaw = middle.position.copy(), middle.yaw.copy()
+        for axis, weights in enumerate(self.path):
+            if weights is None:
+                continue
+            moved = [shifts.flat(float(shift)) for shift in SHORT_S]
+            parts = [m.position[:, :, axis] if axis < 3 else m.yaw for m in moved]
+            target = position[:, :, axis] if axis < 3 else yaw
+            target[:] = sum(w * part for w, part in zip(weights, parts, strict=True))
+        path = rigid_motion(FlatState(position, yaw), shifts.gravity)
+        rate, acceleration = path.angular_velocity_body_rad_s.copy(), path.angular_acceleration_body_rad_s2.copy()
+        for axis, chosen in enumerate(self.body):
+            if chosen is not None:
+                rate[:, axis] = shifts.columns(chosen, "angular_velocity_body_rad_s") @ chosen.weights
+                acceleration[:, axis] = shifts.columns(chosen, "angular_acceleration_body_rad_s2") @ chosen.weights
+        attitude = quat_from_euler(*path.euler_rad.T)
+        velocity = quat_rotate_inverse(attitude, path.velocity_world_m_s)
+        return rate, acceleration, path.specific_thrust_m_s2, velocity, path.position_m, attitude
+
+
+def _path_filters(shifts: _Shifted, motion: FlownMotion, used: NDArray[np.int64]) -> list[Array | None]:
+    """Weights of x, y, z and yaw, fitted to acceleration and yaw rate."""
     if not np.isfinite(motion.smooth[2]).all():
-        return middle
-    used = np.flatnonzero(keep)[:: max(1, round(motion.rate_hz / 50.0))]
+        return [None] * 4
     yaw = np.unwrap(euler_from_quat(motion.smooth[0][used])[:, 2])
     flown = np.gradient(np.column_stack([motion.smooth[2][used], yaw]), motion.t_s[used], axis=0)
-    position, heading = middle.position.copy(), middle.yaw.copy()
+    moved, found = [shifts.flat(float(shift)) for shift in SHORT_S], []
     for axis in range(4):
-        parts = [m.position[:, :, axis] if axis < 3 else m.yaw for m in moved]
-        columns = np.column_stack([part[2 if axis < 3 else 1, used] for part in parts])
-        if np.std(columns) < 1e-4:
-            continue
-        weights = np.linalg.lstsq(columns, flown[:, axis], rcond=1e-3)[0]
-        target = position[:, :, axis] if axis < 3 else heading
-        target[:] = sum(w * part for w, part in zip(weights, parts, strict=True))
-    return FlatState(position, heading)
+        columns = np.column_stack([m.position[2, :, axis] if axis < 3 else m.yaw[1] for m in moved])
+        still = np.std(columns) < 1e-4
+        found.append(None if still else np.linalg.lstsq(columns, flown[:, axis], rcond=1e-3)[0])
+    return found
 
 
-def _tracked_body(
-    flat: FlatState, reference: Reference, delay_s: float, motion: FlownMotion, keep: Mask, gravity: float
-) -> PlannedMotion:
-    """Rates and thrust as flown: each is a filtered plan of its own, of all three axes' rates where that pays (BIC).
+def _body_filters(shifts: _Shifted, motion: FlownMotion, used: NDArray[np.int64]) -> list[_BodyFilter | None]:
+    """Rates as flown: each is a filtered plan of its own, of all three axes' rates where that pays (BIC).
 
     A fast manoeuvre couples the axes and saturates loops, which a filter of position and yaw does not tell.
     """
     from scipy.signal import butter, sosfiltfilt
 
-    path = rigid_motion(flat, gravity)
-    moved = {float(s): rigid_motion(reference(motion.t_s - delay_s - s), gravity) for s in {*SHORT_S, *LONG_S}}
-    used = np.flatnonzero(keep)[:: max(1, round(motion.rate_hz / 50.0))]
     sos = butter(2, min(BAND_HZ, 0.4 * motion.rate_hz), fs=motion.rate_hz, output="sos")
     flown = np.gradient(np.asarray(sosfiltfilt(sos, motion.rate, axis=0))[used], motion.t_s[used], axis=0)
     independent = 2.0 * BAND_HZ * float(motion.t_s[used[-1]] - motion.t_s[used[0]])
-    rate, acceleration = path.angular_velocity_body_rad_s.copy(), path.angular_acceleration_body_rad_s2.copy()
-
-    def parts(shifts: Array, axes: Sequence[int], name: str) -> Array:
-        return np.column_stack([getattr(moved[float(s)], name)[:, axis] for axis in axes for s in shifts])
-
+    found: list[_BodyFilter | None] = []
     for axis in range(3):
-        choices: list[tuple[Array, Sequence[int]]] = [(SHORT_S, (axis,)), (LONG_S, (axis,)), (LONG_S, (0, 1, 2))]
-        columns = [parts(shifts, axes, "angular_acceleration_body_rad_s2") for shifts, axes in choices]
-        index, weights = _most_probable([c[used] for c in columns], flown[:, axis], independent)
-        if index is not None:
-            acceleration[:, axis] = columns[index] @ weights
-            shifts, axes = choices[index]
-            rate[:, axis] = parts(shifts, axes, "angular_velocity_body_rad_s") @ weights
-    return _planned(path, rate, acceleration)
+        sets: list[tuple[Array, Sequence[int]]] = [(SHORT_S, (axis,)), (LONG_S, (axis,)), (LONG_S, (0, 1, 2))]
+        choices = [_BodyFilter(taps, axes, np.zeros(len(taps) * len(axes))) for taps, axes in sets]
+        columns = [shifts.columns(choice, "angular_acceleration_body_rad_s2") for choice in choices]
+        index, weights = _most_probable(columns, flown[:, axis], independent)
+        found.append(None if index is None else _BodyFilter(choices[index].shifts, choices[index].axes, weights))
+    return found
 
 
 def _most_probable(candidates: Sequence[Array], target: Array, independent: float) -> tuple[int | None, Array]:
@@ -188,18 +240,6 @@ def _most_probable(candidates: Sequence[Array], target: Array, independent: floa
         if score < lowest:
             chosen, best, lowest = index, weights, score
     return chosen, best
-
-
-def _planned(path: RigidMotion, rate: Array, acceleration: Array) -> PlannedMotion:
-    attitude = quat_from_euler(*path.euler_rad.T)
-    return PlannedMotion(
-        rate,
-        acceleration,
-        path.specific_thrust_m_s2,
-        quat_rotate_inverse(attitude, path.velocity_world_m_s),
-        path.position_m,
-        quat_continuous(attitude),
-    )
 
 
 def _path_spline(motion: FlownMotion, keep: Mask) -> Reference | None:

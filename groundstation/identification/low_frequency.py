@@ -1,9 +1,8 @@
-r"""The equations of motion turned round, in the band where rotor telemetry that is filtered and late still has the
-torque.
+r"""Inverse dynamics, in the band where rotor telemetry that is filtered and late still has the torque.
 
     torque   tau(T) = J w' - (lag) J w'' + D w + k (-v_y, v_x, 0) + trim + T offset    roll, pitch, yaw
-    force    m f_xy = -d v_xy s + m bias                                               the accelerometer is the force:
-    it needs no rotor lift     m f_z  = a T + b (T - mean)^2 + (lag) T' - k_w v_z s + l T |v_xy|^2 + m bias
+    force    m f_xy = -d v_xy s + m bias               the accelerometer is the force: it needs no rotor
+    lift     m f_z  = a T + b (T - mean)^2 + (lag) T' - k_w v_z s + l T |v_xy|^2 + m bias
 
 with T the thrust, f the specific force, v the velocity in the body, w the body rates, s the rotors' speed over that at
 hover. The rotors' wrench is the output: its noise attenuates nothing (inverse dynamics: Janot, Vandanjon and Gautier
@@ -13,7 +12,7 @@ and the torque is lost.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -77,26 +76,30 @@ def without_plan(prepared: Prepared) -> bool:
     return prepared.flight.plan is None and prepared.flight.setpoint is None
 
 
-def slow(prepared: Prepared, p: Parameters) -> Slow:
-    """A whole flight below the band's edge, with the mass, lag and dead time of a base fit ``p``."""
+def _low_pass(edge_hz: float, rate_hz: float, stretches: Sequence[slice]) -> Callable[[Array], Array]:
+    """What keeps columns below the edge, each stretch by itself: what stands in a gap is of no flight."""
     from scipy.signal import butter, sosfiltfilt
 
-    record, vehicle = prepared.record, prepared.record.vehicle
-    rate_hz = 1.0 / float(np.median(np.diff(record.t_s)))
-    edge = min(BAND_HZ, 0.2 * rate_hz)
-    sos = butter(2, edge, fs=rate_hz, output="sos")
-    cut = slice(None, None, max(1, round(rate_hz / (SAMPLES_PER_BAND * edge))))
-
-    margin = round(EDGE_S * rate_hz)
-    stretches = [slice(*ends) for ends in _runs(record.keep) if ends[1] - ends[0] > 2 * margin]
+    sos = butter(2, edge_hz, fs=rate_hz, output="sos")
 
     def low(values: Array) -> Array:
-        """Each stretch by itself: what stands in a gap is of no flight."""
         out = np.zeros(values.shape)
         for stretch in stretches:
             out[stretch] = sosfiltfilt(sos, np.nan_to_num(values[stretch]), axis=0)
         return out
 
+    return low
+
+
+def slow(prepared: Prepared, p: Parameters) -> Slow:
+    """A whole flight below the band's edge, with the mass, lag and dead time of a base fit ``p``."""
+    record, vehicle = prepared.record, prepared.record.vehicle
+    rate_hz = 1.0 / float(np.median(np.diff(record.t_s)))
+    edge = min(BAND_HZ, 0.2 * rate_hz)
+    cut = slice(None, None, max(1, round(rate_hz / (SAMPLES_PER_BAND * edge))))
+    margin = round(EDGE_S * rate_hz)
+    stretches = [slice(*ends) for ends in _runs(record.keep) if ends[1] - ends[0] > 2 * margin]
+    low = _low_pass(edge, rate_hz, stretches)
     signals = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
     anchor = vehicle.mass_kg / p.mass_kg if vehicle.identification.anchor == "mass" else 1.0
     wrench = anchor * low(signals.thrust_n @ wrench_matrix(vehicle).T)

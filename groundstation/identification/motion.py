@@ -128,8 +128,7 @@ def _unaided(imu: Stream, notes: Sequence[str]) -> Motion:
     unknown = (np.full((count, 4), np.nan), np.full((count, 3), np.nan), np.full((count, 3), np.nan))
     note = (
         "There are no poses: attitude, velocity and the accelerometer's bias are unknown, so the mass is only as sure "
-        "as "
-        f"a bias of {UNKNOWN_ACCEL_BIAS_M_S2:.1f} m/s^2 leaves it, and drag, wind and ground effect cannot be told."
+        f"as a bias of {UNKNOWN_ACCEL_BIAS_M_S2:.1f} m/s^2 leaves it, and drag, wind and ground effect cannot be told."
     )
     return Motion(
         t_s=imu.t_s,
@@ -190,10 +189,8 @@ def _disagreement(clock: Clock) -> list[str]:
         return []
     return [
         f"The link had motion capture {1e3 * clock.online_s:+.2f} +- {1e3 * clock.online_error_s:.2f} ms from the IMU, "
-        "the motion says "
-        f"{1e3 * clock.mocap_minus_imu_s:+.2f} +- {1.96e3 * clock.std_s:.2f} ms: the stamps have a delay that the link "
-        "does not know "
-        "(`groundstation calibrate` measures it). The motion's was used."
+        f"the motion says {1e3 * clock.mocap_minus_imu_s:+.2f} +- {1.96e3 * clock.std_s:.2f} ms: the stamps have a "
+        "delay that the link does not know (`groundstation calibrate` measures it). The motion's was used."
     ]
 
 

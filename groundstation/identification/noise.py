@@ -54,20 +54,32 @@ class NoiseModel:
 
 
 @njit(cache=True)
-def _integrated_innovations(z: Array, dt: Array, restart: NDArray[np.bool_], noise: Array) -> tuple[Array, Array]:
+def _driven(sigma: float, tau: float, q: float, h: float, phi: float) -> tuple[float, float, float]:
+    """Exact covariance of (integral over h, end value) driven by the Ornstein-Uhlenbeck noise: 00, 01, 11."""
+    s2 = sigma * sigma
+    q11 = s2 * (1.0 - phi * phi)
+    q01 = s2 * tau * (1.0 - phi) * (1.0 - phi)
+    q00 = s2 * tau * (2.0 * h - tau * (3.0 - 4.0 * phi + phi * phi)) + q * q * h
+    return max(q00, q * q * h), q01, q11
+
+
+@njit(cache=True)
+def _integrated_innovations(
+    z: Array, dt: Array, restart: NDArray[np.bool_], noise: Array, x: Array, p: Array, fresh: bool
+) -> tuple[Array, Array]:
     """Innovations and their variances of z = integral(d + white) + white; state [integral, d]; diffuse at restarts.
 
     z has shape (k, m): the first column drives nothing special, all columns pass the same filter. dt[i] is the time
-    from sample i - 1 to i. Variances at restarts are infinite (the level is unknown there).
+    from sample i - 1 to i. Variances at restarts are infinite (the level is unknown there). Columns' states x (2, m)
+    and their covariance p (3,) go in and come out, so that a long series passes in parts, the first of them ``fresh``.
     """
     sigma, tau, q, r = noise
     k, m = z.shape
     out = np.zeros((k, m))
     variance = np.empty(k)
-    x = np.zeros((2, m))
-    p00, p01, p11 = 0.0, 0.0, sigma * sigma
+    p00, p01, p11 = p
     for i in range(k):
-        if restart[i] or i == 0:
+        if restart[i] or (fresh and i == 0):
             for j in range(m):
                 x[0, j] = z[i, j]
                 x[1, j] = 0.0
@@ -77,13 +89,7 @@ def _integrated_innovations(z: Array, dt: Array, restart: NDArray[np.bool_], noi
         h = dt[i]
         phi = np.exp(-h / tau)
         g = tau * (1.0 - phi)
-        # exact covariance of (integral over h, end value) driven by the Ornstein-Uhlenbeck noise
-        s2 = sigma * sigma
-        q11 = s2 * (1.0 - phi * phi)
-        q01 = s2 * tau * (1.0 - phi) * (1.0 - phi)
-        q00 = s2 * tau * (2.0 * h - tau * (3.0 - 4.0 * phi + phi * phi)) + q * q * h
-        if q00 < q * q * h:
-            q00 = q * q * h
+        q00, q01, q11 = _driven(sigma, tau, q, h, phi)
         n00 = p00 + 2.0 * g * p01 + g * g * p11 + q00
         n01 = phi * (p01 + g * p11) + q01
         n11 = phi * phi * p11 + q11
@@ -98,37 +104,40 @@ def _integrated_innovations(z: Array, dt: Array, restart: NDArray[np.bool_], noi
             x[1, j] = x1 + k1 * e
         p00, p01, p11 = n00 - k0 * n00, n01 - k0 * n01, n11 - k1 * n01
         variance[i] = s
+    p[0], p[1], p[2] = p00, p01, p11
     return out, variance
 
 
 @njit(cache=True)
-def _direct_innovations(z: Array, dt: Array, restart: NDArray[np.bool_], noise: Array) -> tuple[Array, Array]:
+def _direct_innovations(
+    z: Array, dt: Array, restart: NDArray[np.bool_], noise: Array, x: Array, p: Array, fresh: bool
+) -> tuple[Array, Array]:
     """Innovations and their variances of z = d + white, with stationary start at restarts. Shapes as above."""
     sigma, tau, q, r = noise
     k, m = z.shape
     out = np.empty((k, m))
     variance = np.empty(k)
-    x = np.zeros(m)
-    p = sigma * sigma
+    spread = p[0]
     for i in range(k):
         h = dt[i]
-        if restart[i] or i == 0:
-            x[:] = 0.0
-            p = sigma * sigma
+        if restart[i] or (fresh and i == 0):
+            x[0] = 0.0
+            spread = sigma * sigma
             h = 1.0
         else:
             phi = np.exp(-h / tau)
             for j in range(m):
-                x[j] *= phi
-            p = phi * phi * p + sigma * sigma * (1.0 - phi * phi)
-        s = p + r * r + q * q / h
-        gain = p / s
+                x[0, j] *= phi
+            spread = phi * phi * spread + sigma * sigma * (1.0 - phi * phi)
+        s = spread + r * r + q * q / h
+        gain = spread / s
         for j in range(m):
-            e = z[i, j] - x[j]
+            e = z[i, j] - x[0, j]
             out[i, j] = e
-            x[j] += gain * e
-        p -= gain * p
+            x[0, j] += gain * e
+        spread -= gain * spread
         variance[i] = s
+    p[0] = spread
     return out, variance
 
 
@@ -147,7 +156,27 @@ def innovations(
         Innovations (k, m), variances (k,) with inf where a level was only initialised.
     """
     kernel = _integrated_innovations if integrated else _direct_innovations
-    return kernel(np.ascontiguousarray(z), dt, restart, colour.vector())
+    return kernel(np.ascontiguousarray(z), dt, restart, colour.vector(), np.zeros((2, z.shape[1])), np.zeros(3), True)
+
+
+PART = 4096
+"""Samples whose innovations are held at a time where only products of them are asked for."""
+
+
+def innovation_products(
+    z: Array, columns: Array, dt: Array, restart: NDArray[np.bool_], colour: NoiseModel, *, integrated: bool
+) -> Array:
+    """Sums of products of the normalised innovations of z (k,) and of columns (k, m), z first, shape (1 + m, 1 + m)."""
+    kernel = _integrated_innovations if integrated else _direct_innovations
+    width = 1 + columns.shape[1]
+    states, covariance, out = np.zeros((2, width)), np.zeros(3), np.zeros((width, width))
+    for first in range(0, len(z), PART):
+        part = slice(first, first + PART)
+        stacked = np.column_stack([z[part], columns[part]])
+        e, s = kernel(stacked, dt[part], restart[part], colour.vector(), states, covariance, first == 0)
+        white = e / np.sqrt(s)[:, None]  # zero where a level was only initialised
+        out += white.T @ white
+    return out
 
 
 def minus_log_likelihood(
@@ -159,6 +188,31 @@ def minus_log_likelihood(
     kernel = integrated_costs if integrated else direct_costs
     noises = colour.vector()[None, :]
     return float(kernel(np.ascontiguousarray(residual), dt, restart, noises, float(np.median(dt)))[0])
+
+
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """Where the most likely noise is looked for: first guesses, and bounds in logarithms, (4,)."""
+
+    starts: list[NoiseModel]
+    floor: Array
+    ceiling: Array
+
+
+def _search(residual: Array, step: float, length: float, *, integrated: bool) -> _Search:
+    """By the residual's own spread and that of its differences."""
+    difference = np.diff(residual)
+    scale = float(1.4826 * np.median(np.abs(difference - np.median(difference)))) + 1e-12
+    spread = float(np.std(residual - np.median(residual))) + 1e-12
+    rough = scale / step * 0.1 if integrated else spread
+    starts = [
+        NoiseModel(rough, 0.5, scale / np.sqrt(step) * 0.2, 0.6 * scale),
+        NoiseModel(rough, 0.05, scale / np.sqrt(step) * 0.05, 0.6 * scale),
+    ]
+    unit = scale / step if integrated else spread
+    floor = np.log([1e-5 * unit, 2.0 * step, 1e-5 * unit * np.sqrt(step), 1e-4 * scale])
+    ceiling = np.log([1e3 * unit, max(length / 4.0, 4.0 * step), 1e2 * unit * np.sqrt(step), 1e2 * scale])
+    return _Search(starts, floor, ceiling)
 
 
 def fit_noise_model(
@@ -173,22 +227,9 @@ def fit_noise_model(
     from scipy.optimize import minimize
 
     step = float(np.median(dt[1:]))
-    length = float(np.sum(dt[1:]))
-    difference = np.diff(residual)
-    scale = float(1.4826 * np.median(np.abs(difference - np.median(difference)))) + 1e-12
-    spread = float(np.std(residual - np.median(residual))) + 1e-12
-    if start is None:
-        rough = scale / step * 0.1 if integrated else spread
-        starts = [
-            NoiseModel(rough, 0.5, scale / np.sqrt(step) * 0.2, 0.6 * scale),
-            NoiseModel(rough, 0.05, scale / np.sqrt(step) * 0.05, 0.6 * scale),
-        ]
-    else:
-        starts = [start]
-    unit = scale / step if integrated else spread
-    floor = np.log([1e-5 * unit, 2.0 * step, 1e-5 * unit * np.sqrt(step), 1e-4 * scale])
-    ceiling = np.log([1e3 * unit, max(length / 4.0, 4.0 * step), 1e2 * unit * np.sqrt(step), 1e2 * scale])
-
+    search = _search(residual, step, float(np.sum(dt[1:])), integrated=integrated)
+    starts = search.starts if start is None else [start]
+    floor, ceiling = search.floor, search.ceiling
     series, kernel = np.ascontiguousarray(residual), integrated_costs if integrated else direct_costs
 
     def cost_and_slope(vector: Array) -> tuple[float, Array]:

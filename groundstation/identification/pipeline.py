@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 from groundstation.flightdata import FlightData
 from groundstation.identification.answer import Answer, as_rigid_body, believed, bound_of, with_methods, within_limits
 from groundstation.identification.declarations import check_declarations, said_first
 from groundstation.identification.disagreement import with_doubts
-from groundstation.identification.dynamic_fit import Progress, fit_dynamics
+from groundstation.identification.dynamic_fit import Progress
 from groundstation.identification.predictive_choice import physical_model, prediction_section
-from groundstation.identification.preparation import prepare_all
 from groundstation.identification.results import Identification
 from groundstation.identification.turning import turning_disturbance
 from groundstation.identification.validation import validate
+from groundstation.identification.work import Work
+from groundstation.json_types import Document
 from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
 
 
@@ -25,6 +25,7 @@ def identify(
     *,
     predictive: bool = False,
     progress: Progress = lambda fraction, text: None,
+    work: Work | None = None,
 ) -> Identification:
     """Identify one vehicle from one or several of its flights.
 
@@ -33,6 +34,7 @@ def identify(
         options: stretches to leave out.
         predictive: fit and choose a prediction model beside the physical one, too.
         progress: told the fraction done and what is being done.
+        work: of another analysis of the same flights, or to be kept for one.
 
     Raises:
         BadInput: an option that only a diagnosis can use, or a stretch outside the flights.
@@ -41,8 +43,9 @@ def identify(
     progress(0.05, "bringing the streams onto one clock")
     options.require_only("identify", "exclude")
     checks = check_declarations(flights[0])
-    prepared = prepare_all(flights, options.exclude)
-    answer = believed(fit_dynamics(prepared, progress), said_first(checks))
+    work = Work() if work is None else work
+    prepared = work.prepared(flights, options.exclude)
+    answer = believed(work.fitted(prepared, progress), said_first(checks))
     answer = with_methods(answer, options.exclude, progress)
     answer = within_limits(as_rigid_body(answer))
     found = _documented(answer, options, progress)
@@ -85,7 +88,7 @@ def _documented(answer: Answer, options: AnalysisOptions, progress: Progress) ->
     )
 
 
-def _predictive(answer: Answer, found: Identification) -> Mapping[str, Any]:
+def _predictive(answer: Answer, found: Identification) -> Document:
     """The prediction model beside the physical one, for the model file."""
     parameters = found.methods[found.best].parameters
     physical = physical_model(answer.vehicle, parameters, answer.model, found.disturbance)

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from groundstation.flightdata import resampled
 from groundstation.frames import matrix_from_quat, slerp
 from groundstation.identification.attitude_fit import AttitudeFit, Recording, whitened_fit
+from groundstation.identification.newton import DIFFERENCE, minimum
+from groundstation.identification.noise_kernel import LANES
+from groundstation.identification.position_kernel import position_costs
 from groundstation.identification.smoothing import position_filter, position_smoother
 
 Array = NDArray[np.float64]
@@ -30,6 +33,12 @@ SCALE_PRIOR = np.array([0.2, 0.005])
 _CLOCK, _LEVER = slice(0, 2), slice(5, 8)
 # No capture system resolves less than a micrometre; a simulated one without noise must not make the filter singular.
 _FINEST = np.array([1e-6, 1e-5, 1e-5])
+_COARSEST = np.array([1e2, 1e3, 1e3])
+"""Metres of pose noise, and a hundred g over a second: nothing that is measured is worse."""
+_STEPS = 20
+"""Of the search for the noise of positions."""
+_INITIAL_M_S2 = 0.3
+"""What of an acceleration is unknown at first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +87,12 @@ def _position_columns(
     )
 
 
+def _scale_columns(recording: Recording, tk: Array, place: Array, force: Array) -> Array:
+    """What the scales of poses and accelerometer change of the positions, (n, 3, 2)."""
+    _, felt = _twice(force, recording.dt_imu)
+    return np.stack([place - place.mean(axis=0), -resampled(tk, recording.t_imu, felt)], axis=2)
+
+
 def _fitted_position(error: Array, columns: Array, dt: Array, noise: Array) -> tuple[Array, Array, Array, Array]:
     """Values, covariance, residual (n, 3) and noise after three rounds of fit and noise model."""
     count = columns.shape[2]
@@ -97,6 +112,14 @@ def _fitted_position(error: Array, columns: Array, dt: Array, noise: Array) -> t
         values, covariance = fit.values, fit.covariance
         residual = error - columns @ values
     return values, covariance, residual, noise
+
+
+def _of_the_vehicle(columns: Array) -> Array:
+    """The columns of what moves the vehicle itself: not clock, lever arm and the poses' scale, (n, 3, P)."""
+    named = columns.copy()
+    named[:, :, _CLOCK] = named[:, :, _LEVER] = 0.0
+    named[:, :, len(POSITION) : len(POSITION) + 1] = 0.0
+    return named
 
 
 def align_position(
@@ -120,17 +143,11 @@ def align_position(
     if scale:
         ahead = states[:-1, 0, :] + dt[1:, None] * states[:-1, 1, :] + 0.5 * dt[1:, None] ** 2 * states[:-1, 2, :]
         place = resampled(tk, t_imu, path) + np.concatenate([states[:1, 0, :], ahead])
-        _, felt = _twice(force, recording.dt_imu)
-        both = np.stack([place - place.mean(axis=0), -resampled(tk, t_imu, felt)], axis=2)
-        columns = np.concatenate([columns, both], axis=2)
+        columns = np.concatenate([columns, _scale_columns(recording, tk, place, force)], axis=2)
     values, covariance, residual, noise = _fitted_position(error, columns, dt, noise)
     _, _, states, pf, pp = position_filter(residual, dt, noise)
     smooth = position_smoother(dt, states, pf, pp)
-    named = columns.copy()
-    named[:, :, _CLOCK] = 0.0  # clock terms move stamps, not the vehicle
-    named[:, :, _LEVER] = 0.0  # neither does the lever arm
-    named[:, :, len(POSITION) : len(POSITION) + 1] = 0.0  # nor the poses' scale
-    shift = named @ values
+    shift = _of_the_vehicle(columns) @ values
     slope = np.gradient(shift, tk, axis=0) if len(tk) > 2 else np.zeros_like(shift)
 
     def motion(found: Array) -> tuple[Array, Array]:
@@ -144,24 +161,20 @@ def align_position(
 
 def _position_noise(error: Array, dt: Array, start: Array | None = None) -> Array:
     """Most likely (pose noise, white acceleration, acceleration walk, initial acceleration) of position errors."""
-    from scipy.optimize import minimize
-
     if start is None:
         third = np.diff(error, 3, axis=0)
         rough = float(np.median(np.abs(third)) / 0.6745 / np.sqrt(20.0)) + 1e-7
-        start = np.array([rough, 0.01, 0.01, 0.3])
+        start = np.array([rough, 0.01, 0.01, _INITIAL_M_S2])
+    series = np.ascontiguousarray(error)
 
-    def noise_of(logs: Array) -> Array:
-        return np.array([*np.maximum(np.exp(logs), _FINEST), 0.3])
+    def costs(points: Array) -> Array:
+        noises = np.column_stack([np.exp(points), np.full(len(points), _INITIAL_M_S2)])
+        parts = [position_costs(series, dt, noises[i : i + LANES]) for i in range(0, len(noises), LANES)]
+        return np.concatenate(parts)
 
-    def cost(logs: Array) -> float:
-        noise = noise_of(logs)
-        e, s, *_ = position_filter(error, dt, noise)
-        keep = np.isfinite(s)
-        square = np.minimum(e[keep] ** 2 / np.maximum(s[keep, None], 1e-30), 25.0)
-        return 0.5 * float(3.0 * np.sum(np.log(np.maximum(s[keep], 1e-30))) + np.sum(square))
-
-    found = minimize(
-        cost, np.log(start[:3]), method="Nelder-Mead", options={"maxiter": 80, "xatol": 0.05, "fatol": 0.1}
-    )
-    return noise_of(found.x)
+    floor, ceiling = np.log(_FINEST), np.log(_COARSEST)
+    found, cost = minimum(costs, np.log(start[:3]), floor, ceiling, _STEPS)
+    if found[0] < floor[0] + 2.0 * DIFFERENCE:  # no noise of poses: the way to there may end in a lesser minimum
+        other, lower = minimum(costs, floor + np.log(10.0), floor, ceiling, _STEPS)
+        found = other if lower < cost else found
+    return np.array([*np.exp(found), _INITIAL_M_S2])

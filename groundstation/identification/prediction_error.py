@@ -149,13 +149,21 @@ class Problem:
         """Half the robust squared innovations and the logarithms of their deviations, at ``p`` under given noise
         models.
         """
-        total = 0.0
+        pairs = zip(self.models, noise, strict=True)
+        return sum(_innovation_cost(model, model.residual(p), each) for model, each in pairs)
+
+    def misfits(self, trials: Sequence[Parameters], noise: Sequence[FlightNoise]) -> Array:
+        """:meth:`misfit` at many points that differ in lags and dead time, (trials,), for less."""
+        costs = np.zeros(len(trials))
         for model, each in zip(self.models, noise, strict=True):
-            found = each.whitened_residual(model, model.residual(p))
-            total += found.log_deviation
-            for y in found.residual:
-                total += huber_cost(y)
-        return total
+            costs += [_innovation_cost(model, residual, each) for residual in model.residuals(trials)]
+        return costs
+
+
+def _innovation_cost(model: RecordModel, residual: Array, noise: FlightNoise) -> float:
+    """Half the robust squared innovations of one flight's residual, and the logarithms of their deviations."""
+    found = noise.whitened_residual(model, residual)
+    return found.log_deviation + sum(huber_cost(y) for y in found.residual)
 
 
 def huber(y: Array, limit: float = HUBER) -> Array:
@@ -336,7 +344,7 @@ def divided_anew(models: Sequence[RecordModel], found: Fitted, options: FitOptio
     tried = [p] + [
         replace(p, lag_up_s=p.lag_up_s - s, lag_down_s=p.lag_down_s - s, delay_s=p.delay_s + s) for s in shifts if s
     ]
-    return min(tried, key=lambda each: problem.misfit(each, noise))
+    return tried[int(np.argmin(problem.misfits(tried, noise)))]
 
 
 SHOOTING_S = 2.0

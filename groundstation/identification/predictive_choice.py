@@ -13,8 +13,10 @@ from groundstation.identification.predictive_fit import SHORTEST_S, WINDOWS, Jud
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.results import Estimate
 from groundstation.identification.starts import own_states, smoothed_states
+from groundstation.json_types import Document, JsonObject
 from groundstation.model.disturbance import TurningDisturbance
 from groundstation.model.flight_states import FlightStates
+from groundstation.model.predictive import PredictiveModel
 from groundstation.model.vehicle_model import VehicleModel, declared_model, model_from_document
 from groundstation.vehicle import Vehicle
 
@@ -44,7 +46,7 @@ def physical_model(
     return model_from_document(document, vehicle)
 
 
-def prediction_section(prepared: Sequence[Prepared], physical: VehicleModel) -> dict[str, Any]:
+def prediction_section(prepared: Sequence[Prepared], physical: VehicleModel) -> JsonObject:
     """Fit, choose, and say it. An empty section where the flights are too short to do either.
 
     Args:
@@ -85,7 +87,7 @@ def _kept(states: FlightStates, t_s: NDArray[np.float64], keep: NDArray[np.bool_
     return keep[nearest] & (np.abs(t_s[nearest] - states.t_s) < 0.1)
 
 
-def section(found: Judgement) -> dict[str, Any]:
+def section(found: Judgement) -> JsonObject:
     """The ``[prediction]`` section of a model file."""
     return {
         "kind": "fitted" if found.model is not None else found.kind,
@@ -110,19 +112,17 @@ def summary(found: Judgement) -> str:
     )
 
 
-def chosen_name(document: Mapping[str, Any]) -> str:
+def chosen_name(document: Document) -> str:
     """What the predictor of a model file is called."""
     return WORDS.get(document.get("prediction", {}).get("candidate", "physical"), "the model")
 
 
-def chosen_predictor(document: Mapping[str, Any], physical: VehicleModel) -> Any:
+def chosen_predictor(document: Document, physical: VehicleModel) -> VehicleModel | PredictiveModel | None:
     """What a model file's ``[prediction]`` section asks to predict with; None stands for constant velocity.
 
     Raises:
         BadInput: the section is malformed.
     """
-    from groundstation.model.predictive import PredictiveModel
-
     found = document.get("prediction", {})
     kind = found.get("kind", "physical")
     if kind == "fitted":

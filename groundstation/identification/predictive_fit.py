@@ -318,8 +318,7 @@ def _chosen(
     text = ", ".join(f"{name} {score[name][0]:.2f}" for name in sorted(score, key=lambda n: score[n][0]))
     reason = (
         f"mean error 0.1 and 0.5 s ahead on {len(blocks[kind])} blocks that no fit of it has seen, in units of "
-        "constant "
-        f"velocity's: {text}; the simplest within one standard error of the best is taken."
+        f"constant velocity's: {text}; the simplest within one standard error of the best is taken."
     )
     return Judgement(kind, model, errors, score, loses, len(blocks[kind]), reason)
 

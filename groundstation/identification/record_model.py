@@ -10,22 +10,46 @@ differences of the exact lag. Everything is linear in running integrals, so thos
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from groundstation.identification.sensitivities import Measured, measured_sensitivities, sensitivity_of, stacked
+from groundstation.frames import skew
+from groundstation.identification.block_kernel import integral_means, wrench_means
+from groundstation.identification.sensitivities import (
+    Measured,
+    lag_of,
+    measured_sensitivities,
+    sensitivity_of,
+    stacked,
+    timing_steps,
+)
 from groundstation.model.parameters import BASIS, PAIRS, FitOptions, Parameters
-from groundstation.model.rotors import MotorInput, cumulative, declared_thrust, wrench_matrix
+from groundstation.model.rotor_kernel import LANES
+from groundstation.model.rotors import Lag, MotorInput, mean_thrusts, wrench_matrix
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 CHANNELS = ("torque_x_nm", "torque_y_nm", "torque_z_nm", "force_x_n", "force_y_n", "force_z_n")
+
+
+def _turning() -> Array:
+    """Omega x J omega per entry of the tensor and product of two rates, both in the order of PAIRS, (3, 6, 6)."""
+    out = np.zeros((3, len(PAIRS), len(PAIRS)))
+    for entry, basis in enumerate(BASIS):
+        for product, (i, j) in enumerate(PAIRS):
+            out[:, entry, product] += (skew(np.eye(3)[i]) @ basis)[:, j]
+            if i != j:
+                out[:, entry, product] += (skew(np.eye(3)[j]) @ basis)[:, i]
+    return out
+
+
+TURNING = _turning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,11 +114,11 @@ class BodyWrench:
 
 @dataclass(frozen=True, slots=True)
 class Predicted:
-    """A record's outputs at given parameters: thrusts on the motors' grid, wrench and impulse (blocks, 6), rates,
-    forces.
+    """A record's outputs at given parameters: wrench and impulse (blocks, 6), rates, forces; differences of wrench and
+    impulse by lags and dead time.
     """
 
-    on_grid: tuple[Array, Array]
+    moved: Mapping[str, tuple[Array, Array]]
     wrench: Array
     impulse: Array
     rate: Array
@@ -126,7 +150,6 @@ class RecordModel:
         self.planned = planned
         self.extra = tuple(extra)
         self.matrix = wrench_matrix(record.vehicle)
-        self._made = np.flatnonzero(self.matrix.any(axis=1))  # upright rotors make no force along x and y
         self._members, self.restart = _blocks(record)
         self._step = np.concatenate([[0.0], np.diff(record.t_s)])
         self.t_s = self.average(record.t_s[:, None])[:, 0]
@@ -138,6 +161,8 @@ class RecordModel:
         self.gyroscopic = self.integrated_gyroscopic(record.rate_rad_s)
         self.extra_means = tuple((self.integrated(e.value), self.average(e.value[:, :3])) for e in self.extra)
         self._last: tuple[Parameters, Predicted] | None = None
+        self._made: tuple[list[tuple[Lag, float]], list[tuple[Array, Array]]] | None = None
+        self._asked = FitOptions(lag=False, delay=False)
 
     def channels(self, options: FitOptions) -> tuple[int, ...]:
         """Outputs of this record that a fit uses: those asked for, measured, and not silent."""
@@ -146,19 +171,32 @@ class RecordModel:
 
     def restarted(self, restart: Mask) -> RecordModel:
         """The same record with other segment starts."""
-        other = RecordModel(self.record, self.extra, self.planned, self.silent)
+        other = copy(self)
         other.restart = restart
+        return other
+
+    def of_vehicle(self, vehicle: Vehicle) -> RecordModel:
+        """The same record by another vehicle's thrust, with neither terms nor plan."""
+        other = copy(self)
+        other.record, other.matrix = replace(self.record, vehicle=vehicle), wrench_matrix(vehicle)
+        other.planned, other.extra, other.extra_means = None, (), ()
+        other._last = other._made = None
         return other
 
     def integrated(self, values: Array) -> Array:
         """Block means of the running integral of values (k, ...) at the IMU's stamps, (blocks, ...)."""
-        means = _integral_means(values.reshape(len(values), -1), self._step, self._members)
+        means = integral_means(values.reshape(len(values), -1), self._step, self._members)
         return means.reshape(len(means), *values.shape[1:])
 
     def integrated_gyroscopic(self, rate: Array) -> Array:
         """Block means of the integral of omega x J omega per entry of the tensor, (blocks, 3, 6)."""
-        products = np.stack([np.cross(rate, rate @ basis) for basis in BASIS], axis=-1)
-        return self.integrated(products)
+        products = np.stack([rate[:, i] * rate[:, j] for i, j in PAIRS], axis=-1)
+        return (self.integrated(products) @ TURNING.reshape(-1, len(PAIRS)).T).reshape(-1, 3, len(PAIRS))
+
+    def of_wrench(self, wrench: Array) -> Array:
+        """Block means of the running integrals of torques and of forces, torques first, of a wrench (k, 6, p)."""
+        flat = np.ascontiguousarray(wrench, dtype=float).reshape(len(wrench), -1)
+        return wrench_means(flat, self._step, self._members).reshape(-1, 6, wrench.shape[2])
 
     def average(self, values: Array) -> Array:
         """Block means of samples (k, ...) at the IMU's stamps, (blocks, ...)."""
@@ -169,41 +207,68 @@ class RecordModel:
             total += values[column]
         return total / self._members.shape[1]
 
-    def on_grid(self, up_s: float, down_s: float, slope: float) -> tuple[Array, Array]:
-        """What rotors make by the declared constants behind a lag and its running integral, on the motors' grid, (k,
-        rows) each.
+    def thrusts(self, wanted: Sequence[tuple[Lag, float]]) -> list[tuple[Array, Array]]:
+        """Force and torque of the rotors by the declared constants behind each lag and dead time, averaged over the
+        blocks, and their running integrals, (blocks, 6) each.
+
+        The last ones are kept: a fit whose rotors have neither lag nor dead time to find asks for the same again.
         """
-        motors = self.record.motors
-        wrench = declared_thrust(self.record.vehicle, motors.lagged(up_s, down_s, slope)) @ self.matrix[self._made].T
-        held = not motors.measured and up_s <= 1e-6 and down_s <= 1e-6
-        return wrench, cumulative(wrench, motors.step_s, held=held)
+        if self._made is None or self._made[0] != list(wanted):
+            record = self.record
+            lags, delays = (list(dict.fromkeys(part)) for part in zip(*wanted, strict=True))
+            means = mean_thrusts(record.vehicle, record.motors, lags, delays, (record.t_s, self._members))
+            found = [means[lags.index(lag)][delays.index(delay)] for lag, delay in wanted]
+            self._made = (
+                list(wanted),
+                [(each[:, 0] @ self.matrix.T, each[:, 1] @ self.matrix.T) for each in found],
+            )
+        return self._made[1]
 
-    def thrusts(self, on_grid: tuple[Array, Array], delay_s: float) -> tuple[Array, Array]:
-        """The same later by a delay, averaged over the blocks: force and torque, (blocks, 6) each."""
-        motors = self.record.motors
-        position = (self.record.t_s - delay_s - motors.start_s) / motors.step_s
-        means = np.zeros((2, len(self._members), 6))
-        for mean, values in zip(means, on_grid, strict=True):
-            mean[:, self._made] = _block_means(values, position, self._members)
-        return means[0], means[1]
+    def wrench(self, p: Parameters) -> Array:
+        """Force and torque of the rotors at ``p``, (blocks, 6)."""
+        return self._predict(p).wrench
 
-    def _predict(self, p: Parameters) -> Predicted:
-        if self._last is not None and self._last[0] is p:
+    def _predict(self, p: Parameters, options: FitOptions | None = None) -> Predicted:
+        """At ``p``, with the differences that the sensitivities of these options need (None: those asked for last).
+
+        Differences cost little beside the prediction, and a search that ends at ``p`` goes on from there.
+        """
+        if self._last is not None and self._last[0] is p and options in (None, self._asked):
             return self._last[1]
-        on_grid = self.on_grid(p.lag_up_s, p.lag_down_s, p.lag_slope)
-        wrench, impulse = self.thrusts(on_grid, p.delay_s)
+        self._asked = self._asked if options is None else options
+        steps = timing_steps(p, self._asked)
+        here, *others = self.thrusts([(lag_of(p), p.delay_s), *((step.lag, step.delay_s) for step in steps.values())])
+        moved = {
+            name: ((wrench - here[0]) / step.size, (impulse - here[1]) / step.size)
+            for (name, step), (wrench, impulse) in zip(steps.items(), others, strict=True)
+        }
+        prediction = self._outputs(p, moved, *here)
+        self._last = p, prediction
+        return prediction
+
+    def _outputs(
+        self, p: Parameters, moved: Mapping[str, tuple[Array, Array]], wrench: Array, impulse: Array
+    ) -> Predicted:
+        """Rates and forces that a wrench and its integral make."""
         entries = np.array([p.tensor[i, j] for i, j in PAIRS])
+        arm = skew(p.com_m).T
         torque = impulse[:, 3:] - (self.gyroscopic.reshape(-1, len(PAIRS)) @ entries).reshape(-1, 3)
-        torque -= np.cross(p.com_m, impulse[:, :3])
+        torque -= impulse[:, :3] @ arm
         torque[:, 2] += p.yaw_trim_nm * self.elapsed_s
         force = wrench[:, :3].copy()
         for coefficient, (integral, push) in zip(p.extra, self.extra_means, strict=True):
-            torque += coefficient * (integral[:, 3:] - np.cross(p.com_m, integral[:, :3]))
+            torque += coefficient * (integral[:, 3:] - integral[:, :3] @ arm)
             force += coefficient * push
-        prediction = Predicted(on_grid, wrench, impulse, torque @ np.linalg.inv(p.tensor).T, force)
-        prediction = self._with_linear(p, prediction)
-        self._last = p, prediction
-        return prediction
+        return self._with_linear(p, Predicted(moved, wrench, impulse, torque @ np.linalg.inv(p.tensor).T, force))
+
+    def residuals(self, trials: Sequence[Parameters]) -> Iterator[Array]:
+        """:meth:`residual` at many points that differ in lags and dead time, for less."""
+        together = max(1, LANES // self.record.motors.value.shape[1])
+        for first in range(0, len(trials), together):
+            some = trials[first : first + together]
+            found = self.thrusts([(lag_of(p), p.delay_s) for p in some])
+            for p, thrusts in zip(some, found, strict=True):
+                yield self._residual(p, self._outputs(p, {}, *thrusts))
 
     def _with_linear(self, p: Parameters, prediction: Predicted) -> Predicted:
         """With what parameters without physics of their own add: value times sensitivity."""
@@ -227,49 +292,9 @@ class RecordModel:
 
     def evaluate(self, p: Parameters, options: FitOptions) -> tuple[Array, Array, tuple[str, ...]]:
         """Residuals (blocks, 6) and sensitivities d(prediction)/d(parameter) (blocks, 6, P) at ``p``, with names."""
-        prediction = self._predict(p)
+        prediction = self._predict(p, options)
         found = measured_sensitivities(Measured(self, p, prediction), options)
         return self._residual(p, prediction), stacked(found), tuple(found)
-
-
-@njit(cache=True)
-def _integral_means(values: Array, step: Array, members: NDArray[np.int64]) -> Array:
-    """Block means of the running integral by the trapezoidal rule of columns (k, n), with ``step`` before each sample,
-    (blocks, n).
-    """
-    count = values.shape[1]
-    blocks, size = members.shape
-    out = np.zeros((blocks, count))
-    impulse = np.zeros(count)
-    at = 0
-    for b in range(blocks):
-        for m in range(size):
-            while at < members[b, m]:
-                at += 1
-                for j in range(count):
-                    impulse[j] += 0.5 * (values[at, j] + values[at - 1, j]) * step[at]
-            for j in range(count):
-                out[b, j] += impulse[j]
-        for j in range(count):
-            out[b, j] /= size
-    return out
-
-
-@njit(cache=True)
-def _block_means(values: Array, position: Array, members: NDArray[np.int64]) -> Array:
-    """Block means of a uniform grid's columns (k, n), interpolated linearly at ``position`` (in steps), (blocks, n)."""
-    blocks, size = members.shape
-    out = np.zeros((blocks, values.shape[1]))
-    for b in range(blocks):
-        for m in range(size):
-            at = min(max(position[members[b, m]], 0.0), len(values) - 1.000001)
-            i = int(at)
-            weight = at - i
-            for j in range(values.shape[1]):
-                out[b, j] += values[i, j] * (1.0 - weight) + values[i + 1, j] * weight
-        for j in range(values.shape[1]):
-            out[b, j] /= size
-    return out
 
 
 def _blocks(record: DynamicRecord) -> tuple[NDArray[np.int64], Mask]:

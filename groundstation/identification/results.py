@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.json_types import JsonObject
 from groundstation.tabular import Record, Tabular
 
 if TYPE_CHECKING:  # numba takes a second to import, and only the type is needed
@@ -51,7 +52,7 @@ class Estimate:
         low = max(0.0, value - 1.96 * std)
         return cls(max(value, 0.0), std, (low, max(low, value + 1.96 * std)))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """JSON form of docs/formats.md."""
         return {"value": self.value, "std": self.std, "ci95": list(self.ci95)}
 
@@ -82,7 +83,7 @@ class MethodResult:
         """The same without some of its parameters."""
         return replace(self, parameters={key: value for key, value in self.parameters.items() if key not in names})
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """JSON form of docs/formats.md."""
         return {
             "parameters": {name: estimate.to_dict() for name, estimate in self.parameters.items()},
@@ -104,7 +105,7 @@ class Revealed:
     share: float
     combination: Mapping[str, float]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """JSON form."""
         return {"share": self.share, "combination": dict(self.combination)}
 
@@ -199,7 +200,7 @@ class Identification(Tabular):
     def _title(self) -> str:
         return f"{self.flight}: {self.vehicle}, identified by {self.best}, 95 % intervals"
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """The document ``identify --json`` prints (docs/formats.md)."""
         clock = self.clock
         return {

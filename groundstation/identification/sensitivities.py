@@ -8,14 +8,16 @@ rate.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.frames import skew
 from groundstation.model.parameters import BASIS, TENSOR, FitOptions, Parameters, free_entries
-from groundstation.model.rotors import thrusts_for
+from groundstation.model.rotors import Lag, thrusts_for
 
 if TYPE_CHECKING:
     from groundstation.identification.record_model import Predicted, RecordModel
@@ -24,17 +26,55 @@ Array = NDArray[np.float64]
 Pair = tuple[Array, Array]
 
 
+TIMING = ("input_delay_s", "rotor_lag_s", "rotor_lag_up_s", "rotor_lag_down_s", "rotor_lag_slope")
+"""Parameters whose sensitivity is a difference."""
+DELAY_STEP_S = 1e-3
+SLOPE_STEP = 0.05
+"""Of differences by the dead time and by a lag's slope."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """Where rotors are worked out once more for a difference: their lag, the dead time, and how far that is."""
+
+    lag: Lag
+    delay_s: float
+    size: float
+
+
+def lag_of(p: Parameters) -> Lag:
+    """Of the rotors."""
+    return p.lag_up_s, p.lag_down_s, p.lag_slope
+
+
+def timing_steps(p: Parameters, options: FitOptions) -> dict[str, Step]:
+    """Of each free parameter that delays the inputs."""
+    size = max(1e-3, 0.02 * max(p.lag_up_s, p.lag_down_s))
+    up, down, slope = lag_of(p)
+    found = {
+        "input_delay_s": Step((up, down, slope), p.delay_s + DELAY_STEP_S, DELAY_STEP_S),
+        "rotor_lag_s": Step((up + size, down + size, slope), p.delay_s, size),
+        "rotor_lag_up_s": Step((up + size, down, slope), p.delay_s, size),
+        "rotor_lag_down_s": Step((up, down + size, slope), p.delay_s, size),
+        "rotor_lag_slope": Step((up, down, slope + SLOPE_STEP), p.delay_s, SLOPE_STEP),
+    }
+    free = {entry.name for entry in free_entries(options)}
+    return {name: step for name, step in found.items() if name in free}
+
+
 class Point:
     """A record's model at given parameters.
 
     Attributes:
-        inverse: of the tensor, (3, 3). blank: no change, (blocks, 3).
+        inverse: of the tensor, (3, 3). arm: from a force to the torque c x F, (3, 3), to multiply from the right.
+        blank: no change, (blocks, 3).
     """
 
     def __init__(self, model: RecordModel, p: Parameters):
         self.model = model
         self.p = p
         self.inverse = np.asarray(np.linalg.inv(p.tensor), dtype=float)
+        self.arm = skew(p.com_m).T
         self.blank = np.zeros((len(model.t_s), 3))
 
     def along(self, axis: int, values: Array | float) -> Array:
@@ -63,24 +103,11 @@ class Measured(Point):
         """Of the predicted force."""
         return self.prediction.impulse[:, :3]
 
-    @property
-    def lag_step_s(self) -> float:
-        """Of a difference by a lag."""
-        return max(1e-3, 0.02 * max(self.p.lag_up_s, self.p.lag_down_s))
-
-    def difference(self, on_grid: tuple[Array, Array], delay_s: float, step: float) -> Pair:
-        """Of other thrusts on the motors' grid, or later ones, per ``step``."""
-        p, wrench = self.p, self.prediction.wrench
-        other = self.model.thrusts(on_grid, delay_s)
-        impulse = (other[1] - self.prediction.impulse) / step
-        torque = impulse[:, 3:] - np.cross(p.com_m, impulse[:, :3])
-        return torque @ self.inverse.T, (other[0] - wrench)[:, :3] / step / p.mass_kg
-
-    def other_lag(self, *, up_s: float = 0.0, down_s: float = 0.0, slope: float = 0.0) -> Pair:
-        """Per unit of a lag or its slope, by one step of it."""
-        p = self.p
-        on_grid = self.model.on_grid(p.lag_up_s + up_s, p.lag_down_s + down_s, p.lag_slope + slope)
-        return self.difference(on_grid, p.delay_s, max(up_s, down_s, slope))
+    def moved(self, name: str) -> Pair:
+        """By a lag, its slope or the dead time: a difference of the exact lag."""
+        wrench, impulse = self.prediction.moved[name]
+        torque = impulse[:, 3:] - impulse[:, :3] @ self.arm
+        return torque @ self.inverse.T, wrench[:, :3] / self.p.mass_kg
 
 
 class Planned(Point):
@@ -181,6 +208,10 @@ def _planned_slope(at: Planned) -> Pair:
     return at.later_rotors(-change)
 
 
+def _moved(name: str) -> Callable[[Measured], Pair]:
+    return lambda at: at.moved(name)
+
+
 def _forces_alone(pair: Pair) -> Pair:
     return np.zeros_like(pair[0]), pair[1]
 
@@ -190,8 +221,8 @@ def _accel_bias(axis: int) -> Callable[[Point], Pair]:
 
 
 EITHER: dict[str, Callable[[Point], Pair]] = {
-    "com_offset_x_m": lambda at: (-np.cross(np.eye(3)[0], at.impulse) @ at.inverse.T, at.blank),
-    "com_offset_y_m": lambda at: (-np.cross(np.eye(3)[1], at.impulse) @ at.inverse.T, at.blank),
+    "com_offset_x_m": lambda at: (-at.impulse @ skew(np.eye(3)[0]).T @ at.inverse.T, at.blank),
+    "com_offset_y_m": lambda at: (-at.impulse @ skew(np.eye(3)[1]).T @ at.inverse.T, at.blank),
     "yaw_trim_nm": lambda at: (at.along(2, at.model.elapsed_s) @ at.inverse.T, at.blank),
     "accel_bias_x_m_s2": _accel_bias(0),
     "accel_bias_y_m_s2": _accel_bias(1),
@@ -202,11 +233,7 @@ EITHER: dict[str, Callable[[Point], Pair]] = {
 MEASURED: dict[str, Callable[[Measured], Pair]] = {
     "mass_kg": lambda at: (at.blank, -at.prediction.force / at.p.mass_kg**2),
     **{name: _measured_entry(index) for index, name in enumerate(TENSOR)},
-    "input_delay_s": lambda at: at.difference(at.prediction.on_grid, at.p.delay_s + 1e-3, 1e-3),
-    "rotor_lag_s": lambda at: at.other_lag(up_s=at.lag_step_s, down_s=at.lag_step_s),
-    "rotor_lag_up_s": lambda at: at.other_lag(up_s=at.lag_step_s),
-    "rotor_lag_down_s": lambda at: at.other_lag(down_s=at.lag_step_s),
-    "rotor_lag_slope": lambda at: at.other_lag(slope=0.05),
+    **{name: _moved(name) for name in TIMING},
     "accel_delay_s": lambda at: _forces_alone(MEASURED["input_delay_s"](at)),
 }
 
@@ -231,7 +258,7 @@ def measured_sensitivities(at: Measured, options: FitOptions) -> dict[str, Pair]
     """Of each parameter that is free, and of each wrench term of the model, by name."""
     found = {entry.name: sensitivity_of(entry.name)(at) for entry in free_entries(options)}
     for term, (integral, push) in zip(at.model.extra, at.model.extra_means, strict=True):
-        torque = integral[:, 3:] - np.cross(at.p.com_m, integral[:, :3])
+        torque = integral[:, 3:] - integral[:, :3] @ at.arm
         found[term.name] = torque @ at.inverse.T, push / at.p.mass_kg
     return found
 
@@ -251,4 +278,8 @@ def planned_sensitivities(model: RecordModel, p: Parameters, options: FitOptions
 
 def stacked(found: dict[str, Pair]) -> Array:
     """Columns (rate, force) of each parameter side by side, (blocks, 6, P)."""
-    return np.stack([np.concatenate(pair, axis=1) for pair in found.values()], axis=-1)
+    first = next(iter(found.values()))[0]
+    out = np.empty((len(first), 6, len(found)))
+    for column, (rate, force) in enumerate(found.values()):
+        out[:, :3, column], out[:, 3:, column] = rate, force
+    return out

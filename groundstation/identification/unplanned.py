@@ -48,8 +48,7 @@ LOW_NOTE = (
 )
 LOW_REASON = (
     "LF: neither plan nor setpoints are recorded and rotor speeds are telemetry, which loses the fast torque; below "
-    "1.5 Hz it is "
-    "right. Feedback from disturbances is in the intervals. Products of inertia are not told."
+    "1.5 Hz it is right. Feedback from disturbances is in the intervals. Products of inertia are not told."
 )
 
 

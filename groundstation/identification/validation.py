@@ -136,10 +136,15 @@ def closed_loop_validation(
         if np.isfinite(error).all():
             rms[name] = dict(zip(CLOSED_LOOP_SIGNALS, map(float, np.sqrt(np.mean(error**2, axis=0))), strict=True))
     left_out = [name for name in sets if name not in rms]
+    return Validation("closed_loop", rms, int(np.count_nonzero(flown.used)), _loop_note(left_out))
+
+
+def _loop_note(left_out: Sequence[str]) -> str:
+    """How the loop was simulated, and for which sets it was not."""
     note = "The declared controller on the plan, section IV-A's sampling and limits."
-    if left_out:
-        note += f" Left out, because no body has such a tensor or the loop diverges with it: {', '.join(left_out)}."
-    return Validation("closed_loop", rms, int(np.count_nonzero(flown.used)), note)
+    if not left_out:
+        return note
+    return f"{note} Left out, because no body has such a tensor or the loop diverges with it: {', '.join(left_out)}."
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,15 +21,15 @@ about.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInput
+from groundstation.json_types import Document
 
 Array = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ class TurningDisturbance:
         return {name: list(values) for name, values in asdict(self).items()}
 
     @classmethod
-    def from_dict(cls, document: Mapping[str, Any]) -> TurningDisturbance:
+    def from_dict(cls, document: Document) -> TurningDisturbance:
         """Inverse of :meth:`to_dict`.
 
         Raises:

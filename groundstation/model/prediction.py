@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from groundstation.errors import BadInput, Refused
 from groundstation.flightdata import resampled
 from groundstation.frames import quat_conjugate, quat_log, quat_multiply, quat_normalise
+from groundstation.json_types import JsonObject
 from groundstation.model.flight_states import FlightStates
 from groundstation.model.predictive import PredictiveModel, simulate
 from groundstation.model.rollout import STEP_S, constant_velocity
@@ -46,7 +46,7 @@ class Prediction(Tabular):
     final: Mapping[str, Array]
     predictor: str = "the physical model"
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """The document ``predict --json`` prints (docs/formats.md)."""
         return {
             "schema": "groundstation.prediction/1",

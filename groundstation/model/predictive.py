@@ -17,14 +17,14 @@ fades with a time of its own. A window starts from the observer's rates, less or
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInput
+from groundstation.json_types import Document, JsonObject
 from groundstation.model.flight_states import FlightStates
 from groundstation.model.predictive_kernel import FLAPPING, integrated, observed, seen, simulated
 from groundstation.model.rotors import declared_thrust, wrench_matrix
@@ -120,7 +120,7 @@ class Base:
             model.lag_up_s, model.lag_down_s, model.lag_slope, model.delay_s,
         )  # fmt: skip
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """For a model document."""
         fields = {name: getattr(self, name) for name in self.__slots__}
         return fields | {"tensor": [[float(x) for x in row] for row in self.tensor], "com_m": list(self.com_m)}
@@ -145,12 +145,12 @@ class PredictiveModel:
             out[NAMES.index(name)] = min(max(float(value), number.low), number.high)
         return replace(self, values=out)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """For a model document."""
         return {"base": self.base.to_dict(), "numbers": dict(zip(NAMES, map(float, self.values), strict=True))}
 
     @classmethod
-    def from_dict(cls, document: Mapping[str, Any]) -> PredictiveModel:
+    def from_dict(cls, document: Document) -> PredictiveModel:
         """Inverse of :meth:`to_dict`.
 
         Raises:

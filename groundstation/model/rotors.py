@@ -10,6 +10,7 @@ vehicles, for the torques).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,22 +18,15 @@ from numba import njit
 from numpy.typing import NDArray
 
 from groundstation.flightdata import resampled
+from groundstation.model.rotor_kernel import LANES, NEARLY_INSTANT_S, SLOWEST, block_means, gain
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
 FINE_STEP_S = 0.001
-SLOWEST = 0.1
-"""Share of hover's rate that a lag keeps however small the command."""
 
-
-@njit(cache=True, error_model="numpy")
-def _gain(z: float) -> float:
-    """1 - exp(-z): by the series of z / (1 - exp(-z)), right to 1e-12 where z is small, which is faster."""
-    if z >= 0.2:
-        return -np.expm1(-z)
-    square = z * z
-    return z / (1.0 + 0.5 * z + square * (1.0 - square * (1.0 - square / 42.0) / 60.0) / 12.0)
+Lag = tuple[float, float, float]
+"""Of rising and falling rotors, s, and its slope."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -44,14 +38,14 @@ def _lagged(value: Array, up: float, down: float, step: float, slope: float, hov
     """
     count, columns = value.shape
     out = np.empty_like(value)
-    step_up, step_down = step / max(up, 1e-6), step / max(down, 1e-6)
+    step_up, step_down = step / max(up, NEARLY_INSTANT_S), step / max(down, NEARLY_INSTANT_S)
     still, more = 1.0 - slope, slope / hover
     x, rising, falling = value[0].copy(), np.empty(columns), np.empty(columns)
     for i in range(count):  # columns side by side: each only waits for itself
         for j in range(columns):
             if i == 0 or (slope != 0.0 and value[i, j] != value[i - 1, j]):
                 pace = max(still + more * value[i, j], SLOWEST)
-                rising[j], falling[j] = _gain(pace * step_up), _gain(pace * step_down)
+                rising[j], falling[j] = gain(pace * step_up), gain(pace * step_down)
             out[i, j] = x[j]
             error = value[i, j] - x[j]
             x[j] += (rising[j] if error > 0.0 else falling[j]) * error
@@ -82,7 +76,7 @@ class MotorInput:
 
     def lagged(self, up_s: float, down_s: float, slope: float = 0.0) -> Array:
         """Values after the lag, shape (k, n). A zero lag passes the values through."""
-        if up_s <= 1e-6 and down_s <= 1e-6:
+        if up_s <= NEARLY_INSTANT_S and down_s <= NEARLY_INSTANT_S:
             return self.value
         return _lagged(self.value, up_s, down_s, self.step_s, slope, self.hover)
 
@@ -147,6 +141,37 @@ def hover_value(vehicle: Vehicle) -> float:
 def declared_thrust(vehicle: Vehicle, lagged: Array) -> Array:
     """Thrust of each rotor by the declared constants from (lagged) motor values; the wrench passes through."""
     return lagged if vehicle.rotors.input == "wrench" else vehicle.thrust(lagged)
+
+
+def thrust_polynomial(vehicle: Vehicle) -> Array:
+    """Coefficients of :func:`declared_thrust` by powers of a motor value, (3,)."""
+    if vehicle.rotors.input == "wrench":
+        return np.array([0.0, 1.0, 0.0])
+    if vehicle.rotors.input == "command" and vehicle.rotors.thrust_curve is not None:
+        return np.array(vehicle.rotors.thrust_curve, dtype=float)
+    per_unit = (vehicle.rotors.speed_max_rad_s or 0.0) if vehicle.rotors.input == "command" else 1.0
+    return np.array([0.0, 0.0, (vehicle.rotors.thrust_coefficient_n_s2 or 0.0) * per_unit**2])
+
+
+def mean_thrusts(
+    vehicle: Vehicle, motors: MotorInput, lags: Sequence[Lag], delays_s: Sequence[float], blocks: tuple[Array, Array]
+) -> list[Array]:
+    """Block means of :func:`declared_thrust` behind each lag and dead time, and of its running integral.
+
+    Of each lag an array (delays, blocks, 2, n).
+
+    Args:
+        blocks: stamps of the samples (k,), and the samples of each block (blocks, size).
+    """
+    rotors = motors.value.shape[1]
+    grid = (motors.start_s, motors.step_s, float(motors.hover), motors.measured)
+    curve, delays, found = thrust_polynomial(vehicle), np.array(delays_s, dtype=float), []
+    together = LANES // rotors
+    for first in range(0, len(lags), together):
+        some = np.array(lags[first : first + together], dtype=float)
+        means = block_means(motors.value, grid, some, delays, curve, *blocks)
+        found += [means[..., n * rotors : (n + 1) * rotors] for n in range(len(some))]
+    return found
 
 
 def wrench_matrix(vehicle: Vehicle) -> Array:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInput
+from groundstation.json_types import Document
 from groundstation.model.disturbance import TurningDisturbance
 from groundstation.model.parameters import FREE, RIGID_BODY, Parameters, declared_parameters
 from groundstation.model.signals import Signals
@@ -69,7 +69,7 @@ def _parameters(vehicle: Vehicle, values: Mapping[str, float], *, offsets: bool)
     return p
 
 
-def model_from_document(document: Mapping[str, Any], vehicle: Vehicle, wrench: Wrench | None = None) -> VehicleModel:
+def model_from_document(document: Document, vehicle: Vehicle, wrench: Wrench | None = None) -> VehicleModel:
     """The model in an ``identification.toml``; what it does not hold is as declared.
 
     Args:
@@ -104,7 +104,7 @@ def model_from_document(document: Mapping[str, Any], vehicle: Vehicle, wrench: W
     )
 
 
-def _values_in(document: Mapping[str, Any]) -> dict[str, float]:
+def _values_in(document: Document) -> dict[str, float]:
     """Every number of the model, those that effects say of the rotors' timing among them."""
     effects = document.get("effects", {})
     parts = [document.get(part, {}) for part in ("parameters", "model")]

@@ -14,12 +14,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import Refused
+from groundstation.json_types import JsonObject
 from groundstation.planning.information import CHANNELS, DEFAULT_NOISE, Noise
 from groundstation.planning.limits import envelope
 from groundstation.planning.plan import FREQUENCY_MAX_HZ, describe
@@ -64,7 +64,7 @@ class Separation(Tabular):
     log_odds: dict[tuple[str, str], float]
     channels: dict[str, float]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """The plan, the expected log odds of each pair, and the channels that tell the hardest pair apart."""
         odds = [{"pair": list(pair), "log_odds": value} for pair, value in self.log_odds.items()]
         return {**plan_to_dict(self.plan), "expected_log_odds": odds, "channels": dict(self.channels)}

@@ -15,7 +15,7 @@ too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -146,47 +146,58 @@ def effect_parameters(vehicle: Vehicle, effect: str) -> tuple[Parameter, ...]:
     Raises:
         BadInput: the effect is none of those that a plan can weigh.
     """
-    weight, arm = vehicle.mass_kg * vehicle.gravity_m_s2, vehicle.arm_m()
-    lag = max(vehicle.rotors.lag.up_s, 0.05)
-    heavy = weight / vehicle.gravity_m_s2 * _unit(_THRUST)
+    if effect not in _WEIGHED:
+        raise BadInput(f"a plan cannot weigh the effect {effect}; it can {', '.join(sorted(_WEIGHED))}.")
+    return _WEIGHED[effect](vehicle)
+
+
+def _rotor_drag(vehicle: Vehicle) -> tuple[Parameter, ...]:
+    return tuple(
+        Parameter(f"d_{'xy'[i]}_kg_s", 0.2 * vehicle.mass_kg, (Column(i, _unit(_VELOCITY + i)),)) for i in range(2)
+    )
+
+
+def _com_offset(vehicle: Vehicle) -> tuple[Parameter, ...]:
+    heavy, size = vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.gravity_m_s2 * _unit(_THRUST), 0.02 * vehicle.arm_m()
+    return (
+        Parameter("com_offset_x_m", size, (Column(4, -heavy),)),
+        Parameter("com_offset_y_m", size, (Column(3, heavy),)),
+    )
+
+
+def _angular_damping(vehicle: Vehicle) -> tuple[Parameter, ...]:
     moments = np.diag(vehicle.inertia_tensor())
-    made: dict[str, Callable[[], tuple[Parameter, ...]]] = {
-        "rotor_drag": lambda: tuple(
-            Parameter(f"d_{'xy'[i]}_kg_s", 0.2 * vehicle.mass_kg, (Column(i, _unit(_VELOCITY + i)),)) for i in range(2)
-        ),
-        "com_offset": lambda: (
-            Parameter("com_offset_x_m", 0.02 * arm, (Column(4, -heavy),)),
-            Parameter("com_offset_y_m", 0.02 * arm, (Column(3, heavy),)),
-        ),
-        "angular_damping": lambda: tuple(
-            Parameter(f"damping_{'xyz'[i]}_nms", 0.7 * float(moments[i]), (Column(3 + i, _unit(_RATE + i)),))
-            for i in range(3)
-        ),
-        "flapping_moment": lambda: (
-            Parameter(
-                "k_nm_s_m",
-                0.01 * weight * arm,
-                (Column(3, -_unit(_VELOCITY + 1)), Column(4, _unit(_VELOCITY))),
-            ),
-        ),
-        "motor_lag": lambda: (
-            Parameter(
-                "rotor_lag_s",
-                0.05,
-                tuple(
-                    Column(r, mix, lambda w: 1j * w / (1.0 + 1j * w * lag) ** 2) for r, mix in _nominal_wrench(vehicle)
-                ),
-            ),
-        ),
-        "input_delay": lambda: (
-            Parameter(
-                "input_delay_s", 0.02, tuple(Column(r, mix, lambda w: 1j * w) for r, mix in _nominal_wrench(vehicle))
-            ),
-        ),
-    }
-    if effect not in made:
-        raise BadInput(f"a plan cannot weigh the effect {effect}; it can {', '.join(sorted(made))}.")
-    return made[effect]()
+    return tuple(
+        Parameter(f"damping_{'xyz'[i]}_nms", 0.7 * float(moments[i]), (Column(3 + i, _unit(_RATE + i)),))
+        for i in range(3)
+    )
+
+
+def _flapping_moment(vehicle: Vehicle) -> tuple[Parameter, ...]:
+    size = 0.01 * (vehicle.mass_kg * vehicle.gravity_m_s2) * vehicle.arm_m()
+    return (Parameter("k_nm_s_m", size, (Column(3, -_unit(_VELOCITY + 1)), Column(4, _unit(_VELOCITY)))),)
+
+
+def _motor_lag(vehicle: Vehicle) -> tuple[Parameter, ...]:
+    lag = max(vehicle.rotors.lag.up_s, 0.05)
+    columns = (Column(r, mix, lambda w: 1j * w / (1.0 + 1j * w * lag) ** 2) for r, mix in _nominal_wrench(vehicle))
+    return (Parameter("rotor_lag_s", 0.05, tuple(columns)),)
+
+
+def _input_delay(vehicle: Vehicle) -> tuple[Parameter, ...]:
+    columns = (Column(r, mix, lambda w: 1j * w) for r, mix in _nominal_wrench(vehicle))
+    return (Parameter("input_delay_s", 0.02, tuple(columns)),)
+
+
+_WEIGHED: Mapping[str, Callable[[Vehicle], tuple[Parameter, ...]]] = {
+    "rotor_drag": _rotor_drag,
+    "com_offset": _com_offset,
+    "angular_damping": _angular_damping,
+    "flapping_moment": _flapping_moment,
+    "motor_lag": _motor_lag,
+    "input_delay": _input_delay,
+}
+"""Effects that a plan can weigh."""
 
 
 def parameters(vehicle: Vehicle, effects: Sequence[str] = ()) -> tuple[Parameter, ...]:

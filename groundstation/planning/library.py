@@ -8,13 +8,14 @@ stretched to its limits.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.json_types import Document, JsonObject
 from groundstation.planning.problem import Problem
 from groundstation.trajectory import FourierSeries
 
@@ -43,7 +44,7 @@ class Solved:
     a: Array
     b: Array
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """As JSON; four digits are enough for a start."""
 
         def rounded(values: Array) -> list[Any]:
@@ -52,7 +53,7 @@ class Solved:
         return {"criterion": self.criterion, **{name: rounded(getattr(self, name)) for name in ("room", "a", "b")}}
 
     @classmethod
-    def from_dict(cls, document: Mapping[str, Any]) -> Solved:
+    def from_dict(cls, document: Document) -> Solved:
         """What :meth:`to_dict` gave."""
         room, a, b = (np.array(document[name], dtype=float) for name in ("room", "a", "b"))
         return cls(str(document["criterion"]), room, a, b)

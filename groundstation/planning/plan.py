@@ -18,6 +18,7 @@ from groundstation.vehicle import Vehicle, load_vehicle
 
 if TYPE_CHECKING:
     from groundstation.planning.library import Solved
+    from groundstation.planning.problem import Problem
 
 PAPER_START = (0.0, 0.0, 0.7, 0.0)
 """x, y, z, yaw at both ends in the seed paper (section III-B); Table 2 keeps it to its four printed digits."""
@@ -112,7 +113,27 @@ def plan_excitation(
         if start is not None:
             check_start(each, start)
     _check(criterion, harmonics, time_budget_s)
-    problems = []
+    base = Problem(vehicles, envelopes, criterion, 1, 1.0, 1.0, start, noise, tuple(effects))
+    problems = _at_each_frequency(base, harmonics, base_frequency_rad_s, duration_s, frequency_max_hz)
+    search = {"seed": seed, "time_budget_s": time_budget_s, "starts": starts, "progress": progress, "watch": watch}
+    found = best_of(problems, library=solved_rooms(), **search)
+    series = replace(found.series, periods=float(round(problems[0].duration_s / found.series.period_s)))
+    plan = describe(series, vehicles[0], envelopes, criterion=criterion, noise=noise, effects=effects)
+    if not math.isfinite(found.sampled_bound):
+        return plan
+    said = f"criterion {found.cost:.5g}; with limits held at sampled instants only, the search reached"
+    return plan.model_copy(update={"note": f"{plan.note}; {said} {found.sampled_bound:.5g}"})
+
+
+def _at_each_frequency(
+    problem: Problem,
+    harmonics: int | None,
+    base_frequency_rad_s: float | None,
+    duration_s: float | None,
+    frequency_max_hz: float,
+) -> list[Problem]:
+    """The same task at each number of harmonics and each base frequency that may be flown."""
+    problems: list[Problem] = []
     for count in _HARMONICS if harmonics is None else (harmonics,):
         try:
             duration, periods = _timing(base_frequency_rad_s, duration_s, count, frequency_max_hz)
@@ -120,19 +141,9 @@ def plan_excitation(
             if harmonics is None and problems:
                 continue
             raise
-        base = Problem(vehicles, envelopes, criterion, count, 1.0, duration, start, noise, tuple(effects))
+        base = replace(problem, harmonics=count, duration_s=duration)
         problems += [replace(base, base_frequency_rad_s=2.0 * math.pi * k / duration) for k in periods]
-    search = {"seed": seed, "time_budget_s": time_budget_s, "starts": starts, "progress": progress, "watch": watch}
-    found = best_of(problems, library=solved_rooms(), **search)
-    series = replace(found.series, periods=float(round(problems[0].duration_s / found.series.period_s)))
-    plan = describe(series, vehicles[0], envelopes, criterion=criterion, noise=noise, effects=effects)
-    if math.isfinite(found.sampled_bound):
-        said = (
-            f"criterion {found.cost:.5g}; with limits held at sampled instants only, the search reached "
-            f"{found.sampled_bound:.5g}"
-        )
-        plan = plan.model_copy(update={"note": f"{plan.note}; {said}"})
-    return plan
+    return problems
 
 
 def solved_rooms() -> list[Solved]:
@@ -213,8 +224,7 @@ def _timing(
     if most < 1:
         raise BadInput(
             f"{harmonics} harmonics below {frequency_max_hz:g} Hz take {harmonics / frequency_max_hz:.4g} s, longer "
-            "than "
-            f"the duration of {wanted:g} s; use fewer harmonics, a longer flight or a higher top frequency."
+            f"than the duration of {wanted:g} s; use fewer harmonics, a longer flight or a higher top frequency."
         )
     return wanted, sorted({max(round(most / share), 1) for share in (1.0, 1.3, 1.7, 2.2, 3.0, 4.0)}, reverse=True)
 

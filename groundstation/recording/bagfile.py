@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from groundstation.errors import BadInput
 from groundstation.recording.autopilot import one_line
 from groundstation.recording.cdrlayout import MOST_ELEMENTS, UNREAD, Columns
 from groundstation.recording.part import WHOLE, Part
+from groundstation.recording.plainmcap import plain_mcap
 from groundstation.recording.tables import Table, table_of
 
 _DEFINED = {
@@ -32,26 +33,28 @@ def opened(path: Path) -> Iterator[Any]:
     Raises:
         BadInput: the library cannot read it.
     """
-    from rosbags.highlevel import AnyReader, AnyReaderError
+    from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    try:
-        store = get_typestore(Stores.ROS2_HUMBLE)
-        for name, text in _DEFINED.items():
-            store.register(get_types_from_msg(text, name))
-        with AnyReader([path], default_typestore=store) as reader:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in _DEFINED.items():
+        store.register(get_types_from_msg(text, name))
+    with ExitStack() as stack:
+        try:
+            try:
+                reader = stack.enter_context(AnyReader([path], default_typestore=store))
+            except Exception:  # the library has no one error for a file that it does not take
+                reader = plain_mcap(path)
+                if reader is None:
+                    raise
             yield reader
-    except (BadInput, MemoryError):
-        raise
-    except (AnyReaderError, KeyError, ValueError, OSError, AssertionError) as error:
-        raise BadInput(
-            f"{path}: is no ROS 2 bag that can be read ({one_line(error)}); repair it with `{_remedy(path)}`, or "
-            "record it again."
-        ) from None
-    except Exception as error:  # the library has no one error for a file that is damaged or unfinished
-        raise BadInput(
-            f"{path}: is a damaged ROS 2 bag ({one_line(error)}); repair it with `{_remedy(path)}`."
-        ) from None
+        except (BadInput, MemoryError):
+            raise
+        except Exception as error:  # nor has it one for a file that is damaged
+            raise BadInput(
+                f"{path}: is no ROS 2 bag that can be read ({one_line(error)}); repair it with "
+                f"`{_remedy(path)}`, or record it again."
+            ) from None
 
 
 def _remedy(path: Path) -> str:
@@ -113,8 +116,7 @@ def _require_definition(store: Any, connection: Any, path: Path) -> None:
     if connection.msgtype not in store.fielddefs:
         raise BadInput(
             f"{path}: does not say what {connection.msgtype} is (topic {connection.topic}): bags of ROS 2 Humble and "
-            "before hold no "
-            "definitions. Convert it where that package is installed: `ros2 bag convert`, to MCAP."
+            "before hold no definitions. Convert it where that package is installed: `ros2 bag convert`, to MCAP."
         )
 
 

@@ -19,11 +19,13 @@ from groundstation.flightdata import BATTERY_COLUMNS, IMU_COLUMNS, STATE_COLUMNS
 from groundstation.frames import quat_from_euler
 from groundstation.recording.airframes import BETAFLIGHT_QUAD_X
 from groundstation.recording.autopilot import (
+    MOTORS_SLOW_HZ,
     check_count,
     motor_map,
     motor_order,
     one_line,
     present,
+    slow_note,
     wanted_input,
 )
 from groundstation.recording.blackboxfile import BlackboxLog, decode_blackbox
@@ -88,9 +90,16 @@ def _losses(path: Path, log: BlackboxLog) -> list[str]:
     return notes
 
 
+_UNFILTERED = ("gyroUnfilt", "gyroRaw")
+"""The gyro before the firmware's filters, degrees/s over gyro_scale as gyroADC is: Betaflight's name, and INAV's."""
+_SLOW = (
+    "lower blackbox_sample_rate (Betaflight), or blackbox_rate_num over blackbox_rate_denom (INAV), to log every loop."
+)
+
+
 def _imu(log: BlackboxLog, t_s: Array) -> tuple[Stream | None, list[str]]:
     """The gyro before the firmware's filters, where it was logged, and the accelerometer."""
-    name = "gyroUnfilt" if log.elements("gyroUnfilt") == 3 else "gyroADC"
+    name = next((name for name in _UNFILTERED if log.elements(name) == 3), "gyroADC")
     rates = np.column_stack([log.column(f"{name}[{i}]") for i in range(3)])
     scale = log.number("gyro_scale", 0.0)
     if scale <= 0.0:
@@ -99,28 +108,47 @@ def _imu(log: BlackboxLog, t_s: Array) -> tuple[Stream | None, list[str]]:
     force = np.column_stack([log.column(f"accSmooth[{i}]") for i in range(3)])
     if g <= 0.0:
         return None, ["imu: left out: the header has no acc_1G."]
-    values = np.hstack([np.radians(rates * scale), force / g * _G])
+    stream = Stream(t_s, np.hstack([np.radians(rates * scale), force / g * _G]), IMU_COLUMNS)
     note = f"imu: {name} and accSmooth."
     if name == "gyroADC":
         note = (
             "imu: gyroADC, which the firmware has filtered, in steps of "
-            f"{scale:g} degrees/s, and accSmooth; declare [imu] filter_hz, or log gyroUnfilt."
+            f"{scale:g} degrees/s, and accSmooth; declare [imu] filter_hz, or log gyroUnfilt (INAV: gyroRaw)."
         )
-    return Stream(t_s, values, IMU_COLUMNS), [note]
+    return stream, [note, *slow_note("imu", stream, 100.0, _SLOW)]
+
+
+_VOLTS = (
+    ("Betaflight", (4, 0), 0.01),
+    ("Betaflight", (3, 1), 0.1),
+    ("Cleanflight", (2, 0), 0.1),
+    ("EmuFlight", (0, 0), 0.01),
+)
+"""Firmware, version from which on, volts per count of vbatLatest (blackbox-log-viewer, its fields presenter)."""
 
 
 def _battery(log: BlackboxLog, t_s: Array) -> tuple[Stream | None, list[str]]:
-    """Hundredths of volts and amperes since Betaflight 4.0, and INAV; earlier counts need the board's divider."""
+    """The battery's voltage and current.
+
+    Hundredths of either in INAV and since Betaflight 4.0; earlier currents need the board's scale.
+    """
     revision = log.headers.get("Firmware revision", "")
-    version = re.search(r"(Betaflight|INAV|EmuFlight)\D*(\d+)", revision)
     volts = next((name for name in ("vbatLatest", "vbat") if name in log), None)
     if volts is None:
         return None, []
-    if version is None or (version[1] == "Betaflight" and int(version[2]) < 4):
+    version = re.search(r"(Betaflight|INAV|EmuFlight|Cleanflight)\D*(\d+)\.?(\d*)", revision)
+    unit = None
+    if version is not None and version[1] == "INAV":
+        unit = 0.01
+    elif version is not None:
+        own = int(version[2]), int(version[3] or 0)
+        unit = next((volt for name, since, volt in _VOLTS if name == version[1] and own >= since), None)
+    if unit is None:
         return None, [f"battery: left out: the unit of {volts} is not known for '{revision or 'this firmware'}'."]
     current = next((name for name in ("amperageLatest", "amperage") if name in log), None)
-    amperes = log.column(current) / 100.0 if current else np.full(len(t_s), np.nan)
-    return Stream(t_s, np.column_stack([log.column(volts) / 100.0, amperes]), BATTERY_COLUMNS), []
+    known = current is not None and unit == 0.01
+    amperes = log.column(current) / 100.0 if current and known else np.full(len(t_s), np.nan)
+    return Stream(t_s, np.column_stack([log.column(volts) * unit, amperes]), BATTERY_COLUMNS), []
 
 
 def _state(log: BlackboxLog, t_s: Array) -> tuple[Stream | None, list[str]]:
@@ -146,6 +174,13 @@ def _motors(log: BlackboxLog, t_s: Array, vehicle: Vehicle, source: str) -> tupl
     count, escs = log.elements("motor"), log.elements("eRPM")
     if not count:
         raise BadInput(f"{source}: holds no motor values (motor[0] and on); log them.")
+    if count < 3:
+        surfaces = f" and {log.elements('servo')} servos" if log.elements("servo") else ""
+        raise BadInput(
+            f"{source}: is not the log of a multicopter: it has {count} "
+            f"motor{'s' if count > 1 else ''}{surfaces}; give a log of one with "
+            "three rotors or more."
+        )
     check_count(vehicle, count, f"motor[0] to motor[{count - 1}]", source)
     order, notes = list(range(count)), []
     frame = "not told by the log, motor i is taken for rotor i"
@@ -161,7 +196,7 @@ def _motors(log: BlackboxLog, t_s: Array, vehicle: Vehicle, source: str) -> tupl
         values, said = _commands(log, source)
         wires = [f"motor[{i}]" for i in range(count)]
     stream = Stream(t_s, values[:, order], motor_columns(kind, count))
-    return stream, [motor_map(order, wires, frame), *notes, said]
+    return stream, [motor_map(order, wires, frame), *notes, said, *slow_note("motors", stream, MOTORS_SLOW_HZ, _SLOW)]
 
 
 def _commands(log: BlackboxLog, source: str) -> tuple[Array, str]:
@@ -174,7 +209,9 @@ def _commands(log: BlackboxLog, source: str) -> tuple[Array, str]:
     low, _, high = log.headers.get("motorOutput", "").partition(",")
     protocol = log.number("motor_pwm_protocol", -1.0)
     top = float(high) if high.strip().isdigit() else 0.0
-    digital = protocol >= _FIRST_DIGITAL or (protocol < 0.0 and top > 2000.0)
+    # INAV logs pulses whatever goes to the ESC, and maps mincommand and maxthrottle to DShot's ends (mixer.c).
+    inav = "INAV" in log.headers.get("Firmware revision", "")
+    digital = not inav and (protocol >= _FIRST_DIGITAL or (protocol < 0.0 and top > 2000.0))
     if digital:
         least, full, said = _DSHOT_LEAST, _DSHOT_FULL, "DShot, from 48 to 2047"
     else:
@@ -183,9 +220,8 @@ def _commands(log: BlackboxLog, source: str) -> tuple[Array, str]:
     if full <= least or float(np.mean(sent > full + 1.0)) > 0.01:
         raise BadInput(
             f"{source}: motor values of {np.min(sent):g} to {np.max(sent):g} do not fit the header's range "
-            "(motorOutput "
-            f"'{low},{high}', motor_pwm_protocol {protocol:g}; tested: {said}); say the scale with `groundstation "
-            "convert --map`."
+            f"(motorOutput '{low},{high}', motor_pwm_protocol {protocol:g}; tested: {said}); say the scale with "
+            "`groundstation convert --map`."
         )
     return np.clip((sent - least) / (full - least), 0.0, 1.0), f"motors: motor[] as {said}."
 

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import shutil
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,10 @@ import numpy as np
 
 from groundstation.errors import BadInput
 from groundstation.flightdata import Array, FlightData, Stream, motor_columns
-from groundstation.outside import inside, read_bytes, read_json
-from groundstation.recording.csvfile import Columns, header, parse_csv, write_csv
+from groundstation.json_types import JsonObject
+from groundstation.outside import inside, read_bytes, read_json, require_file
+from groundstation.recording.csvfile import Columns, columns_in, header, parse_csv, write_csv
+from groundstation.recording.part import WHOLE, Part
 from groundstation.recording.recorded import (
     COLUMNS,
     LOG_COLUMNS,
@@ -34,23 +37,29 @@ FLIGHT_FILE = "flight.json"
 _SCHEMA = "groundstation.bundle/1"
 
 
-def read_bundle(folder: Path, vehicle: Vehicle | None = None) -> Recording:
-    """Read a bundle as it is.
-
-    Args:
-        folder: the bundle.
-        vehicle: overrides the one in the bundle; decides which motor columns are meant.
-
-    Raises:
-        BadInput: names file, line or column, what is wrong and what to do.
-    """
-    files = _files(folder)
+def _require_files(folder: Path, files: Collection[str], vehicle: Vehicle | None) -> None:
+    """Refuse a bundle that lacks what no flight can do without."""
     if "motors.csv" not in files:
         raise BadInput(f"{folder}: motors.csv is missing; a flight bundle needs it ({_NEEDS}).")
     if vehicle is None and VEHICLE_FILE not in files:
         raise BadInput(f"{folder}: vehicle.toml is missing; add it or give one with --vehicle FILE.")
     if not {"imu.csv", "mocap.csv", "state.csv"} & set(files):
         raise BadInput(f"{folder}: imu.csv, mocap.csv and state.csv are all missing; the motion must come from one.")
+
+
+def read_bundle(folder: Path, vehicle: Vehicle | None = None, part: Part = WHOLE) -> Recording:
+    """Read a bundle as it is.
+
+    Args:
+        folder: the bundle.
+        vehicle: overrides the one in the bundle; decides which motor columns are meant.
+        part: what is wanted of streams in large files, on the motors' clock.
+
+    Raises:
+        BadInput: names file, line or column, what is wrong and what to do.
+    """
+    files = _files(folder)
+    _require_files(folder, files, vehicle)
     about = _about(files.pop(FLIGHT_FILE)) if _is_about(files.get(FLIGHT_FILE)) else _checked({}, "")
     taken = {f"{name}.csv" for name in STREAMS}
     verbatim = {name: read_bytes(path, "a file of a bundle") for name, path in files.items() if name not in taken}
@@ -61,7 +70,8 @@ def read_bundle(folder: Path, vehicle: Vehicle | None = None) -> Recording:
     for name in STREAMS:
         path = files.get(f"{name}.csv")
         if path is not None:
-            tables.add_stream(name, read_bytes(path, "a file of a bundle"), f"{folder}/{path.name}", declared)
+            ahead_s = _ahead_s(path) - _ahead_s(files["motors.csv"])
+            tables.add_stream(name, path, declared, part.later(ahead_s if math.isfinite(ahead_s) else 0.0))
     for name in about["extras"]:
         if f"{name}.csv" not in verbatim:
             raise BadInput(f"{folder}: {shown(name, limit=60)}.csv is missing, which {FLIGHT_FILE} names; put it back.")
@@ -93,10 +103,17 @@ class _Tables:
     texts: dict[str, Texts] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
-    def add_stream(self, name: str, data: bytes, source: str, declared: Vehicle | None) -> None:
+    def add_stream(self, name: str, path: Path, declared: Vehicle | None, part: Part) -> None:
         """A stream of a kind that the program knows; its other columns are kept beside it."""
-        wanted = _motor_columns(data, declared, source) if name == "motors" else COLUMNS[name]
-        columns = parse_csv(data, source, frozenset((*wanted, "t_s", "received_s")))
+        source = str(path)
+        require_file(path, "a file of a bundle")
+        with path.open("rb") as file:
+            first = file.readline()
+        wanted = _motor_columns(first, declared, source) if name == "motors" else COLUMNS[name]
+        required = frozenset((*wanted, "t_s", "received_s"))
+        columns = columns_in(path, required, part) if path.stat().st_size >= _LARGE_BYTES else None
+        if columns is None:
+            columns = parse_csv(read_bytes(path, "a file of a bundle"), source, required)
         columns = _without_current(columns) if name == "battery" else columns
         self.streams[name], rest, words = _split(columns, wanted, source)
         if rest is not None:
@@ -113,6 +130,20 @@ class _Tables:
 
 
 _NEEDS = "vehicle.toml, motors.csv, and imu.csv, mocap.csv or state.csv"
+
+
+_LARGE_BYTES = 1 << 22
+
+
+def _ahead_s(path: Path) -> float:
+    """How far a stream's stamps are ahead of its arrivals, by its first sample; NaN where it tells no arrivals."""
+    with path.open("rb") as file:
+        names, first = header(file.readline()), file.readline().decode("ascii", "replace").split(",")
+    row = dict(zip(names, first, strict=False))
+    try:
+        return float(row["t_s"]) - float(row["received_s"])
+    except (KeyError, ValueError):
+        return math.nan
 
 
 def _files(folder: Path) -> dict[str, Path]:
@@ -134,11 +165,11 @@ def _is_about(path: Path | None) -> bool:
     return path is not None and f'"{_SCHEMA}"'.encode() in read_bytes(path, "a bundle's own description")
 
 
-def _about(path: Path) -> dict[str, Any]:
+def _about(path: Path) -> JsonObject:
     return _checked(read_json(path, "a bundle's own description"), str(path))
 
 
-def _checked(document: Any, source: str) -> dict[str, Any]:
+def _checked(document: Any, source: str) -> JsonObject:
     """The parts of ``flight.json``, each of its own type.
 
     Raises:

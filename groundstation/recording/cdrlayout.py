@@ -114,7 +114,8 @@ class _Walk:
 
     def _base(self, kind: str, path: str, shown: bool) -> None:
         if kind == "string":
-            self.at += self._length()
+            length = self._length()
+            self.at += length
             return
         if kind not in _TYPES:
             raise ValueError(f"the type {kind} is not read")

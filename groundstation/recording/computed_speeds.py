@@ -67,8 +67,7 @@ def commands_behind(speeds: Stream, commands: Stream) -> tuple[Stream, str] | No
         return None
     note = (
         f"motors: the ESCs' speeds are the commands times {gain / _RPM:.0f} rpm at every instant, to the last digit: "
-        "the "
-        "autopilot's simulator computed them, nobody measured them; the commands are used."
+        "the autopilot's simulator computed them, nobody measured them; the commands are used."
     )
     if commands.rate_hz() >= speeds.rate_hz():
         return commands, note

@@ -92,8 +92,7 @@ def _elsewhere(name: str, path: Path, size: int, args: tuple[object, ...], kwarg
     if done.returncode != 0:
         raise BadInput(
             f"{path}: its {size} bytes take more than the {room >> 20} MiB that they may, or end the library that "
-            "reads them; "
-            "record it again without compression."
+            "reads them; record it again without compression."
         )
     good, answer = pickle.loads(done.stdout)  # noqa: S301  our own child's, over a pipe
     if not good:

@@ -32,6 +32,18 @@ _MESSAGE = struct.Struct("<BQHIQQ")
 _RECORD = struct.Struct("<BQ")
 
 
+def _with_index(
+    chunk: bytes, indexed: Mapping[int, list[tuple[int, int]]], offset: int
+) -> tuple[list[bytes], dict[int, int]]:
+    """A chunk that begins at an offset, followed by the index of each channel; and where those begin."""
+    parts, offsets, where = [chunk], dict[int, int](), offset + len(chunk)
+    for channel, entries in indexed.items():
+        offsets[channel] = where
+        parts.append(_bytes(records.MessageIndex(channel, entries)))
+        where += len(parts[-1])
+    return parts, offsets
+
+
 class ContainerWriter:
     """Writes one MCAP file; every chunk is on its way to the disk when it is complete.
 
@@ -145,12 +157,7 @@ class ContainerWriter:
             uncompressed_crc=zlib.crc32(raw),
             uncompressed_size=len(raw),
         )
-        parts = [_bytes(chunk)]
-        where, offsets = self._offset + len(parts[0]), {}
-        for channel, entries in indexed.items():
-            offsets[channel] = where
-            parts.append(_bytes(records.MessageIndex(channel, entries)))
-            where += len(parts[-1])
+        parts, offsets = _with_index(_bytes(chunk), indexed, self._offset)
         begin = self._offset
         self._chunk.clear()
         self._chunk_span = (2**64 - 1, 0)
@@ -167,7 +174,7 @@ class ContainerWriter:
                 message_start_time=start,
                 message_end_time=end,
                 message_index_offsets=offsets,
-                message_index_length=where - begin - len(parts[0]),
+                message_index_length=sum(map(len, parts[1:])),
             )
         )
         if indexed:
@@ -221,11 +228,17 @@ def _bytes(record: records.McapRecord) -> bytes:
 
 @dataclass(slots=True)
 class ReadChannel:
-    """One channel of a file and its messages in file order."""
+    """One channel of a file and its messages in file order.
+
+    ``encoding`` is that of the messages, ``language`` and ``definition`` are those of its schema.
+    """
 
     topic: str
     type: str
     metadata: dict[str, str]
+    encoding: str = ""
+    language: str = ""
+    definition: str = ""
     sequence: list[int] = field(default_factory=list)
     log_ns: list[int] = field(default_factory=list)
     payload: list[bytes] = field(default_factory=list)
@@ -262,7 +275,7 @@ def read_container(data: bytes) -> Contents:
     if not data.startswith(MAGIC):
         raise ValueError("it does not begin with the MCAP magic")
     contents = Contents()
-    schemas: dict[int, str] = {}
+    schemas: dict[int, records.Schema] = {}
     position, size = len(MAGIC), len(data)
     room = _EXPANDED_FREE + _EXPANDED_RATIO * size
     while position + 9 <= size and not contents.complete:
@@ -280,7 +293,7 @@ def read_container(data: bytes) -> Contents:
     return contents
 
 
-def _read_record(opcode: int, record: bytes, contents: Contents, schemas: dict[int, str], room: int) -> None:
+def _read_record(opcode: int, record: bytes, contents: Contents, schemas: dict[int, records.Schema], room: int) -> None:
     body = record[9:]
     if opcode == Opcode.CHUNK:
         chunk = records.Chunk.read(_stream(body))
@@ -343,7 +356,7 @@ def _chunk_data(chunk: records.Chunk) -> bytes:
     return raw
 
 
-def _read_messages(raw: bytes, schemas: dict[int, str], channels: dict[int, ReadChannel]) -> None:
+def _read_messages(raw: bytes, schemas: dict[int, records.Schema], channels: dict[int, ReadChannel]) -> None:
     """Sort the schema, channel and message records of a chunk into ``channels``."""
     position, size = 0, len(raw)
     head = _MESSAGE.unpack_from
@@ -364,10 +377,12 @@ def _read_messages(raw: bytes, schemas: dict[int, str], channels: dict[int, Read
             end = position + 9 + _RECORD.unpack_from(raw, position)[1]
             if opcode == Opcode.SCHEMA:
                 schema = records.Schema.read(_stream(raw[position + 9 : end]))
-                schemas[schema.id] = schema.name
+                schemas[schema.id] = schema
             elif opcode == Opcode.CHANNEL:
                 defined = records.Channel.read(_stream(raw[position + 9 : end]))
                 known = channels.setdefault(defined.id, ReadChannel("", "", {}))
-                known.topic, known.metadata = defined.topic, defined.metadata
-                known.type = schemas.get(defined.schema_id, "")
+                known.topic, known.metadata, known.encoding = defined.topic, defined.metadata, defined.message_encoding
+                if (schema := schemas.get(defined.schema_id)) is not None:
+                    known.type, known.language = schema.name, schema.encoding
+                    known.definition = schema.data.decode("utf-8", "replace")
         position = end

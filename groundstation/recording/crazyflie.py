@@ -78,8 +78,7 @@ def decode_usd(data: Bytes, source: str, part: Part = WHOLE) -> UsdLog:
     if version > max(_VERSIONS):
         raise BadInput(
             f"{source}: is a usd log of version {version}; this program reads versions 1 and 2. Update it, or convert "
-            "the log "
-            "with the Crazyflie firmware's own tools and `groundstation convert --map`."
+            "the log with the Crazyflie firmware's own tools and `groundstation convert --map`."
         )
     try:
         version, records, position = _header(head)
@@ -294,8 +293,7 @@ def _motors(variables: _Variables, vehicle: Vehicle, source: str) -> tuple[Strea
         lacking = "no voltage is logged (pm.vbatMV)" if battery is None else "the vehicle file lacks [battery] full_v"
         return plain, [
             "motors: pwm.m1_pwm and on, which a firmware that compensates the battery sends to the motors, are not "
-            f"used: {lacking}. "
-            "The commands are motor.m1 and on."
+            f"used: {lacking}. The commands are motor.m1 and on."
         ]
     _, sent = variables.together(f"{prefixes[kind]}.m1", *widths, battery[0])
     applied = sent[:, 1:-1] / _FULL_COMMAND * sent[:, -1:] * battery[1] / full

@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInput
+from groundstation.recording.part import Part
 
 Array = NDArray[np.float64]
 _EXACT_INTEGER = 2.0**53
+_BLOCK = 1 << 23
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,13 +61,37 @@ def parse_csv(
     return _careful(body, names, source, required, texts)
 
 
+def columns_in(path: Path, required: frozenset[str], part: Part) -> Columns | None:
+    """Columns of a large file, block by block, and of a part of its time alone; None where :func:`parse_csv` must look
+    at it: it has texts, other separators, or whole numbers beyond what a double holds.
+    """
+    with path.open("rb") as file:
+        first = file.readline()
+        if separator_of(first.decode("utf-8-sig", "replace")) != ",":
+            return None
+        names = header(first)
+        _check_header(names, str(path))
+        if "t_s" not in names:
+            return None
+        at, last, kept = names.index("t_s"), -np.inf, []
+        extras = [i for i, name in enumerate(names) if name not in required]
+        while lines := file.readlines(_BLOCK):
+            matrix = _fast(b"".join(lines).decode("ascii", "replace"), len(names))
+            if matrix is None or (len(matrix) and np.any(np.abs(matrix[:, extras]) >= _EXACT_INTEGER)):
+                return None
+            mask, last = part.of(matrix[:, at], last)
+            kept.append(matrix[mask])
+    whole = np.concatenate(kept) if kept else np.empty((0, len(names)))
+    return Columns(names, {name: whole[:, i].copy() for i, name in enumerate(names)}, {})
+
+
 def header(data: bytes) -> tuple[str, ...]:
     """The names in a file's first line, whatever separates them."""
     first = data.split(b"\n", 1)[0].decode("utf-8-sig", "replace").strip()
-    return tuple(name.strip().strip('"') for name in first.split(_separator(first)))
+    return tuple(name.strip().strip('"') for name in first.split(separator_of(first)))
 
 
-def _separator(first_line: str) -> str:
+def separator_of(first_line: str) -> str:
     """Comma, unless the first line has none and splits by semicolons or tabs."""
     return next((c for c in ",;\t" if c in first_line), ",")
 
@@ -78,7 +104,7 @@ def with_commas(text: str, source: str) -> str:
     Raises:
         BadInput: cells hold both points and commas, which may be thousands.
     """
-    separator = _separator(text.partition("\n")[0])
+    separator = separator_of(text.partition("\n")[0])
     if separator == ",":
         return text
     reader = csv.reader(io.StringIO(text), delimiter=separator)
@@ -88,12 +114,11 @@ def with_commas(text: str, source: str) -> str:
         raise BadInput(f"{source}: line {reader.line_num + 1} is not CSV ({error}); correct it.") from None
     for number, row in enumerate(rows[1:], start=2):
         for index, cell in enumerate(row):
-            if "," in cell and _is_number(cell.replace(",", "").replace(".", "")):
+            if "," in cell and is_number(cell.replace(",", "").replace(".", "")):
                 if "." in cell or cell.count(",") > 1:
                     raise BadInput(
                         f"{source}: line {number}: '{cell[:40]}' may be thousands or decimals; write numbers as "
-                        "1234.5, or save "
-                        "the table with commas between the cells."
+                        "1234.5, or save the table with commas between the cells."
                     )
                 row[index] = cell.replace(",", ".")
     out = io.StringIO()
@@ -162,7 +187,7 @@ def _careful(
         if column is not None:
             numbers[name] = column
         elif name in required:
-            line = next(line for line, cell in zip(lines, cells, strict=False) if not _is_number(cell))
+            line = next(line for line, cell in zip(lines, cells, strict=False) if not is_number(cell))
             cell = cells[lines.index(line)]
             raise BadInput(f"{source}: line {line}, column {name}: '{cell[:40]}' is not a number; correct that cell.")
         else:
@@ -170,7 +195,8 @@ def _careful(
     return Columns(names, numbers, texts, notes)
 
 
-def _is_number(cell: str) -> bool:
+def is_number(cell: str) -> bool:
+    """Whether a cell is a number, or empty."""
     try:
         float(cell or "nan")
     except ValueError:
@@ -180,7 +206,7 @@ def _is_number(cell: str) -> bool:
 
 def _numbers(cells: list[str], *, exact: bool) -> Array | None:
     """The cells as doubles; None where one is no number or, if ``exact``, would lose digits of a whole number."""
-    if not all(map(_is_number, cells)):
+    if not all(map(is_number, cells)):
         return None
     column = np.array([float(cell or "nan") for cell in cells], dtype=float)
     return None if exact and np.any(np.abs(column) >= _EXACT_INTEGER) else column

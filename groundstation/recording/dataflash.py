@@ -41,6 +41,7 @@ _READ = (
     *("FMT", "PARM", "MSG", "RCOU", "RCO2", "ESC", "VISP", "SIM", "SIM2", "GUIP"),
     *(message for choices in NAMES.values() for message, _ in choices),
     *(f"ESC{i}" for i in range(1, 13)),
+    *("XKF4", "NKF4"),
 )
 _GYRO, _ACCEL = ("GyrX", "GyrY", "GyrZ"), ("AccX", "AccY", "AccZ")
 _IMU_REMEDY = (
@@ -85,8 +86,7 @@ def _losses(path: Path, log: DataFlashFile) -> list[str]:
     if log.missing:
         notes.append(
             f"{path.name}: the log is cut off in the middle of a record ({log.missing} bytes of it are missing); it "
-            "was read "
-            "up to there."
+            "was read up to there."
         )
     return notes
 
@@ -99,17 +99,41 @@ def _left_out(tables: Tables) -> list[str]:
     ]
 
 
-def _named(tables: Tables, what: str) -> Table | None:
-    """The first instance of what is wanted, under whichever name the version gave it."""
+def _instances(tables: Tables, what: str) -> dict[int, Table]:
+    """What is wanted by its instance, under whichever name the version gave it; empty where the log has none."""
     for message, instance in NAMES[what]:
         table = tables.get(message)
         if table is None or (instance is not None and instance not in table):
             continue
         if instance is None:
-            return table
+            return {0: table}
         numbers = table.raw(instance)
-        return table.select(numbers == numbers.min())
-    return None
+        return {int(number): table.select(numbers == number) for number in np.unique(numbers)}
+    return {}
+
+
+def _named(tables: Tables, what: str, instance: int | None = None) -> Table | None:
+    """An instance of what is wanted, the first unless another is asked for and there."""
+    found = _instances(tables, what)
+    return found.get(min(found) if instance not in found else instance) if found else None
+
+
+def _primary_core(tables: Tables) -> tuple[int | None, list[str]]:
+    """The core of the filter that the vehicle flew by for longest (XKF4.PI), and a note where it changed cores."""
+    table = next((tables[name] for name in ("XKF4", "NKF4") if name in tables and "PI" in tables[name]), None)
+    if table is None:
+        return None, []
+    primary = table.raw("PI").astype(int)
+    cores, counts = np.unique(primary, return_counts=True)
+    core = int(cores[np.argmax(counts)])
+    if len(cores) == 1:
+        return core, []
+    share = float(counts.max()) / len(primary)
+    switches = int(np.count_nonzero(np.diff(primary)))
+    return core, [
+        f"state: the filter changed its primary core {switches} times; core {core} is read, which it "
+        f"was for {share:.0%}."
+    ]
 
 
 def _imu(tables: Tables) -> tuple[Stream | None, list[str]]:
@@ -130,13 +154,16 @@ def _imu(tables: Tables) -> tuple[Stream | None, list[str]]:
 
 
 def _battery(tables: Tables) -> tuple[Stream | None, list[str]]:
-    table = _named(tables, "battery")
-    if table is None:
-        return None, []
-    values = table.columns("Volt", "Curr")
-    if not np.any(values[:, 0] > 0.0):
-        return None, [f"battery: {table.name} tells no voltage; it is left out."]
-    return Stream(table.seconds(), values, BATTERY_COLUMNS), []
+    tables_of = _instances(tables, "battery")
+    for instance, table in tables_of.items():
+        values = table.columns("Volt", "Curr")
+        if np.any(values[:, 0] > 0.0):
+            note = (
+                [] if instance == min(tables_of) else [f"battery: instance {instance}; those before tell no voltage."]
+            )
+            return Stream(table.seconds(), values, BATTERY_COLUMNS), note
+    names = {table.name for table in tables_of.values()}
+    return None, [f"battery: {name} tells no voltage; it is left out." for name in names]
 
 
 def _setpoint(tables: Tables) -> tuple[Stream | None, list[str]]:
@@ -170,7 +197,9 @@ def _mocap(tables: Tables) -> tuple[Stream | None, list[str]]:
 
 
 def _state(tables: Tables) -> tuple[Stream | None, list[str]]:
-    position, attitude, imu = (_named(tables, what) for what in ("position", "attitude", "imu"))
+    core, notes = _primary_core(tables)
+    position, attitude = (_named(tables, what, core) for what in ("position", "attitude"))
+    imu = _named(tables, "imu")
     if position is None or attitude is None or imu is None:
         return None, []
     t_attitude, t_imu, t_s = attitude.seconds(), imu.seconds(), position.seconds()
@@ -185,7 +214,7 @@ def _state(tables: Tables) -> tuple[Stream | None, list[str]]:
         rates,
     ]
     stream = Stream(t_s, np.hstack(values), STATE_COLUMNS)
-    return stream, [f"state: {position.name} and {attitude.name}; body rates from the gyro."]
+    return stream, [*notes, f"state: {position.name} and {attitude.name}; body rates from the gyro."]
 
 
 _OTHERS = {"imu": _imu, "mocap": _mocap, "state": _state, "battery": _battery, "setpoint": _setpoint}

@@ -115,8 +115,7 @@ def _channels(settings: Settings, at_s: float, rotors: int, source: str) -> tupl
             given = ", ".join(f"{stem}{channel}_FUNCTION {f}" for channel, f in functions.items() if f) or "all 0"
             raise BadInput(
                 f"{source}: its outputs are not those of a multicopter's motors 1 to n ({given}); motors have the "
-                "functions "
-                "33 and on. Give a log of a multicopter."
+                "functions 33 and on. Give a log of a multicopter."
             )
     return list(range(1, rotors + 1)), [
         "motors: the log has no output functions; outputs 1 and on are taken for motors."
@@ -140,15 +139,13 @@ def _airframe(settings: Settings, at_s: float, motors: int, source: str) -> Airf
     if airframe is None:
         raise BadInput(
             f"{source}: the motors' places on a frame of class {kind[0]} ({name}) and type {kind[1]} are not known "
-            "here "
-            f"({motors} outputs are motors); say which output is which rotor with `groundstation convert --map`."
+            f"here ({motors} outputs are motors); say which output is which rotor with `groundstation convert --map`."
         )
     if airframe.count != motors:
         raise BadInput(
             f"{source}: FRAME_CLASS {kind[0]} ({airframe.name}) has {airframe.count} motors, and {motors} outputs are "
-            "motors "
-            "by their functions; the log contradicts itself. Say which output is which rotor with `groundstation "
-            "convert --map`."
+            "motors by their functions; the log contradicts itself. Say which output is which rotor with "
+            "`groundstation convert --map`."
         )
     return airframe
 
@@ -230,10 +227,9 @@ def _speeds(
     if chosen is None:
         raise BadInput(
             f"{source}: ESC telemetry covers {len(instances)} of {count} rotors, or under numbers that are not theirs: "
-            "it has "
-            f"the instances {', '.join(map(str, instances))}; tested were the outputs' "
-            f"({', '.join(map(str, sorted(by_output)))}), the "
-            f"motors' (0 to {count - 1}), and which command each speed follows."
+            f"it has the instances {', '.join(map(str, instances))}; tested were the outputs' "
+            f"({', '.join(map(str, sorted(by_output)))}), the motors' (0 to {count - 1}), and which command each speed "
+            "follows."
         )
     values = stream.values[:, [instances.index(i) for i in chosen]]
     speeds = Stream(stream.t_s, values * _RPM, motor_columns("rotor_speed", count))

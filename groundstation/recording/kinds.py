@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from groundstation.recording.tablefile import decoded
+
 READABLE = (
     "an MCAP recording, a flight bundle (folder), a PX4 ULog, an ArduPilot DataFlash log, a Betaflight or INAV "
-    "blackbox log, "
-    "a ROS 2 bag or a Crazyflie usd log"
+    "blackbox log, a ROS 2 bag or a Crazyflie usd log"
 )
 _PACKED = {
     b"\x1f\x8b": "is compressed with gzip",
@@ -43,28 +44,21 @@ def described(head: bytes, size: int) -> str:
     if len(head) > 8 and head[8] in (0xFD, 0xFE):
         return (
             "is a telemetry log of MAVLink (.tlog): it holds what came over the radio, too slow for inertias; give the "
-            "log of "
-            "the vehicle's own memory (.ulg, .bin)"
+            "log of the vehicle's own memory (.ulg, .bin)"
         )
     return _text(head)
 
 
 def _text(head: bytes) -> str:
-    try:
-        text = head.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        if error.start < len(head) - 4:  # a character may be cut at the end
-            return f"is of no known format; give {READABLE}"
-        text = head[: error.start].decode("utf-8-sig")
-    if any(ord(c) < 9 or 13 < ord(c) < 32 for c in text):
+    text = decoded(head)
+    if any(ord(c) < 9 or 13 < ord(c) < 32 or c == "\ufffd" for c in text[:-4]):  # a character may be cut at the end
         return f"is of no known format; give {READABLE}"
-    first = text.splitlines()[0] if text.splitlines() else ""
-    if first.startswith("FMT, ") or "\nFMT, " in text:
+    lines = text.splitlines() or [""]
+    if lines[0].startswith("FMT, ") or "\nFMT, " in text:
         return "is an ArduPilot log that was turned into text (.log); give the .bin it was made from"
-    if first.count(",") + first.count(";") + first.count("\t") >= 2:
+    if any(line.count(separator) >= 2 for line in lines for separator in ",;\t"):
         return (
             "is a table in one file; a flight bundle is a folder of such tables (docs/formats.md), or say what its "
-            "columns are "
-            "with `groundstation convert --map FILE.toml`"
+            "columns are with `groundstation convert --map FILE.toml` (--map-template fills in what their names tell)"
         )
     return f"is a text file; give {READABLE}"

@@ -67,7 +67,7 @@ def read_recording(path: str | Path, vehicle: Vehicle | None = None, part: Part 
     if path.is_dir() and (bag := _bag_in(path)) is not None:
         recording = _bag(bag, vehicle, part)
     elif path.is_dir():
-        recording = read_bundle(path, vehicle)
+        recording = read_bundle(path, vehicle, part)
     else:
         require_file(path, READABLE)
         try:
@@ -120,8 +120,7 @@ def _bag_in(folder: Path) -> Path | None:
     if len(files) > 1 and not (folder / "motors.csv").is_file():
         raise BadInput(
             f"{folder}: holds {len(files)} files of a ROS 2 bag, and no metadata.yaml that joins them; write it with "
-            "`ros2 bag reindex`, "
-            "or name one of the files."
+            "`ros2 bag reindex`, or name one of the files."
         )
     return files[0] if len(files) == 1 and not (folder / "motors.csv").is_file() else None
 
@@ -217,7 +216,7 @@ def _stretch_of_large_log(
     None of a log that is read whole. To find what tells most, the log is read once with a sample of each kind every 20
     ms.
     """
-    if _size_of(path) < LARGE_BYTES:
+    if _size_of(path) < LARGE_BYTES or _is_own_mcap(path):
         return None
     if given is not None:
         return Stretch(
@@ -262,6 +261,15 @@ def checked_flight(recording: Recording, declared: Vehicle, path: str) -> Flight
     )
 
 
+def _is_own_mcap(path: Path) -> bool:
+    """Whether a file is a recording of this program, which is read whole: its header names what wrote it."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        head = file.read(200)
+    return head.startswith(MCAP_MAGIC) and b"groundstation" in head
+
+
 def _size_of(path: Path) -> int:
     """Bytes of a file, or of the files of a folder."""
     files = path.iterdir() if path.is_dir() else [path]
@@ -280,8 +288,7 @@ def _thinned(flight: FlightData, stretch: Stretch | None) -> FlightData:
         return flight
     note = (
         f"flight: of {stretch.of_s:.0f} s those from {stretch.start_s:.1f} to {stretch.end_s:.1f} s are used, in which "
-        "the "
-        "vehicle turns and climbs most; choose others with --from and --to, or use all with --all."
+        "the vehicle turns and climbs most; choose others with --from and --to, or use all with --all."
     )
     cut = _cut(flight, stretch.start_s, stretch.end_s)
     return replace(cut, window_s=None, notes=(*cut.notes, note))

@@ -17,9 +17,9 @@ import stat
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from groundstation.errors import BadInput
+from groundstation.json_types import Document, JsonObject
 from groundstation.outside import inside, read_bytes, read_json
 from groundstation.paths import settings_dir
 from groundstation.recording.merge import onboard_log_of
@@ -32,7 +32,7 @@ _WANTED = "the manifest of a flight"
 _LEAVES = "Nothing proves that the data are as flown."
 
 
-def signed(files: Mapping[str, str], inputs: Mapping[str, str], key: bytes) -> dict[str, Any]:
+def signed(files: Mapping[str, str], inputs: Mapping[str, str], key: bytes) -> JsonObject:
     """A manifest.
 
     Args:
@@ -57,7 +57,7 @@ def key_name(key: bytes) -> str:
     return hashlib.sha256(b"groundstation manifest key" + key).hexdigest()[:16]
 
 
-def _signature(body: Mapping[str, Any], key: bytes) -> str:
+def _signature(body: Document, key: bytes) -> str:
     return hmac.new(key, json.dumps(body, sort_keys=True).encode(), hashlib.sha256).hexdigest()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,8 +13,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from groundstation.errors import BadInput
 from groundstation.flightdata import Stream, motor_columns
+from groundstation.frames import quat_from_euler
 from groundstation.outside import read_toml
 from groundstation.recording.autopilot import z_up, z_up_quaternion
+from groundstation.recording.guesses import Guess, guessed
 from groundstation.recording.recorded import COLUMNS, Recording
 from groundstation.recording.sources import Source, sources_of
 from groundstation.recording.tables import MissingField, Table
@@ -30,6 +33,8 @@ _VECTORS = {
     "state": (("x_m", "y_m", "z_m"), ("vx_m_s", "vy_m_s", "vz_m_s"), ("wx_rad_s", "wy_rad_s", "wz_rad_s")),
 }
 _QUATERNION = ("qw", "qx", "qy", "qz")
+_EULER = ("roll_rad", "pitch_rad", "yaw_rad")
+"""What may stand for a quaternion: yaw, pitch, roll, each about the turned axes, in the stream's own frame."""
 
 
 class _Section(BaseModel):
@@ -112,25 +117,35 @@ def _stream(
     chosen = section.source or (next(iter(sources)) if len(sources) == 1 else "")
     if chosen not in sources:
         raise BadInput(f"{path}: has no table '{chosen}' for [{name}]; it has {', '.join(sources)}.")
-    optional = {"yaw_rad", "current_a"}
-    missing = [column for column in columns if column not in section.columns and column not in optional]
-    surplus = [column for column in section.columns if column not in columns]
+    given = set(section.columns)
+    euler = set(_QUATERNION) <= set(columns) and not given & set(_QUATERNION) and given.issuperset(_EULER)
+    asked = tuple(c for c in columns if not (euler and c in _QUATERNION)) + (_EULER if euler else ())
+    optional = {"current_a"} if euler else {"yaw_rad", "current_a"}
+    missing = [column for column in asked if column not in given | optional]
+    surplus = [column for column in section.columns if column not in asked]
     if missing or surplus:
         wrong = f"lacks {', '.join(missing)}" if missing else f"has {', '.join(surplus)}"
-        raise BadInput(f"the map's [{name}.columns] {wrong}; it must give {', '.join(columns)}.")
+        instead = f" (or {', '.join(_EULER)} for the quaternion)" if set(_QUATERNION) <= set(columns) else ""
+        raise BadInput(f"the map's [{name}.columns] {wrong}; it must give {', '.join(columns)}{instead}.")
     table = sources[chosen]()
     try:
         for column, value in section.where.items():
             table = table.select(table.column(column) == value)
         t_s = table.column(section.time) * _UNITS[section.time_unit]
-        values = np.column_stack([_values(table, section.columns.get(column)) for column in columns])
+        found = {column: _values(table, section.columns.get(column)) for column in asked}
     except MissingField as error:
         raise BadInput(
             f"{path}: {error}, which the map names for [{name}]; it has {', '.join(table.fields)}."
         ) from None
-    if not len(t_s):
+    if euler:
+        attitude = quat_from_euler(*(found[column] for column in _EULER))
+        found |= dict(zip(_QUATERNION, attitude.T, strict=True))
+    values = np.column_stack([found[column] for column in columns])
+    # Tables that join several series have empty cells where one has no sample.
+    filled = np.isfinite(t_s) & np.isfinite(values).any(axis=1)
+    if not filled.any():
         raise BadInput(f"{path}: table '{chosen}' has no rows for [{name}]; correct [{name}.where].")
-    return Stream(t_s, _turned(values, columns, section.frame, name), columns)
+    return Stream(t_s[filled], _turned(values[filled], columns, section.frame, name), columns)
 
 
 def _values(table: Table, column: str | Column | None) -> Array:
@@ -161,23 +176,41 @@ def _turned(values: Array, columns: tuple[str, ...], frame: str, name: str) -> A
 
 
 def template(path: Path, vehicle: Vehicle | None = None) -> str:
-    """A map file for a log, with all of its tables and columns as comments."""
+    """A map file for a log: its tables and columns as comments, and what the names of columns tell filled in."""
     lines = [
         f"# Which columns of {path.name} are which stream. Leave out the sections the log does not have.",
+        "# What is filled in was taken from the names of columns, units from what stands beside them: check each line.",
         "# time_unit: s, ms, us or ns. frame: z-up (or FLU), NED (or FRD), y-up.",
         "# A column is a name, or { column = NAME, factor = F, offset = O }: (value + O) * F in the unit of the key.",
-        "# where = { I = 0 } keeps the rows of one instance.",
+        "# where = { I = 0 } keeps the rows of one instance. roll_rad, pitch_rad, yaw_rad may stand for a quaternion.",
         "#",
     ]
-    for name, source in sources_of(path).items():
-        table = source()
+    tables = {name: source() for name, source in sources_of(path).items()}
+    for name, table in tables.items():
         lines.append(f"# {name}: {len(table)} rows at {table.rate_hz():.0f} Hz: {', '.join(list(table.fields)[:60])}")
     kind, count = (vehicle.rotors.input, vehicle.rotors.count) if vehicle else ("command", 4)
     for name in LogMap.model_fields:
-        mark = "" if name == "motors" else "# "
         columns = motor_columns(kind, count) if name == "motors" else COLUMNS[name]
-        lines += ["", f"{mark}[{name}]", f'{mark}source = ""', f'{mark}time = ""', f'{mark}time_unit = "us"']
-        if name in _VECTORS:
-            lines.append(f'{mark}frame = "z-up"')
-        lines += [f"{mark}[{name}.columns]", *(f'{mark}{column} = ""' for column in columns)]
+        lines += ["", *_template_of(name, columns, guessed(tables, name, columns))]
     return "\n".join(lines) + "\n"
+
+
+def _template_of(name: str, columns: tuple[str, ...], found: Guess | None) -> list[str]:
+    """A section: filled in and active where the names of columns tell all of it, else a comment (motors are needed)."""
+    mark = "" if name == "motors" or found is not None else "# "
+    source, time, unit = (found.source, found.time, found.time_unit) if found else ("", "", "us")
+    lines = [
+        f"[{name}]",
+        f"source = {json.dumps(source, ensure_ascii=False)}",
+        f"time = {json.dumps(time, ensure_ascii=False)}",
+        f'time_unit = "{unit}"',
+    ]
+    if name in _VECTORS:
+        lines.append('frame = "z-up"')
+    lines.append(f"[{name}.columns]")
+    if found is None:
+        lines += [f'{column} = ""' for column in columns]
+    for column, (field, factor) in (found.columns if found else {}).items():
+        plain = json.dumps(field, ensure_ascii=False)
+        lines.append(f"{column} = {plain if factor == 1.0 else f'{{ column = {plain}, factor = {factor!r} }}'}")
+    return [mark + line for line in lines]

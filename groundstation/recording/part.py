@@ -28,5 +28,17 @@ class Part:
         bounds = np.clip(np.array([self.start_s, self.end_s, self.step_s]) * per_s, -_ENDLESS, _ENDLESS)
         return bounds.astype(np.int64)
 
+    def of(self, t_s: NDArray[np.float64], last: float) -> tuple[NDArray[np.bool_], float]:
+        """Which of these stamps are wanted, and the last interval of a step's length that had one (from before on)."""
+        mask = ~((t_s < self.start_s) | (t_s > self.end_s))  # what is no number is left to whoever repairs
+        if self.step_s <= 0.0 or not len(t_s):
+            return mask, last
+        interval = np.floor(t_s / self.step_s)
+        return mask & (np.diff(interval, prepend=last) != 0.0), float(interval[-1])
+
+    def later(self, by_s: float) -> Part:
+        """The same on a clock that is ahead."""
+        return Part(self.start_s + by_s, self.end_s + by_s, self.step_s)
+
 
 WHOLE = Part()

@@ -37,8 +37,7 @@ def check_times(stream: Stream, name: str) -> None:
     unit, factor = next((unit for unit in _TIME_UNITS if step / unit[1] < _LONGEST_STEP_S), _TIME_UNITS[-1])
     raise BadInput(
         f"{name}: t_s cannot be in seconds: its median step is {step:.4g}, where motion is sampled every 0.0002 to 0.2 "
-        "s; "
-        f"is it in {unit}? Divide by {factor:.0e}."
+        f"s; is it in {unit}? Divide by {factor:.0e}."
     )
 
 
@@ -208,8 +207,7 @@ def _check_speeds(stream: Stream, values: Array, vehicle: Vehicle) -> None:
     if excess > 2.0 * _PER_RAD_S:
         what = (
             f"are they electrical rpm? Divide by 9.549297 and by the motor's pole pairs (about {pairs} would fit; half "
-            "the "
-            "number of magnets, which is on the motor's data sheet)."
+            "the number of magnets, which is on the motor's data sheet)."
         )
     raise BadInput(
         f"motors: {stream.columns[0]} ... {stream.columns[-1]} cannot be rotor speeds in rad/s: with the declared "

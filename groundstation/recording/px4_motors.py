@@ -38,6 +38,7 @@ PX4_MOTORS = ("actuator_motors", "actuator_outputs", "esc_status")
 SETTINGS_REMEDY = "set SDLOG_PROFILE to 25, and IMU_INTEG_RATE and IMU_GYRO_RATEMAX to 1000."
 _FIRST_FUNCTION, _MOST_MOTORS = 101, 12  # actuator function Motor 1, and how many there are
 _DSHOT_FULL = 1999.0
+_UAVCAN_FULL = 8191.0  # uavcan.equipment.esc.RawCommand; before 1.13 its outputs have no limits of their own
 _DSHOT_TIMERS = (-5.0, -4.0, -3.0, -2.0)
 _RPM = 2.0 * np.pi / 60.0
 
@@ -243,6 +244,8 @@ def _scaled(sent: Array, t_s: Array, wiring: _Wiring, settings: Settings) -> tup
         )
     bounds = [_limits(wiring, output, settings, t_s) for output in wiring.outputs]
     if any(bound is None for bound in bounds):
+        if settings.value("UAVCAN_ENABLE", t_s[-1], 0.0) >= 2.0 and 2047.0 < highest <= _UAVCAN_FULL:
+            return sent / _UAVCAN_FULL, f"raw commands of UAVCAN, from 0 to {_UAVCAN_FULL:g}", ()
         return (
             f"values {lowest:g} to {highest:g}, and the log has no limits ({wiring.prefix or 'PWM'}_MINn, _MAXn) "
             "for them"
@@ -310,9 +313,8 @@ def _speeds(
     if sorted(by_motor) != list(range(count)):
         raise BadInput(
             f"{source}: esc_status tells speeds of {len(turning)} ESCs (places {', '.join(str(i) for i in turning)}), "
-            "and "
-            f"they cannot be told apart as the {count} motors; tested: "
-            "actuator_function, the place in the message, and which command each speed follows. "
+            f"and they cannot be told apart as the {count} motors; tested: actuator_function, the place in the "
+            "message, and which command each speed follows. "
             'Use input = "command", or say it with `groundstation convert --map`.'
         )
     values = np.column_stack([rpm[by_motor[motor]] for motor in range(count)]) * _RPM

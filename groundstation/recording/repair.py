@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -262,6 +262,16 @@ def _repair_state(stream: Stream, name: str, vehicle: Vehicle) -> tuple[Stream, 
     return repaired, _said(name, causes, repaired, "left out")
 
 
+def _refuse_a_bad_rotor(name: str, columns: Sequence[str], bad: NDArray[np.bool_]) -> None:
+    """No fit is made from a rotor of which most is guessed."""
+    for column, share in zip(columns, np.count_nonzero(bad, axis=0) / max(len(bad), 1), strict=True):
+        if share > 0.5:
+            raise BadInput(
+                f"{name}: {share:.0%} of {column} is no number, no possible value or far too low in flight; the stream "
+                "is refused. Mend that rotor's telemetry and fly again."
+            )
+
+
 def _repair_motors(stream: Stream, name: str, vehicle: Vehicle) -> tuple[Stream, list[str]]:
     rotors = vehicle.rotors
     measured = rotors.measured
@@ -286,13 +296,7 @@ def _repair_motors(stream: Stream, name: str, vehicle: Vehicle) -> tuple[Stream,
     if measured:
         low = blemishes.too_slow(stream.t_s, np.where(nonfinite | impossible | spiked, np.nan, values))
     bad = nonfinite | impossible | spiked | low
-    for column, share in zip(stream.columns, np.count_nonzero(bad, axis=0) / max(len(bad), 1), strict=True):
-        if share > 0.5:
-            raise BadInput(
-                f"{name}: {share:.0%} of {column} is no number, no possible value or far too low in flight; the stream "
-                "is refused. "
-                "Mend that rotor's telemetry and fly again."
-            )
+    _refuse_a_bad_rotor(name, stream.columns, bad)
     causes = {
         "not numbers": np.any(nonfinite, axis=1),
         "impossible values": np.any(impossible, axis=1),

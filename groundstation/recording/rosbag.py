@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -93,11 +94,15 @@ def read_bag(path: Path, vehicle: Vehicle, part: Part = WHOLE) -> Recording:
         tables = tables_in(reader, path, wanted, as_received(reader, path, motors, part))
         path_topic = None if "mocap" in wanted.values() else _chosen(path, "mocap", _of_type(found, _PATH), vehicle)
         trail = last_message(reader, path_topic) if path_topic is not None else None
+        losses = list(getattr(reader, "notes", ()))
     streams, notes = _streams(path, found, wanted, {t: table for t, table in tables.items() if len(table)}, vehicle)
+    notes = [*losses, *notes]
     if path_topic is not None and trail is not None:
         streams["mocap"] = _trail(trail)
         notes.append(f"mocap: the poses in the last message of topic {path_topic}.")
-    left = [f"{t} ({k}): is not read." for t, k in sorted(found.items()) if t not in wanted and t != path_topic]
+    left = losses + [
+        f"{t} ({k}): is not read." for t, k in sorted(found.items()) if t not in wanted and t != path_topic
+    ]
     name = path.stem if path.is_file() else path.name
     return Recording(name, streams, metadata={"format": "ROS 2 bag"}, notes=tuple(notes), left_out=tuple(left))
 
@@ -117,7 +122,8 @@ def _streams(
     motors = next(topic for topic, stream in wanted.items() if stream == "motors")
     if motors not in tables:
         raise BadInput(f"{path}: holds no motor samples (topic {motors}) in the part that is read.")
-    px4 = {_px4_name(t, found[t]): table for t, table in tables.items() if wanted[t] == "px4" or t == motors}
+    names = {t: _px4_name(t, found[t]) for t in tables if wanted[t] == "px4" or t == motors}
+    px4 = {name: replace(tables[t], name=name) for t, name in names.items()}
     if found[motors] in _MOTORS:
         stream, notes = _motors(path, found[motors], tables[motors], vehicle)
     else:
@@ -159,8 +165,7 @@ def _wanted(path: Path, found: Mapping[str, str], vehicle: Vehicle) -> dict[str,
         kinds = ", ".join(sorted({*_MOTORS, "px4_msgs/msg/ActuatorMotors", "px4_msgs/msg/EscStatus"}))
         raise BadInput(
             f"{path}: holds no motor values (topics of {kinds}); it has {', '.join(sorted(found)) or 'nothing'}. "
-            "Record them, or "
-            "say which topic they are with `groundstation convert --map`."
+            "Record them, or say which topic they are with `groundstation convert --map`."
         )
     wanted[motors] = "motors"
     for name, (kinds, _) in _MEANINGS.items():

@@ -61,8 +61,7 @@ class Settings:
         """A sentence on each change of these parameters while the motors ran."""
         return [
             f"settings: {name} changed from {before:g} to {after:g} at {moment:.2f} s, with the motors on; each value "
-            "is used "
-            "for its own time."
+            "is used for its own time."
             for name in names
             for moment, before, after in self.changes(name, start_s, end_s)
         ]

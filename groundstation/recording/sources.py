@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,14 @@ from groundstation.errors import BadInput
 from groundstation.recording import dataflashfile, kinds, ulogfile
 from groundstation.recording.container import MAGIC as MCAP_MAGIC
 from groundstation.recording.crazyflie import decode_usd, is_usd_log
-from groundstation.recording.csvfile import parse_csv
+from groundstation.recording.tablefile import read_table
 from groundstation.recording.tables import Table, table_of
 
 Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from pyarrow import ChunkedArray  # pyright: ignore[reportMissingImports]
+
+_MOST_ELEMENTS = 64
 Source = Callable[[], Table]
 
 
@@ -62,8 +67,8 @@ def _bag(path: Path) -> dict[str, Source]:
 
 
 def _csv(path: Path) -> Table:
-    columns = parse_csv(path.read_bytes(), str(path)).numbers
-    return table_of(path.stem, columns, (next(iter(columns), ""), 1.0))
+    found = read_table(path.read_bytes(), str(path))
+    return table_of(path.stem, found.columns, (next(iter(found.columns)), 1.0), found.units)
 
 
 def _blackbox(path: Path) -> Table:
@@ -75,28 +80,38 @@ def _blackbox(path: Path) -> Table:
 
 def _parquet(path: Path) -> Table:
     try:
-        from pyarrow import (
-            ArrowInvalid,
-            parquet,  # pyright: ignore[reportMissingImports]
-        )
+        from pyarrow import ArrowInvalid, parquet, types  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise BadInput(f"{path}: a Parquet file needs the package pyarrow; install it (pip install pyarrow).") from None
     try:
         table = parquet.read_table(path)
+        while any(types.is_struct(field.type) for field in table.schema):
+            table = table.flatten()  # a.b of a column a of records
     except (ArrowInvalid, OSError) as error:
         raise BadInput(f"{path}: is a damaged Parquet file ({str(error)[:80]}); write it again.") from None
-    columns: Mapping[str, Array] = {
-        name: np.asarray(table.column(name).to_numpy(zero_copy_only=False), dtype=float)
-        for name in table.column_names
-        if table.schema.field(name).type in _numeric(table)
-    }
+    columns: dict[str, Array] = {}
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        columns |= _numbers_of(name, column)
     if not columns:
         raise BadInput(f"{path}: has no columns of numbers; write the times as seconds, too.")
     return table_of(path.stem, columns, (next(iter(columns)), 1.0))
 
 
-def _numeric(table: object) -> list[object]:
+def _numbers_of(name: str, column: ChunkedArray) -> dict[str, Array]:
+    """A column of numbers, of times as seconds, or of lists of one length as name[0] and on; nothing of any other."""
     from pyarrow import types  # pyright: ignore[reportMissingImports]
 
-    kinds_of = {field.type for field in table.schema}  # type: ignore[attr-defined]
-    return [kind for kind in kinds_of if types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind)]
+    kind = column.type
+    if types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind):
+        return {name: np.asarray(column.to_numpy(zero_copy_only=False), dtype=float)}
+    if types.is_timestamp(kind) or types.is_duration(kind) or types.is_time(kind):
+        ticks = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[kind.unit]
+        whole = column.cast("int32").cast("int64") if types.is_time32(kind) else column.cast("int64")
+        return {name: np.asarray(whole.to_numpy(zero_copy_only=False), dtype=float) / ticks}
+    if types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind):
+        rows = column.to_pylist()
+        counts = {len(row or ()) for row in rows}
+        if len(counts) == 1 and 0 < (count := counts.pop()) <= _MOST_ELEMENTS and isinstance(rows[0][0], int | float):
+            values = np.array(rows, dtype=float)
+            return {f"{name}[{i}]": values[:, i] for i in range(count)}
+    return {}

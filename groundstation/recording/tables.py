@@ -31,6 +31,7 @@ class Table:
         data: the file.
         where: where each record begins, shape (k,).
         clock: field that holds the time, and its ticks per second.
+        units: of fields, as far as a file tells them beside their names.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Table:
     data: Bytes = field(repr=False)
     where: NDArray[np.int64] = field(repr=False)
     clock: tuple[str, float] = ("timestamp", 1e6)
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.where)
@@ -97,12 +99,14 @@ class Table:
         return self.columns(*names)
 
 
-def table_of(name: str, columns: Mapping[str, Array], clock: tuple[str, float]) -> Table:
-    """Columns that are in memory already as a table."""
+def table_of(
+    name: str, columns: Mapping[str, Array], clock: tuple[str, float], units: Mapping[str, str] | None = None
+) -> Table:
+    """Columns that are in memory already as a table, with the units that are told of them."""
     matrix = np.ascontiguousarray(np.column_stack(list(columns.values())), dtype="<f8")
     fields = {field: (8 * i, "<f8", 1.0) for i, field in enumerate(columns)}
     where = np.arange(len(matrix), dtype=np.int64) * 8 * len(columns)
-    return Table(name, 0, fields, matrix.reshape(-1).view(np.uint8), where, clock)
+    return Table(name, 0, fields, matrix.reshape(-1).view(np.uint8), where, clock, units or {})
 
 
 _AT_ONCE = 1 << 18

@@ -83,6 +83,8 @@ def read_ulog(path: Path, vehicle: Vehicle, part: Part = WHOLE) -> Recording:
     streams["motors"], said = read_motors(topics, log.settings, vehicle, str(path))
     notes = [*lost, *said]
     first = {name: topic for (name, instance), topic in sorted(topics.items(), reverse=True)}
+    if (battery := _connected_battery(topics)) is not None:
+        first["battery_status"] = battery
     others, said = other_streams(first, log.settings)
     streams |= others
     notes += said
@@ -107,6 +109,15 @@ def other_streams(topics: Mapping[str, Table], settings: Settings) -> tuple[dict
     return streams, notes
 
 
+def _connected_battery(topics: Topics) -> Table | None:
+    """The first instance of battery_status that tells a voltage."""
+    for (name, _), topic in sorted(topics.items()):
+        fields = next((f for f in NAMES["battery_status"]["voltage"] if all(x in topic for x in f)), None)
+        if name == "battery_status" and fields is not None and np.any(topic.columns(*fields) > 0.0):
+            return topic
+    return None
+
+
 def _battery(topics: Mapping[str, Table], settings: Settings) -> tuple[Stream | None, list[str]]:
     topic = topics.get("battery_status")
     if topic is None:
@@ -116,7 +127,8 @@ def _battery(topics: Mapping[str, Table], settings: Settings) -> tuple[Stream | 
         return None, ["battery: battery_status tells no voltage; it is left out."]
     current = topic.first_of(NAMES[topic.name]["current"])
     values = np.hstack([volts, np.where(current >= 0.0, current, np.nan)])
-    return Stream(topic.seconds(), values, BATTERY_COLUMNS), []
+    note = [f"battery: battery_status, instance {topic.instance}."] if topic.instance else []
+    return Stream(topic.seconds(), values, BATTERY_COLUMNS), note
 
 
 def _setpoint(topics: Mapping[str, Table], settings: Settings) -> tuple[Stream | None, list[str]]:

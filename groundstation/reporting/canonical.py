@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import hypot, sqrt
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, Identification
+from groundstation.json_types import Document, JsonObject
 
 if TYPE_CHECKING:  # the diagnosis is heavy to import, and only its type is needed
     from groundstation.diagnosis.results import Diagnosis
@@ -40,12 +41,12 @@ class Canonical:
     note: str = ""
     correlation: NDArray[np.float64] | None = None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """The block ``estimate`` of identification.json."""
         values = {name: estimate.to_dict() for name, estimate in self.parameters.items()}
         return {"source": self.source, "note": self.note, "parameters": values} | self.joint()
 
-    def joint(self) -> dict[str, Any]:
+    def joint(self) -> JsonObject:
         """The block ``joint``: covariance and correlation of mass and tensor, and the names of their rows; empty where
         there is none.
         """
@@ -107,7 +108,7 @@ def _widened(estimate: Estimate, without: Estimate | None, diagnosis: Diagnosis)
     return Estimate.normal(estimate.value, hypot(estimate.std / sqrt(1.0 - share), moved / HALF_95))
 
 
-def estimate_in(document: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
+def estimate_in(document: Document) -> tuple[str, Document]:
     """Source and parameters of the estimate in an identification's document; of one written before there was the block,
     its best method.
     """
@@ -119,7 +120,7 @@ def estimate_in(document: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
     return str(best), {**document.get("model", {}), **own}
 
 
-def estimate_of(entry: Mapping[str, Any] | None) -> Estimate | None:
+def estimate_of(entry: Document | None) -> Estimate | None:
     """An estimate of a document's entry; None where it holds no number."""
     if not entry or entry.get("value") is None or entry.get("std") is None:
         return None

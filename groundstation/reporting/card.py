@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from groundstation.identification.results import Estimate
+from groundstation.json_types import Document
 from groundstation.reporting.canonical import estimate_in, estimate_of
 from groundstation.reporting.units import half_width, label, quantity, readable
 
@@ -17,8 +17,8 @@ SURE = 0.95
 
 
 def landing_card(
-    identification: Mapping[str, Any],
-    diagnosis: Mapping[str, Any],
+    identification: Document,
+    diagnosis: Document,
     declared: Mapping[str, float],
     refusal: str = "",
     planned: str = "",
@@ -45,11 +45,11 @@ def landing_card(
     )
 
 
-def _contradicted(identification: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
+def _contradicted(identification: Document) -> Sequence[Document]:
     return [check for check in identification.get("declarations", ()) if check["verdict"] == "contradicted"]
 
 
-def _trust(identification: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> str:
+def _trust(identification: Document, diagnosis: Document) -> str:
     """The gravest reason against the numbers, or that there is none."""
     if wrong := _contradicted(identification):
         return f"no. The flight contradicts the declared {' and '.join(str(check['name']) for check in wrong)}."
@@ -71,7 +71,7 @@ def _trust(identification: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> s
     return "yes. The model explains the flight down to noise and disturbance."
 
 
-def _changed(identification: Mapping[str, Any], diagnosis: Mapping[str, Any], declared: Mapping[str, float]) -> str:
+def _changed(identification: Document, diagnosis: Document, declared: Mapping[str, float]) -> str:
     """The mass with its interval, what differs from the declaration, and what was found."""
     known = estimate_in(identification)[1]
     mass = estimate_of(known.get("mass_kg"))
@@ -89,12 +89,12 @@ def _changed(identification: Mapping[str, Any], diagnosis: Mapping[str, Any], de
     return f"{text}. Found: {', '.join(found)}." if found else f"{text}."
 
 
-def _finding(finding: Mapping[str, Any]) -> str:
+def _finding(finding: Document) -> str:
     rotor = f" (rotor {finding['rotor']})" if finding.get("rotor") is not None else ""
     return f"{finding['effect'].replace('_', ' ')}{rotor}"
 
 
-def _next(identification: Mapping[str, Any], diagnosis: Mapping[str, Any], effects: set[str], planned: str) -> str:
+def _next(identification: Document, diagnosis: Document, effects: set[str], planned: str) -> str:
     """What comes first; the line of a vehicle file stands as it is to be written."""
     if wrong := _contradicted(identification):
         line = str(wrong[0].get("line") or "")

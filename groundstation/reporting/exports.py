@@ -8,8 +8,8 @@ A *model document* is a plain dictionary that carries everything a prediction ne
      "model": {"rotor_lag_up_s": {"value": 0.045, "std": 0.001}},
      "effects": {"rotor_drag": {"d_x_kg_s": {"value": 0.3, "std": 0.01}}},
      "disturbance": {"acceleration_rad_s2": [1.2, 1.3, 0.4], ...},  # what turns it besides (model/disturbance.py)
-     "prediction": {"kind": "fitted", ...},          # what predicts best (model/predictive.py); exports take the
-     physical part "not_identifiable": ["com_offset_z_m"]}
+     "prediction": {"kind": "fitted", ...},          # what predicts best (model/predictive.py)
+     "not_identifiable": ["com_offset_z_m"]}
 
 An effect that is found more than once (two weak rotors) has the later ones under "weak_rotor/2" and so on. Settings of
 an effect (which rotor, since when) stand among its parameters, without a spread.
@@ -33,8 +33,9 @@ from groundstation.documents import (
 )
 from groundstation.errors import BadInput
 from groundstation.identification.results import Estimate, Identification
+from groundstation.json_types import Document, JsonObject
 from groundstation.outside import read_json, read_toml
-from groundstation.reporting import robotics, simulators
+from groundstation.reporting import mujoco, robotics, rotorpy, simulators
 from groundstation.reporting.canonical import canonical, estimate_in
 from groundstation.reporting.identified import Identified, identified_from_document
 from groundstation.reporting.scenario import to_scenario
@@ -48,9 +49,7 @@ if TYPE_CHECKING:  # the diagnosis is heavy to import, and only its type is need
 SCHEMA = MODEL_SCHEMA
 
 
-def model_document(
-    identification: Identification, vehicle: Vehicle, diagnosis: Diagnosis | None = None
-) -> dict[str, Any]:
+def model_document(identification: Identification, vehicle: Vehicle, diagnosis: Diagnosis | None = None) -> JsonObject:
     """The model document of an identification: the one estimate, and the effects whose findings were adopted."""
     estimate = canonical(identification, diagnosis)
     model = {name: e for name, e in estimate.parameters.items() if name in identification.model}
@@ -82,7 +81,7 @@ def _values(estimates: Mapping[str, Estimate]) -> dict[str, dict[str, float]]:
     return {name: {"value": float(e.value), "std": float(e.std)} for name, e in estimates.items()}
 
 
-def model_from_identification_json(document: Mapping[str, Any], vehicle: Vehicle, source: str) -> dict[str, Any]:
+def model_from_identification_json(document: Document, vehicle: Vehicle, source: str) -> JsonObject:
     """The model document in what ``identify --json`` printed, which names the vehicle but does not carry it.
 
     Raises:
@@ -92,7 +91,7 @@ def model_from_identification_json(document: Mapping[str, Any], vehicle: Vehicle
     source_name, found = estimate_in(document)
     model = document.get("model", {})
 
-    def values(estimates: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    def values(estimates: Document) -> dict[str, dict[str, float]]:
         return {name: {"value": e["value"], "std": e["std"]} for name, e in estimates.items()}
 
     return {
@@ -109,7 +108,7 @@ def model_from_identification_json(document: Mapping[str, Any], vehicle: Vehicle
     }
 
 
-def read_model(path: str | Path, vehicle: Vehicle | None = None) -> dict[str, Any]:
+def read_model(path: str | Path, vehicle: Vehicle | None = None) -> JsonObject:
     """Read a model document from ``identification.toml`` or ``.json``, or from the JSON of ``identify``.
 
     Args:
@@ -135,19 +134,19 @@ def read_model(path: str | Path, vehicle: Vehicle | None = None) -> dict[str, An
     )
 
 
-def write_model(path: str | Path, document: Mapping[str, Any]) -> Path:
+def write_model(path: str | Path, document: Document) -> Path:
     """Write a model document as TOML, or as JSON where the name ends in .json."""
     path = Path(path)
     return write_whole(path, _json(document) if path.suffix == ".json" else _toml(document))
 
 
-def _toml(document: Mapping[str, Any]) -> str:
+def _toml(document: Document) -> str:
     import tomli_w
 
     return tomli_w.dumps(dict(document))
 
 
-def _json(document: Mapping[str, Any]) -> str:
+def _json(document: Document) -> str:
     return json.dumps(_without_nan(document), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
@@ -160,7 +159,7 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _simulator(write: Callable[[Identified], str]) -> Callable[[Mapping[str, Any]], str]:
+def _simulator(write: Callable[[Identified], str]) -> Callable[[Document], str]:
     return lambda document: write(identified_from_document(document))
 
 
@@ -172,8 +171,8 @@ FORMATS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "px4-sih": _simulator(simulators.to_px4_sih),
     "sdf": _simulator(simulators.to_sdf),
     "urdf": _simulator(simulators.to_urdf),
-    "mjcf": _simulator(simulators.to_mjcf),
-    "rotorpy": _simulator(simulators.to_rotorpy),
+    "mjcf": _simulator(mujoco.to_mjcf),
+    "rotorpy": _simulator(rotorpy.to_rotorpy),
     "scenario": _simulator(to_scenario),
     "ardupilot-sitl": _simulator(robotics.to_ardupilot_sitl),
     "pybullet": _simulator(robotics.to_pybullet),
@@ -191,12 +190,12 @@ UPRIGHT_ONLY = frozenset({"px4-sih", "rotorpy", "ardupilot-sitl", "pybullet", "c
 """Formats whose rotors all push along body z."""
 
 
-def mat_file(model: Mapping[str, Any] | str | Path, vehicle: Vehicle | None = None) -> bytes:
+def mat_file(model: Document | str | Path, vehicle: Vehicle | None = None) -> bytes:
     """An identified model as a MAT-file; arguments and errors are those of :func:`export`."""
     return robotics.to_matfile(identified_from_document(_document(model, vehicle)))
 
 
-def export(model: Mapping[str, Any] | str | Path, format_name: str, vehicle: Vehicle | None = None) -> str:
+def export(model: Document | str | Path, format_name: str, vehicle: Vehicle | None = None) -> str:
     """An identified model in another format.
 
     Args:
@@ -218,7 +217,7 @@ def export(model: Mapping[str, Any] | str | Path, format_name: str, vehicle: Veh
     return FORMATS[format_name](document)
 
 
-def _document(model: Mapping[str, Any] | str | Path, vehicle: Vehicle | None) -> Mapping[str, Any]:
+def _document(model: Document | str | Path, vehicle: Vehicle | None) -> Document:
     if isinstance(model, (str, Path)):
         return read_model(model, vehicle)
     return {**model, "vehicle": vehicle_to_dict(vehicle)} if vehicle is not None else dict(model)

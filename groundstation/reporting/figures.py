@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.json_types import JsonObject
+
 Array = NDArray[np.float64]
 Figure = dict[str, Any]
 
@@ -61,7 +63,7 @@ def rounded(values: Array, digits: int = 5) -> list[float | None]:
     return [round(float(v), places) if ok else None for v, ok in zip(y, finite, strict=True)]
 
 
-def trace(t_s: Array, values: Array, name: str, style: int, **extra: Any) -> dict[str, Any]:
+def trace(t_s: Array, values: Array, name: str, style: int, **extra: Any) -> JsonObject:
     """A thinned line. ``style`` picks colour and dash together."""
     t, y = envelope(t_s, values)
     return {
@@ -76,18 +78,18 @@ def trace(t_s: Array, values: Array, name: str, style: int, **extra: Any) -> dic
     }
 
 
-def line(style: int, width: float = 1.6) -> dict[str, Any]:
+def line(style: int, width: float = 1.6) -> JsonObject:
     """Colour and dash of a style."""
     return {"color": f"@{style % COLOURS + 1}", "dash": DASHES[style % len(DASHES)], "width": width}
 
 
-def reference(value: float, text: str, dash: str) -> dict[str, Any]:
+def reference(value: float, text: str, dash: str) -> JsonObject:
     """A horizontal line at a value, for layouts' ``shapes``."""
     shape = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": value, "y1": value}
     return {**shape, "line": {"color": "@muted", "width": 1.2, "dash": dash}, "name": text}
 
 
-def shade(start: float, end: float) -> dict[str, Any]:
+def shade(start: float, end: float) -> JsonObject:
     """A grey band between two times, for layouts' ``shapes``."""
     return {
         "type": "rect", "xref": "x", "yref": "paper", "x0": start, "x1": end, "y0": 0, "y1": 1,
@@ -96,10 +98,10 @@ def shade(start: float, end: float) -> dict[str, Any]:
 
 
 def time_figure(
-    traces: Sequence[dict[str, Any]],
+    traces: Sequence[JsonObject],
     y_title: str,
     *,
-    shapes: Sequence[dict[str, Any]] = (),
+    shapes: Sequence[JsonObject] = (),
     x_title: str = "time (s)",
     height: int = 300,
 ) -> Figure:
@@ -154,7 +156,7 @@ def path_figure(flown: Array, wanted: Array | None) -> Figure:
     }
 
 
-def _path_3d(points: Array, name: str, style: int) -> dict[str, Any]:
+def _path_3d(points: Array, name: str, style: int) -> JsonObject:
     thin = points[:: max(1, len(points) // 2500)]
     x, y, z = (rounded(thin[:, i]) for i in range(3))
     return {"type": "scatter3d", "mode": "lines", "name": name, "x": x, "y": y, "z": z, "line": line(style, 4)}
@@ -164,7 +166,7 @@ def plane_figure(flown: Array, wanted: Array | None, across: int, up: int) -> Fi
     """A projection of the path with equal scales; ``across`` and ``up`` are axis numbers."""
     names = ("x (m)", "y (m)", "z (m)")
 
-    def projected(points: Array, name: str, style: int) -> dict[str, Any]:
+    def projected(points: Array, name: str, style: int) -> JsonObject:
         thin = points[:: max(1, len(points) // 2500)]
         return {
             "type": "scatter", "mode": "lines", "name": name, "line": line(style),
@@ -228,7 +230,7 @@ def interval_figure(
     return {"data": data, "layout": layout}
 
 
-def _interval(name: str, style: int, value: float, low: float, high: float) -> dict[str, Any]:
+def _interval(name: str, style: int, value: float, low: float, high: float) -> JsonObject:
     whisker = {
         "type": "data",
         "symmetric": False,

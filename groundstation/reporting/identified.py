@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import BadInput
 from groundstation.identification.results import MASS_AND_TENSOR
+from groundstation.json_types import Document
 from groundstation.vehicle import INERTIA_NAMES, Vehicle, vehicle_from_dict, vehicle_to_dict
 
 Array = NDArray[np.float64]
@@ -106,7 +106,7 @@ def as_rigid_body(model: Identified) -> Identified:
     return replace(model, vehicle=vehicle_from_dict(document, "the nearest rigid body"), adjusted=note)
 
 
-def identified_from_document(document: Mapping[str, Any]) -> Identified:
+def identified_from_document(document: Document) -> Identified:
     """Put a model document's estimates into its declared vehicle.
 
     Raises:
@@ -141,7 +141,7 @@ def identified_from_document(document: Mapping[str, Any]) -> Identified:
     )
 
 
-def _flat(estimates: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+def _flat(estimates: Document) -> dict[str, tuple[float, float]]:
     return {name: (float(e["value"]), float(e["std"])) for name, e in estimates.items()}
 
 

@@ -13,6 +13,7 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
+from groundstation.json_types import JsonObject
 from groundstation.reporting.markup import Child, Markup, element, fragment
 
 POLICY = "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:"
@@ -42,7 +43,7 @@ class Page:
             body = element("section", element("h2", heading), *content, id=anchor)
         self.sections.append((anchor, heading, body))
 
-    def figure(self, figure: dict[str, Any], caption: Child, *, class_: str | None = None) -> Markup:
+    def figure(self, figure: JsonObject, caption: Child, *, class_: str | None = None) -> Markup:
         """Register a plotly figure and return the place it is drawn at."""
         name = f"figure-{len(self.figures) + 1}"
         self.figures[name] = _finite(figure)

@@ -27,6 +27,7 @@ from groundstation.reporting.simulators import (
     numbers,
     xml_text,
 )
+from groundstation.vehicle import Rotors, Vehicle
 
 MAT_TEXT = 116
 """Bytes of text at the head of a MAT-file (MAT-File Format, version 5, MathWorks, Level 5 header)."""
@@ -53,6 +54,14 @@ def _speed_driven(model: Identified, format_name: str) -> tuple[float, float]:
     return rotors.thrust_coefficient_n_s2, rotors.speed_max_rad_s
 
 
+def _bend_and_yaw(vehicle: Vehicle, share: float, diagonal: float) -> tuple[float, float]:
+    """``propExpo`` that matches thrust at hover and full command; the yaw factor that matches torque at hover."""
+    u = hover_motor_share(vehicle)
+    bend = float(np.clip((u - share) / (u - u**2), 0.0, 1.0)) if 0.0 < u < 1.0 else 0.0
+    slope = 1.0 - bend + 2.0 * bend * u
+    return bend, vehicle.rotors.torque_to_thrust_m * slope / (share + u * slope) / (0.05 * diagonal)
+
+
 def to_ardupilot_sitl(model: Identified) -> str:
     """A frame file for ArduPilot's simulator (``-f quad:vehicle.json``). ArduPilot's axes are FRD; lines with # are
     comments.
@@ -72,10 +81,7 @@ def to_ardupilot_sitl(model: Identified) -> str:
     positions = np.asarray(vehicle.rotors.position_m)
     diagonal = 2.0 * float(np.linalg.norm(positions[:, :2], axis=1).mean())
     share = vehicle.mass_kg * vehicle.gravity_m_s2 / len(positions) / top
-    u = hover_motor_share(vehicle)
-    bend = float(np.clip((u - share) / (u - u**2), 0.0, 1.0)) if 0.0 < u < 1.0 else 0.0
-    slope = 1.0 - bend + 2.0 * bend * u
-    yaw = vehicle.rotors.torque_to_thrust_m * slope / (share + u * slope) / (0.05 * diagonal)
+    bend, yaw = _bend_and_yaw(vehicle, share, diagonal)
     frame: dict[str, Any] = {
         "mass": vehicle.mass_kg,
         "diagonal_size": diagonal,
@@ -236,6 +242,23 @@ def to_agilicious(model: Identified) -> str:
     return hash_comment(notes) + "\n".join(lines) + "\n"
 
 
+def _propellers(rotors: Rotors, k: float, top: float) -> list[str]:
+    """Webots' devices, a line each of their fields."""
+    lines: list[str] = []
+    each = zip(rotors.position_m, rotors.spin, rotors.axes(), strict=True)
+    for i, (position, spin, axis) in enumerate(each, start=1):
+        lines += [
+            "      Propeller {",
+            f"        shaftAxis {numbers(axis)}",
+            f"        centerOfThrust {numbers(position)}",
+            f"        thrustConstants {number(spin * k)} 0",
+            f"        torqueConstants {number(k * rotors.torque_to_thrust_m)} 0",
+            f'        device RotationalMotor {{ name "rotor{i}" maxVelocity {number(top)} }}',
+            "      }",
+        ]
+    return lines
+
+
 def to_webots(model: Identified) -> str:
     """A Webots PROTO: a robot with mass, centre and tensor, and a propeller device per rotor (thrust k Omega
     |Omega|).
@@ -263,17 +286,7 @@ def to_webots(model: Identified) -> str:
         "    controller IS controller",
         "    children [",
     ]
-    rotors = zip(vehicle.rotors.position_m, vehicle.rotors.spin, vehicle.rotors.axes(), strict=True)
-    for i, (position, spin, axis) in enumerate(rotors, start=1):
-        body += [
-            "      Propeller {",
-            f"        shaftAxis {numbers(axis)}",
-            f"        centerOfThrust {numbers(position)}",
-            f"        thrustConstants {number(spin * k)} 0",
-            f"        torqueConstants {number(k * vehicle.rotors.torque_to_thrust_m)} 0",
-            f'        device RotationalMotor {{ name "rotor{i}" maxVelocity {number(top)} }}',
-            "      }",
-        ]
+    body += _propellers(vehicle.rotors, k, top)
     half = 2.0 * float(np.abs(np.asarray(vehicle.rotors.position_m)[:, :2]).max())
     body += [
         f"      Shape {{ appearance PBRAppearance {{ }} geometry Box {{ size {number(half)} {number(half)} 0.02 }} }}",

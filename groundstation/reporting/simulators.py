@@ -126,6 +126,12 @@ def hover_motor_share(vehicle: Vehicle) -> float:
     return motor
 
 
+def _turned_to_frd(vehicle: Vehicle) -> dict[str, float]:
+    """Entries of the tensor by name with y and z turned round: I_xy and I_xz change sign, I_yz does not."""
+    tensor = {name: float(getattr(vehicle.inertia_kg_m2, name)) for name in INERTIA_NAMES}
+    return {name: -value if name in {"xy", "xz"} else value for name, value in tensor.items()}
+
+
 def to_px4_sih(model: Identified) -> str:
     """A parameter file (tab separated, as ground stations load it) for PX4's simulation in hardware.
 
@@ -142,11 +148,9 @@ def to_px4_sih(model: Identified) -> str:
     hover = vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.rotors.count
     share = hover_motor_share(vehicle)
     full = hover / share
-    tensor = dict(zip(INERTIA_NAMES, (getattr(vehicle.inertia_kg_m2, a) for a in INERTIA_NAMES), strict=True))
-    flipped = {name: -value if name in {"xy", "xz"} else value for name, value in tensor.items()}
     values = {
         "SIH_MASS": vehicle.mass_kg,
-        **{f"SIH_I{name.upper()}": value for name, value in flipped.items()},
+        **{f"SIH_I{name.upper()}": value for name, value in _turned_to_frd(vehicle).items()},
         "SIH_T_MAX": full,
         "SIH_Q_MAX": full * vehicle.rotors.torque_to_thrust_m,
         "SIH_L_ROLL": float(np.mean(np.abs(position[:, 1]))),
@@ -160,8 +164,7 @@ def to_px4_sih(model: Identified) -> str:
         *model.provenance({"rotor_drag", "angular_damping"}),
         "Axes are FRD: I_xy and I_xz have the sign opposite to FLU. SI units.",
         f"SIH thrust is linear in the command. SIH_T_MAX matches hover, at {share:.3f} of full command; at full "
-        "command a rotor of this "
-        f"vehicle gives {top:.4g} N, and SIH {100.0 * (full / top - 1.0):+.0f} % of that off.",
+        f"command a rotor of this vehicle gives {top:.4g} N, and SIH {100.0 * (full / top - 1.0):+.0f} % of that off.",
         f"PX4 motors 1 to 4 are rotors {', '.join(str(i + 1) for i in order)} of the vehicle file.",
         f"SIH has its centre of mass at the origin (here it is at {offset} m, FLU) and one lag, the mean of up and "
         "down.",
@@ -241,6 +244,22 @@ def _parallel_axis(mass: float, offset: np.ndarray) -> np.ndarray:
     return mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
 
 
+def _sdf_rotor(body: ET.Element, model: Identified, i: int, mass_kg: float, disc: np.ndarray) -> None:
+    """A turning link of a rotor and its joint."""
+    rotors = model.vehicle.rotors
+    link = child(body, "link", name=f"rotor_{i}")
+    child(link, "pose", f"{numbers(rotors.position_m[i])} {numbers(upright_to(rotors.axes()[i]))}")
+    add_inertial(link, mass_kg, np.zeros(3), disc, urdf=False)
+    joint = child(body, "joint", name=f"rotor_{i}_joint", type="revolute")
+    child(joint, "parent", "base_link")
+    child(joint, "child", f"rotor_{i}")
+    axis = child(joint, "axis")
+    child(axis, "xyz", "0 0 1")
+    limit = child(axis, "limit")
+    child(limit, "lower", "-1e16")
+    child(limit, "upper", "1e16")
+
+
 def to_sdf(model: Identified) -> str:
     """A Gazebo model: a base link, a turning link per rotor, and the multicopter motor model where rotor speeds are
     known.
@@ -270,18 +289,8 @@ def to_sdf(model: Identified) -> str:
     body.append(comment(notes))
     base = child(body, "link", name="base_link")
     add_inertial(base, base_mass, centre, base_tensor, urdf=False)
-    for i, position in enumerate(positions):
-        link = child(body, "link", name=f"rotor_{i}")
-        child(link, "pose", f"{numbers(position)} {numbers(upright_to(rotors.axes()[i]))}")
-        add_inertial(link, each, np.zeros(3), disc, urdf=False)
-        joint = child(body, "joint", name=f"rotor_{i}_joint", type="revolute")
-        child(joint, "parent", "base_link")
-        child(joint, "child", f"rotor_{i}")
-        axis = child(joint, "axis")
-        child(axis, "xyz", "0 0 1")
-        limit = child(axis, "limit")
-        child(limit, "lower", "-1e16")
-        child(limit, "upper", "1e16")
+    for i in range(len(positions)):
+        _sdf_rotor(body, model, i, each, disc)
     if rotors.thrust_coefficient_n_s2 is None or rotors.speed_max_rad_s is None:
         body.append(
             comment(["No motor model: it needs thrust_coefficient_n_s2 and speed_max_rad_s, which are not known."])
@@ -320,132 +329,3 @@ def _motor_plugin(body: ET.Element, model: Identified, index: int) -> None:
     }
     for tag, text in settings.items():
         child(plugin, tag, text)
-
-
-def to_mjcf(model: Identified) -> str:
-    """A MuJoCo model: a free body with one site and one actuator per rotor; the control is the rotor's thrust in
-    newton.
-    """
-    model = as_rigid_body(model)
-    vehicle, rotors = model.vehicle, model.vehicle.rotors
-    tensor = vehicle.inertia_kg_m2
-    root = ET.Element("mujoco", model=identifier(vehicle.name))
-    curve = (
-        f"T = {number(rotors.thrust_coefficient_n_s2)} Omega^2"
-        if rotors.thrust_coefficient_n_s2
-        else "T from the thrust curve"
-    )
-    root.append(
-        comment(
-            [
-                *model.provenance({"com_offset", "weak_rotor"}),
-                "SI units; x forward, y left, z up; fullinertia is xx yy zz xy xz yz, entries of the tensor about the "
-                "centre of mass.",
-                f"Controls are rotor thrusts in newton ({curve}); the mean of the lags up and down acts on the thrust.",
-            ]
-        )
-    )
-    child(root, "compiler", angle="radian", autolimits="true")
-    child(root, "option", gravity=f"0 0 {number(-vehicle.gravity_m_s2)}", timestep="0.001", integrator="RK4")
-    body = child(child(root, "worldbody"), "body", name="base")
-    child(body, "freejoint", name="root")
-    entries = [getattr(tensor, name) for name in ("xx", "yy", "zz", "xy", "xz", "yz")]
-    child(body, "inertial", pos=numbers(model.com_offset_m), mass=number(vehicle.mass_kg), fullinertia=numbers(entries))
-    for i, position in enumerate(rotors.position_m, start=1):
-        child(body, "site", name=f"rotor{i}", pos=numbers(position))
-    for position in rotors.position_m:
-        look = {"mass": "0", "contype": "0", "conaffinity": "0", "group": "1"}
-        width = 0.04 * float(np.linalg.norm(position))
-        child(
-            body,
-            "geom",
-            type="capsule",
-            fromto=f"0 0 0 {numbers(position)}",
-            size=number(width),
-            rgba="0.3 0.3 0.35 1",
-            **look,
-        )
-        size = numbers([rotors.radius_m, 0.25 * width])
-        child(body, "geom", type="cylinder", pos=numbers(position), size=size, rgba="0.2 0.5 0.8 0.4", **look)
-    child(body, "site", name="imu", pos=numbers(vehicle.imu.position_m))
-    actuators = child(root, "actuator")
-    lag, top = model.mean_lag_s(), vehicle.rotor_thrust_max_n()
-    for i, (spin, share) in enumerate(zip(rotors.spin, model.rotor_effectiveness, strict=True), start=1):
-        push = share * rotors.axes()[i - 1]
-        attributes = {
-            "name": f"rotor{i}",
-            "site": f"rotor{i}",
-            "gear": f"{numbers(push)} {numbers(-spin * rotors.torque_to_thrust_m * push + 0.0)}",
-        }
-        if np.isfinite(top):
-            attributes["ctrlrange"] = f"0 {number(top)}"
-        if lag > 0.0:
-            attributes |= {"dyntype": "filterexact", "dynprm": number(lag)}
-        child(actuators, "general", **attributes)
-    sensors = child(root, "sensor")
-    child(sensors, "gyro", name="gyro", site="imu")
-    child(sensors, "accelerometer", name="accelerometer", site="imu")
-    return xml_text(root)
-
-
-LEAST_LAG_S = 1e-3
-"""RotorPy divides by the lag; a vehicle without one gets a lag that its rotors, at 100 Hz and less, do not show."""
-_ROTORPY_HOLDS = ("com_offset", "rotor_drag", "climb_inflow", "body_drag", "translational_lift", "flapping_moment")
-
-
-def to_rotorpy(model: Identified) -> str:
-    """A Python module with RotorPy's ``quad_params``. Positions are from the centre of mass; +direction is +torque
-    about z.
-
-    Rotor coefficients are per rotor and rotor speed: those found at hover, shared out over the hover speeds; lift at
-    hover thrust. RotorPy's flapping moment has the sign opposite to ours (ours lifts the nose when flying forward).
-    """
-    rotors = model.vehicle.rotors
-    if rotors.thrust_coefficient_n_s2 is None or rotors.speed_max_rad_s is None:
-        raise BadInput(
-            "rotorpy drives rotors by speed: declare thrust_coefficient_n_s2 and speed_max_rad_s, or export mjcf."
-        )
-    k = rotors.thrust_coefficient_n_s2
-    tensor = model.vehicle.inertia_kg_m2
-    speed_sum = model.hover_speed_sum_rad_s() or 1.0
-    lift = model.effects.get("translational_lift", {}).get("lift_s2_m2", 0.0)
-    weight = model.vehicle.mass_kg * model.vehicle.gravity_m_s2
-    lines = [
-        '"""' + " ".join(_safe(s) for s in model.provenance(_ROTORPY_HOLDS)),
-        "",
-        "SI units; x forward, y left, z up."
-        + (
-            ""
-            if model.mean_lag_s() >= LEAST_LAG_S
-            else f" tau_m is {LEAST_LAG_S} s, the least that RotorPy takes; no lag was found."
-        ),
-        '"""',
-        "",
-    ]
-    lines += ["import numpy as np", "", "quad_params = {", f"    'mass': {model.vehicle.mass_kg!r},"]
-    lines += [f"    'I{name}': {getattr(tensor, name)!r}," for name in INERTIA_NAMES]
-    lines += [f"    'num_rotors': {rotors.count},", "    'rotor_pos': {"]
-    for i, position in enumerate(np.asarray(rotors.position_m) - model.com_offset_m, start=1):
-        lines.append(f"        'r{i}': np.array({position.tolist()!r}),")
-    lines += ["    },", f"    'rotor_directions': np.array({[-s for s in rotors.spin]!r}),"]
-    lines.append(f"    'rI': np.array({(np.asarray(model.vehicle.imu.position_m) - model.com_offset_m).tolist()!r}),")
-    rest = {
-        **{f"c_D{axis}": model.effects.get("body_drag", {}).get("c_kg_m", 0.0) for axis in "xyz"},
-        "k_eta": k,
-        "k_m": k * rotors.torque_to_thrust_m,
-        "k_d": float(np.mean(model.rotor_drag_kg_s)) / speed_sum,
-        "k_z": model.climb_damping_kg_s / speed_sum,
-        "k_h": lift * weight / rotors.count,
-        "k_flap": -model.effects.get("flapping_moment", {}).get("k_nm_s_m", 0.0) / speed_sum,
-        "tau_m": max(model.mean_lag_s(), LEAST_LAG_S),
-        "rotor_speed_min": 0.0,
-        "rotor_speed_max": rotors.speed_max_rad_s,
-        "motor_noise_std": 0.0,
-    }
-    lines += [f"    {name!r}: {value!r}," for name, value in rest.items()]
-    return "\n".join([*lines, "}", ""])
-
-
-def _safe(text: str) -> str:
-    """Text that cannot end a docstring."""
-    return text.replace("\\", "/").replace('"', "'")

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.json_types import JsonObject
+
 Progress = Callable[[float, str], None]
 
 
@@ -18,7 +20,7 @@ def _say(share: float, text: str) -> None:
     print(f"{100 * share:3.0f} %  {text}", file=sys.stderr, flush=True)
 
 
-def reproduce(keep: Path | None = None, progress: Progress = _say) -> tuple[dict[str, Any], str]:
+def reproduce(keep: Path | None = None, progress: Progress = _say) -> tuple[JsonObject, str]:
     """Fly, identify, validate and compare.
 
     Args:

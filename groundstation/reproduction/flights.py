@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from groundstation.flight.client.simulate import simulate
 from groundstation.flightdata import FlightData
+from groundstation.json_types import JsonObject
 from groundstation.paths import find_config
 from groundstation.trajectory import ChannelCoefficients, Coefficients, Plan, load_plan
 from groundstation.vehicle import load_vehicle, vehicle_from_dict, vehicle_to_dict
@@ -99,7 +99,7 @@ def fly(plan: Plan, truth: Truth, seed: int, folder: Path) -> FlightData:
     return simulate(vehicle_from_dict(declared), plan, _scenario(truth), seed, folder / "flight")
 
 
-def _scenario(truth: Truth) -> dict[str, Any]:
+def _scenario(truth: Truth) -> JsonObject:
     """The seed scenario's world with this true vehicle."""
     import tomllib
 

@@ -75,10 +75,8 @@ def table_2(facts: Mapping[str, float]) -> str:
     """What the published coefficients do, and that they are flown as printed."""
     return "Table 2. Coefficients of the optimised trajectory: flown as printed.\n" + _wrapped(
         f"cond(W) over one period at 2 ms is {facts['condition_number']:.2f}. The trajectory does not keep the limits "
-        "of "
-        f"III-B: roll reaches {facts['roll_deg']:.2f} and pitch {facts['pitch_deg']:.2f} degrees (limit 5.73), the yaw "
-        "rate "
-        f"{facts['yaw_rate_rad_s']:.4f} rad/s (limit 0.5)."
+        f"of III-B: roll reaches {facts['roll_deg']:.2f} and pitch {facts['pitch_deg']:.2f} degrees (limit 5.73), the "
+        f"yaw rate {facts['yaw_rate_rad_s']:.4f} rad/s (limit 0.5)."
     )
 
 
@@ -105,32 +103,22 @@ def table_3(runs: Sequence[Ours]) -> str:
     parts.append(
         _wrapped(
             f"Where they differ: from one flight the paper's LS is {_disagreement(TABLE_3, 'ixx_kg_m2'):.0f} % above "
-            "its FMLS "
-            f"on Ixx and {_disagreement(TABLE_3, 'izz_kg_m2'):.0f} % on Izz; here it is {'; '.join(here)} %, of which "
-            "the "
-            "seed's own filter pair makes 3.0 %: on a rigid body with four immediate rotors the two models agree, "
-            "whatever the "
-            f"tensor. All four published sets have a largest principal moment {min(ratios):.1f} to {max(ratios):.1f} "
-            "times the "
-            f"sum of the others, which no rigid body has; here the ratio is at most {ours:.2f} (1 is the limit, and "
-            "the third "
-            "vehicle lies on it). Gradient descent remembers about a second, so it takes in more of the draught than "
-            "least "
-            "squares does."
+            f"its FMLS on Ixx and {_disagreement(TABLE_3, 'izz_kg_m2'):.0f} % on Izz; here it is {'; '.join(here)} %, "
+            "of which the seed's own filter pair makes 3.0 %: on a rigid body with four immediate rotors the two "
+            "models agree, whatever the tensor. All four published sets have a largest principal moment "
+            f"{min(ratios):.1f} to {max(ratios):.1f} times the sum of the others, which no rigid body has; here the "
+            f"ratio is at most {ours:.2f} (1 is the limit, and the third vehicle lies on it). Gradient descent "
+            "remembers about a second, so it takes in more of the draught than least squares does."
         )
     )
     parts.append(
         _wrapped(
             "What suffices for the disagreement: the filter pair (35)-(36) run at the motion capture's 30 Hz. Its "
-            "gain, "
-            "lambda T/(1 - exp(-lambda T)), is 1.58 at T = 1/30 s, on the tensor, hardly on the mass. With it, from "
-            "this very "
-            f"flight, LS is {gaps[1]} % above FMLS on Ixx, Iyy, Izz and {_disagreement(slow, 'mass_kg'):.1f} % on "
-            "mass; the "
-            f"paper's is {gaps[0]} % and {_disagreement(TABLE_3, 'mass_kg'):.1f} %. That its two masses agree speaks "
-            "against the "
-            "same pair in its mass row; whether it was run so at all, the paper cannot tell. Every other mechanism is "
-            "in "
+            "gain, lambda T/(1 - exp(-lambda T)), is 1.58 at T = 1/30 s, on the tensor, hardly on the mass. With it, "
+            f"from this very flight, LS is {gaps[1]} % above FMLS on Ixx, Iyy, Izz and "
+            f"{_disagreement(slow, 'mass_kg'):.1f} % on mass; the paper's is {gaps[0]} % and "
+            f"{_disagreement(TABLE_3, 'mass_kg'):.1f} %. That its two masses agree speaks against the same pair in its "
+            "mass row; whether it was run so at all, the paper cannot tell. Every other mechanism is in "
             "docs/disagreement.md."
         )
     )
@@ -147,14 +135,10 @@ def table_4(run: Ours) -> str:
     worse = [s for s in TABLE_4["nominal"] if _gain(run.closed_loop, "LS", s) < -0.5]
     words = (
         f"Where they differ: the paper's roll error is {ratio:.0f} times ours and its roll torque error {torque:.0f} "
-        "times: our "
-        "vehicle really flies by the simulated law, with sensor noise, its own state estimate and a draught between; "
-        "the "
-        "paper's experiment holds much that its simulation lacks. In the paper e_z and e_psi grow after "
-        "identification; here "
-        f"LS makes {', '.join(worse) if worse else 'nothing'} worse. Thrust gains most here, because the mass is what "
-        "the "
-        "nominal set has wrong and nothing else hides it."
+        "times: our vehicle really flies by the simulated law, with sensor noise, its own state estimate and a "
+        "draught between; the paper's experiment holds much that its simulation lacks. In the paper e_z and e_psi "
+        f"grow after identification; here LS makes {', '.join(worse) if worse else 'nothing'} worse. Thrust gains most "
+        "here, because the mass is what the nominal set has wrong and nothing else hides it."
     )
     return f"{body}\n{_wrapped(words)}"
 
@@ -171,10 +155,8 @@ def output_table(table: OutputTable, run: Ours) -> str:
     gains = [f"{_gain(columns, best, 'force_z_n'):.0f}" for columns in (table.rms, here)]
     words = (
         f"Where they differ: the paper's torque residual after {best} is {torque:.0f} times ours and its thrust "
-        "residual "
-        f"{force:.0f} times; {best} takes {gains[0]} % off the paper's thrust residual and {gains[1]} % off ours, "
-        "where a wrong "
-        f"mass, sensor noise and a draught are all there is. {_last_words(table)}"
+        f"residual {force:.0f} times; {best} takes {gains[0]} % off the paper's thrust residual and {gains[1]} % off "
+        f"ours, where a wrong mass, sensor noise and a draught are all there is. {_last_words(table)}"
     )
     return f"{body}\n{_wrapped(words)}"
 
@@ -183,8 +165,7 @@ def _last_words(table: OutputTable) -> str:
     if table.flight == "identification":
         return (
             "The excitation asks for about 0.018 N m of roll torque (RMS), so the paper's residual is several times "
-            "the "
-            "motion it explains."
+            "the motion it explains."
         )
     return (
         "The paper's tilt torque residual grows with the radius, so with speed; ours, without aerodynamics, does not."
@@ -196,14 +177,11 @@ def all_tables(runs: Sequence[Ours], facts: Mapping[str, float]) -> str:
     main = runs[0]
     head = _wrapped(
         "The paper's tables beside ours, on the simulated QBall 2 with IV-A's conditions: poses at 30 Hz, IMU and "
-        "attitude loop "
-        "at 500 Hz, wrench as commanded, saturations of IV-A, T = 2 ms, lambda = 30 rad/s. Zero-phase low-pass at "
-        f"{main.cutoff_hz:.1f} Hz (the printed 0.001 Hz would remove the motion). Accelerations from differentiated "
-        "positions, "
-        "as in II-C. One flight each; same seeds, same flights. What the paper leaves open, the true vehicle, is "
-        "varied in "
-        f"Table 3; Tables 4 to 12 are with the first ({main.truth.name}). P% is the improvement over nominal in "
-        "percent."
+        "attitude loop at 500 Hz, wrench as commanded, saturations of IV-A, T = 2 ms, lambda = 30 rad/s. Zero-phase "
+        f"low-pass at {main.cutoff_hz:.1f} Hz (the printed 0.001 Hz would remove the motion). Accelerations from "
+        "differentiated positions, as in II-C. One flight each; same seeds, same flights. What the paper leaves open, "
+        f"the true vehicle, is varied in Table 3; Tables 4 to 12 are with the first ({main.truth.name}). P% is the "
+        "improvement over nominal in percent."
     )
     tables = [table_2(facts), table_3(runs), table_4(main), *(output_table(table, main) for table in OUTPUT_TABLES)]
     return "\n\n\n".join([head, *tables]) + "\n"

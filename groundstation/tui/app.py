@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 from textual.app import App, SystemCommand
 from textual.binding import Binding
 from textual.css.query import NoMatches
+from textual.events import Event, Key
 from textual.screen import Screen
 
 from groundstation.commands.common import LOGS
@@ -113,6 +114,7 @@ class GroundStation(App[int]):
         self.limits = FlightLimits()
         self._announcer = Announcer()
         self._offered: object = None
+        self._left = False
 
     def on_mount(self) -> None:
         """Find a flight that goes on, and refresh from now on."""
@@ -435,9 +437,18 @@ class GroundStation(App[int]):
         """Close, after a question while something flies."""
         if self.phase in IN_FLIGHT:
             text = "The flight goes on without this program: the plan is completed and the vehicle lands.\nClose it?"
-            self.push_screen(Question(text), lambda yes: self.exit(0) if yes else None)
+            self.push_screen(Question(text), lambda yes: self._leave() if yes else None)
         else:
-            self.exit(0)
+            self._leave()
+
+    def _leave(self) -> None:
+        self._left = True
+        self.exit(0)
+
+    async def on_event(self, event: Event) -> None:
+        """Take events; keys typed while it closes are the shell's."""
+        if not (self._left and isinstance(event, Key)):
+            await super().on_event(event)
 
 
 def run(host: str | None = None) -> int:

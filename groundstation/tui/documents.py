@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from groundstation.campaign.campaign import Campaign, Round
 from groundstation.flight.messages import CoreStatus, KnownStatus
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
+from groundstation.json_types import Document
 from groundstation.reporting.canonical import estimate_in, estimate_of
 from groundstation.reporting.compare import change
 from groundstation.reporting.units import (
@@ -139,7 +139,7 @@ def _against_nominal(name: str, nominal: float, estimate: Estimate | None) -> Ro
     return fixed(nominal * scale.factor, places), interval_text(estimate, scale), scale.unit
 
 
-def method_table(document: Mapping[str, Any], declared: Mapping[str, float], most: int) -> tuple[Row, list[Row]]:
+def method_table(document: Document, declared: Mapping[str, float], most: int) -> tuple[Row, list[Row]]:
     """Header and rows of mass and tensor: the one estimate, then the methods, at most so many columns, with 95 % half
     widths.
     """
@@ -159,7 +159,7 @@ def method_table(document: Mapping[str, Any], declared: Mapping[str, float], mos
     return header, rows
 
 
-def _online(clock: Mapping[str, Any]) -> str:
+def _online(clock: Document) -> str:
     """What the link knew of the clocks in flight, where it told."""
     if clock.get("online_s") is None or clock.get("online_error_s") is None:
         return ""
@@ -167,7 +167,7 @@ def _online(clock: Mapping[str, Any]) -> str:
     return f"; in flight {1e3 * clock['online_s']:+.2f} ± {1e3 * clock['online_error_s']:.2f} ms: {verdict}"
 
 
-def identification_notes(document: Mapping[str, Any]) -> str:
+def identification_notes(document: Document) -> str:
     """Best method and why, clock, condition, what is not revealed, warnings, and the errors before and after."""
     because = readable(str(document.get("best_reason", "")).removeprefix(f"{document['best']}:").strip())
     lines = [f"best: {method_text(document['best'])}{f'; {because}' if because else ''}"]
@@ -183,7 +183,7 @@ def identification_notes(document: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def validation_rows(document: Mapping[str, Any]) -> list[Row]:
+def validation_rows(document: Document) -> list[Row]:
     """Check, signal, error with the nominal vehicle, with the best method, and their ratio."""
     rows = []
     for check in document.get("validation", ()):
@@ -210,7 +210,7 @@ def _ratio_text(ratio: float) -> str:
     return percent(ratio - 1.0, 0) if ratio < 2.0 else f"{significant(ratio, 2)} × worse"
 
 
-def error_rows(diagnosis: Mapping[str, Any]) -> list[Row]:
+def error_rows(diagnosis: Document) -> list[Row]:
     """Channel, held-out error with nominal values, identified, and with the findings, and what the findings change."""
     rows = []
     for where, stages in diagnosis.get("error", {}).items():
@@ -222,7 +222,7 @@ def error_rows(diagnosis: Mapping[str, Any]) -> list[Row]:
     return rows
 
 
-def finding_text(diagnosis: Mapping[str, Any]) -> str:
+def finding_text(diagnosis: Document) -> str:
     """Verdict, findings with their sentences, what stays unexplained, and the flight that would tell more."""
     lines = [f"verdict: {diagnosis['verdict']}"]
     if diagnosis.get("reason"):
@@ -244,7 +244,7 @@ def finding_text(diagnosis: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def suspect_rows(diagnosis: Mapping[str, Any]) -> list[Row]:
+def suspect_rows(diagnosis: Document) -> list[Row]:
     """Effects that were tried: name, settings, and the evidence for them."""
     rows = []
     for candidate in diagnosis.get("candidates", ()):
@@ -259,7 +259,7 @@ LONGEST_NAME = 30
 """Characters of a flight's name in the list: several flights identified together have all their names."""
 
 
-def flight_row(row: Mapping[str, Any]) -> Row:
+def flight_row(row: Document) -> Row:
     """One flight of the catalogue: when, flight, vehicle, state, verdict, mass."""
     mass = row["parameters"].get("mass_kg")
     shown = f"{significant(mass['value'], 4)} kg" if mass else "–"
@@ -275,7 +275,7 @@ def flight_row(row: Mapping[str, Any]) -> Row:
     )
 
 
-def comparison(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[Row]:
+def comparison(first: Document, second: Document) -> list[Row]:
     """Two flights of the catalogue: parameter, unit, the values with half widths, and the change."""
     rows = []
     for name, a in first["parameters"].items():

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from groundstation.errors import BadInput
+from groundstation.json_types import JsonObject
 from groundstation.outside import read_json
 
 if TYPE_CHECKING:
@@ -61,12 +62,12 @@ def read_results(folder: Path) -> FlightResults:
     return FlightResults(folder, identification, diagnosis, refusal, evolution, proposed, _declared(name))
 
 
-def _table(path: Path) -> dict[str, Any]:
+def _table(path: Path) -> JsonObject:
     document = read_json(path, "a result")
     return document if isinstance(document, dict) else {}
 
 
-def _document(read: Callable[[Path], dict[str, Any]], path: Path) -> dict[str, Any]:
+def _document(read: Callable[[Path], JsonObject], path: Path) -> JsonObject:
     try:
         return read(path)
     except BadInput:

@@ -97,7 +97,7 @@ class ArduCopter(Autopilot):
         11030: messages.esc_telemetry,
     }
 
-    def __init__(self, *args: object, **options: object):
+    def _powered_up(self) -> None:
         self._log: ArduCopterLog | None = None
         self._log_path = ""
         self._startup: list[tuple[float, str]] = []
@@ -109,7 +109,6 @@ class ArduCopter(Autopilot):
         self._ekf_failsafe = False
         self._station_failsafe = False
         self._scripts: ScriptHost | None = None
-        super().__init__(*args, **options)  # type: ignore[arg-type]
         self._declare_frame()
         self._startup = [(t, text) for t, text in STARTUP if t > self.time_s]
         self._origin_set = self.time_s > ORIGIN_S

@@ -116,11 +116,17 @@ class Autopilot(ABC):
         self.truth = airframe.state
         self.imu = ImuSample((0.0, 0.0, 0.0), self.truth.specific_force_m_s2)
         self.estimate = self.estimator.update(self.tick_s, self.time_s, self.truth, self.imu.gyro_rad_s)
+        self._on_the_ground()
+        self.mode = self.modes[self.FIRST_MODE]
+        self._powered_up()
+
+    def _on_the_ground(self) -> None:
+        """Disarmed, nothing asked of it and nothing flown."""
         self.setpoint = Setpoint()
-        self.commands: tuple[float, ...] = (0.0,) * vehicle.rotors.count
+        self.commands: tuple[float, ...] = (0.0,) * self.vehicle.rotors.count
         self.vibration_m_s2: Vector = (0.0, 0.0, 0.0)
         self.home_m: Vector = self.truth.position_m
-        self.battery = BatteryGauge(vehicle.battery)
+        self.battery = BatteryGauge(self.vehicle.battery)
         self.silent = False
         self.armed = False
         self.armed_s = -math.inf
@@ -132,7 +138,15 @@ class Autopilot(ABC):
         self._contact_s = 0.0
         self._ramp: float | None = None
         self.clock_offset_s: float | None = None  # the station's clock minus ours
-        self.mode = self.modes[self.FIRST_MODE]
+
+    @abstractmethod
+    def _powered_up(self) -> None:
+        """What a firmware's own state begins with; called once, when everything else is there."""
+
+    @property
+    def intended_custom(self) -> int:
+        """Custom mode number of what was asked for, where a failsafe may fly another."""
+        return self.mode.custom
 
     @abstractmethod
     def _default_streams(self, kind: str) -> dict[int, int]: ...
@@ -434,8 +448,7 @@ class Autopilot(ABC):
     @property
     def has_esc_telemetry(self) -> bool:
         """Whether the vehicle's ESCs report their speed."""
-        rotors = self.vehicle.rotors
-        return rotors.measured
+        return self.vehicle.rotors.measured
 
     @property
     def distance_from_home(self) -> tuple[float, float]:

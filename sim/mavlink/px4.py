@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import hashlib
 import math
-import struct
 import time
-import zlib
 from typing import ClassVar
 
 from drivers.mavlink.geometry import flip
-from sim.mavlink import messages
+from sim.mavlink import messages, px4messages
 from sim.mavlink.airframe import Vector
 from sim.mavlink.autopilot import (
     ACCEPTED,
@@ -30,44 +28,21 @@ from sim.mavlink.autopilot import (
 )  # fmt: skip
 from sim.mavlink.control import Setpoint
 from sim.mavlink.estimator import EstimatorSettings
-from sim.mavlink.guidance import GuidanceSettings
+from sim.mavlink.guidance import GuidanceSettings, Kind
 from sim.mavlink.logserver import LogFile
 from sim.mavlink.outbox import Link
 from sim.mavlink.parameters import Parameter
 from sim.mavlink.px4failsafe import arming_obstacle, link_action, silent_for_s, standing_failsafe
 from sim.mavlink.px4log import Px4Log
-from sim.mavlink.wire import Message, RawMessage, mavlink, whole
+from sim.mavlink.wire import Message, mavlink, whole
 
 FORCE = 21196.0
 MAX_HEIGHT_M = 1000.0
 _HEALTHY, _PREARM = 320915519 & ~0x10000000, 0x10000000
-_CAPABILITIES = (
-    mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
-    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
-    | mavlink.MAV_PROTOCOL_CAPABILITY_FTP | mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
-    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
-)  # fmt: skip
 
 
 def _auto(sub: int) -> int:
     return 4 << 16 | sub << 24
-
-
-def _link_node_status(a: messages.Autopilot) -> Message:
-    return RawMessage(8, struct.pack("<QIIIIIHHHBBB", a.boot_us, 24000, 0, 24000, 0, 0, 0, 0, 0, 0, 0, 0), 117)
-
-
-def _event_sequence(a: messages.Autopilot) -> Message:
-    return RawMessage(411, struct.pack("<HB", a.counter & 0xFF, 0), 106)
-
-
-def _current_mode(a: messages.Autopilot) -> Message:
-    intended = a.custom_of(a.intention) if isinstance(a, Px4) else a.mode.custom
-    return RawMessage(436, struct.pack("<IIB", a.mode.custom, intended, 0), 193)
-
-
-def _time_estimate(_: messages.Autopilot) -> Message:
-    return RawMessage(380, struct.pack("<5i", 0, -1, -1, -1, -1), 232)
 
 
 class Px4(Autopilot):
@@ -94,19 +69,19 @@ class Px4(Autopilot):
     NAVIGATOR_S = 0.05
     BUILDERS: ClassVar[dict[int, messages.Builder]] = {
         **messages.COMMON,
-        8: _link_node_status,
+        8: px4messages.link_node_status,
         105: messages.highres_imu,
         261: messages.storage,
         141: messages.altitude,
         291: messages.esc_status,
         331: messages.odometry,
         375: messages.actuator_output,
-        380: _time_estimate,
-        411: _event_sequence,
-        436: _current_mode,
+        380: px4messages.time_estimate,
+        411: px4messages.event_sequence,
+        436: px4messages.current_mode,
     }
 
-    def __init__(self, *args: object, **options: object):
+    def _powered_up(self) -> None:
         self.intention = "LOITER"
         self._log: Px4Log | None = None
         self._last_setpoint_s = -math.inf
@@ -120,7 +95,6 @@ class Px4(Autopilot):
         self.angular_acceleration_frd: Vector = (0.0, 0.0, 0.0)
         self._origin_altitude_m = self.ALTITUDE_M
         self.last_vision: tuple[int, Vector, tuple[float, float, float, float]] | None = None
-        super().__init__(*args, **options)  # type: ignore[arg-type]
         self._declare_rotors()
         self.parameter_changed(self.parameters.all[0])
 
@@ -134,9 +108,10 @@ class Px4(Autopilot):
 
     # -- what it is -------------------------------------------------------------------------------------------------
 
-    def custom_of(self, name: str) -> int:
-        """The custom mode number of a mode."""
-        return self.modes[name].custom
+    @property
+    def intended_custom(self) -> int:
+        """The custom mode number of the mode that was asked for."""
+        return self.modes[self.intention].custom
 
     def _default_streams(self, kind: str) -> dict[int, int]:
         hz = {
@@ -169,7 +144,7 @@ class Px4(Autopilot):
     def autopilot_version(self) -> Message:
         """AUTOPILOT_VERSION of 1.17.0-dev."""
         return mavlink.MAVLink_autopilot_version_message(
-            _CAPABILITIES, 0x01110040, 0x01110040, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0x5049583453494D31
+            px4messages.CAPABILITIES, 0x01110040, 0x01110040, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0x5049583453494D31
         )
 
     @property
@@ -197,11 +172,7 @@ class Px4(Autopilot):
     def unknown_parameter(self, link: Link, sender: Sender, name: str) -> None:
         """PARAM_ERROR; the hash of all parameters is one more name."""
         if name == "_HASH_CHECK":
-            digest = 0
-            for p in self.parameters.all:
-                packed = struct.pack("<f", p.value) if p.is_float else struct.pack("<i", int(p.value))
-                digest = zlib.crc32(p.name.encode() + packed, digest)
-            value = struct.unpack("<f", struct.pack("<I", digest))[0]
+            value = px4messages.parameters_hash(self.parameters.all)
             kind = mavlink.MAV_PARAM_TYPE_UINT32
             link.send(mavlink.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), 65535))
             return
@@ -354,7 +325,7 @@ class Px4(Autopilot):
             self.begin(self.modes[name].kind)
         self.set_mode(name)
 
-    def begin(self, kind, *, height_m=None) -> None:  # type: ignore[no-untyped-def]
+    def begin(self, kind: Kind, *, height_m: float | None = None) -> None:
         """A take-off without a height uses MIS_TAKEOFF_ALT."""
         if kind == "takeoff" and height_m is None:
             height_m = self.estimate.position_m[2] + self.parameters["MIS_TAKEOFF_ALT"]

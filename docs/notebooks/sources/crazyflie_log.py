@@ -1,9 +1,8 @@
 # %% [markdown]
 # # A Crazyflie from its log
 #
-# A measured flight: Crazyflie 2.1, micro-SD log at 1 kHz, no motion capture, motor commands only (data of *Data-Driven
-# System Identification of Quadrotors Subject to Motor Delays*, MIT licence). What can such a log tell, and what can it
-# not?
+# A measured flight: Crazyflie 2.1, micro-SD log at 1 kHz, no motion capture, motor commands only (data of *Data-Driven System
+# Identification of Quadrotors Subject to Motor Delays*, MIT licence). What can such a log tell, and what can it not?
 #
 # The log is not part of this repository. Set `GROUNDSTATION_DATA` to the folder that holds `crazyflie-1khz/`.
 
@@ -38,5 +37,5 @@ for name, remedy in found.not_identifiable.items():
     print(f"{name}: {remedy}")
 
 # %% [markdown]
-# Others made of the same log: lag 72 to 75 ms, Ixx 1.03e-5 and Iyy 1.11e-5 kg m². Bench values for this vehicle are
-# near 1.66e-5 kg m². The interval above says which of them this flight supports.
+# Others made of the same log: lag 72 to 75 ms, Ixx 1.03e-5 and Iyy 1.11e-5 kg m². Bench values for this vehicle are near
+# 1.66e-5 kg m². The interval above says which of them this flight supports.

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # A first flight
 #
-# Fly a simulated QBall 2, estimate its mass and inertia, and ask what the declared vehicle lacks. Everything here works
-# the same on a recording of your own: replace `simulate` by `load_flight("flight.mcap")`.
+# Fly a simulated QBall 2, estimate its mass and inertia, and ask what the declared vehicle lacks. Everything here works the
+# same on a recording of your own: replace `simulate` by `load_flight("flight.mcap")`.
 
 # %%
 from groundstation import api
@@ -13,8 +13,8 @@ found = api.identify(flight)
 api.plot(found, flight)
 
 # %% [markdown]
-# Each row is one parameter with its 95 % interval. The declared value comes from the vehicle file. The true value is
-# known because the vehicle is simulated. No estimator reads it.
+# Each row is one parameter with its 95 % interval. The declared value comes from the vehicle file. The true value is known
+# because the vehicle is simulated. No estimator reads it.
 
 # %%
 flight
@@ -31,8 +31,8 @@ api.plot(flight)
 # %% [markdown]
 # ## What the declared vehicle lacks
 #
-# A diagnosis traces the residual to effects. In this laboratory the motion capture stamps its poses on another clock,
-# and that is what it finds.
+# A diagnosis traces the residual to effects. In this laboratory the motion capture stamps its poses on another clock, and
+# that is what it finds.
 
 # %%
 diagnosis = api.diagnose(flight)

@@ -1,9 +1,9 @@
 # %% [markdown]
 # # The paper reproduced
 #
-# The seed paper identifies a QBall 2 from one trajectory (its Table 2) with four methods: least squares (LS), gradient
-# descent (GD), and both with filters (FMLS, FMGD). Here the same trajectory is flown in simulation, and the same
-# methods stand beside ours. `groundstation reproduce` makes all tables.
+# The seed paper identifies a QBall 2 from one trajectory (its Table 2) with four methods: least squares (LS), gradient descent
+# (GD), and both with filters (FMLS, FMGD). Here the same trajectory is flown in simulation, and the same methods stand beside
+# ours. `groundstation reproduce` makes all tables.
 
 # %%
 import pandas as pd
@@ -33,8 +33,8 @@ columns = {
 pd.DataFrame({"declared": declared, "true": truth, **columns}).loc[list(found.methods["LS"].parameters)]
 
 # %% [markdown]
-# Standard least squares differentiates noisy rates, and its tensor suffers. The filtered methods avoid the derivative.
-# The last column is the method of this program that was judged best, with an interval for each number:
+# Standard least squares differentiates noisy rates, and its tensor suffers. The filtered methods avoid the derivative. The
+# last column is the method of this program that was judged best, with an interval for each number:
 
 # %%
 api.plot(found, flight)

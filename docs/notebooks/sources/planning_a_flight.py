@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Planning a flight
 #
-# A plan is a finite Fourier series in x, y, z and yaw. The optimiser chooses it so that the motion reveals mass and
-# inertia within the limits of vehicle and room. It also says beforehand how well.
+# A plan is a finite Fourier series in x, y, z and yaw. The optimiser chooses it so that the motion reveals mass and inertia
+# within the limits of vehicle and room. It also says beforehand how well.
 
 # %%
 import math
@@ -20,8 +20,7 @@ plan
 # %% [markdown]
 # ## Is the prediction right?
 #
-# Fly the plan in simulation, identify, and compare the standard deviations that the plan promised with those of the
-# estimate.
+# Fly the plan in simulation, identify, and compare the standard deviations that the plan promised with those of the estimate.
 
 # %%
 import pandas as pd
@@ -30,8 +29,8 @@ found = api.identify(api.simulate("qball2", scenario="lab", plan=plan, seed=4))
 pd.DataFrame({"planned": plan.to_frame()["predicted_std"], "estimated": found.to_frame()["std"]}).dropna()
 
 # %% [markdown]
-# The plan cannot know this room's disturbance. It assumes a typical one, so agreement within a factor of three to five
-# is what to expect.
+# The plan cannot know this room's disturbance. It assumes a typical one, so agreement within a factor of three to five is
+# what to expect.
 #
 # ## A smaller room
 #

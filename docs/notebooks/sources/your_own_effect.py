@@ -1,8 +1,8 @@
 # %% [markdown]
 # # An effect of your own
 #
-# Something pulls the vehicle, and no effect in the library knows it. Here a wall at x = 1.5 m attracts the vehicle. We
-# find the residual, write a model of it in ten lines, and let the diagnosis judge it.
+# Something pulls the vehicle, and no effect in the library knows it. Here a wall at x = 1.5 m attracts the vehicle. We find
+# the residual, write a model of it in ten lines, and let the diagnosis judge it.
 
 # %%
 import numpy as np
@@ -52,8 +52,7 @@ api.register_effect(WALL)
 # %% [markdown]
 # ## The judgement
 #
-# The same diagnosis, now with one candidate more. It keeps the effect only if the error falls on data that no estimate
-# saw.
+# The same diagnosis, now with one candidate more. It keeps the effect only if the error falls on data that no estimate saw.
 
 # %%
 after = api.diagnose(flight)

@@ -39,10 +39,8 @@ EFFECT = Effect(
     wrench=_wrench,
     sentence=(
         "A steady force of {force_world_x_n:N|toward +x|toward −x} and {force_world_y_n:N|toward +y|toward −y} of the "
-        "room "
-        "pushes the vehicle. "
-        "Steady torques of {torque_x_nm:N m|roll right|roll left}, {torque_y_nm:N m|nose down|nose up} and "
-        "{torque_z_nm:N m|yaw left|yaw right} turn it."
+        "room pushes the vehicle. Steady torques of {torque_x_nm:N m|roll right|roll left}, {torque_y_nm:N m|nose "
+        "down|nose up} and {torque_z_nm:N m|yaw left|yaw right} turn it."
     ),
     confused_with=("com_offset", "weak_rotor", "wind"),
     manoeuvre="climb and sink hard: a torque that stays the same while thrust changes is not a centre of mass",

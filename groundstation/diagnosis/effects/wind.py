@@ -40,8 +40,7 @@ EFFECT = Effect(
     wrench=_wrench,
     sentence=(
         "Wind pushes with {force_world_x_n:N|toward +x|toward −x} and {force_world_y_n:N|toward +y|toward −y} of the "
-        "room, "
-        "whichever way the vehicle points."
+        "room, whichever way the vehicle points."
     ),
     rests_on=("rotor_drag", "body_drag"),
     confused_with=("tether", "mocap_tilt", "constant_wrench"),

@@ -124,8 +124,7 @@ def start_core(
 
     Returns:
         The process, and an operator's access to it, which is also in ``core.endpoint`` in the folder, for this user
-            alone;
-        in ``watch.endpoint`` is that of those who may watch and abort.
+        alone; in ``watch.endpoint`` is that of those who may watch and abort.
     """
     folder.mkdir(parents=True, exist_ok=True)
     endpoint = bus.loopback(bus.free_port())

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from drivers.access import Access
 from groundstation.errors import BadInput, FlightAborted, LinkLost, Refused
@@ -19,6 +18,7 @@ from groundstation.flight.link.parameter_journal import left_changed
 from groundstation.flight.messages import WAY, CoreStatus
 from groundstation.flight.sequence import FINAL, GIVEN_UP, IN_FLIGHT, Phase
 from groundstation.identification.results import Estimate
+from groundstation.json_types import Document
 from groundstation.reporting.canonical import estimate_in
 from groundstation.reporting.units import decimals, fixed, half_width, label, scale_for, split_unit
 
@@ -266,7 +266,7 @@ def progress_line(status: CoreStatus) -> str:
     return "  ".join(parts)
 
 
-def result_table(identification: Mapping[str, Any], declared: Mapping[str, float], truth: Mapping[str, float]) -> str:
+def result_table(identification: Document, declared: Mapping[str, float], truth: Mapping[str, float]) -> str:
     """Parameters as a table: nominal, true (in simulation), the estimate that every place shows, 95 % interval.
 
     Args:
@@ -287,9 +287,7 @@ def result_table(identification: Mapping[str, Any], declared: Mapping[str, float
     return "\n".join([lines[0], "  ".join("-" * width for width in widths), *lines[1:]])
 
 
-def _row(
-    name: str, found: Mapping[str, Any] | None, nominal: float, truth: float
-) -> tuple[str, str, str, str, str, str]:
+def _row(name: str, found: Document | None, nominal: float, truth: float) -> tuple[str, str, str, str, str, str]:
     estimate = Estimate(found["value"], found["std"], (found["ci95"][0], found["ci95"][1])) if found else None
     _, unit = split_unit(name)
     scale = scale_for(unit, [value for value in (nominal, truth, estimate.value if estimate else 0.0)])

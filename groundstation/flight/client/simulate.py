@@ -13,15 +13,14 @@ import tomli_w
 from groundstation.errors import BadInput
 from groundstation.flight.children import module_command
 from groundstation.flightdata import FlightData
+from groundstation.json_types import Document
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
 from groundstation.trajectory import Plan, plan_to_dict
 from groundstation.vehicle import Vehicle, vehicle_to_dict
 
 
-def simulate(
-    vehicle: Vehicle, plan: Plan, scenario: Mapping[str, Any] | str | Path, seed: int, folder: Path
-) -> FlightData:
+def simulate(vehicle: Vehicle, plan: Plan, scenario: Document | str | Path, seed: int, folder: Path) -> FlightData:
     """Fly a plan and load what was recorded.
 
     Args:

@@ -6,7 +6,6 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from drivers.bus import DroneStatus
 from drivers.samples import Battery, Event, Motors, Sample
@@ -18,6 +17,7 @@ from groundstation.flight.core.until import FlyUntil
 from groundstation.flight.messages import CheckStatus, CoreStatus, SuspectStatus
 from groundstation.flight.sequence import IN_FLIGHT, Phase
 from groundstation.flight.sequence import Sequence as FlightSequence
+from groundstation.json_types import JsonObject
 from groundstation.vehicle import Vehicle
 
 NOTES = 8
@@ -108,7 +108,7 @@ class FlightView:
             **self._motion(),
         )
 
-    def _motion(self) -> dict[str, Any]:
+    def _motion(self) -> JsonObject:
         drone = self.drone
         if drone is None:
             return {}

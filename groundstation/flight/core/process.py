@@ -1,7 +1,7 @@
-"""The core process of one flight: sequence, recorder and bus. It flies on when every client is gone.
+r"""The core process of one flight: sequence, recorder and bus. It flies on when every client is gone.
 
-    python -P -m groundstation.flight.core.process --folder logs/NAME --plan P --vehicle V --listen tcp/127.0.0.1:7450
-    -- sim ...
+    python -P -m groundstation.flight.core.process --folder logs/NAME --plan P --vehicle V \
+        --listen tcp/127.0.0.1:7450 -- sim ...
 
 What follows ``--`` is the module and arguments of the process that stands for the vehicle: the simulated drone, or the
 link to a real one. Both speak the drone's side of ``drivers.bus``; the core adds ``--drone`` and ``--connect``.

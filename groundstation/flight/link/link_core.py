@@ -13,12 +13,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import inf
 from typing import TypeVar
 
-from drivers.mavlink.codec import MavlinkCodec, Received
+from drivers.mavlink.codec import Received
 from drivers.mavlink.dialect import Message, mavlink
 from drivers.mavlink.exchange import Conversation, Steps
 from drivers.mavlink.signing import Signing
 from drivers.mavlink.telemetry import Telemetry
-from drivers.mavlink.timesync import Timesync
 from drivers.mavlink.transports import Peer
 from drivers.mocap.health import vehicle_clock_text
 from drivers.samples import Event, Imu, Pose, Raw, Setpoint, State
@@ -30,7 +29,8 @@ from groundstation.flight.link.inlet import Arrival, Complaints, Inlet, says_who
 from groundstation.flight.link.marker import MarkerWatch
 from groundstation.flight.link.markers import Markers
 from groundstation.flight.link.options import PLAIN, Options, Output
-from groundstation.flight.link.pilot import GUARDED, IN_AIR, Answered, Phase, Pilot
+from groundstation.flight.link.phase import GUARDED, IN_AIR, Answered, Phase
+from groundstation.flight.link.pilot import Pilot
 from groundstation.flight.link.pose_latency import PoseLatency, latency_sentence
 from groundstation.flight.link.preflight import Check, Situation, failures, run_checks
 from groundstation.flight.link.prepare import Preparation
@@ -38,6 +38,7 @@ from groundstation.flight.link.profiles import profile_for
 from groundstation.flight.link.roster import Roster
 from groundstation.flight.link.sending import PlanSending
 from groundstation.flight.link.view import Meter, VehicleView
+from groundstation.flight.link.voice import Voice
 from groundstation.flight.link.watch import Disagreement, observe
 from groundstation.flight.station import Station
 from groundstation.trajectory import Plan
@@ -74,7 +75,8 @@ class LinkCore:
         restore: dict[str, dict[str, float]] | None = None, free_bytes: Callable[[], int | None] = lambda: None,
     ):  # fmt: skip
         self.vehicle, self.station, self.options = vehicle, station, options
-        self.clock = Timesync()
+        self._voice = Voice(options, signing)
+        self.clock = self._voice.clock
         self.view: VehicleView | None = None
         self.pilot: Pilot | None = None
         self.ready = False
@@ -88,7 +90,6 @@ class LinkCore:
         self.verdict: Verdict | None = None
         self._inlet = Inlet(signing)
         self._complaints = Complaints()
-        self._sender = MavlinkCodec(signing=signing)
         self._stepped_s = self._load_told_s = -inf
         self._telemetry: Telemetry | None = None
         self._guard: Guard | None = None
@@ -96,8 +97,7 @@ class LinkCore:
         self._restoring: Conversation[None] | None = None
         self._talks: list[Conversation] = []
         self._events: list[Event] = []
-        self._heartbeat_s = self._timesync_s = self._setpoint_due_s = self._setpoint_device_s = -inf
-        self._sync_sent: dict[int, float] = {}
+        self._setpoint_due_s = self._setpoint_device_s = -inf
         self._core_s: float | None = None
         self._abort = ""
         self._sending: PlanSending | None = None
@@ -394,15 +394,7 @@ class LinkCore:
             if isinstance(sample, State) and (fit := self.clock.fit()) is not None:
                 self._latency.state(fit.host(sample.device_s), sample)
         if received.name == "TIMESYNC":
-            self._timesync(received.message, now_s, out)
-
-    def _timesync(self, m: Message, now_s: float, out: Output) -> None:
-        """Answer the vehicle's questions; use its answers to ours."""
-        now_ns = int(now_s * 1e9)
-        if m.tc1 == 0:
-            self._send(mavlink.MAVLink_timesync_message(now_ns, m.ts1), now_s, out)
-        elif (sent_s := self._sync_sent.pop(m.ts1, None)) is not None:
-            self.clock.add(sent_s, m.tc1 * 1e-9, now_s)
+            self._voice.timesync(received.message, now_s, out)
 
     # Guarding and leading ---------------------------------------------------------------------------------------------
 
@@ -465,30 +457,13 @@ class LinkCore:
     # Sending ----------------------------------------------------------------------------------------------------------
 
     def _keep_alive(self, now_s: float, out: Output) -> None:
-        silent = self.found_flying and not self.options.take_over
-        if now_s - self._heartbeat_s >= timeouts.HEARTBEAT_EVERY_S and not silent:
-            self._heartbeat_s = now_s
-            self._send(
-                mavlink.MAVLink_heartbeat_message(
-                    mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE, 3
-                ),
-                now_s,
-                out,
-            )
-        every = timeouts.TIMESYNC_EVERY_S if self.options.bytes_per_s is None else timeouts.TIMESYNC_ON_A_LINE_EVERY_S
-        if self.view is not None and now_s - self._timesync_s >= every:
-            self._timesync_s = now_s
-            stamp = int(now_s * 1e9)
-            self._sync_sent[stamp] = now_s
-            if len(self._sync_sent) > 50:
-                del self._sync_sent[next(iter(self._sync_sent))]
-            self._send(mavlink.MAVLink_timesync_message(0, stamp), now_s, out)
+        if not self.found_flying or self.options.take_over:
+            self._voice.heartbeat(now_s, out)
+        if self.view is not None:
+            self._voice.ask_time(now_s, out)
 
     def _send(self, message: Message, now_s: float, out: Output) -> None:
-        raw = self._sender.encode(message)
-        out.send.append(raw)
-        if self.options.keep_raw:
-            out.samples.append((Raw(now_s, "out", raw), now_s))
+        self._voice.send(message, now_s, out)
 
     def note(self, now_s: float, kind: str, text: str) -> None:
         """Put an event into the recording, with the next step."""

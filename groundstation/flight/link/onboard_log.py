@@ -1,10 +1,10 @@
-"""The onboard log after landing: which one it is, fetch it with progress, resume a fetch that broke off.
+r"""The onboard log after landing: which one it is, fetch it with progress, resume a fetch that broke off.
 
 What came is kept in ``NAME.part`` until the log is whole, so that a second try goes on where the first stopped. Logs
 are told apart by time stamp, because ids are in no order of time; without stamps the highest id counts.
 
-    python -P -m groundstation.flight.link.onboard_log --link udpin://127.0.0.1:14540 --vehicle x500 --folder
-    logs/FLIGHT
+    python -P -m groundstation.flight.link.onboard_log --link udpin://127.0.0.1:14540 \\
+        --vehicle x500 --folder logs/FLIGHT
 """
 
 from __future__ import annotations

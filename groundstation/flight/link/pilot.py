@@ -15,8 +15,6 @@ Rules that hold whatever else happens:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import StrEnum
 from math import nextafter
 
 import numpy as np
@@ -29,6 +27,7 @@ from groundstation.flight import timeouts
 from groundstation.flight.link.guard import Verdict
 from groundstation.flight.link.onboard import OnboardExcitation
 from groundstation.flight.link.orders import Orders, distance
+from groundstation.flight.link.phase import GUARDED, IN_AIR, Answered, Phase
 from groundstation.flight.link.placement import Placement, target_at
 from groundstation.flight.link.profiles import Profile, Target
 from groundstation.flight.link.view import VehicleView
@@ -39,32 +38,6 @@ UNDER_GROUND_M = 0.3
 """How far under it the place lies that an armed vehicle is led to while it stands: near enough to be no order to move.
 """
 _ABORTED = "the flight was aborted; upload a plan again to"
-
-
-class Phase(StrEnum):
-    """Where the flight is."""
-
-    IDLE = "idle"
-    UPLOADED = "uploaded"
-    ARMED = "armed"
-    CLIMBING = "climbing"
-    FOLLOWING = "following"
-    HOLDING = "holding"
-    LANDING = "landing"
-    RELEASED = "released"
-    LANDED = "landed"
-
-
-IN_AIR = frozenset({Phase.CLIMBING, Phase.FOLLOWING, Phase.HOLDING, Phase.LANDING, Phase.RELEASED})
-GUARDED = frozenset({Phase.CLIMBING, Phase.FOLLOWING, Phase.HOLDING, Phase.LANDING})
-
-
-@dataclass(slots=True)
-class Answered:
-    """An order's answer, once there is one."""
-
-    ok: bool | None = None
-    reason: str = ""
 
 
 class Pilot:

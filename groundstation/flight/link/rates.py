@@ -57,8 +57,7 @@ def cost_of_line(wishes: Sequence[StreamWish], granted: Mapping[str, float], byt
         rate_hz = granted[fastest.name]
         said.append(
             f"{line} brought {', '.join(f'{w.name} at {granted[w.name]:.0f} of {w.rate_hz:.0f} Hz' for w in thinned)}: "
-            "motion "
-            f"above {0.5 * rate_hz:.0f} Hz is not in the record, and where sensor noise rules, intervals are "
+            f"motion above {0.5 * rate_hz:.0f} Hz is not in the record, and where sensor noise rules, intervals are "
             f"{sqrt(fastest.rate_hz / rate_hz):.1f} times as wide; the onboard log does not depend on the line."
         )
     dropped = [w.name for w in wishes if w.instead_of and granted[w.name] == 0.0]

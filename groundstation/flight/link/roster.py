@@ -29,8 +29,7 @@ class Roster:
         if self.wanted is None:
             return (
                 f"systems heard on the link: {self}; the first that can be flown is taken; choose with --system N, or "
-                "with "
-                "the station file's key system"
+                "with the station file's key system"
             )
         return f"systems heard on the link: {self}; system {self.wanted} is wanted"
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from drivers.mavlink.exchange import Conversation, Steps
-from groundstation.flight.link.pilot import Answered, Pilot
+from groundstation.flight.link.phase import Answered
+from groundstation.flight.link.pilot import Pilot
 from groundstation.flight.link.upload import Way, send_coefficients
 from groundstation.trajectory import Plan
 

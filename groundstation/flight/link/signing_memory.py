@@ -60,8 +60,7 @@ class SigningMemory:
         except (OSError, ValueError, AttributeError, TypeError):
             raise BadInput(
                 f"{self._path}: remembers the stamps of signed links and cannot be read; if it is damaged, remove it "
-                "after "
-                "a minute without flights."
+                "after a minute without flights."
             ) from None
 
 

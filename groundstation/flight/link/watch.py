@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from drivers.samples import Vector3
 from groundstation.flight.link.guard import Observations
-from groundstation.flight.link.pilot import Phase, Pilot
+from groundstation.flight.link.phase import Phase
+from groundstation.flight.link.pilot import Pilot
 from groundstation.flight.link.view import VehicleView
 from groundstation.flight.station import Station
 

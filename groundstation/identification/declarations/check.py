@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
+
+from groundstation.json_types import JsonObject
 
 Verdict = Literal["agrees", "contradicted", "doubtful", "cannot tell"]
 
@@ -28,7 +30,7 @@ class Check:
     says: str = ""
     line: str = ""
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """For ``--json``."""
         return {name: getattr(self, name) for name in ("name", "tested", "evidence", "verdict", "says", "line")}
 

@@ -84,19 +84,24 @@ def _overlap(first: Array, second: Array, shift: int) -> tuple[Array, Array]:
     return first[low:high], second[low + shift : high + shift]
 
 
-def _attitude(imu: Stream, pose: Stream, mounting: Array) -> tuple[str, float | None, list[Check]]:
-    """Under which reading of quaternions and naming of axes gyro and attitudes agree."""
+Naming = tuple[str, int, int]
+"""Under which reading of the quaternions, which naming of the axes and which shift two rates are compared."""
+
+
+def _similarities(imu: Stream, pose: Stream, mounting: Array) -> dict[Naming, float]:
+    """How alike gyro and attitudes' rates are, for every reading, naming and shift near the best; empty if too
+    short.
+    """
     grid = np.arange(imu.t_s[0], imu.t_s[-1], STEP_S)
     when = np.arange(pose.t_s[0], pose.t_s[-1], STEP_S)
     gyro = passed(resampled(grid, imu.t_s, imu.values[:, :3]), (0.3, 4.0))
     names = signed_permutations()
-    results = {}
+    results: dict[Naming, float] = {}
     for reading in READINGS:
         quaternion = quat_multiply(read_as(pose.values[:, 3:7], reading), quat_conjugate(mounting))
         seen = _rates(pose, quaternion, when)
         coarse = _best_shift(gyro, seen)
-        shifts = range(coarse - 10, coarse + 11)
-        for shift in shifts:
+        for shift in range(coarse - 10, coarse + 11):
             a, b = _overlap(gyro, seen, shift)
             if len(a) < 200:
                 continue
@@ -104,13 +109,18 @@ def _attitude(imu: Stream, pose: Stream, mounting: Array) -> tuple[str, float | 
             cross = b.T @ a / size
             for number, matrix in enumerate(names):
                 results[reading, number, shift] = float(np.sum(cross * matrix))
-    if not results:
-        return next(iter(READINGS)), None, []
+    return results
+
+
+def _attitude(imu: Stream, pose: Stream, mounting: Array) -> tuple[str, float | None, list[Check]]:
+    """Under which reading of quaternions and naming of axes gyro and attitudes agree."""
     declared = next(iter(READINGS))
-    best = max(results, key=results.__getitem__)
+    results = _similarities(imu, pose, mounting)
+    if not results:
+        return declared, None, []
+    reading, number, shift = best = max(results, key=results.__getitem__)
     own = max((value for key, value in results.items() if key[:2] == (declared, 0)), default=0.0)
     top = results[best]
-    reading, number, shift = best
     # A wrong order of four numbers may come out as a wrong naming of axes: the declared naming goes first where it is
     # as good.
     plain = max((k for k in results if k[1] == 0), key=results.__getitem__)
@@ -123,18 +133,22 @@ def _attitude(imu: Stream, pose: Stream, mounting: Array) -> tuple[str, float | 
         return declared, None, [Check("attitude", tested, evidence, "cannot tell")]
     if own > FAR * top or (reading, number) == (declared, 0):
         return declared, offset, [Check("attitude", tested, evidence, "agrees")]
-    says, line = [], []
+    check = Check("attitude", tested, evidence, "contradicted", *_said_of(reading, declared, number))
+    return reading, offset if number == 0 else None, [check]
+
+
+def _said_of(reading: str, declared: str, number: int) -> tuple[str, str]:
+    """What another reading or naming says, and the line that puts it right."""
+    says: list[str] = []
+    line: list[str] = []
     if reading != declared:
         says.append(f"The quaternions are {reading}, not {declared}")
         line.append(f"reorder qw, qx, qy, qz of the poses ({reading})")
     if number:
-        says.append(f"attitudes turn as the gyro's axes {in_words(names[number])} do" + _frame_word(names[number]))
-        line.append(f"give gyro and accelerometer, or the attitudes, in FLU: axes {in_words(names[number])}")
-    return (
-        reading,
-        offset if number == 0 else None,
-        [Check("attitude", tested, evidence, "contradicted", "; ".join(says) + ".", "; ".join(line))],
-    )
+        matrix = signed_permutations()[number]
+        says.append(f"attitudes turn as the gyro's axes {in_words(matrix)} do" + _frame_word(matrix))
+        line.append(f"give gyro and accelerometer, or the attitudes, in FLU: axes {in_words(matrix)}")
+    return "; ".join(says) + ".", "; ".join(line)
 
 
 def _frame_word(matrix: Array) -> str:

@@ -91,6 +91,17 @@ def _order(thrust: Array, turning: Array, vehicle: Vehicle, used: NDArray[np.boo
     return Check("rotor_order", tested, evidence, "contradicted", says, f"position_m = {places}")
 
 
+def _patterns(declared: Array) -> list[Array]:
+    """The declared spins, their opposite, and of up to six rotors every pattern with as many of each."""
+    patterns = [declared, -declared]
+    if len(declared) <= 6:
+        for up in combinations(range(len(declared)), int(np.sum(declared > 0))):
+            pattern = -np.ones(len(declared))
+            pattern[list(up)] = 1.0
+            patterns.append(pattern)
+    return patterns
+
+
 def _spin(thrust: Array, turning: Array, vehicle: Vehicle, used: NDArray[np.bool_], plain: float) -> Check:
     """Yaw acceleration against the reaction torque and its change of each pattern of spins.
 
@@ -100,13 +111,7 @@ def _spin(thrust: Array, turning: Array, vehicle: Vehicle, used: NDArray[np.bool
     axes, position = vehicle.rotors.axes(), np.asarray(vehicle.rotors.position_m, dtype=float)
     levers = np.cross(position, axes)[:, 2] / vehicle.rotors.torque_to_thrust_m
     declared = np.asarray(vehicle.rotors.spin, dtype=float)
-    half = int(np.sum(declared > 0))
-    patterns = [declared, -declared]
-    if len(declared) <= 6:
-        for up in combinations(range(len(declared)), half):
-            pattern = -np.ones(len(declared))
-            pattern[list(up)] = 1.0
-            patterns.append(pattern)
+    patterns = _patterns(declared)
     measured = turning[used, 2:3]
     slope = np.gradient(thrust, STEP_S, axis=0)
 

@@ -56,8 +56,7 @@ def scale_checks(flown: Flown, vehicle: Vehicle) -> list[Check]:
     unit = _unit(float(np.sqrt(ratio)))
     says = (
         f"Is this the right vehicle? The declared rotors make {ratio:.2f} times the thrust that the declared mass "
-        "needs; "
-        f"the {trusted} is trusted, so the other follows it{unit}."
+        f"needs; the {trusted} is trusted, so the other follows it{unit}."
     )
     return [Check("thrust", tested, evidence, "contradicted" if off > WRONG else "doubtful", says, " ".join(line))]
 

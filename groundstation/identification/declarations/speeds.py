@@ -53,8 +53,7 @@ def speed_checks(flown: Flown, vehicle: Vehicle) -> list[Check]:
         return [Check("speed_source", tested, evidence, "agrees")]
     says = (
         "The rotor speeds lead the motion as commands do, which a measured speed does not: nobody measured them, or "
-        "the motors' stamps "
-        "are early."
+        "the motors' stamps are early."
     )
     return [Check("speed_source", tested, evidence, "doubtful", says, 'speed_source = "command" under [rotors]')]
 

@@ -34,6 +34,7 @@
       const scene = { ...layout.scene, bgcolor: "rgba(0,0,0,0)" };
       for (const key of ["xaxis", "yaxis", "zaxis"]) scene[key] = { gridcolor: "@grid", zerolinecolor: "@grid", ...titled(scene[key] || {}) };
       layout.scene = scene;
+      if (innerWidth < 600) layout.legend = { ...layout.legend, y: 0, yanchor: "top" };  // its buttons need the upper line
       layout.margin = { l: 0, r: 0, t: 14, b: 0 };
       delete layout.xaxis;
       delete layout.yaxis;

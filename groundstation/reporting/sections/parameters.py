@@ -222,10 +222,8 @@ def _revealed(identification: Identification) -> Markup | None:
         rows.append((" ".join(words).removeprefix("+1.0 "), f"{significant(100.0 * each.share, 2)} %"))
     caption = (
         "Combinations of mass and tensor, each in units of its declared value (products: of the trace), by the torque "
-        "or force "
-        "that all of it makes in this motion, as a share of weight (times arm). From singular values, before any fit. "
-        "A flight's "
-        "disturbance is usually 0.1 % and more."
+        "or force that all of it makes in this motion, as a share of weight (times arm). From singular values, before "
+        "any fit. A flight's disturbance is usually 0.1 % and more."
     )
     return fragment(
         element("h3", "What this motion acts on"), table(caption, ("combination", "share"), rows, class_="text")

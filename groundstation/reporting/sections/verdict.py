@@ -37,6 +37,7 @@ VERDICTS: Mapping[str, str] = {
     "unexplained": "Unexplained: a real residual remains that no known effect removes.",
     "refused": "Refused: this flight cannot answer the question.",
 }
+NOT_DIAGNOSED = "Next: diagnose it (`groundstation report`), to find what the declared vehicle lacks."
 _SYMBOLS: Mapping[str, str] = {"clean": "✓", "explained": "✓", "unexplained": "?", "refused": "✕", "open": "•"}
 _NAMES: Mapping[str, str] = {
     "com_offset": "Centre-of-mass offset",
@@ -67,7 +68,7 @@ def add_verdict(
         page.section(
             "verdict",
             "Verdict",
-            _banner("open", "Identified; not diagnosed.", best),
+            _banner("open", "Identified; not diagnosed.", best, NOT_DIAGNOSED),
             warnings,
             _cards(identification, None, declared),
         )
@@ -211,8 +212,7 @@ def _before_after(page: Page, diagnosis: Diagnosis) -> Markup | None:
                 continue
             caption = (
                 f"RMS, {check.replace('_', '-')} data: {title}. Before: mass and inertia re-estimated on the same "
-                "training "
-                "blocks without the effects. After: with them (▾ it fell). Nominal: the vehicle as declared."
+                "training blocks without the effects. After: with them (▾ it fell). Nominal: the vehicle as declared."
             )
             rms = error_table(caption, known, reference="before", improved="after")
             if _differ(known):
@@ -244,8 +244,7 @@ def _prediction(stages: Mapping[str, Mapping[str, float]]) -> Markup | None:
             rows.append((name_and_unit, nominal, significant(scale.factor * before), told))
     caption = (
         "RMS, held-out data: open-loop prediction with the recorded inputs, from what the sensors had said until its "
-        "start. "
-        "Ratio: error before over error after."
+        "start. Ratio: error before over error after."
     )
     return table(caption, ("prediction", *columns), rows, highlight=3) if rows else None
 

@@ -64,9 +64,9 @@ class StationScreen(Screen[None]):
         self.set_focus(None)
 
     def action_scroll_body(self, pages: int) -> None:
-        """A page up or down."""
-        body = self.query_one("#body", VerticalScroll)
-        body.scroll_relative(y=pages * max(1, body.size.height - 2), animate=False)
+        """A page up or down; a screen that is just being opened has no body yet."""
+        for body in self.query("#body").results(VerticalScroll):
+            body.scroll_relative(y=pages * max(1, body.size.height - 2), animate=False)
 
     def say(self, selector: str, text: str) -> None:
         """Replace a text; one that is there already is not drawn again."""

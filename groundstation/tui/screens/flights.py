@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 from textual.binding import Binding
 from textual.widgets import DataTable, Input, Static
 
+from groundstation.json_types import JsonObject
 from groundstation.tui.documents import comparison, flight_row
 from groundstation.tui.screens.base import StationScreen, fill
 
@@ -87,7 +88,7 @@ does identification, diagnosis and report of every recording here that has no re
         rows = Catalogue(self.station.logs).rows()
         self.station.call_from_thread(self._fill, rows)
 
-    def _fill(self, rows: list[dict[str, Any]]) -> None:
+    def _fill(self, rows: list[JsonObject]) -> None:
         self._rows = rows
         self._list()
         typed = self.query_one("#filter", Input)
@@ -253,12 +254,12 @@ does identification, diagnosis and report of every recording here that has no re
         if row := self._current():
             self.station.open_report(Path(row["folder"]))
 
-    def _current(self) -> dict[str, Any] | None:
+    def _current(self) -> JsonObject | None:
         index = self.query_one("#catalogue", DataTable).cursor_row
         return self._shown[index] if 0 <= index < len(self._shown) else None
 
 
-def _recording(row: dict[str, Any]) -> Path | None:
+def _recording(row: JsonObject) -> Path | None:
     """The recording of a row, where it lies in the flight's folder."""
     path = Path(row["folder"]) / "flight.mcap"
     return path if path.is_file() else None

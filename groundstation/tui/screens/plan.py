@@ -261,8 +261,7 @@ one. w writes the plan to a file in the folder of the flights; the Fly screen fl
         self.say(
             "#plan-text",
             f"{plan.vehicle}: {series.duration_s:.0f} s, {series.a.shape[1]} harmonics, criterion "
-            f"{plan.criterion}{condition}{was}."
-            f"\n{readable(plan.note)}",
+            f"{plan.criterion}{condition}{was}.\n{readable(plan.note)}",
         )
         fill(
             self.query_one(DataTable),

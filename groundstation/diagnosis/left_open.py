@@ -1,0 +1,173 @@
+r"""What explanations that nobody named leave open in mass and tensor: part of the interval that no noise tells.
+
+Beside the chosen effects others may beat chance and be named by nobody: they explain less than the formulas of what was
+named may miss (:mod:`.discrepancy`), or help on no data that was not fitted. And a formula may be wrong in a way of its
+own: with the speed, the height, the thrust or the rates. The strongest of these is estimated along, then the strongest
+beside it, and so on while one beats chance. On the way from what is named to what would explain everything the base
+moves by :math:`b_1, b_2, \dots`. How far along it the truth lies the data do not say; each stage counts by the evidence
+:math:`W_k` that it adds (the variance between models of Bayesian model averaging; Hoeting, Madigan, Raftery, Volinsky
+1999):
+
+.. math:: \Sigma_o = \sum_k W_k b_k b_k^T / \sum_k W_k
+
+A form of a named effect that does not beat chance may be there all the same, as far as the data allow: estimated along,
+with the spread ``form_share`` that such forms have before a flight, it moves the base by :math:`b` and adds
+:math:`\Delta` to its covariance. Forms are wrong independently of each other, so that :math:`b b^T + \Delta` is summed
+over them.
+
+Nothing is left open where nothing is named and nothing beats chance: a clean flight's intervals stay as sharp as its
+noise allows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.diagnosis.columns import Candidate, Columns, Pair, Solution
+from groundstation.diagnosis.effect import ParameterInfo, Settings
+from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.rivals import Entry, kind_of, plausible
+from groundstation.diagnosis.thresholds import THRESHOLDS
+from groundstation.model.parameters import RIGID_BODY
+from groundstation.model.signals import Signals
+from groundstation.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+
+Change = Callable[[Signals, Array], Array]
+"""From the signals and a wrench (k, 6, p) to another one."""
+
+SOFT = 0.2
+"""Of its RMS, below which a quantity that an effect is divided by counts as no smaller."""
+QUANTITIES: Mapping[str, Callable[[Signals], Array]] = {
+    "speed": lambda s: np.linalg.norm(s.velocity_world_m_s, axis=1),
+    "height": lambda s: np.abs(s.position_m[:, 2]),
+    "thrust": lambda s: s.thrust_n.sum(axis=1),
+    "rates": lambda s: np.linalg.norm(s.rate_rad_s, axis=1),
+}
+"""What a formula may be wrong with: its power of each may be one more or one less."""
+
+
+def left_open(
+    evidence: Evidence, chosen: Sequence[Entry], pool: Sequence[Entry], threshold: Callable[[Candidate, Columns], float]
+) -> Array:
+    """Covariance (7, 7), in the order of RIGID_BODY, that explanations beside the chosen leave open.
+
+    Args:
+        chosen: everything of the joint estimate.
+        pool: what else could be there.
+        threshold: Wald statistic that chance passes too rarely to be it.
+    """
+    index = [evidence.names.index(name) for name in RIGID_BODY]
+    named = evidence.solve(chosen)
+    forms = list(_misshapen(evidence, chosen, named))
+    beside, total, spread = list(chosen), 0.0, np.zeros((len(index), len(index)))
+    choice = [*pool, *forms]
+    for _ in range(THRESHOLDS.effects_most):
+        margins = _margins(evidence, beside, choice, threshold)
+        best = int(np.argmax(margins)) if margins else -1
+        if best < 0 or margins[best] <= 0.0:
+            break
+        beside.append(choice[best])
+        moved = evidence.solve(beside).theta[index] - named.theta[index]
+        total += margins[best]
+        spread += margins[best] * np.outer(moved, moved)
+        choice = [entry for entry, margin in zip(choice, margins, strict=True) if margin > 0.0]
+    shown = {kind_of(entry) for entry in beside}
+    unseen = [_unseen(evidence, chosen, named, form, index) for form in forms if kind_of(form) not in shown]
+    return sum(unseen, spread / total if total > 0.0 else spread)
+
+
+def _unseen(evidence: Evidence, chosen: Sequence[Entry], named: Solution, form: Entry, index: list[int]) -> Array:
+    """What a form that the data do not show leaves open, (7, 7), as far as they allow it."""
+    found = evidence.solve([*chosen, form])
+    moved = found.theta[index] - named.theta[index]
+    more = found.covariance[np.ix_(index, index)] - named.covariance[np.ix_(index, index)]
+    values, axes = np.linalg.eigh(0.5 * (more + more.T))
+    return np.outer(moved, moved) + (axes * np.maximum(values, 0.0)) @ axes.T
+
+
+def _margins(
+    evidence: Evidence,
+    beside: Sequence[Entry],
+    choice: Sequence[Entry],
+    threshold: Callable[[Candidate, Columns], float],
+) -> list[float]:
+    """By how much each entry beats chance beside others; nothing where it is among them or implausible."""
+    offset = sum(len(candidate.effect.parameters) for candidate, _ in beside)
+    taken = {kind_of(entry) for entry in beside}
+    out = []
+    for entry in choice:
+        effect = entry[0].effect
+        if kind_of(entry) in taken:
+            out.append(0.0)
+            continue
+        found = evidence.solve([*beside, entry])
+        margin = found.wald(offset, effect.telling()) - threshold(*entry)
+        right = margin > 0.0 and plausible(entry[0], *found.part(offset, len(effect.parameters)))
+        out.append(margin if right else 0.0)
+    return out
+
+
+def _misshapen(evidence: Evidence, chosen: Sequence[Entry], solution: Solution) -> Iterator[Entry]:
+    """Each chosen effect, by parameter, with one power more or less of each quantity; and on each of its axes alone."""
+    first = 0
+    for candidate, _ in chosen:
+        count = len(candidate.effect.parameters)
+        values = solution.part(first, count)[0]
+        first += count
+        for forms in _forms(candidate, values):
+            together = evidence.columns(forms)
+            if together is not None:
+                yield from _one_by_one(forms, together)
+
+
+def _one_by_one(forms: Candidate, together: Columns) -> Iterator[Entry]:
+    """A candidate of several parameters as one for each, without those that do nothing."""
+    for number, parameter in enumerate(forms.effect.parameters):
+        own = slice(number, number + 1)
+        if np.any(together.sensitivity[:, own] != 0.0) and np.any(together.instrument[:, own] != 0.0):
+            effect = replace(forms.effect, identifier=parameter.name, parameters=(parameter,))
+            rms = together.wrench_rms[:, own]
+            yield Candidate(effect, forms.settings), Columns(lambda own=own: _part(together, own), rms)
+
+
+def _part(together: Columns, own: slice) -> Pair:
+    sensitivity, instrument = together.pair()
+    return sensitivity[:, own], instrument[:, own]
+
+
+def _forms(candidate: Candidate, values: Array) -> Iterator[Candidate]:
+    """Forms of an effect of these values; a parameter is the share by which it takes one."""
+    names = candidate.effect.names()
+    for name, quantity in QUANTITIES.items():
+        yield _changed(candidate, [f"{n} by {name}" for n in names], _scaled(quantity, values, over=False))
+        yield _changed(candidate, [f"{n} over {name}" for n in names], _scaled(quantity, values, over=True))
+    rows = [f"row {row}" for row in range(6)]
+    yield _changed(candidate, rows, lambda signals, wrench: (wrench @ values)[:, :, None] * np.eye(6))
+
+
+def _scaled(quantity: Callable[[Signals], Array], values: Array, *, over: bool) -> Change:
+    def change(signals: Signals, wrench: Array) -> Array:
+        size = quantity(signals)
+        size = size / (float(np.sqrt(np.mean(size**2))) or 1.0)
+        return wrench * values * (1.0 / (SOFT + size) if over else size)[:, None, None]
+
+    return change
+
+
+def _changed(candidate: Candidate, names: Sequence[str], change: Change) -> Candidate:
+    effect = candidate.effect
+    shares = tuple(
+        ParameterInfo(f"{effect.identifier}, {name}", lambda vehicle: THRESHOLDS.form_share) for name in names
+    )
+
+    def wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
+        return change(signals, effect.wrench(signals, vehicle, settings))
+
+    return Candidate(replace(effect, parameters=shares, wrench=wrench), candidate.settings)

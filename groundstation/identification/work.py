@@ -1,0 +1,41 @@
+"""What one analysis of some flights has worked out and the next one of the same flights need not: motion and fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from groundstation.flightdata import FlightData
+from groundstation.identification.dynamic_fit import DynamicFit, Progress, fit_dynamics
+from groundstation.identification.preparation import Prepared, prepare_all
+
+Stretches = Sequence[tuple[float, float]]
+
+
+@dataclass(slots=True)
+class Work:
+    """Flights brought onto one clock, and fitted; the last of each. It is as large as the flights themselves.
+
+    Flights are told apart by which objects they are: nothing is compared.
+    """
+
+    _flights: tuple[list[FlightData], list[tuple[float, float]], list[Prepared]] | None = field(default=None)
+    _fit: tuple[list[Prepared], DynamicFit] | None = field(default=None)
+
+    def prepared(self, flights: Sequence[FlightData], exclude: Stretches) -> list[Prepared]:
+        """:func:`.preparation.prepare_all`."""
+        known = self._flights
+        if known is None or not _same(known[0], flights) or known[1] != list(exclude):
+            known = self._flights = list(flights), list(exclude), prepare_all(flights, exclude)
+        return known[2]
+
+    def fitted(self, prepared: Sequence[Prepared], progress: Progress = lambda fraction, text: None) -> DynamicFit:
+        """:func:`.dynamic_fit.fit_dynamics`."""
+        known = self._fit
+        if known is None or not _same(known[0], prepared):
+            known = self._fit = list(prepared), fit_dynamics(prepared, progress)
+        return known[1]
+
+
+def _same(some: Sequence[object], others: Sequence[object]) -> bool:
+    return len(some) == len(others) and all(one is other for one, other in zip(some, others, strict=True))
