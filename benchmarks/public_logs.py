@@ -15,6 +15,8 @@ import sys
 from pathlib import Path
 
 LIMIT_S = 300.0
+_TOLD = ("left out", "skipped", "too slow", "cut off", "not ended", "primary core")
+"""Words of the notes that stand in the table."""
 VEHICLES = ("x500", "crazyflie21", "hexa", "qball2")
 
 
@@ -55,7 +57,7 @@ def read(path: Path) -> dict[str, object]:
         "said": said[:12] if streams else said[:1],
         "seconds": round(time.monotonic() - begun, 2),
         "peak_mb": round((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - base) / 1024.0),
-        "size_mb": round(path.stat().st_size / 1e6, 2) if path.is_file() else None,
+        "size_mb": round(sum(f.stat().st_size for f in ([path] if path.is_file() else path.iterdir())) / 1e6, 2),
     }
 
 
@@ -72,6 +74,13 @@ def tried(path: Path) -> dict[str, object]:
     return json.loads(done.stdout.splitlines()[-1])
 
 
+def logs_in(folder: Path) -> list[Path]:
+    """The logs below a folder: files, and the folders of ROS 2 bags. A folder in it names where its logs are from."""
+    bags = {path.parent for path in folder.rglob("metadata.yaml")}
+    files = (path for path in folder.rglob("*") if path.is_file() and not path.name.startswith("."))
+    return sorted([*bags, *(path for path in files if not bags & set(path.parents))])
+
+
 def line(row: dict[str, object]) -> str:
     """A row of the table in docs/logs.md."""
     streams = row.get("streams") or {}
@@ -79,7 +88,10 @@ def line(row: dict[str, object]) -> str:
     said = row["said"]
     assert isinstance(said, list)
     verdict = ", ".join(f"{k} {v}" for k, v in streams.items()) if streams else f"refused: {said[0] if said else ''}"
-    return f"| {row['log']} | {row.get('size_mb', '')} | {verdict} | {row['seconds']} | {row.get('peak_mb', '')} |"
+    told = [text for text in map(str, said) if streams and any(word in text for word in _TOLD)]
+    verdict += "".join(f" ({text})" for text in told)
+    cells = (row["source"], row["log"], row.get("size_mb", ""), verdict, row["seconds"], row.get("peak_mb", ""))
+    return "| " + " | ".join(map(str, cells)) + " |"
 
 
 def main() -> None:
@@ -92,11 +104,11 @@ def main() -> None:
     if options.one:
         print(json.dumps(read(options.folder)))
         return
-    paths = sorted(p for p in options.folder.rglob("*") if p.is_file() and not p.name.startswith("."))
     rows = []
-    print("| log | MB | verdict | s | MB of memory |\n| --- | --- | --- | --- | --- |")
-    for path in paths:
-        rows.append(tried(path))
+    print("| source | log | MB | verdict | s | MB of memory |\n| --- | --- | --- | --- | --- | --- |")
+    for path in logs_in(options.folder):
+        inside = path.relative_to(options.folder).parent.parts
+        rows.append({"source": inside[0].replace("+", "/") if inside else "", **tried(path)})
         print(line(rows[-1]), flush=True)
     if options.out is not None:
         options.out.write_text(json.dumps(rows, indent=1) + "\n")

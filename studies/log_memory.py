@@ -24,16 +24,20 @@ def measured(path: Path, everything: bool) -> dict[str, float]:
 
 
 def peak_mb() -> float:
-    """The most memory this process has held so far.
+    """The most memory that this process, or one that it waited for, has held so far.
 
-    A child of a large process inherits that one's ``ru_maxrss``, so Linux's own count.
+    A child of a large process inherits that one's ``ru_maxrss``, so Linux's own count is taken of this process.
     """
-    status = Path("/proc/self/status")
-    if status.exists():
-        return int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024.0
     import resource
 
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (2.0**20 if sys.platform == "darwin" else 1024.0)
+    per_mb = 2.0**20 if sys.platform == "darwin" else 1024.0
+    own, children = (
+        resource.getrusage(who).ru_maxrss / per_mb for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
+    status = Path("/proc/self/status")
+    if status.exists():
+        own = int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024.0
+    return max(own, children)
 
 
 def read(path: str, everything: bool) -> dict[str, float]:

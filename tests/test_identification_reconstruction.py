@@ -11,7 +11,7 @@ from flights import rest_to_rest_plan
 
 from groundstation.errors import Refused
 from groundstation.frames import quat_exp, quat_from_euler, quat_multiply, quat_rotate, quat_rotate_inverse
-from groundstation.identification import reconstruction
+from groundstation.identification import position_fit
 from groundstation.identification.attitude_fit import Recording
 from groundstation.identification.clock import coarse_offset
 from groundstation.identification.reconstruction import Compatibility, body_motion, reconstruct
@@ -122,7 +122,7 @@ def test_poses_without_any_noise_do_not_make_the_filter_singular() -> None:
     random = np.random.default_rng(0)
     dt = np.concatenate([[0.0], np.full(999, 0.01)])
     error = 1e-15 * random.standard_normal((1000, 3)) + np.linspace(0.0, 1e-12, 1000)[:, None]
-    noise = reconstruction._position_noise(error, dt)
+    noise = position_fit._position_noise(error, dt)
     _, variance, _, _, predicted = position_filter(error, dt, noise)
     assert np.all(variance[3:] > 0.0)
     assert np.min(np.linalg.eigvalsh(predicted[3:])) > 0.0

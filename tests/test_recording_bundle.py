@@ -236,7 +236,7 @@ def test_any_one_source_of_motion_will_do(bundle, keep):
 
 
 def test_a_folder_that_is_not_there(tmp_path):
-    refused(tmp_path / "nowhere", "nowhere", "cannot be read")
+    refused(tmp_path / "nowhere", "nowhere", "no such file")
 
 
 def test_a_missing_column(bundle):

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Protocol
 from drivers.mocap.shared import keyed
 
 if TYPE_CHECKING:
+    import zenoh
+
     from drivers.secure import Identity
 
 CONNECT_S = 3.0
@@ -145,10 +147,10 @@ class Zenoh:
         self._session = bus.open_session(connect=[endpoint], connect_timeout_s=CONNECT_S, secure=secure)
         self._handle = self._session.declare_subscriber(key, self._take)
 
-    def _take(self, sample: object) -> None:
+    def _take(self, sample: zenoh.Sample) -> None:
         now_s = time.monotonic()
         with suppress(queue.Full):  # a reader that is stuck is told by the age of what it gives
-            self._arrived.put_nowait((keyed(str(sample.key_expr), bytes(sample.payload)), now_s))  # type: ignore[attr-defined]
+            self._arrived.put_nowait((keyed(str(sample.key_expr), bytes(sample.payload)), now_s))
 
     def read(self, timeout_s: float) -> list[tuple[bytes, float]]:
         """See :class:`Connection`."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from groundstation.flightdata import resampled
 from groundstation.frames import matrix_from_quat, slerp
 from groundstation.identification.attitude_fit import AttitudeFit, Recording, whitened_fit
-from groundstation.identification.newton import minimum
+from groundstation.identification.newton import DIFFERENCE, minimum
 from groundstation.identification.noise_kernel import LANES
 from groundstation.identification.position_kernel import position_costs
 from groundstation.identification.smoothing import position_filter, position_smoother
@@ -172,5 +172,9 @@ def _position_noise(error: Array, dt: Array, start: Array | None = None) -> Arra
         parts = [position_costs(series, dt, noises[i : i + LANES]) for i in range(0, len(noises), LANES)]
         return np.concatenate(parts)
 
-    found, _ = minimum(costs, np.log(start[:3]), np.log(_FINEST), np.log(_COARSEST), _STEPS)
+    floor, ceiling = np.log(_FINEST), np.log(_COARSEST)
+    found, cost = minimum(costs, np.log(start[:3]), floor, ceiling, _STEPS)
+    if found[0] < floor[0] + 2.0 * DIFFERENCE:  # no noise of poses: the way to there may end in a lesser minimum
+        other, lower = minimum(costs, floor + np.log(10.0), floor, ceiling, _STEPS)
+        found = other if lower < cost else found
     return np.array([*np.exp(found), _INITIAL_M_S2])

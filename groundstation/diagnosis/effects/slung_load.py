@@ -20,7 +20,8 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarra
     natural = np.sqrt(vehicle.gravity_m_s2 / settings["length_m"])
     damping = 0.03
     # swing angle times length, driven by the vehicle's horizontal speed: l theta'' + 2 z w l theta' + g theta = -a
-    b, a = cont2discrete(([-1.0, 0.0], [1.0, 2.0 * damping * natural, natural**2]), step, method="bilinear")[:2]  # pyright: ignore
+    swings = [-1.0, 0.0], [1.0, 2.0 * damping * natural, natural**2]
+    b, a = cont2discrete(swings, step, method="bilinear")[:2]  # pyright: ignore
     velocity = signals.velocity_world_m_s - signals.velocity_world_m_s[:1]
     swing = lfilter(np.ravel(b), a, velocity, axis=0)
     force = natural**2 * swing

@@ -23,7 +23,11 @@ class Progress(msgspec.Struct, frozen=True):
 
     def numbers(self) -> dict[str, tuple[float, float, float, float]]:
         """The table with NaN for what is not told."""
-        return {name: tuple(math.nan if v is None else v for v in row) for name, row in self.table.items()}  # type: ignore[misc]
+
+        def number(value: float | None) -> float:
+            return math.nan if value is None else value
+
+        return {name: (number(a), number(b), number(c), number(d)) for name, (a, b, c, d) in self.table.items()}
 
 
 class AnalysisWorker:

@@ -109,6 +109,32 @@ class LinkProcess:
         mocap = core.station.mocap
         self._poses = PoseSource(mocap, vehicle) if mocap.system != "none" else None
 
+    def _became_ready(self) -> bool:
+        """Wait for a vehicle and for its preparation; False where the link was stopped before.
+
+        Raises:
+            Refused: the vehicle flies already, or is not ready in time.
+        """
+        core = self.core
+        self._until(lambda: core.view is not None or bool(self._stop_reason), self.clock() + timeouts.VEHICLE_HEARD_S)
+        if core.found_flying and not core.ready:
+            self._until(self._tells_where_it_is, self.clock() + timeouts.LANDED_STATE_S)
+            self._refuse_in_flight()
+        if core.view is not None:
+            self._until(lambda: core.ready or bool(self._stop_reason), self.clock() + timeouts.VEHICLE_READY_S)
+        if self._stop_reason and not core.ready:
+            return False
+        if not core.ready:
+            raise Refused(
+                f"the vehicle is not ready: {core.trouble}.",
+                self.transport.trouble or "Check the link, and that nothing else speaks to the vehicle on it.",
+            )
+        return True
+
+    def _tells_where_it_is(self) -> bool:
+        view = self.core.view
+        return view is not None and view.on_ground is not None
+
     def run(self, endpoint: str) -> int:
         """Serve the core at an endpoint; returns the exit status."""
         if not set_nice(-10):  # ahead of the analysis, where the system allows it
@@ -128,24 +154,8 @@ class LinkProcess:
             )
             handles = [credit, core_alive]
             try:
-                self._until(
-                    lambda: self.core.view is not None or bool(self._stop_reason),
-                    self.clock() + timeouts.VEHICLE_HEARD_S,
-                )
-                if self.core.found_flying and not self.core.ready:
-                    self._until(lambda: self.core.view.on_ground is not None, self.clock() + timeouts.LANDED_STATE_S)  # type: ignore[union-attr]
-                    self._refuse_in_flight()
-                if self.core.view is not None:
-                    self._until(
-                        lambda: self.core.ready or bool(self._stop_reason), self.clock() + timeouts.VEHICLE_READY_S
-                    )
-                if self._stop_reason and not self.core.ready:
+                if not self._became_ready():
                     return 0
-                if not self.core.ready:
-                    raise Refused(
-                        f"the vehicle is not ready: {self.core.trouble}.",
-                        self.transport.trouble or "Check the link, and that nothing else speaks to the vehicle on it.",
-                    )
                 handles += [
                     bus.serve(session, self._keys.upload, bus.Upload, self._on_upload),
                     bus.serve(session, self._keys.command, bus.Command, self._on_command),
