@@ -36,12 +36,13 @@ def tables(results: Mapping[str, Any]) -> str:
     """Both tables: who flew and how it agrees, then each number."""
     readers = {name: told for name in FORMATS if (told := results["readers"].get(name))}
     lines = [
-        "| format | reader | flown | not held | worst z of seven | agreement |",
-        "| --- | --- | --- | --- | --- | --- |",
+        "| format | reader | flown | not held | worst z of seven | furthest off | agreement |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     lines += [
         f"| `{FORMATS[name]}` | {reader(name, told)} | {told.get('flown', '20 s of excitation')} | "
-        f"{told.get('lacks', '–')} | {told['worst_z']:.2f} | {'agrees' if told['agrees'] else 'differs'} |"
+        f"{told.get('lacks', '–')} | {told['worst_z']:.2f} | {100.0 * furthest(told['parameters']):.1f} % | "
+        f"{'agrees' if told['agrees'] else 'differs'} |"
         for name, told in readers.items()
     ]
     heads = [reader(name, told) for name, told in readers.items()]
@@ -51,6 +52,13 @@ def tables(results: Mapping[str, Any]) -> str:
         for parameter in MASS_AND_TENSOR
     ]
     return "\n".join(lines)
+
+
+def furthest(parameters: Mapping[str, Mapping[str, float]]) -> float:
+    """Largest difference: of the mass as a share of it, of the tensor's entries as a share of its largest moment."""
+    largest = max(row["exported"] for name, row in parameters.items() if name in MASS_AND_TENSOR[1:])
+    sizes = dict.fromkeys(MASS_AND_TENSOR[1:], largest) | {"mass_kg": parameters["mass_kg"]["exported"]}
+    return max(abs(row["again"] - row["exported"]) / sizes[n] for n, row in parameters.items() if n in sizes)
 
 
 def _cell(row: Mapping[str, float] | None) -> str:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import json
 import os
 import signal
@@ -49,7 +50,9 @@ class Load:
             if name == "imu" and len(stamps) > 4:
                 stamps = self._faulty(stamps, now_s - begun_s)
             self.put[name] += len(stamps)
-            out += [(self._sample(name, t + (self._ahead_s if name == "imu" else 0.0)), min(t, now_s)) for t in stamps]
+            ahead_s = self._ahead_s if name == "imu" else 0.0
+            arrivals = [min(t, now_s) for t in sorted(stamps)]  # a swapped pair arrives in the wrong order
+            out += [(self._sample(name, t + ahead_s), at) for t, at in zip(stamps, arrivals, strict=True)]
         return sorted(out, key=lambda pair: pair[1])
 
     def _faulty(self, stamps: list[float], elapsed_s: float) -> list[float]:
@@ -140,15 +143,8 @@ class Vehicle:
                 self.fly(now_s)
                 if self.phase == "landed" and over_s is None:
                     over_s = now_s
-                if sequence % 5 == 0:
-                    told = {
-                        "put": load.put,
-                        "planted": load.planted,
-                        "batches": sequence,
-                        "at_s": now_s,
-                        "phase": self.phase,
-                    }
-                    self.told.write_text(json.dumps(told))
+                if over_s == now_s:
+                    self.told.write_text(json.dumps({"put": load.put, "planted": load.planted, "batches": sequence}))
                 time.sleep(max(0.0, begun_s + (int((now_s - begun_s) / STEP_S) + 1) * STEP_S - time.monotonic()))
 
     def down(self, now_s: float) -> bool:
@@ -252,16 +248,23 @@ class Flight:
 
 
 def recorded(path: Path) -> tuple[int, float, dict[str, Any]]:
-    """Messages in the file by the MCAP library (those of one sample once), the newest log time, and what was counted of
-    each stream."""
-    from benchmarks.soak import readable
-    from groundstation.recording.load import read_recording
+    """By the MCAP library, as far as the file goes: messages (of one sample once), the newest time, the counts."""
+    from mcap.exceptions import McapError
+    from mcap.records import Channel, Message, Metadata
+    from mcap.stream_reader import StreamReader
 
-    recording = read_recording(path)
-    newest = max(
-        (float(r[-1]) for s in recording.streams.values() if (r := s.received_s) is not None and len(r)), default=0.0
-    )
-    return readable(path), newest, json.loads(recording.metadata.get("streams", "{}"))
+    topics: dict[int, str] = {}
+    count, newest_ns, counted = 0, 0, "{}"
+    with path.open("rb") as file, contextlib.suppress(McapError, EOFError, OSError):
+        for record in StreamReader(file, record_size_limit=None).records:
+            if isinstance(record, Message):
+                count += not topics[record.channel_id].endswith("/exact")
+                newest_ns = max(newest_ns, record.log_time)
+            elif isinstance(record, Channel):
+                topics[record.id] = record.topic
+            elif isinstance(record, Metadata):
+                counted = record.metadata.get("streams", counted)
+    return count, 1e-9 * newest_ns, json.loads(counted)
 
 
 def whole(root: Path, seconds: float) -> dict[str, Any]:

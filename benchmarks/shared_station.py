@@ -165,14 +165,19 @@ class Process:
         """Lines with a key."""
         return [line for line in list(self.lines) if key in line]
 
-    def wait_for(self, key: str, value: str = "") -> dict[str, Any]:
-        """The first line with a key, and a value."""
+    @property
+    def running(self) -> bool:
+        """It has not ended."""
+        return self._process.poll() is None
+
+    def wait_for(self, key: str, value: str = "", beside: Process | None = None) -> dict[str, Any]:
+        """The first line with a key, and a value, while this one runs and the one ``beside`` it."""
         end_s = time.monotonic() + PATIENCE_S
         while time.monotonic() < end_s:
             for line in self.find(key):
                 if not value or line[key] == value:
                     return line
-            if self._process.poll() is not None:
+            if not self.running or (beside is not None and not beside.running):
                 break
             time.sleep(0.05)
         raise SystemExit(f"waited in vain for {key} {value}: {self.lines[-3:]}")
@@ -226,7 +231,7 @@ def cut_flight(root: Path, line: PacketLine) -> dict[str, Any]:
     station = Process(STATION, "--station", str(root), "--flight", "cut")
     station.wait_for("said")
     laptop = Process(LAPTOP, "--view", str(root), "--name", "laptop")
-    laptop.wait_for("phase", "exciting")
+    laptop.wait_for("phase", "exciting", station)
     cut_s = 0.0
     for name, condition in CONDITIONS.items():
         line.condition = condition
@@ -250,10 +255,10 @@ def abort_flight(root: Path, line: PacketLine) -> dict[str, Any]:
     station = Process(STATION, "--station", str(root), "--flight", "abort")
     station.wait_for("said")
     laptop = Process(LAPTOP, "--view", str(root), "--name", "laptop")
-    laptop.wait_for("phase", "checked")
+    laptop.wait_for("phase", "checked", station)
     wall = Process(LAPTOP, "--view", str(root), "--name", "wall", "--abort-after-s", "5")
     line.condition = CONDITIONS[ABORT_OVER]
-    word, ended = wall.wait_for("abort"), station.wait_for("status")
+    word, ended = wall.wait_for("abort", beside=station), station.wait_for("status")
     laptop.tell("over")
     for each in (wall, laptop, station):
         each.end()

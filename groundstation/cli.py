@@ -15,7 +15,7 @@ from typing import Any, TextIO
 import click
 
 from groundstation import __version__
-from groundstation.commands.common import Result, suggestion
+from groundstation.commands.common import ProgressLine, Result, suggestion
 from groundstation.commands.listing import SECTIONS
 from groundstation.errors import BadInput, GroundStationError, Refused
 from groundstation.texts import shown
@@ -163,6 +163,7 @@ def _print(text: str, out: TextIO, end: str = "\n") -> bool:
 
 def _fail(text: str, status: int, as_json: bool, out: TextIO, reason: Refused | None = None) -> int:
     """One sentence on standard error, and as JSON on standard output where that was asked for."""
+    ProgressLine.end_open()
     print(shown(text), file=sys.stderr)
     if as_json:
         document: dict[str, Any] = {"error": text, "exit_status": status}

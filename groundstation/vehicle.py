@@ -20,8 +20,9 @@ from groundstation.targets import parse_targets
 
 Array = NDArray[np.float64]
 Vector3 = tuple[float, float, float]
-Positive = Annotated[float, Field(gt=0.0)]
-NonNegative = Annotated[float, Field(ge=0.0)]
+Positive = Annotated[float, Field(ge=1e-15, le=1e12)]
+NonNegative = Annotated[float, Field(ge=0.0, le=1e12)]
+"""Beyond any vehicle, in any unit used here, and far from where products of three of them overflow or vanish."""
 
 INERTIA_NAMES = ("xx", "xy", "xz", "yy", "yz", "zz")
 """Order of the tensor's entries in every parameter vector, as in the seed paper's Theta (eq. 12)."""

@@ -94,14 +94,14 @@ def test_block_means_of_rotors_are_those_of_the_lagged_grid(name: str) -> None:
     members = np.arange(len(t_s) // 3 * 3).reshape(-1, 3)
     lags = [(0.04, 0.06, 0.2), (0.0, 0.0, 0.0), (0.003, 0.05, 0.0), (0.03, 0.03, -0.1), (0.08, 0.02, 0.1)]
     delays = [0.0, 0.0137]
-    found = mean_thrusts(vehicle, motors, lags, delays, (t_s, members))
-    for lag, means in zip(lags, found, strict=True):
+    wanted = [(lag, delay) for lag in lags for delay in delays]
+    found = mean_thrusts(vehicle, motors, wanted, (t_s, members))
+    for (lag, delay), mean in zip(wanted, found, strict=True):
         thrust = declared_thrust(vehicle, motors.lagged(*lag))
         integral = cumulative(thrust, motors.step_s, held=lag[0] == 0.0)
-        for delay, mean in zip(delays, means, strict=True):
-            for row, grid in enumerate((thrust, integral)):
-                plain = interpolate_columns(t_s - delay, motors.start_s, motors.step_s, grid)[members].mean(axis=1)
-                assert mean[:, row] == pytest.approx(plain, rel=1e-9, abs=1e-12)
+        for row, grid in enumerate((thrust, integral)):
+            plain = interpolate_columns(t_s - delay, motors.start_s, motors.step_s, grid)[members].mean(axis=1)
+            assert mean[:, row] == pytest.approx(plain, rel=1e-9, abs=1e-12)
 
 
 def test_costs_of_position_noises_are_those_of_the_filter() -> None:

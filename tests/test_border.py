@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import socket
 import stat
 import struct
@@ -26,11 +27,15 @@ from groundstation.flight.client.client import new_flight_folder
 from groundstation.flight.core.recorder import sound
 from groundstation.flightdata import Stream
 from groundstation.outside import inside, parse_json, parse_toml
-from groundstation.recording import convert, load_flight, write_bundle
+from groundstation.paths import find_config
+from groundstation.recording import convert, dataflashfile, load_flight, write_bundle
 from groundstation.recording.container import MAGIC, read_container
 from groundstation.recording.mcapfile import write_recording_as_mcap
 from groundstation.recording.recorded import recording_of
+from groundstation.recording.settings import Settings
+from groundstation.recording.tables import MissingField, Table
 from groundstation.texts import file_name, shown
+from groundstation.vehicle import load_vehicle
 from studies.fuzz import fuzz
 from tests.polling import eventually
 from tests.recording_flight import flight
@@ -212,3 +217,20 @@ def test_three_thousand_idle_connections_do_not_lock_the_operator_out(core):
     finally:
         for connection in idle:
             connection.close()
+
+
+@pytest.mark.parametrize("value", ["1e200", "1e-200", "inf", "nan"])
+def test_numbers_beyond_any_vehicle_are_refused_where_they_enter(tmp_path, value):
+    text = find_config("vehicles", "x500").read_text()
+    (tmp_path / "x500.toml").write_text(re.sub(r"speed_max_rad_s = \S+", f"speed_max_rad_s = {value}", text))
+    with pytest.raises(BadInput, match=r"rotors\.speed_max_rad_s"):
+        load_vehicle(tmp_path / "x500.toml")
+
+
+def test_a_log_whose_own_layout_has_texts_for_numbers_and_numbers_for_names_is_read_without_them():
+    rows = np.frombuffer(b"abcd" * 8, dtype=np.uint8)
+    table = Table("PARM", 0, {"Name": (0, "<f4", 1.0), "Value": (0, "S4", 1.0)}, rows, np.arange(0, 32, 4))
+    assert dataflashfile._words(table, "Name") is None and dataflashfile._words(table, "Else") is None
+    assert dataflashfile._settings({"PARM": table}) == Settings()
+    with pytest.raises(MissingField, match="Value with numbers"):
+        table.column("Value")

@@ -201,6 +201,14 @@ def test_progress_fits_one_line_and_says_the_time_left(monkeypatch):
     assert "10 %" in shown and re.search(r"\d+ s left", shown)
 
 
+def test_a_fault_behind_progress_begins_a_line_of_its_own(monkeypatch):
+    terminal = _Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    ProgressLine().fraction(0.5, "half of it")
+    assert main(["xyzzy"]) == 2
+    assert terminal.getvalue().splitlines()[-1].startswith("there is no command 'xyzzy'.")
+
+
 def test_progress_elsewhere_is_whole_lines_without_control_characters(monkeypatch):
     stream, now = io.StringIO(), [0.0]
     monkeypatch.setattr(sys, "stderr", stream)

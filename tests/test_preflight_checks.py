@@ -173,6 +173,16 @@ def test_parameters_that_were_renamed_are_asked_for_by_the_version_s_name(versio
     assert rules[name].holds(2 * rules[name].accepted[0]) and not rules[name].holds(0.5 * rules[name].accepted[0])
 
 
+def test_what_the_autopilot_says_against_arming_stands_alone(ready):
+    texts = ["critical: Scripting: restarted", "critical: PreArm: Compass not healthy"]
+    view = changed(ready, checks_pass=False, texts=texts)
+    assert answer(ready, "arming", view=view).reason.startswith(
+        "the autopilot would not arm: critical: PreArm: Compass not healthy"
+    )
+    view = changed(ready, checks_pass=False, texts=texts[:1])
+    assert "Scripting: restarted" in answer(ready, "arming", view=view).reason
+
+
 def test_px4_tells_in_its_health_bits_alone_whether_it_would_arm():
     """Seen on its firmware: SYS_STATUS never says that the arming check is present."""
     from drivers.mavlink.codec import MavlinkCodec

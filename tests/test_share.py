@@ -22,6 +22,7 @@ from textual.widgets import Static
 from drivers import bus
 from drivers.access import Access, Login, new_secrets
 from drivers.mocap.session import Session
+from drivers.samples import Pose
 from drivers.secure import ClientKeys, Identity, poses_rules, secured
 from groundstation.cli import main
 from groundstation.errors import BadInput
@@ -30,6 +31,7 @@ from groundstation.flight.client.access import write_access
 from groundstation.flight.core.lease import OperatorLease
 from groundstation.flight.core.orders import ClientOrders
 from groundstation.flight.journal import ENDPOINT_FILE, WATCH_FILE
+from groundstation.flight.link.pose_source import PoseSource
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, CoreStatus, Lease, LeaseAnswer
 from groundstation.flight.share import passes, remote
 from groundstation.flight.share.certificates import Owner, issue, new_authority
@@ -37,9 +39,14 @@ from groundstation.flight.share.files import fetch, read_part
 from groundstation.flight.share.messages import PART_BYTES
 from groundstation.flight.share.passes import Pass
 from groundstation.flight.share.sharing import Cameras, publish_poses, share
+from groundstation.flight.station import MocapSource
 from groundstation.paths import find_config
 from groundstation.tui.app import GroundStation
 from groundstation.tui.remote import StationWatch
+from groundstation.vehicle import load_vehicle
+from sim.mocap.published import ZenohPublisher
+from sim.mocap.scene import Seen
+from sim.mocap.wire import Shot
 
 PATIENCE_S = 20.0
 NOW = datetime.datetime.now(datetime.UTC)
@@ -313,36 +320,28 @@ def test_a_view_reads_what_its_screens_show_and_nothing_else(place: Place, tmp_p
 
 
 def test_poses_of_a_camera_computer_come_with_certificates(home: Path) -> None:
-    from sim.mocap.published import ZenohPublisher
-    from sim.mocap.scene import Seen
-    from sim.mocap.wire import Shot
-
     cameras = passes.invite("cameras", "poses", ["127.0.0.2"], NOW)
-    served, endpoint = bus.free_port(), f"tls/127.0.0.2:{bus.free_port()}"
-    source, session = ZenohPublisher(served), None
-    own, said = passes.read_pass(passes.station_file()).identity, []
+    served, endpoint, said = bus.free_port(), f"tls/127.0.0.2:{bus.free_port()}", []
+    capture = Cameras("zenoh", f"127.0.0.1:{served}")
+    vehicle = load_vehicle(find_config("vehicles", "x500"))
+    source = ZenohPublisher(served)
+    reader = PoseSource(MocapSource(system="zenoh", host=endpoint, body="drone"), vehicle)  # as the link has it
     try:
-        with running(
-            lambda stop: publish_poses(Cameras("zenoh", f"127.0.0.1:{served}"), endpoint, cameras, stop, said.append)
-        ):
+        with running(lambda stop: publish_poses(capture, endpoint, cameras, stop, said.append)):
             got, number, end_s = [], 0, time.monotonic() + PATIENCE_S
             while len(got) < 20 and time.monotonic() < end_s:
-                number += 1
-                now_s = time.monotonic()
+                number, now_s = number + 1, time.monotonic()
                 seen = (Seen("drone", 1, ((0.1, 0.2, 1.0), (1.0, 0.0, 0.0, 0.0)), 0.0004),)
                 source.send(Shot(number, now_s - 0.004, now_s, seen))
-                if session is None:
-                    with suppress(OSError):
-                        session = Session("zenoh", endpoint, "drone", identity=own)
-                else:
-                    got += [arrived.frame.body("drone") for arrived in session.poll(0.02)]
-            assert got and all(body is not None and body.position_m == (0.1, 0.2, 1.0) for body in got)
+                got += [sample for sample, _ in reader.read() if isinstance(sample, Pose)]
+                time.sleep(0.01)
+            assert len(got) >= 20 and all(pose.position_m == (0.1, 0.2, 1.0) for pose in got)
+            assert abs(got[-1].device_s - time.monotonic()) < 5.0, "stamps are on the station's clock"
             with pytest.raises(OSError):  # without a certificate nobody reads them
                 Session("zenoh", endpoint, "drone")
     finally:
+        reader.close()
         source.close()
-        if session is not None:
-            session.close()
 
 
 def test_a_pass_from_invitation_to_the_end(home: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -361,6 +360,11 @@ def test_a_pass_from_invitation_to_the_end(home: Path, capfd: pytest.CaptureFixt
     assert said()["given"] == [{"name": "laptop", "role": "operate", "until": made["until"], "withdrawn": False}]
     assert "nobody answers" in said("--abort", f"127.0.0.1:{bus.free_port()}", status=5)["error"]
     assert "nobody answers" in said("--watch", f"127.0.0.1:{bus.free_port()}", status=2)["error"]
+    for name, role in (("phone", "watch"), ("spare", "operate")):
+        said("--invite", name, "--role", role, "--out", str(home / name))
+        said("--accept", str(home / name))
+    assert len(said()["accepted"]) == 3
+    assert passes.pass_for("10.0.0.9:7451").role == "operate", "certificates prove who answers, whatever its address"
     said("--withdraw", "laptop")
     assert said()["given"][0]["withdrawn"] is True
     file.write_text(file.read_text().replace("BEGIN CERTIFICATE", "BEGIN NOTHING"))
@@ -371,6 +375,10 @@ def test_a_pass_from_invitation_to_the_end(home: Path, capfd: pytest.CaptureFixt
     old = msgspec.structs.replace(passes.accepted()[0], certificate=past.certificate.decode())
     passes.write_pass(file, old)
     assert "held until" in said("--accept", str(file), status=2)["error"]
+    for path in (home / "config" / "groundstation" / "stations").iterdir():
+        passes.write_pass(path, old)
+    with pytest.raises(BadInput, match="held until"):
+        passes.pass_for("lab")
 
 
 async def test_the_screens_follow_another_station_and_abort_its_flight(place: Place, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import click
 
@@ -138,6 +138,8 @@ class ProgressLine:
     now and then.
     """
 
+    _open: ClassVar[ProgressLine | None] = None
+
     def __init__(self, every_s: float = 1.0, clock: Callable[[], float] = time.monotonic):
         self._terminal = sys.stderr.isatty()
         self._every_s = 0.1 if self._terminal else every_s
@@ -183,6 +185,7 @@ class ProgressLine:
             shown = text[: max(shutil.get_terminal_size().columns - 1, 20)]
             print(f"\r{shown.ljust(self._width)}", end="", file=sys.stderr, flush=True)
             self._width = len(shown)
+            ProgressLine._open = self
         else:
             print(text, file=sys.stderr, flush=True)
 
@@ -217,6 +220,13 @@ class ProgressLine:
         if self._terminal and self._width:
             print(file=sys.stderr)
             self._width = 0
+        ProgressLine._open = None
+
+    @classmethod
+    def end_open(cls) -> None:
+        """Leave the line that is being written, whosever it is: what follows begins a line of its own."""
+        if cls._open is not None:
+            cls._open.end()
 
 
 def load_vehicle_option(value: str | None) -> Vehicle | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 SCHEMA = "groundstation.station/1"
 ANYWHERE = "0.0.0.0"  # noqa: S104 - listened on with certificates alone
+GATE_NICE = 5
+"""Below what flies: whoever floods the gate takes no processor time from link and core."""
 SYSTEMS = ("natnet", "qtm", "vicon", "vrpn", "zenoh", "ros2", "mavlink")
 
 
@@ -177,6 +180,8 @@ def _share(_yes: bool, asked: Asked) -> Result:
     from groundstation.flight.share.sharing import share
 
     line, endpoint = ProgressLine(), asked.endpoint(GATE_PORT)
+    if hasattr(os, "nice"):
+        os.nice(GATE_NICE)
     with _until_told() as stop:
         share(asked.logs, endpoint, asked.address, stop, line.say)
     line.end()

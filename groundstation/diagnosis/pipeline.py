@@ -17,6 +17,7 @@ from groundstation.diagnosis.next_flight import rival_entries
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
 from groundstation.diagnosis.screen import dependences
 from groundstation.diagnosis.selection import Progress, Selected, pool_of, select_beside
+from groundstation.diagnosis.swing import swing_of
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
@@ -84,7 +85,19 @@ def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress:
         )
     judged = judge(case, selected, kinematic, departure, left, progress)
     progress(1.0, "done")
-    return _with_low_frequencies(_diagnosis(name, case, selected, judged, air), case, base)
+    found = _with_swing(_diagnosis(name, case, selected, judged, air), case, base)
+    return _with_low_frequencies(found, case, base)
+
+
+def _with_swing(found: Diagnosis, case: Case, base: Base) -> Diagnosis:
+    """Not clean, and with a warning, where a load swings below the vehicle that no finding accounts for."""
+    if case.healthy or any(finding.effect == "slung_load" for finding in found.findings):
+        return found
+    swing = swing_of(case.suspects[0], base.fitted.parameters)
+    if swing is None:
+        return found
+    verdict = "unexplained" if found.verdict in ("clean", "explained") else found.verdict
+    return replace(found, verdict=verdict, reason=swing.told(), warnings=(swing.told(), *found.warnings))
 
 
 def _with_low_frequencies(found: Diagnosis, case: Case, base: Base) -> Diagnosis:

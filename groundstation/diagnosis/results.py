@@ -85,9 +85,11 @@ class Diagnosis(Tabular):
     verdict: Verdict
     findings: tuple[Finding, ...] = ()
     unexplained: tuple[Unexplained, ...] = ()
-    error: Mapping[str, Mapping[str, Mapping[str, float]]] = field(default_factory=dict)
-    parameters_before: Mapping[str, Estimate] = field(default_factory=dict)
-    parameters_after: Mapping[str, Estimate] = field(default_factory=dict)
+    error: Mapping[str, Mapping[str, Mapping[str, float]]] = field(
+        default_factory=dict[str, Mapping[str, Mapping[str, float]]]
+    )
+    parameters_before: Mapping[str, Estimate] = field(default_factory=dict[str, Estimate])
+    parameters_after: Mapping[str, Estimate] = field(default_factory=dict[str, Estimate])
     covariance_after: NDArray[np.float64] | None = None
     next_flight: str = ""
     reason: str = ""
@@ -97,7 +99,7 @@ class Diagnosis(Tabular):
     candidates: tuple[Mapping[str, Any], ...] = ()
     adopted: bool = True
     by_flight: tuple[Mapping[str, Estimate], ...] = ()
-    residual: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    residual: Mapping[str, NDArray[np.float64]] = field(default_factory=dict[str, NDArray[np.float64]])
 
     def records(self) -> list[Record]:
         """One row per parameter of each finding, with its 95 % interval and the finding's confidence."""

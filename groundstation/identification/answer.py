@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from groundstation.errors import GroundStationError
 from groundstation.identification.anchoring import anchored, anchored_covariance
@@ -31,6 +32,8 @@ from groundstation.identification.unplanned import LOW, LOW_NOTE, LOW_REASON, by
 from groundstation.identification.unplanned import applies as low_frequencies_apply
 from groundstation.model.parameters import FitOptions
 from groundstation.vehicle import Vehicle
+
+Array = NDArray[np.float64]
 
 DISAGREES = 3.0
 """Standard deviations between two estimates from which one of them is taken to be biased."""
@@ -240,7 +243,7 @@ def _of_sensors(prepared: Prepared) -> dict[str, Estimate]:
 
 def _torque_rms(models: Sequence[RecordModel], fit: Fitted, options: FitOptions) -> list[float]:
     """RMS of the torque residual at up to 10 Hz, from differences of the rate residual over 0.1 s."""
-    rows = []
+    rows: list[Array] = []
     for model in models:
         residual = model.evaluate(fit.parameters, options)[0][:, :3]
         lag = max(1, round(0.1 / float(np.median(model.dt))))

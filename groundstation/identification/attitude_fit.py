@@ -76,7 +76,7 @@ def whitened_fit(e: Array, columns: Array, variance: Array, prior_std: Array) ->
     y, x = np.where(keep, e / scale, 0.0), np.where(keep[:, None], columns / scale[:, None], 0.0)
     weight = np.ones(len(y))
     theta = np.zeros(x.shape[1])
-    information = np.diag(1.0 / prior_std**2)
+    information = normal = np.diag(1.0 / prior_std**2)
     for _ in range(6):
         normal = x.T @ (x * weight[:, None]) + information
         theta = np.linalg.solve(normal, x.T @ (weight * y))

@@ -66,10 +66,10 @@ def _models_of(prepared: Sequence[Prepared]) -> tuple[RecordModel, ...]:
     """One model a flight. Flights without a plan leave an axis to those of the others that turn about it much more."""
     strength = np.array([angular_acceleration(item) for item in prepared])
     quiet = strength < QUIET * strength.max(axis=0)
-    models = []
+    models: list[RecordModel] = []
     for item, axes in zip(prepared, quiet, strict=True):
         terms, planned = damping_terms(item)
-        silent = frozenset(np.flatnonzero(axes).tolist()) if planned is None else frozenset()
+        silent: frozenset[int] = frozenset(np.flatnonzero(axes).tolist() if planned is None else ())
         models.append(RecordModel(item.record, terms, planned, silent))
     return tuple(models)
 
@@ -134,7 +134,7 @@ def _curve_is_free(prepared: Sequence[Prepared], fitted: Fitted) -> bool:
 
 
 def _thrust_spread(prepared: Prepared, up_s: float, down_s: float) -> float:
-    total = prepared.signals(up_s, down_s, 0.0).thrust_n[prepared.record.keep].sum(axis=1)
+    total: Array = prepared.signals(up_s, down_s, 0.0).thrust_n[prepared.record.keep].sum(axis=1)
     return float(np.std(total) / np.mean(total))
 
 
@@ -173,7 +173,7 @@ def curve_terms(prepared: Prepared, p: Parameters) -> list[BodyWrench]:
     vehicle = prepared.record.vehicle
     lagged = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope).lagged
     matrix = wrench_matrix(vehicle)
-    terms = []
+    terms: list[BodyWrench] = []
     for power, (name, declared) in enumerate(zip(CURVE, vehicle.rotors.thrust_curve or (), strict=True)):
         value = lagged**power @ matrix.T
         span = max(abs(declared), 0.2 * vehicle.mass_kg * vehicle.gravity_m_s2 / vehicle.rotors.count)

@@ -215,9 +215,7 @@ class RecordModel:
         """
         if self._made is None or self._made[0] != list(wanted):
             record = self.record
-            lags, delays = (list(dict.fromkeys(part)) for part in zip(*wanted, strict=True))
-            means = mean_thrusts(record.vehicle, record.motors, lags, delays, (record.t_s, self._members))
-            found = [means[lags.index(lag)][delays.index(delay)] for lag, delay in wanted]
+            found = mean_thrusts(record.vehicle, record.motors, wanted, (record.t_s, self._members))
             self._made = (
                 list(wanted),
                 [(each[:, 0] @ self.matrix.T, each[:, 1] @ self.matrix.T) for each in found],

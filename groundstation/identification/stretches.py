@@ -51,7 +51,7 @@ def airborne(t_s: Array, thrust: Array) -> tuple[Stretch, ...]:
             runs[-1] = runs[-1][0], int(last)
         else:
             runs.append((int(first), int(last)))
-    found = []
+    found: list[Stretch] = []
     for first, last in runs:
         begin = float(t_s[first]) + (0.0 if first == 0 else CONTACT_S)
         end = float(t_s[last]) - (0.0 if last == len(t_s) - 1 else CONTACT_S)

@@ -153,7 +153,7 @@ def pooled(parts: Sequence[TurningDisturbance]) -> TurningDisturbance:
     def told(name: str, power: float) -> tuple[float, float, float]:
         values = np.array([getattr(part, name) for part in parts], dtype=float)
         telling = np.array([part.acceleration_rad_s2 for part in parts]) > 0.0
-        out = [
+        out: list[float] = [
             np.mean(v[t] ** power) ** (1.0 / power) if t.any() else v[0]
             for v, t in zip(values.T, telling.T, strict=True)
         ]

@@ -237,7 +237,7 @@ def _errors_at(path: Paths, states: FlightStates, start_s: Array) -> Errors:
 
 
 def _errors(states: FlightStates, at_s: Array, found: Mapping[str, Array]) -> dict[str, dict[str, float]]:
-    out = {}
+    out: dict[str, dict[str, float]] = {}
     for name, norm in _norms(states, at_s, found).items():
         known = np.isfinite(norm)
         if known.any():

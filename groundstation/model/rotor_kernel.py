@@ -94,13 +94,14 @@ def _keep(s: Array, row: Array) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _averaged(kept, first, last, clock, members, at, out):
+def _averaged(kept, first, last, lanes, clock, members, at, out):
     """Gather the samples that lie within the grid's steps of the chunk; how many are done then.
 
     Args:
         kept: thrusts and sums of the steps from ``first`` to ``last``, the last excluded, (steps, 2 * LANES).
+        lanes: the first that counts, and how many do.
         clock: stamps (k,), a dead time, the grid's start, its step and its length. at: samples done before.
-        out: (blocks, 2 * LANES), to add to.
+        out: (blocks, 2, lanes), to add to.
     """
     t, late, start, step, length = clock
     size = members.shape[1]
@@ -113,9 +114,12 @@ def _averaged(kept, first, last, clock, members, at, out):
             break
         weight = position - i
         before = 1.0 - weight
-        now, later, mean = kept[i - first], kept[i + 1 - first], out[block]
-        for n in range(len(mean)):
-            mean[n] += now[n] * before + later[n] * weight
+        for row in range(2):
+            place = row * LANES + lanes[0]
+            now, later = kept[i - first, place : place + lanes[1]], kept[i + 1 - first, place : place + lanes[1]]
+            mean = out[block, row]
+            for n in range(len(now)):
+                mean[n] += now[n] * before + later[n] * weight
         member += 1
         if member == size:
             block, member = block + 1, 0
@@ -128,11 +132,12 @@ def block_means(
     grid: tuple[float, float, float, bool],
     lags: Array,
     delays_s: Array,
+    lanes: NDArray[np.int64],
     curve: Array,
     t_s: Array,
     members: NDArray[np.int64],
 ) -> Array:
-    """Means over blocks of rotors' thrusts and of their running integrals, (delays, blocks, 2, LANES).
+    """Means over blocks of rotors' thrusts and of their running integrals, (delays, blocks, 2, most lanes of a delay).
 
     Rotors of the first lag come first.
 
@@ -140,7 +145,7 @@ def block_means(
         value: motor values on the grid, held over a step, (k, rotors).
         grid: its start and step, the value that hovers, and whether values were measured.
         lags: lag up, lag down and slope of each, (n, 3), n at most LANES // rotors.
-        delays_s: dead times, (delays,).
+        delays_s: dead times, (delays,). lanes: of each, the first that counts, and how many do, (delays, 2).
         curve: thrust by powers of a motor value, (3,).
         t_s: stamps of the samples. members: samples of each block, (blocks, size).
     """
@@ -149,8 +154,10 @@ def block_means(
     s = _prepared(lags, rotors, step, hover, measured)
     most = 1.0 + np.max(np.abs(lags[:, 2])) * (1.0 + np.max(np.abs(value)) / hover)
     small = most * max(np.max(s[UP : UP + LANES]), np.max(s[DOWN : DOWN + LANES])) < 0.2
+    sloped = np.any(lags[:, 2] != 0.0)
     kept = np.zeros((CHUNK + 1, 2 * LANES))
-    out = np.zeros((len(delays_s), len(members), 2 * LANES))
+    width = np.max(lanes[:, 1])
+    out = np.zeros((len(delays_s), len(members), 2, width))
     done = np.zeros(len(delays_s), dtype=np.int64)
     for begin in range(0, length, CHUNK):
         end = min(begin + CHUNK, length)
@@ -164,16 +171,18 @@ def block_means(
                 for lane in range(0, len(lags) * rotors, rotors):
                     for j in range(rotors):
                         s[INPUT + lane + j] = value[i, j]
-                if small:
-                    _paced(s)
-                else:
-                    _paced_fast(s)
+                if sloped or i == 0:
+                    if small:
+                        _paced(s)
+                    else:
+                        _paced_fast(s)
             if i == 0:
                 s[LAGGED : LAGGED + LANES] = s[INPUT : INPUT + LANES]
             _turned(s, curve[0], curve[1], curve[2], 0.0 if i == 0 else 1.0)
             _keep(s, kept[i - begin + 1])
         for n in range(len(delays_s)):
             clock = (t_s, delays_s[n], start, step, float(length))
-            done[n] = _averaged(kept, begin - 1, end, clock, members, done[n], out[n])
-    out[:, :, LANES:] *= step
-    return (out / members.shape[1]).reshape(len(delays_s), len(members), 2, LANES)
+            done[n] = _averaged(kept, begin - 1, end, lanes[n], clock, members, done[n], out[n])
+    out[:, :, 1] *= step
+    out /= members.shape[1]
+    return out

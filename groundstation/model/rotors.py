@@ -154,24 +154,31 @@ def thrust_polynomial(vehicle: Vehicle) -> Array:
 
 
 def mean_thrusts(
-    vehicle: Vehicle, motors: MotorInput, lags: Sequence[Lag], delays_s: Sequence[float], blocks: tuple[Array, Array]
+    vehicle: Vehicle, motors: MotorInput, wanted: Sequence[tuple[Lag, float]], blocks: tuple[Array, Array]
 ) -> list[Array]:
-    """Block means of :func:`declared_thrust` behind each lag and dead time, and of its running integral.
-
-    Of each lag an array (delays, blocks, 2, n).
+    """Block means of :func:`declared_thrust` behind each lag and dead time, and of its running integral, (blocks, 2, n)
+    each.
 
     Args:
         blocks: stamps of the samples (k,), and the samples of each block (blocks, size).
     """
     rotors = motors.value.shape[1]
     grid = (motors.start_s, motors.step_s, float(motors.hover), motors.measured)
-    curve, delays, found = thrust_polynomial(vehicle), np.array(delays_s, dtype=float), []
-    together = LANES // rotors
+    lags, together = list(dict.fromkeys(lag for lag, _ in wanted)), LANES // rotors
+    found: dict[tuple[Lag, float], Array] = {}
     for first in range(0, len(lags), together):
-        some = np.array(lags[first : first + together], dtype=float)
-        means = block_means(motors.value, grid, some, delays, curve, *blocks)
-        found += [means[..., n * rotors : (n + 1) * rotors] for n in range(len(some))]
-    return found
+        some = lags[first : first + together]
+        asked = {delay: [n for n, lag in enumerate(some) if (lag, delay) in wanted] for _, delay in wanted}
+        asked = {delay: places for delay, places in asked.items() if places}
+        lanes = np.array([(places[0] * rotors, (places[-1] + 1 - places[0]) * rotors) for places in asked.values()])
+        delays = np.array(list(asked), dtype=float)
+        curve = thrust_polynomial(vehicle)
+        means = block_means(motors.value, grid, np.array(some, dtype=float), delays, lanes, curve, *blocks)
+        for mean, (delay, places) in zip(means, asked.items(), strict=True):
+            for n in places:
+                at = (n - places[0]) * rotors
+                found[some[n], delay] = mean[:, :, at : at + rotors]
+    return [found[each] for each in wanted]
 
 
 def wrench_matrix(vehicle: Vehicle) -> Array:

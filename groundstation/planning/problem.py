@@ -60,7 +60,7 @@ class Problem:
     @property
     def room(self) -> tuple[tuple[float, float], ...]:
         """Range of x, y, z and yaw that every vehicle may use."""
-        ranges = []
+        ranges: list[tuple[float, float]] = []
         for channel, name in enumerate(("x_max_m", "y_max_m", "z_max_m", "yaw_max_rad")):
             low, high = -np.inf, np.inf
             for envelope in self.envelopes:

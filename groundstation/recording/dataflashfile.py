@@ -89,19 +89,22 @@ def _layout(letters: str, columns: str) -> dict[str, tuple[int, str, float]]:
     return fields
 
 
-def _words(table: Table, name: str) -> list[str]:
-    offset, kind, _ = table.fields[name]
+def _words(table: Table, name: str) -> list[str] | None:
+    """The texts of a column; None where the log's own layout has numbers or nothing there."""
+    offset, kind, _ = table.fields.get(name, (0, "", 1.0))
+    if not kind.startswith("S"):
+        return None
     return [word.decode("ascii", "replace") for word in gather(table.data, table.where + offset, kind).tolist()]
 
 
 def _settings(tables: Mapping[str, Table]) -> Settings:
     table = tables.get(_PARAMETER)
-    if table is None or not {"Name", "Value"} <= set(table.fields):
+    names = None if table is None else _words(table, "Name")
+    if table is None or names is None or "Value" not in table or _words(table, "Value") is not None:
         return Settings()
-    moments, values = table.seconds().tolist(), table.column("Value").tolist()
-    return settings_of(zip(_words(table, "Name"), moments, values, strict=True))
+    return settings_of(zip(names, table.seconds().tolist(), table.column("Value").tolist(), strict=True))
 
 
 def _texts(tables: Mapping[str, Table]) -> tuple[str, ...]:
     table = tables.get(_MESSAGE)
-    return () if table is None or "Message" not in table else tuple(_words(table, "Message"))
+    return () if table is None else tuple(_words(table, "Message") or ())

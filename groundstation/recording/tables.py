@@ -60,9 +60,16 @@ class Table:
         return gather(self.data, self.where, kind, offset)
 
     def column(self, name: str) -> Array:
-        """A column as doubles in its own unit, shape (k,)."""
+        """A column as doubles in its own unit, shape (k,).
+
+        Raises:
+            MissingField: these records have no such field, or have texts there.
+        """
+        own = self.raw(name)
+        if own.dtype.kind == "S":
+            raise MissingField(self.name, f"{name} with numbers")
         with np.errstate(invalid="ignore"):  # damaged bytes may be any NaN
-            values = self.raw(name).astype(float)
+            values = own.astype(float)
         factor = self.fields[name][2]
         return values if factor == 1.0 else values * factor
 

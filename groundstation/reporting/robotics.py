@@ -80,6 +80,8 @@ def to_ardupilot_sitl(model: Identified) -> str:
         )
     positions = np.asarray(vehicle.rotors.position_m)
     diagonal = 2.0 * float(np.linalg.norm(positions[:, :2], axis=1).mean())
+    if diagonal == 0.0:
+        raise BadInput("ardupilot-sitl needs rotors beside the centre of the body; look at rotors.position_m.")
     share = vehicle.mass_kg * vehicle.gravity_m_s2 / len(positions) / top
     bend, yaw = _bend_and_yaw(vehicle, share, diagonal)
     frame: dict[str, Any] = {

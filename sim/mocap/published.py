@@ -7,11 +7,10 @@ import struct
 from drivers import bus
 from drivers.mavlink.codec import MavlinkCodec
 from drivers.mavlink.dialect import mavlink
+from drivers.mocap.shared import UNSEEN
 from drivers.samples import Batch, Pose, encode_batch
-from sim.mocap.scene import Quaternion, Seen, Vector3
+from sim.mocap.scene import Seen
 from sim.mocap.wire import Shot
-
-HIDDEN: tuple[Vector3, Quaternion] = ((float("nan"), float("nan"), float("nan")), (1.0, 0.0, 0.0, 0.0))
 
 
 class ZenohPublisher:
@@ -24,7 +23,7 @@ class ZenohPublisher:
     def send(self, shot: Shot) -> None:
         """One frame."""
         for each in shot.seen:
-            position, quaternion = each.pose or HIDDEN
+            position, quaternion = each.pose or UNSEEN
             if self._ros2:
                 self._session.put(each.name, pose_stamped(shot.exposure_s, each))
             else:
@@ -38,7 +37,7 @@ class ZenohPublisher:
 
 def pose_stamped(stamp_s: float, seen: Seen) -> bytes:
     """CDR of geometry_msgs/PoseStamped: header (stamp, "map"), position, orientation x y z w."""
-    (x, y, z), (w, a, b, c) = seen.pose or HIDDEN
+    (x, y, z), (w, a, b, c) = seen.pose or UNSEEN
     seconds = int(stamp_s)
     head = struct.pack("<iII4s", seconds, round((stamp_s - seconds) * 1e9), 4, b"map\0")
     return b"\0\1\0\0" + head + bytes(-len(head) % 8) + struct.pack("<7d", x, y, z, a, b, c, w)

@@ -157,7 +157,10 @@ def _arming(s: Situation) -> Check:
     if s.profile.arms_led and s.station.flies_by_poses:
         follow = s.profile.follow_mode
         return Check("arming", True, f"by poses alone it arms in {follow} only, and tells when it is armed there")
-    texts = [t for t in s.view.texts if "PreArm" in t or "Preflight" in t or t.startswith(("critical", "error"))]
+    own = [
+        t for t in s.view.texts if "PreArm" in t or "Preflight" in t
+    ]  # where it says why, what else it says is noise
+    texts = own or [t for t in s.view.texts if t.startswith(("critical", "error"))]
     said = "; ".join(dict.fromkeys(texts)) or f"not well: {', '.join(s.view.unhealthy)}" * bool(s.view.unhealthy)
     return _answer(
         "arming",

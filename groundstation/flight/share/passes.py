@@ -183,18 +183,32 @@ def accept(path: Path) -> Pass:
     """
     require_file(path, "a pass", PASS_BYTES)
     new = _good(_decoded(path, Pass, "a pass"), path)
-    _write(settings_dir() / "stations" / f"{file_name(new.station)}.json", new)
+    _write(settings_dir() / "stations" / f"{file_name(new.station)}.{new.name}.json", new)
     return new
 
 
 def accepted() -> list[Pass]:
-    """The passes that were accepted here."""
-    return [read_pass(path) for path in sorted((settings_dir() / "stations").glob("*.json"))]
+    """The passes that were accepted here and hold.
+
+    Raises:
+        BadInput: there are some, and none of them holds.
+    """
+    good: list[Pass] = []
+    fault: BadInput | None = None
+    for path in sorted((settings_dir() / "stations").glob("*.json")):
+        try:
+            good.append(read_pass(path))
+        except BadInput as error:
+            fault = error
+    if fault is not None and not good:
+        raise fault
+    return good
 
 
 def pass_for(host: str) -> Pass:
-    """The pass for a station that goes by this name or address; a single one is good for any address, as certificates
-    prove who answers.
+    """The pass for a station that goes by this name or address: of several the one that may most, and holds longest.
+
+    Those of a single station are good for any address, as certificates prove who answers.
 
     Raises:
         BadInput: there is none, or it is not clear which.
@@ -202,8 +216,8 @@ def pass_for(host: str) -> Pass:
     host = host.rpartition(":")[0] or host
     known = [each for each in accepted() if each.role in ("watch", "operate")]
     fitting = [each for each in known if host == each.station or host in each.addresses] or known
-    if len(fitting) == 1:
-        return fitting[0]
+    if len({each.authority for each in fitting}) == 1:
+        return max(fitting, key=lambda each: (each.role == "operate", each.expires))
     if not known:
         raise BadInput(
             "no pass was accepted here: at the station `groundstation station --invite NAME`, "

@@ -23,6 +23,7 @@ from groundstation.flight.share.gate import Gate
 from groundstation.flight.share.passes import Pass
 
 Say = Callable[[str], None]
+_TAKEN = "another program has the port, or the address is none of this computer's; give another with --listen."
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +64,8 @@ def _listen(gate: Gate, endpoint: str, own: Pass, stop: threading.Event, say: Sa
     changed, roles = _changed(), passes.roles()
     try:
         close = gate.open(endpoint, own.identity, roles)
-    except ConnectionError as error:
-        raise BadInput(f"{endpoint} cannot be listened on: {error}") from None
+    except ConnectionError:
+        raise BadInput(f"{endpoint} cannot be listened on: {_TAKEN}") from None
     people = ", ".join(f"{name} ({role})" for name, role in roles.items() if role != "poses")
     say(f"sharing at {endpoint} with {people or 'nobody: `groundstation station --invite NAME` makes a pass'}")
     try:
@@ -89,8 +90,8 @@ def publish_poses(cameras: Cameras, endpoint: str, own: Pass, stop: threading.Ev
     """
     try:
         session = bus.open_session(listen=[endpoint], secure=secured(own.identity, rules=poses_rules()))
-    except ConnectionError as error:
-        raise BadInput(f"{endpoint} cannot be listened on: {error}") from None
+    except ConnectionError:
+        raise BadInput(f"{endpoint} cannot be listened on: {_TAKEN}") from None
     with session:
         poses = Poses(lambda name, batch: session.put(f"{PREFIX}{_key(name)}", encode_batch(batch)))
         said = ""
