@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import FrozenInstanceError
 
+import numpy as np
 import pytest
 
 from groundstation.diagnosis.case import Case
@@ -38,5 +39,5 @@ def test_a_change_of_a_case_reaches_suspects_healthy_and_unseen_flights():
 )
 def test_a_verdict_follows_from_what_was_found_what_is_left_and_what_got_worse(findings, left, worse, verdict):
     remaining = (Unexplained("force_x", 0.5),) if left else ()
-    judged = Judged(findings, remaining, {}, {}, {}, worse, (), {})
+    judged = Judged(findings, remaining, {}, {}, {}, np.zeros((7, 7)), worse, (), {})
     assert judged.verdict == verdict
