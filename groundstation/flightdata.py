@@ -84,7 +84,8 @@ class Stream(Tabular):
 
 def resampled(at_s: ArrayLike, stamps_s: Array, values: Array) -> Array:
     """Columns of samples (n, d) at other times, linear between neighbours, held at the ends, shape (k, d)."""
-    return np.stack([np.interp(at_s, stamps_s, column) for column in values.T], axis=-1)
+    at = np.asarray(at_s, dtype=float)
+    return np.stack([np.interp(at, stamps_s, column) for column in values.T], axis=-1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -105,8 +105,8 @@ def slerp(at_s: ArrayLike, stamps_s: ArrayLike, quaternion: ArrayLike) -> Array:
 
 def lever_arm(rate: ArrayLike, rate_derivative: ArrayLike, position_m: ArrayLike) -> Array:
     """dw/dt x r + w x (w x r): what an accelerometer at r feels beyond the origin, body axes, m/s^2."""
-    r = np.asarray(position_m, dtype=float)
-    return np.cross(rate_derivative, r) + np.cross(rate, np.cross(rate, r))
+    w, derivative, r = (np.asarray(each, dtype=float) for each in (rate, rate_derivative, position_m))
+    return np.cross(derivative, r) + np.cross(w, np.cross(w, r))
 
 
 def matrix_from_quat(quaternion: ArrayLike) -> Array:

@@ -154,7 +154,7 @@ def thrust_polynomial(vehicle: Vehicle) -> Array:
 
 
 def mean_thrusts(
-    vehicle: Vehicle, motors: MotorInput, wanted: Sequence[tuple[Lag, float]], blocks: tuple[Array, Array]
+    vehicle: Vehicle, motors: MotorInput, wanted: Sequence[tuple[Lag, float]], blocks: tuple[Array, NDArray[np.int64]]
 ) -> list[Array]:
     """Block means of :func:`declared_thrust` behind each lag and dead time, and of its running integral, (blocks, 2, n)
     each.
