@@ -16,8 +16,8 @@ from packaging.utils import canonicalize_name
 
 PROGRAM = "groundstation"
 ALLOWED = {
-    *("0BSD", "Apache-2.0", "Apache-2.0 WITH LLVM-exception", "BSD-2-Clause", "BSD-3-Clause", "CC0-1.0", "ISC", "MIT"),
-    *("MIT-CMU", "PSF-2.0", "Zlib", "any-OSI"),
+    *("0BSD", "Apache-2.0", "Apache-2.0 WITH LLVM-exception", "BSD-2-Clause", "BSD-3-Clause", "CC0-1.0", "ISC"),
+    *("MIT", "MIT-0", "MIT-CMU", "PSF-2.0", "Zlib", "any-OSI"),
     *(
         "Apache Software License",
         "BSD License",
