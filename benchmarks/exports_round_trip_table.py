@@ -1,4 +1,4 @@
-"""The table of round trips in docs/exports.md, made from docs/results/exports_round_trip.json.
+"""The table of round trips in the page on exports, made from docs/results/exports_round_trip.json.
 
 `python -m benchmarks.exports_round_trip_table`
 """
@@ -15,7 +15,7 @@ from groundstation.identification.results import MASS_AND_TENSOR
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results" / "exports_round_trip.json"
-PAGE = ROOT / "docs" / "exports.md"
+PAGE = ROOT / "docs/exports.md"
 CERTAIN = 2.7
 """Largest of seven standard normal numbers, exceeded by chance in 5 % of runs."""
 FORMATS = {

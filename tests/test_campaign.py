@@ -71,7 +71,7 @@ class Hall:
     def fly(self, plan: Path, folder: Path) -> None:
         self.flown += 1
         scenario = laboratory(rotor_drag={"drag_kg_s": [0.4, 0.35]})
-        flight = flight_data(simulate(self.vehicle, load_plan(plan), scenario, 100 + self.flown), plan.stem)
+        flight = flight_data(simulate(self.vehicle, load_plan(plan), scenario, 200 + self.flown), plan.stem)
         folder.mkdir(parents=True)
         (folder / "plan.toml").write_bytes(plan.read_bytes())
         write_mcap(flight, folder / "flight.mcap")

@@ -40,7 +40,7 @@ def parsed(line: str) -> None:
     for stop in ("|", ">", "&&", ";"):
         if stop in words:
             words = words[: words.index(stop)]
-    if not words or words[0] in ("--help", "-h", "--version", "--serve", "--debug"):
+    if not words or words[0] in {"-h", "--help", *(option for each in cli.params for option in each.opts)}:
         return
     name, *rest = words
     command = cli.get_command(click.Context(cli), name)

@@ -21,6 +21,7 @@ MEASURES = {"CLOCK_S", "HEARTBEAT_S", "CLOCK_ERROR_S", "GROUND_S", "STRETCH_S", 
     "KEPT_S",
     "CARRIED_S",
     "LATE_S",
+    "JUMP_S",
 }
 """Limits and windows of data, in seconds: they say how something is judged, not how long anyone waits."""
 

@@ -413,7 +413,7 @@ def test_hostile_names_break_no_format(format_name):
 @pytest.mark.parametrize(
     ("content", "name", "message"),
     [
-        (None, "m.toml", "cannot be read"),
+        (None, "m.toml", "there is no such file"),
         ("a = [", "m.toml", "is not valid TOML"),
         ("[]", "m.json", "schema None"),
         ('schema = "other/1"', "m.toml", "'other/1'"),

@@ -36,7 +36,7 @@ def test_every_fault_of_a_scenario_is_named(document, words):
 
 
 def test_a_file_that_is_missing_or_no_toml_is_bad_input(tmp_path):
-    with pytest.raises(BadInput, match="cannot be read"):
+    with pytest.raises(BadInput, match="there is no such file"):
         load_scenario(tmp_path / "none.toml")
     broken = tmp_path / "broken.toml"
     broken.write_text("[imu\n")

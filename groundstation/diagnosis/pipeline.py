@@ -85,13 +85,17 @@ def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress:
         )
     judged = judge(case, selected, kinematic, departure, left, progress)
     progress(1.0, "done")
-    found = _with_swing(_diagnosis(name, case, selected, judged, air), case, base)
+    found = _diagnosis(name, case, selected, judged, air)
+    if not (selected.chosen or augmented):
+        found = _with_swing(found, case, base)
     return _with_low_frequencies(found, case, base)
 
 
 def _with_swing(found: Diagnosis, case: Case, base: Base) -> Diagnosis:
-    """Not clean, and with a warning, where a load swings below the vehicle that no finding accounts for."""
-    if case.healthy or any(finding.effect == "slung_load" for finding in found.findings):
+    """Not clean, and with a warning, where what the base fit leaves swings as a load below the vehicle does. Beside a
+    named effect what is left is not that: drag, too, follows the vehicle's acceleration by a quarter of a period.
+    """
+    if case.healthy:
         return found
     swing = swing_of(case.suspects[0], base.fitted.parameters)
     if swing is None:

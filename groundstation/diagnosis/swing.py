@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import quat_rotate
 from groundstation.identification.preparation import Prepared
 from groundstation.model.parameters import Parameters
@@ -25,12 +26,6 @@ Array = NDArray[np.float64]
 
 BAND_HZ = (0.3, 2.0)
 """Where loads on cables of some decimetres to three metres swing."""
-LEAST_SHARE = 0.005
-"""RMS of the force in the band, as a share of the weight, below which nothing is said: twice what rooms show."""
-LEAST_LOAD = 0.015
-"""Of the mass; the regression gives less than a tenth of this where no load hangs."""
-MOST_LEFT = 0.4
-"""Of the force's power in the band, that a swinging load may leave."""
 LENGTHS_M = (0.1, 5.0)
 LOAD_WITHIN, LENGTH_WITHIN = (0.7, 1.5), (0.55, 1.8)
 """Of the regression's values, where the true ones lay on flights of two simulators: angles were small in none."""
@@ -76,9 +71,9 @@ def _judged(left: Array, columns: Array, prepared: Prepared, mass_kg: float) -> 
     rest = float(np.mean((left - columns @ np.linalg.lstsq(columns, left, rcond=None)[0]) ** 2))
     power = float(np.mean(left**2))
     swings = (
-        np.sqrt(power) > LEAST_SHARE * mass_kg * gravity
-        and rest < MOST_LEFT * power
-        and load > LEAST_LOAD * mass_kg
+        np.sqrt(power) > THRESHOLDS.swing_share * mass_kg * gravity
+        and rest < THRESHOLDS.swing_left * power
+        and load > THRESHOLDS.swing_load * mass_kg
         and gravity / LENGTHS_M[1] < square < gravity / LENGTHS_M[0]
     )
     return Swing(float(load), float(gravity / square)) if swings else None

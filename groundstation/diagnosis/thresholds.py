@@ -101,6 +101,25 @@ class Thresholds:
         source="drag goes with powers of the speed between one and two; judgement",
         chosen_on="MuJoCo flights of seeds 7000 to 8200 (benchmarks.other_forms)",
     )
+    swing_share: float = _entry(
+        0.005,
+        "RMS of what is left of the sideways force between 0.3 and 2 Hz, as a share of the weight, below which nothing "
+        "is said of a swinging load: twice what rooms show.",
+        source="judgement",
+        chosen_on="12 flights of two simulators, 4 of them with loads",
+    )
+    swing_load: float = _entry(
+        0.015,
+        "Least load that is told, as a share of the mass: eight flights without one gave half of it at most.",
+        source="judgement",
+        chosen_on="12 flights of two simulators, 4 of them with loads",
+    )
+    swing_left: float = _entry(
+        0.4,
+        "Share of that force's power that a swinging load may leave unexplained.",
+        source="judgement",
+        chosen_on="12 flights of two simulators, 4 of them with loads",
+    )
     held_out_blocks: int = _entry(
         6,
         "Blocks of time that a flight is divided into; each is judged by the parameters of the others.",
