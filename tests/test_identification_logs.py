@@ -103,9 +103,7 @@ def test_crazyflie_rates_are_predicted_better_than_by_published_constants_and_th
 
 
 def test_a_window_that_does_not_show_all_of_it_names_nothing_false() -> None:
-    """From 30.0 and 30.1 s on the torques' noise is fitted to what damping leaves: damping is missed, and that is
-    said.
-    """
+    """From 30.1 s on the instruments are weak: the damping is missed, and the verdict says that something is."""
     if not PX4_LOG.exists():
         pytest.skip(f"the PX4 log is not there: {PX4_LOG}")
     diagnosis = diagnose([load_flight(PX4_LOG, vehicle=sih_vehicle(), start_s=30.1, end_s=58.0)])
