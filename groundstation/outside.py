@@ -44,9 +44,17 @@ def inside(folder: Path, name: str) -> Path:
     for place in (path, *path.parents):
         if place == root:
             break
-        if place.is_symlink():
+        if _is_link(place):
             raise BadInput(f"{place}: is a link; put the file itself there.")
     return folder / name
+
+
+def _is_link(place: Path) -> bool:
+    """Whether it is a link; :class:`BadInput` where the system takes no name of this length."""
+    try:
+        return place.is_symlink()
+    except OSError as error:
+        raise BadInput(f"'{shown(str(place), limit=60)}' cannot name a file ({error.strerror}); rename it.") from None
 
 
 def read_bytes(path: Path, wanted: str, limit: int | None = None) -> bytes:

@@ -234,3 +234,8 @@ def test_a_log_whose_own_layout_has_texts_for_numbers_and_numbers_for_names_is_r
     assert dataflashfile._settings({"PARM": table}) == Settings()
     with pytest.raises(MissingField, match="Value with numbers"):
         table.column("Value")
+
+
+def test_a_name_that_the_system_does_not_take_is_refused_in_a_sentence(tmp_path):
+    with pytest.raises(BadInput, match="cannot name a file"):
+        inside(tmp_path, "Ü" * 200)

@@ -198,7 +198,7 @@ def _check_speeds(stream: Stream, values: Array, vehicle: Vehicle) -> None:
     if not speeds:
         return
     lift = float(np.sum(vehicle.thrust(np.full(len(values.T), np.median(speeds)))))
-    ratio = lift / (vehicle.mass_kg * vehicle.gravity_m_s2)
+    ratio = min(lift / (vehicle.mass_kg * vehicle.gravity_m_s2), 1e12)  # the largest numbers overflow when squared
     if ratio <= 25.0:
         return
     excess = ratio**0.5  # a vehicle hovers at about its own weight, so the speeds are about this much too large
