@@ -256,6 +256,12 @@ class Thresholds:
         source="Huber 1964",
         chosen_on=f"c9bbce4, {BEFORE}",
     )
+    instruments_strong: float = _entry(
+        10.0,
+        "F of a parameter's instruments below which a note says that its number rests on the motion as flown.",
+        source="Staiger and Stock 1997; Stock and Yogo 2005",
+        chosen_on=f"the literature, {AFTER}",
+    )
     noise_refills: int = _entry(
         3,
         "Rounds in which the noise that generic columns take is put back and the noise fitted anew.",
