@@ -37,11 +37,16 @@ COLUMNS_BYTES = 400 * 2**20
 
 @dataclass(frozen=True, slots=True)
 class _Pair:
-    """Z_a^T W X_b, Z_a^T W Z_b and X_a^T W X_b of two members."""
+    """Z_a^T W X_b, Z_a^T W Z_b, X_a^T W X_b and X_a^T W Z_b of two members."""
 
     zx: Array
     zz: Array
     xx: Array
+    xz: Array
+
+    def turned(self) -> _Pair:
+        """Of the second and the first."""
+        return _Pair(self.xz.T, self.zz.T, self.xx.T, self.zx.T)
 
 
 class Evidence:
@@ -194,8 +199,8 @@ class Evidence:
             start, end = end, end + columns.sensitivity.shape[1]
             across = self._product(columns, last, rows)
             zx[start:end, place:], zz[start:end, place:], xx[start:end, place:] = across.zx, across.zz, across.xx
-            zx[place:, start:end] = self._product(last, columns, rows).zx
-        zz[place:, :place], xx[place:, :place] = zz[:place, place:].T, xx[:place, place:].T
+            back = across.turned()
+            zx[place:, start:end], zz[place:, start:end], xx[place:, start:end] = back.zx, back.zz, back.xx
         own, output = self._product(last, last, rows), self._product(last, self._output, rows)
         zx[place:, place:], zz[place:, place:], xx[place:, place:] = own.zx, own.zz, own.xx
         zy, xy = np.append(before.zy, output.zx[:, 0]), np.append(before.xy, output.xx[:, 0])
@@ -242,12 +247,14 @@ class Evidence:
 
     def _product(self, a: Columns, b: Columns, rows: NDArray[np.bool_] | None) -> _Pair:
         """Products of two members, remembered for all rows."""
+        if b.number < a.number:
+            return self._product(b, a, rows).turned()
         key = (a.number, b.number)
         if rows is None and key in self._products:
             return self._products[key]
         w = (self.weight if rows is None else self.weight * rows)[:, None]
-        instrument, sensitivity = (a.instrument * w).T, (a.sensitivity * w).T
-        pair = _Pair(instrument @ b.sensitivity, instrument @ b.instrument, sensitivity @ b.sensitivity)
+        z, x = (a.instrument * w).T, (a.sensitivity * w).T
+        pair = _Pair(z @ b.sensitivity, z @ b.instrument, x @ b.sensitivity, x @ b.instrument)
         if rows is None:
             self._products[key] = pair
         return pair

@@ -56,6 +56,12 @@ class Thresholds:
         source="judgement",
         chosen_on=f"c9bbce4, {BEFORE}",
     )
+    passes_most: int = _entry(
+        4,
+        "Selections about one joint estimate after another; two are enough for nearly every flight.",
+        source="Gauss-Newton steps",
+        chosen_on=f"decision 33, {AFTER}",
+    )
     refinements_most: int = _entry(
         4,
         "How often an instant, a length or a curve is looked at more closely, on a finer grid each time.",
