@@ -132,10 +132,14 @@ def test_of_two_flights_one_is_used_and_told_and_the_other_can_be_chosen(tmp_pat
     assert len(load_flight(tmp_path / "log", everything=True).motors) == len(both.motors)
 
 
-def test_hops_with_short_rests_are_one_flight(tmp_path, made):
+def test_hops_with_short_rests_and_a_pause_of_the_logger_are_one_flight(tmp_path, made):
     both, _ = twice(made, CHANGED_S - 2.0)
     write_bundle(both, tmp_path / "log")
     assert len(load_flight(tmp_path / "log").motors) == len(both.motors)
+    both, _ = twice(made, 40.0)
+    flying = both.motors.values.mean(axis=1) > 0.0
+    write_bundle(replace(both, motors=both.motors.select(flying)), tmp_path / "paused")
+    assert len(load_flight(tmp_path / "paused").motors) == np.count_nonzero(flying)
 
 
 @pytest.mark.parametrize("name", ["a.ulg", "a.bin"])
