@@ -52,11 +52,11 @@ def runs(found: dict[str, Any]) -> list[str]:
 def catalogue(found: dict[str, Any]) -> list[str]:
     """Listing and SQL by the number of flights."""
     counts = sorted(found, key=int)
-    names = [name for name in found[counts[-1]] if name != "seed"]
+    names = [name for name in found[counts[0]] if name != "seed"]
     lines = [
         "Flights are made, not flown: folders with the documents of an identified and diagnosed flight, 54 estimates "
-        "each. Wall times of a machine of two cores that others used too, at a load of about 13; the plain loop of the "
-        "same run says how fast it was.",
+        "each. Wall times of a machine of two cores that others used too; the plain loop of the same run says how fast "
+        "it was.",
         "",
     ]
     lines += [
