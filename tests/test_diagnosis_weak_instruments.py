@@ -154,4 +154,4 @@ def test_damping_and_drag_are_found_where_the_plan_is_weak(evidence):
 def test_a_note_says_what_the_plan_hardly_shows(evidence):
     (note,) = weak_instruments(evidence, [])
     print(note)
-    assert "Ixx (F = " in note and "10 is asked for" in note
+    assert "Ixx (F = " in note and "F = 10 is asked for" in note

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.rivals import Entry
 from groundstation.diagnosis.thresholds import THRESHOLDS
@@ -17,16 +19,17 @@ def weak_instruments(evidence: Evidence, chosen: Sequence[Entry]) -> tuple[str, 
     """
     if any(flight.prepared.planned is None for flight in evidence.flights):
         return ()
-    labels = {name: table()[name].label for name in RIGID_BODY}
-    names = [*evidence.names, *("" for _ in range(evidence.x.shape[1] - len(evidence.names)))]
-    names += [f"{candidate.identifier}.{name}" for candidate, _ in chosen for name in candidate.effect.names()]
-    found = dict(zip(names, evidence.strengths(chosen).tolist(), strict=True))
-    said = {name: found[name] for name in names if name in labels or "." in name}
-    weak = [f"{labels.get(n, n)} (F = {f:.2g})" for n, f in said.items() if f < THRESHOLDS.instruments_strong]
+    strengths, labels = evidence.strengths(chosen), table()
+    said = {labels[name].label: strengths[evidence.names.index(name)] for name in RIGID_BODY}
+    first = evidence.x.shape[1]
+    for candidate, _ in chosen:
+        said[candidate.identifier] = strengths[first + np.array(candidate.effect.telling())].min()
+        first += len(candidate.effect.parameters)
+    weak = [f"{name} (F = {f:.2g})" for name, f in said.items() if f < THRESHOLDS.instruments_strong]
     if not weak:
         return ()
     return (
-        f"The plan hardly shows in how the vehicle moved where these are told: {', '.join(weak)}; "
-        f"{THRESHOLDS.instruments_strong:g} is asked for. Their numbers rest on the motion as flown, and their "
-        "intervals allow for what feedback makes of it. Fly what the vehicle follows closely: slower, or smaller.",
+        f"Little of the plan shows in the motion that tells {', '.join(weak)}; F = {THRESHOLDS.instruments_strong:g} "
+        "is asked for. These numbers rest on the motion as flown, and their intervals allow for what feedback makes of "
+        "it. Plan more of that motion, or one that the vehicle follows more closely.",
     )
