@@ -4,7 +4,8 @@ About a base fit everything is linear: y = X theta_base + sum C_v theta_v + e, r
 coloured disturbance. Because the controller feeds disturbances back into the thrusts, a plain regression lets any
 flexible term in the inputs win, on held-out blocks too. So the normal equations are taken with instruments, Z^T (y - A
 theta) = 0: the columns that the planned motion would have, one for each parameter (each more keeps a share of the bias:
-Bekker 1994). An effect's evidence is its Wald statistic in the joint estimate. Without a plan Z = A.
+Bekker 1994). Where those are weak this has no moments, so that the estimate is Fuller's (:func:`.joint.estimated`). An
+effect's evidence is its Wald statistic in the joint estimate. Without a plan Z = A.
 """
 
 from __future__ import annotations
