@@ -96,8 +96,8 @@ def trends(found: dict[str, Any]) -> list[str]:
         lines += [
             "",
             "A drift is told from the first flight that has the parameter: the weak rotor is a finding from the fifth "
-            "flight on. The step in mass is found at its flight, and smaller than its interval allows. A loss that is "
-            "too small to be named reads as mass on the first flights, which explains a part of that.",
+            "flight on. A loss that is too small to be named reads as mass on the first flights, which the mass's own "
+            "intervals allow for.",
             f"Of {t['fleets']} fleets of 30 flights without a change, drawn from {t['pool']} flown ones, {t['false']} "
             "were said to have one.",
         ]

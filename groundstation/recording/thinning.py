@@ -34,6 +34,7 @@ _FLIGHT_S = 5.0  # motors that ran for less were tried on the ground
 _BESIDE_S = 2.0  # of rest that goes with a flight, before and after
 _BLOCK_S = 1.0
 _STILL = 0.02  # of the most that the motors reach; idling motors are above
+_SEEN = 5  # samples of motors that stand, by which a rest is told from a pause of the logger
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,10 +57,9 @@ def used_stretch(imu: Stream | None, motors: Stream) -> Stretch | None:
     start, end = flights[int(np.argmax(worth))]
     listed = "; ".join(f"{first:.1f} to {last:.1f} s" for first, last in flights)
     note = (
-        f"flight: the log holds {len(flights)} flights ({listed}); between them the motors stood, or nothing was "
-        f"logged, for {CHANGED_S:.0f} s and more, and the vehicle may have been changed. Number "
-        f"{int(np.argmax(worth)) + 1} is used, which tells most of it; choose another with --from and --to, or use all "
-        "with --all."
+        f"flight: the log holds {len(flights)} flights ({listed}); between them the motors stood for {CHANGED_S:.0f} s "
+        f"and more, and the vehicle may have been changed. Number {int(np.argmax(worth)) + 1} is used, which tells "
+        "most of it; choose another with --from and --to, or use all with --all."
     )
     used = Stretch(start - _BESIDE_S, end + _BESIDE_S, (note,))
     imu = None if imu is None else imu.select(_within(imu, used))
@@ -76,13 +76,19 @@ Span = tuple[float, float]
 
 
 def _flights(motors: Stream) -> list[Span]:
-    """When the motors ran, with rests between that are long enough to change something."""
+    """When the motors ran, with rests between that are long enough to change something.
+
+    A pause of the logger with the motors running before and after it is a gap in one flight.
+    """
     level = np.abs(np.nan_to_num(motors.values)).mean(axis=1)
-    on = (level > _STILL * np.max(level, initial=0.0)) & np.isfinite(motors.t_s)
+    there = np.isfinite(motors.t_s)
+    on = there & (level > _STILL * np.max(level, initial=0.0))
     if not on.any():
         return []
-    t_s = np.sort(motors.t_s[on])  # stamps that stray are not repaired yet
+    t_s, still = np.sort(motors.t_s[on]), np.sort(motors.t_s[there & ~on])  # stamps that stray are not repaired yet
     breaks = np.flatnonzero(np.diff(t_s) >= CHANGED_S)
+    seen = np.searchsorted(still, t_s[breaks + 1]) - np.searchsorted(still, t_s[breaks])
+    breaks = breaks[seen >= _SEEN]
     spans = zip(t_s[[0, *(breaks + 1)]].tolist(), t_s[[*breaks, -1]].tolist(), strict=True)
     return [(start, end) for start, end in spans if end - start >= _FLIGHT_S]
 
