@@ -79,6 +79,14 @@ def test_a_change_of_a_setting_is_what_its_column_says(name: str, column: int, s
     assert np.sqrt(np.mean(error**2)) < 0.1 * np.sqrt(np.mean(difference**2))
 
 
+def test_the_instrument_of_a_flight_that_flies_its_plan_is_the_pull_itself():
+    signals, settings = _signals(), {"length_m": LENGTH_M, "air_1_s": AIR_1_S, "depth_m": 0.03}
+    assert EFFECT.instrument is not None
+    found = EFFECT.instrument(signals, signals, VEHICLE, settings)[:, :, 0]
+    pull = EFFECT.wrench(signals, VEHICLE, settings)[:, :, 0]
+    np.testing.assert_allclose(found[5:-5], pull[5:-5], atol=0.01 * np.abs(pull).max())
+
+
 def test_a_load_swings_on_in_windows_that_start_in_a_flight():
     signals, settings = _signals(), {"length_m": LENGTH_M, "air_1_s": AIR_1_S, "depth_m": 0.03}
     acting = Acting([(EFFECT, settings, np.array([0.1, 0.0, 0.0, 0.0]))], VEHICLE)
