@@ -31,22 +31,22 @@ class FlatState:
         yaw: yaw and derivatives 0..2, shape (3, k), rad, rad/s, rad/s^2.
     """
 
-    position: Array
-    yaw: Array
+    position: Annotated[Array, "orders k 3"]
+    yaw: Annotated[Array, "yaw_orders k"]
 
 
 @dataclass(frozen=True, slots=True)
 class RigidMotion:
     """The motion a vehicle with thrust along body z must make to follow flat outputs, shape (k, ...)."""
 
-    position_m: Array
-    velocity_world_m_s: Array
-    acceleration_world_m_s2: Array
-    euler_rad: Array
-    euler_rate_rad_s: Array
-    angular_velocity_body_rad_s: Array
-    angular_acceleration_body_rad_s2: Array
-    specific_thrust_m_s2: Array
+    position_m: Annotated[Array, "k 3"]
+    velocity_world_m_s: Annotated[Array, "k 3"]
+    acceleration_world_m_s2: Annotated[Array, "k 3"]
+    euler_rad: Annotated[Array, "k 3"]
+    euler_rate_rad_s: Annotated[Array, "k 3"]
+    angular_velocity_body_rad_s: Annotated[Array, "k 3"]
+    angular_acceleration_body_rad_s2: Annotated[Array, "k 3"]
+    specific_thrust_m_s2: Annotated[Array, "k"]
 
 
 class Trajectory(Protocol):
@@ -74,9 +74,9 @@ class FourierSeries:
         periods: how often the period is flown.
     """
 
-    a: Array
-    b: Array
-    c: Array
+    a: Annotated[Array, "4 N"]
+    b: Annotated[Array, "4 N"]
+    c: Annotated[Array, "4"]
     base_frequency_rad_s: float
     periods: float = 1.0
 

@@ -137,7 +137,6 @@ def simulation_errors(evidence: Evidence, baseline: Chosen, chosen: Chosen, spli
                 return {}
             check = closed_loop_validation(
                 recorded,
-                recorded.plan,
                 sets,
                 mocap_minus_imu_s=clock.mocap_minus_imu_s if clock is not None else 0.0,
                 exclude=((-np.inf, judged[0]), (judged[-1], np.inf), *flight.prepared.excluded_s),

@@ -22,7 +22,7 @@ from groundstation.errors import NotIdentifiable, Refused
 from groundstation.flightdata import resampled
 from groundstation.frames import matrix_from_quat, quat_exp, quat_from_matrix, quat_log, quat_multiply, quat_rotate
 from groundstation.identification.attitude_fit import Recording
-from groundstation.identification.clock import coarse_offset, rates_from_attitude
+from groundstation.identification.clock import coarse_offset_by_size, rates_from_attitude
 from groundstation.identification.reconstruction import Compatibility, reconstruct
 
 Array = NDArray[np.float64]
@@ -98,7 +98,7 @@ def calibrate_by_hand(
             f"only {seconds:.0f} s were recorded, {LEAST_S:.0f} s is the least.", "Carry it for 30 s."
         )
     around = float(t_pose[0] - t_imu[0]) if expected_s is None else expected_s
-    coarse, _ = coarse_offset(t_imu, gyro, t_pose, quaternion, expected_s=around, by_size=True)
+    coarse, _ = coarse_offset_by_size(t_imu, gyro, t_pose, quaternion, expected_s=around)
     marker = marker_axes(t_imu, gyro, t_pose - coarse, quaternion)
     refuse_mirrored(t_imu, accel, (t_pose - coarse, position, quaternion), marker)
     refuse_other_up(t_imu, accel, t_pose - coarse, quaternion, marker)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,10 +51,10 @@ class Regression:
         note: what the model is and what it leaves out.
     """
 
-    regressor: Array
-    output: Array
-    t_s: Array
-    used: NDArray[np.bool_]
+    regressor: Annotated[Array, "k 4 7"]
+    output: Annotated[Array, "k 4"]
+    t_s: Annotated[Array, "k"]
+    used: Annotated[NDArray[np.bool_], "k"]
     note: str = ""
 
 

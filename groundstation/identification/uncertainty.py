@@ -9,7 +9,7 @@ R need not be truncated. White residuals give the textbook sigma^2 A^{-1} back.
 
 from __future__ import annotations
 
-from typing import cast
+from typing import Annotated, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,9 @@ disturbed by.
 """
 
 
-def coloured_covariance(influence: Array, residual: Array, period_s: float) -> Array:
+def coloured_covariance(
+    influence: Annotated[Array, "k p outputs"], residual: Annotated[Array, "k outputs"], period_s: float
+) -> Annotated[Array, "p p"]:
     """Covariance of sum_k H_k e_k for a stationary, coloured, mutually correlated residual.
 
     Args:

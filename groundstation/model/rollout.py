@@ -26,6 +26,8 @@ from groundstation.model.vehicle_model import VehicleModel
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+State = tuple[Array, Array, Array, Array]
+"""Position and velocity in the world, attitude, body rates, a row each."""
 
 STEP_S = 0.005
 
@@ -74,10 +76,11 @@ class Motion:
         """Columns of the motors' grid at times of the flight."""
         return interpolate_columns(when - self.model.delay_s, self._motors.start_s, self._motors.step_s, values)
 
-    def wrench(self, when: Array, p: Array, v: Array, q: Array, w: Array, rotors: Array, voltage: Array) -> Array:
+    def wrench(self, when: Array, state: State, rotors: Array, voltage: Array) -> Array:
         """Body force and torque of the model's effects, (k, 6)."""
         if self.model.wrench is None:
             return np.zeros((len(when), 6))
+        p, v, q, w = state
         signals = Signals(
             t_s=when - self._start_s,
             position_m=p,
@@ -112,7 +115,7 @@ def _carried(noise: TurningDisturbance, motion: Motion, states: FlightStates) ->
     q = np.where(known, states.start_quaternion, [1.0, 0.0, 0.0, 0.0])
     rotors = motion.at(motion.inputs.thrust, t_s)
     p, v = states.start_position_m, states.start_velocity_m_s
-    extra = motion.wrench(t_s, p, v, q, w, rotors, states.voltage_v)
+    extra = motion.wrench(t_s, (p, v, q, w), rotors, states.voltage_v)
     turning = turned(v, q, w, motion.pushed(rotors, extra), motion.body)
     step = np.diff(t_s, prepend=t_s[0])[:, None]
     return carried(noise, t_s, w - np.cumsum(np.nan_to_num(turning) * step, axis=0))
@@ -165,7 +168,7 @@ def simulate(
         after = motion.at(motion.inputs.impulse, now + h)
         rotors = (after - before) / h
         before = after
-        extra = motion.wrench(now + 0.5 * h, p, v, q, w, rotors, voltage)
+        extra = motion.wrench(now + 0.5 * h, (p, v, q, w), rotors, voltage)
         turning = stepped(x, motion.pushed(rotors, extra), pushed, motion.body, h)
         away = turning + disturbed.pace * w
         w -= back_rate * away

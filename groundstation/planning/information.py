@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,7 +37,7 @@ SIGNALS = 25
 _THRUST, _INERTIA, _VELOCITY, _RATE = 0, 1, 19, 22
 
 
-def signals(motion: RigidMotion) -> Array:
+def signals(motion: RigidMotion) -> Annotated[Array, "k 25"]:
     """The signals of a motion, shape (k, 25). Body velocity is for a vehicle without side-slip correction: R^T v."""
     rate, turning = motion.angular_velocity_body_rad_s, motion.angular_acceleration_body_rad_s2
     roll, pitch, yaw = motion.euler_rad.T
