@@ -88,7 +88,8 @@ def resampled(
 ) -> Annotated[Array, "q n"]:
     """Columns of samples (n, d) at other times, linear between neighbours, held at the ends, shape (k, d)."""
     at = np.asarray(at_s, dtype=float)
-    return np.stack([np.interp(at, stamps_s, column) for column in values.T], axis=-1)
+    columns: list[Array] = [np.interp(at, stamps_s, column) for column in values.T]
+    return np.stack(columns, axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,11 +136,11 @@ class FlightData(Tabular):
     battery: Stream | None = None
     setpoint: Stream | None = None
     state: Stream | None = None
-    extras: Mapping[str, Stream] = field(default_factory=dict)
+    extras: Mapping[str, Stream] = field(default_factory=dict[str, Stream])
     plan: Plan | None = None
     window_s: tuple[float, float] | None = None
     truth: Vehicle | None = None
-    metadata: Mapping[str, str] = field(default_factory=dict)
+    metadata: Mapping[str, str] = field(default_factory=dict[str, str])
     notes: tuple[str, ...] = ()
     online: OnlineClock | None = None
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from groundstation.errors import BadInput
+from groundstation.json_types import JsonObject
 from groundstation.outside import read_toml
 from groundstation.tabular import Record, Tabular
 
@@ -93,10 +94,10 @@ class FourierSeries:
     def derivatives(self, t_s: ArrayLike, highest: int) -> Array:
         """Channels and derivatives 0..highest at times t, shape (highest + 1, k, 4)."""
         t = np.atleast_1d(np.asarray(t_s, dtype=float))
-        w = self.base_frequency_rad_s * np.arange(1, self.a.shape[1] + 1)
+        w: Array = self.base_frequency_rad_s * np.arange(1, self.a.shape[1] + 1)
         phase = np.exp(1j * w * t[:, None])
         # q = Re(sum z e^{iwt}) + c with z = -(b + i a)/w; each derivative multiplies by i w.
-        z = -(self.b + 1j * self.a) / w
+        z: NDArray[np.complex128] = -(self.b + 1j * self.a) / w
         out = np.stack([np.real(phase @ ((1j * w) ** n * z).T) for n in range(highest + 1)])
         out[0] += self.c
         return out
@@ -313,7 +314,8 @@ class Plan(_Model, Tabular):
     def _names_of_old_files(cls, value: Any) -> Any:
         if not isinstance(value, dict):
             return value
-        return {RENAMED_PARAMETERS.get(name, name): std for name, std in value.items()}
+        named: JsonObject = value
+        return {RENAMED_PARAMETERS.get(name, name): std for name, std in named.items()}
 
     def to_dict(self) -> dict[str, object]:
         """The plan file's document."""
@@ -362,7 +364,7 @@ def coefficients_from_arrays(a: ArrayLike, b: ArrayLike, c: ArrayLike) -> Coeffi
     )
 
 
-def plan_from_dict(document: dict, source: str = "plan") -> Plan:
+def plan_from_dict(document: object, source: str = "plan") -> Plan:
     """Validate a plan document.
 
     Raises:
@@ -388,7 +390,7 @@ def load_plan(path: str | Path) -> Plan:
     return plan_from_dict(document, str(path))
 
 
-def plan_to_dict(plan: Plan) -> dict:
+def plan_to_dict(plan: Plan) -> JsonObject:
     """The document that :func:`plan_from_dict` reads back to an equal plan."""
     return plan.model_dump(by_alias=True, exclude_none=True, mode="json")
 

@@ -27,7 +27,7 @@ def updated_rigid_body(about: Array, step: Array) -> tuple[Array, Array] | None:
     left = tensor - change
     if lightness <= 0.0 or np.linalg.eigvalsh(left)[0] <= 0.0:
         return None
-    turn = tensor @ np.linalg.inv(left)
+    turn: Array = tensor @ np.linalg.inv(left)
     jacobian = np.zeros((7, 7))
     jacobian[0, 0] = lightness**-2
     rows, columns = np.array(PAIRS).T

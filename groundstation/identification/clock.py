@@ -110,9 +110,11 @@ def _correlation(a: Array, b: Array) -> tuple[Array, Array]:
     # The energies are those of the overlapping parts, so that the length of an overlap counts neither for nor against
     # it.
     ones_a, ones_b = np.ones(len(a)), np.ones(len(b))
+    power_a: Array = (a**2).sum(axis=1)
+    power_b: Array = (b**2).sum(axis=1)
     energy = np.sqrt(
-        np.maximum(correlate((b**2).sum(axis=1), ones_a, method="fft"), 0.0)
-        * np.maximum(correlate(ones_b, (a**2).sum(axis=1), method="fft"), 0.0)
+        np.maximum(correlate(power_b, ones_a, method="fft"), 0.0)
+        * np.maximum(correlate(ones_b, power_a, method="fft"), 0.0)
     )
     overlap = correlate(ones_b, ones_a, method="fft")
     enough = overlap > 0.5 * min(len(a), len(b))

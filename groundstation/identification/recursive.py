@@ -117,7 +117,8 @@ class _Signal:
             around, values = np.repeat(around, 2)[1:], np.repeat(values, 2, axis=0)[:-1]
         inner = (around > start_s) & (around < end_s)
         t_s = np.concatenate([[start_s], around[inner], [end_s]])
-        ends = np.stack([np.interp([start_s, end_s], around, column) for column in values.T], axis=1)
+        columns: list[Array] = [np.interp([start_s, end_s], around, column) for column in values.T]
+        ends = np.stack(columns, axis=1)
         x = np.concatenate([ends[:1], values[inner], ends[1:]])
         rising = (t_s - start_s) / length_s
         width = np.diff(t_s, prepend=start_s)
@@ -217,9 +218,9 @@ class RecursiveEstimator:
         for index, (t_s, value) in enumerate(zip(stamps, values, strict=True)):
             before_s, x, u = self._lagged if self._lagged else (t_s, value, value)
             up, down = (-np.expm1(-max(t_s - before_s, 0.0) / max(tau, 1e-6)) for tau in self._lag)
-            x = x + np.where(u > x, up, down) * (u - x)
-            out[index] = x
-            self._lagged = (t_s, x, value)
+            moved: Array = x + np.where(u > x, up, down) * (u - x)
+            out[index] = moved
+            self._lagged = (t_s, moved, value)
         return out
 
     def _take_block(self, start_s: float) -> None:
@@ -284,10 +285,10 @@ class RecursiveEstimator:
         scaled = root / size
         if np.linalg.svd(scaled, compute_uv=False)[-1] ** 2 < 1e-9:
             return None
-        theta = solve_triangular(scaled, z) / size
+        theta: Array = solve_triangular(scaled, z) / size
         if self._appended >= self._renew_at:
             self._renew_at = self._appended + COVARIANCE_EVERY
-            inverse = solve_triangular(scaled, np.eye(10))
+            inverse: Array = solve_triangular(scaled, np.eye(10))
             self._covariance = self._spread(inverse @ inverse.T / np.outer(size, size), theta)
         values, covariance = theta[[9, *range(6)]], self._covariance[np.ix_([9, *range(6)], [9, *range(6)])]
         parameters, _ = anchored(self._vehicle, ("mass_kg", *TENSOR), values, covariance)
@@ -319,7 +320,7 @@ def replay(flight: FlightData, step_s: float = 0.4) -> list[RecursiveEstimate]:
     start_s, end_s = flight.window_s or (max(imu[0, 0], motors[0, 0]), min(imu[-1, 0], motors[-1, 0]))
     estimator = RecursiveEstimator(flight.vehicle)
     estimator.rest(imu[imu[:, 0] < _lift_off(flight)])
-    found = []
+    found: list[RecursiveEstimate] = []
     for t_s in np.arange(start_s, end_s, step_s):
         if flight.battery is not None and len(flight.battery):
             voltage = flight.battery.column("voltage_v")

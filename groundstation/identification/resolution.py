@@ -48,7 +48,7 @@ def frequency_squared(model: RecordModel, values: Array) -> Array:
     inside = ~model.restart
     pair, triple = inside[1:], inside[1:-1] & inside[2:]
     if np.count_nonzero(triple) < 3:
-        return np.zeros(values.shape[1])
+        return np.zeros((values.shape[1],))
     first = np.mean((values[1:] - values[:-1])[pair] ** 2, axis=0)
     second = np.mean((values[2:] - values[:-2])[triple] ** 2, axis=0)
     slope = np.maximum(second - first, 0.0) / 3.0

@@ -382,7 +382,7 @@ def white_noise_std(values: Array) -> Array:
     absolute deviation a standard deviation.
     """
     if len(values) < 16:
-        return np.zeros(values.shape[1])
+        return np.zeros((values.shape[1],))
     fourth = np.diff(values, 4, axis=0)
     return 1.4826 * np.median(np.abs(fourth - np.median(fourth, axis=0)), axis=0) / np.sqrt(70.0)
 

@@ -133,6 +133,8 @@ def _plain(equation: Equation) -> _Told | None:
         return None
     beside = np.column_stack([equation.columns[used, 1:], equation.known[used]])
     beside = beside / (np.linalg.norm(beside, axis=0) + 1e-300)
+    x: Array
+    y: Array
     x, y = (
         v - beside @ np.linalg.lstsq(beside, v, rcond=1e-8)[0]
         for v in (equation.columns[used, 0], equation.output[used])

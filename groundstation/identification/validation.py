@@ -87,7 +87,7 @@ def validate(
 def output_validation(regression: Regression, sets: ParameterSets, note: str = "") -> Validation:
     """RMS of Gamma Theta - Upsilon (eq. 43) for each parameter set, over the samples in use."""
     gamma, upsilon = regression.regressor[regression.used], regression.output[regression.used]
-    rms = {}
+    rms: dict[str, dict[str, float]] = {}
     for name, values in sets.items():
         error = gamma @ np.array([values[key] for key in MASS_AND_TENSOR]) - upsilon
         rms[name] = dict(zip(OUTPUTS, map(float, np.sqrt(np.mean(error**2, axis=0))), strict=True))

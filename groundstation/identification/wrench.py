@@ -27,7 +27,7 @@ def declared_wrench(
         return held_mean(t_s, stamps, values)
     measured = vehicle.rotors.measured
     if measured:
-        columns = [np.interp(t_s, stamps, column) for column in values.T]
+        columns: list[Array] = [np.interp(t_s, stamps, column) for column in values.T]
         return vehicle.thrust(np.stack(columns, axis=1)) @ vehicle.allocation().T
     if vehicle.rotors.input == "command":
         values = values * voltage_ratio(vehicle, battery, stamps)[:, None]
@@ -53,7 +53,7 @@ def held_mean(
     first = np.clip(t_s - half, stamps_s[0], stamps_s[-1])
     last = np.clip(t_s + half, stamps_s[0], stamps_s[-1])
     width = np.maximum(last - first, 1e-12)
-    columns = [(np.interp(last, stamps_s, c) - np.interp(first, stamps_s, c)) / width for c in integral.T]
+    columns: list[Array] = [(np.interp(last, stamps_s, c) - np.interp(first, stamps_s, c)) / width for c in integral.T]
     return np.stack(columns, axis=1)
 
 

@@ -134,12 +134,15 @@ def simulate_closed_loop(
     tensor = np.ascontiguousarray(body.inertia, dtype=float)
     plant = Plant(float(body.mass_kg), tensor, np.ascontiguousarray(np.linalg.inv(tensor)))
     law = _control_law(vehicle, conditions or Conditions())
-    push = np.zeros((len(t), 6))
-    for turn in range(1 if wrench is None else ROUNDS):
+
+    def flight(push: Array) -> ClosedLoop:
         states, wrenches = fly(wanted, state, push, law, plant)
-        flown = ClosedLoop(t, states[:, :3], states[:, 6:9], states[:, 3:6], states[:, 9:], wrenches)
-        if wrench is not None and turn < ROUNDS - 1:
-            push = np.ascontiguousarray(np.nan_to_num(wrench(_signals(vehicle, flown))))
+        return ClosedLoop(t, states[:, :3], states[:, 6:9], states[:, 3:6], states[:, 9:], wrenches)
+
+    flown = flight(np.zeros((len(t), 6)))
+    if wrench is not None:
+        for _ in range(ROUNDS - 1):
+            flown = flight(np.ascontiguousarray(np.nan_to_num(wrench(_signals(vehicle, flown)))))
     return flown
 
 

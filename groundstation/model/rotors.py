@@ -104,7 +104,8 @@ def motor_input(
     if measured:
         value = resampled(grid, t_s, values)
     else:
-        value = values[np.clip(np.searchsorted(t_s, grid + 1e-9, side="right") - 1, 0, len(t_s) - 1)]
+        index: NDArray[np.int64] = np.clip(np.searchsorted(t_s, grid + 1e-9, side="right") - 1, 0, len(t_s) - 1)
+        value = values[index]
     return MotorInput(float(t_s[0]), step_s, np.ascontiguousarray(value, dtype=float), measured, hover)
 
 

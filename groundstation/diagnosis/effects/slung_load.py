@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, from_thrust
 from groundstation.frames import quat_rotate_inverse
@@ -23,7 +24,7 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarra
     swings = [-1.0, 0.0], [1.0, 2.0 * damping * natural, natural**2]
     b, a = cont2discrete(swings, step, method="bilinear")[:2]  # pyright: ignore
     velocity = signals.velocity_world_m_s - signals.velocity_world_m_s[:1]
-    swing = lfilter(np.ravel(b), a, velocity, axis=0)
+    swing: NDArray[np.float64] = lfilter(np.ravel(b), a, velocity, axis=0)
     force = natural**2 * swing
     upward = from_thrust(vehicle, signals.thrust_n)[:, 2] * signals.up_body()[:, 2] / vehicle.mass_kg
     force[:, 2] = -upward  # it rises and falls with the vehicle: what holds it up is its share of the lift

@@ -74,6 +74,8 @@ def _best_shift(first: Array, second: Array) -> int:
     from scipy.signal import correlate
 
     sizes = [np.linalg.norm(x, axis=1) for x in (first, second)]
+    a: Array
+    b: Array
     a, b = (size - size.mean() for size in sizes)
     return int(np.argmax(correlate(b, a, method="fft"))) - (len(a) - 1)
 
