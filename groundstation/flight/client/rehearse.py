@@ -15,7 +15,7 @@ from groundstation.flight.client.client import CoreClient, FlightOrder, connect,
 from groundstation.flight.client.interrupts import Interrupts
 from groundstation.flight.journal import RAW_LOG
 from groundstation.flight.link.parameter_journal import left_changed
-from groundstation.flight.messages import WAY, CoreStatus
+from groundstation.flight.messages import WAY, CheckStatus, CoreStatus
 from groundstation.flight.sequence import FINAL, GIVEN_UP, IN_FLIGHT, Phase
 from groundstation.identification.results import Estimate
 from groundstation.json_types import Document
@@ -88,16 +88,27 @@ def linked_vehicle(folder: Path, vehicle: Path, order: LinkOrder) -> tuple[str, 
     return ("groundstation.flight.link.process", *arguments)
 
 
-def check(order: FlightOrder, *, say: Say) -> str:
-    """Upload and check, but do not fly: why it would not fly; empty when it would."""
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """Why it would not fly, empty when it would, and the answers of all checks, as far as they came."""
+
+    reason: str
+    checks: tuple[CheckStatus, ...]
+
+
+def check(order: FlightOrder, *, say: Say) -> Checked:
+    """Upload and check, but do not fly."""
     core, endpoint = start_core(replace(order, analyse=False))
-    ready = []
+    ready: list[bool] = []
+    checks: tuple[CheckStatus, ...] = ()
 
     def body(client: CoreClient) -> None:
+        nonlocal checks
         while core.poll() is None:
             status = client.status(0.2)
             if status is None:
                 continue
+            checks = status.checks or checks
             say(progress_line(status))
             if status.phase == Phase.CHECKED:
                 ready.append(client.command("abort").ok)
@@ -106,7 +117,7 @@ def check(order: FlightOrder, *, say: Say) -> str:
 
     with Interrupts() as stop, stop.ordering(core.interrupt):
         _as_client(core, endpoint, body)
-    return "" if ready else outcome(order.folder)[1]
+    return Checked("" if ready else outcome(order.folder)[1], checks)
 
 
 def _as_client(core: Child, endpoint: Access, body: Callable[[CoreClient], None]) -> None:
