@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -94,10 +94,10 @@ class FourierSeries:
     def derivatives(self, t_s: ArrayLike, highest: int) -> Array:
         """Channels and derivatives 0..highest at times t, shape (highest + 1, k, 4)."""
         t = np.atleast_1d(np.asarray(t_s, dtype=float))
-        w: Array = self.base_frequency_rad_s * np.arange(1, self.a.shape[1] + 1)
+        w = self.base_frequency_rad_s * np.arange(1, int(self.a.shape[1]) + 1)
         phase = np.exp(1j * w * t[:, None])
         # q = Re(sum z e^{iwt}) + c with z = -(b + i a)/w; each derivative multiplies by i w.
-        z: NDArray[np.complex128] = -(self.b + 1j * self.a) / w
+        z = -(self.b + 1j * self.a) / w
         out = np.stack([np.real(phase @ ((1j * w) ** n * z).T) for n in range(highest + 1)])
         out[0] += self.c
         return out
@@ -314,7 +314,7 @@ class Plan(_Model, Tabular):
     def _names_of_old_files(cls, value: Any) -> Any:
         if not isinstance(value, dict):
             return value
-        named: JsonObject = value
+        named = cast(JsonObject, value)
         return {RENAMED_PARAMETERS.get(name, name): std for name, std in named.items()}
 
     def to_dict(self) -> dict[str, object]:

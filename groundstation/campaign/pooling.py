@@ -122,7 +122,8 @@ def _grid(y: Array, s: Array, of_day: Array) -> tuple[Array, Array, Array, Array
     flights, days = of_day.shape
     # from the state [mu, d, u] to what is seen, and to what is told
     seen = np.concatenate([np.ones((flights, 1)), of_day, np.eye(flights)], axis=1)
-    own: Array = np.eye(1 + days, seen.shape[1]) + np.eye(1, seen.shape[1]) * (np.arange(1 + days) > 0)[:, None]
+    width = int(seen.shape[1])
+    own = np.eye(1 + days, width) + np.eye(1, width) * (np.arange(1 + days) > 0)[:, None]
     told = np.concatenate([own, seen])
     flat = FLAT * float(np.max(np.hypot(s, np.ptp(y))))
     between = _SCATTERS if days > 1 else _SCATTERS[:1]
@@ -151,7 +152,7 @@ def _log_prior(scatter: float) -> float:
     """Half-t of four degrees of freedom and scale 1 as a share of the grid: its probability of the cell."""
     index = int(np.searchsorted(_SCATTERS, scatter))
     edges: Array = np.concatenate([[0.0], 0.5 * (_SCATTERS[1:] + _SCATTERS[:-1]), [1.2 * _SCATTERS[-1]]])
-    return float(np.log(2.0 * (stdtr(4, edges[index + 1]) - stdtr(4, edges[index]))))
+    return float(np.log(2.0 * (stdtr(4, float(edges[index + 1])) - stdtr(4, float(edges[index])))))
 
 
 def pooled(by_flight: Sequence[Mapping[str, Estimate]], days: Sequence[str]) -> dict[str, Levels]:

@@ -295,7 +295,7 @@ def wrench_of(effects: Mapping[str, Mapping[str, Mapping[str, float]]], vehicle:
     """
     named = [(name.partition("/")[0], values) for name, values in effects.items()]
     known = [(library()[name], values) for name, values in named if name in library()]
-    parts = []
+    parts: list[tuple[Effect, Settings, Array]] = []
     for effect, values in known:
         numbers = {key: float(entry["value"]) for key, entry in values.items()}
         parts.append((effect, numbers, effect.named_in(numbers)))

@@ -95,8 +95,8 @@ class Evidence:
         """What base and known effects leave in the least squares sense: an effect's own rows are not outliers."""
         columns = [self.columns(candidate) for candidate in self.flights[0].known]
         a = np.concatenate([self.x, *(c.sensitivity for c in columns if c is not None)], axis=1)
-        scale = np.linalg.norm(a, axis=0) + 1e-30
-        fitted: Array = np.linalg.lstsq(a / scale, self.y, rcond=1e-8)[0] / scale
+        scale: Array = np.linalg.norm(a, axis=0) + 1e-30
+        fitted = np.linalg.lstsq(a / scale, self.y, rcond=1e-8)[0] / scale
         return self.y - a @ fitted
 
     def columns(self, candidate: Candidate, *, everywhere: bool = False) -> Columns | None:

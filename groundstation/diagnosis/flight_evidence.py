@@ -140,7 +140,7 @@ class FlightEvidence:
         """
         signals = self.signals
         elapsed = signals.t_s - signals.t_s[0]
-        knots: Array = np.linspace(0.0, elapsed[-1], int(np.clip(elapsed[-1] / THRESHOLDS.drift_knot_s, 3, 16)) + 1)
+        knots = np.linspace(0.0, float(elapsed[-1]), int(np.clip(elapsed[-1] / THRESHOLDS.drift_knot_s, 3, 16)) + 1)
         hats: list[Array] = [np.interp(elapsed, knots, peak) for peak in np.eye(len(knots))]
         drift, mass = np.column_stack(hats), self.parameters.mass_kg
         thrust: Array = signals.thrust_n.sum(axis=1)[:, None]

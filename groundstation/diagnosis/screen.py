@@ -184,10 +184,11 @@ def _own_size(part: Array, values: Array, covariance: Array, explained: Array, k
     Noise in its coefficients makes a size of its own, trace(G cov), which is taken out: what matters to nobody is not
     made large by a basis that is known badly.
     """
-    columns = explained[kept] / (np.linalg.norm(explained[kept], axis=0) + 1e-30)
-    own: Array = part[kept] - columns @ np.linalg.lstsq(columns, part[kept], rcond=1e-8)[0]
-    own = own - own.mean(axis=0)
-    gram: Array = own.T @ own / len(own)
+    size: Array = np.linalg.norm(explained[kept], axis=0) + 1e-30
+    columns = explained[kept] / size
+    own = part[kept] - columns @ np.linalg.lstsq(columns, part[kept], rcond=1e-8)[0]
+    own = own - np.asarray(own.mean(axis=0), dtype=float)
+    gram = own.T @ own / len(own)
     return float(np.sqrt(max(values @ gram @ values - np.trace(gram @ covariance), 0.0)))
 
 

@@ -86,7 +86,8 @@ def least_squares(
     evolution = _solve_scaled(scaled, moments / unit) / unit
     values = evolution[-1].copy()
     residual = _residual(gamma, upsilon, values, rows, len(used))
-    inverse: Array = np.linalg.pinv(scaled[-1], rcond=SINGULAR, hermitian=True) / np.outer(unit, unit)
+    final: Array = scaled[-1]
+    inverse = np.linalg.pinv(final, rcond=SINGULAR, hermitian=True) / np.outer(unit, unit)
     influence = np.zeros((len(used), gamma.shape[2], gamma.shape[1]))
     influence[rows] = np.matmul(inverse, gamma.transpose(0, 2, 1))
     covariance = coloured_covariance(influence, residual, float(t_s[1] - t_s[0]))

@@ -191,7 +191,7 @@ def _result(found: Compatibility, marker: Array, position: Array, quaternion: Ar
     turn, turn_std = of("rotation", "xyz", "rad")
     tilt, tilt_std = of("tilt", "xy", "rad")
     step = matrix_from_quat(quaternion)
-    away: Array = position - position.mean(axis=0)
+    away: Array = np.sum((position - position.mean(axis=0)) ** 2, axis=1)
     angles = np.arccos(np.clip(0.5 * (np.einsum("kij,ij->k", step, step[0]) - 1.0), -1.0, 1.0))
     return HandCalibration(
         position_m=lever, position_std_m=lever_std,
@@ -202,6 +202,6 @@ def _result(found: Compatibility, marker: Array, position: Array, quaternion: Ar
         mocap_minus_imu_s=found.values["mocap_minus_imu_s"], clock_std_s=found.std["mocap_minus_imu_s"],
         drift=found.values["clock_drift"],
         residual_m=found.pose_noise[0], residual_rad=found.pose_noise[1],
-        moved_m=float(np.sqrt(np.mean(np.sum(away**2, axis=1)))),
+        moved_m=float(np.sqrt(np.mean(away))),
         turned_rad=float(np.max(angles)), seconds=seconds,
     )  # fmt: skip

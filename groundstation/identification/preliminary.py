@@ -141,14 +141,14 @@ def _solved(a: Array, y: Array, weight: Array, block: NDArray[np.int64]) -> tupl
     rows.
     """
     white, target = a * weight[:, None], y * weight
-    scale = np.sqrt(np.einsum("kij,kij->j", white, white)) + 1e-30
+    scale: Array = np.sqrt(np.einsum("kij,kij->j", white, white)) + 1e-30
     flat = (white / scale).reshape(-1, a.shape[2])
-    inverse: Array = np.linalg.pinv(flat.T @ flat, rcond=1e-10, hermitian=True)
-    theta: Array = inverse @ (flat.T @ target.ravel())
-    left: Array = target - (white / scale) @ theta
+    inverse = np.linalg.pinv(flat.T @ flat, rcond=1e-10, hermitian=True)
+    theta = inverse @ (flat.T @ target.ravel())
+    left = target - (white / scale) @ theta
     scores = np.einsum("kij,ki->kj", white / scale, left)
     count = int(block[-1]) + 1
     sums = np.stack([np.bincount(block, column, minlength=count) for column in scores.T], axis=1)
     freedom = count / max(count - 0.5 * a.shape[2], 0.3 * count)
-    covariance: Array = freedom * inverse @ (sums.T @ sums) @ inverse / np.outer(scale, scale)
+    covariance = freedom * inverse @ (sums.T @ sums) @ inverse / np.outer(scale, scale)
     return theta / scale, covariance, np.sqrt(np.mean(left**2, axis=0)) / weight

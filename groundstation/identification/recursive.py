@@ -217,8 +217,8 @@ class RecursiveEstimator:
         out = np.empty_like(values)
         for index, (t_s, value) in enumerate(zip(stamps, values, strict=True)):
             before_s, x, u = self._lagged if self._lagged else (t_s, value, value)
-            up, down = (-np.expm1(-max(t_s - before_s, 0.0) / max(tau, 1e-6)) for tau in self._lag)
-            moved: Array = x + np.where(u > x, up, down) * (u - x)
+            up, down = (-float(np.expm1(-max(t_s - before_s, 0.0) / max(tau, 1e-6))) for tau in self._lag)
+            moved = x + np.where(u > x, up, down) * (u - x)
             out[index] = moved
             self._lagged = (t_s, moved, value)
         return out
@@ -278,17 +278,18 @@ class RecursiveEstimator:
         """From the square root of the information: [R z; 0 e] with R'R = Gamma' Gamma and R theta = z (Bierman 1977,
         ch. IV).
         """
-        root, z = self._root[:10, :10], self._root[:10, 10]
-        size = np.linalg.norm(root, axis=0)
+        root: Array = self._root[:10, :10]
+        z: Array = self._root[:10, 10]
+        size: Array = np.linalg.norm(root, axis=0)
         if not (size > 0.0).all():
             return None
         scaled = root / size
         if np.linalg.svd(scaled, compute_uv=False)[-1] ** 2 < 1e-9:
             return None
-        theta: Array = solve_triangular(scaled, z) / size
+        theta = solve_triangular(scaled, z) / size
         if self._appended >= self._renew_at:
             self._renew_at = self._appended + COVARIANCE_EVERY
-            inverse: Array = solve_triangular(scaled, np.eye(10))
+            inverse = solve_triangular(scaled, np.eye(10))
             self._covariance = self._spread(inverse @ inverse.T / np.outer(size, size), theta)
         values, covariance = theta[[9, *range(6)]], self._covariance[np.ix_([9, *range(6)], [9, *range(6)])]
         parameters, _ = anchored(self._vehicle, ("mass_kg", *TENSOR), values, covariance)

@@ -100,11 +100,11 @@ def motor_input(
         hover: value at which a rotor carries its share of the weight.
     """
     t_s = np.asarray(t_s, dtype=float)
-    grid = t_s[0] + step_s * np.arange(int(np.floor((t_s[-1] - t_s[0]) / step_s)) + 1)
+    grid: Array = t_s[0] + step_s * np.arange(int(np.floor((t_s[-1] - t_s[0]) / step_s)) + 1)
     if measured:
         value = resampled(grid, t_s, values)
     else:
-        index: NDArray[np.int64] = np.clip(np.searchsorted(t_s, grid + 1e-9, side="right") - 1, 0, len(t_s) - 1)
+        index = np.clip(np.searchsorted(t_s, grid + 1e-9, side="right") - 1, 0, len(t_s) - 1)
         value = values[index]
     return MotorInput(float(t_s[0]), step_s, np.ascontiguousarray(value, dtype=float), measured, hover)
 

@@ -95,6 +95,10 @@ class Comparison:
         return "\n".join(lines)
 
 
+def _unwatched(_series: FourierSeries) -> None:
+    """Nobody looks at the iterates."""
+
+
 def compare_families(
     vehicle: Vehicle,
     *,
@@ -127,7 +131,7 @@ def compare_families(
         plan = plan_excitation(
             vehicle, criterion=criterion, harmonics=harmonics, base_frequency_rad_s=base, duration_s=duration_s,
             frequency_max_hz=frequency_max_hz, start=start, noise=noise, seed=seed,
-            time_budget_s=time_budget_s / len(searched), progress=part, **limits,
+            time_budget_s=time_budget_s / len(searched), progress=part, effects=(), starts=None, watch=_unwatched, **limits,
         )  # fmt: skip
         where = "the base frequency as given" if base else f"base frequency free below {frequency_max_hz:g} Hz"
         name = "series, free" if base is None and len(searched) > 1 else "series"

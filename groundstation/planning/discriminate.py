@@ -121,8 +121,9 @@ def _odds(truth: _Seen, rival: _Seen) -> tuple[float, Array]:
     for offset, columns in rival.explanations:
         difference = truth.wrench - offset
         flat = columns.reshape(-1, columns.shape[-1])
-        flat = flat / np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
-        fitted: Array = np.linalg.pinv(flat.T @ flat, rcond=1e-10, hermitian=True) @ (flat.T @ difference.ravel())
+        size: Array = np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
+        flat = flat / size
+        fitted = np.linalg.pinv(flat.T @ flat, rcond=1e-10, hermitian=True) @ (flat.T @ difference.ravel())
         rest = difference - (flat @ fitted).reshape(difference.shape)
         found.append(0.5 * np.sum(rest**2, axis=0))
     least = min(found, key=np.sum)

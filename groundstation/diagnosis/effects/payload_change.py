@@ -24,7 +24,7 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarra
 
 
 def _variants(signals: Signals, vehicle: Vehicle) -> tuple[Settings, ...]:
-    instants: list[float] = np.linspace(signals.t_s[0], signals.t_s[-1], 25)[1:-1].tolist()
+    instants: list[float] = np.linspace(float(signals.t_s[0]), float(signals.t_s[-1]), 25)[1:-1].tolist()
     return tuple({"at_s": s, "within_s": instants[1] - instants[0]} for s in instants)
 
 

@@ -30,7 +30,7 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarra
 
 
 def _variants(signals: Signals, vehicle: Vehicle) -> tuple[Settings, ...]:
-    instants: list[float] = np.linspace(signals.t_s[0], signals.t_s[-1], 17)[2:-2].tolist()
+    instants: list[float] = np.linspace(float(signals.t_s[0]), float(signals.t_s[-1]), 17)[2:-2].tolist()
     width = instants[1] - instants[0]
     return tuple(
         {"rotor": float(i), "from_s": s, "within_s": width}

@@ -184,7 +184,7 @@ def _world(imu: Stream, pose: Stream, quaternion: Array, offset: float, gravity:
     evidence = f"correlation {own:.2f} as declared, {top:.2f} at best; gravity at {upward[2]:+.2f} g on z"
     if top < PLAIN:
         return [Check("world_frame", tested, evidence, "cannot tell")]
-    found = []
+    found: list[Check] = []
     if winner and own < FAR * top:
         words = in_words(names[winner])
         says = (

@@ -81,7 +81,7 @@ def apart(better: Array, declared: Array, measured: Array) -> float:
     is.
     """
     moved = np.cumsum(np.sum(measured**2, axis=1))
-    bounds: NDArray[np.int64] = np.searchsorted(moved, moved[-1] * np.arange(PARTS + 1) / PARTS)
+    bounds = np.searchsorted(moved, float(moved[-1]) * np.arange(PARTS + 1) / PARTS)
     gain = [
         similarity(better[a:b], measured[a:b]) - similarity(declared[a:b], measured[a:b])
         for a, b in pairwise(bounds)
