@@ -119,7 +119,7 @@ def _grid(y: Array, s: Array, of_day: Array) -> tuple[Array, Array, Array, Array
     """Weights of the scatters, and means and variances of [mu, mu + d, mu + d + u] at each; shapes (g,), (g, n), (g,
     n), (g, 2).
     """
-    flights, days = of_day.shape
+    flights, days = len(of_day), len(of_day.T)
     # from the state [mu, d, u] to what is seen, and to what is told
     seen = np.concatenate([np.ones((flights, 1)), of_day, np.eye(flights)], axis=1)
     width = int(seen.shape[1])

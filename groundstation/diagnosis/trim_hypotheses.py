@@ -66,9 +66,8 @@ class Scatter:
         white = left.reshape(-1, count) @ np.moveaxis(roots, 0, 1).reshape(count, -1)
         square = np.sum(white.reshape(*left.shape[:-1], len(roots), count) ** 2, axis=-1)
         total = 0.5 * (self.freedom + count)
-        constant = (
-            float(gammaln(total)) - float(gammaln(0.5 * self.freedom)) - 0.5 * count * np.log(self.freedom * np.pi)
-        )
+        constant = float(gammaln(total)) - float(gammaln(0.5 * self.freedom))
+        constant -= 0.5 * count * float(np.log(self.freedom * np.pi))
         each = constant - 0.5 * np.linalg.slogdet(self.matrices)[1] - total * np.log1p(square / self.freedom)
         return np.asarray(logsumexp(each + np.log(self.shares), axis=-1), dtype=float)
 

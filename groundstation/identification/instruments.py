@@ -198,9 +198,8 @@ def _path_filters(shifts: _Shifted, motion: FlownMotion, used: NDArray[np.int64]
     for axis in range(4):
         columns = np.column_stack([m.position[2, :, axis] if axis < 3 else m.yaw[1] for m in moved])
         still = np.std(columns) < 1e-4
-        found.append(
-            None if still else np.asarray(np.linalg.lstsq(columns, flown[:, axis], rcond=1e-3)[0], dtype=float)
-        )
+        weights = None if still else np.linalg.lstsq(columns, flown[:, axis], rcond=1e-3)[0]
+        found.append(None if weights is None else np.asarray(weights, dtype=float))
     return found
 
 

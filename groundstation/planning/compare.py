@@ -13,7 +13,7 @@ from groundstation.planning.limits import envelope
 from groundstation.planning.plan import FREQUENCY_MAX_HZ, describe, paper_plan, plan_excitation
 from groundstation.planning.problem import Problem
 from groundstation.planning.signals import Family, families, family_series
-from groundstation.trajectory import Plan
+from groundstation.trajectory import FourierSeries, Plan
 from groundstation.vehicle import Vehicle
 
 DIAGONAL = ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
@@ -131,7 +131,8 @@ def compare_families(
         plan = plan_excitation(
             vehicle, criterion=criterion, harmonics=harmonics, base_frequency_rad_s=base, duration_s=duration_s,
             frequency_max_hz=frequency_max_hz, start=start, noise=noise, seed=seed,
-            time_budget_s=time_budget_s / len(searched), progress=part, effects=(), starts=None, watch=_unwatched, **limits,
+            time_budget_s=time_budget_s / len(searched), progress=part, effects=(), starts=None, watch=_unwatched,
+            **limits,
         )  # fmt: skip
         where = "the base frequency as given" if base else f"base frequency free below {frequency_max_hz:g} Hz"
         name = "series, free" if base is None and len(searched) > 1 else "series"
