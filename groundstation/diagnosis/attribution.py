@@ -13,6 +13,7 @@ from groundstation.diagnosis.columns import Candidate, Columns, Solution
 from groundstation.diagnosis.discrepancy import Discrepancy, allowance
 from groundstation.diagnosis.effect import Effect, library
 from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.held_out import held_out
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import (
@@ -57,13 +58,24 @@ class Named:
 
 
 def candidates(vehicle: Vehicle, signals: Signals, effects: Iterable[Effect] | None = None) -> list[Candidate]:
-    """Every effect that applies, in every variant."""
+    """Every effect that applies, in every variant; those of a search of the flight are left to :func:`searched`."""
     chosen = library().values() if effects is None else effects
     return [
         Candidate(effect, settings)
         for effect in chosen
-        if effect.applies(vehicle)
+        if effect.applies(vehicle) and (effects is not None or effect.searched is None)
         for settings in effect.variants(signals, vehicle)
+    ]
+
+
+def searched(flight: FlightEvidence) -> list[Candidate]:
+    """Effects in the settings that a search of the flight gives."""
+    record, vehicle = flight.prepared.record, flight.prepared.record.vehicle
+    return [
+        Candidate(effect, settings)
+        for effect in library().values()
+        if effect.searched is not None and effect.applies(vehicle)
+        for settings in effect.searched(flight.signals, record.keep, vehicle)
     ]
 
 
@@ -108,7 +120,7 @@ class Selection:
         """
         key = columns.number, -1 if members is None else len(members)
         if key not in self._passed:
-            chance = THRESHOLDS.effect_chance / max(self.variants[candidate.identifier], 1)
+            chance = THRESHOLDS.effect_chance / max(self.variants[candidate.identifier], candidate.effect.scanned)
             self._passed[key] = self.evidence.threshold(columns, chance, members)
         return self._passed[key]
 

@@ -35,7 +35,8 @@ class ParameterInfo:
     vehicle from 20 g to 10 kg; a force or torque outside of it is not named. A ``companion`` is fitted along and says
     nothing for the effect: a steady pull may come with a tether, but only the stiffness tells one. One that
     ``changes`` a setting is the first parameter times that setting's departure from its value: a finding gives the
-    setting with an interval in its place.
+    setting with an interval in its place. ``form`` is the share of its value (of the setting's) by which the formula
+    itself may miss, as a standard deviation.
     """
 
     name: str
@@ -43,6 +44,7 @@ class ParameterInfo:
     plausible: tuple[float, float] = (-np.inf, np.inf)
     companion: bool = False
     changes: str = ""
+    form: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,8 +85,12 @@ class Effect(EffectInfo):
     Attributes:
         wrench: (signals, vehicle, settings) -> body force and torque about the declared origin per unit of each
             parameter, shape (k, 6, len(parameters)); NaN where the signals it needs are unknown.
+        instrument: (signals, planned signals, vehicle, settings) -> the wrench's instruments; None for ``wrench`` of
+            the planned ones. What a pendulum does follows from the motion there was; by a plan it is soon out of step.
         sentence: one sentence a pilot understands, with places for parameters and settings as :mod:`.sentences` says.
         variants: settings to try (a rotor, an instant, a length); one empty set for most effects.
+        searched: (signals, samples in use, vehicle) -> settings that a search of the flight gives, tried in the place
+            of ``variants``; ``scanned`` is of how many it is the outcome.
         finer: settings around one that was found, to look closer.
         settled: settings as they follow from the values that were found (a load that was let go was on board before).
         applies: whether this vehicle's inputs can show it at all.
@@ -103,7 +109,10 @@ class Effect(EffectInfo):
 
     wrench: Callable[[Signals, Vehicle, Settings], Array]
     sentence: str
+    instrument: Callable[[Signals, Signals, Vehicle, Settings], Array] | None = None
     variants: Callable[[Signals, Vehicle], Sequence[Settings]] = field(default=lambda signals, vehicle: ({},))
+    searched: Callable[[Signals, NDArray[np.bool_], Vehicle], Sequence[Settings]] | None = None
+    scanned: int = 1
     finer: Callable[[Settings], Sequence[Settings]] = field(default=lambda settings: ())
     settled: Callable[[Settings, Array], Settings] = field(default=lambda settings, values: settings)
     applies: Callable[[Vehicle], bool] = field(default=lambda vehicle: True)

@@ -190,7 +190,12 @@ class FlightEvidence:
         if self.planned is None:
             sensitivity = self.whitening.apply(seen)
             return Columns.of(sensitivity, sensitivity, rms)
-        wished = candidate.effect.wrench(self.planned, vehicle, candidate.settings)
+        own = candidate.effect.instrument
+        wished = (
+            candidate.effect.wrench(self.planned, vehicle, candidate.settings)
+            if own is None
+            else own(self.signals, self.planned, vehicle, candidate.settings)
+        )
         if not np.isfinite(wished.sum()):
             return None
         white = self.whitening.apply(np.concatenate([seen, self.predicted(wished)], axis=2))

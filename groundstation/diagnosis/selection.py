@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.attribution import Named, Selection, candidates
+from groundstation.diagnosis.attribution import Named, Selection, candidates, searched
 from groundstation.diagnosis.augmented import is_among
 from groundstation.diagnosis.base import Base
 from groundstation.diagnosis.case import Case
@@ -154,7 +154,7 @@ def _confirmed(
 
 def pool_of(vehicle: Vehicle, evidence: Evidence, *, references: bool) -> list[Candidate]:
     """Everything that may be named; beside healthy flights a load that was there all along, too."""
-    pool = candidates(vehicle, evidence.flights[0].excited)
+    pool = [*candidates(vehicle, evidence.flights[0].excited), *searched(evidence.flights[0])]
     if references:
         payload = library()["payload_change"]
         pool.append(Candidate(payload, {"at_s": -1.0, "within_s": 1.0}))
