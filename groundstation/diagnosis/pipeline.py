@@ -22,6 +22,7 @@ from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
 from groundstation.diagnosis.unplanned import Told, tell_unplanned
+from groundstation.diagnosis.weakness import weak_instruments
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored, anchored_covariance
@@ -142,7 +143,11 @@ def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged, air: S
         next_flight=_next_flight(judged.findings, judged.unexplained),
         reason=" ".join(filter(None, (judged.worse, reason))),
         warnings=tuple(_warnings(case.suspects)),
-        notes=(*judged.notes, *(told.missed() for told in air if not told.stands)),
+        notes=(
+            *judged.notes,
+            *weak_instruments(selected.evidence, selected.chosen),
+            *(told.missed() for told in air if not told.stands),
+        ),
         adopted=not judged.worse,
         candidates=tuple(_candidate_entries(case, selected)),
         residual=judged.residual,

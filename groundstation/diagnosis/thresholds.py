@@ -56,6 +56,12 @@ class Thresholds:
         source="judgement",
         chosen_on=f"c9bbce4, {BEFORE}",
     )
+    passes_most: int = _entry(
+        4,
+        "Selections about one joint estimate after another; two are enough for nearly every flight.",
+        source="Gauss-Newton steps",
+        chosen_on=f"decision 33, {AFTER}",
+    )
     refinements_most: int = _entry(
         4,
         "How often an instant, a length or a curve is looked at more closely, on a finer grid each time.",
@@ -255,6 +261,12 @@ class Thresholds:
         "Standard deviations of a whitened row from which it counts for less.",
         source="Huber 1964",
         chosen_on=f"c9bbce4, {BEFORE}",
+    )
+    instruments_strong: float = _entry(
+        10.0,
+        "F of a parameter's instruments below which a note says that its number rests on the motion as flown.",
+        source="Staiger and Stock 1997; Stock and Yogo 2005",
+        chosen_on=f"the literature, {AFTER}",
     )
     noise_refills: int = _entry(
         3,
