@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import from_thrust
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import quat_rotate
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
@@ -42,7 +43,8 @@ BLOCK = 3
 def likely_pendulums(
     signals: Signals, keep: NDArray[np.bool_], at: Index, vehicle: Vehicle, pull: Pull
 ) -> list[tuple[float, float, float]]:
-    """Length, damping and depth of the hook of the likeliest few; none where accelerations or thrusts are unknown.
+    """Length, damping and depth of the hook of the likeliest few; none where accelerations or thrusts are unknown, or
+    where no pendulum keeps in step.
 
     Args:
         keep: samples in use, (k,).
@@ -63,7 +65,8 @@ def likely_pendulums(
     peaks = _distinct(scanned, [_fall(shown(x), left) for x in scanned], POLISHED)
     polished = [_polished(x, shown, left, arm) for x in peaks]
     best = _distinct(polished, [_fall(shown(x), left) for x in polished], GIVEN)
-    return [(float(np.exp(x[0])), float(x[1]), float(x[2])) for x in best]
+    least = THRESHOLDS.pendulum_share * float(left @ left)
+    return [(float(np.exp(x[0])), float(x[1]), float(x[2])) for x in best if _fall(shown(x), left) > least]
 
 
 def _residual(

@@ -107,6 +107,13 @@ class Thresholds:
         source="drag goes with powers of the speed between one and two; judgement",
         chosen_on="MuJoCo flights of seeds 7000 to 8200 (benchmarks.other_forms)",
     )
+    pendulum_share: float = _entry(
+        0.6,
+        "Least share of the sideways residual force's power that a pendulum explains before it is tried: what a "
+        "warning asks for, too. Of those in step each explained 0.88 or more, of those out of step 0.25 and 0.57.",
+        source="judgement",
+        chosen_on="24 flights of two simulators with loads (benchmarks.slung_load, seeds 100 to 405 and 1 to 505)",
+    )
     swing_share: float = _entry(
         0.005,
         "RMS of what is left of the sideways force between 0.3 and 2 Hz, as a share of the weight, below which nothing "
