@@ -99,7 +99,7 @@ def tables_in(reader: Any, path: Path, topics: Collection[str], part: Part = WHO
         if not step or not before or abs(at_ns - before[-1]) >= step:
             before.append(at_ns)
             columns[connection.topic].add(data)
-    return {topic: _table(topic, received[topic], columns[topic]) for topic in columns}
+    return {topic: _table(topic, received.pop(topic), columns.pop(topic)) for topic in list(columns)}
 
 
 def _columns(reader: Any, kind: str) -> Columns:

@@ -151,9 +151,10 @@ class Columns:
             self._settle()
 
     def values(self) -> Array:
-        """All messages so far, shape (k, len(names)); NaN where a message lacks a field that the first one has."""
+        """Give up all messages so far, shape (k, len(names)); NaN where one lacks a field that the first one has."""
         self._settle()
-        return np.concatenate(self._rows) if self._rows else np.empty((0, len(self.names or ())))
+        rows, self._rows = self._rows, []
+        return np.concatenate(rows) if rows else np.empty((0, len(self.names or ())))
 
     def _settle(self) -> None:
         waiting, self._waiting = self._waiting, []

@@ -17,7 +17,7 @@ from groundstation.recording.part import Part
 
 Array = NDArray[np.float64]
 _EXACT_INTEGER = 2.0**53
-_BLOCK = 1 << 23
+_BLOCK = 1 << 21
 _WRITTEN = 1 << 14
 
 
