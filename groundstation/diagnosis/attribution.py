@@ -140,7 +140,7 @@ class Selection:
         solution = self.evidence.solve([*self.baseline, *chosen])
         offset = sum(len(c.effect.parameters) for c, _ in self.baseline)
         energies = self.discrepancy.energies(chosen, solution, offset)
-        out = []
+        out: list[float] = []
         for index, (candidate, columns) in enumerate(chosen):
             first, offset = offset, offset + len(candidate.effect.parameters)
             if members is not None and index not in members:
@@ -228,7 +228,7 @@ class Selection:
                 best[kind_of(entry)] = margin, entry
         within = {kind_of(entry) for entry in found}
         starts = [entry for kind, (margin, entry) in best.items() if kind not in within and (margin > 0.0 or kind[1])]
-        seen, out = {frozenset(within)}, []
+        seen, out = {frozenset(within)}, list[list[Entry]]()
         for start in starts:
             grown = self._grown(start)
             kinds = frozenset(kind_of(entry) for entry in grown)
@@ -288,7 +288,7 @@ class Selection:
         """What was chosen with its alternatives, in order of the error it takes away, and the joint estimate."""
         chosen = self._settled(chosen)
         margins = self._margins(chosen)
-        named = []
+        named: list[Named] = []
         for index, (entry, margin) in enumerate(zip(chosen, margins, strict=True)):
             rest = [*chosen[:index], *chosen[index + 1 :]]
             contest, misfit = self._contest(chosen, index)
@@ -303,7 +303,7 @@ class Selection:
         """The same in the settings that follow from the values found."""
         solution = self.evidence.solve([*self.baseline, *chosen])
         first = sum(len(c.effect.parameters) for c, _ in self.baseline)
-        out = []
+        out: list[Entry] = []
         for candidate, columns in chosen:
             count = len(candidate.effect.parameters)
             settings = candidate.effect.settled(candidate.settings, solution.part(first, count)[0])

@@ -12,7 +12,7 @@ import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -223,19 +223,19 @@ def library() -> Mapping[str, Effect]:
     return {name: effect for name, effect in catalogue().items() if isinstance(effect, Effect)}
 
 
-def blank(signals: Signals, parameters: int = 1) -> Array:
+def blank(signals: Signals, parameters: int = 1) -> Annotated[Array, "k 6 p"]:
     """A wrench of zeros, shape (k, 6, parameters)."""
     return np.zeros((len(signals.t_s), 6, parameters))
 
 
-def from_thrust(vehicle: Vehicle, thrust: Array) -> Array:
+def from_thrust(vehicle: Vehicle, thrust: Annotated[Array, "k n"]) -> Annotated[Array, "k 6"]:
     """Body wrench (k, 6) of rotor thrusts (k, n)."""
     from groundstation.model.rotors import wrench_matrix
 
     return np.asarray(thrust @ wrench_matrix(vehicle).T, dtype=float)
 
 
-def ramp(t_s: Array, at_s: float, within_s: float) -> Array:
+def ramp(t_s: Annotated[Array, "k"], at_s: float, within_s: float) -> Annotated[Array, "k"]:
     """From zero to one within a time about an instant, shape as ``t_s``."""
     return np.clip((t_s - at_s) / within_s + 0.5, 0.0, 1.0)
 
@@ -304,7 +304,7 @@ def wrench_of(effects: Mapping[str, Mapping[str, Mapping[str, float]]], vehicle:
     """
     named = [(name.partition("/")[0], values) for name, values in effects.items()]
     known = [(library()[name], values) for name, values in named if name in library()]
-    parts = []
+    parts: list[tuple[Effect, Settings, Array]] = []
     for effect, values in known:
         numbers = {key: float(entry["value"]) for key, entry in values.items()}
         parts.append((effect, numbers, effect.named_in(numbers)))

@@ -111,8 +111,9 @@ class Evidence:
         """What base and known effects leave in the least squares sense: an effect's own rows are not outliers."""
         columns = [self.columns(candidate) for candidate in self.flights[0].known]
         a = np.concatenate([self.x, *(c.sensitivity for c in columns if c is not None)], axis=1)
-        scale = np.linalg.norm(a, axis=0) + 1e-30
-        return self.y - a @ (np.linalg.lstsq(a / scale, self.y, rcond=1e-8)[0] / scale)
+        scale: Array = np.linalg.norm(a, axis=0) + 1e-30
+        fitted = np.linalg.lstsq(a / scale, self.y, rcond=1e-8)[0] / scale
+        return self.y - a @ fitted
 
     def columns(self, candidate: Candidate, *, everywhere: bool = False) -> Columns | None:
         """A candidate's columns over all flights, zero on the references unless ``everywhere``."""
@@ -234,7 +235,8 @@ class Evidence:
 
         chosen = columns.instrument if members is None else columns.instrument[:, members]
         count, first = chosen.shape[1], 0
-        energies, freedoms = [], []
+        energies: list[Array] = []
+        freedoms: list[Array] = []
         for flight in self.flights:
             energy, freedom = flight.whitening.spread(chosen[first : first + len(flight.y)])
             energies.append(energy)
@@ -312,7 +314,9 @@ class Evidence:
 
     def time_of_rows(self) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
         """Time, channel and flight of each whitened row."""
-        times, channels, flights = [], [], []
+        times: list[Array] = []
+        channels: list[NDArray[np.int64]] = []
+        flights: list[NDArray[np.int64]] = []
         for number, flight in enumerate(self.flights):
             for channel in flight.channels:
                 times.append(flight.model.t_s)

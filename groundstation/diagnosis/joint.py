@@ -28,6 +28,8 @@ def updated_rigid_body(about: Array, step: Array) -> tuple[Array, Array] | None:
     no rigid body lies there.
     """
     lightness = 1.0 - step[0] / about[0]
+    tensor: Array
+    change: Array
     tensor, change = (np.einsum("k,kij->ij", values[1:], BASIS) for values in (about, step))
     left = tensor - change
     if lightness <= 0.0 or np.linalg.eigvalsh(left)[0] <= 0.0:

@@ -115,7 +115,7 @@ def judge(
 def force_findings(selected: Selected) -> list[Finding]:
     """The named effects as findings, with the values of the joint estimate."""
     offset = sum(len(candidate.effect.parameters) for candidate, _ in selected.baseline)
-    out = []
+    out: list[Finding] = []
     for item in selected.named:
         out.append(item.measured or _finding(item, selected.solution, offset))
         offset += len(item.candidate.effect.parameters)

@@ -208,7 +208,7 @@ def _by_trim(name: str, case: Case) -> Diagnosis:
 def _next_flight(findings: Sequence[Finding], remaining: Sequence[Unexplained]) -> str:
     """The manoeuvre that separates what this flight could not."""
     effects = catalogue()
-    parts = []
+    parts: list[str] = []
     for finding in findings:
         if finding.alternatives:
             rivals = ", ".join(finding.alternatives)
@@ -233,7 +233,7 @@ def _reason(verdict: str, findings: Sequence[Finding], remaining: Sequence[Unexp
 
 
 def _warnings(suspects: Sequence[Prepared]) -> list[str]:
-    out = []
+    out: list[str] = []
     if any(without_plan(item) for item in suspects):
         out.append(
             "No plan or setpoints are recorded, and the path flown is no plan: what the controller answers a "

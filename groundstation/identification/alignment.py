@@ -108,9 +108,10 @@ def lag_between(
 def _by_parts(first: Array, second: Array, shift: int, home: int, step_s: float) -> tuple[float, float]:
     """Standard deviation of a lag, and Student's t of its gain over the one at home, by parts of equal motion."""
     near, moved = round(0.25 / step_s), np.cumsum(np.sum(first**2, axis=1))
-    bounds = np.searchsorted(moved, moved[-1] * np.arange(PARTS + 1) / PARTS)
+    bounds = np.searchsorted(moved, float(moved[-1]) * np.arange(PARTS + 1) / PARTS)
     size = moved[-1] / PARTS
-    lags, gains = [], []
+    lags: list[float] = []
+    gains: list[float] = []
     for begin, end in pairwise(bounds):
 
         def score(by: int, begin: int = int(begin), end: int = int(end)) -> float:

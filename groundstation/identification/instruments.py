@@ -194,11 +194,12 @@ def _path_filters(shifts: _Shifted, motion: FlownMotion, used: NDArray[np.int64]
         return [None] * 4
     yaw = np.unwrap(euler_from_quat(motion.smooth[0][used])[:, 2])
     flown = np.gradient(np.column_stack([motion.smooth[2][used], yaw]), motion.t_s[used], axis=0)
-    moved, found = [shifts.flat(float(shift)) for shift in SHORT_S], []
+    moved, found = [shifts.flat(float(shift)) for shift in SHORT_S], list[Array | None]()
     for axis in range(4):
         columns = np.column_stack([m.position[2, :, axis] if axis < 3 else m.yaw[1] for m in moved])
         still = np.std(columns) < 1e-4
-        found.append(None if still else np.linalg.lstsq(columns, flown[:, axis], rcond=1e-3)[0])
+        weights = None if still else np.linalg.lstsq(columns, flown[:, axis], rcond=1e-3)[0]
+        found.append(None if weights is None else np.asarray(weights, dtype=float))
     return found
 
 
@@ -245,7 +246,7 @@ def _most_probable(candidates: Sequence[Array], target: Array, independent: floa
 def _path_spline(motion: FlownMotion, keep: Mask) -> Reference | None:
     """The flown path as a spline with knots every PATH_KNOTS_S, which follows the manoeuvre and not the disturbance."""
     used = np.flatnonzero(keep)
-    index = np.arange(used[0], used[-1], max(1, round(motion.rate_hz / 50.0)))
+    index = np.arange(int(used[0]), int(used[-1]), max(1, round(motion.rate_hz / 50.0)))
     yaw = np.unwrap(euler_from_quat(motion.smooth[0][index])[:, 2])
     path = np.column_stack([motion.smooth[1][index], yaw])
     return _setpoint_spline(Stream(motion.t_s[index], path, ("x_m", "y_m", "z_m", "yaw_rad")), PATH_KNOTS_S)

@@ -184,7 +184,7 @@ def lift_equations(part: Slow) -> Named:
 
 def moment_equations(part: Slow) -> list[Equation]:
     """The torque's equations with the moment of inertia first."""
-    out = []
+    out: list[Equation] = []
     for equation, own in torque_equations(part):
         order = [len(own), *(index for index in range(equation.columns.shape[1]) if index != len(own))]
         out.append(replace(equation, columns=equation.columns[:, order], effects=1))

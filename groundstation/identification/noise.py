@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from groundstation.identification.noise_kernel import direct_costs, integrated_costs
 
 Array = NDArray[np.float64]
+Restarts = NDArray[np.bool_]
 
 DIFFERENCE = 1e-3
 """Step in the logarithm of a noise by which the likelihood's slope is taken."""
@@ -65,15 +66,16 @@ def _driven(sigma: float, tau: float, q: float, h: float, phi: float) -> tuple[f
 
 @njit(cache=True)
 def _integrated_innovations(
-    z: Array, dt: Array, restart: NDArray[np.bool_], noise: Array, x: Array, p: Array, fresh: bool
+    z: Array, dt: Array, restart: Restarts, noise: Array, state: tuple[Array, Array], fresh: bool
 ) -> tuple[Array, Array]:
     """Innovations and their variances of z = integral(d + white) + white; state [integral, d]; diffuse at restarts.
 
     z has shape (k, m): the first column drives nothing special, all columns pass the same filter. dt[i] is the time
-    from sample i - 1 to i. Variances at restarts are infinite (the level is unknown there). Columns' states x (2, m)
-    and their covariance p (3,) go in and come out, so that a long series passes in parts, the first of them ``fresh``.
+    from sample i - 1 to i. Variances at restarts are infinite (the level is unknown there). Columns' states (2, m)
+    and their covariance (3,) go in and come out, so that a long series passes in parts, the first of them ``fresh``.
     """
     sigma, tau, q, r = noise
+    x, p = state
     k, m = z.shape
     out = np.zeros((k, m))
     variance = np.empty(k)
@@ -110,10 +112,11 @@ def _integrated_innovations(
 
 @njit(cache=True)
 def _direct_innovations(
-    z: Array, dt: Array, restart: NDArray[np.bool_], noise: Array, x: Array, p: Array, fresh: bool
+    z: Array, dt: Array, restart: Restarts, noise: Array, state: tuple[Array, Array], fresh: bool
 ) -> tuple[Array, Array]:
     """Innovations and their variances of z = d + white, with stationary start at restarts. Shapes as above."""
     sigma, tau, q, r = noise
+    x, p = state
     k, m = z.shape
     out = np.empty((k, m))
     variance = np.empty(k)
@@ -141,9 +144,7 @@ def _direct_innovations(
     return out, variance
 
 
-def innovations(
-    z: Array, dt: Array, restart: NDArray[np.bool_], colour: NoiseModel, *, integrated: bool
-) -> tuple[Array, Array]:
+def innovations(z: Array, dt: Array, restart: Restarts, colour: NoiseModel, *, integrated: bool) -> tuple[Array, Array]:
     """One-step innovations of each column of z and their variances.
 
     Args:
@@ -156,7 +157,8 @@ def innovations(
         Innovations (k, m), variances (k,) with inf where a level was only initialised.
     """
     kernel = _integrated_innovations if integrated else _direct_innovations
-    return kernel(np.ascontiguousarray(z), dt, restart, colour.vector(), np.zeros((2, z.shape[1])), np.zeros(3), True)
+    state = np.zeros((2, z.shape[1])), np.zeros(3)
+    return kernel(np.ascontiguousarray(z), dt, restart, colour.vector(), state, True)
 
 
 PART = 4096
@@ -164,24 +166,22 @@ PART = 4096
 
 
 def innovation_products(
-    z: Array, columns: Array, dt: Array, restart: NDArray[np.bool_], colour: NoiseModel, *, integrated: bool
+    z: Array, columns: Array, dt: Array, restart: Restarts, colour: NoiseModel, *, integrated: bool
 ) -> Array:
     """Sums of products of the normalised innovations of z (k,) and of columns (k, m), z first, shape (1 + m, 1 + m)."""
     kernel = _integrated_innovations if integrated else _direct_innovations
     width = 1 + columns.shape[1]
-    states, covariance, out = np.zeros((2, width)), np.zeros(3), np.zeros((width, width))
+    state, out = (np.zeros((2, width)), np.zeros(3)), np.zeros((width, width))
     for first in range(0, len(z), PART):
         part = slice(first, first + PART)
         stacked = np.column_stack([z[part], columns[part]])
-        e, s = kernel(stacked, dt[part], restart[part], colour.vector(), states, covariance, first == 0)
+        e, s = kernel(stacked, dt[part], restart[part], colour.vector(), state, first == 0)
         white = e / np.sqrt(s)[:, None]  # zero where a level was only initialised
         out += white.T @ white
     return out
 
 
-def minus_log_likelihood(
-    residual: Array, dt: Array, restart: NDArray[np.bool_], colour: NoiseModel, integrated: bool
-) -> float:
+def minus_log_likelihood(residual: Array, dt: Array, restart: Restarts, colour: NoiseModel, integrated: bool) -> float:
     """Half the Gaussian minus-log-likelihood of a residual, robustified (pseudo-Huber at 4 sigma), constants
     dropped.
     """
@@ -216,7 +216,7 @@ def _search(residual: Array, step: float, length: float, *, integrated: bool) ->
 
 
 def fit_noise_model(
-    residual: Array, dt: Array, restart: NDArray[np.bool_], *, integrated: bool, start: NoiseModel | None = None
+    residual: Array, dt: Array, restart: Restarts, *, integrated: bool, start: NoiseModel | None = None
 ) -> NoiseModel:
     """Most likely noise of a channel from its residual, within wide physical bounds.
 
@@ -255,7 +255,7 @@ def fit_noise_model(
     return NoiseModel.from_logarithms(np.clip(best, floor, ceiling))
 
 
-def whitening_polynomial(innovation: Array, restart: NDArray[np.bool_], highest: int = 24) -> Array:
+def whitening_polynomial(innovation: Array, restart: Restarts, highest: int = 24) -> Array:
     """Coefficients [1, -a_1, ...] of the autoregression that takes what colour the state model left, by BIC.
 
     Burg's recursion on normalised innovations; order 0 (just [1.0]) when nothing is gained. Outliers are clipped at 5

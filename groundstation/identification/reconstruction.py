@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,14 +42,14 @@ class Compatibility:
     names: tuple[str, ...]
     values: Mapping[str, float]
     std: Mapping[str, float]
-    covariance: Array
-    kept: Mask
-    quaternion: Array
-    position_m: Array
-    velocity_m_s: Array
-    causal_quaternion: Array
-    causal_position_m: Array
-    causal_velocity_m_s: Array
+    covariance: Annotated[Array, "e e"]
+    kept: Annotated[Mask, "poses"]
+    quaternion: Annotated[Array, "k 4"]
+    position_m: Annotated[Array, "k 3"]
+    velocity_m_s: Annotated[Array, "k 3"]
+    causal_quaternion: Annotated[Array, "k 4"]
+    causal_position_m: Annotated[Array, "k 3"]
+    causal_velocity_m_s: Annotated[Array, "k 3"]
     revealed: tuple[str, ...]
     pose_noise: tuple[float, float] = (0.0, 0.0)
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,10 +51,10 @@ class Regression:
         note: what the model is and what it leaves out.
     """
 
-    regressor: Array
-    output: Array
-    t_s: Array
-    used: NDArray[np.bool_]
+    regressor: Annotated[Array, "k 4 7"]
+    output: Annotated[Array, "k 4"]
+    t_s: Annotated[Array, "k"]
+    used: Annotated[NDArray[np.bool_], "k"]
     note: str = ""
 
 
@@ -134,7 +135,7 @@ def seed_methods(
     """
     standard = standard_regression(signals)
     filtered = filtered_regression(signals, period_s=filter_period_s)
-    results = {}
+    results: dict[str, MethodResult] = {}
     for regression, names in ((standard, ("LS", "GD")), (filtered, ("FMLS", "FMGD"))):
         doubtful = noisy_parameters(regression, signals.rate_derivative_noise) if refuse else {}
         for name, estimator in zip(names, (least_squares, gradient_descent), strict=True):
@@ -165,7 +166,7 @@ def noisy_parameters(regression: Regression, noise: Array) -> dict[str, str]:
     shares = np.diag(np.diag([a, a + b, a + c, b, b + c, c]))
     scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
     values, vectors = np.linalg.eigh(total / np.outer(scale, scale))
-    out = {}
+    out: dict[str, str] = {}
     for value, vector in zip(values, vectors.T, strict=True):
         share = float(vector @ (shares / np.outer(scale, scale)) @ vector) / max(value, 1e-300)
         if value < 1e-10 or share > NOISE_SHARE:

@@ -83,7 +83,7 @@ class Point:
         out[:, axis] = values
         return out
 
-    @property
+    @cached_property
     def impulse(self) -> Array:
         """Running integral of the rotors' force, (blocks, 3)."""
         raise NotImplementedError
@@ -98,7 +98,7 @@ class Measured(Point):
         super().__init__(model, p)
         self.prediction = prediction
 
-    @property
+    @cached_property
     def impulse(self) -> Array:
         """Of the predicted force."""
         return self.prediction.impulse[:, :3]

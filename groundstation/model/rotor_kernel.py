@@ -13,6 +13,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Clock = tuple[Array, float, float, float, float]
+"""Stamps (k,), a dead time, the grid's start, its step and its length."""
 
 LANES = 16
 """Four lags of a quadrotor: two of the widest vector registers, which hide each other's latency."""
@@ -94,16 +97,16 @@ def _keep(s: Array, row: Array) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _averaged(kept, first, last, lanes, clock, members, at, out):
+def _averaged(chunk: tuple[Array, int, int], lanes: Index, clock: Clock, members: Index, at: int, out: Array) -> int:
     """Gather the samples that lie within the grid's steps of the chunk; how many are done then.
 
     Args:
-        kept: thrusts and sums of the steps from ``first`` to ``last``, the last excluded, (steps, 2 * LANES).
+        chunk: thrusts and sums of steps, (steps, 2 * LANES), the first of them and the one after the last.
         lanes: the first that counts, and how many do.
-        clock: stamps (k,), a dead time, the grid's start, its step and its length. at: samples done before.
+        at: samples done before.
         out: (blocks, 2, lanes), to add to.
     """
-    t, late, start, step, length = clock
+    (kept, first, last), (t, late, start, step, length) = chunk, clock
     size = members.shape[1]
     block = at // size
     member = at - block * size
@@ -131,11 +134,9 @@ def block_means(
     value: Array,
     grid: tuple[float, float, float, bool],
     lags: Array,
-    delays_s: Array,
-    lanes: NDArray[np.int64],
+    delays: tuple[Array, Index],
     curve: Array,
-    t_s: Array,
-    members: NDArray[np.int64],
+    blocks: tuple[Array, Index],
 ) -> Array:
     """Means over blocks of rotors' thrusts and of their running integrals, (delays, blocks, 2, most lanes of a delay).
 
@@ -145,10 +146,11 @@ def block_means(
         value: motor values on the grid, held over a step, (k, rotors).
         grid: its start and step, the value that hovers, and whether values were measured.
         lags: lag up, lag down and slope of each, (n, 3), n at most LANES // rotors.
-        delays_s: dead times, (delays,). lanes: of each, the first that counts, and how many do, (delays, 2).
+        delays: dead times, (delays,), and of each the first lane that counts, and how many do, (delays, 2).
         curve: thrust by powers of a motor value, (3,).
-        t_s: stamps of the samples. members: samples of each block, (blocks, size).
+        blocks: stamps of the samples (k,), and the samples of each block, (blocks, size).
     """
+    (delays_s, lanes), (t_s, members) = delays, blocks
     start, step, hover, measured = grid
     length, rotors = value.shape
     s = _prepared(lags, rotors, step, hover, measured)
@@ -182,7 +184,7 @@ def block_means(
             _keep(s, kept[i - begin + 1])
         for n in range(len(delays_s)):
             clock = (t_s, delays_s[n], start, step, float(length))
-            done[n] = _averaged(kept, begin - 1, end, lanes[n], clock, members, done[n], out[n])
+            done[n] = _averaged((kept, begin - 1, end), lanes[n], clock, members, done[n], out[n])
     out[:, :, 1] *= step
     out /= members.shape[1]
     return out

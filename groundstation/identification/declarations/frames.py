@@ -74,6 +74,8 @@ def _best_shift(first: Array, second: Array) -> int:
     from scipy.signal import correlate
 
     sizes = [np.linalg.norm(x, axis=1) for x in (first, second)]
+    a: Array
+    b: Array
     a, b = (size - size.mean() for size in sizes)
     return int(np.argmax(correlate(b, a, method="fft"))) - (len(a) - 1)
 
@@ -182,7 +184,7 @@ def _world(imu: Stream, pose: Stream, quaternion: Array, offset: float, gravity:
     evidence = f"correlation {own:.2f} as declared, {top:.2f} at best; gravity at {upward[2]:+.2f} g on z"
     if top < PLAIN:
         return [Check("world_frame", tested, evidence, "cannot tell")]
-    found = []
+    found: list[Check] = []
     if winner and own < FAR * top:
         words = in_words(names[winner])
         says = (

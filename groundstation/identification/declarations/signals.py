@@ -24,7 +24,7 @@ PARTS = 12
 
 def signed_permutations() -> list[Array]:
     """The 48 ways to name and point three axes, the declared one first."""
-    found = []
+    found: list[Array] = []
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
             matrix = np.zeros((3, 3))
@@ -81,7 +81,7 @@ def apart(better: Array, declared: Array, measured: Array) -> float:
     is.
     """
     moved = np.cumsum(np.sum(measured**2, axis=1))
-    bounds = np.searchsorted(moved, moved[-1] * np.arange(PARTS + 1) / PARTS)
+    bounds = np.searchsorted(moved, float(moved[-1]) * np.arange(PARTS + 1) / PARTS)
     gain = [
         similarity(better[a:b], measured[a:b]) - similarity(declared[a:b], measured[a:b])
         for a, b in pairwise(bounds)
