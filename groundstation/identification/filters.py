@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from groundstation.identification.butterworth import low_pass, run, without_phase
+
 Array = NDArray[np.float64]
 
 
@@ -34,14 +36,25 @@ class FilterPair:
         """Low-passed derivative along the first axis, started in the steady state (zero) of the first sample."""
         return self._run(self.derivative, signal)
 
-    def _run(self, numerator: tuple[float, float], signal: ArrayLike) -> Array:
-        from scipy.signal import lfilter
+    def at_every(self, steps: int) -> FilterPair:
+        """What the pair gives at every so-many-th sample of a signal that is linear between those, in one step."""
+        pole = -self.denominator[1] / self.denominator[0]
+        after = np.arange(1, steps + 1)
+        fade = pole ** (steps - after) / (steps * self.denominator[0])
 
-        x = np.asarray(signal, dtype=float)
-        gain = sum(numerator) / sum(self.denominator)
-        # Direct form II transposed: y = b0 x + s, s <- b1 x - a1 y; in steady state s = (gain - b0) x.
-        state = (gain - numerator[0] / self.denominator[0]) * x[:1]
-        return lfilter(numerator, self.denominator, x, axis=0, zi=state)[0]
+        def coefficients(numerator: tuple[float, float]) -> tuple[float, float]:
+            now, before = numerator
+            later = float(np.sum(fade * (now * after + before * (after - 1))))
+            earlier = float(np.sum(fade * (now * (steps - after) + before * (steps - after + 1))))
+            return later, earlier
+
+        low_pass, derivative = coefficients(self.low_pass), coefficients(self.derivative)
+        return FilterPair(low_pass, derivative, (1.0, -(pole**steps)), steps * self.period_s)
+
+    def _run(self, numerator: tuple[float, float], signal: ArrayLike) -> Array:
+        x = np.ascontiguousarray(signal, dtype=float)
+        section = np.array([[*numerator, 0.0, *self.denominator, 0.0]]) / self.denominator[0]
+        return run(section, x.reshape(len(x), -1), True).reshape(x.shape)
 
     def gain_ratio(self) -> float:
         """Low-frequency gain of g/(s f): 1 for a matched pair."""
@@ -79,14 +92,12 @@ def zero_phase_low_pass(signal: ArrayLike, cutoff_hz: float, period_s: float, or
     Both passes together have the gain 1/(1 + (f/f_c)^(2 order)); at a tenth of the cut-off that is 1e-4 below one.
     The ends are continued by point reflection, which keeps value and slope. Short signals get the padding they allow.
     """
-    from scipy.signal import butter, sosfiltfilt
-
     x = np.asarray(signal, dtype=float)
     normalised = 2.0 * cutoff_hz * period_s
     if normalised >= 1.0 or len(x) < 8:
         return x.copy()
     padding = min(len(x) - 1, int(np.ceil(3.0 / normalised)) * order)
-    return sosfiltfilt(butter(order, normalised, output="sos"), x, axis=0, padlen=padding)
+    return without_phase(low_pass(order, cutoff_hz, 1.0 / period_s), x, padding)
 
 
 def central_difference(signal: ArrayLike, period_s: float) -> Array:

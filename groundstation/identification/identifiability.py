@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import NotIdentifiable
+from groundstation.identification.butterworth import low_pass, without_phase
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import RecordModel
@@ -49,12 +50,9 @@ REMEDY = {
 
 def angular_acceleration(prepared: Prepared) -> Array:
     """RMS of the angular acceleration below 5 Hz, rad/s^2, (3,)."""
-    from scipy.signal import butter, sosfiltfilt
-
     record = prepared.record
     rate_hz = 1.0 / float(np.median(np.diff(record.t_s)))
-    low_pass = butter(2, min(5.0, 0.4 * rate_hz), fs=rate_hz, output="sos")
-    slow = np.asarray(sosfiltfilt(low_pass, record.rate_rad_s, axis=0))
+    slow = without_phase(low_pass(2, min(5.0, 0.4 * rate_hz), rate_hz), record.rate_rad_s)
     return np.std(np.gradient(slow, record.t_s, axis=0)[record.keep], axis=0)
 
 

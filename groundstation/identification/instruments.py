@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from groundstation.flightdata import FlightData, Stream, resampled
 from groundstation.frames import euler_from_quat, quat_continuous, quat_from_euler, quat_rotate_inverse
+from groundstation.identification.butterworth import low_pass, without_phase
 from groundstation.identification.record_model import PlannedMotion
 from groundstation.identification.streams import clean
 from groundstation.trajectory import FlatState, RigidMotion, rigid_motion
@@ -207,10 +208,8 @@ def _body_filters(shifts: _Shifted, motion: FlownMotion, used: NDArray[np.int64]
 
     A fast manoeuvre couples the axes and saturates loops, which a filter of position and yaw does not tell.
     """
-    from scipy.signal import butter, sosfiltfilt
-
-    sos = butter(2, min(BAND_HZ, 0.4 * motion.rate_hz), fs=motion.rate_hz, output="sos")
-    flown = np.gradient(np.asarray(sosfiltfilt(sos, motion.rate, axis=0))[used], motion.t_s[used], axis=0)
+    slow = without_phase(low_pass(2, min(BAND_HZ, 0.4 * motion.rate_hz), motion.rate_hz), motion.rate)
+    flown = np.gradient(slow[used], motion.t_s[used], axis=0)
     independent = 2.0 * BAND_HZ * float(motion.t_s[used[-1]] - motion.t_s[used[0]])
     found: list[_BodyFilter | None] = []
     for axis in range(3):

@@ -24,6 +24,7 @@ from groundstation.frames import (
 )
 from groundstation.identification.alignment import arrival_difference, with_one_stamp
 from groundstation.identification.attitude_fit import Recording
+from groundstation.identification.butterworth import low_pass, without_phase
 from groundstation.identification.clock import coarse_offset, rates_from_attitude
 from groundstation.identification.instruments import FlownMotion
 from groundstation.identification.reconstruction import Compatibility, body_motion, reconstruct
@@ -198,10 +199,8 @@ def _felt_beside(t: Array, rate: Array, lever: Array) -> Array:
     """What an accelerometer beside the origin feels, rates low-passed at 20 Hz before they are differenced, shape (k,
     3).
     """
-    from scipy.signal import butter, sosfiltfilt
-
     sample_hz = 1.0 / float(np.median(np.diff(t)))
-    smooth = sosfiltfilt(butter(2, min(20.0, 0.4 * sample_hz), fs=sample_hz, output="sos"), rate, axis=0)
+    smooth = without_phase(low_pass(2, min(20.0, 0.4 * sample_hz), sample_hz), rate)
     return lever_arm(smooth, np.gradient(smooth, t, axis=0), lever)
 
 

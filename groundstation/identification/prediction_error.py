@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.identification.flight_noise import PLAIN, FlightNoise, fitted_noise, per_flight
+from groundstation.identification.innovation_kernel import huber_sum
 from groundstation.identification.noise import NoiseModel
 from groundstation.identification.record_model import RecordModel
 from groundstation.model.parameters import (
@@ -162,18 +163,12 @@ class Problem:
 
 def _innovation_cost(model: RecordModel, residual: Array, noise: FlightNoise) -> float:
     """Half the robust squared innovations of one flight's residual, and the logarithms of their deviations."""
-    found = noise.whitened_residual(model, residual)
-    return found.log_deviation + sum(huber_cost(y) for y in found.residual)
+    return noise.log_deviation(model) + sum(huber_sum(y, HUBER) for y in noise.residuals(model, residual))
 
 
 def huber(y: Array, limit: float = HUBER) -> Array:
     """Weights of a robust fit: one within the limit, falling as 1/|y| beyond."""
     return np.minimum(1.0, limit / np.maximum(np.abs(y), 1e-12))
-
-
-def huber_cost(y: Array, limit: float = HUBER) -> float:
-    """Half the square within the limit, linear beyond, summed."""
-    return float(np.sum(np.where(huber(y, limit) < 1.0, limit * np.abs(y) - 0.5 * limit**2, 0.5 * y**2)))
 
 
 def inverted(information: Array) -> Array:
@@ -216,13 +211,12 @@ def _linearised(problem: Problem, point: Point, noise: Sequence[FlightNoise]) ->
     cost = 0.5 * float(np.sum(((theta - mean) / std) ** 2))
     flights = zip(problem.models, noise, point.residuals, point.sensitivities, strict=True)
     for model, each, residual, sensitivity in flights:
-        found = each.whitened(model, residual, sensitivity)
-        cost += found.log_deviation
-        for y, x in zip(found.residual, found.sensitivity, strict=True):
+        cost += each.log_deviation(model)
+        for y, x in each.by_channel(model, residual, sensitivity):
             w = huber(y)
             normal = normal + x.T @ (x * w[:, None])
             gradient = gradient + x.T @ (w * y)
-            cost += huber_cost(y)
+            cost += huber_sum(y, HUBER)
     return _Local(theta, normal, gradient, cost)
 
 
@@ -311,18 +305,33 @@ def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: 
     periods has a minimum. So the division is looked for over all of the total before the last fit, and once more after
     it.
     """
-    extra = len(models[0].extra)
     if not options.lag:
-        return fit(models, declared_parameters(vehicle, lag_s=0.0, extra=extra), options)
-    first = replace(options, symmetric_lag=True, delay=False, colour_rounds=1, autoregression=0)
-    tried = [fit(models, declared_parameters(vehicle, lag_s=lag, extra=extra), first) for lag in (0.02, 0.08)]
-    best = min(tried, key=lambda found: found.cost)
-    best = fit(models, divided_anew(models, best, options), options, noise_of(best, models, options))
+        return fit(models, declared_parameters(vehicle, lag_s=0.0, extra=len(models[0].extra)), options)
+    first, noise = _first_look(models, vehicle, options)
+    start = _divided(models, first, noise, options)
+    best = fit(models, start, options, noise)
     start = divided_anew(models, best, options)
     if start is best.parameters:
         return best
     again = fit(models, start, options, noise_of(best, models, options))
     return min(best, again, key=lambda found: found.cost)
+
+
+def _first_look(
+    models: Sequence[RecordModel], vehicle: Vehicle, options: FitOptions
+) -> tuple[Parameters, list[FlightNoise]]:
+    """One lag and no dead time from two starts, and the noise they leave; at a third of the fit's rate.
+
+    It only chooses the basin that the fit goes on in, and a lag shows well below that rate.
+    """
+    factors = [max(1, int(1.0 / (FIRST_LOOK_HZ * float(np.median(model.dt))))) for model in models]
+    coarse = [model.coarser(factor) if factor > 1 else model for model, factor in zip(models, factors, strict=True)]
+    simple = replace(options, symmetric_lag=True, delay=False, colour_rounds=1, autoregression=0)
+    extra = len(models[0].extra)
+    tried = [fit(coarse, declared_parameters(vehicle, lag_s=lag, extra=extra), simple) for lag in (0.02, 0.08)]
+    best = min(tried, key=lambda found: found.cost)
+    noise = noise_of(best, coarse, options)
+    return best.parameters, [each.of_shorter_means(factor) for each, factor in zip(noise, factors, strict=True)]
 
 
 def noise_of(fitted: Fitted, models: Sequence[RecordModel], options: FitOptions) -> list[FlightNoise]:
@@ -332,11 +341,19 @@ def noise_of(fitted: Fitted, models: Sequence[RecordModel], options: FitOptions)
 
 DIVISION_S = 0.002
 """Between dead times that are tried."""
+FIRST_LOOK_HZ = 50.0
+"""Rate at which lags are looked for first: several times what rotors of 20 ms and more let through."""
 
 
 def divided_anew(models: Sequence[RecordModel], found: Fitted, options: FitOptions) -> Parameters:
     """The parameters found, or those whose dead time and lags, of the same sum, suit the residual better."""
-    p, noise = found.parameters, noise_of(found, models, options)
+    return _divided(models, found.parameters, noise_of(found, models, options), options)
+
+
+def _divided(
+    models: Sequence[RecordModel], p: Parameters, noise: Sequence[FlightNoise], options: FitOptions
+) -> Parameters:
+    """The same from parameters and noise."""
     problem = Problem(tuple(models), options, p)
     shifts = DIVISION_S * np.arange(
         -np.floor(max(p.delay_s, 0.0) / DIVISION_S), min(p.lag_up_s, p.lag_down_s) / DIVISION_S

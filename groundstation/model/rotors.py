@@ -18,7 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from groundstation.flightdata import resampled
-from groundstation.model.rotor_kernel import LANES, NEARLY_INSTANT_S, SLOWEST, block_means, gain
+from groundstation.model.rotor_kernel import LANES, NEARLY_INSTANT_S, QUAD, SLOWEST, block_means, gain
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -170,15 +170,23 @@ def mean_thrusts(
         some = lags[first : first + together]
         asked = {delay: [n for n, lag in enumerate(some) if (lag, delay) in wanted] for _, delay in wanted}
         asked = {delay: places for delay, places in asked.items() if places}
-        lanes = np.array([(places[0] * rotors, (places[-1] + 1 - places[0]) * rotors) for places in asked.values()])
+        lanes = np.array([_quads(places[0] * rotors, (places[-1] + 1) * rotors) for places in asked.values()])
         delays = np.array(list(asked), dtype=float)
         curve = thrust_polynomial(vehicle)
         means = block_means(motors.value, grid, np.array(some, dtype=float), delays, lanes, curve, *blocks)
-        for mean, (delay, places) in zip(means, asked.items(), strict=True):
+        parts = np.split(means, 2 * np.cumsum(lanes[:-1, 1]), axis=1)
+        for part, (begin, _), (delay, places) in zip(parts, lanes, asked.items(), strict=True):
+            mean = part.reshape(len(part), 2, -1)
             for n in places:
-                at = (n - places[0]) * rotors
+                at = n * rotors - begin
                 found[some[n], delay] = mean[:, :, at : at + rotors]
     return [found[each] for each in wanted]
+
+
+def _quads(first: int, end: int) -> tuple[int, int]:
+    """The first lane and the number of lanes of the whole quads that hold lanes from one to another."""
+    begin = first // QUAD * QUAD
+    return begin, -(-(end - begin) // QUAD) * QUAD
 
 
 def wrench_matrix(vehicle: Vehicle) -> Array:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from groundstation.flightdata import FlightData, Stream, resampled
 from groundstation.frames import quat_conjugate, quat_exp, quat_multiply, quat_rotate, slerp
+from groundstation.identification.butterworth import correlation
 from groundstation.identification.clock import rates_from_attitude
 from groundstation.identification.declarations.check import Check
 from groundstation.identification.declarations.signals import (
@@ -71,11 +72,9 @@ def _rates(pose: Stream, quaternion: Array, grid: Array) -> Array:
 
 def _best_shift(first: Array, second: Array) -> int:
     """By how many steps the second comes after the first, by the size of each, which no naming of axes changes."""
-    from scipy.signal import correlate
-
     sizes = [np.linalg.norm(x, axis=1) for x in (first, second)]
     a, b = (size - size.mean() for size in sizes)
-    return int(np.argmax(correlate(b, a, method="fft"))) - (len(a) - 1)
+    return int(np.argmax(correlation(b, a))) - (len(a) - 1)
 
 
 def _overlap(first: Array, second: Array, shift: int) -> tuple[Array, Array]:
