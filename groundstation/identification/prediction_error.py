@@ -40,6 +40,8 @@ Mask = NDArray[np.bool_]
 
 STEPS = 8
 """Gauss-Newton steps under one noise model, at most."""
+ENOUGH = 1e-3
+"""Fall of the cost, in nats, below which a step is not worth taking: a standard deviation costs half of one."""
 HUBER = 3.0
 """Standard deviations of an innovation from which its weight falls."""
 
@@ -232,20 +234,22 @@ def _line_search(
             values = values_of(trial, point.names, problem.extra_names)
             total = 0.5 * float(np.sum(((values - mean) / std) ** 2))
             total += problem.misfit(trial, noise)
-            if total <= local.cost + 1e-9 * abs(local.cost):
+            if total <= local.cost + max(ENOUGH, 1e-9 * abs(local.cost)):
                 return trial, fraction
         fraction *= 0.5
     return p, 0.0
 
 
 def _step(problem: Problem, point: Point, noise: Sequence[FlightNoise], taken_before: int) -> tuple[_Descent, bool]:
-    """One Gauss-Newton step, and whether it is the last: it did not lower the cost, or moved little beside the
-    deviations.
+    """One Gauss-Newton step, and whether it is the last: it would not lower the cost, did not, or moved little beside
+    the deviations.
     """
     local = _linearised(problem, point, noise)
     step = np.asarray(np.linalg.solve(local.normal, local.gradient), dtype=float)
-    moved, taken = _line_search(problem, point, local, step, noise)
     covariance = inverted(local.normal)
+    if 0.5 * float(local.gradient @ step) < ENOUGH:
+        return _Descent(point, covariance, local.cost, taken_before + 1), True
+    moved, taken = _line_search(problem, point, local, step, noise)
     variance = np.maximum(np.diag(covariance), 0.0)  # of what a flight does not show, rounding may make it negative
     last = taken == 0.0 or bool(np.all(np.abs(taken * step) < 0.02 * np.sqrt(variance)))
     after = problem.at(moved) if taken > 0.0 else point
