@@ -110,24 +110,29 @@ def _by_parts(first: Array, second: Array, shift: int, home: int, step_s: float)
     bounds = np.searchsorted(moved, moved[-1] * np.arange(PARTS + 1) / PARTS)
     size = moved[-1] / PARTS
     lags, gains = [], []
-    for begin, end in pairwise(bounds):
-
-        def score(by: int, begin: int = int(begin), end: int = int(end)) -> float:
-            low, high = begin + by, end + by
-            if low < 0 or high > len(second):
-                return -np.inf
-            return float(np.sum(second[low:high] * first[begin:end])) / size
-
-        scores = [score(shift + k) for k in range(-near, near + 1)]
-        if not np.isfinite(scores).all():
+    for begin, end in pairwise(bounds.tolist()):
+        scores = _scores(first, second, (begin, end), (shift - near, shift + near))
+        if scores is None:
             continue
+        at_home = _scores(first, second, (begin, end), (home, home))
         lags.append((int(np.argmax(scores)) - near) * step_s)
-        gains.append(scores[near] - score(home))
+        gains.append(np.inf if at_home is None else float(scores[near] - at_home[0]) / size)
     if len(lags) < 3 or not np.isfinite(gains).all():
         return 0.1, 0.0
     root = np.sqrt(len(lags))
     std_s = float(np.hypot(np.std(lags, ddof=1) / root, step_s / np.sqrt(12.0)))
     return std_s, float(np.mean(gains) / (np.std(gains, ddof=1) / root + 1e-9))
+
+
+def _scores(first: Array, second: Array, part: tuple[int, int], shifts: tuple[int, int]) -> Array | None:
+    """Sum of products of a part of the first with the second that many samples later, at every shift from one to
+    another; None where the second does not reach so far.
+    """
+    low, high = part[0] + shifts[0], part[1] + shifts[1]
+    if low < 0 or high > len(second) or part[0] == part[1]:
+        return None
+    columns = zip(second[low:high].T, first[part[0] : part[1]].T, strict=True)
+    return np.sum([np.correlate(b, a, "valid") for b, a in columns], axis=0)
 
 
 def motor_offset(flight: FlightData, motion: FlownMotion, inputs: MotorInput) -> tuple[float, list[str]]:
