@@ -6,8 +6,8 @@ else?
 Every campaign draws its vehicle, effects, true mass and inertia, disturbance and seeds from a master seed that is new
 each run and printed, and kept with the outcomes: the same command goes on where it was ended. It may fly five times.
 Beside it stand its first flight alone, and the seconds that the paper's trajectory, repeated, would take to the same
-worst interval: one 40 s flight of it is flown and identified, and variances are scaled by the number of flights. A size
-counts as right when each parameter of the finding that the scenario states lies within three standard deviations.
+worst interval: one 40 s flight of it is flown and identified, and variances are scaled by the number of flights. Sizes
+are those parameters of findings that a scenario states one to one (studies/effect_sizes.py).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import json
 import secrets
 import tempfile
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ from groundstation.vehicle import load_vehicle
 from groundstation.writing import write_whole
 from sim.flight import simulate
 from studies import many
+from studies.effect_sizes import deviations
 from studies.flown import flight_data
 from studies.hidden import COMMANDED, INVENTED, Random, declared, sizes, world
 from studies.tally import wilson
@@ -61,6 +62,8 @@ class Outcome:
     """Mass and moments: error over standard deviation."""
     errors: tuple[Mapping[str, Any], ...]
     """Of each unseen flight: velocity and rate errors declared, before and after."""
+    sizes: Mapping[str, float] = field(default_factory=dict)
+    """Parameters of what was hidden and named: (found - true) over standard deviation."""
 
 
 def draw(master: int, count: int) -> list[tuple[int, str, tuple[str, ...]]]:
@@ -137,6 +140,7 @@ def campaign(item: tuple[int, str, tuple[str, ...]]) -> Outcome:
         _paper_seconds(vehicle, scenario, last.reached, int(random.integers(2**31))),
         z,
         tuple(errors),
+        deviations(list(last.findings), hidden, vehicle),
     )
 
 
@@ -166,6 +170,7 @@ def table(found: list[Outcome], lost: int, master: int) -> str:
     first = sum({n.split()[0] for n in o.first} == set(o.hidden) for o in found)
     settled = [o for o in found if o.outcome == "settled"]
     z = np.array([v for o in found for v in o.z.values()])
+    deviation = np.array([v for o in found for v in o.sizes.values()])
     gain = np.array([o.paper_seconds / o.seconds for o in settled if np.isfinite(o.paper_seconds)])
 
     def share(count: int, of: int) -> str:
@@ -180,6 +185,7 @@ def table(found: list[Outcome], lost: int, master: int) -> str:
         ("none false", share(sum(is_right(o)[1] for o in found), len(found))),
         ("ended by themselves, settled", share(len(settled), len(found))),
         ("mass and tensor within 3 standard deviations", share(int(np.sum(np.abs(z) <= 3.0)), len(z))),
+        ("sizes of effects within 3 standard deviations", share(int(np.sum(np.abs(deviation) <= 3.0)), len(deviation))),
         ("flights, median", f"{np.median([o.flights for o in found]):.0f}"),
         ("seconds of excitation, median", f"{np.median([o.seconds for o in found]):.0f}"),
         (

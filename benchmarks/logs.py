@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from studies.log_memory import FACTOR, measured
-from studies.long_logs import WRITERS
+from studies.long_logs import MAPPED, WRITERS
 
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "results" / "long_logs.json"
 
@@ -72,12 +72,12 @@ def dataflash_against_library() -> None:
 
 def rows_of(name: str, folder: Path, minutes: float) -> list[dict[str, object]]:
     """A long log of a format, thinned and whole; the base is what six seconds of the same format take."""
-    file, write = WRITERS[name]
+    file, write = (WRITERS | MAPPED)[name]
     (folder / "short").mkdir()
     write(folder / "short" / file, 0.1)
     write(folder / file, minutes)
     base, rows = measured(folder / "short" / file, False)["peak_mb"], []
-    for everything in (False, True):
+    for everything in (False, True) if name in WRITERS else (True,):
         found = measured(folder / file, everything)
         beyond = found["peak_mb"] - base
         rows.append(
@@ -85,7 +85,7 @@ def rows_of(name: str, folder: Path, minutes: float) -> list[dict[str, object]]:
                 "format": name,
                 "minutes": minutes,
                 "mb": round(size_of(folder / file) / 1e6),
-                "read": "all" if everything else "thinned",
+                "read": ("all" if name in WRITERS else "converted") if everything else "thinned",
                 "used_mb": round(found["used_mb"], 1),
                 "base_mb": round(base),
                 "peak_mb": round(found["peak_mb"]),
@@ -113,7 +113,7 @@ def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=30.0)
-    parser.add_argument("--formats", nargs="*", default=list(WRITERS), choices=list(WRITERS))
+    parser.add_argument("--formats", nargs="*", default=[*WRITERS, *MAPPED], choices=[*WRITERS, *MAPPED])
     parser.add_argument("--out", type=Path, nargs="?", const=RESULTS, help="keep the rows as JSON")
     options = parser.parse_args()
     print(f"Logs of {options.minutes:g} min at 1 kHz; the limit is {FACTOR:g} times the samples used, beside the base.")

@@ -52,11 +52,11 @@ def runs(found: dict[str, Any]) -> list[str]:
 def catalogue(found: dict[str, Any]) -> list[str]:
     """Listing and SQL by the number of flights."""
     counts = sorted(found, key=int)
-    names = [name for name in found[counts[-1]] if name != "seed"]
+    names = [name for name in found[counts[0]] if name != "seed"]
     lines = [
         "Flights are made, not flown: folders with the documents of an identified and diagnosed flight, 54 estimates "
-        "each. Wall times of a machine of two cores that others used too, at a load of about 13; the plain loop of the "
-        "same run says how fast it was.",
+        "each. Wall times of a machine of two cores that others used too; the plain loop of the same run says how fast "
+        "it was.",
         "",
     ]
     lines += [
@@ -96,8 +96,8 @@ def trends(found: dict[str, Any]) -> list[str]:
         lines += [
             "",
             "A drift is told from the first flight that has the parameter: the weak rotor is a finding from the fifth "
-            "flight on. The step in mass is found at its flight, and smaller than its interval allows. A loss that is "
-            "too small to be named reads as mass on the first flights, which explains a part of that.",
+            "flight on. A loss that is too small to be named reads as mass on the first flights, which the mass's own "
+            "intervals allow for.",
             f"Of {t['fleets']} fleets of 30 flights without a change, drawn from {t['pool']} flown ones, {t['false']} "
             "were said to have one.",
         ]

@@ -317,7 +317,8 @@ def predict(
         flight: another flight of the vehicle.
         horizon_s: how far ahead, 0.01 to 10 s.
         own_state: start from and judge by the vehicle's own estimate instead of the smoothed state.
-        use: the model's ``prediction`` part, where it has one, or its physical one.
+        use: the model's ``prediction`` part, where it has one, or its physical one. The former is held back towards
+            constant velocity as far as it has missed of late in this flight.
         progress: told the fraction done and what is being done.
 
     Returns:
@@ -342,7 +343,9 @@ def predict(
     read = document if use == "prediction" else {}
     name = chosen_name(read)
     predictor = chosen_predictor(read, physical)
-    return predict(predictor, states, horizon_s=horizon_s, predictor=name, progress=progress)
+    return predict(
+        predictor, states, horizon_s=horizon_s, predictor=name, hold_back="prediction" in read, progress=progress
+    )
 
 
 def plan_next_flight(

@@ -53,7 +53,7 @@ class Stream(Tabular):
     def __len__(self) -> int:
         return len(self.t_s)
 
-    def select(self, mask: NDArray[np.bool_]) -> Stream:
+    def select(self, mask: NDArray[np.bool_] | slice) -> Stream:
         """The samples where ``mask`` holds."""
         received = None if self.received_s is None else self.received_s[mask]
         return Stream(self.t_s[mask], self.values[mask], self.columns, received)

@@ -6,7 +6,12 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
+
+from groundstation.flightdata import Stream
+from groundstation.vehicle import Vehicle
+from studies.long_logs import map_of
 
 FACTOR = 6.0
 """Most that the peak may be of the samples used, as doubles, beside what six seconds of the same format take."""
@@ -41,7 +46,7 @@ def peak_mb() -> float:
 
 
 def read(path: str, everything: bool) -> dict[str, float]:
-    """In this process: seconds, peak memory and the samples used, in MB."""
+    """In this process: seconds, peak memory and the samples used, in MB; a table with a map is converted."""
     from groundstation.paths import find_config
     from groundstation.recording import load_flight
     from groundstation.vehicle import load_vehicle, vehicle_from_dict, vehicle_to_dict
@@ -50,6 +55,19 @@ def read(path: str, everything: bool) -> dict[str, float]:
     document["rotors"]["input"] = "command"
     vehicle = vehicle_from_dict(document)
     begun = time.monotonic()
-    flight = load_flight(path, vehicle=vehicle, everything=everything)
-    used = sum(s.values.nbytes + s.t_s.nbytes for s in flight.streams().values())
+    if map_of(Path(path)).exists():
+        streams = _converted(Path(path), vehicle)
+    else:
+        streams = load_flight(path, vehicle=vehicle, everything=everything).streams()
+    used = sum(s.values.nbytes + s.t_s.nbytes for s in streams.values())
     return {"s": time.monotonic() - begun, "peak_mb": peak_mb(), "used_mb": used / 2.0**20}
+
+
+def _converted(path: Path, vehicle: Vehicle) -> Mapping[str, Stream]:
+    """What ``convert --map`` does."""
+    from groundstation.recording.mapping import load_map, read_mapped
+    from groundstation.recording.mcapfile import write_recording_as_mcap
+
+    recording = read_mapped(path, load_map(map_of(path)), vehicle)
+    write_recording_as_mcap(recording, path.with_suffix(".converted.mcap"))
+    return recording.streams

@@ -5,9 +5,11 @@ All have IMU and motors alone, written with NumPy a minute at a time; :data:`WRI
 
 from __future__ import annotations
 
+import sqlite3
 import struct
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -151,9 +153,24 @@ def write_usd(path: Path, minutes: float) -> None:
         file.write(struct.pack("<I", check))
 
 
-def write_bag(path: Path, minutes: float) -> None:
-    """ROS 2: sensor_msgs/Imu and actuator_msgs/Actuators in one MCAP file."""
+def _messages(minutes: float) -> Iterator[tuple[int, int, bytes]]:
+    """Time of arrival, topic (1 of the IMU, 2 of the motors) and bytes of each message of a ROS 2 bag."""
     from groundstation.recording.cdr import ENCAPSULATION, imu, ros_stamp
+
+    for k in _blocks(minutes):
+        t_us, gyro, force, u = motion(k)
+        for t, w, f, command in zip((1e-6 * t_us).tolist(), gyro.tolist(), force.tolist(), u.tolist(), strict=True):
+            at_ns = round(t * 1e9) + 2_000_000
+            yield at_ns, 1, imu(t, w, f)
+            yield (
+                at_ns,
+                2,
+                struct.pack("<4siII5s3xIII4d", ENCAPSULATION, *ros_stamp(t), 5, b"body\0", 0, 0, 4, *command),
+            )
+
+
+def write_bag(path: Path, minutes: float, *, ended: bool = True) -> None:
+    """ROS 2: sensor_msgs/Imu and actuator_msgs/Actuators in one MCAP file."""
     from groundstation.recording.container import ContainerWriter
     from groundstation.recording.schemas import IMU
 
@@ -161,16 +178,53 @@ def write_bag(path: Path, minutes: float) -> None:
     actuators = "std_msgs/Header header\nfloat64[] position\nfloat64[] velocity\nfloat64[] normalized\n" + header
     with path.open("wb", buffering=0) as file:
         writer = ContainerWriter(file, "ros2", "long_logs")
-        turns = writer.channel("/imu", "sensor_msgs/msg/Imu", IMU)
-        motors = writer.channel("/motors", "actuator_msgs/msg/Actuators", actuators)
+        writer.channel("/imu", "sensor_msgs/msg/Imu", IMU)
+        writer.channel("/motors", "actuator_msgs/msg/Actuators", actuators)
+        for at_ns, topic, data in _messages(minutes):
+            writer.message(topic, at_ns, at_ns, data)
+        if ended:
+            writer.finish()
+        else:
+            writer.flush()
+
+
+def write_cut_bag(path: Path, minutes: float) -> None:
+    """The same without its index, as a recorder leaves it that was not ended."""
+    write_bag(path, minutes, ended=False)
+
+
+def write_sqlite_bag(path: Path, minutes: float) -> None:
+    """The same in one sqlite file, as ROS 2 wrote bags before Iron."""
+    with closing(sqlite3.connect(path)) as base, base:
+        base.executescript(_ROSBAG2)
+        base.executemany("INSERT INTO messages (timestamp, topic_id, data) VALUES (?, ?, ?)", _messages(minutes))
+
+
+_ROSBAG2 = """
+PRAGMA journal_mode = OFF;
+CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
+CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL, serialization_format TEXT NOT NULL,
+  offered_qos_profiles TEXT NOT NULL);
+CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,
+  data BLOB NOT NULL);
+CREATE INDEX timestamp_idx ON messages (timestamp ASC);
+INSERT INTO schema VALUES (3, 'humble');
+INSERT INTO topics VALUES (1, '/imu', 'sensor_msgs/msg/Imu', 'cdr', '');
+INSERT INTO topics VALUES (2, '/motors', 'actuator_msgs/msg/Actuators', 'cdr', '');
+"""
+
+
+def write_recording(path: Path, minutes: float) -> None:
+    """A recording of this program."""
+    from drivers.samples import Imu, Motors
+    from groundstation.recording import McapRecorder
+
+    with McapRecorder(path) as recorder:
         for k in _blocks(minutes):
             t_us, gyro, force, u = motion(k)
-            for t, w, f, command in zip((1e-6 * t_us).tolist(), gyro.tolist(), force.tolist(), u.tolist(), strict=True):
-                at_ns = round(t * 1e9) + 2_000_000
-                writer.message(turns, at_ns, at_ns, imu(t, w, f))
-                data = struct.pack("<4siII5s3xIII4d", ENCAPSULATION, *ros_stamp(t), 5, b"body\0", 0, 0, 4, *command)
-                writer.message(motors, at_ns, at_ns, data)
-        writer.finish()
+            for t, w, f, command in zip((t_us / 1e6).tolist(), gyro.tolist(), force.tolist(), u.tolist(), strict=True):
+                recorder.add(Imu(t, tuple(w), tuple(f)), t + 0.002)
+                recorder.add(Motors(t, tuple(command), "command"), t + 0.002)
 
 
 def write_bundle(path: Path, minutes: float) -> None:
@@ -189,12 +243,79 @@ def write_bundle(path: Path, minutes: float) -> None:
                 file.writelines(line + "\n" for line in cells)
 
 
+_NAMES = ("time", *(f"gyro_{axis}" for axis in "xyz"), *(f"acc_{axis}" for axis in "xyz"), "m1", "m2", "m3", "m4")
+_MAP = """
+[motors]
+time = "time"
+time_unit = "us"
+[motors.columns]
+{motors}
+[imu]
+time = "time"
+time_unit = "us"
+[imu.columns]
+{imu}
+"""
+
+
+def _with_map(path: Path) -> Path:
+    motors = "\n".join(f'm{i}_command = "m{i}"' for i in range(1, 5))
+    names = (("gyro", "rad_s", "gyro"), ("accel", "m_s2", "acc"))
+    imu = "\n".join(f'{ours}_{axis}_{unit} = "{theirs}_{axis}"' for ours, unit, theirs in names for axis in "xyz")
+    map_of(path).write_text(_MAP.format(motors=motors, imu=imu))
+    return path
+
+
+def map_of(path: Path) -> Path:
+    """The map file of a table."""
+    return path.with_suffix(".map.toml")
+
+
+def write_table(path: Path, minutes: float) -> None:
+    """Somebody's CSV file, with ten columns that nobody asks for beside the eleven that the map names."""
+    with _with_map(path).open("w") as file:
+        file.write(",".join((*_NAMES, *(f"other{i}" for i in range(_OTHERS)))) + "\n")
+        rest = "," + ",".join(["0.25"] * _OTHERS) + "\n"
+        for k in _blocks(minutes):
+            t_us, gyro, force, u = motion(k)
+            rows = np.hstack([gyro, force, u]).tolist()
+            file.writelines(
+                ",".join([str(t), *(f"{x:.9g}" for x in row)]) + rest
+                for t, row in zip(t_us.tolist(), rows, strict=True)
+            )
+
+
+def write_parquet(path: Path, minutes: float) -> None:
+    """The same as a Parquet file."""
+    import pyarrow
+    from pyarrow import parquet
+
+    names = (*_NAMES, *(f"other{i}" for i in range(_OTHERS)))
+    schema = pyarrow.schema([(name, pyarrow.float64()) for name in names])
+    with parquet.ParquetWriter(_with_map(path), schema) as file:
+        for k in _blocks(minutes):
+            t_us, gyro, force, u = motion(k)
+            others = np.random.default_rng(int(k[0])).normal(size=(len(k), _OTHERS))
+            rows = np.column_stack([t_us.astype(float), gyro, force, u, others])
+            file.write_table(pyarrow.table(dict(zip(names, rows.T, strict=True)), schema))
+
+
+_OTHERS = 10
+
 WRITERS: dict[str, tuple[str, Callable[[Path, float], None]]] = {
     "PX4 ULog": ("long.ulg", write_ulog),
     "ArduPilot DataFlash": ("long.bin", write_dataflash),
     "Betaflight blackbox": ("long.bbl", write_blackbox),
     "Crazyflie usd log": ("long_usd", write_usd),
     "ROS 2 bag (MCAP)": ("long.mcap", write_bag),
+    "ROS 2 bag (MCAP, not ended)": ("cut.mcap", write_cut_bag),
+    "ROS 2 bag (sqlite)": ("long.db3", write_sqlite_bag),
     "flight bundle (CSV)": ("long", write_bundle),
+    "recording of this program": ("own.mcap", write_recording),
 }
 """By format: the file's name, and what writes it."""
+MAPPED: dict[str, tuple[str, Callable[[Path, float], None]]] = {
+    "table by a map (CSV)": ("long.csv", write_table),
+    "table by a map (Parquet)": ("long.parquet", write_parquet),
+}
+"""The same of tables that only a map file explains; they are converted to a recording."""

@@ -9,6 +9,7 @@ import stat
 import struct
 import zlib
 from dataclasses import replace
+from io import BytesIO
 
 import lz4.frame
 import numpy as np
@@ -29,7 +30,7 @@ from groundstation.flightdata import Stream
 from groundstation.outside import inside, parse_json, parse_toml
 from groundstation.paths import find_config
 from groundstation.recording import convert, dataflashfile, load_flight, write_bundle
-from groundstation.recording.container import MAGIC, read_container
+from groundstation.recording.container import MAGIC, Contents, read_container
 from groundstation.recording.mcapfile import write_recording_as_mcap
 from groundstation.recording.recorded import recording_of
 from groundstation.recording.settings import Settings
@@ -119,7 +120,7 @@ def test_a_small_file_cannot_expand_beyond_its_bounds(compression):
     )
     chunk = struct.pack("<BQ", 6, len(body)) + body
     with pytest.raises(ValueError, match="expand to more than"):
-        read_container(MAGIC + chunk * 12)
+        list(read_container(BytesIO(MAGIC + chunk * 12), Contents()))
 
 
 def test_what_a_forged_batch_can_say_is_bounded():

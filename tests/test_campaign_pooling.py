@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from groundstation.campaign.pooling import day_of, level_of, levels, pooled, widened
-from groundstation.diagnosis.attribution import held_out
+from groundstation.diagnosis.held_out import held_out
 from groundstation.identification.results import Estimate
 
 

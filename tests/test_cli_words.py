@@ -219,3 +219,34 @@ def test_progress_elsewhere_is_whole_lines_without_control_characters(monkeypatc
     line.end()
     assert "\r" not in stream.getvalue() and "\x1b" not in stream.getvalue()
     assert stream.getvalue().splitlines()[-1] == "100 %  working"
+
+
+def test_a_line_that_stays_the_same_is_not_printed_every_second(monkeypatch):
+    stream, now = io.StringIO(), [0.0]
+    monkeypatch.setattr(sys, "stderr", stream)
+    line = ProgressLine(clock=lambda: now[0])
+    for _ in range(25):
+        line.say("idle")
+        now[0] += 1.0
+    line.say("planned")
+    assert stream.getvalue().splitlines() == ["idle", "idle", "idle", "planned"]
+
+
+def test_preflight_says_each_failed_check_on_a_line_of_its_own():
+    from groundstation.commands.flying import preflight_text
+    from groundstation.flight.client.rehearse import Checked
+    from groundstation.flight.messages import CheckStatus
+
+    seen = (
+        CheckStatus("link", True, "0.2 % lost"),
+        CheckStatus("battery", False, "11.1 V (charge it)"),
+        CheckStatus("room", False, "2 m short (shrink the plan)"),
+    )
+    assert preflight_text(Checked("the vehicle refused the plan: …", seen)).splitlines() == [
+        "not ready to fly: 2 of 3 checks failed",
+        "  battery: 11.1 V (charge it)",
+        "  room: 2 m short (shrink the plan)",
+        "passed: link",
+    ]
+    assert preflight_text(Checked("", seen[:1])) == "ready to fly\npassed: link"
+    assert preflight_text(Checked("nothing is heard", ())) == "nothing is heard"

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from mavlink_vehicle import Rig, small_plan
 
-from drivers.samples import Event
+from drivers.samples import Event, decode_batch
 from groundstation.errors import Refused
 from groundstation.flight.link.link_core import LinkCore
 from groundstation.flight.link.parameter_journal import ParameterJournal, left_changed
@@ -101,6 +101,33 @@ def test_an_order_after_a_stall_is_judged_by_what_arrived_during_it():
     link._later(lambda: answers.append(link.core.upload(small_plan(), link.clock())))
     link.turn()
     assert answers and answers[0].ok, answers[0].reason
+
+
+def test_the_checks_of_a_refusal_are_published_before_it():
+    """A core that is refused ends its recording at once."""
+    rig = Rig("px4")
+    link = process(rig)
+    assert turns(link, lambda: rig.core.ready)
+    rig.core.free_bytes = lambda: 0
+    seen: list[str] = []
+
+    class Jobs(Bus):
+        def put(self, item) -> None:
+            item()
+
+    class Batches:
+        def put(self, data: bytes) -> None:
+            seen.extend(s.text for s in decode_batch(data).samples if isinstance(s, Event) and s.kind == "preflight")
+
+    class Reply:
+        def put(self, answer) -> None:
+            seen.append(f"answer {answer.ok}")
+
+    link._publisher, link._samples, link._status = Jobs(), Batches(), Bus()  # type: ignore[assignment]
+    link._later(lambda: link._waiting.append((link.core.upload(small_plan(), link.clock()), Reply())))
+    link.turn()
+    assert seen[-1] == "answer False" and seen.count("answer False") == 1
+    assert any(text.startswith("disk failed") for text in seen[:-1]), seen
 
 
 def test_a_vehicle_in_flight_is_refused_with_what_can_be_done_and_one_on_the_ground_is_not():

@@ -11,7 +11,13 @@ import pytest
 
 from groundstation.errors import BadInput
 from groundstation.identification.predictive_choice import chosen_predictor, section
-from groundstation.identification.predictive_fit import fitted, free_numbers, judged, shooting
+from groundstation.identification.predictive_fit import (
+    _simplest_of_the_best,
+    fitted,
+    free_numbers,
+    judged,
+    shooting,
+)
 from groundstation.model.flight_states import FlightStates
 from groundstation.model.prediction import predict
 from groundstation.model.predictive import (
@@ -192,6 +198,46 @@ def test_a_model_that_loses_to_constant_velocity_says_so_in_its_first_line() -> 
     found = predict(declared_model(small()), states, horizon_s=0.5)
     assert found.to_text().startswith("WORSE than constant velocity in this flight: ")
     assert "body_rate_rad_s at 0.5 s" in found.to_text().splitlines()[0]
+
+
+def test_a_model_is_held_back_in_a_flight_in_which_it_misses_more_than_constant_velocity() -> None:
+    states = flown(bad_telemetry(), still(small(), 20.0))
+    losing = predict(declared_model(small()), states, horizon_s=0.5)
+    assert ("0.5", "body_rate_rad_s") in losing.worse()
+    found = predict(declared_model(small()), states, horizon_s=0.5, hold_back=True)
+    assert not found.worse()
+    assert "held back towards constant velocity" in found.to_text().splitlines()[0]
+
+
+def test_a_model_that_predicts_well_is_hardly_held_back() -> None:
+    states = flown(bad_telemetry(), still(small(), 20.0), noise_rad_s=0.02)
+    plainly, held = (predict(bad_telemetry(), states, hold_back=back).error["model"] for back in (False, True))
+    for horizon, quantities in plainly.items():
+        for quantity, sizes in quantities.items():
+            assert held[horizon][quantity]["mean_norm"] < 1.02 * sizes["mean_norm"], (horizon, quantity)
+
+
+def test_what_holds_a_model_back_is_known_when_a_window_starts() -> None:
+    states = flown(bad_telemetry(), still(small(), 12.0))
+    cut = int(np.searchsorted(states.t_s, 8.0))
+    later = replace(
+        states, start_rate_rad_s=np.where(np.arange(len(states.t_s))[:, None] < cut, states.rate_rad_s, 9.0)
+    )
+    early, changed = (predict(declared_model(small()), each, hold_back=True) for each in (states, later))
+    before = early.start_s < states.t_s[cut - 1]
+    np.testing.assert_array_equal(early.final["rate"][before], changed.final["rate"][before])
+
+
+def test_a_candidate_that_loses_at_a_horizon_is_out_where_another_does_not() -> None:
+    blocks = {"constant_velocity": np.full(9, 1.0), "physical": np.full(9, 0.50), "fitted": np.full(9, 0.51)}
+    assert _simplest_of_the_best(blocks, {name: () for name in blocks}) == "physical"
+    lost = {"constant_velocity": (), "physical": (("0.1", "body_rate_rad_s"),), "fitted": (("0.01", "attitude_rad"),)}
+    assert _simplest_of_the_best(blocks, lost) == "fitted"
+
+
+def test_constant_velocity_stays_where_no_model_is_clearly_better() -> None:
+    blocks = {"constant_velocity": np.array([1.0, 1.1, 0.9]), "physical": np.array([1.2, 0.8, 0.95])}
+    assert _simplest_of_the_best(blocks, {name: () for name in blocks}) == "constant_velocity"
 
 
 def test_a_kind_nobody_knows_is_named() -> None:

@@ -1,5 +1,5 @@
-"""One truth flight as usd logs, ROS 2 bags and blackbox logs of any wiring: the same identification, or a refusal with
-the cause.
+"""One truth flight as usd logs, ROS 2 bags, blackbox logs and tables of any wiring: the same identification, or a
+refusal with the cause.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from groundstation.flightdata import Stream, motor_columns
 from groundstation.identification.declarations import go_on
 from groundstation.recording import load_flight, read_recording
 from groundstation.recording.airframes import BETAFLIGHT_QUAD_X
+from groundstation.recording.mapping import load_map, read_mapped
+from groundstation.recording.mcapfile import write_recording_as_mcap
 from groundstation.vehicle import vehicle_from_dict, vehicle_to_dict
 from tests.recording_flight import flight
 from tests.test_recording_blackbox import log as blackbox
@@ -153,21 +155,69 @@ def write_blackbox(path, made, rng, motors=None):
     return path
 
 
-WRITERS = {"log00": write_usd, "bag": write_bag, "a.bbl": write_blackbox}
+TIMES = {"s": 1.0, "ms": 1e3, "us": 1e6}
+
+
+def write_table(path, made, rng):
+    """Columns of any names, order, factor, offset and frame, with others between; beside it the map that says so."""
+    unit, frame, separator = rng.choice(list(TIMES)), rng.choice(["FLU", "FRD"]), rng.choice(",;\t")
+    turned = 1.0 if frame == "FLU" else np.array([1.0, -1.0, -1.0])
+    columns, sections = {}, {"motors": {}, "imu": {}}
+    names = [f"c{i}" for i in rng.sample(range(99), 14)]
+
+    def put(section, column, values):
+        name, factor, offset = names.pop(), rng.choice([1.0, 0.5, 1e-3, 9.80665]), rng.choice([0.0, -1000.0, 7.0])
+        columns[name] = values / factor - offset
+        sections[section][column] = f'{{ column = "{name}", factor = {factor!r}, offset = {offset!r} }}'
+
+    for i, values in enumerate(made.motors.values.T):
+        put("motors", made.motors.columns[i], values)
+    vectors = np.hstack([made.imu.values[:, :3] * turned, made.imu.values[:, 3:] * turned])
+    for column, values in zip(made.imu.columns, vectors.T, strict=True):
+        put("imu", column, values)
+    time, *others = names
+    columns |= {time: made.imu.t_s * TIMES[unit], **{name: np.full(len(made.imu), 3.0) for name in others}}
+    order = rng.sample(sorted(columns), len(columns))
+    rows = zip(*(map(repr, columns[name].tolist()) for name in order), strict=True)
+    path.write_text("\n".join(map(separator.join, [order, *rows])) + "\n")
+    path.with_suffix(".toml").write_text(
+        "\n".join(
+            f'[{section}]\ntime = "{time}"\ntime_unit = "{unit}"\nframe = "{frame}"\n[{section}.columns]\n'
+            + "\n".join(f"{column} = {where}" for column, where in found.items())
+            for section, found in sections.items()
+        )
+    )
+    return path
+
+
+WRITERS = {"log00": write_usd, "bag": write_bag, "a.bbl": write_blackbox, "a.csv": write_table}
+
+
+def read(path, vehicle):
+    """A log, or a table by its map."""
+    if path.suffix != ".csv":
+        return read_recording(path, vehicle)
+    return read_mapped(path, load_map(path.with_suffix(".toml")), vehicle)
+
+
+def loaded(path, vehicle):
+    if path.suffix != ".csv":
+        return load_flight(path, vehicle=vehicle)
+    return load_flight(write_recording_as_mcap(read(path, vehicle), path.with_suffix(".mcap")), vehicle=vehicle)
 
 
 @pytest.mark.parametrize("name", WRITERS)
 @settings(max_examples=8, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10**6), order=st.permutations(range(4)))
 def test_any_wiring_scale_and_order_gives_the_same_streams(tmp_path_factory, made, name, seed, order):
-    """A usd log and a bag say nothing of places: their motor i is rotor i.
+    """A usd log, a bag and a map say nothing of places: their motor i is rotor i.
 
     Betaflight's order is known, whatever the file's is.
     """
     short = replace(made, imu=made.imu.select(slice(0, 60)), motors=made.motors.select(slice(0, 60)))
     vehicle = rewired(made.vehicle, order) if name == "a.bbl" else made.vehicle
     path = WRITERS[name](tmp_path_factory.mktemp("log") / name, short, random.Random(seed))
-    streams = read_recording(path, vehicle).streams
+    streams = read(path, vehicle).streams
     expected = short.motors.values[:, order] if name == "a.bbl" else short.motors.values
     step = 100.0 / 6.0 / RPM if name == "a.bbl" else 1e-3
     assert np.abs(streams["motors"].values - expected).max() <= 0.51 * step
@@ -179,11 +229,11 @@ def test_any_wiring_scale_and_order_gives_the_same_streams(tmp_path_factory, mad
 def test_the_same_flight_is_identified_alike_from_each_log(tmp_path, made, known, name):
     order = (2, 0, 3, 1) if name == "a.bbl" else (0, 1, 2, 3)
     path = WRITERS[name](tmp_path / name, made, random.Random(7))
-    agree(load_flight(path, vehicle=rewired(made.vehicle, order)), known)
+    agree(loaded(path, rewired(made.vehicle, order)), known)
 
 
-@pytest.mark.parametrize("name", ["log00", "bag"])
+@pytest.mark.parametrize("name", ["log00", "bag", "a.csv"])
 def test_motors_wired_otherwise_than_declared_are_refused_by_name_where_the_log_cannot_tell(tmp_path, made, name):
     path = WRITERS[name](tmp_path / name, made, random.Random(8))
     with pytest.raises(Refused, match="in another order"):
-        go_on([load_flight(path, vehicle=rewired(made.vehicle, (2, 0, 3, 1)))])
+        go_on([loaded(path, rewired(made.vehicle, (2, 0, 3, 1)))])

@@ -19,7 +19,7 @@ from mcap_ros2.decoder import DecoderFactory
 from drivers.samples import Battery, Event, Imu, Motors, Pose, Raw, Setpoint, State
 from groundstation.errors import BadInput
 from groundstation.recording import McapRecorder, load_flight, read_recording
-from groundstation.recording.container import ContainerWriter, read_container
+from groundstation.recording.container import ContainerWriter, Contents, read_container
 from groundstation.recording.recorded import vehicle_file
 from tests.recording_flight import flight, qball
 
@@ -135,7 +135,9 @@ def test_microsecond_stamps_need_no_companion(tmp_path):
     with McapRecorder(path) as recorder:
         for k in range(2000):
             recorder.add(Imu((39_240_817 + 1003 * k) / 1e6, (0.0,) * 3, (0.0,) * 3), (k * 997) / 1e9)
-    contents = read_container(path.read_bytes())
+    contents = Contents()
+    with path.open("rb") as file:
+        assert sum(1 for _ in read_container(file, contents)) == 2000
     assert {channel.topic for channel in contents.channels.values()} == {"/imu"}
     t_s = read_recording(path).streams["imu"].t_s
     assert np.array_equal(t_s, (39_240_817 + 1003 * np.arange(2000)) / 1e6)
@@ -158,7 +160,6 @@ def test_a_file_cut_anywhere_opens_up_to_the_cut(tmp_path_factory, long_recordin
     path = tmp_path_factory.mktemp("cut") / "a.mcap"
     at = int(share * len(long_recording))
     path.write_bytes(long_recording[:at])
-    whole = read_container(long_recording)
     header_end = 200  # magic, header and metadata record
     if at < header_end:
         return
@@ -169,7 +170,7 @@ def test_a_file_cut_anywhere_opens_up_to_the_cut(tmp_path_factory, long_recordin
         assert at < 400
         return
     kept = len(recording.streams["imu"]) if "imu" in recording.streams else 0
-    total = len(next(c for c in whole.channels.values() if c.topic == "/imu").payload)
+    total = 3000
     # 64 KiB chunks and a flush each second: at most one chunk of the data before the cut is missing.
     assert kept >= (share * total) - 400
     if at < len(long_recording) - 3000:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from groundstation.errors import BadInput
 from groundstation.frames import quat_from_euler
-from groundstation.recording import read_recording
+from groundstation.recording import read_recording, sources, tablefile
 from groundstation.recording.mapping import load_map, read_mapped, template
 from groundstation.recording.tablefile import read_table
 from groundstation.vehicle import vehicle_from_dict, vehicle_to_dict
@@ -45,9 +45,19 @@ def write(path, names, columns, form="{:.12g}", separator=",", line=None, encodi
 
 
 def by_its_names(path, kind="rotor_speed"):
-    """The log through the map that ``--map-template`` writes, unchanged."""
+    """The log through the map that ``--map-template`` writes, unchanged; block by block it is the same."""
     (path.parent / "map.toml").write_text(template(path, vehicle(kind)), encoding="utf-8")
-    return read_mapped(path, load_map(path.parent / "map.toml"), vehicle(kind)).streams
+    wanted = load_map(path.parent / "map.toml")
+    whole = read_mapped(path, wanted, vehicle(kind)).streams
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tablefile, "_LARGE_BYTES", 0)
+        patch.setattr(tablefile, "_BLOCK", 600)
+        patch.setattr(sources, "_ROWS", 3)
+        blocks = read_mapped(path, wanted, vehicle(kind)).streams
+    assert blocks.keys() == whole.keys()
+    for name, stream in whole.items():
+        assert np.array_equal(blocks[name].values, stream.values, equal_nan=True), name
+    return whole
 
 
 def check(streams, *, speed=SPEED, t=T):

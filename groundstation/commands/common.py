@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 F = Callable[..., Any]
 LOGS = Path("logs")
+SAME_LINE_S = 10.0
+"""How often a line that says the same again is printed where it cannot be rewritten."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +151,7 @@ class ProgressLine:
         self._word = ""
         self._began: float | None = None
         self._last_text = ""
+        self._shown = ""
 
     def fraction(self, fraction: float, text: str) -> None:
         """Progress of a computation."""
@@ -178,9 +181,10 @@ class ProgressLine:
 
     def _show(self, text: str, *, force: bool) -> None:
         now = self._clock()
-        if not force and now - self._last_s < self._every_s:
+        quiet_s = SAME_LINE_S if text == self._shown and not self._terminal else self._every_s
+        if not force and now - self._last_s < quiet_s:
             return
-        self._last_s = now
+        self._last_s, self._shown = now, text
         if self._terminal:
             shown = text[: max(shutil.get_terminal_size().columns - 1, 20)]
             print(f"\r{shown.ljust(self._width)}", end="", file=sys.stderr, flush=True)

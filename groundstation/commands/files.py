@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from groundstation.commands.common import Choice, Result, example, json_option, load_vehicle_option
+from groundstation.commands.common import Choice, ProgressLine, Result, example, json_option, load_vehicle_option
 from groundstation.errors import BadInput
 from groundstation.writing import write_whole
 
@@ -49,7 +49,8 @@ def convert(source: Path, target: Path | None, vehicle: str | None, mapped: Path
         raise BadInput("convert needs a TARGET: an MCAP file (.mcap) or a folder for a flight bundle.")
     from groundstation.recording import convert as run
 
-    lost = run(source, target, vehicle=vehicle, mapped=mapped)
+    with ProgressLine().ticking(f"converting {source.name}"):
+        lost = run(source, target, vehicle=vehicle, mapped=mapped)
     document = {
         "schema": "groundstation.convert/1",
         "source": str(source),

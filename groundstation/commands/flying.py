@@ -16,7 +16,7 @@ from groundstation.targets import DEFAULT, parse_targets
 
 if TYPE_CHECKING:
     from groundstation.flight.client.interrupts import Interrupts
-    from groundstation.flight.client.rehearse import FlightResult
+    from groundstation.flight.client.rehearse import Checked, FlightResult
     from groundstation.trajectory import Plan
     from groundstation.vehicle import Until, Vehicle
 
@@ -301,15 +301,26 @@ def preflight(vehicle: str, plan_file: Path | None, logs: Path, **link: Any) -> 
 
     line = ProgressLine()
     flight = _link_flight(vehicle, plan_file, logs, line, **link)
-    why_not = check(**flight, say=line.say)
+    found = check(**flight, say=line.say)
     line.end()
     document = {
         "schema": "groundstation.preflight/1",
-        "ok": not why_not,
-        "reason": why_not,
+        "ok": not found.reason,
+        "reason": found.reason,
+        "checks": [{"name": c.name, "ok": c.ok, "text": c.text} for c in found.checks],
         "folder": str(flight["folder"]),
     }
-    return Result(document, why_not or "ready to fly", Refused.exit_status if why_not else 0)
+    return Result(document, preflight_text(found), Refused.exit_status if found.reason else 0)
+
+
+def preflight_text(found: Checked) -> str:
+    """Failed checks a line each, then the names of those that passed."""
+    failed = [f"{c.name}: {c.text}" for c in found.checks if not c.ok]
+    if found.reason and not failed:
+        return found.reason
+    passed = ", ".join(c.name for c in found.checks if c.ok)
+    head = f"not ready to fly: {len(failed)} of {len(found.checks)} checks failed" if found.reason else "ready to fly"
+    return "\n".join([head, *(f"  {line}" for line in failed), *([f"passed: {passed}"] if passed else [])])
 
 
 @click.command(epilog=example("groundstation fly --link udpin://127.0.0.1:14540 --vehicle x500 --yes-simulated"))

@@ -13,13 +13,16 @@ from groundstation.diagnosis.columns import Candidate, Columns, Solution
 from groundstation.diagnosis.discrepancy import Discrepancy, allowance
 from groundstation.diagnosis.effect import Effect, library
 from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.held_out import held_out
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import (
     INSTANTS,
     Entry,
     Kind,
+    has_changes,
     kind_of,
     material,
+    nearby,
     plausible,
     posterior,
     preferred,
@@ -302,10 +305,12 @@ class Selection:
         """Look closer at the instant, the length or the curve of a member, through instruments common to all
         settings.
         """
-        for _ in range(THRESHOLDS.refinements_most):
+        for number in range(THRESHOLDS.refinements_most):
             current = chosen[index]
             entries = [current]
-            for settings in current[0].effect.finer(current[0].settings):
+            if number == 0 and has_changes(current[0].effect):  # a margin is of one parameter, and they have several
+                entries += [entry for entry in self.pool if kind_of(entry) == kind_of(current)]
+            for settings in nearby(self.evidence, self.baseline, chosen, index):
                 finer = Candidate(current[0].effect, settings)
                 columns = self.evidence.columns(finer)
                 if columns is not None:
@@ -416,41 +421,3 @@ class Selection:
                 basis = orthonormal(root[rows, None] * instruments[rows])
                 gains[channel] += np.sum((basis.T @ old[rows]) ** 2) - np.sum((basis.T @ new[rows]) ** 2)
         return gains
-
-
-WHOLE_FLIGHTS = 3
-"""Flights from which each is held out as a whole: two are left to estimate from, whose wind, battery and clock it does
-not share.
-"""
-
-Rows = NDArray[np.bool_]
-
-
-def held_out(evidence: Evidence) -> list[tuple[Rows, Rows]]:
-    """Train and test rows: each flight by all others where there are three or more, else blocks of time by the rest.
-
-    Blocks of one flight share its wind, battery and clock; what is learnt of these helps on other blocks, and on no
-    other flight.
-    """
-    if evidence.suspects < WHOLE_FLIGHTS:
-        return folds(evidence)
-    _, _, flights = evidence.time_of_rows()
-    return [(flights != number, flights == number) for number in range(evidence.suspects)]
-
-
-def folds(
-    evidence: Evidence, count: int = THRESHOLDS.held_out_blocks, guard_s: float = THRESHOLDS.held_out_guard_s
-) -> list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
-    """Train and test rows for blocks of time, the guard around each test block left out of training."""
-    times, _, flights = evidence.time_of_rows()
-    out = []
-    starts = {n: times[flights == n].min() for n in np.unique(flights)}
-    spans = {n: np.ptp(times[flights == n]) for n in np.unique(flights)}
-    relative = np.array([times - np.vectorize(starts.get)(flights)])[0]
-    span = np.vectorize(spans.get)(flights)
-    for index in range(count):
-        low, high = index * span / count, (index + 1) * span / count
-        test = (relative >= low) & (relative < high)
-        train = (relative < low - guard_s) | (relative >= high + guard_s)
-        out.append((train, test))
-    return out

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.attribution import folds, held_out
 from groundstation.diagnosis.columns import Candidate, Columns, Solution
 from groundstation.diagnosis.evidence import FLIGHTS_OWN, Evidence
 from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.form_error import form_covariance
+from groundstation.diagnosis.held_out import folds, held_out
 from groundstation.identification.anchoring import anchored, anchored_covariance
 from groundstation.identification.prediction_error import Fitted, output_error
 from groundstation.identification.preparation import Prepared

@@ -33,13 +33,16 @@ class ParameterInfo:
 
     The prior is the joint estimate's; infinite for what is estimated elsewhere. ``plausible`` is wide enough for every
     vehicle from 20 g to 10 kg; a force or torque outside of it is not named. A ``companion`` is fitted along and says
-    nothing for the effect: a steady pull may come with a tether, but only the stiffness tells one.
+    nothing for the effect: a steady pull may come with a tether, but only the stiffness tells one. One that
+    ``changes`` a setting is the first parameter times that setting's departure from its value: a finding gives the
+    setting with an interval in its place.
     """
 
     name: str
     prior_std: Callable[[Vehicle], float] = field(default=lambda vehicle: np.inf)
     plausible: tuple[float, float] = (-np.inf, np.inf)
     companion: bool = False
+    changes: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,6 +67,14 @@ class EffectInfo:
         """Names of the parameters."""
         return tuple(p.name for p in self.parameters)
 
+    def named_in(self, values: Mapping[str, float]) -> Array:
+        """The parameters of a finding; what changes a setting is in that setting already.
+
+        Raises:
+            KeyError: another one is missing.
+        """
+        return np.array([values.get(p.name, 0.0) if p.changes else values[p.name] for p in self.parameters])
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect(EffectInfo):
@@ -85,6 +96,8 @@ class Effect(EffectInfo):
             is its place.
         scenario: (values, vehicle) -> name and table of the simulator's form under ``[effects]``; None where
             ``reporting/scenario.py`` refits it or the simulator has no such effect.
+        begun: (signals, vehicle, settings, index) -> ``wrench`` of windows that start at stamps ``index`` of a flight,
+            at one instant after another; None where it depends on the instant alone.
         rests_on: identifiers of which one has to be there for it to mean anything (wind needs drag to be felt).
     """
 
@@ -94,6 +107,7 @@ class Effect(EffectInfo):
     finer: Callable[[Settings], Sequence[Settings]] = field(default=lambda settings: ())
     settled: Callable[[Settings, Array], Settings] = field(default=lambda settings, values: settings)
     applies: Callable[[Vehicle], bool] = field(default=lambda vehicle: True)
+    begun: Callable[[Signals, Vehicle, Settings, NDArray[np.int64]], Callable[[Signals], Array]] | None = None
     rests_on: tuple[str, ...] = ()
     instants: tuple[str, ...] = ()
     of_one_rotor: bool = False
@@ -243,23 +257,49 @@ def weight(vehicle: Vehicle) -> float:
     return vehicle.mass_kg * vehicle.gravity_m_s2
 
 
-def wrench_of(effects: Mapping[str, Mapping[str, Mapping[str, float]]], vehicle: Vehicle) -> Callable[[Signals], Array]:
+@dataclass(frozen=True, slots=True)
+class Acting:
+    """Effects that act on a vehicle: each with its settings and its parameters."""
+
+    parts: Sequence[tuple[Effect, Settings, Array]]
+    vehicle: Vehicle
+
+    def __call__(self, signals: Signals) -> Array:
+        """Their wrench along a flight, (k, 6)."""
+        columns = [effect.wrench(signals, self.vehicle, settings) for effect, settings, _ in self.parts]
+        return self._total(signals, columns)
+
+    def begun(self, signals: Signals, index: NDArray[np.int64]) -> Callable[[Signals], Array]:
+        """Their wrench in windows that start at stamps ``index`` of a flight."""
+
+        def plainly(effect: Effect, settings: Settings) -> Callable[[Signals], Array]:
+            return lambda now: effect.wrench(now, self.vehicle, settings)
+
+        going = [
+            plainly(effect, settings) if effect.begun is None else effect.begun(signals, self.vehicle, settings, index)
+            for effect, settings, _ in self.parts
+        ]
+        return lambda now: self._total(now, [wrench(now) for wrench in going])
+
+    def _total(self, signals: Signals, columns: Sequence[Array]) -> Array:
+        out = np.zeros((len(signals.t_s), 6))
+        for own, (_, _, values) in zip(columns, self.parts, strict=True):
+            out += own @ values
+        return out
+
+
+def wrench_of(effects: Mapping[str, Mapping[str, Mapping[str, float]]], vehicle: Vehicle) -> Acting:
     """Total body wrench (k, 6) of a model document's effects, name -> parameter -> {value, std}; settings among them.
 
     A second finding of an effect stands under "name/2".
     """
     named = [(name.partition("/")[0], values) for name, values in effects.items()]
     known = [(library()[name], values) for name, values in named if name in library()]
-
-    def wrench(signals: Signals) -> Array:
-        total = np.zeros((len(signals.t_s), 6))
-        for effect, values in known:
-            numbers = {key: float(entry["value"]) for key, entry in values.items()}
-            theta = np.array([numbers[name] for name in effect.names()])
-            total += effect.wrench(signals, vehicle, numbers) @ theta
-        return total
-
-    return wrench
+    parts = []
+    for effect, values in known:
+        numbers = {key: float(entry["value"]) for key, entry in values.items()}
+        parts.append((effect, numbers, effect.named_in(numbers)))
+    return Acting(parts, vehicle)
 
 
 def shared_by_healthy() -> list[Effect]:

@@ -162,8 +162,9 @@ class FlightEvidence:
         vehicle = self.prepared.record.vehicle
         for effect in library().values():
             settings = effect.variants(self.excited, vehicle) if effect.applies(vehicle) else ()
+            shown = [i for i, p in enumerate(effect.parameters) if not p.changes]
             for chosen in settings[:: max(1, len(settings) // THRESHOLDS.variants_in_noise)]:
-                wrench = effect.wrench(self.signals, vehicle, chosen)
+                wrench = effect.wrench(self.signals, vehicle, chosen)[:, :, shown]
                 if np.isfinite(wrench).all():
                     _add(parts, self.predicted(wrench), self.channels)
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.columns import Solution
 from groundstation.diagnosis.comparison import Chosen, Split
+from groundstation.diagnosis.effect import Acting
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.results import MASS_AND_TENSOR
@@ -24,7 +25,6 @@ from groundstation.identification.starts import smoothed_states
 from groundstation.identification.validation import closed_loop_validation
 from groundstation.model.parameters import BASIS, PAIRS, Parameters, table, values_of, with_values
 from groundstation.model.prediction import error_norms
-from groundstation.model.signals import Signals
 from groundstation.model.vehicle_model import VehicleModel, declared_model
 from groundstation.vehicle import Vehicle
 
@@ -50,15 +50,8 @@ def vehicle_model(evidence: Evidence, chosen: Chosen, solution: Solution) -> Veh
     parts, offset = [], 0
     for candidate, _ in chosen:
         count = len(candidate.effect.parameters)
-        parts.append((candidate, solution.part(offset, count)[0]))
+        parts.append((candidate.effect, candidate.settings, solution.part(offset, count)[0]))
         offset += count
-
-    def wrench(signals: Signals) -> Array:
-        total = np.zeros((len(signals.t_s), 6))
-        for candidate, values in parts:
-            total += candidate.effect.wrench(signals, vehicle, candidate.settings) @ values
-        return total
-
     return VehicleModel(
         vehicle=vehicle,
         mass_kg=float(mass),
@@ -69,7 +62,7 @@ def vehicle_model(evidence: Evidence, chosen: Chosen, solution: Solution) -> Veh
         if slopes
         else at.lag_slope,  # as estimated: a part of a flight may go past its range
         delay_s=at.delay_s,
-        wrench=wrench if parts else None,
+        wrench=Acting(parts, vehicle) if parts else None,
     )
 
 

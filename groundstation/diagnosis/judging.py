@@ -128,8 +128,12 @@ def _finding(item: Named, solution: Solution, offset: int) -> Finding:
     values, covariance = solution.part(offset, len(effect.parameters))
     std = np.sqrt(np.diag(covariance))
     rotor = int(settings.pop("rotor")) if effect.of_one_rotor else None
-    parameters = {n: Estimate.normal(v, s) for n, v, s in zip(effect.names(), values, std, strict=True)}
+    own = list(zip(effect.parameters, values, std, strict=True))
+    parameters = {p.name: Estimate.normal(v, s) for p, v, s in own if not p.changes}
     parameters |= {n: Estimate(v, 0.0, (v, v)) for n, v in settings.items()}
+    for p, v, s in own:
+        if p.changes:
+            parameters[p.changes] = Estimate.normal(settings[p.changes] + v / values[0], s / abs(values[0]))
     known = {name: estimate.value for name, estimate in parameters.items()}
     return Finding(
         effect=effect.identifier,

@@ -148,9 +148,10 @@ def _found(finding: Document) -> Hypothesis:
     """A finding of the document; what is not among the effect's parameters is a setting."""
     if finding["effect"] in TIMING:
         return Hypothesis(finding["effect"], {}, {"shift_s": _shift(finding["parameters"])})
-    names = library()[finding["effect"]].names()
+    effect = library()[finding["effect"]]
+    names = effect.names()
     values = {name: float(entry["value"]) for name, entry in finding["parameters"].items()}
-    missing = [name for name in names if name not in values]
+    missing = [p.name for p in effect.parameters if p.name not in values and not p.changes]
     if missing:
         raise BadInput(
             f"the diagnosis lacks {', '.join(missing)} of {finding['effect']}; write it again with `diagnose`."
@@ -255,7 +256,7 @@ def _forced(hypothesis: Hypothesis, vehicle: Vehicle, common: Common) -> discrim
     def wrench(t_s: Array, motion: RigidMotion) -> Array:
         values = hypothesis.values or {}
         columns = effect.wrench(signals_of(vehicle, t_s, motion), vehicle, _on_plan(effect, hypothesis.settings, t_s))
-        return columns @ np.array([values[name] for name in effect.names()])
+        return columns @ effect.named_in(values)
 
     def explanations(t_s: Array, motion: RigidMotion) -> list[tuple[Array, Array]]:
         signals = signals_of(vehicle, t_s, motion)

@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.attribution import held_out
 from groundstation.diagnosis.columns import Candidate, Columns
 from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, weight
 from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.held_out import held_out
 from groundstation.diagnosis.results import Unexplained
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import euler_from_quat, quat_rotate_inverse

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.columns import Candidate, Columns
+from groundstation.diagnosis.effect import Effect, Settings
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.thresholds import THRESHOLDS
 
@@ -44,6 +45,23 @@ def preferred(sets: Sequence[Sequence[Entry]], scores: Sequence[float], misfit: 
         and instants[index] < instants[0]
     ]
     return max(simpler, key=lambda index: scores[index], default=0)
+
+
+def has_changes(effect: Effect) -> bool:
+    """Whether some of an effect's parameters are changes of its settings."""
+    return any(parameter.changes for parameter in effect.parameters)
+
+
+def nearby(evidence: Evidence, baseline: Sequence[Entry], chosen: Sequence[Entry], index: int) -> list[Settings]:
+    """Settings to try in the place of a member's: finer ones, and those that its changes of settings point at."""
+    effect, settings = chosen[index][0].effect, chosen[index][0].settings
+    found = list(effect.finer(settings))
+    if has_changes(effect):
+        before = [*baseline, *chosen[:index]]
+        offset = sum(len(candidate.effect.parameters) for candidate, _ in before)
+        values = evidence.solve([*baseline, *chosen]).part(offset, len(effect.parameters))[0]
+        found.append(effect.settled(settings, values))
+    return found
 
 
 def material(evidence: Evidence, columns: Columns, values: Array) -> bool:

@@ -281,7 +281,9 @@ def _blocks(sizes: Sequence[Array], where: Sequence[tuple[int, Index]], scale: M
     return np.array(out)
 
 
-SIMPLEST_FIRST = ("physical", "without_torque", "fitted")
+SIMPLEST_FIRST = ("constant_velocity", "physical", "without_torque", "fitted")
+JUDGED = tuple(f"{h:g}" for h in HORIZONS_S[1:])
+"""Horizons that a choice looks at: what lies 0.01 s ahead is the noise of the start."""
 
 
 def _chosen(
@@ -297,30 +299,38 @@ def _chosen(
         for name, values in blocks.items()
     }
     errors = {name: _means(sizes) for name, sizes in norms.items()}
-    best = min(score, key=lambda name: score[name][0])
-    kind = best
-    for name in SIMPLEST_FIRST:
-        if best == "constant_velocity" or name == best:
-            break
-        difference = blocks[name] - blocks[best]
-        if difference.mean() <= difference.std() / np.sqrt(max(1, len(difference) - 1)):
-            kind = name
-            break
+    kind = _simplest_of_the_best(blocks, {name: _lost(errors, name) for name in errors})
     model = None
     if kind in ("without_torque", "fitted"):
         model = _fit(shots, base, torque=kind == "fitted")
-    loses = tuple(
-        (h, q)
-        for h, by in errors[kind].items()
-        for q, size in by.items()
-        if size > 1.02 * errors["constant_velocity"][h][q]
-    )
+    loses = _lost(errors, kind)
     text = ", ".join(f"{name} {score[name][0]:.2f}" for name in sorted(score, key=lambda n: score[n][0]))
     reason = (
         f"mean error 0.1 and 0.5 s ahead on {len(blocks[kind])} blocks that no fit of it has seen, in units of "
         f"constant velocity's: {text}; the simplest within one standard error of the best is taken."
     )
     return Judgement(kind, model, errors, score, loses, len(blocks[kind]), reason)
+
+
+def _lost(errors: Mapping[str, Mapping[str, Mapping[str, float]]], kind: str) -> tuple[tuple[str, str], ...]:
+    """Horizons and quantities in which a candidate misses more than constant velocity, by more than rounding."""
+    still = errors["constant_velocity"]
+    return tuple((h, q) for h, by in errors[kind].items() for q, size in by.items() if size > 1.02 * still[h][q])
+
+
+def _simplest_of_the_best(blocks: Mapping[str, Array], lost: Mapping[str, Sequence[tuple[str, str]]]) -> str:
+    """The simplest candidate within one standard error of the best. One that loses to constant velocity at a horizon of
+    the choice is out where another model does not.
+    """
+    sound = [name for name in blocks if not any(horizon in JUDGED for horizon, _ in lost[name])]
+    running = sound if len(sound) > 1 else list(blocks)
+    best = min(running, key=lambda name: float(blocks[name].mean()))
+    for name in SIMPLEST_FIRST:
+        if name in running:
+            difference = blocks[name] - blocks[best]
+            if difference.mean() <= difference.std() / np.sqrt(max(1, len(difference) - 1)):
+                return name
+    return best
 
 
 def _means(sizes: Sequence[Array]) -> dict[str, dict[str, float]]:

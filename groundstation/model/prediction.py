@@ -19,6 +19,7 @@ from groundstation.flightdata import resampled
 from groundstation.frames import quat_conjugate, quat_log, quat_multiply, quat_normalise
 from groundstation.json_types import JsonObject
 from groundstation.model.flight_states import FlightStates
+from groundstation.model.held_back import NAMES, held_back
 from groundstation.model.predictive import PredictiveModel, simulate
 from groundstation.model.rollout import STEP_S, constant_velocity
 from groundstation.model.rollout import simulate as rollout
@@ -113,6 +114,7 @@ def predict(
     *,
     horizon_s: float = 0.5,
     predictor: str = "the physical model",
+    hold_back: bool = False,
     progress: Callable[[float, str], None] = lambda fraction, text: None,
 ) -> Prediction:
     """Simulate ahead from every window's start with the identified, the declared and the constant-velocity model.
@@ -122,6 +124,7 @@ def predict(
         states: of the flight.
         horizon_s: how far.
         predictor: what the model is called.
+        hold_back: towards constant velocity as far as the model has missed of late (:mod:`.held_back`).
         progress: told the fraction done.
 
     Raises:
@@ -135,6 +138,9 @@ def predict(
     horizons = sorted({h for h in (0.01, 0.1, 0.5) if h <= horizon_s + 1e-9} | {round(horizon_s, 6)})
     progress(0.0, "predicting with model")
     path, stood_in = _without_runaways(_path(model, states, index, horizons), states, index, horizons)
+    if hold_back and model is not None:
+        path, shares = held_back(path, constant_velocity(states, index, horizons), states, at_s)
+        stood_in += _how_far(shares[horizons[-1]])
     error = {"model": _errors_at(path, states, at_s)}
     final = path[horizons[-1]]
     _refuse_what_ran_away(error["model"], final, states)
@@ -168,6 +174,13 @@ def _without_runaways(path: Paths, states: FlightStates, index: Index, horizons:
     still = constant_velocity(states, index, horizons)
     mixed = {h: {k: np.where(lost[:, None], still[h][k], x) for k, x in path[h].items()} for h in horizons}
     return mixed, f" (constant velocity in {lost.sum()} of {len(lost)} windows, where it runs away)"
+
+
+def _how_far(shares: Mapping[str, float]) -> str:
+    """What to say where the model has less than half of the weight."""
+    held = {q: shares[n] for q, n in zip(QUANTITIES, NAMES, strict=True) if shares[n] < 0.5}
+    told = ", ".join(f"{quantity} by {share:.0%} of the model" for quantity, share in held.items())
+    return f" (held back towards constant velocity, which missed less: {told})" if told else ""
 
 
 def _refuse_what_ran_away(

@@ -22,7 +22,7 @@ from groundstation.model.rotors import (
     wrench_matrix,
 )
 from groundstation.model.signals import Signals
-from groundstation.model.vehicle_model import VehicleModel
+from groundstation.model.vehicle_model import RememberingWrench, VehicleModel
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -68,17 +68,39 @@ class Motion:
         self.inputs = Inputs.of(model, states.motors)
         self._matrix = wrench_matrix(model.vehicle)
         self._inverse = np.asarray(np.linalg.inv(model.tensor), dtype=float)
+        self._wrench = model.wrench
         self._com, self._damping = np.asarray(model.com_m), np.asarray(model.damping_nms)
 
     def at(self, values: Array, when: Array) -> Array:
         """Columns of the motors' grid at times of the flight."""
         return interpolate_columns(when - self.model.delay_s, self._motors.start_s, self._motors.step_s, values)
 
+    def begin(self, states: FlightStates, index: Index) -> None:
+        """Let what has a past go on, in windows side by side, from what it was at stamps of the flight."""
+        if isinstance(self.model.wrench, RememberingWrench):
+            self._wrench = self.model.wrench.begun(self.flown(states), index)
+
+    def flown(self, states: FlightStates) -> Signals:
+        """Signals along the flight, as far as the past alone tells them."""
+        t_s, known = states.t_s, np.isfinite(states.start_quaternion).all(axis=1, keepdims=True)
+        q = np.where(known, states.start_quaternion, [1.0, 0.0, 0.0, 0.0])
+        rotors = self.at(self.inputs.thrust, t_s)
+        parts = (states.start_position_m, states.start_velocity_m_s, q, states.start_rate_rad_s)
+        return self._signals(t_s, *parts, rotors, states.voltage_v)
+
     def wrench(self, when: Array, p: Array, v: Array, q: Array, w: Array, rotors: Array, voltage: Array) -> Array:
         """Body force and torque of the model's effects, (k, 6)."""
-        if self.model.wrench is None:
+        if self._wrench is None:
             return np.zeros((len(when), 6))
-        signals = Signals(
+        return np.nan_to_num(self._wrench(self._signals(when, p, v, q, w, rotors, voltage)))
+
+    def along(self, flown: Signals) -> Array:
+        """The same along a flight."""
+        wrench = self.model.wrench
+        return np.zeros((len(flown.t_s), 6)) if wrench is None else np.nan_to_num(wrench(flown))
+
+    def _signals(self, when: Array, p: Array, v: Array, q: Array, w: Array, rotors: Array, voltage: Array) -> Signals:
+        return Signals(
             t_s=when - self._start_s,
             position_m=p,
             velocity_world_m_s=v,
@@ -91,7 +113,6 @@ class Motion:
             voltage_v=voltage,
             charge_as=np.full(len(when), np.nan),
         )
-        return np.nan_to_num(self.model.wrench(signals))
 
     @property
     def body(self) -> Body:
@@ -108,12 +129,10 @@ class Motion:
 def _carried(noise: TurningDisturbance, motion: Motion, states: FlightStates) -> Carried:
     """The disturbance at each stamp, from what the rates did beside the model until then."""
     t_s, w = states.t_s, states.start_rate_rad_s
-    known = np.isfinite(states.start_quaternion).all(axis=1, keepdims=True)
-    q = np.where(known, states.start_quaternion, [1.0, 0.0, 0.0, 0.0])
-    rotors = motion.at(motion.inputs.thrust, t_s)
-    p, v = states.start_position_m, states.start_velocity_m_s
-    extra = motion.wrench(t_s, p, v, q, w, rotors, states.voltage_v)
-    turning = turned(v, q, w, motion.pushed(rotors, extra), motion.body)
+    flown = motion.flown(states)
+    extra = motion.along(flown)
+    pushed = motion.pushed(flown.thrust_n, extra)
+    turning = turned(flown.velocity_world_m_s, flown.quaternion, w, pushed, motion.body)
     step = np.diff(t_s, prepend=t_s[0])[:, None]
     return carried(noise, t_s, w - np.cumsum(np.nan_to_num(turning) * step, axis=0))
 
@@ -157,6 +176,7 @@ def simulate(
     p, v, q, w = x[:, :3], x[:, 3:6], x[:, 6:10], x[:, 10:]
     steps, marks = round(horizons[-1] / h), {round(horizon / h): horizon for horizon in horizons}
     disturbed = _Disturbed.of(motion, states, index, h, steps)
+    motion.begin(states, index)
     pushed, blank = disturbed.pushed, np.where(known, 1.0, np.nan)
     out: dict[float, dict[str, Array]] = {}
     before = motion.at(motion.inputs.impulse, start)

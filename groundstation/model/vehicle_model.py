@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,19 @@ from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 Wrench = Callable[[Signals], Array]
+
+
+@runtime_checkable
+class RememberingWrench(Protocol):
+    """A wrench of what has a past, as a pendulum has: windows that start in a flight go on from what it was there."""
+
+    def __call__(self, signals: Signals) -> Array:
+        """Along a flight, (k, 6)."""
+        ...
+
+    def begun(self, signals: Signals, index: NDArray[np.int64]) -> Wrench:
+        """Of windows side by side that start at stamps ``index`` of a flight; called at one instant after another."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)

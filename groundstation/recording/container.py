@@ -9,17 +9,20 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import lz4.frame
+import numpy as np
 import zstandard
 from mcap import records
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from numpy.typing import NDArray
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 64 * 1024
@@ -28,6 +31,7 @@ _EXPANDED_RATIO = 24
 """A file may expand to 64 MiB and 24 times its size: recorded flights compress two- to fivefold, a drone at rest
 tenfold.
 """
+_LATEST_NS = 2**63
 _MESSAGE = struct.Struct("<BQHIQQ")
 _RECORD = struct.Struct("<BQ")
 
@@ -228,7 +232,7 @@ def _bytes(record: records.McapRecord) -> bytes:
 
 @dataclass(slots=True)
 class ReadChannel:
-    """One channel of a file and its messages in file order.
+    """One channel of a file.
 
     ``encoding`` is that of the messages, ``language`` and ``definition`` are those of its schema.
     """
@@ -239,20 +243,18 @@ class ReadChannel:
     encoding: str = ""
     language: str = ""
     definition: str = ""
-    sequence: list[int] = field(default_factory=list)
-    log_ns: list[int] = field(default_factory=list)
-    payload: list[bytes] = field(default_factory=list)
 
 
 @dataclass(slots=True)
 class Contents:
-    """What a file holds up to its end, or up to where it was cut.
+    """What a file holds up to its end, or up to where it was cut, but for its messages.
 
     Attributes:
         complete: the file has its footer.
         channels: by their id.
         damaged: chunks whose checksum failed and records that cannot be; their messages are left out.
         expanded: bytes that its chunks have come to.
+        last_ns: the latest log time of a message.
     """
 
     channels: dict[int, ReadChannel] = field(default_factory=dict)
@@ -261,49 +263,109 @@ class Contents:
     complete: bool = False
     damaged: int = 0
     expanded: int = 0
+    last_ns: int = 0
 
 
-def read_container(data: bytes) -> Contents:
-    """Read every whole record of an MCAP file.
+class Unmeasured(ValueError):
+    """A file that is no MCAP file, or expands beyond all measure."""
 
-    A record that the file ends in the middle of is left out, and ``complete`` is then false. A record that is not what
-    it says it is costs itself alone, and ``damaged`` counts it.
+
+class Message(NamedTuple):
+    """A message as it lies in a file: its channel's id, its number there, its log time and its bytes."""
+
+    channel: int
+    sequence: int
+    log_ns: int
+    data: bytes
+
+
+def read_container(file: BinaryIO, contents: Contents) -> Iterator[Message]:
+    """Every whole message of an MCAP file in its order; what else the file holds goes into ``contents``.
+
+    The file is read record by record, so that no more than a chunk of it is in memory. A record that the file ends in
+    the middle of is left out, and ``complete`` is then false. A record that is not what it says it is costs itself
+    alone, and ``damaged`` counts it. A channel is known by its id before its definition is (that may be in a damaged
+    chunk; the summary repeats it): what channels are is known when all messages have been read.
 
     Raises:
-        ValueError: the data do not begin like an MCAP file, or expand beyond all measure.
+        Unmeasured: the file does not begin like an MCAP file, or expands beyond all measure.
     """
-    if not data.startswith(MAGIC):
-        raise ValueError("it does not begin with the MCAP magic")
-    contents = Contents()
+    size = file.seek(0, 2)
     schemas: dict[int, records.Schema] = {}
-    position, size = len(MAGIC), len(data)
     room = _EXPANDED_FREE + _EXPANDED_RATIO * size
-    while position + 9 <= size and not contents.complete:
-        opcode, length = _RECORD.unpack_from(data, position)
-        end = position + 9 + length
-        if end > size:
-            break
+    for head, length in _records(file, size):
         try:
-            _read_record(opcode, data[position:end], contents, schemas, room)
-        except (McapError, struct.error, ValueError, LookupError, OverflowError, MemoryError):
+            messages = _read_record(head[0], head + file.read(length), contents, room)
+            if messages:
+                yield from _read_messages(messages, schemas, contents)
+        except _TORN:
             contents.damaged += 1
         if contents.expanded > room:
-            raise ValueError(f"its {size} bytes expand to more than {room}")
-        position = end
-    return contents
+            raise Unmeasured(f"its {size} bytes expand to more than {room}")
+        if contents.complete:
+            break
 
 
-def _read_record(opcode: int, record: bytes, contents: Contents, schemas: dict[int, records.Schema], room: int) -> None:
+def read_metadata(file: BinaryIO) -> dict[str, dict[str, str]]:
+    """The metadata of a file by their names, its other records skipped.
+
+    Raises:
+        Unmeasured: the file does not begin like an MCAP file.
+    """
+    contents = Contents()
+    for head, length in _records(file, file.seek(0, 2)):
+        if head[0] == Opcode.METADATA:
+            with suppress(*_TORN):
+                _read_record(head[0], head + file.read(length), contents, 0)
+    return contents.metadata
+
+
+def indexed_times(file: BinaryIO) -> dict[int, NDArray[np.int64]]:
+    """Log times of each channel's messages in the file's order, by the indices behind its chunks, nanoseconds.
+
+    Raises:
+        ValueError: the file does not begin like an MCAP file, or an index is torn.
+    """
+    found: dict[int, list[NDArray[np.int64]]] = {}
+    for head, length in _records(file, file.seek(0, 2)):
+        if head[0] == Opcode.MESSAGE_INDEX and length >= 6:
+            body = file.read(length)
+            entries = np.frombuffer(body[6:], np.dtype([("at_ns", "<i8"), ("offset", "<u8")]))
+            times = entries["at_ns"][np.argsort(entries["offset"], kind="stable")]
+            found.setdefault(int.from_bytes(body[:2], "little"), []).append(times)
+    return {channel: np.concatenate(times) for channel, times in found.items() if any(map(len, times))}
+
+
+_TORN = (McapError, struct.error, ValueError, LookupError, OverflowError, MemoryError)
+
+
+def _records(file: BinaryIO, size: int) -> Iterator[tuple[bytes, int]]:
+    """The head and the length of each record that is whole; the file stands at its body."""
+    file.seek(0)
+    if file.read(len(MAGIC)) != MAGIC:
+        raise Unmeasured("it does not begin with the MCAP magic")
+    position = len(MAGIC)
+    while position + 9 <= size:
+        file.seek(position)
+        head = file.read(9)
+        _, length = _RECORD.unpack(head)
+        position += 9 + length
+        if position > size:
+            break
+        yield head, length
+
+
+def _read_record(opcode: int, record: bytes, contents: Contents, room: int) -> bytes:
+    """Take a record in; those of schemas, channels and messages in it are given back."""
     body = record[9:]
     if opcode == Opcode.CHUNK:
         chunk = records.Chunk.read(_stream(body))
         _check_size(chunk, room)
         contents.expanded += chunk.uncompressed_size
-        if contents.expanded <= room:
-            _read_messages(_chunk_data(chunk), schemas, contents.channels)
-    elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
-        _read_messages(record, schemas, contents.channels)
-    elif opcode == Opcode.ATTACHMENT:
+        return _chunk_data(chunk) if contents.expanded <= room else b""
+    if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+        return record
+    if opcode == Opcode.ATTACHMENT:
         if struct.unpack("<I", body[-4:])[0] not in (0, zlib.crc32(body[:-4])):
             raise ValueError("an attachment's checksum does not match")
         attachment = records.Attachment.read(_stream(body))
@@ -313,6 +375,7 @@ def _read_record(opcode: int, record: bytes, contents: Contents, schemas: dict[i
         contents.metadata[metadata.name] = metadata.metadata
     elif opcode == Opcode.FOOTER:
         contents.complete = True
+    return b""
 
 
 def _stream(body: bytes) -> ReadDataStream:
@@ -356,23 +419,21 @@ def _chunk_data(chunk: records.Chunk) -> bytes:
     return raw
 
 
-def _read_messages(raw: bytes, schemas: dict[int, records.Schema], channels: dict[int, ReadChannel]) -> None:
-    """Sort the schema, channel and message records of a chunk into ``channels``."""
-    position, size = 0, len(raw)
+def _read_messages(raw: bytes, schemas: dict[int, records.Schema], contents: Contents) -> Iterator[Message]:
+    """The messages of a chunk's records; its schemas and channels go into ``contents``."""
+    position, size, channels = 0, len(raw), contents.channels
     head = _MESSAGE.unpack_from
     while position + 9 <= size:
         opcode = raw[position]
         if opcode == Opcode.MESSAGE:
             _, length, channel_id, sequence, log_ns, _ = head(raw, position)
             end = position + 9 + length
-            if length < 22 or end > size:
-                raise ValueError("a message has a length that it cannot have")
-            channel = channels.get(channel_id)
-            if channel is None:  # its definition was in a damaged chunk; the summary repeats it
-                channel = channels[channel_id] = ReadChannel("", "", {})
-            channel.sequence.append(sequence)
-            channel.log_ns.append(log_ns)
-            channel.payload.append(raw[position + 31 : end])
+            if length < 22 or end > size or log_ns >= _LATEST_NS:
+                raise ValueError("a message has a length or a time that it cannot have")
+            if channel_id not in channels:
+                channels[channel_id] = ReadChannel("", "", {})
+            contents.last_ns = max(contents.last_ns, log_ns)
+            yield Message(channel_id, sequence, log_ns, raw[position + 31 : end])
         else:
             end = position + 9 + _RECORD.unpack_from(raw, position)[1]
             if opcode == Opcode.SCHEMA:

@@ -18,6 +18,7 @@ from groundstation.recording.part import Part
 Array = NDArray[np.float64]
 _EXACT_INTEGER = 2.0**53
 _BLOCK = 1 << 23
+_WRITTEN = 1 << 14
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,12 +215,17 @@ def _numbers(cells: list[str], *, exact: bool) -> Array | None:
 
 def write_csv(path: Path, names: tuple[str, ...], columns: list[Array | tuple[str, ...]]) -> None:
     """Write columns under their names; a double is written with the digits that give it back exactly."""
-    cells = [column if isinstance(column, tuple) else list(map(repr, column.tolist())) for column in columns]
     with path.open("w", encoding="utf-8", newline="") as file:
-        if any(isinstance(column, tuple) for column in columns):
-            writer = csv.writer(file, lineterminator="\n")
+        writer = csv.writer(file, lineterminator="\n")
+        words = any(isinstance(column, tuple) for column in columns)
+        if words:
             writer.writerow(names)
-            writer.writerows(zip(*cells, strict=True))
         else:
             file.write(",".join(names) + "\n")
-            file.writelines(",".join(row) + "\n" for row in zip(*cells, strict=True))
+        for first in range(0, len(columns[0]) if columns else 0, _WRITTEN):
+            part = [column[first : first + _WRITTEN] for column in columns]
+            cells = [cells if isinstance(cells, tuple) else list(map(repr, cells.tolist())) for cells in part]
+            if words:
+                writer.writerows(zip(*cells, strict=True))
+            else:
+                file.writelines(",".join(row) + "\n" for row in zip(*cells, strict=True))

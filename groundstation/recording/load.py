@@ -19,12 +19,13 @@ from groundstation.recording.crazyflie import is_usd_log, read_usd
 from groundstation.recording.kinds import READABLE, described
 from groundstation.recording.mcapfile import ForeignMcap, read_mcap
 from groundstation.recording.merge import merge_onboard, onboard_log_of
+from groundstation.recording.one_clock import on_one_clock
 from groundstation.recording.online_clock import online_clock
 from groundstation.recording.part import WHOLE, Part
 from groundstation.recording.recorded import VEHICLE_FILE, Recording, vehicle_file
 from groundstation.recording.repair import repair
 from groundstation.recording.tables import MissingField
-from groundstation.recording.thinning import Stretch, informative_stretch
+from groundstation.recording.thinning import Stretch, used_stretch
 from groundstation.vehicle import Vehicle
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
@@ -77,7 +78,7 @@ def read_recording(path: str | Path, vehicle: Vehicle | None = None, part: Part 
             raise BadInput(f"{path}: cannot be read ({error.strerror}); give the path of {READABLE}.") from None
         if head.startswith(MCAP_MAGIC):
             try:
-                recording = read_mcap(path)
+                recording = read_mcap(path, part)
             except ForeignMcap:
                 recording = _bag(path, vehicle, part)
         elif head.startswith(_SQLITE_MAGIC):
@@ -183,9 +184,10 @@ def load_flight(
     stretch = None if everything else _stretch_of_large_log(path, vehicle, given)
     flight = _read_flight(path, vehicle, stretch)
     if given is not None:
-        flight = _cut(flight, start_s, end_s)
-    elif not everything and flight.window_s is None:
-        flight = _thinned(flight, stretch)
+        flight = on_one_clock(_cut(flight, start_s, end_s))
+    elif flight.window_s is None:
+        flight = on_one_clock(flight)
+        flight = flight if everything else _thinned(flight, stretch)
     return repair(flight)
 
 
@@ -216,17 +218,19 @@ def _stretch_of_large_log(
     None of a log that is read whole. To find what tells most, the log is read once with a sample of each kind every 20
     ms.
     """
-    if _size_of(path) < LARGE_BYTES or _is_own_mcap(path):
+    if _size_of(path) < LARGE_BYTES:
         return None
     if given is not None:
-        return Stretch(
-            *(bound if bound is not None else edge for bound, edge in zip(given, (-np.inf, np.inf), strict=True))
-        )
+        start_s, end_s = given
+        return Stretch(-np.inf if start_s is None else start_s, np.inf if end_s is None else end_s)
     try:
         survey = _flight_in(path, vehicle, Part(step_s=_SURVEY_STEP_S))
     except BadInput:
         return None
-    return None if survey.window_s is not None else informative_stretch(survey.imu, survey.motors)
+    if survey.window_s is not None:
+        return None
+    survey = on_one_clock(survey)
+    return used_stretch(survey.imu, survey.motors)
 
 
 def checked_flight(recording: Recording, declared: Vehicle, path: str) -> FlightData:
@@ -261,15 +265,6 @@ def checked_flight(recording: Recording, declared: Vehicle, path: str) -> Flight
     )
 
 
-def _is_own_mcap(path: Path) -> bool:
-    """Whether a file is a recording of this program, which is read whole: its header names what wrote it."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        head = file.read(200)
-    return head.startswith(MCAP_MAGIC) and b"groundstation" in head
-
-
 def _size_of(path: Path) -> int:
     """Bytes of a file, or of the files of a folder."""
     files = path.iterdir() if path.is_dir() else [path]
@@ -277,21 +272,17 @@ def _size_of(path: Path) -> int:
 
 
 def _thinned(flight: FlightData, stretch: Stretch | None) -> FlightData:
-    """A long flight cut to what tells most of the vehicle, with a note; any other as it is.
+    """A log cut to the flight, and the part of it, that tells most of the vehicle, with a note; any other as it is.
 
     Args:
         flight: whole, or what was read around the stretch.
         stretch: where that is known already.
     """
-    stretch = stretch or informative_stretch(flight.imu, flight.motors)
+    stretch = stretch or used_stretch(flight.imu, flight.motors)
     if stretch is None:
         return flight
-    note = (
-        f"flight: of {stretch.of_s:.0f} s those from {stretch.start_s:.1f} to {stretch.end_s:.1f} s are used, in which "
-        "the vehicle turns and climbs most; choose others with --from and --to, or use all with --all."
-    )
     cut = _cut(flight, stretch.start_s, stretch.end_s)
-    return replace(cut, window_s=None, notes=(*cut.notes, note))
+    return replace(cut, window_s=None, notes=(*cut.notes, *stretch.notes))
 
 
 def _with_onboard_log(path: Path, recording: Recording, vehicle: Vehicle) -> Recording:

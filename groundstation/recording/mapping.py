@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -95,39 +96,62 @@ def read_mapped(path: Path, wanted: LogMap, vehicle: Vehicle) -> Recording:
     if wanted.imu is None and wanted.mocap is None and wanted.state is None:
         raise BadInput(f"{path}: the map needs the motion too; give [imu], [mocap] or [state].")
     sources = sources_of(path)
-    kind, count = vehicle.rotors.input, vehicle.rotors.count
+    motors = motor_columns(vehicle.rotors.input, vehicle.rotors.count)
+    by_source: dict[str, list[str]] = {}
+    for name, section in _sections(wanted).items():
+        by_source.setdefault(_source_of(path, name, section, sources), []).append(name)
     streams: dict[str, Stream] = {}
-    for name in LogMap.model_fields:
-        section: StreamMap | None = getattr(wanted, name)
-        if section is not None:
-            columns = motor_columns(kind, count) if name == "motors" else COLUMNS[name]
-            streams[name] = _stream(path, name, section, sources, columns)
-    left = tuple(f"{name}: is not in the map." for name in sources if name not in {s.source for s in _sections(wanted)})
+    for source, names in by_source.items():  # each table is read once, and given up before the next
+        sections = {name: getattr(wanted, name) for name in names}
+        for name, section in sections.items():
+            _check_columns(name, section, motors if name == "motors" else COLUMNS[name])
+        fields = sorted({field for section in sections.values() for field in _fields_of(section)})
+        table = replace(sources[source](fields), name=source)
+        for name, section in sections.items():
+            streams[name] = _stream(path, name, section, table, motors if name == "motors" else COLUMNS[name])
+    left = tuple(f"{name}: is not in the map." for name in sources if name not in by_source)
     note = "every stream is what the map file says; units, frames and order were not read from the log."
     return Recording(path.stem, streams, metadata={"format": "mapped log"}, notes=(note,), left_out=left)
 
 
-def _sections(wanted: LogMap) -> list[StreamMap]:
-    return [section for name in LogMap.model_fields if (section := getattr(wanted, name)) is not None]
+def _sections(wanted: LogMap) -> dict[str, StreamMap]:
+    return {name: section for name in LogMap.model_fields if (section := getattr(wanted, name)) is not None}
 
 
-def _stream(
-    path: Path, name: str, section: StreamMap, sources: Mapping[str, Source], columns: tuple[str, ...]
-) -> Stream:
+def _source_of(path: Path, name: str, section: StreamMap, sources: Mapping[str, Source]) -> str:
     chosen = section.source or (next(iter(sources)) if len(sources) == 1 else "")
     if chosen not in sources:
         raise BadInput(f"{path}: has no table '{chosen}' for [{name}]; it has {', '.join(sources)}.")
+    return chosen
+
+
+def _fields_of(section: StreamMap) -> set[str]:
+    """The fields of its table that a section names."""
+    columns = {column if isinstance(column, str) else column.column for column in section.columns.values()}
+    return {section.time, *section.where, *columns}
+
+
+def _asked(section: StreamMap, columns: tuple[str, ...]) -> tuple[bool, tuple[str, ...]]:
+    """Whether angles stand for the quaternion, and the columns that the section is asked for."""
     given = set(section.columns)
     euler = set(_QUATERNION) <= set(columns) and not given & set(_QUATERNION) and given.issuperset(_EULER)
-    asked = tuple(c for c in columns if not (euler and c in _QUATERNION)) + (_EULER if euler else ())
+    return euler, tuple(c for c in columns if not (euler and c in _QUATERNION)) + (_EULER if euler else ())
+
+
+def _check_columns(name: str, section: StreamMap, columns: tuple[str, ...]) -> None:
+    """Raise where a section lacks columns, or has others."""
+    euler, asked = _asked(section, columns)
     optional = {"current_a"} if euler else {"yaw_rad", "current_a"}
-    missing = [column for column in asked if column not in given | optional]
+    missing = [column for column in asked if column not in {*section.columns, *optional}]
     surplus = [column for column in section.columns if column not in asked]
     if missing or surplus:
         wrong = f"lacks {', '.join(missing)}" if missing else f"has {', '.join(surplus)}"
         instead = f" (or {', '.join(_EULER)} for the quaternion)" if set(_QUATERNION) <= set(columns) else ""
         raise BadInput(f"the map's [{name}.columns] {wrong}; it must give {', '.join(columns)}{instead}.")
-    table = sources[chosen]()
+
+
+def _stream(path: Path, name: str, section: StreamMap, table: Table, columns: tuple[str, ...]) -> Stream:
+    euler, asked = _asked(section, columns)
     try:
         for column, value in section.where.items():
             table = table.select(table.column(column) == value)
@@ -140,12 +164,14 @@ def _stream(
     if euler:
         attitude = quat_from_euler(*(found[column] for column in _EULER))
         found |= dict(zip(_QUATERNION, attitude.T, strict=True))
-    values = np.column_stack([found[column] for column in columns])
+    values = np.column_stack([found.pop(column) for column in columns])
     # Tables that join several series have empty cells where one has no sample.
     filled = np.isfinite(t_s) & np.isfinite(values).any(axis=1)
     if not filled.any():
-        raise BadInput(f"{path}: table '{chosen}' has no rows for [{name}]; correct [{name}.where].")
-    return Stream(t_s[filled], _turned(values[filled], columns, section.frame, name), columns)
+        raise BadInput(f"{path}: table '{table.name}' has no rows for [{name}]; correct [{name}.where].")
+    if not filled.all():
+        t_s, values = t_s[filled], values[filled]
+    return Stream(t_s, _turned(values, columns, section.frame, name), columns)
 
 
 def _values(table: Table, column: str | Column | None) -> Array:
@@ -185,7 +211,7 @@ def template(path: Path, vehicle: Vehicle | None = None) -> str:
         "# where = { I = 0 } keeps the rows of one instance. roll_rad, pitch_rad, yaw_rad may stand for a quaternion.",
         "#",
     ]
-    tables = {name: source() for name, source in sources_of(path).items()}
+    tables = {name: source([]) for name, source in sources_of(path).items()}
     for name, table in tables.items():
         lines.append(f"# {name}: {len(table)} rows at {table.rate_hz():.0f} Hz: {', '.join(list(table.fields)[:60])}")
     kind, count = (vehicle.rotors.input, vehicle.rotors.count) if vehicle else ("command", 4)

@@ -8,30 +8,26 @@ import os
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from drivers.samples import Battery, Event, Imu, Motors, Pose, Raw, Setpoint, State
 from groundstation.errors import BadInput
-from groundstation.flightdata import Array, FlightData, Stream, motor_columns
-from groundstation.outside import parse_json, read_bytes
-from groundstation.recording import cdr
-from groundstation.recording.container import Contents, ReadChannel, read_container
-from groundstation.recording.recorded import (
-    COLUMNS,
-    LOG_COLUMNS,
-    MOTOR_KINDS,
-    Recording,
-    Texts,
-    motor_kind,
-    recording_of,
-)
+from groundstation.flightdata import Array, FlightData, Stream
+from groundstation.outside import require_file
+from groundstation.recording.container import Contents, ReadChannel, Unmeasured, read_metadata
+from groundstation.recording.mcapchannels import Block, Gathered, gathered, row_columns, strings, with_exact
+from groundstation.recording.part import WHOLE, Part
+from groundstation.recording.recorded import LOG_COLUMNS, Recording, Texts, motor_kind, recording_of
 from groundstation.recording.recorder import METADATA, SCHEMA, McapRecorder
 from groundstation.recording.schemas import EXACT_TYPE, ROW_TYPE, STREAM_OF_TYPE, TOPICS
 from groundstation.texts import shown
 
 _OWN_KEYS = ("schema", "groundstation", "flight", "window_start_s", "window_end_s", "notes")
 _EXTRA = "/extra/"
+_BLOCK = 4096
+"""Samples that are written from Python's own numbers at a time; these take four times as much as an array."""
 
 
 def write_mcap(flight: FlightData, path: str | Path) -> Path:
@@ -86,29 +82,32 @@ def _side_texts(recording: Recording) -> dict[str, Texts]:
     return {name: texts for name, texts in recording.texts.items() if name not in LOG_COLUMNS}
 
 
-def _times(part: Stream | Texts) -> tuple[list[float], list[float], list[float]]:
-    """Sort keys, device times and arrival times (NaN where not known)."""
+def _blocks(part: Stream | Texts) -> Iterator[tuple[slice, list[float], list[float], list[float]]]:
+    """Block by block: its rows, sort keys, device times and arrival times (NaN where not known)."""
     received = part.received_s if part.received_s is not None else np.full(len(part), np.nan)
-    key = np.where(np.isfinite(received), received, part.t_s)
-    return np.fmax.accumulate(np.nan_to_num(key)).tolist(), part.t_s.tolist(), received.tolist()
+    key = np.fmax.accumulate(np.nan_to_num(np.where(np.isfinite(received), received, part.t_s)))
+    for first in range(0, len(part), _BLOCK):
+        rows = slice(first, first + _BLOCK)
+        yield rows, key[rows].tolist(), part.t_s[rows].tolist(), received[rows].tolist()
 
 
 def _samples(recorder: McapRecorder, stream: Stream, name: str) -> Iterator[_Write]:
     kind = motor_kind(stream.columns)
-    for key, device_s, host_s, v in zip(*_times(stream), stream.values.tolist(), strict=True):
-        if name == "imu":
-            sample = Imu(device_s, tuple(v[:3]), tuple(v[3:]))
-        elif name == "mocap":
-            sample = Pose(device_s, tuple(v[:3]), tuple(v[3:]))
-        elif name == "motors":
-            sample = Motors(device_s, tuple(v), kind)
-        elif name == "battery":
-            sample = Battery(device_s, v[0], v[1])
-        elif name == "setpoint":
-            sample = Setpoint(device_s, tuple(v[:3]), v[3])
-        else:
-            sample = State(device_s, tuple(v[:3]), tuple(v[3:6]), tuple(v[6:10]), tuple(v[10:]))
-        yield key, lambda sample=sample, host_s=host_s: recorder.add(sample, host_s)
+    for rows, keys, device, host in _blocks(stream):
+        for key, device_s, host_s, v in zip(keys, device, host, stream.values[rows].tolist(), strict=True):
+            if name == "imu":
+                sample = Imu(device_s, tuple(v[:3]), tuple(v[3:]))
+            elif name == "mocap":
+                sample = Pose(device_s, tuple(v[:3]), tuple(v[3:]))
+            elif name == "motors":
+                sample = Motors(device_s, tuple(v), kind)
+            elif name == "battery":
+                sample = Battery(device_s, v[0], v[1])
+            elif name == "setpoint":
+                sample = Setpoint(device_s, tuple(v[:3]), v[3])
+            else:
+                sample = State(device_s, tuple(v[:3]), tuple(v[3:6]), tuple(v[6:10]), tuple(v[10:]))
+            yield key, lambda sample=sample, host_s=host_s: recorder.add(sample, host_s)
 
 
 def _rows(recorder: McapRecorder, recording: Recording, name: str) -> Iterator[_Write]:
@@ -116,72 +115,101 @@ def _rows(recorder: McapRecorder, recording: Recording, name: str) -> Iterator[_
     base = numbers if numbers is not None else texts
     if base is None:
         return
-    values = numbers.values.tolist() if numbers is not None else [()] * len(base)
-    words = texts.rows if texts is not None else ((),) * len(base)
     channel = recorder.row_channel(
         f"{_EXTRA}{name}", numbers.columns if numbers is not None else (), texts.columns if texts is not None else ()
     )
-    for key, device_s, host_s, v, w in zip(*_times(base), values, words, strict=True):
-        yield key, lambda d=device_s, h=host_s, v=v, w=w: recorder.add_row(channel, d, h, v, w)
+    for rows, keys, device, host in _blocks(base):
+        values = numbers.values[rows].tolist() if numbers is not None else [()] * len(keys)
+        words = texts.rows[rows] if texts is not None else ((),) * len(keys)
+        for key, device_s, host_s, v, w in zip(keys, device, host, values, words, strict=True):
+            yield key, lambda d=device_s, h=host_s, v=v, w=w: recorder.add_row(channel, d, h, v, w)
 
 
 def _log(recorder: McapRecorder, log: Texts, name: str) -> Iterator[_Write]:
-    for key, device_s, host_s, row in zip(*_times(log), log.rows, strict=True):
-        if name == "events":
-            yield key, lambda d=device_s, h=host_s, r=row: recorder.add(Event(d, r[0], r[1]), h)
-        elif name == "raw":
-            frame = Raw(device_s, "out" if row[0] == "out" else "in", bytes.fromhex(row[1]))
-            yield key, lambda frame=frame, h=host_s: recorder.add(frame, h)
-        else:
-            yield key, lambda d=device_s, h=host_s, r=row: recorder.add_status(d, h, r[0], r[1] == "1", r[2])
+    for rows, keys, device, host in _blocks(log):
+        for key, device_s, host_s, row in zip(keys, device, host, log.rows[rows], strict=True):
+            if name == "events":
+                yield key, lambda d=device_s, h=host_s, r=row: recorder.add(Event(d, r[0], r[1]), h)
+            elif name == "raw":
+                frame = Raw(device_s, "out" if row[0] == "out" else "in", bytes.fromhex(row[1]))
+                yield key, lambda frame=frame, h=host_s: recorder.add(frame, h)
+            else:
+                yield key, lambda d=device_s, h=host_s, r=row: recorder.add_status(d, h, r[0], r[1] == "1", r[2])
 
 
 class ForeignMcap(BadInput):
     """An MCAP file, but no recording of this program: perhaps a ROS 2 bag."""
 
 
-def read_mcap(path: Path) -> Recording:
+def read_mcap(path: Path, part: Part = WHOLE) -> Recording:
     """Read a recording up to its end or to where it was cut off; a note says where that was.
+
+    Args:
+        path: of the file.
+        part: what is wanted of its streams, on the motors' clock.
 
     Raises:
         BadInput: it is no recording of this program.
     """
+    require_file(path, "a recorded flight")
     try:
-        contents = read_container(read_bytes(path, "a recorded flight"))
+        with path.open("rb") as file:
+            about = read_metadata(file).get(METADATA)
+            if about is None:
+                raise ForeignMcap(f"{path}: is an MCAP file of another program.")
+            if about.get("schema") != SCHEMA:
+                raise BadInput(
+                    f"{path}: has schema {about.get('schema')}; this version reads {SCHEMA}. Update groundstation."
+                )
+            contents, found = _gathered(file, part, path)
+    except OSError as error:
+        raise BadInput(f"{path}: cannot be read ({error.strerror}); give the path of a recorded flight.") from None
     except ValueError as error:
         raise BadInput(f"{path}: is no MCAP recording ({error}); give the path of a recorded flight.") from None
-    about = contents.metadata.get(METADATA)
-    if about is None:
-        raise ForeignMcap(f"{path}: is an MCAP file of another program.")
-    if about.get("schema") != SCHEMA:
-        raise BadInput(f"{path}: has schema {about.get('schema')}; this version reads {SCHEMA}. Update groundstation.")
     try:
-        return _recording(contents, about, path)
-    except (ValueError, LookupError, TypeError, ArithmeticError, MemoryError, struct.error) as error:
-        raise BadInput(f"{path}: is damaged ({shown(error, limit=200)}); nothing can be read from it.") from None
+        return _recording(contents, found, about, path)
+    except _FAULTS as error:
+        raise BadInput(_damaged(path, error)) from None
 
 
-def _recording(contents: Contents, about: dict[str, str], path: Path) -> Recording:
-    exact = {c.topic.removesuffix("/exact"): _exact(c) for c in contents.channels.values() if c.type == EXACT_TYPE}
+_FAULTS = (ValueError, LookupError, TypeError, ArithmeticError, MemoryError, struct.error)
+
+
+def _damaged(path: Path, error: BaseException) -> str:
+    return f"{path}: is damaged ({shown(error, limit=200)}); nothing can be read from it."
+
+
+def _gathered(file: BinaryIO, part: Part, path: Path) -> tuple[Contents, dict[int, Gathered]]:
+    try:
+        return gathered(file, part)
+    except Unmeasured:
+        raise
+    except _FAULTS as error:
+        raise BadInput(_damaged(path, error)) from None
+
+
+def _recording(contents: Contents, found: dict[int, Gathered], about: dict[str, str], path: Path) -> Recording:
+    exact = {
+        channel.topic.removesuffix("/exact"): found[number]
+        for number, channel in contents.channels.items()
+        if channel.type == EXACT_TYPE and number in found
+    }
     streams: dict[str, Stream] = {}
     extras: dict[str, Stream] = {}
     texts: dict[str, Texts] = {}
-    for channel in contents.channels.values():
-        if not channel.payload:
+    for number, channel in contents.channels.items():
+        if number not in found:
             continue
         stream = STREAM_OF_TYPE.get(channel.type)
         if channel.type == ROW_TYPE:
-            numbers, words = _read_rows(channel)
             name = channel.topic.removeprefix(_EXTRA)
-            if numbers is not None:
-                extras[name] = numbers
-            if words is not None:
-                texts[name] = words
+            _add_rows(name, channel, found[number].joined(), extras, texts)
         elif stream in LOG_COLUMNS:
             name = stream if channel.topic == TOPICS[stream].name else channel.topic.strip("/")
-            texts[name] = _read_log(channel, stream)
+            log = found[number].joined()
+            texts[name] = Texts(log.t_s, tuple(log.words), LOG_COLUMNS[stream], _known(log.received_s))
         elif stream is not None:
-            samples = _read_samples(channel, stream, exact.get(channel.topic, {}), path)
+            samples = _samples_of(found[number], exact.get(channel.topic))
             if channel.topic == TOPICS[stream].name:
                 streams[stream] = samples
             else:
@@ -196,119 +224,36 @@ def _recording(contents: Contents, about: dict[str, str], path: Path) -> Recordi
         files=contents.attachments,
         metadata={key: value for key, value in about.items() if key not in _OWN_KEYS},
         window_s=None if None in window else (float(window[0] or 0), float(window[1] or 0)),
-        notes=(*_strings(about.get("notes", "[]"), "notes"), *losses),
+        notes=(*strings(about.get("notes", "[]"), "notes"), *losses),
         left_out=losses,
     )
 
 
-def _strings(text: str, what: str) -> tuple[str, ...]:
-    """A JSON list of texts, as metadata hold it.
+def _add_rows(name: str, channel: ReadChannel, rows: Block, extras: dict[str, Stream], texts: dict[str, Texts]) -> None:
+    numbers, words = row_columns(channel)
+    received = _known(rows.received_s)
+    if numbers:
+        extras[name] = Stream(rows.t_s, rows.values, numbers, received)
+    if words:
+        texts[name] = Texts(rows.t_s, tuple(rows.words), words, received)
 
-    Raises:
-        ValueError: it is something else.
-    """
-    value = parse_json(text, what)
-    if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-        raise ValueError(f"{what} is no list of texts")
-    return tuple(value)
+
+def _samples_of(kept: Gathered, companions: Gathered | None) -> Stream:
+    samples = kept.joined()
+    if companions is not None:
+        samples = with_exact(samples, kept.sequence, companions.joined(), companions.sequence)
+    return Stream(samples.t_s, samples.values, samples.columns, _known(samples.received_s))
 
 
 def _losses(contents: Contents, path: Path) -> tuple[str, ...]:
     notes = []
     if not contents.complete:
-        last = max((channel.log_ns[-1] for channel in contents.channels.values() if channel.log_ns), default=0)
-        notes.append(f"{path.name}: the recording was cut off; read up to {last / 1e9:.3f} s of host time.")
+        last_s = contents.last_ns / 1e9
+        notes.append(f"{path.name}: the recording was cut off; read up to {last_s:.3f} s of host time.")
     if contents.damaged:
         notes.append(f"{path.name}: {contents.damaged} pieces are damaged; their samples are left out.")
     return tuple(notes)
 
 
-def _exact(channel: ReadChannel) -> dict[int, tuple[float, ...]]:
-    """By sequence number of the standard message: device time, arrival time, values."""
-    out = {}
-    for sequence, payload in zip(channel.sequence, channel.payload, strict=True):
-        decoder = cdr.Decoder(payload, 20)
-        out[sequence] = (*cdr.own_times(payload, 4), *decoder.doubles())
-    return out
-
-
-def _stacked(channel: ReadChannel, record: np.dtype, path: Path) -> np.ndarray:
-    if any(len(payload) != record.itemsize for payload in channel.payload):
-        raise BadInput(f"{path}: topic {channel.topic} has messages of different layouts; the file is not ours.")
-    return np.frombuffer(b"".join(channel.payload), dtype=record)
-
-
-def _reorder(xyzw: Array) -> Array:
-    return xyzw[:, [3, 0, 1, 2]]
-
-
-def _read_samples(channel: ReadChannel, stream: str, exact: dict[int, tuple[float, ...]], path: Path) -> Stream:
-    if stream == "motors":
-        count = (len(channel.payload[0]) - 48) // 8
-        records = _stacked(channel, cdr.motors_record(count), path)
-        values, columns = records["values"], motor_columns(MOTOR_KINDS[int(records["kind"][0])], count)
-        return _own_stream(records, values, columns)
-    if stream == "setpoint":
-        records = _stacked(channel, cdr.SETPOINT_RECORD, path)
-        return _own_stream(records, records["values"], COLUMNS[stream])
-    if stream == "state":
-        records = _stacked(channel, cdr.STATE_RECORD, path)
-        values = [records["position"], records["velocity"], _reorder(records["xyzw"]), records["rate"]]
-        return _own_stream(records, np.hstack(values), COLUMNS[stream])
-    if stream == "imu":
-        records = _stacked(channel, cdr.IMU_RECORD, path)
-        values = np.hstack([records["gyro"], records["accel"]])
-    elif stream == "mocap":
-        records = _stacked(channel, cdr.POSE_RECORD, path)
-        values = np.hstack([records["position"], _reorder(records["xyzw"])])
-    else:
-        records = _stacked(channel, cdr.BATTERY_RECORD, path)
-        values = np.column_stack([records["voltage"], -records["current"]]).astype(float)
-    t_s = cdr.seconds_of_ns(cdr.record_stamp_ns(records))
-    received = cdr.seconds_of_ns(np.asarray(channel.log_ns, dtype=np.int64))
-    for index, sequence in enumerate(channel.sequence):
-        kept = exact.get(sequence)
-        if kept is not None:
-            t_s[index], received[index] = kept[:2]
-            if len(kept) > 2:
-                values[index] = kept[2:]
-    return Stream(t_s, values, COLUMNS[stream], _known(received))
-
-
-def _own_stream(records: np.ndarray, values: Array, columns: tuple[str, ...]) -> Stream:
-    return Stream(records["device_s"].copy(), np.ascontiguousarray(values), columns, _known(records["received_s"]))
-
-
-def _known(received: Array) -> Array | None:
-    return None if np.isnan(received).all() else np.array(received)
-
-
-def _times_of(channel: ReadChannel) -> tuple[Array, Array | None]:
-    times = np.array([cdr.own_times(payload) for payload in channel.payload])
-    return times[:, 0].copy(), _known(times[:, 1])
-
-
-def _read_rows(channel: ReadChannel) -> tuple[Stream | None, Texts | None]:
-    numbers, words = (_strings(channel.metadata.get(key, "[]"), channel.topic) for key in ("numbers", "texts"))
-    values, rows = [], []
-    for payload in channel.payload:
-        decoder = cdr.Decoder(payload)
-        values.append(decoder.doubles())
-        rows.append(tuple(decoder.text() for _ in range(decoder.count())))
-    t_s, received = _times_of(channel)
-    stream = Stream(t_s, np.array(values, dtype=float), numbers, received) if numbers else None
-    return stream, Texts(t_s, tuple(rows), words, received) if words else None
-
-
-def _read_log(channel: ReadChannel, name: str) -> Texts:
-    rows = []
-    for payload in channel.payload:
-        decoder = cdr.Decoder(payload)
-        if name == "events":
-            rows.append((decoder.text(), decoder.text()))
-        elif name == "raw":
-            rows.append(("out" if decoder.byte() else "in", decoder.blob().hex()))
-        else:
-            rows.append((decoder.text(), str(decoder.byte()), decoder.text()))
-    t_s, received = _times_of(channel)
-    return Texts(t_s, tuple(rows), LOG_COLUMNS[name], received)
+def _known(received: Array | None) -> Array | None:
+    return None if received is None or np.isnan(received).all() else received

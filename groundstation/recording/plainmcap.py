@@ -6,12 +6,13 @@ their schemas.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from groundstation.recording.container import MAGIC, Contents, ReadChannel, read_container
+from groundstation.recording.container import MAGIC, Contents, read_container
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -26,7 +27,7 @@ class Connection:
     topic: str
     msgtype: str
     msgcount: int
-    channel: ReadChannel
+    channel: int
 
 
 class PlainMcap:
@@ -38,14 +39,16 @@ class PlainMcap:
         notes: what is missing of the file, one sentence each.
     """
 
-    def __init__(self, contents: Contents, typestore: Typestore, name: str) -> None:
+    def __init__(self, path: Path, contents: Contents, counts: Mapping[int, int], typestore: Typestore) -> None:
         self.typestore = typestore
+        self._path = path
         self.connections = [
-            Connection(channel.topic, channel.type, len(channel.payload), channel)
-            for channel in contents.channels.values()
+            Connection(channel.topic, channel.type, counts.get(number, 0), number)
+            for number, channel in contents.channels.items()
             if channel.encoding == "cdr" and channel.topic
         ]
-        others = sorted({c.encoding for c in contents.channels.values() if c.payload and c.encoding not in ("cdr", "")})
+        name, channels = path.name, contents.channels
+        others = sorted({channels[n].encoding for n in counts if channels[n].encoding not in ("cdr", "")})
         self.notes = []
         if not contents.complete:
             self.notes.append(f"{name}: the recording was not ended; it was read up to its last whole piece.")
@@ -62,11 +65,12 @@ class PlainMcap:
     def messages(
         self, connections: Sequence[Connection] = (), start: int = 0, stop: int = _LATEST_NS
     ) -> Iterator[tuple[Connection, int, bytes]]:
-        """Connection, time of arrival in nanoseconds, and bytes of each message, channel by channel."""
-        for connection in connections or self.connections:
-            for at_ns, data in zip(connection.channel.log_ns, connection.channel.payload, strict=True):
-                if start <= at_ns < stop:
-                    yield connection, at_ns, data
+        """Connection, time of arrival in nanoseconds, and bytes of each message, read from the file anew."""
+        wanted = {connection.channel: connection for connection in connections or self.connections}
+        with self._path.open("rb") as file:
+            for message in read_container(file, Contents()):
+                if message.channel in wanted and start <= message.log_ns < stop:
+                    yield wanted[message.channel], message.log_ns, message.data
 
     def deserialize(self, data: bytes, kind: str) -> object:
         """A message decoded."""
@@ -83,7 +87,8 @@ def plain_mcap(path: Path) -> PlainMcap | None:
     with files[0].open("rb") as file:
         if file.read(len(MAGIC)) != MAGIC:
             return None
-    contents = read_container(files[0].read_bytes())
+        contents = Contents()
+        counts = Counter(message.channel for message in read_container(file, contents))
     types = {}
     for channel in contents.channels.values():
         if channel.language == "ros2msg":
@@ -92,5 +97,5 @@ def plain_mcap(path: Path) -> PlainMcap | None:
             types.update(get_types_from_idl(channel.definition))
     store = get_typestore(Stores.EMPTY)
     store.register(types)
-    reader = PlainMcap(contents, store, files[0].name)
+    reader = PlainMcap(files[0], contents, counts, store)
     return reader if any(connection.msgcount for connection in reader.connections) else None

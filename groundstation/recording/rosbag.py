@@ -26,6 +26,7 @@ from groundstation.flightdata import (
 )
 from groundstation.frames import quat_rotate
 from groundstation.recording.autopilot import check_count, present, wanted_input
+from groundstation.recording.bagclock import require_steady_clock
 from groundstation.recording.bagfile import RECEIVED, as_received, last_message, opened, tables_in, topics_in
 from groundstation.recording.confined import confined
 from groundstation.recording.part import WHOLE, Part
@@ -72,6 +73,7 @@ def read_topic(path: Path, topic: str) -> Table:
     with opened(path) as reader:
         if topic not in topics_in(reader):
             raise BadInput(f"{path}: has no topic {topic}; it has {', '.join(sorted(reader.topics))}.")
+        require_steady_clock(path)
         return tables_in(reader, path, [topic])[topic]
 
 
@@ -88,6 +90,7 @@ def read_bag(path: Path, vehicle: Vehicle, part: Part = WHOLE) -> Recording:
         BadInput: it holds no motors, several topics that could be the same stream, or messages of no known type.
     """
     with opened(path) as reader:
+        require_steady_clock(path)
         found = {topic: kind for topic, (kind, count) in topics_in(reader).items() if count > 1}
         wanted = _wanted(path, found, vehicle)
         motors = next(topic for topic, stream in wanted.items() if stream == "motors")

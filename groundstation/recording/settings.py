@@ -58,13 +58,19 @@ class Settings:
         ]
 
     def told(self, names: Iterable[str], start_s: float, end_s: float) -> list[str]:
-        """A sentence on each change of these parameters while the motors ran."""
-        return [
-            f"settings: {name} changed from {before:g} to {after:g} at {moment:.2f} s, with the motors on; each value "
-            "is used for its own time."
-            for name in names
-            for moment, before, after in self.changes(name, start_s, end_s)
-        ]
+        """A sentence on each change of these parameters while the motors ran, and one on those that were told later."""
+        used = list(dict.fromkeys(names))
+        late = [name for name in used if name in self.histories and self.histories[name][0][0] > end_s]
+        said = (
+            [f"settings: {', '.join(late)}: told only after the motors ran; taken to have held before."] if late else []
+        )
+        for name in used:
+            said += [
+                f"settings: {name} changed from {before:g} to {after:g} at {moment:.2f} s, with the motors on; each "
+                "value is used for its own time."
+                for moment, before, after in self.changes(name, start_s, end_s)
+            ]
+        return said
 
 
 def settings_of(changes: Iterable[tuple[str, float, float]]) -> Settings:

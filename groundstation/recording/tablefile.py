@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import codecs
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +56,62 @@ def read_table(data: bytes, source: str) -> TableFile:
     return TableFile({name: columns[name] for name in parsed.names if name in columns}, units)
 
 
+def read_columns(path: Path, wanted: Collection[str]) -> TableFile:
+    """The columns of these names (all where none is named) of a file, a long one block by block.
+
+    Raises:
+        BadInput: as :func:`read_table`.
+    """
+    if path.stat().st_size >= _LARGE_BYTES and wanted:
+        try:
+            found = _in_blocks(path, wanted)
+        except BadInput:
+            found = None  # a fault is told of the whole file, with its line there
+        if found is not None:
+            return found
+    return read_table(path.read_bytes(), str(path))
+
+
+def _in_blocks(path: Path, wanted: Collection[str]) -> TableFile | None:
+    """The wanted columns of a file block by block; None where only the whole file tells what it is.
+
+    Of a file that lacks one, all columns of its first block: whoever asked is told what there is.
+    """
+    numbers: dict[str, list[Array]] = {name: [] for name in wanted}
+    texts: dict[str, list[tuple[str, ...]]] = {name: [] for name in wanted}
+    names, units = "", {}
+    with path.open("rb") as file:
+        while lines := file.readlines(_BLOCK):
+            data = b"".join(lines)
+            if not names and data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+                return None
+            if not names:
+                text, units = _arranged(decoded(data))
+                names = text.partition("\n")[0]
+            else:
+                text = f"{names}\n{_with_newlines(decoded(data))}"
+            block = parse_csv(text.encode(), str(path))
+            if not {*block.numbers, *block.texts} >= set(wanted):
+                return TableFile(block.numbers, units) if block.numbers else None
+            for name in wanted:
+                numbers[name].append(block.numbers[name].copy() if name in block.numbers else np.empty(0))
+                texts[name].append(block.texts.get(name, ()))
+    columns = {name: _column(numbers.pop(name), texts.pop(name)) for name in wanted}
+    found = {name: column for name, column in columns.items() if column is not None}
+    return TableFile(found, {name: units[name] for name in found if name in units}) if found else None
+
+
+def _column(numbers: list[Array], texts: list[tuple[str, ...]]) -> Array | None:
+    """A column of blocks that are numbers, or words that may be: times, or words for what is missing."""
+    if not any(texts):
+        return np.concatenate(numbers)
+    cells = [cells or tuple(map(repr, values.tolist())) for values, cells in zip(numbers, texts, strict=True)]
+    return _numbers(tuple(cell for block in cells for cell in block))
+
+
+_LARGE_BYTES, _BLOCK = 1 << 22, 1 << 22
+
+
 def decoded(data: bytes) -> str:
     """Text in UTF-8, UTF-16 (what Excel calls Unicode) or Windows' Western encoding, which a degree sign tells."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -68,7 +126,7 @@ def decoded(data: bytes) -> str:
 
 def _arranged(text: str) -> tuple[str, dict[str, str]]:
     """The text with its line of names first, and the units below it; other lines are blank and keep their number."""
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    lines = _with_newlines(text).split("\n")
     first = next((i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith(_COMMENT)), 0)
     names = lines[first]
     if _is_data(names):  # the names stand in a comment, as NumPy writes them
@@ -85,6 +143,10 @@ def _arranged(text: str) -> tuple[str, dict[str, str]]:
         }
         lines[below] = ""
     return "\n".join([names, *[""] * first, *lines[first + 1 :]]), units
+
+
+def _with_newlines(text: str) -> str:
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _cells(line: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""Long logs: the stretch of a flight that tells most of the vehicle, when nobody said which part to use.
+"""Long logs, and those of several flights: the stretch that tells most of the vehicle, when nobody said which to use.
 
 What a stretch tells of inertias, lags and thrust grows with the square of what the vehicle does in it: turn rates and
 specific force that vary. The most informative stretch of a given length is the one where the sum of those variances is
@@ -25,16 +25,81 @@ KEPT_S = 180.0
 """What is kept of a longer one: six times the excitation that a plan flies, at a cost that stays near a planned
 flight's.
 """
+CHANGED_S = 15.0
+"""Motors that stand for as long end a flight: enough for a hand to change the battery, a propeller or the load.
+
+Hops with shorter rests are one flight of several stretches.
+"""
+_FLIGHT_S = 5.0  # motors that ran for less were tried on the ground
+_BESIDE_S = 2.0  # of rest that goes with a flight, before and after
 _BLOCK_S = 1.0
+_STILL = 0.02  # of the most that the motors reach; idling motors are above
+_SEEN = 5  # samples of motors that stand, by which a rest is told from a pause of the logger
 
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """A part of a flight on the motors' clock, and how long the flight is."""
+    """A part of a log on the motors' clock, and what to say of it."""
 
     start_s: float
     end_s: float
-    of_s: float = np.inf
+    notes: tuple[str, ...] = ()
+
+
+def used_stretch(imu: Stream | None, motors: Stream) -> Stretch | None:
+    """What to use of a log when nobody said: of several flights one, of a long one its informative part; None where
+    that is all of it.
+    """
+    flights = _flights(motors)
+    if len(flights) < 2:
+        return informative_stretch(imu, motors)
+    worth = _worth(imu, motors, flights)
+    start, end = flights[int(np.argmax(worth))]
+    listed = "; ".join(f"{first:.1f} to {last:.1f} s" for first, last in flights)
+    note = (
+        f"flight: the log holds {len(flights)} flights ({listed}); between them the motors stood for {CHANGED_S:.0f} s "
+        f"and more, and the vehicle may have been changed. Number {int(np.argmax(worth)) + 1} is used, which tells "
+        "most of it; choose another with --from and --to, or use all with --all."
+    )
+    used = Stretch(start - _BESIDE_S, end + _BESIDE_S, (note,))
+    imu = None if imu is None else imu.select(_within(imu, used))
+    motors = motors.select(_within(motors, used))
+    found = informative_stretch(imu, motors)
+    return used if found is None else Stretch(found.start_s, found.end_s, (note, *found.notes))
+
+
+def _within(stream: Stream, used: Stretch) -> NDArray[np.bool_]:
+    return (stream.t_s >= used.start_s) & (stream.t_s <= used.end_s)
+
+
+Span = tuple[float, float]
+
+
+def _flights(motors: Stream) -> list[Span]:
+    """When the motors ran, with rests between that are long enough to change something.
+
+    A pause of the logger with the motors running before and after it is a gap in one flight.
+    """
+    level = np.abs(np.nan_to_num(motors.values)).mean(axis=1)
+    there = np.isfinite(motors.t_s)
+    on = there & (level > _STILL * np.max(level, initial=0.0))
+    if not on.any():
+        return []
+    t_s, still = np.sort(motors.t_s[on]), np.sort(motors.t_s[there & ~on])  # stamps that stray are not repaired yet
+    breaks = np.flatnonzero(np.diff(t_s) >= CHANGED_S)
+    seen = np.searchsorted(still, t_s[breaks + 1]) - np.searchsorted(still, t_s[breaks])
+    breaks = breaks[seen >= _SEEN]
+    spans = zip(t_s[[0, *(breaks + 1)]].tolist(), t_s[[*breaks, -1]].tolist(), strict=True)
+    return [(start, end) for start, end in spans if end - start >= _FLIGHT_S]
+
+
+def _worth(imu: Stream | None, motors: Stream, flights: list[Span]) -> list[float]:
+    """What each flight tells of the vehicle; how long it lasts, where nothing says how it moves."""
+    edges = np.arange(flights[0][0], flights[-1][1], _BLOCK_S)
+    if imu is None or len(edges) > len(motors):
+        return [end - start for start, end in flights]
+    told = _told_by(imu, motors, edges)
+    return [float(np.sum(told[(edges >= start - _BLOCK_S) & (edges <= end)])) for start, end in flights]
 
 
 def informative_stretch(imu: Stream | None, motors: Stream) -> Stretch | None:
@@ -48,15 +113,26 @@ def informative_stretch(imu: Stream | None, motors: Stream) -> Stretch | None:
     if imu is None or not LONG_S < span_s <= _BLOCK_S * len(motors):
         return None
     edges = np.arange(motors.t_s[0], motors.t_s[-1], _BLOCK_S)
-    told = _variation(imu, edges) * (_means(motors, edges) > 0.1 * np.nanmax(motors.values))
-    flying = told[told > 0.0]
-    if not len(flying):
+    told = _told_by(imu, motors, edges)
+    if not told.any():
         return None
-    told = np.minimum(told, np.quantile(flying, 0.95))
     width = round(KEPT_S / _BLOCK_S)
     total = np.convolve(told, np.ones(width), mode="valid")
     begin = float(edges[int(np.argmax(total))])
-    return Stretch(begin, begin + KEPT_S, span_s)
+    note = (
+        f"flight: of {span_s:.0f} s those from {begin:.1f} to {begin + KEPT_S:.1f} s are used, in which the vehicle "
+        "turns and climbs most; choose others with --from and --to, or use all with --all."
+    )
+    return Stretch(begin, begin + KEPT_S, (note,))
+
+
+def _told_by(imu: Stream, motors: Stream, edges: Array) -> Array:
+    """What each block tells, shape (blocks,): nothing where the motors stand, and no block more than the twentieth
+    part of them exceeds.
+    """
+    told = _variation(imu, edges) * (_means(motors, edges) > 0.1 * np.nanmax(motors.values))
+    flying = told[told > 0.0]
+    return np.minimum(told, np.quantile(flying, 0.95)) if len(flying) else told
 
 
 def _variation(imu: Stream, edges: Array) -> Array:

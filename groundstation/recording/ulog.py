@@ -27,6 +27,7 @@ from groundstation.recording.recorded import Recording
 from groundstation.recording.settings import Settings
 from groundstation.recording.tables import Table
 from groundstation.recording.ulogfile import ULogFile, decode_ulog
+from groundstation.texts import shown
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -53,6 +54,12 @@ TOPICS = (
 )
 
 
+_REPLAYED = "replay"
+"""Information of a log that PX4 wrote while it replayed another one: that one's name (ULog file format, table of
+keys).
+"""
+
+
 def load_ulog(path: Path, part: Part = WHOLE) -> ULogFile:
     """The file, or a part, decoded.
 
@@ -74,9 +81,14 @@ def read_ulog(path: Path, vehicle: Vehicle, part: Part = WHOLE) -> Recording:
     file's order. Motion capture: what was received from it, or in simulation the ground truth.
 
     Raises:
-        BadInput: it is damaged at the start, holds no motor outputs, or those of another vehicle.
+        BadInput: it is damaged at the start, a replay, holds no motor outputs, or those of another vehicle.
     """
     log = load_ulog(path, part)
+    if _REPLAYED in log.info:
+        raise BadInput(
+            f"{path}: is a replay of {shown(log.info[_REPLAYED], limit=100)}: modules ran again on that log's data, so "
+            "that what they computed moved no vehicle. Give the log that was replayed."
+        )
     topics = {key: topic for key, topic in log.topics.items() if len(topic) > 1}
     lost = _losses(path, log)
     streams: dict[str, Stream] = {}

@@ -15,7 +15,7 @@ from groundstation.flight.client.client import CoreClient, connect, outcome, sta
 from groundstation.flight.client.interrupts import Interrupts
 from groundstation.flight.journal import RAW_LOG
 from groundstation.flight.link.parameter_journal import left_changed
-from groundstation.flight.messages import WAY, CoreStatus
+from groundstation.flight.messages import WAY, CheckStatus, CoreStatus
 from groundstation.flight.sequence import FINAL, GIVEN_UP, IN_FLIGHT, Phase
 from groundstation.identification.results import Estimate
 from groundstation.json_types import Document
@@ -77,16 +77,27 @@ def linked_vehicle(
     return ("groundstation.flight.link.process", *arguments)
 
 
-def check(folder: Path, *, plan: Path, vehicle: Path, drone: tuple[str, ...], say: Say) -> str:
-    """Upload and check, but do not fly: why it would not fly; empty when it would."""
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """Why it would not fly, empty when it would, and the answers of all checks, as far as they came."""
+
+    reason: str
+    checks: tuple[CheckStatus, ...]
+
+
+def check(folder: Path, *, plan: Path, vehicle: Path, drone: tuple[str, ...], say: Say) -> Checked:
+    """Upload and check, but do not fly."""
     core, endpoint = start_core(folder, plan=plan, vehicle=vehicle, drone=drone, analyse=False)
-    ready = []
+    ready: list[bool] = []
+    checks: tuple[CheckStatus, ...] = ()
 
     def body(client: CoreClient) -> None:
+        nonlocal checks
         while core.poll() is None:
             status = client.status(0.2)
             if status is None:
                 continue
+            checks = status.checks or checks
             say(progress_line(status))
             if status.phase == Phase.CHECKED:
                 ready.append(client.command("abort").ok)
@@ -95,7 +106,7 @@ def check(folder: Path, *, plan: Path, vehicle: Path, drone: tuple[str, ...], sa
 
     with Interrupts() as stop, stop.ordering(core.interrupt):
         _as_client(core, endpoint, body)
-    return "" if ready else outcome(folder)[1]
+    return Checked("" if ready else outcome(folder)[1], checks)
 
 
 def _as_client(core: Child, endpoint: Access, body: Callable[[CoreClient], None]) -> None:

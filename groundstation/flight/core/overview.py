@@ -98,7 +98,7 @@ class FlightView:
             text=self.text,
             table=self.table,
             notes=tuple(self.notes),
-            checks=(*self._checks.values(), *checklist(streams, self.battery_v, self._declared)) if recorder else (),
+            checks=(*self._checks.values(), *(checklist(streams, self.battery_v, self._declared) if recorder else ())),
             signals=signals(self._newest),
             clock_s=self.live.clock_s,
             mocap=self.mocap,

@@ -425,7 +425,8 @@ class LinkCore:
         if self.pilot.phase is not self._phase:
             self._tell(out, now_s, "link", f"{self._phase} -> {self.pilot.phase} {self.pilot.reason}".strip())
             self._phase = self.pilot.phase
-            if self._phase is Phase.LANDED and (found := self._latency.result()) is not None:
+            # Before touch-down: the recording ends with the flight.
+            if self._phase is Phase.LANDING and (found := self._latency.result()) is not None:
                 told = latency_sentence(found, self.clock.error_s(now_s), self.station.mocap)
                 self._tell(out, now_s, "latency", told)
 

@@ -351,10 +351,14 @@ class LinkProcess:
             return bus.Answer(False, "the vehicle did not answer in time")
 
     def _answer(self) -> None:
-        for answered, reply in list(self._waiting):
-            if answered.ok is not None:
-                reply.put(bus.Answer(answered.ok, answered.reason))
-                self._waiting.remove((answered, reply))
+        """Behind what led to the answer: a core that is refused ends at once, and each check belongs in its record."""
+        ready = [(answered, reply) for answered, reply in self._waiting if answered.ok is not None]
+        if ready:
+            self._publish(force=True)
+        for answered, reply in ready:
+            self._waiting.remove((answered, reply))
+            answer = bus.Answer(bool(answered.ok), answered.reason)
+            self._publisher.put(lambda reply=reply, answer=answer: reply.put(answer))
 
     def _publish(self, *, force: bool = False) -> None:
         now = self.clock()

@@ -1,0 +1,103 @@
+"""A load that swings below the vehicle: the pendulum against Newton's law, and a flight with one that is named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from flights import laboratory
+from scipy.integrate import solve_ivp
+
+from groundstation.diagnosis import diagnose
+from groundstation.diagnosis.effect import Acting, library
+from groundstation.diagnosis.pendulum import pull_per_mass
+from groundstation.model.signals import Signals
+from groundstation.paths import find_config
+from groundstation.trajectory import load_plan
+from groundstation.vehicle import load_vehicle
+from sim.flight import simulate
+from studies.flown import flight_data
+
+SEED = 3
+GRAVITY, LENGTH_M, AIR_1_S = 9.81, 0.45, 0.2
+EFFECT = library()["slung_load"]
+VEHICLE = load_vehicle(find_config("vehicles", "qball2"))
+
+
+def _velocity(t: np.ndarray) -> np.ndarray:
+    return np.stack([np.sin(3.0 * t), 0.5 * np.cos(2.0 * t) - 0.5, 0.3 * np.sin(2.2 * t)], axis=-1)
+
+
+def _free_fall(t: float, u: np.ndarray) -> np.ndarray:
+    """Acceleration of the mass beside the hook if there were no cable."""
+    acceleration = np.array([3.0 * np.cos(3.0 * t), -np.sin(2.0 * t), 0.66 * np.cos(2.2 * t)])
+    return np.array([0.0, 0.0, -GRAVITY]) - acceleration - AIR_1_S * (_velocity(np.array(t)) + u)
+
+
+def _pull(t: float, x: np.ndarray) -> np.ndarray:
+    """What keeps the mass at its distance: the second derivative of |r|^2 is zero."""
+    r, u = x[:3], x[3:]
+    return (_free_fall(t, u) @ r + u @ u) / (r @ r) * r
+
+
+def test_the_pull_is_that_of_newtons_law_at_large_swings():
+    t = np.arange(0.0, 20.0, 0.005)
+    start = [0.0, 0.0, -LENGTH_M, 0.0, 0.0, 0.0]
+    exact = solve_ivp(
+        lambda t, x: np.concatenate([x[3:], _free_fall(t, x[3:]) - _pull(t, x)]),
+        (0.0, 20.0),
+        start,
+        t_eval=t,
+        rtol=1e-8,
+        atol=1e-10,
+    ).y.T
+    tilt = np.degrees(np.arccos(-exact[:, 2] / LENGTH_M).max())
+    assert tilt > 50.0
+    expected = np.array([_pull(at, x) for at, x in zip(t, exact, strict=True)])
+    found, _ = pull_per_mass(t, _velocity(t), GRAVITY, LENGTH_M, AIR_1_S)
+    np.testing.assert_allclose(found[1:-1], expected[1:-1], atol=2e-3)
+
+
+def _signals(duration_s: float = 10.0, step_s: float = 0.004) -> Signals:
+    """A level vehicle that moves sideways and climbs."""
+    t = np.arange(0.0, duration_s, step_s)
+    blank, thrust = np.zeros((len(t), 3)), np.full((len(t), 4), VEHICLE.mass_kg * GRAVITY / 4.0)
+    level, unknown = np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1)), np.full(len(t), np.nan)
+    return Signals(t, blank, _velocity(t), level, blank, thrust, thrust, 0.0 * thrust, thrust, unknown, unknown)
+
+
+@pytest.mark.parametrize(
+    ("name", "column", "step"), [("length_m", 1, 0.002), ("air_1_s", 2, 0.01), ("depth_m", 3, 0.002)]
+)
+def test_a_change_of_a_setting_is_what_its_column_says(name: str, column: int, step: float):
+    signals, settings = _signals(), {"length_m": LENGTH_M, "air_1_s": 0.5, "depth_m": 0.03}
+    about = EFFECT.wrench(signals, VEHICLE, settings)
+    moved = EFFECT.wrench(signals, VEHICLE, {**settings, name: settings[name] + step})
+    difference = moved[:, :, 0] - about[:, :, 0]
+    error = difference - step * about[:, :, column]
+    assert np.sqrt(np.mean(error**2)) < 0.1 * np.sqrt(np.mean(difference**2))
+
+
+def test_a_load_swings_on_in_windows_that_start_in_a_flight():
+    signals, settings = _signals(), {"length_m": LENGTH_M, "air_1_s": AIR_1_S, "depth_m": 0.03}
+    acting = Acting([(EFFECT, settings, np.array([0.1, 0.0, 0.0, 0.0]))], VEHICLE)
+    along, starts = acting(signals), np.array([500, 1200])
+    ahead = acting.begun(signals, starts)
+    for step in range(1, 120):
+        now = Signals(*(getattr(signals, name)[starts + step] for name in Signals.__slots__))
+        found = ahead(now)
+    np.testing.assert_allclose(found, along[starts + 119], atol=0.02 * np.abs(along).max())
+
+
+def test_a_load_far_below_is_named_with_its_size_and_improves_the_prediction():
+    print("seed", SEED)
+    load = {"mass_kg": 0.1, "length_m": 0.5, "attachment_m": (0.0, 0.0, -0.05)}
+    plan = load_plan(find_config("plans", "qball2")).model_copy(update={"periods": 3.0})
+    flown = simulate(VEHICLE, plan, laboratory(slung_load=load), SEED)
+    found = diagnose([flight_data(flown)])
+    first = found.findings[0]
+    assert first.effect == "slung_load"
+    assert first.parameters["load_kg"].value == pytest.approx(0.1, rel=0.05)
+    low, high = first.parameters["length_m"].ci95
+    assert low < 0.5 < high
+    assert found.adopted
+    assert found.parameters_after["mass_kg"].value == pytest.approx(flown.truth.mass_kg, rel=0.005)
