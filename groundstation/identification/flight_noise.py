@@ -70,8 +70,8 @@ class FlightNoise:
 
     def by_channel(self, model: RecordModel, residual: Array, sensitivity: Array) -> Iterator[tuple[Array, Array]]:
         """The same, one channel after the other: residual (blocks,) and sensitivities (blocks, P)."""
-        parts = zip(self.channels, self.whiteners, self._filters_of(model), self.residuals(model, residual), strict=True)
-        for channel, polynomial, (gains, unit, _), y in parts:
+        filters, ys = self._filters_of(model), self.residuals(model, residual)
+        for channel, polynomial, (gains, unit, _), y in zip(self.channels, self.whiteners, filters, ys, strict=True):
             x = filtered(sensitivity[:, channel, :], gains, unit, np.zeros((2, sensitivity.shape[2])))
             yield y, apply_polynomial(polynomial, x)
 
