@@ -94,11 +94,10 @@ class FourierSeries:
         """Channels and derivatives 0..highest at times t, shape (highest + 1, k, 4)."""
         t = np.atleast_1d(np.asarray(t_s, dtype=float))
         w = self.base_frequency_rad_s * np.arange(1, self.a.shape[1] + 1)
-        phase = w * t[:, None]
+        phase = np.exp(1j * w * t[:, None])
         # q = Re(sum z e^{iwt}) + c with z = -(b + i a)/w; each derivative multiplies by i w.
         z = -(self.b + 1j * self.a) / w
-        sizes = np.stack([((1j * w) ** n * z).T for n in range(highest + 1)])
-        out = np.hstack([np.cos(phase), np.sin(phase)]) @ np.concatenate([sizes.real, -sizes.imag], axis=1)
+        out = np.stack([np.real(phase @ ((1j * w) ** n * z).T) for n in range(highest + 1)])
         out[0] += self.c
         return out
 
