@@ -313,7 +313,7 @@ def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: 
         return fit(models, declared_parameters(vehicle, lag_s=0.0, extra=len(models[0].extra)), options)
     first, noise = _first_look(models, vehicle, options)
     start = _divided(models, first, noise, options)
-    best = fit(models, start, options, noise)
+    best = fit(models, start, options)
     start = divided_anew(models, best, options)
     if start is best.parameters:
         return best
