@@ -5,7 +5,7 @@ leaves.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,11 +57,6 @@ class FlightNoise:
     _filters: list[tuple[Array, Mask, list[_Filter]]] = field(
         default_factory=list[tuple[Array, Mask, list[_Filter]]], init=False, repr=False, compare=False
     )
-
-    def of_shorter_means(self, factor: int) -> FlightNoise:
-        """The noise of means over so many times fewer samples: sensors' white noise grows, all else stays."""
-        colours = tuple(replace(colour, sensor=colour.sensor * float(np.sqrt(factor))) for colour in self.colours)
-        return FlightNoise(self.channels, colours, self.whiteners)
 
     def whitened(self, model: RecordModel, residual: Array, sensitivity: Array) -> Whitened:
         """Residuals (blocks, 6) and sensitivities (blocks, 6, P) as innovations of unit variance."""

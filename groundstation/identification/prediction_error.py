@@ -40,8 +40,6 @@ Mask = NDArray[np.bool_]
 
 STEPS = 8
 """Gauss-Newton steps under one noise model, at most."""
-ENOUGH = 1e-3
-"""Fall of the cost, in nats, below which a step is not worth taking: a standard deviation costs half of one."""
 HUBER = 3.0
 """Standard deviations of an innovation from which its weight falls."""
 
@@ -234,22 +232,20 @@ def _line_search(
             values = values_of(trial, point.names, problem.extra_names)
             total = 0.5 * float(np.sum(((values - mean) / std) ** 2))
             total += problem.misfit(trial, noise)
-            if total <= local.cost + max(ENOUGH, 1e-9 * abs(local.cost)):
+            if total <= local.cost + 1e-9 * abs(local.cost):
                 return trial, fraction
         fraction *= 0.5
     return p, 0.0
 
 
 def _step(problem: Problem, point: Point, noise: Sequence[FlightNoise], taken_before: int) -> tuple[_Descent, bool]:
-    """One Gauss-Newton step, and whether it is the last: it would not lower the cost, did not, or moved little beside
-    the deviations.
+    """One Gauss-Newton step, and whether it is the last: it did not lower the cost, or moved little beside the
+    deviations.
     """
     local = _linearised(problem, point, noise)
     step = np.asarray(np.linalg.solve(local.normal, local.gradient), dtype=float)
-    covariance = inverted(local.normal)
-    if 0.5 * float(local.gradient @ step) < ENOUGH:
-        return _Descent(point, covariance, local.cost, taken_before + 1), True
     moved, taken = _line_search(problem, point, local, step, noise)
+    covariance = inverted(local.normal)
     variance = np.maximum(np.diag(covariance), 0.0)  # of what a flight does not show, rounding may make it negative
     last = taken == 0.0 or bool(np.all(np.abs(taken * step) < 0.02 * np.sqrt(variance)))
     after = problem.at(moved) if taken > 0.0 else point
@@ -309,33 +305,18 @@ def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: 
     periods has a minimum. So the division is looked for over all of the total before the last fit, and once more after
     it.
     """
+    extra = len(models[0].extra)
     if not options.lag:
-        return fit(models, declared_parameters(vehicle, lag_s=0.0, extra=len(models[0].extra)), options)
-    first, noise = _first_look(models, vehicle, options)
-    start = _divided(models, first, noise, options)
-    best = fit(models, start, options)
+        return fit(models, declared_parameters(vehicle, lag_s=0.0, extra=extra), options)
+    first = replace(options, symmetric_lag=True, delay=False, colour_rounds=1, autoregression=0)
+    tried = [fit(models, declared_parameters(vehicle, lag_s=lag, extra=extra), first) for lag in (0.02, 0.08)]
+    best = min(tried, key=lambda found: found.cost)
+    best = fit(models, divided_anew(models, best, options), options, noise_of(best, models, options))
     start = divided_anew(models, best, options)
     if start is best.parameters:
         return best
     again = fit(models, start, options, noise_of(best, models, options))
     return min(best, again, key=lambda found: found.cost)
-
-
-def _first_look(
-    models: Sequence[RecordModel], vehicle: Vehicle, options: FitOptions
-) -> tuple[Parameters, list[FlightNoise]]:
-    """One lag and no dead time from two starts, and the noise they leave; at a third of the fit's rate.
-
-    It only chooses the basin that the fit goes on in, and a lag shows well below that rate.
-    """
-    factors = [max(1, int(1.0 / (FIRST_LOOK_HZ * float(np.median(model.dt))))) for model in models]
-    coarse = [model.coarser(factor) if factor > 1 else model for model, factor in zip(models, factors, strict=True)]
-    simple = replace(options, symmetric_lag=True, delay=False, colour_rounds=1, autoregression=0)
-    extra = len(models[0].extra)
-    tried = [fit(coarse, declared_parameters(vehicle, lag_s=lag, extra=extra), simple) for lag in (0.02, 0.08)]
-    best = min(tried, key=lambda found: found.cost)
-    noise = noise_of(best, coarse, options)
-    return best.parameters, [each.of_shorter_means(factor) for each, factor in zip(noise, factors, strict=True)]
 
 
 def noise_of(fitted: Fitted, models: Sequence[RecordModel], options: FitOptions) -> list[FlightNoise]:
@@ -345,19 +326,11 @@ def noise_of(fitted: Fitted, models: Sequence[RecordModel], options: FitOptions)
 
 DIVISION_S = 0.002
 """Between dead times that are tried."""
-FIRST_LOOK_HZ = 50.0
-"""Rate at which lags are looked for first: several times what rotors of 20 ms and more let through."""
 
 
 def divided_anew(models: Sequence[RecordModel], found: Fitted, options: FitOptions) -> Parameters:
     """The parameters found, or those whose dead time and lags, of the same sum, suit the residual better."""
-    return _divided(models, found.parameters, noise_of(found, models, options), options)
-
-
-def _divided(
-    models: Sequence[RecordModel], p: Parameters, noise: Sequence[FlightNoise], options: FitOptions
-) -> Parameters:
-    """The same from parameters and noise."""
+    p, noise = found.parameters, noise_of(found, models, options)
     problem = Problem(tuple(models), options, p)
     shifts = DIVISION_S * np.arange(
         -np.floor(max(p.delay_s, 0.0) / DIVISION_S), min(p.lag_up_s, p.lag_down_s) / DIVISION_S

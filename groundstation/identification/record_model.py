@@ -175,11 +175,6 @@ class RecordModel:
         other.restart = restart
         return other
 
-    def coarser(self, factor: int) -> RecordModel:
-        """The same record with so many times as many samples in a block."""
-        record = replace(self.record, block=factor * self.record.block)
-        return RecordModel(record, self.extra, self.planned, self.silent)
-
     def of_vehicle(self, vehicle: Vehicle) -> RecordModel:
         """The same record by another vehicle's thrust, with neither terms nor plan."""
         other = copy(self)
