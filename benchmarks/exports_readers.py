@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from groundstation.reporting.exports import export, mat_file
-from tests.test_reporting_exports import MASS, OFFSET, TENSOR, document, x_frame
+from tests.exported import MASS, OFFSET, TENSOR, document, x_frame
 
 RESULTS = Path(__file__).resolve().parents[1] / "docs" / "results" / "exports_readers.json"
 RPM = 30.0 / np.pi

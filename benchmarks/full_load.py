@@ -212,16 +212,15 @@ class Flight:
 
     async def fly(self) -> None:
         """From start to end, or until it is killed."""
-        from groundstation.flight.client.client import start_core
+        from groundstation.flight.client.client import FlightOrder, start_core
         from groundstation.paths import find_config
         from groundstation.tui.app import GroundStation
         from groundstation.tui.watch import CoreWatch
 
         drone = ("benchmarks.full_load", "--seconds", str(self.seconds), "--told", str(self.told))
-        core, access = start_core(
-            self.folder, plan=plan_file(self.root, self.seconds), vehicle=find_config("vehicles", "qball2").resolve(),
-            drone=(*drone, "--plants") if self.kill_after_s is None else drone, start=True, analyse=False,
-        )  # fmt: skip
+        drone = (*drone, "--plants") if self.kill_after_s is None else drone
+        plan, vehicle = plan_file(self.root, self.seconds), find_config("vehicles", "qball2").resolve()
+        core, access = start_core(FlightOrder(self.folder, plan, vehicle, drone, analyse=False), start=True)
         app = GroundStation(self.root / "logs", analyse=False)
         async with app.run_test(size=(120, 40)) as pilot:
             app.follow(CoreWatch(access, self.folder), simulated=True)

@@ -7,7 +7,8 @@ centre of mass (a body of its own, on a ball joint). RotorPy's controller flies 
 `--rotorpy` draws the flights of `benchmarks.rotorpy_blind` instead.
 
 What is counted is how often the 95 % intervals of mass and moments hold the truth after the diagnosis, by what is
-hidden, and how wide they are. Truth, sizes and sensors are drawn from a seed for each flight; it is printed.
+hidden, and how wide they are; and how the prediction of the last 15 s, from the flight before them, compares with
+constant velocity. Truth, sizes and sensors are drawn from a seed for each flight; it is printed.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import argparse
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,9 @@ from benchmarks.rotorpy_blind import (
 from benchmarks.rotorpy_blind import KINDS as ROTORPY
 from benchmarks.rotorpy_blind import fly as fly_in_rotorpy
 from benchmarks.rotorpy_blind import truth as truth_in_rotorpy
+from groundstation import api
 from groundstation.diagnosis import diagnose
+from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
 from groundstation.planning import plan_excitation
 from groundstation.trajectory import Plan
@@ -207,6 +210,32 @@ def drawn(seed: int, kind: str, plans: Sequence[Plan], rotorpy: bool) -> tuple[F
     return flight, dict(zip(NAMES, (body.mass_kg, *moments), strict=True))
 
 
+UNSEEN_S, APART_S = 15.0, 2.0
+"""Of the end of a flight that is predicted, and of what is left out before it."""
+
+
+def ahead(flight: FlightData) -> dict[str, Any]:
+    """Errors of the prediction 0.1 and 0.5 s ahead over those of constant velocity, on a part that no fit has seen."""
+    last = (flight.window_s or (0.0, 0.0))[1]
+    begins = last - UNSEEN_S
+    try:
+        found = api.identify(flight, exclude=[(begins - APART_S, np.inf)])
+        model = api.model_document(found, flight.vehicle)
+        predicted = api.predict(model, replace(flight, plan=None, window_s=(begins, last)))
+    except Refused as refusal:
+        return {"refused": str(refusal)}
+    still = predicted.error["constant_velocity"]
+    return {
+        "windows": predicted.windows,
+        "summary": found.prediction.get("summary", ""),
+        "over_constant_velocity": {
+            h: {q: round(e["mean_norm"] / still[h][q]["mean_norm"], 3) for q, e in predicted.error["model"][h].items()}
+            for h in ("0.1", "0.5")
+        },
+        "worse": list(predicted.to_dict()["worse_than_constant_velocity"]),
+    }
+
+
 def judged(flight: FlightData, true: dict[str, float]) -> dict[str, Any]:
     """What the diagnosis says, and how far off in its own deviations."""
     began = time.process_time()
@@ -219,6 +248,7 @@ def judged(flight: FlightData, true: dict[str, float]) -> dict[str, Any]:
         "inside": {n: bool(e.ci95[0] <= true[n] <= e.ci95[1]) for n, e in after.items()},
         "away": {n: (e.value - true[n]) / e.std for n, e in after.items()},
         "std": {n: e.std / true[n] for n, e in after.items()},
+        "ahead": ahead(flight),
         "cpu_s": round(time.process_time() - began, 1),
     }
 
@@ -239,9 +269,23 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
             f"| {kind} | {len(own)} | {sum(mass)} of {len(mass)} | {sum(moments)} of {len(moments)} | "
             f"{np.median(widths[0]):.3%} | {np.median(widths[1]):.2%} | {', '.join(first)} |"
         )
+    lines += ["", *_predicted(rows)]
     every = [v for row in rows for v in row["inside"].values()]
     mass = [row["inside"]["mass_kg"] for row in rows if "mass_kg" in row["inside"]]
     return "\n".join([*lines, "", f"all {share(sum(every), len(every))}; mass {share(sum(mass), len(mass))}"])
+
+
+def _predicted(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Lines on the prediction of what no fit has seen."""
+    told = [row["ahead"] for row in rows if "worse" in row["ahead"]]
+    lines = [f"predicted {len(told)} of {len(rows)} flights; worse than constant velocity in any: "
+             f"{sum(bool(each['worse']) for each in told)}"]  # fmt: skip
+    for horizon in ("0.1", "0.5"):
+        for quantity in told[0]["over_constant_velocity"][horizon] if told else ():
+            ratio = [each["over_constant_velocity"][horizon][quantity] for each in told]
+            lines.append(f"{quantity} at {horizon} s over constant velocity's: median {np.median(ratio):.2f}, largest "
+                         f"{max(ratio):.2f}")  # fmt: skip
+    return lines
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -21,8 +21,8 @@ from typing import Any
 import tomli_w
 
 from groundstation.errors import BadInput, Refused
-from groundstation.flight.client.client import outcome, start_core
-from groundstation.flight.client.rehearse import linked_vehicle
+from groundstation.flight.client.client import FlightOrder, outcome, start_core
+from groundstation.flight.client.rehearse import LinkOrder, linked_vehicle
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.journal import read_journal
 from groundstation.paths import find_config
@@ -97,10 +97,9 @@ class Flight:
         plan.write_text(tomli_w.dumps(plan_from_dict(PLAN).model_dump(mode="json", by_alias=True, exclude_none=True)))
         station.write_text('[policy]\nclimb_m_s = 1.0\nsettle_s = 1.0\ntrajectory = "setpoints"\n')
         vehicle = find_config("vehicles", "x500")
-        drone = linked_vehicle(
-            self.folder, vehicle, link=f"udpin://127.0.0.1:{self.port}", station=str(station), set_parameters=True
-        )
-        self.core, _ = start_core(self.folder, plan=plan, vehicle=vehicle, drone=drone, start=True, analyse=False)
+        order = LinkOrder(f"udpin://127.0.0.1:{self.port}", str(station), set_parameters=True)
+        drone = linked_vehicle(self.folder, vehicle, order)
+        self.core, _ = start_core(FlightOrder(self.folder, plan, vehicle, drone, analyse=False), start=True)
 
     def _listen(self) -> None:
         assert self.relay.stdout is not None

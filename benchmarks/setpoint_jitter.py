@@ -29,8 +29,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from mavlink_vehicle import small_plan
 
-from groundstation.flight.client.client import outcome, start_core
-from groundstation.flight.client.rehearse import linked_vehicle
+from groundstation.flight.client.client import FlightOrder, outcome, start_core
+from groundstation.flight.client.rehearse import LinkOrder, linked_vehicle
 from groundstation.paths import find_config
 
 PERIOD_S = 0.02
@@ -130,9 +130,9 @@ def fly(folder: Path, load: list[list[str]]) -> dict[str, list[float]]:
     address = f"udpout://127.0.0.1:{tap.vehicle.getsockname()[1]}"
     autopilot = [sys.executable, "-P", "-m", "sim.mavlink", "--profile", "px4", "--vehicle", "x500", "--link", address]
     plain = [sys.executable, "-c", PLAIN, str(tap.plain.getsockname()[1])]
-    drone = linked_vehicle(folder, vehicle, link=f"udpin://127.0.0.1:{port}", station="default", set_parameters=True)
+    drone = linked_vehicle(folder, vehicle, LinkOrder(f"udpin://127.0.0.1:{port}", "default", set_parameters=True))
     with running(autopilot, plain, *load):
-        core, _ = start_core(folder, plan=plan, vehicle=vehicle, drone=drone, start=True, analyse=False)
+        core, _ = start_core(FlightOrder(folder, plan, vehicle, drone, analyse=False), start=True)
         core.wait(300.0)
     print(f"({outcome(folder)})", file=sys.stderr)
     return tap.sent_s

@@ -54,7 +54,7 @@ def home(root: Path, who: str) -> None:
 
 def be_station(root: Path, flight: str) -> None:
     """The station: its core, its gate; says how the flight ended."""
-    from groundstation.flight.client.client import outcome, start_core
+    from groundstation.flight.client.client import FlightOrder, outcome, start_core
     from groundstation.flight.client.rehearse import simulated_drone
     from groundstation.flight.share.sharing import share
     from groundstation.paths import find_config
@@ -69,9 +69,8 @@ def be_station(root: Path, flight: str) -> None:
         find_config(kind, name).resolve() for kind, name in (("vehicles", "qball2"), ("scenarios", "seed"))
     )
     drone = simulated_drone(vehicle, scenario, 1, real_time=True)
-    core, _ = start_core(
-        folder, plan=find_config("plans", "qball2").resolve(), vehicle=vehicle, drone=drone, analyse=False
-    )
+    plan = find_config("plans", "qball2").resolve()
+    core, _ = start_core(FlightOrder(folder, plan, vehicle, drone, analyse=False))
     core.wait(PATIENCE_S)
     status, reason = outcome(folder)
     if not (folder / "flight.mcap").is_file():

@@ -1,8 +1,8 @@
 """The Python API: one flight in, a model with intervals out. Commands and terminal UI call the same functions.
 
-    >>> from groundstation import api
-    >>> found = api.identify(api.simulate("qball2", scenario="clean"))    # doctest: +SKIP
-    >>> found.to_frame(); api.plot(found)                                 # doctest: +SKIP
+    from groundstation import api
+    found = api.identify(flight := api.simulate("qball2", scenario="lab"))
+    api.plot(found, flight).savefig("parameters.svg")
 
 Vehicles, plans and scenarios are given as objects, as files, or by the name of a shipped one. Units are SI and stand at
 the end of each name; angles are radians. The world has z up; the body has x forward, y left, z up; quaternions are
@@ -78,6 +78,10 @@ def load_vehicle(vehicle: Vehicle | str | Path) -> Vehicle:
 
     Args:
         vehicle: a vehicle file, or the name of a shipped one ("qball2", "x500", "crazyflie21").
+
+    Examples:
+        >>> load_vehicle("qball2").mass_kg
+        1.79
     """
     from groundstation.paths import find_config
     from groundstation.vehicle import Vehicle, load_vehicle
@@ -90,6 +94,10 @@ def load_plan(plan: Plan | str | Path) -> Plan:
 
     Args:
         plan: a plan file, or the name of a shipped one ("qball2", "paper_table2").
+
+    Examples:
+        >>> load_plan("qball2").series().duration_s
+        40.0
     """
     from groundstation.paths import find_config
     from groundstation.trajectory import Plan, load_plan
@@ -103,6 +111,10 @@ def load_scenario(name: str | Path) -> JsonObject:
 
     Args:
         name: a scenario file, or the name of a shipped one ("clean", "lab", "worn", "hall", "seed").
+
+    Examples:
+        >>> sorted(load_scenario("clean"))
+        ['control', 'imu', 'mocap', 'motors', 'name', 'truth']
     """
     from groundstation.paths import find_config
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,10 +46,10 @@ class Stream(Tabular):
         received_s: arrival on the host's monotonic clock, seconds, shape (k,), where it is known.
     """
 
-    t_s: Array
-    values: Array
+    t_s: Annotated[Array, "k"]
+    values: Annotated[Array, "k n"]
     columns: tuple[str, ...]
-    received_s: Array | None = None
+    received_s: Annotated[Array, "k"] | None = None
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -58,7 +59,7 @@ class Stream(Tabular):
         received = None if self.received_s is None else self.received_s[mask]
         return Stream(self.t_s[mask], self.values[mask], self.columns, received)
 
-    def column(self, name: str) -> Array:
+    def column(self, name: str) -> Annotated[Array, "k"]:
         """One column by name, shape (k,)."""
         return self.values[:, self.columns.index(name)]
 
@@ -82,10 +83,13 @@ class Stream(Tabular):
         return float(1.0 / np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.0
 
 
-def resampled(at_s: ArrayLike, stamps_s: Array, values: Array) -> Array:
+def resampled(
+    at_s: Annotated[ArrayLike, "q"], stamps_s: Annotated[Array, "k"], values: Annotated[Array, "k n"]
+) -> Annotated[Array, "q n"]:
     """Columns of samples (n, d) at other times, linear between neighbours, held at the ends, shape (k, d)."""
     at = np.asarray(at_s, dtype=float)
-    return np.stack([np.interp(at, stamps_s, column) for column in values.T], axis=-1)
+    columns: list[Array] = [np.interp(at, stamps_s, column) for column in values.T]
+    return np.stack(columns, axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,11 +136,11 @@ class FlightData(Tabular):
     battery: Stream | None = None
     setpoint: Stream | None = None
     state: Stream | None = None
-    extras: Mapping[str, Stream] = field(default_factory=dict)
+    extras: Mapping[str, Stream] = field(default_factory=dict[str, Stream])
     plan: Plan | None = None
     window_s: tuple[float, float] | None = None
     truth: Vehicle | None = None
-    metadata: Mapping[str, str] = field(default_factory=dict)
+    metadata: Mapping[str, str] = field(default_factory=dict[str, str])
     notes: tuple[str, ...] = ()
     online: OnlineClock | None = None
 

@@ -6,6 +6,8 @@ leading shape: quaternions ``(..., 4)``, vectors ``(..., 3)``, matrices ``(..., 
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -45,7 +47,7 @@ def quat_normalise(quaternion: ArrayLike) -> Array:
     return q / np.linalg.norm(q, axis=-1, keepdims=True)
 
 
-def quat_continuous(quaternion: ArrayLike) -> Array:
+def quat_continuous(quaternion: Annotated[ArrayLike, "k 4"]) -> Annotated[Array, "k 4"]:
     """Flip signs along the first axis so that neighbours lie in the same hemisphere."""
     q = np.array(quaternion, dtype=float)
     dots = np.einsum("ij,ij->i", q[1:], q[:-1])
@@ -89,7 +91,9 @@ def quat_log(quaternion: ArrayLike) -> Array:
     return scale * q[..., 1:]
 
 
-def slerp(at_s: ArrayLike, stamps_s: ArrayLike, quaternion: ArrayLike) -> Array:
+def slerp(
+    at_s: Annotated[ArrayLike, "q"], stamps_s: Annotated[ArrayLike, "k"], quaternion: Annotated[ArrayLike, "k 4"]
+) -> Annotated[Array, "q 4"]:
     """Unit quaternions (n, 4) at other times, along the great circle between neighbours, held at the ends, shape (k,
     4).
 

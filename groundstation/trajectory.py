@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from groundstation.errors import BadInput
+from groundstation.json_types import JsonObject
 from groundstation.outside import read_toml
 from groundstation.tabular import Record, Tabular
 
@@ -31,22 +32,22 @@ class FlatState:
         yaw: yaw and derivatives 0..2, shape (3, k), rad, rad/s, rad/s^2.
     """
 
-    position: Array
-    yaw: Array
+    position: Annotated[Array, "orders k 3"]
+    yaw: Annotated[Array, "yaw_orders k"]
 
 
 @dataclass(frozen=True, slots=True)
 class RigidMotion:
     """The motion a vehicle with thrust along body z must make to follow flat outputs, shape (k, ...)."""
 
-    position_m: Array
-    velocity_world_m_s: Array
-    acceleration_world_m_s2: Array
-    euler_rad: Array
-    euler_rate_rad_s: Array
-    angular_velocity_body_rad_s: Array
-    angular_acceleration_body_rad_s2: Array
-    specific_thrust_m_s2: Array
+    position_m: Annotated[Array, "k 3"]
+    velocity_world_m_s: Annotated[Array, "k 3"]
+    acceleration_world_m_s2: Annotated[Array, "k 3"]
+    euler_rad: Annotated[Array, "k 3"]
+    euler_rate_rad_s: Annotated[Array, "k 3"]
+    angular_velocity_body_rad_s: Annotated[Array, "k 3"]
+    angular_acceleration_body_rad_s2: Annotated[Array, "k 3"]
+    specific_thrust_m_s2: Annotated[Array, "k"]
 
 
 class Trajectory(Protocol):
@@ -74,9 +75,9 @@ class FourierSeries:
         periods: how often the period is flown.
     """
 
-    a: Array
-    b: Array
-    c: Array
+    a: Annotated[Array, "4 N"]
+    b: Annotated[Array, "4 N"]
+    c: Annotated[Array, "4"]
     base_frequency_rad_s: float
     periods: float = 1.0
 
@@ -93,7 +94,7 @@ class FourierSeries:
     def derivatives(self, t_s: ArrayLike, highest: int) -> Array:
         """Channels and derivatives 0..highest at times t, shape (highest + 1, k, 4)."""
         t = np.atleast_1d(np.asarray(t_s, dtype=float))
-        w = self.base_frequency_rad_s * np.arange(1, self.a.shape[1] + 1)
+        w = self.base_frequency_rad_s * np.arange(1, int(self.a.shape[1]) + 1)
         phase = np.exp(1j * w * t[:, None])
         # q = Re(sum z e^{iwt}) + c with z = -(b + i a)/w; each derivative multiplies by i w.
         z = -(self.b + 1j * self.a) / w
@@ -313,7 +314,8 @@ class Plan(_Model, Tabular):
     def _names_of_old_files(cls, value: Any) -> Any:
         if not isinstance(value, dict):
             return value
-        return {RENAMED_PARAMETERS.get(name, name): std for name, std in value.items()}
+        named = cast(JsonObject, value)
+        return {RENAMED_PARAMETERS.get(name, name): std for name, std in named.items()}
 
     def to_dict(self) -> dict[str, object]:
         """The plan file's document."""
@@ -362,7 +364,7 @@ def coefficients_from_arrays(a: ArrayLike, b: ArrayLike, c: ArrayLike) -> Coeffi
     )
 
 
-def plan_from_dict(document: dict, source: str = "plan") -> Plan:
+def plan_from_dict(document: object, source: str = "plan") -> Plan:
     """Validate a plan document.
 
     Raises:
@@ -388,7 +390,7 @@ def load_plan(path: str | Path) -> Plan:
     return plan_from_dict(document, str(path))
 
 
-def plan_to_dict(plan: Plan) -> dict:
+def plan_to_dict(plan: Plan) -> JsonObject:
     """The document that :func:`plan_from_dict` reads back to an equal plan."""
     return plan.model_dump(by_alias=True, exclude_none=True, mode="json")
 

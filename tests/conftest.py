@@ -1,12 +1,15 @@
 """Set before numpy is imported: the suite's workers share the cores, where threads over matrices as small as ours only
-wait.
+wait. And shapes are held before anything of ours is.
 """
 
 import os
 
-import pytest
-
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import pytest
+import shapes
+
+shapes.install()
 
 FAST = {
     "test_cli_words",
@@ -24,7 +27,9 @@ FAST = {
     "test_recording_mcap",
     "test_recording_merge",
     "test_recording_repair",
+    "test_reporting_autopilots",
     "test_reporting_exports",
+    "test_reporting_simulators",
     "test_reporting_units",
     "test_seed_closed_loop",
     "test_seed_estimators",

@@ -22,8 +22,8 @@ from mavlink_vehicle import small_plan
 from drivers.mavlink.codec import MavlinkCodec
 from drivers.mavlink.dialect import mavlink
 from drivers.mavlink.tlog import entries
-from groundstation.flight.client.client import outcome, start_core
-from groundstation.flight.client.rehearse import linked_vehicle
+from groundstation.flight.client.client import FlightOrder, outcome, start_core
+from groundstation.flight.client.rehearse import LinkOrder, linked_vehicle
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.journal import read_journal
 from groundstation.paths import find_config
@@ -85,8 +85,8 @@ class Flight:
             command += ["--link", link]
         self.autopilot = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
         self.url = f"udpin://127.0.0.1:{port}"
-        link = linked_vehicle(self.folder, vehicle, link=self.url, station=str(station), set_parameters=True)
-        self.core, _ = start_core(self.folder, plan=plan, vehicle=vehicle, drone=link, start=True, analyse=False)
+        link = linked_vehicle(self.folder, vehicle, LinkOrder(self.url, str(station), set_parameters=True))
+        self.core, _ = start_core(FlightOrder(self.folder, plan, vehicle, link, analyse=False), start=True)
 
     def journal(self) -> list[str]:
         log = self.folder / JOURNAL

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from drivers import bus
-from groundstation.flight.client.client import connect, outcome, running_cores, start_core
+from groundstation.flight.client.client import FlightOrder, connect, outcome, running_cores, start_core
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.journal import read_journal
 from groundstation.flight.messages import CoreCommand
@@ -47,7 +47,7 @@ def core(tmp_path, plan_file, monkeypatch):
         folder = tmp_path / "logs" / "flight"
         drone = ("scripted_drone", *(("--fault", fault) if fault else ()))
         vehicle = find_config("vehicles", "qball2")
-        child, endpoint = start_core(folder, plan=plan_file, vehicle=vehicle, drone=drone, start=go, analyse=analyse)
+        child, endpoint = start_core(FlightOrder(folder, plan_file, vehicle, drone, analyse=analyse), start=go)
         started.append((child, endpoint))
         return child, endpoint, folder
 

@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from drivers.bus import DroneStatus
 from drivers.samples import Batch, Event
 from groundstation.flight import timeouts
-from groundstation.flight.client.client import connect, outcome, start_core
+from groundstation.flight.client.client import FlightOrder, connect, outcome, start_core
 from groundstation.flight.client.rehearse import simulated_drone
 from groundstation.flight.core import pacing
 from groundstation.flight.messages import CoreStatus
@@ -56,7 +56,7 @@ def _fly(folder: Path, plan_file: Path, *, by_hand: bool) -> dict[str, list[tupl
     """Fly, and return the recording's messages of each topic as they stand in the file."""
     vehicle, scenario = find_config("vehicles", "qball2"), find_config("scenarios", "worn")
     drone = simulated_drone(vehicle, scenario, SEED)
-    core, endpoint = start_core(folder, plan=plan_file, vehicle=vehicle, drone=drone, start=not by_hand, analyse=False)
+    core, endpoint = start_core(FlightOrder(folder, plan_file, vehicle, drone, analyse=False), start=not by_hand)
     if by_hand:
         assert _checked(endpoint).host_s == pytest.approx(timeouts.SIMULATED_LOOK_S)
     core.wait(DEADLINE_S)

@@ -17,6 +17,7 @@ from mavlink_vehicle import small_plan
 from groundstation.commands.common import ProgressLine
 from groundstation.commands.flying import _fetch_log
 from groundstation.errors import FlightAborted
+from groundstation.flight.client.client import FlightOrder
 from groundstation.flight.client.interrupts import Interrupts
 from groundstation.flight.client.rehearse import FlightResult, fly
 from groundstation.flight.journal import NAME as JOURNAL
@@ -69,13 +70,9 @@ def flown(tmp_path: Path, drone, *, at: str, analyse: bool = False) -> list[dict
         once(at == "planning")
         stop.check()
         fly(
-            folder,
-            plan=plan,
-            vehicle=find_config("vehicles", "qball2"),
-            drone=drone,
+            FlightOrder(folder, plan, find_config("vehicles", "qball2"), drone, analyse=analyse),
             say=lambda text: once(text.split()[:1] == [at]),
             confirm=confirm,
-            analyse=analyse,
             stop=stop,
         )
     assert sent == [at]

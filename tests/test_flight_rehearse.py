@@ -16,7 +16,7 @@ import tomli_w
 
 from drivers import bus
 from drivers.access import new_secrets
-from groundstation.flight.client.client import outcome, start_core
+from groundstation.flight.client.client import FlightOrder, outcome, start_core
 from groundstation.flight.client.rehearse import simulated_drone
 from groundstation.flight.core.vehicle_process import DRONE
 from groundstation.flight.journal import NAME as JOURNAL
@@ -139,9 +139,8 @@ def test_a_killed_core_leaves_an_open_recording_and_the_drone_lands_itself(plan_
     vehicle, scenario = find_config("vehicles", "qball2"), find_config("scenarios", "clean")
     drone = simulated_drone(vehicle, scenario, 1)
     secrets = new_secrets()
-    core, access = start_core(
-        folder, plan=plan_file, vehicle=vehicle, drone=drone, start=True, analyse=False, secrets=secrets
-    )
+    order = FlightOrder(folder, plan_file, vehicle, drone, analyse=False)
+    core, access = start_core(order, start=True, secrets=secrets)
     end = time.monotonic() + DEADLINE_S
     while not ((log := folder / JOURNAL).is_file() and any("-> exciting" in e["text"] for e in read_journal(log))):
         assert time.monotonic() < end and core.poll() is None, (folder / "core.log").read_text()

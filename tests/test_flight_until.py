@@ -14,6 +14,7 @@ import tomli_w
 from drivers import bus
 from drivers.bus import DroneStatus
 from groundstation.errors import BadInput
+from groundstation.flight.client.client import FlightOrder
 from groundstation.flight.client.rehearse import fly, simulated_drone
 from groundstation.flight.core.until import FlyUntil
 from groundstation.flight.until import Goal, UntilKnown, lasting_until
@@ -228,10 +229,9 @@ def test_a_rehearsal_ends_when_it_is_known_and_its_recording_says_so(tmp_path):
     folder, vehicle = tmp_path / "flight", find_config("vehicles", "qball2").resolve()
     folder.mkdir()
     plan = lasting_until(PLAN, Until(targets="ixx,iyy,izz:5%,mass:1%", at_most_s=80.0), automatic=True)
-    fly(
-        folder, plan=write_plan(plan, folder / "plan.toml"), vehicle=vehicle, say=lambda text: None, analyse=False,
-        drone=simulated_drone(vehicle, find_config("scenarios", "seed").resolve(), 1),
-    )  # fmt: skip
+    drone = simulated_drone(vehicle, find_config("scenarios", "seed").resolve(), 1)
+    order = FlightOrder(folder, write_plan(plan, folder / "plan.toml"), vehicle, drone, analyse=False)
+    fly(order, say=lambda text: None)
     flight = load_flight(folder)
     assert flight.window_s is not None
     assert flight.plan is not None

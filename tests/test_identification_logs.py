@@ -102,18 +102,9 @@ def test_crazyflie_rates_are_predicted_better_than_by_published_constants_and_th
             assert error < 0.75 * published["constant_velocity"][horizon]["body_rate_rad_s"]["rms"]
 
 
-def test_a_window_that_does_not_show_all_of_it_names_nothing_false() -> None:
-    """From 30.1 s on the instruments are weak: the damping is missed, and the verdict says that something is."""
-    if not PX4_LOG.exists():
-        pytest.skip(f"the PX4 log is not there: {PX4_LOG}")
-    diagnosis = diagnose([load_flight(PX4_LOG, vehicle=sih_vehicle(), start_s=30.1, end_s=58.0)])
-    named = {finding.effect for finding in diagnosis.findings}
-    assert named <= {"angular_damping", "motor_lag", "rotor_drag"}
-    assert (diagnosis.verdict == "explained") == (len(named) == 3)
-
-
-@pytest.mark.parametrize(("start_s", "end_s"), [(25.0, 58.0), (25.0, 60.0), (29.7, 58.0)])
-def test_px4_lacks_a_lag_and_the_air_and_nothing_else_in_windows_that_show_it(start_s: float, end_s: float) -> None:
+@pytest.mark.parametrize(("start_s", "end_s"), [(25.0, 58.0), (28.0, 56.0), (30.0, 58.0)])
+def test_px4_lacks_a_lag_and_the_air_and_nothing_else(start_s: float, end_s: float) -> None:
+    """From 28 and 30 s on the setpoints hardly show in pitch: the instruments are weak (decision 33)."""
     if not PX4_LOG.exists():
         pytest.skip(f"the PX4 log is not there: {PX4_LOG}")
     diagnosis = diagnose([load_flight(PX4_LOG, vehicle=sih_vehicle(), start_s=start_s, end_s=end_s)])

@@ -14,7 +14,7 @@ from groundstation.frames import quat_exp, quat_from_euler, quat_multiply, quat_
 from groundstation.identification import position_fit
 from groundstation.identification.attitude_fit import Recording
 from groundstation.identification.clock import coarse_offset
-from groundstation.identification.reconstruction import Reconstruction, body_motion, reconstruct
+from groundstation.identification.reconstruction import Compatibility, body_motion, reconstruct
 from groundstation.identification.smoothing import position_filter
 from groundstation.recording.blemishes import frozen, jumps
 from groundstation.trajectory import rigid_motion
@@ -76,7 +76,7 @@ def record(seed: int, error: Mapping[str, float] = PLANTED, *, noise: float = 1.
     return Recorded(t, gyro, accel, stamp, place, marker, q, motion.position_m, motion.velocity_world_m_s)
 
 
-def found_of(data: Recorded, offset_s: float) -> Reconstruction:
+def found_of(data: Recorded, offset_s: float) -> Compatibility:
     """Reconstruct from a coarse offset."""
     recording = Recording(
         data.t_imu, data.gyro, data.accel, data.t_pose, data.position, data.quaternion, mocap_rotation_rad=np.zeros(3)
@@ -85,13 +85,13 @@ def found_of(data: Recorded, offset_s: float) -> Reconstruction:
 
 
 @pytest.fixture(scope="module")
-def several() -> list[Reconstruction]:
+def several() -> list[Compatibility]:
     """Reconstructions of two noise realisations, from a coarse offset that is 4 ms wrong."""
     return [found_of(record(seed), -0.035) for seed in range(2)]
 
 
 @pytest.mark.parametrize("name", PLANTED)
-def test_every_planted_kinematic_error_is_found_within_its_interval(several: list[Reconstruction], name: str) -> None:
+def test_every_planted_kinematic_error_is_found_within_its_interval(several: list[Compatibility], name: str) -> None:
     z = np.array([(found.values[name] - PLANTED[name]) / found.std[name] for found in several])
     assert np.max(np.abs(z)) < 3.3, f"{name}: {z}"  # once in a thousand by chance
 
@@ -105,12 +105,12 @@ def test_the_jitter_of_the_stamps_is_found() -> None:
     assert found.std["stamp_jitter_s"] < 0.25 * jitter_s
 
 
-def test_even_stamps_have_no_jitter(several: list[Reconstruction]) -> None:
+def test_even_stamps_have_no_jitter(several: list[Compatibility]) -> None:
     for found in several:
         assert found.values["stamp_jitter_s"] < 3.3 * found.std["stamp_jitter_s"]
 
 
-def test_the_intervals_say_something(several: list[Reconstruction]) -> None:
+def test_the_intervals_say_something(several: list[Compatibility]) -> None:
     std = several[0].std
     assert std["mocap_minus_imu_s"] < 1e-3
     assert max(std[f"gyro_bias_{a}_rad_s"] for a in "xyz") < 1e-3

@@ -11,6 +11,7 @@ from mavlink_vehicle import Rig, small_plan
 
 from drivers.samples import Event, decode_batch
 from groundstation.errors import Refused
+from groundstation.flight.link.arguments import Kept
 from groundstation.flight.link.link_core import LinkCore
 from groundstation.flight.link.parameter_journal import ParameterJournal, left_changed
 from groundstation.flight.link.process import LinkProcess
@@ -57,9 +58,7 @@ class Bus:
 
 
 def process(rig: Rig, raw_log: Path | None = None) -> LinkProcess:
-    made = LinkProcess(
-        rig.core, Port(rig), "vehicle", rig.core.vehicle, raw_log, ParameterJournal(None), clock=lambda: rig.now_s
-    )
+    made = LinkProcess(rig.core, Port(rig), "vehicle", Kept(ParameterJournal(None), raw_log), clock=lambda: rig.now_s)
     made._publisher = Bus()  # type: ignore[assignment]
     return made
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from groundstation.frames import quat_from_euler, quat_rotate
-from groundstation.model.closed_loop import STEP_S, simulate_closed_loop
+from groundstation.model.closed_loop import STEP_S, Body, Start, simulate_closed_loop
 from groundstation.model.flight_states import FlightStates
 from groundstation.model.prediction import predict
 from groundstation.model.rotors import motor_input
@@ -32,8 +32,8 @@ def drag(signals: Signals) -> np.ndarray:
 def flown():
     vehicle = load_vehicle(find_config("vehicles", "qball2"))
     series = paper_plan().series()
-    kwargs = {"mass_kg": vehicle.mass_kg, "inertia": vehicle.inertia_tensor(), "duration_s": 8.0}
-    return vehicle, *(simulate_closed_loop(vehicle, series, **kwargs, wrench=w) for w in (None, drag))
+    body, start = Body(vehicle.mass_kg, vehicle.inertia_tensor()), Start(duration_s=8.0)
+    return vehicle, *(simulate_closed_loop(vehicle, series, body, start, wrench=w) for w in (None, drag))
 
 
 def test_the_motion_obeys_newton_with_the_force_it_makes_itself(flown):
@@ -55,9 +55,8 @@ def test_drag_moves_the_path_and_an_effect_of_nothing_does_not(flown):
     again = simulate_closed_loop(
         vehicle,
         paper_plan().series(),
-        mass_kg=vehicle.mass_kg,
-        inertia=vehicle.inertia_tensor(),
-        duration_s=8.0,
+        Body(vehicle.mass_kg, vehicle.inertia_tensor()),
+        Start(duration_s=8.0),
         wrench=lambda signals: np.zeros((len(signals.t_s), 6)),
     )
     np.testing.assert_array_equal(again.position_m, without.position_m)

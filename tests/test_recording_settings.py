@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from groundstation.errors import BadInput
@@ -269,6 +269,7 @@ def test_any_wiring_scale_and_history_of_a_px4_log_gives_the_same_motors(
 def test_any_wiring_scale_frame_and_history_of_an_ardupilot_log_gives_the_same_motors(
     tmp_path_factory, channels, bounds, kind, later, old
 ):
+    assume(old.get("column") != "Ch" or max(channels) < 14)  # a record has room for the names of thirteen of these
     frame = ARDUPILOT[1, kind]
     log = ArduLog(channels, bounds, (1, kind), **old)
     if later is not None:

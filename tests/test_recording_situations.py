@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from groundstation.errors import BadInput
-from groundstation.flightdata import Stream
+from groundstation.flightdata import STATE_COLUMNS, Stream
+from groundstation.frames import quat_from_euler
+from groundstation.identification.motion import motion_of
 from groundstation.recording import load_flight, read_recording, write_bundle
 from groundstation.recording.one_clock import pieces_of
 from groundstation.recording.thinning import CHANGED_S
@@ -201,3 +203,14 @@ def test_a_replay_of_another_log_is_refused(tmp_path):
     (tmp_path / "a.ulg").write_bytes(data + struct.pack("<HB", len(told), ord("I")) + told)
     with pytest.raises(BadInput, match=r"is a replay of log_1\.ulg.*Give the log that was replayed"):
         read_recording(tmp_path / "a.ulg", QUAD)
+
+
+def test_a_log_without_motion_capture_is_not_told_of_its_clock(made):
+    """Where the vehicle's own attitude is of another motion than its gyro, that is what is named."""
+    t_s = np.arange(3.25, 12.0, 0.01)
+    turned = quat_from_euler(*(0.4 * np.sin(np.outer([5.1, 6.3, 4.2], t_s) ** 1.3)))
+    values = np.hstack([np.zeros((len(t_s), 6)), turned, np.zeros((len(t_s), 3))])
+    other = replace(made, mocap=None, state=Stream(t_s, values, STATE_COLUMNS))
+    notes = motion_of(other).notes
+    assert any("the clocks of the vehicle's own attitude and IMU cannot be aligned" in note for note in notes)
+    assert not any("clocks of motion capture" in note for note in notes)

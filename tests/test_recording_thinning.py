@@ -8,11 +8,14 @@ import threading
 import numpy as np
 import pytest
 
+from drivers.samples import Imu, Motors
 from groundstation.commands.common import ProgressLine
 from groundstation.errors import BadInput
 from groundstation.flightdata import IMU_COLUMNS, Stream, motor_columns
 from groundstation.paths import find_config
-from groundstation.recording import bundle, load, load_flight, read_recording, write_bundle
+from groundstation.recording import McapRecorder, bundle, load, load_flight, read_recording, write_bundle
+from groundstation.recording.mcapfile import read_mcap
+from groundstation.recording.part import Part
 from groundstation.recording.thinning import KEPT_S, LONG_S, informative_stretch
 from groundstation.vehicle import load_vehicle, vehicle_from_dict, vehicle_to_dict
 from studies import log_memory, long_logs
@@ -115,6 +118,20 @@ def test_a_large_log_is_read_in_two_passes_and_gives_what_one_would(tmp_path, mo
         load_flight(tmp_path / file, vehicle=vehicle, start_s=5000.0)
 
 
+def test_a_recording_whose_stamps_need_companions_is_thinned_with_them(tmp_path):
+    """Stamps that whole nanoseconds do not give back: each message has a companion with the exact ones."""
+    t = np.arange(3000) / 997.0
+    with McapRecorder(tmp_path / "a.mcap") as recorder:
+        for k, x in enumerate(t.tolist()):
+            recorder.add(Imu(x, (float(k), 0.0, 0.0), (0.0, 0.0, 9.8)), x + 0.002)
+            recorder.add(Motors(x, (0.5,) * 4, "command"), x + 0.002)
+    thin = read_mcap(tmp_path / "a.mcap", Part(step_s=0.02)).streams["imu"]
+    assert np.allclose(thin.t_s, t[thin.values[:, 0].astype(int)], rtol=0.0, atol=1e-9)
+    assert 130 < len(thin) <= 151
+    part = read_mcap(tmp_path / "a.mcap", Part(1.0, 1.5)).streams["imu"]
+    assert np.array_equal(part.t_s, t[(t >= 1.0) & (t <= 1.5)])
+
+
 def test_a_long_logs_memory_goes_by_what_is_used_of_it(tmp_path):
     """Of eleven minutes at 1 kHz three are used.
 
@@ -131,7 +148,6 @@ def test_a_long_logs_memory_goes_by_what_is_used_of_it(tmp_path):
 @pytest.mark.parametrize("parameter", [300.0, 630.0])
 def test_a_parameter_that_changes_outside_the_stretch_is_not_told_of_it(tmp_path, parameter):
     """Its time is that of the sample before it, whether that one is kept or not."""
-    from groundstation.recording.part import Part
     from groundstation.recording.ulogfile import decode_ulog
     from sim.mavlink.ulog import ULogWriter
 

@@ -5,129 +5,41 @@ What the core says is scripted, the bus is real.
 
 from __future__ import annotations
 
-import asyncio
-import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from textual.app import App
 from textual.events import Event, Key
-from textual.pilot import Pilot
-from textual.widgets import DataTable, Input, Static
+from textual.widgets import Input
 
 from drivers import bus
 from drivers.access import Access
-from groundstation.analysis.plans import write_plan
-from groundstation.campaign.campaign import Campaign, Round, load_campaign
-from groundstation.fleet.catalogue import Catalogue
 from groundstation.flight.client.access import write_access
-from groundstation.flight.core.lease import OperatorLease
-from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, CoreStatus, Lease, StreamStatus
+from groundstation.flight.messages import Lease, StreamStatus
 from groundstation.flight.sequence import Phase
-from groundstation.paths import find_config
-from groundstation.trajectory import Plan, load_plan
-from groundstation.tui.app import GroundStation
 from groundstation.tui.screens.base import StationScreen
 from groundstation.tui.screens.flights import Flights
-from groundstation.tui.screens.plan import Planner
-from groundstation.tui.setup import Setup
 from groundstation.tui.watch import CoreWatch
 from groundstation.tui.widgets.bars import SCREENS
-from groundstation.tui.widgets.dialogs import Choice, Question, TextPage, TypedQuestion
-from groundstation.vehicle import load_vehicle
-
-PATIENCE_S = 15.0
-HOSTILE = "[bold red]battery[/] [@click=app.exit]low[/] [/nonsense"
-
-
-class ScriptedCore:
-    """Says what it is told to say, and keeps the orders it gets."""
-
-    def __init__(self, folder: Path):
-        self.folder = folder
-        self.orders: list[CoreCommand] = []
-        self.lease = OperatorLease()
-        self.endpoint = bus.loopback(bus.free_port())
-        self.access = Access(self.endpoint)
-
-    @contextmanager
-    def running(self) -> Iterator[ScriptedCore]:
-        """On the bus."""
-        with bus.open_session(listen=[self.endpoint]) as session, bus.alive(session, bus.CORE_ALIVE):
-            self._status = bus.Publisher(session, bus.CORE_STATUS)
-            self._handles = [
-                bus.serve(session, bus.CORE_COMMAND, CoreCommand, self._take),
-                bus.serve(session, bus.CORE_ABORT, CoreCommand, self._take),
-                bus.serve(session, bus.CORE_LEASE, Lease, self.lease.request),
-                bus.watch_alive(session, CLIENT_ALIVE.format(client="*"), self.lease.client_alive),
-            ]
-            yield self
-
-    def _take(self, command: CoreCommand) -> bus.Answer:
-        self.orders.append(command)
-        if command.name != "abort" and (refusal := self.lease.refusal(command.client, command.name)):
-            return bus.Answer(False, refusal)
-        return bus.Answer(True)
-
-    def say(self, phase: str, **changes: Any) -> None:
-        """Publish a status."""
-        values: dict = {
-            "phase": phase,
-            "flight_s": 10.0,
-            "time_left_s": 42.0,
-            "position_m": (0.1, -0.2, 0.7),
-            "motors": (200.0, 210.0, 190.0, 205.0),
-            "battery_v": 11.1,
-            "streams": {"imu": StreamStatus(5000, 500.0, 0.002, 0.004)},
-            "lease": self.lease.holder,
-        }
-        self._status.put(CoreStatus("flight", str(self.folder), "qball2", **(values | changes)))
+from groundstation.tui.widgets.dialogs import Question, TextPage, TypedQuestion
+from tests.scripted_core import (
+    HOSTILE,
+    ScriptedCore,
+    all_shown,
+    follow,
+    screen_text,
+    station,
+    text_of,
+    until,
+    write_results,
+)
 
 
 @pytest.fixture
 def core(tmp_path: Path) -> Iterator[ScriptedCore]:
     with ScriptedCore(tmp_path / "flight").running() as running:
         yield running
-
-
-async def until(pilot: Pilot, condition: Callable[[], object], again: Callable[[], None] = lambda: None) -> None:
-    """Let the application run until something holds; ``again`` is done while it does not."""
-    loop = asyncio.get_running_loop()
-    end_s = loop.time() + PATIENCE_S
-    while not condition():
-        assert loop.time() < end_s, f"waited in vain; {pilot.app.screen} is on"
-        again()
-        await pilot.pause(0.05)
-
-
-async def follow(
-    pilot: Pilot, core: ScriptedCore, phase: str = Phase.EXCITING, *, simulated: bool = False, **changes: object
-) -> CoreWatch:
-    """Let the application follow the scripted core until it shows this phase."""
-    app = pilot.app
-    assert isinstance(app, GroundStation)
-    if app.core is None:
-        app.follow(CoreWatch(core.access, core.folder), simulated=simulated)
-        await until(pilot, lambda: core.lease.holder, lambda: core.say(phase, **changes))
-    watch = app.core
-    assert watch is not None
-    await until(
-        pilot,
-        lambda: watch.newest is not None and watch.newest.phase == phase and app._shown is watch.newest,
-        lambda: core.say(phase, **changes),
-    )
-    return watch
-
-
-def text_of(app: GroundStation, selector: str) -> str:
-    return "".join(str(widget.content) for widget in app.screen.query(selector).results(Static))
-
-
-def station(tmp_path: Path) -> GroundStation:
-    return GroundStation(tmp_path / "logs")
 
 
 async def test_abort_works_from_inside_a_field_on_every_screen_and_in_front_of_every_question(
@@ -237,12 +149,6 @@ async def test_text_of_vehicles_and_logs_is_text(core: ScriptedCore, tmp_path: P
         await until(pilot, lambda: HOSTILE in text_of(app, "#flight-line"))
 
 
-def screen_text(app: GroundStation) -> str:
-    """What the terminal shows, without colours."""
-    lines = app.screen._compositor.render_strips()
-    return "\n".join("".join(segment.text for segment in strip) for strip in lines)
-
-
 async def test_after_landing_identify_comes_up_by_itself_and_shows_what_the_analysis_wrote(
     core: ScriptedCore, tmp_path: Path
 ) -> None:
@@ -269,100 +175,6 @@ async def test_after_landing_identify_comes_up_by_itself_and_shows_what_the_anal
         await until(pilot, lambda: app.current_mode == "plan" and "to settle it" in screen_text(app))
         assert app.plan is not None
         assert app.plan.note == "to settle it", "n takes the plan that the diagnosis proposes"
-
-
-def write_results(folder: Path) -> None:
-    """Documents as the analysis writes them, of a flight that revealed the mass alone."""
-    mass = {"value": 1.8254, "std": 0.000338, "ci95": [1.82474, 1.82606]}
-    identification = {
-        "flight": folder.name,
-        "vehicle": "qball2",
-        "best": "IV",
-        "best_reason": "IV: immune to feedback",
-        "methods": {
-            "LS": {"parameters": {"mass_kg": mass}, "condition_number": 15.5},
-            "IV": {"parameters": {"mass_kg": mass}},
-        },
-        "model": {},
-        "clock": {"mocap_minus_imu_s": 0.0123, "std_s": 1e-4},
-        "remedies": {"ixx_kg_m2": "roll more"},
-        "validation": [{"kind": "output", "rms": {"nominal": {"force_z_n": 0.35}, "IV": {"force_z_n": 0.0175}}}],
-    }
-    finding = {"effect": "rotor_drag", "evidence": "the rotors drag", "confidence": 1.0, "parameters": {}}
-    diagnosis = {
-        "verdict": "explained",
-        "findings": [finding],
-        "error": {
-            "held_out": {"nominal": {"force_x_n": 0.2}, "before": {"force_x_n": 0.1}, "after": {"force_x_n": 0.05}}
-        },
-        "candidates": [{"effect": "rotor_drag", "evidence": 500.5, "settings": {}}],
-    }
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "identification.json").write_text(json.dumps(identification), encoding="utf-8")
-    (folder / "diagnosis.json").write_text(json.dumps(diagnosis), encoding="utf-8")
-    moving = {
-        "t_s": [20.0, 30.0, 40.0],
-        "value": [1.83, 1.826, 1.825],
-        "low": [1.8, 1.82, 1.824],
-        "high": [1.86, 1.83, 1.827],
-    }
-    (folder / "evolution.json").write_text(json.dumps({"parameters": {"mass_kg": moving}}), encoding="utf-8")
-    proposed = load_plan(find_config("plans", "qball2")).model_copy(update={"note": "to settle it"})
-    write_plan(proposed, folder / "next_flight.toml")
-
-
-async def test_a_plan_never_takes_the_place_of_another(tmp_path: Path) -> None:
-    app = GroundStation(tmp_path / "logs")
-    folder = tmp_path / "logs" / "plans"
-    async with app.run_test(size=(80, 24)) as pilot:
-        await pilot.press("2")
-        app.plan = load_plan(find_config("plans", "qball2"))
-        await pilot.press("w", "w")
-        (folder / "qball2-2.toml").write_text("mine")
-        (folder / "qball2-1.toml").unlink()
-        await pilot.press("w", "w")
-    assert sorted(p.name for p in folder.iterdir()) == [f"qball2-{n}.toml" for n in (1, 2, 3)]
-    assert (folder / "qball2-2.toml").read_text() == "mine"
-
-
-async def test_flights_lists_filters_and_opens(tmp_path: Path) -> None:
-    logs = tmp_path / "logs"
-    for name in ("alpha", "beta[red]"):
-        write_results(logs / name)
-    app = GroundStation(logs)
-    async with app.run_test(size=(80, 24)) as pilot:
-        await pilot.press("6")
-        table = app.screen.query_one("#catalogue", DataTable)
-        await until(pilot, lambda: table.row_count == 2)
-        await pilot.press("m", "down", "m")
-        assert app.screen.query_one("#comparison", DataTable).row_count == 1
-        await pilot.pause()
-        assert "alpha" in text_of(app, "#flights-text")
-        await pilot.press("w")
-        await until(pilot, lambda: (logs / "compare.html").is_file() and (logs / "compare.md").is_file())
-        await pilot.press("slash", *"beta", "enter")
-        await until(pilot, lambda: table.row_count == 1)
-        await pilot.press("enter")
-        await until(pilot, lambda: app.current_mode == "identify" and "IV (estimate)" in screen_text(app))
-        assert "beta[red]" in screen_text(app)
-
-
-async def test_flights_are_tagged_noted_and_their_trend_is_shown(tmp_path: Path) -> None:
-    logs = tmp_path / "logs"
-    for name in ("alpha", "beta"):
-        write_results(logs / name)
-    app = GroundStation(logs)
-    async with app.run_test(size=(80, 24)) as pilot:
-        await pilot.press("6")
-        await until(pilot, lambda: app.screen.query_one("#catalogue", DataTable).row_count == 2)
-        await pilot.press("g", *"payload", "enter")
-        await until(pilot, lambda: any(row["tags"] == ["payload"] for row in Catalogue(logs).rows()))
-        await pilot.press("n", *"windy", "enter")
-        await until(pilot, lambda: any(row["note"] == "windy" for row in Catalogue(logs).rows()))
-        await pilot.press("v")
-        await until(pilot, lambda: "a trend needs 4" in text_of(app, "#flights-text"))
-        await pilot.press("b")
-        await until(pilot, lambda: "every recording here has results" in text_of(app, "#flights-text"))
 
 
 async def test_nothing_in_the_logs_and_a_core_that_does_not_exist_are_sentences(
@@ -410,25 +222,6 @@ async def test_a_flight_under_way_is_found(core: ScriptedCore, tmp_path: Path) -
         assert "EXCITING" in text_of(app, "#big-state")
 
 
-async def all_shown(pilot: Pilot, number: int, title: str) -> None:
-    """What every screen promises to show."""
-    promised = ("ABORT + LAND ^g", "KILL ^o", f"[{number} {title}]", "? Help")
-    app = pilot.app
-    assert isinstance(app, GroundStation)
-    await until(pilot, lambda: all(text in screen_text(app) for text in promised))
-
-
-async def test_digits_open_the_screens_in_a_large_light_terminal(tmp_path: Path) -> None:
-    app = station(tmp_path)
-    async with app.run_test(size=(200, 60)) as pilot:
-        app.theme = "textual-light"
-        for number, (mode, title) in enumerate(SCREENS.items(), 1):
-            app.screen.set_focus(None)
-            await pilot.press(str(number))
-            await until(pilot, lambda mode=mode: app.current_mode == mode)
-            await all_shown(pilot, number, title)
-
-
 async def test_the_footer_offers_only_what_can_be_done_now(core: ScriptedCore, tmp_path: Path) -> None:
     app = station(tmp_path)
     async with app.run_test(size=(120, 40)) as pilot:
@@ -460,74 +253,3 @@ async def test_a_limit_that_is_near_rings_the_bell_and_says_so(core: ScriptedCor
         shown = screen_text(app)
         assert "NEAR" in shown and "◉" in shown and "height" in shown and "streams" in shown
         assert "WALL" not in shown and "PAST" not in shown
-
-
-async def test_the_plan_before_comes_back(tmp_path: Path) -> None:
-    app = GroundStation(tmp_path / "logs")
-    async with app.run_test(size=(80, 24)) as pilot:
-        await pilot.press("2")
-        screen = app.screen
-        assert isinstance(screen, Planner)
-        first = load_plan(find_config("plans", "qball2"))
-        second = first.model_copy(update={"note": "another"})
-        app.plan = first
-        screen._found(second)
-        await pilot.press("u")
-        assert app.plan is first and "another" not in text_of(app, "#plan-text")
-        await pilot.press("u")
-        assert app.plan is second
-
-
-async def test_the_campaign_screen_shows_rounds_and_one_key_prepares_the_next_flight(tmp_path: Path) -> None:
-    app = station(tmp_path)
-    vehicle = load_vehicle(find_config("vehicles", "qball2"))
-    folder = app.logs / "campaign-2026-01-31T12-00-00-qball2"
-    done = Round(
-        str(app.logs / "flight-1"),
-        "first flight",
-        40.0,
-        {},
-        {},
-        "explained",
-        ({"effect": "rotor_drag", "rotor": None, "evidence": "Drag."},),
-        {},
-        {"mass_kg": 1.4},
-        ("not sharp enough: mass",),
-    )
-    plan = find_config("plans", "qball2")
-    stand = Campaign(
-        folder, vehicle, {"mass_kg": 0.005}, 5, 1, (done,), {"why": "to sharpen mass", "plan": str(plan)}
-    ).save()
-    (folder / "vehicle.toml").write_bytes(find_config("vehicles", "qball2").read_bytes())
-    prepared: list[tuple[object, ...]] = []
-    app.prepare_this = lambda *what: prepared.append(what)  # type: ignore[method-assign, assignment]
-    async with app.run_test(size=(120, 40)) as pilot:
-        await pilot.press("7")
-        await until(pilot, lambda: "rotor drag" in screen_text(app) and "next: to sharpen mass" in screen_text(app))
-        await pilot.press("n")
-        await until(pilot, lambda: bool(prepared))
-        setup, flown, begun = prepared[0]
-        assert isinstance(setup, Setup) and setup.vehicle == str(folder / "vehicle.toml")
-        assert isinstance(flown, Plan) and flown.vehicle == "qball2"
-        begun(app.logs / "flight-2")  # type: ignore[operator]
-        assert load_campaign(folder).pending["folder"] == str(app.logs / "flight-2")
-        assert load_campaign(folder).rounds == stand.rounds
-
-
-async def test_signals_for_the_chart_are_chosen_and_escape_leaves_them(core: ScriptedCore, tmp_path: Path) -> None:
-    app = station(tmp_path)
-    signals = {"imu/gyro_x_rad_s": 0.1}
-    async with app.run_test(size=(120, 40)) as pilot:
-        await follow(pilot, core, signals=signals)
-        await pilot.press("c")
-        await until(pilot, lambda: isinstance(app.screen, Choice) and "imu gyro x, rad/s" in screen_text(app))
-        await pilot.press("escape")
-        await until(pilot, lambda: isinstance(app.screen, StationScreen))
-        await pilot.press("c")
-        await until(pilot, lambda: isinstance(app.screen, Choice))
-        await pilot.press("end", "space", "enter")
-        await until(
-            pilot,
-            lambda: "imu gyro x, rad/s, over s" in screen_text(app),
-            lambda: core.say(Phase.EXCITING, signals=signals),
-        )

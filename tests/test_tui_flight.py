@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_tui_app import screen_text
 from textual.pilot import Pilot
 
 from groundstation.flight.client.client import outcome
@@ -31,6 +30,7 @@ from groundstation.tui.app import GroundStation
 from groundstation.tui.setup import Setup, plan_at_hand
 from groundstation.tui.widgets.dialogs import Question
 from tests.one_answer import disagreements
+from tests.scripted_core import screen_text
 
 PATIENCE_S = 90.0
 

@@ -181,7 +181,6 @@ def with_augmented_loop(
     sets = {AUGMENTED: {name: values.get(name, declared) for name, declared in nominal.items()}}
     again = closed_loop_validation(
         flight,
-        flight.plan,
         sets,
         mocap_minus_imu_s=identification.clock.mocap_minus_imu_s if identification.clock is not None else 0.0,
         exclude=options.exclude,

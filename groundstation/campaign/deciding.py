@@ -96,7 +96,7 @@ def flights_needed(vehicle: Vehicle, estimates: Document, targets: Mapping[str, 
     """
     noise: Noise = DEFAULT_NOISE
     predicted = predicted_std(plan.series(), as_estimated(vehicle, estimates), noise)
-    out = {}
+    out: dict[str, float] = {}
     for name, share in targets.items():
         entry = estimates.get(name)
         if name not in predicted:
@@ -120,7 +120,7 @@ def paper_seconds(
     known, noise = as_estimated(vehicle, estimates), DEFAULT_NOISE
     repeated = predicted_std((paper := paper_plan().series()), known, noise)
     flown = [predicted_std(plan.series(), known, noise) for plan in plans]
-    out = {}
+    out: dict[str, float] = {}
     for name in names:
         information = sum(each[name] ** -2 for each in flown if each.get(name, np.inf) > 0.0)
         if 0.0 < repeated.get(name, np.inf) < np.inf and information > 0.0:

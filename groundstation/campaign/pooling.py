@@ -119,16 +119,18 @@ def _grid(y: Array, s: Array, of_day: Array) -> tuple[Array, Array, Array, Array
     """Weights of the scatters, and means and variances of [mu, mu + d, mu + d + u] at each; shapes (g,), (g, n), (g,
     n), (g, 2).
     """
-    flights, days = of_day.shape
+    flights, days = len(of_day), len(of_day.T)
     # from the state [mu, d, u] to what is seen, and to what is told
     seen = np.concatenate([np.ones((flights, 1)), of_day, np.eye(flights)], axis=1)
-    told = np.concatenate(
-        [np.eye(1 + days, seen.shape[1]) + np.eye(1, seen.shape[1]) * (np.arange(1 + days) > 0)[:, None], seen]
-    )
+    width = int(seen.shape[1])
+    own = np.eye(1 + days, width) + np.eye(1, width) * (np.arange(1 + days) > 0)[:, None]
+    told = np.concatenate([own, seen])
     flat = FLAT * float(np.max(np.hypot(s, np.ptp(y))))
     between = _SCATTERS if days > 1 else _SCATTERS[:1]
     pairs = [(a, b) for a in between for b in (_SCATTERS if flights > 1 else _SCATTERS[:1])]
-    log, means, variances = [], [], []
+    log: list[float] = []
+    means: list[Array] = []
+    variances: list[Array] = []
     for day, flight in pairs:
         prior = np.concatenate([[flat**2], np.full(days, day**2), np.full(flights, flight**2)])
         total = (seen * prior) @ seen.T + np.diag(s**2)
@@ -149,8 +151,8 @@ def _grid(y: Array, s: Array, of_day: Array) -> tuple[Array, Array, Array, Array
 def _log_prior(scatter: float) -> float:
     """Half-t of four degrees of freedom and scale 1 as a share of the grid: its probability of the cell."""
     index = int(np.searchsorted(_SCATTERS, scatter))
-    edges = np.concatenate([[0.0], 0.5 * (_SCATTERS[1:] + _SCATTERS[:-1]), [1.2 * _SCATTERS[-1]]])
-    return float(np.log(2.0 * (stdtr(4, edges[index + 1]) - stdtr(4, edges[index]))))
+    edges: Array = np.concatenate([[0.0], 0.5 * (_SCATTERS[1:] + _SCATTERS[:-1]), [1.2 * _SCATTERS[-1]]])
+    return float(np.log(2.0 * (stdtr(4, float(edges[index + 1])) - stdtr(4, float(edges[index])))))
 
 
 def pooled(by_flight: Sequence[Mapping[str, Estimate]], days: Sequence[str]) -> dict[str, Levels]:
@@ -169,7 +171,7 @@ def widened(
     """Joint estimates whose standard deviations hold what flights scatter beyond their own intervals, as a share of the
     value.
     """
-    out = {}
+    out: dict[str, dict[str, float]] = {}
     for name, entry in estimates.items():
         std = entry["std"]
         if name in found and found[name].vehicle.value:

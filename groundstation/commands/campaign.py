@@ -139,7 +139,8 @@ class _Flyer:
 
     def fly(self, plan: Path, folder: Path) -> None:
         """Fly a plan."""
-        from groundstation.flight.client.rehearse import fly, linked_vehicle, simulated_drone
+        from groundstation.flight.client.client import FlightOrder
+        from groundstation.flight.client.rehearse import LinkOrder, fly, linked_vehicle, simulated_drone
         from groundstation.paths import find_config
 
         self._stop.check()
@@ -154,14 +155,10 @@ class _Flyer:
             drone = linked_vehicle(
                 folder,
                 self._vehicle,
-                link=str(self._order.link),
-                station=self._order.station,
-                set_parameters=self._order.yes_simulated,
+                LinkOrder(str(self._order.link), self._order.station, set_parameters=self._order.yes_simulated),
             )
-        fly(
-            folder, plan=kept, vehicle=self._vehicle, drone=drone, say=self._line.say, confirm=self._confirmed,
-            analyse=False, stop=self._stop,
-        )  # fmt: skip
+        order = FlightOrder(folder, kept, self._vehicle, drone, analyse=False)
+        fly(order, say=self._line.say, confirm=self._confirmed, stop=self._stop)
 
     def _confirmed(self) -> bool:
         from groundstation.commands.flying import _typed_confirmation

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from groundstation.errors import BadInput, Refused
 from groundstation.targets import DEFAULT, parse_targets
 
 if TYPE_CHECKING:
+    from groundstation.flight.client.client import FlightOrder
     from groundstation.flight.client.interrupts import Interrupts
     from groundstation.flight.client.rehearse import Checked, FlightResult
     from groundstation.trajectory import Plan
@@ -92,24 +94,27 @@ def rehearse(
     from groundstation.flight.client.interrupts import Interrupts
 
     line = ProgressLine()
+    asked = _Rehearsal(vehicle, scenario, plan_file, seed, real_time, logs)
     with Interrupts() as stop:
-        flown = _rehearsed(vehicle, scenario, plan_file, seed, real_time, logs, line, stop, until)
+        flown = _rehearsed(asked, until, line, stop)
     line.end()
     return _flight_result(flown)
 
 
-def _rehearsed(
-    vehicle: str,
-    scenario: str,
-    plan_file: Path | None,
-    seed: int,
-    real_time: bool,
-    logs: Path,
-    line: ProgressLine,
-    stop: Interrupts,
-    until: Mapping[str, Any],
-) -> FlightResult:
-    from groundstation.flight.client.client import new_flight_folder
+@dataclass(frozen=True, slots=True)
+class _Rehearsal:
+    """The options of :func:`rehearse`."""
+
+    vehicle: str
+    scenario: str
+    plan_file: Path | None
+    seed: int
+    real_time: bool
+    logs: Path
+
+
+def _rehearsed(asked: _Rehearsal, until: Mapping[str, Any], line: ProgressLine, stop: Interrupts) -> FlightResult:
+    from groundstation.flight.client.client import FlightOrder, new_flight_folder
     from groundstation.flight.client.rehearse import fly as fly_plan
     from groundstation.flight.client.rehearse import simulated_drone
     from groundstation.paths import find_config
@@ -117,9 +122,9 @@ def _rehearsed(
     from groundstation.vehicle import load_vehicle
 
     _check_targets(until)
-    vehicle_file = find_config("vehicles", vehicle).resolve()
-    scenario_file = find_config("scenarios", scenario).resolve()
-    declared = load_vehicle(vehicle_file)
+    vehicle_file = find_config("vehicles", asked.vehicle).resolve()
+    scenario_file = find_config("scenarios", asked.scenario).resolve()
+    declared, plan_file = load_vehicle(vehicle_file), asked.plan_file
     if plan_file is not None:
         chosen = load_plan(plan_file)
         if chosen.vehicle != declared.name:
@@ -130,10 +135,10 @@ def _rehearsed(
         chosen = _new_plan(declared, line)
     chosen = _lasting(chosen, declared.until, until, automatic=True)
     stop.check()
-    folder = new_flight_folder(logs.resolve(), declared.name)
+    folder = new_flight_folder(asked.logs.resolve(), declared.name)
     plan_path = _keep_plan(chosen, folder)
-    drone = simulated_drone(vehicle_file, scenario_file, seed, real_time=real_time)
-    return fly_plan(folder, plan=plan_path, vehicle=vehicle_file, drone=drone, say=line.say, stop=stop)
+    drone = simulated_drone(vehicle_file, scenario_file, asked.seed, real_time=asked.real_time)
+    return fly_plan(FlightOrder(folder, plan_path, vehicle_file, drone), say=line.say, stop=stop)
 
 
 def _check_targets(asked: Mapping[str, Any]) -> None:
@@ -267,11 +272,11 @@ def link_options(function: Callable[..., Result]) -> Callable[..., Result]:
 
 def _link_flight(
     vehicle: str, plan_file: Path | None, logs: Path, line: ProgressLine, *, automatic: bool = False, **link: Any
-) -> dict[str, Any]:
+) -> FlightOrder:
     """Folder, plan, vehicle and link process of a flight on a MAVLink link; faults are told before a plan is made."""
     from drivers.mavlink.transports import parse_url
-    from groundstation.flight.client.client import new_flight_folder
-    from groundstation.flight.client.rehearse import linked_vehicle
+    from groundstation.flight.client.client import FlightOrder, new_flight_folder
+    from groundstation.flight.client.rehearse import LinkOrder, linked_vehicle
     from groundstation.flight.station import load_station
     from groundstation.paths import find_config
     from groundstation.trajectory import load_plan
@@ -289,8 +294,8 @@ def _link_flight(
     until = {name: link.pop(name) for name in ("until", "excitation_at_most_s")}
     chosen = _lasting(chosen, declared.until or station.until, until, automatic=automatic)
     folder = new_flight_folder(logs.resolve(), declared.name)
-    drone = linked_vehicle(folder, vehicle_file, **link)
-    return {"folder": folder, "plan": _keep_plan(chosen, folder), "vehicle": vehicle_file, "drone": drone}
+    drone = linked_vehicle(folder, vehicle_file, LinkOrder(**link))
+    return FlightOrder(folder, _keep_plan(chosen, folder), vehicle_file, drone)
 
 
 @click.command(epilog=example("groundstation preflight --link udpin://127.0.0.1:14540 --vehicle x500"))
@@ -301,14 +306,14 @@ def preflight(vehicle: str, plan_file: Path | None, logs: Path, **link: Any) -> 
 
     line = ProgressLine()
     flight = _link_flight(vehicle, plan_file, logs, line, **link)
-    found = check(**flight, say=line.say)
+    found = check(flight, say=line.say)
     line.end()
     document = {
         "schema": "groundstation.preflight/1",
         "ok": not found.reason,
         "reason": found.reason,
         "checks": [{"name": c.name, "ok": c.ok, "text": c.text} for c in found.checks],
-        "folder": str(flight["folder"]),
+        "folder": str(flight.folder),
     }
     return Result(document, preflight_text(found), Refused.exit_status if found.reason else 0)
 
@@ -349,31 +354,29 @@ def fly(
     link["set_parameters"] |= yes_simulated  # asked for on a real vehicle, a matter of course on a simulated one
     with Interrupts() as stop:
         if take_over is not None:
-            flight = _interrupted(vehicle, logs, line, **link)
-            return _flight_result(fly_plan(**flight, say=line.say, stop=stop, take_over=take_over))
+            flight = _interrupted(vehicle, logs, line, take_over, **link)
+            return _flight_result(fly_plan(flight, say=line.say, stop=stop))
         flight = _link_flight(vehicle, plan_file, logs, line, automatic=yes_simulated, **link)
         stop.check()
         try:
             flown = fly_plan(
-                **flight, say=line.say, confirm=lambda: yes_simulated or _typed_confirmation(line), stop=stop
+                flight, say=line.say, confirm=lambda: yes_simulated or _typed_confirmation(line), stop=stop
             )
         except Refused as error:
             how = _offered(str(error), line)
             if not how:
                 raise
-            flight = _interrupted(vehicle, logs, line, **link)
-            return _flight_result(fly_plan(**flight, say=line.say, stop=stop, take_over=how))
-    _fetch_log(link["link"], flight["vehicle"], flown, line, link["key_file"])
+            flight = _interrupted(vehicle, logs, line, how, **link)
+            return _flight_result(fly_plan(flight, say=line.say, stop=stop))
+    _fetch_log(link["link"], flight.vehicle, flown, line, link["key_file"])
     line.end()
     return _flight_result(flown)
 
 
-def _interrupted(vehicle: str, logs: Path, line: ProgressLine, **link: Any) -> dict[str, Any]:
+def _interrupted(vehicle: str, logs: Path, line: ProgressLine, take_over: str, **link: Any) -> FlightOrder:
     """Folder, plan, vehicle and link process of a flight that its station left in the air."""
-    from groundstation.flight.client.client import interrupted_flight, new_flight_folder
-
-    link = {k: v for k, v in link.items() if k not in ("until", "excitation_at_most_s")}
-    from groundstation.flight.client.rehearse import linked_vehicle
+    from groundstation.flight.client.client import FlightOrder, interrupted_flight, new_flight_folder
+    from groundstation.flight.client.rehearse import LinkOrder, linked_vehicle
     from groundstation.paths import find_config
     from groundstation.vehicle import load_vehicle
 
@@ -387,24 +390,20 @@ def _interrupted(vehicle: str, logs: Path, line: ProgressLine, **link: Any) -> d
     else:
         line.say(f"going on with {folder}")
         plan = folder / "plan.toml"
-    return {
-        "folder": folder,
-        "plan": plan,
-        "vehicle": vehicle_file,
-        "drone": linked_vehicle(folder, vehicle_file, **link),
-    }
+    order = LinkOrder(**{name: value for name, value in link.items() if name not in ("until", "excitation_at_most_s")})
+    drone = linked_vehicle(folder, vehicle_file, order)
+    return FlightOrder(folder, plan, vehicle_file, drone, take_over=take_over)
 
 
 def _fetch_log(url: str, vehicle: Path, flown: FlightResult, line: ProgressLine, key_file: Path | None) -> None:
     """The onboard log beside the recording; without it, what came over the link is all there is, and that is said."""
     from groundstation.errors import GroundStationError
-    from groundstation.flight.link.onboard_log import fetch_onboard_log
+    from groundstation.flight.link.onboard_log import LogRequest, fetch_onboard_log
     from groundstation.vehicle import load_vehicle
 
     try:
-        path = fetch_onboard_log(
-            url, load_vehicle(vehicle), flown.folder, line.fraction, timeout_s=LOG_S, key_file=key_file
-        )
+        request = LogRequest(timeout_s=LOG_S, key_file=key_file)
+        path = fetch_onboard_log(url, load_vehicle(vehicle), flown.folder, line.fraction, request=request)
         line.say(f"onboard log: {path}; `groundstation identify {path} --vehicle {vehicle}` uses its rates")
     except (GroundStationError, ConnectionError, ValueError) as error:
         line.say(f"no onboard log ({error}); identified from what came over the link")

@@ -13,6 +13,7 @@ from groundstation.diagnosis.columns import Candidate, Columns, Solution
 from groundstation.diagnosis.discrepancy import Discrepancy, allowance
 from groundstation.diagnosis.effect import Effect, library
 from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.held_out import held_out
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import (
@@ -57,13 +58,24 @@ class Named:
 
 
 def candidates(vehicle: Vehicle, signals: Signals, effects: Iterable[Effect] | None = None) -> list[Candidate]:
-    """Every effect that applies, in every variant."""
+    """Every effect that applies, in every variant; those of a search of the flight are left to :func:`searched`."""
     chosen = library().values() if effects is None else effects
     return [
         Candidate(effect, settings)
         for effect in chosen
-        if effect.applies(vehicle)
+        if effect.applies(vehicle) and (effects is not None or effect.searched is None)
         for settings in effect.variants(signals, vehicle)
+    ]
+
+
+def searched(flight: FlightEvidence) -> list[Candidate]:
+    """Effects in the settings that a search of the flight gives."""
+    record, vehicle = flight.prepared.record, flight.prepared.record.vehicle
+    return [
+        Candidate(effect, settings)
+        for effect in library().values()
+        if effect.searched is not None and effect.applies(vehicle)
+        for settings in effect.searched(flight.signals, record.keep, vehicle)
     ]
 
 
@@ -108,7 +120,7 @@ class Selection:
         """
         key = columns.number, -1 if members is None else len(members)
         if key not in self._passed:
-            chance = THRESHOLDS.effect_chance / max(self.variants[candidate.identifier], 1)
+            chance = THRESHOLDS.effect_chance / max(self.variants[candidate.identifier], candidate.effect.scanned)
             self._passed[key] = self.evidence.threshold(columns, chance, members)
         return self._passed[key]
 
@@ -128,7 +140,7 @@ class Selection:
         solution = self.evidence.solve([*self.baseline, *chosen])
         offset = sum(len(c.effect.parameters) for c, _ in self.baseline)
         energies = self.discrepancy.energies(chosen, solution, offset)
-        out = []
+        out: list[float] = []
         for index, (candidate, columns) in enumerate(chosen):
             first, offset = offset, offset + len(candidate.effect.parameters)
             if members is not None and index not in members:
@@ -216,7 +228,7 @@ class Selection:
                 best[kind_of(entry)] = margin, entry
         within = {kind_of(entry) for entry in found}
         starts = [entry for kind, (margin, entry) in best.items() if kind not in within and (margin > 0.0 or kind[1])]
-        seen, out = {frozenset(within)}, []
+        seen, out = {frozenset(within)}, list[list[Entry]]()
         for start in starts:
             grown = self._grown(start)
             kinds = frozenset(kind_of(entry) for entry in grown)
@@ -276,7 +288,7 @@ class Selection:
         """What was chosen with its alternatives, in order of the error it takes away, and the joint estimate."""
         chosen = self._settled(chosen)
         margins = self._margins(chosen)
-        named = []
+        named: list[Named] = []
         for index, (entry, margin) in enumerate(zip(chosen, margins, strict=True)):
             rest = [*chosen[:index], *chosen[index + 1 :]]
             contest, misfit = self._contest(chosen, index)
@@ -291,7 +303,7 @@ class Selection:
         """The same in the settings that follow from the values found."""
         solution = self.evidence.solve([*self.baseline, *chosen])
         first = sum(len(c.effect.parameters) for c, _ in self.baseline)
-        out = []
+        out: list[Entry] = []
         for candidate, columns in chosen:
             count = len(candidate.effect.parameters)
             settings = candidate.effect.settled(candidate.settings, solution.part(first, count)[0])

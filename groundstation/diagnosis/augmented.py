@@ -16,7 +16,7 @@ def known_candidates(effects: Mapping[str, Mapping[str, Mapping[str, float]]]) -
     Args:
         effects: of schema groundstation.model/1, name -> parameter -> {value, std}; a second one stands under "name/2".
     """
-    found = []
+    found: list[Candidate] = []
     for name, values in effects.items():
         effect = library().get(name.partition("/")[0])
         if effect is not None:

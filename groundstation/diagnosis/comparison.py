@@ -87,7 +87,7 @@ def flight_parameters(evidence: Evidence, chosen: Chosen) -> list[dict[str, Esti
     without what the anchor adds: its error is the same on every flight.
     """
     _, _, numbers = evidence.time_of_rows()
-    out = []
+    out: list[dict[str, Estimate]] = []
     for number in range(evidence.suspects):
         solution = evidence.solve(chosen, numbers == number)
         values, covariance = _rigid_body(evidence, solution)

@@ -43,6 +43,8 @@ def exponent_error(prepared: Prepared) -> float:
     def squared_error(error: float) -> float:
         total = _curve_with_exponent(record.vehicle, error).thrust(commands).sum(axis=1)
         columns = np.column_stack([total, np.gradient(total, record.t_s), climb * total])
+        x: Array
+        y: Array
         x, y = (sosfiltfilt(low_pass, v, axis=0)[record.keep] for v in (columns, record.force_m_s2[:, 2]))
         x = x / (np.linalg.norm(x, axis=0) + 1e-30)
         return float(np.sum((y - x @ np.linalg.lstsq(x, y, rcond=1e-8)[0]) ** 2))

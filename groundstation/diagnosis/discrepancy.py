@@ -56,10 +56,10 @@ class Discrepancy:
         found = [e.get(first.parameters) - e.declared(vehicle) for e in timing.values() if e.declared is not None]
         kept = [i for i in range(len(names)) if i not in index]
         values = np.array(found) + solution.theta[index]
-        moved = self._evidence.z[:, index] @ values
+        moved: Array = self._evidence.z[:, index] @ values
         root = np.sqrt(self._evidence.weight)
         rest = self._evidence.z[:, kept] * root[:, None]
-        scale = np.linalg.norm(rest, axis=0) + 1e-30
+        scale: Array = np.linalg.norm(rest, axis=0) + 1e-30
         absorbed = np.linalg.lstsq(rest / scale, moved * root, rcond=1e-8)[0]
         own = moved * root - rest / scale @ absorbed
         return np.array([float(np.sum(own[self._channels == channel] ** 2)) for channel in range(len(CHANNELS))])

@@ -12,7 +12,7 @@ import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,8 @@ class ParameterInfo:
     vehicle from 20 g to 10 kg; a force or torque outside of it is not named. A ``companion`` is fitted along and says
     nothing for the effect: a steady pull may come with a tether, but only the stiffness tells one. One that
     ``changes`` a setting is the first parameter times that setting's departure from its value: a finding gives the
-    setting with an interval in its place.
+    setting with an interval in its place. ``form`` is the share of its value (of the setting's) by which the formula
+    itself may miss, as a standard deviation.
     """
 
     name: str
@@ -43,6 +44,7 @@ class ParameterInfo:
     plausible: tuple[float, float] = (-np.inf, np.inf)
     companion: bool = False
     changes: str = ""
+    form: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,8 +85,12 @@ class Effect(EffectInfo):
     Attributes:
         wrench: (signals, vehicle, settings) -> body force and torque about the declared origin per unit of each
             parameter, shape (k, 6, len(parameters)); NaN where the signals it needs are unknown.
+        instrument: (signals, planned signals, vehicle, settings) -> the wrench's instruments; None for ``wrench`` of
+            the planned ones. What a pendulum does follows from the motion there was; by a plan it is soon out of step.
         sentence: one sentence a pilot understands, with places for parameters and settings as :mod:`.sentences` says.
         variants: settings to try (a rotor, an instant, a length); one empty set for most effects.
+        searched: (signals, samples in use, vehicle) -> settings that a search of the flight gives, tried in the place
+            of ``variants``; ``scanned`` is of how many it is the outcome.
         finer: settings around one that was found, to look closer.
         settled: settings as they follow from the values that were found (a load that was let go was on board before).
         applies: whether this vehicle's inputs can show it at all.
@@ -103,7 +109,10 @@ class Effect(EffectInfo):
 
     wrench: Callable[[Signals, Vehicle, Settings], Array]
     sentence: str
+    instrument: Callable[[Signals, Signals, Vehicle, Settings], Array] | None = None
     variants: Callable[[Signals, Vehicle], Sequence[Settings]] = field(default=lambda signals, vehicle: ({},))
+    searched: Callable[[Signals, NDArray[np.bool_], Vehicle], Sequence[Settings]] | None = None
+    scanned: int = 1
     finer: Callable[[Settings], Sequence[Settings]] = field(default=lambda settings: ())
     settled: Callable[[Settings, Array], Settings] = field(default=lambda settings, values: settings)
     applies: Callable[[Vehicle], bool] = field(default=lambda vehicle: True)
@@ -214,19 +223,19 @@ def library() -> Mapping[str, Effect]:
     return {name: effect for name, effect in catalogue().items() if isinstance(effect, Effect)}
 
 
-def blank(signals: Signals, parameters: int = 1) -> Array:
+def blank(signals: Signals, parameters: int = 1) -> Annotated[Array, "k 6 p"]:
     """A wrench of zeros, shape (k, 6, parameters)."""
     return np.zeros((len(signals.t_s), 6, parameters))
 
 
-def from_thrust(vehicle: Vehicle, thrust: Array) -> Array:
+def from_thrust(vehicle: Vehicle, thrust: Annotated[Array, "k n"]) -> Annotated[Array, "k 6"]:
     """Body wrench (k, 6) of rotor thrusts (k, n)."""
     from groundstation.model.rotors import wrench_matrix
 
     return np.asarray(thrust @ wrench_matrix(vehicle).T, dtype=float)
 
 
-def ramp(t_s: Array, at_s: float, within_s: float) -> Array:
+def ramp(t_s: Annotated[Array, "k"], at_s: float, within_s: float) -> Annotated[Array, "k"]:
     """From zero to one within a time about an instant, shape as ``t_s``."""
     return np.clip((t_s - at_s) / within_s + 0.5, 0.0, 1.0)
 
@@ -295,7 +304,7 @@ def wrench_of(effects: Mapping[str, Mapping[str, Mapping[str, float]]], vehicle:
     """
     named = [(name.partition("/")[0], values) for name, values in effects.items()]
     known = [(library()[name], values) for name, values in named if name in library()]
-    parts = []
+    parts: list[tuple[Effect, Settings, Array]] = []
     for effect, values in known:
         numbers = {key: float(entry["value"]) for key, entry in values.items()}
         parts.append((effect, numbers, effect.named_in(numbers)))

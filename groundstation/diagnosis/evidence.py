@@ -4,12 +4,14 @@ About a base fit everything is linear: y = X theta_base + sum C_v theta_v + e, r
 coloured disturbance. Because the controller feeds disturbances back into the thrusts, a plain regression lets any
 flexible term in the inputs win, on held-out blocks too. So the normal equations are taken with instruments, Z^T (y - A
 theta) = 0: the columns that the planned motion would have, one for each parameter (each more keeps a share of the bias:
-Bekker 1994). An effect's evidence is its Wald statistic in the joint estimate. Without a plan Z = A.
+Bekker 1994). Where those are weak this has no moments, so that the estimate is Fuller's (:func:`.joint.estimated`). An
+effect's evidence is its Wald statistic in the joint estimate. Without a plan Z = A.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,7 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.columns import Candidate, Columns, Contest, Recent, Solution
 from groundstation.diagnosis.effect import weight
 from groundstation.diagnosis.flight_evidence import FlightEvidence
-from groundstation.diagnosis.joint import pseudo_inverse
+from groundstation.diagnosis.joint import Products, estimated, strengths
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.whitening import spanning
 from groundstation.identification.instrumental import lag_split_precision
@@ -32,6 +34,20 @@ FLIGHTS_OWN = ("accel_bias_x_m_s2", "accel_bias_y_m_s2", "accel_bias_z_m_s2")
 
 COLUMNS_BYTES = 400 * 2**20
 """Of candidates' columns that are held: those of four minutes of flight, all candidates together."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    """Z_a^T W X_b, Z_a^T W Z_b, X_a^T W X_b and X_a^T W Z_b of two members."""
+
+    zx: Array
+    zz: Array
+    xx: Array
+    xz: Array
+
+    def turned(self) -> _Pair:
+        """Of the second and the first."""
+        return _Pair(self.xz.T, self.zz.T, self.xx.T, self.zx.T)
 
 
 class Evidence:
@@ -66,8 +82,8 @@ class Evidence:
         self._base = Columns.of(self.x, self.z, np.zeros(6))
         self._output = Columns.of(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
         self._recent = Recent(COLUMNS_BYTES)
-        self._products: dict[tuple[int, int], tuple[Array, Array]] = {}
-        self._beside: tuple[tuple[int, ...], tuple[Array, Array, Array]] | None = None
+        self._products: dict[tuple[int, int], _Pair] = {}
+        self._beside: tuple[tuple[int, ...], Products] | None = None
         self._priors: dict[str, Array] = {}
         vehicle = flights[0].prepared.record.vehicle
         self.scale = weight(vehicle) * np.array([1.0] * 3 + [vehicle.arm_m()] * 3)
@@ -95,8 +111,9 @@ class Evidence:
         """What base and known effects leave in the least squares sense: an effect's own rows are not outliers."""
         columns = [self.columns(candidate) for candidate in self.flights[0].known]
         a = np.concatenate([self.x, *(c.sensitivity for c in columns if c is not None)], axis=1)
-        scale = np.linalg.norm(a, axis=0) + 1e-30
-        return self.y - a @ (np.linalg.lstsq(a / scale, self.y, rcond=1e-8)[0] / scale)
+        scale: Array = np.linalg.norm(a, axis=0) + 1e-30
+        fitted = np.linalg.lstsq(a / scale, self.y, rcond=1e-8)[0] / scale
+        return self.y - a @ fitted
 
     def columns(self, candidate: Candidate, *, everywhere: bool = False) -> Columns | None:
         """A candidate's columns over all flights, zero on the references unless ``everywhere``."""
@@ -140,31 +157,33 @@ class Evidence:
         return {channel: self._joined([*(each[channel] for each in found), *rest]) for channel in found[0]}
 
     def solve(self, chosen: Sequence[tuple[Candidate, Columns]], rows: NDArray[np.bool_] | None = None) -> Solution:
-        """Joint instrumental estimate of base and chosen candidates.
+        """Joint instrumental estimate of base and chosen candidates (:func:`.estimated`).
 
         Args:
             chosen: candidates with their columns.
             rows: which rows to use (all). Products over all rows are remembered.
         """
-        members = [self._base, *(columns for _, columns in chosen)]
-        precision = self._precision(chosen)
-        zx, zz, zy = self._products_of(members, rows)
-        zx, zz = zx + precision, zz + precision
-        scale = np.sqrt(np.diag(zz))
-        scale[scale == 0.0] = 1.0  # what no row is of, as another flight's bias, stays as it is
-        inverse = pseudo_inverse(zx, scale)
-        return Solution(inverse @ zy, inverse @ zz @ inverse.T, self.x.shape[1])
+        return Solution(*estimated(self._equations(chosen, rows)), self.x.shape[1])
 
-    def _products_of(self, members: Sequence[Columns], rows: NDArray[np.bool_] | None) -> tuple[Array, Array, Array]:
-        """Z^T W C, Z^T W Z and Z^T W y of all members together.
+    def strengths(self, chosen: Sequence[tuple[Candidate, Columns]]) -> Array:
+        """F of the instruments of each parameter of :meth:`solve`, beside all the others."""
+        return strengths(self._equations(chosen, None))
+
+    def _equations(self, chosen: Sequence[tuple[Candidate, Columns]], rows: NDArray[np.bool_] | None) -> Products:
+        members = [self._base, *(columns for _, columns in chosen)]
+        return self._products_of(members, rows).with_prior(self._precision(chosen))
+
+    def _products_of(self, members: Sequence[Columns], rows: NDArray[np.bool_] | None) -> Products:
+        """Of all members together.
 
         A selection tries one candidate after another beside the same members: those are put together once and
         remembered.
         """
         first, last = members[:-1], members[-1]
         if not first:
-            zx, zz = self._product(last, last, rows)
-            return zx, zz, self._product(last, self._output, rows)[0][:, 0]
+            own, output = self._product(last, last, rows), self._product(last, self._output, rows)
+            count = len(self.y) if rows is None else int(np.count_nonzero(rows))
+            return Products(own.zx, own.zz, own.xx, output.zx[:, 0], output.xx[:, 0], count)
         key = tuple(columns.number for columns in first)
         if rows is not None:
             before = self._products_of(first, rows)
@@ -173,18 +192,21 @@ class Evidence:
         else:
             before = self._products_of(first, None)
             self._beside = key, before
-        place = len(before[2])
+        place = len(before.zy)
         total = place + last.sensitivity.shape[1]
-        zx, zz, zy = np.empty((total, total)), np.empty((total, total)), np.empty(total)
-        zx[:place, :place], zz[:place, :place], zy[:place] = before
+        zx, zz, xx = np.empty((3, total, total))
+        zx[:place, :place], zz[:place, :place], xx[:place, :place] = before.zx, before.zz, before.xx
         end = 0
         for columns in first:
             start, end = end, end + columns.sensitivity.shape[1]
-            zx[start:end, place:], zz[start:end, place:] = self._product(columns, last, rows)
-            zx[place:, start:end], zz[place:, start:end] = self._product(last, columns, rows)
-        zx[place:, place:], zz[place:, place:] = self._product(last, last, rows)
-        zy[place:] = self._product(last, self._output, rows)[0][:, 0]
-        return zx, zz, zy
+            across = self._product(columns, last, rows)
+            zx[start:end, place:], zz[start:end, place:], xx[start:end, place:] = across.zx, across.zz, across.xx
+            back = across.turned()
+            zx[place:, start:end], zz[place:, start:end], xx[place:, start:end] = back.zx, back.zz, back.xx
+        own, output = self._product(last, last, rows), self._product(last, self._output, rows)
+        zx[place:, place:], zz[place:, place:], xx[place:, place:] = own.zx, own.zz, own.xx
+        zy, xy = np.append(before.zy, output.zx[:, 0]), np.append(before.xy, output.xx[:, 0])
+        return Products(zx, zz, xx, zy, xy, before.rows)
 
     def _precision(self, chosen: Sequence[tuple[Candidate, Columns]]) -> Array:
         """Prior precision of base and chosen candidates together."""
@@ -213,24 +235,29 @@ class Evidence:
 
         chosen = columns.instrument if members is None else columns.instrument[:, members]
         count, first = chosen.shape[1], 0
-        energies, freedoms = [], []
+        energies: list[Array] = []
+        freedoms: list[Array] = []
         for flight in self.flights:
             energy, freedom = flight.whitening.spread(chosen[first : first + len(flight.y)])
             energies.append(energy)
             freedoms.append(freedom)
             first += len(flight.y)
         share = np.concatenate(energies)
+        if not share.sum() > 0.0:
+            return float("inf")  # the plan does none of it: no instrument tells it
         share = share / share.sum()
         return count * float(f.isf(chance, count, 1.0 / np.sum(share**2 / np.concatenate(freedoms))))
 
-    def _product(self, a: Columns, b: Columns, rows: NDArray[np.bool_] | None) -> tuple[Array, Array]:
-        """(Z_a^T W C_b, Z_a^T W Z_b), remembered for all rows."""
+    def _product(self, a: Columns, b: Columns, rows: NDArray[np.bool_] | None) -> _Pair:
+        """Products of two members, remembered for all rows."""
+        if b.number < a.number:
+            return self._product(b, a, rows).turned()
         key = (a.number, b.number)
         if rows is None and key in self._products:
             return self._products[key]
-        w = self.weight if rows is None else self.weight * rows
-        left = (a.instrument * w[:, None]).T
-        pair = left @ b.sensitivity, left @ b.instrument
+        w = (self.weight if rows is None else self.weight * rows)[:, None]
+        z, x = (a.instrument * w).T, (a.sensitivity * w).T
+        pair = _Pair(z @ b.sensitivity, z @ b.instrument, x @ b.sensitivity, x @ b.instrument)
         if rows is None:
             self._products[key] = pair
         return pair
@@ -287,7 +314,9 @@ class Evidence:
 
     def time_of_rows(self) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
         """Time, channel and flight of each whitened row."""
-        times, channels, flights = [], [], []
+        times: list[Array] = []
+        channels: list[NDArray[np.int64]] = []
+        flights: list[NDArray[np.int64]] = []
         for number, flight in enumerate(self.flights):
             for channel in flight.channels:
                 times.append(flight.model.t_s)

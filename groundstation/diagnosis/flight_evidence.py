@@ -140,9 +140,10 @@ class FlightEvidence:
         """
         signals = self.signals
         elapsed = signals.t_s - signals.t_s[0]
-        knots = np.linspace(0.0, elapsed[-1], int(np.clip(elapsed[-1] / THRESHOLDS.drift_knot_s, 3, 16)) + 1)
-        drift = np.column_stack([np.interp(elapsed, knots, peak) for peak in np.eye(len(knots))])
-        thrust, mass = signals.thrust_n.sum(axis=1)[:, None], self.parameters.mass_kg
+        knots = np.linspace(0.0, float(elapsed[-1]), int(np.clip(elapsed[-1] / THRESHOLDS.drift_knot_s, 3, 16)) + 1)
+        hats: list[Array] = [np.interp(elapsed, knots, peak) for peak in np.eye(len(knots))]
+        drift, mass = np.column_stack(hats), self.parameters.mass_kg
+        thrust: Array = signals.thrust_n.sum(axis=1)[:, None]
         velocity = signals.velocity_body_m_s()
         turning = [np.concatenate([drift, signals.rate_rad_s[:, i : i + 1], thrust], axis=1) for i in range(3)]
         turned = [self.model.integrated(known) for known in map(_finite, turning)]
@@ -189,7 +190,12 @@ class FlightEvidence:
         if self.planned is None:
             sensitivity = self.whitening.apply(seen)
             return Columns.of(sensitivity, sensitivity, rms)
-        wished = candidate.effect.wrench(self.planned, vehicle, candidate.settings)
+        own = candidate.effect.instrument
+        wished = (
+            candidate.effect.wrench(self.planned, vehicle, candidate.settings)
+            if own is None
+            else own(self.signals, self.planned, vehicle, candidate.settings)
+        )
         if not np.isfinite(wished.sum()):
             return None
         white = self.whitening.apply(np.concatenate([seen, self.predicted(wished)], axis=2))

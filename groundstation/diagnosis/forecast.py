@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.columns import Solution
 from groundstation.diagnosis.comparison import Chosen, Split
-from groundstation.diagnosis.effect import Acting
+from groundstation.diagnosis.effect import Acting, Effect, Settings
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.results import MASS_AND_TENSOR
@@ -47,7 +47,7 @@ def vehicle_model(evidence: Evidence, chosen: Chosen, solution: Solution) -> Veh
     at = with_values(p, names, values)
     slopes = [value for name, value in zip(names, values, strict=True) if name == "rotor_lag_slope"]
     (mass, *entries), _ = first.rigid_body(solution)
-    parts, offset = [], 0
+    parts, offset = list[tuple[Effect, Settings, Array]](), 0
     for candidate, _ in chosen:
         count = len(candidate.effect.parameters)
         parts.append((candidate.effect, candidate.settings, solution.part(offset, count)[0]))
@@ -130,7 +130,6 @@ def simulation_errors(evidence: Evidence, baseline: Chosen, chosen: Chosen, spli
                 return {}
             check = closed_loop_validation(
                 recorded,
-                recorded.plan,
                 sets,
                 mocap_minus_imu_s=clock.mocap_minus_imu_s if clock is not None else 0.0,
                 exclude=((-np.inf, judged[0]), (judged[-1], np.inf), *flight.prepared.excluded_s),

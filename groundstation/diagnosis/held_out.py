@@ -33,7 +33,7 @@ def folds(
 ) -> list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
     """Train and test rows for blocks of time, the guard around each test block left out of training."""
     times, _, flights = evidence.time_of_rows()
-    out = []
+    out: list[tuple[NDArray[np.bool_], NDArray[np.bool_]]] = []
     starts = {n: times[flights == n].min() for n in np.unique(flights)}
     spans = {n: np.ptp(times[flights == n]) for n in np.unique(flights)}
     relative = np.array([times - np.vectorize(starts.get)(flights)])[0]

@@ -1,6 +1,8 @@
-"""Algebra of a joint estimate: its inverse, and the rigid body that a linear step means."""
+"""Algebra of a joint estimate: Fuller's, and the rigid body that a linear step means."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,9 @@ WELL_CONDITIONED = 1e9
 """Condition number below which no direction of a scaled joint estimate is near what a pseudo-inverse leaves out (1e12).
 """
 
+FULLER = 1.0
+"""Fuller's constant: one makes his estimate unbiased to the order of one over the instruments' strength."""
+
 
 def updated_rigid_body(about: Array, step: Array) -> tuple[Array, Array] | None:
     """Mass and tensor, in the order of RIGID_BODY, that a linear step from others means, and their Jacobian by the
@@ -23,6 +28,8 @@ def updated_rigid_body(about: Array, step: Array) -> tuple[Array, Array] | None:
     no rigid body lies there.
     """
     lightness = 1.0 - step[0] / about[0]
+    tensor: Array
+    change: Array
     tensor, change = (np.einsum("k,kij->ij", values[1:], BASIS) for values in (about, step))
     left = tensor - change
     if lightness <= 0.0 or np.linalg.eigvalsh(left)[0] <= 0.0:
@@ -35,11 +42,69 @@ def updated_rigid_body(about: Array, step: Array) -> tuple[Array, Array] | None:
     return np.array([about[0] / lightness, *(turn @ tensor)[rows, columns]]), jacobian
 
 
-def pseudo_inverse(matrix: Array, scale: Array) -> Array:
-    """The pseudo-inverse, (p, p), small and large told in units of ``scale``; the plain inverse where nothing is small.
+@dataclass(frozen=True, slots=True)
+class Products:
+    """Sums of products over whitened rows, of sensitivities x and instruments z (p columns each) and the output y.
+
+    Attributes:
+        zx, zz, xx: (p, p). zy, xy: (p,).
+        rows: how many.
+    """
+
+    zx: Array
+    zz: Array
+    xx: Array
+    zy: Array
+    xy: Array
+    rows: int
+
+    def with_prior(self, precision: Array) -> Products:
+        """The same with a prior of zero mean and this precision (p, p) as further rows, instruments of their own."""
+        return replace(self, zx=self.zx + precision, zz=self.zz + precision, xx=self.xx + precision)
+
+
+def estimated(found: Products) -> tuple[Array, Array]:
+    r"""Fuller's estimate (p,) and its covariance (p, p), where the noise of the rows has variance one.
+
+    With one instrument for each parameter (:math:`P` projects on what all of them span, :math:`M = 1 - P`) the plain
+    instrumental estimate makes :math:`|P (y - X \theta)|` zero. It has no moments (Kinal 1980): along a direction whose
+    instruments are weak it divides by next to nothing, and what the model lacks takes it anywhere. Fuller's (1977,
+    Econometrica 45(4), with :math:`\alpha = 1`) minimises
+
+    .. math:: (1 - s) |P (y - X \theta)|^2 + s |y - X \theta|^2, \qquad s = \alpha / (n - p).
+
+    It has all moments, and is unbiased to the order of one over the instruments' strength :math:`F = n \rho^2 / (1 -
+    \rho^2)`, with :math:`\rho` the canonical correlation of instruments and sensitivities along a direction (Cragg and
+    Donald 1993; Stock and Yogo 2005). Where F is large it is the plain estimate less 1/F of what separates that from
+    least squares. Where F is nothing it is least squares, with the deviation that a single row would leave. In units of
+    that deviation the bias of feedback is the correlation of regressor and noise over :math:`\sqrt{1 + F}`: never more
+    than one.
+    """
+    share = FULLER / max(found.rows - len(found.zx), 1)
+    through = (1.0 - share) * found.zx.T @ pseudo_inverse(found.zz)
+    covariance = pseudo_inverse(through @ found.zx + share * found.xx)
+    return covariance @ (through @ found.zy + share * found.xy), covariance
+
+
+def strengths(found: Products) -> Array:
+    """F of the instruments of each parameter beside all others, (p,), from Shea's (1997) partial R squared.
+
+    That is the variance that least squares would have over that of the plain instrumental estimate (Godfrey 1999). Ten
+    is the least by which an estimate is commonly believed (Staiger and Stock 1997; Stock and Yogo 2005).
+    """
+    plain = np.diag(pseudo_inverse(found.zx.T @ pseudo_inverse(found.zz) @ found.zx))
+    share = np.clip(np.diag(pseudo_inverse(found.xx)) / np.maximum(plain, 1e-300), 0.0, 1.0 - 1e-9)
+    return found.rows * share / (1.0 - share)
+
+
+def pseudo_inverse(matrix: Array) -> Array:
+    """The pseudo-inverse of a symmetric matrix, (p, p), in units in which its diagonal is one; the plain inverse where
+    nothing is small.
 
     The plain one is several times cheaper. A bound on the condition number (1-norms) decides.
     """
+    scale = np.sqrt(np.diag(matrix))
+    scale[scale == 0.0] = 1.0  # what no row is of stays as it is
     outer = np.outer(scale, scale)
     scaled = matrix / outer
     try:
@@ -47,5 +112,5 @@ def pseudo_inverse(matrix: Array, scale: Array) -> Array:
     except np.linalg.LinAlgError:
         inverse = np.full_like(scaled, np.inf)
     if not np.linalg.norm(inverse, 1) * np.linalg.norm(scaled, 1) < WELL_CONDITIONED:
-        inverse = np.linalg.pinv(scaled, rcond=1e-12)
-    return inverse / outer
+        inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)
+    return 0.5 * (inverse + inverse.T) / outer

@@ -115,7 +115,7 @@ def judge(
 def force_findings(selected: Selected) -> list[Finding]:
     """The named effects as findings, with the values of the joint estimate."""
     offset = sum(len(candidate.effect.parameters) for candidate, _ in selected.baseline)
-    out = []
+    out: list[Finding] = []
     for item in selected.named:
         out.append(item.measured or _finding(item, selected.solution, offset))
         offset += len(item.candidate.effect.parameters)
@@ -129,11 +129,12 @@ def _finding(item: Named, solution: Solution, offset: int) -> Finding:
     std = np.sqrt(np.diag(covariance))
     rotor = int(settings.pop("rotor")) if effect.of_one_rotor else None
     own = list(zip(effect.parameters, values, std, strict=True))
-    parameters = {p.name: Estimate.normal(v, s) for p, v, s in own if not p.changes}
+    parameters = {p.name: Estimate.normal(v, float(np.hypot(s, p.form * v))) for p, v, s in own if not p.changes}
     parameters |= {n: Estimate(v, 0.0, (v, v)) for n, v in settings.items()}
     for p, v, s in own:
         if p.changes:
-            parameters[p.changes] = Estimate.normal(settings[p.changes] + v / values[0], s / abs(values[0]))
+            value = settings[p.changes] + v / values[0]
+            parameters[p.changes] = Estimate.normal(value, float(np.hypot(s / values[0], p.form * value)))
     known = {name: estimate.value for name, estimate in parameters.items()}
     return Finding(
         effect=effect.identifier,

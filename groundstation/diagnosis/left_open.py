@@ -101,7 +101,7 @@ def _margins(
     """By how much each entry beats chance beside others; nothing where it is among them or implausible."""
     offset = sum(len(candidate.effect.parameters) for candidate, _ in beside)
     taken = {kind_of(entry) for entry in beside}
-    out = []
+    out: list[float] = []
     for entry in choice:
         effect = entry[0].effect
         if kind_of(entry) in taken:
@@ -170,4 +170,4 @@ def _changed(candidate: Candidate, names: Sequence[str], change: Change) -> Cand
     def wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
         return change(signals, effect.wrench(signals, vehicle, settings))
 
-    return Candidate(replace(effect, parameters=shares, wrench=wrench), candidate.settings)
+    return Candidate(replace(effect, parameters=shares, wrench=wrench, instrument=None), candidate.settings)

@@ -66,13 +66,13 @@ def rival_entries(
         named: those named, with the identifiers that explain as much.
         pool: every candidate there is.
     """
-    out = []
+    out: list[JsonObject] = []
     for finding, alternatives in named:
         place = next(i for i, (c, _) in enumerate(chosen) if c is finding)
         first = sum(len(c.effect.parameters) for c, _ in chosen[:place])
         for name in alternatives:
             tried = [(c, evidence.columns(c)) for c in pool if c.identifier == name]
-            scored = []
+            scored: list[tuple[float, Candidate, Array]] = []
             for rival, columns in tried:
                 if columns is None:
                     continue
@@ -82,8 +82,8 @@ def rival_entries(
             if scored:
                 wald, rival, theta = max(scored, key=lambda item: item[0])
                 values = dict(zip(rival.effect.names(), theta.tolist(), strict=True))
-                entry = {"effect": name, "settings": dict(rival.settings), "evidence": wald, "values": values}
-                out.append({**entry, "rival_of": finding.identifier})
+                entry: JsonObject = {"effect": name, "settings": dict(rival.settings), "evidence": wald}
+                out.append({**entry, "values": values, "rival_of": finding.identifier})
     return out
 
 
@@ -105,7 +105,7 @@ def contenders(document: Document) -> tuple[list[Hypothesis], list[Hypothesis]]:
         )
     sizes = {(c["effect"], c["rival_of"]): c for c in document.get("candidates", []) if "rival_of" in c}
     for finding in open_ones:
-        rivals = []
+        rivals: list[Hypothesis] = []
         for name in finding["alternatives"]:
             entry = sizes.get((name, finding["effect"]))
             if name in TIMING:
@@ -126,7 +126,8 @@ def contenders(document: Document) -> tuple[list[Hypothesis], list[Hypothesis]]:
 
 def _rival(name: str, entry: Document) -> Hypothesis:
     """An alternative with its size, where the document holds the whole of it."""
-    values, settings = entry.get("values"), entry.get("settings") or {}
+    values: Document | None = entry.get("values")
+    settings: Document = entry.get("settings") or {}
     numbers = all(isinstance(value, int | float) for value in settings.values())
     if values is None or not numbers or not set(library()[name].names()) <= set(values):
         return Hypothesis(name, {}, None)

@@ -22,6 +22,7 @@ from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
 from groundstation.diagnosis.unplanned import Told, tell_unplanned
+from groundstation.diagnosis.weakness import weak_instruments
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored, anchored_covariance
@@ -142,7 +143,11 @@ def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged, air: S
         next_flight=_next_flight(judged.findings, judged.unexplained),
         reason=" ".join(filter(None, (judged.worse, reason))),
         warnings=tuple(_warnings(case.suspects)),
-        notes=(*judged.notes, *(told.missed() for told in air if not told.stands)),
+        notes=(
+            *judged.notes,
+            *weak_instruments(selected.evidence, selected.chosen),
+            *(told.missed() for told in air if not told.stands),
+        ),
         adopted=not judged.worse,
         candidates=tuple(_candidate_entries(case, selected)),
         residual=judged.residual,
@@ -203,7 +208,7 @@ def _by_trim(name: str, case: Case) -> Diagnosis:
 def _next_flight(findings: Sequence[Finding], remaining: Sequence[Unexplained]) -> str:
     """The manoeuvre that separates what this flight could not."""
     effects = catalogue()
-    parts = []
+    parts: list[str] = []
     for finding in findings:
         if finding.alternatives:
             rivals = ", ".join(finding.alternatives)
@@ -228,7 +233,7 @@ def _reason(verdict: str, findings: Sequence[Finding], remaining: Sequence[Unexp
 
 
 def _warnings(suspects: Sequence[Prepared]) -> list[str]:
-    out = []
+    out: list[str] = []
     if any(without_plan(item) for item in suspects):
         out.append(
             "No plan or setpoints are recorded, and the path flown is no plan: what the controller answers a "

@@ -237,7 +237,7 @@ def with_proposals(
     solution = evidence.solve([*chosen, *terms])
     offset = sum(len(c.effect.parameters) for c, _ in chosen)
     values = [float(solution.part(offset + i, 1)[0][0]) for i in range(len(terms))]
-    out = []
+    out: list[Unexplained] = []
     for item in remaining:
         kind = item.channel.partition("_")[0]
         here = tuple(_where(*target) for target in _targets(item.channel))

@@ -36,7 +36,7 @@ def published(diagnosis: Diagnosis, hidden: Mapping[str, str]) -> Diagnosis:
 
 def _doubts(diagnosis: Diagnosis, hidden: Mapping[str, str]) -> list[str]:
     """Why findings do not explain the flight, in sentences."""
-    doubts = []
+    doubts: list[str] = []
     errors = diagnosis.error.get("held_out", {})
     before, after = errors.get("before", {}), errors.get("after", {})
     worse = [name for name, size in after.items() if name in before and size > THRESHOLDS.channel_worse * before[name]]

@@ -87,7 +87,8 @@ def _hats(name: str, knots: Array) -> Callable[[Signals], Array]:
 
     def hats(signals: Signals) -> Array:
         values = VARIABLES[name](signals)
-        return np.stack([np.interp(values, knots, peak) for peak in np.eye(len(knots))[1:]], axis=1)
+        peaks: list[Array] = [np.interp(values, knots, peak) for peak in np.eye(len(knots))[1:]]
+        return np.stack(peaks, axis=1)
 
     return hats
 
@@ -183,9 +184,10 @@ def _own_size(part: Array, values: Array, covariance: Array, explained: Array, k
     Noise in its coefficients makes a size of its own, trace(G cov), which is taken out: what matters to nobody is not
     made large by a basis that is known badly.
     """
-    columns = explained[kept] / (np.linalg.norm(explained[kept], axis=0) + 1e-30)
+    size: Array = np.linalg.norm(explained[kept], axis=0) + 1e-30
+    columns = explained[kept] / size
     own = part[kept] - columns @ np.linalg.lstsq(columns, part[kept], rcond=1e-8)[0]
-    own = own - own.mean(axis=0)
+    own = own - np.asarray(own.mean(axis=0), dtype=float)
     gram = own.T @ own / len(own)
     return float(np.sqrt(max(values @ gram @ values - np.trace(gram @ covariance), 0.0)))
 
@@ -202,7 +204,7 @@ def unexplained(found: Sequence[Dependence]) -> tuple[Unexplained, ...]:
     """Dependences gathered by channel: share of the largest, variables in order of evidence within half of the
     strongest.
     """
-    out = []
+    out: list[Unexplained] = []
     for channel in dict.fromkeys(d.channel for d in found):
         mine = [d for d in found if d.channel == channel]
         strong = tuple(d.variable for d in mine if d.margin > 0.5 * mine[0].margin)

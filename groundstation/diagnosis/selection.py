@@ -1,6 +1,4 @@
-"""The effects that the evidence asks for, selected twice: about the base fit, and about what the first selection
-found.
-"""
+"""The effects that the evidence asks for, selected about the base fit, and again about what was found."""
 
 from __future__ import annotations
 
@@ -10,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.attribution import Named, Selection, candidates
+from groundstation.diagnosis.attribution import Named, Selection, candidates, searched
 from groundstation.diagnosis.augmented import is_among
 from groundstation.diagnosis.base import Base
 from groundstation.diagnosis.case import Case
@@ -20,7 +18,9 @@ from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.left_open import left_open
 from groundstation.diagnosis.rivals import Entry
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.unplanned import Told
+from groundstation.model.parameters import BASIS, RIGID_BODY, values_of
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -49,6 +49,23 @@ class Selected:
         """Baseline and named effects, in the order of the solution."""
         return [*self.baseline, *((n.candidate, n.columns) for n in self.named)]
 
+    def is_bent(self) -> bool:
+        """Whether the joint estimate moves mass or tensor so far that an effect's size changes by more than its
+        deviation.
+
+        A force is seen divided by the base's mass, a torque by its tensor: where these are a share too large, so is the
+        effect, which nothing linear puts right.
+        """
+        flight = self.evidence.flights[0]
+        about, moved = values_of(flight.parameters, RIGID_BODY), flight.rigid_body(self.solution)[0]
+        tensor, step = (np.einsum("k,kij->ij", values[1:], BASIS) for values in (about, moved - about))
+        turned = np.abs(np.linalg.eigvals(np.linalg.solve(tensor, step))).max()
+        acts = np.concatenate([columns.wrench_rms > 0.0 for _, columns in self.chosen], axis=1)
+        share = np.maximum(acts[:3].any(axis=0) * abs(moved[0] / about[0] - 1.0), acts[3:].any(axis=0) * turned)
+        effects = slice(self.solution.base, None)
+        std = np.sqrt(np.diag(self.solution.covariance)[effects])
+        return bool(np.any(share * np.abs(self.solution.theta[effects]) > std))
+
     def left_open(self) -> Array:
         """Covariance (7, 7) of mass and tensor that explanations beside them leave open."""
         return left_open(self.evidence, self.chosen, self.selection.pool, self.selection.threshold)
@@ -64,7 +81,8 @@ def select(
     """The effects that stand.
 
     An effect swells the noise it is judged against, and bends the base it is judged about: what was found is kept out
-    of the noise, the base moves to the joint estimate, and all is judged anew.
+    of the noise, the base moves to the joint estimate, and all is judged anew, until the base moves no further than
+    matters (:meth:`Selected.is_bent`).
 
     Args:
         case: its flights at the evidence's rate.
@@ -73,12 +91,16 @@ def select(
         progress: told the fraction done and what is being done.
         settled: effects that are told by other means, and not named here.
     """
-    first = _select(case, base, augmented, (), progress, settled)
-    if not first.named:
-        return first
-    known = tuple(n.candidate for n in first.named)
-    about = replace(base, fitted=first.evidence.flights[0].updated_base(base.fitted, first.solution))
-    return _select(case, about, augmented, known, progress, settled)
+    found = _select(case, base, augmented, (), progress, settled)
+    for _ in range(THRESHOLDS.passes_most - 1):
+        if not found.named:
+            break
+        known = tuple(n.candidate for n in found.named)
+        base = replace(base, fitted=found.evidence.flights[0].updated_base(base.fitted, found.solution))
+        found = _select(case, base, augmented, known, progress, settled)
+        if not found.is_bent():
+            break
+    return found
 
 
 def select_beside(
@@ -154,7 +176,7 @@ def _confirmed(
 
 def pool_of(vehicle: Vehicle, evidence: Evidence, *, references: bool) -> list[Candidate]:
     """Everything that may be named; beside healthy flights a load that was there all along, too."""
-    pool = candidates(vehicle, evidence.flights[0].excited)
+    pool = [*candidates(vehicle, evidence.flights[0].excited), *searched(evidence.flights[0])]
     if references:
         payload = library()["payload_change"]
         pool.append(Candidate(payload, {"at_s": -1.0, "within_s": 1.0}))

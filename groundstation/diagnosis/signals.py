@@ -48,8 +48,10 @@ def planned_signals(prepared: Prepared, p: Parameters) -> Signals | None:
 
 def _slow(t_s: Array, values: Array) -> Array:
     """A polygon through a signal with corners ``voltage_knot_s`` apart, by least squares, shape (k,)."""
-    corners = np.linspace(t_s[0], t_s[-1], max(3, round((t_s[-1] - t_s[0]) / THRESHOLDS.voltage_knot_s)) + 1)
-    hats = np.stack([np.interp(t_s, corners, peak) for peak in np.eye(len(corners))], axis=1)
+    begin, end = float(t_s[0]), float(t_s[-1])
+    corners = np.linspace(begin, end, max(3, round((end - begin) / THRESHOLDS.voltage_knot_s)) + 1)
+    peaks: list[Array] = [np.interp(t_s, corners, peak) for peak in np.eye(len(corners))]
+    hats = np.stack(peaks, axis=1)
     return hats @ np.linalg.solve(hats.T @ hats, hats.T @ values)
 
 

@@ -56,6 +56,12 @@ class Thresholds:
         source="judgement",
         chosen_on=f"c9bbce4, {BEFORE}",
     )
+    passes_most: int = _entry(
+        4,
+        "Selections about one joint estimate after another; two are enough for nearly every flight.",
+        source="Gauss-Newton steps",
+        chosen_on=f"decision 33, {AFTER}",
+    )
     refinements_most: int = _entry(
         4,
         "How often an instant, a length or a curve is looked at more closely, on a finer grid each time.",
@@ -100,6 +106,13 @@ class Thresholds:
         "on one axis alone.",
         source="drag goes with powers of the speed between one and two; judgement",
         chosen_on="MuJoCo flights of seeds 7000 to 8200 (benchmarks.other_forms)",
+    )
+    pendulum_share: float = _entry(
+        0.6,
+        "Least share of the sideways residual force's power that a pendulum explains before it is tried: what a "
+        "warning asks for, too. Of those in step each explained 0.88 or more, of those out of step 0.25 and 0.57.",
+        source="judgement",
+        chosen_on="24 flights of two simulators with loads (benchmarks.slung_load, seeds 100 to 405 and 1 to 505)",
     )
     swing_share: float = _entry(
         0.005,
@@ -255,6 +268,12 @@ class Thresholds:
         "Standard deviations of a whitened row from which it counts for less.",
         source="Huber 1964",
         chosen_on=f"c9bbce4, {BEFORE}",
+    )
+    instruments_strong: float = _entry(
+        10.0,
+        "F of a parameter's instruments below which a note says that its number rests on the motion as flown.",
+        source="Staiger and Stock 1997; Stock and Yogo 2005",
+        chosen_on=f"the literature, {AFTER}",
     )
     noise_refills: int = _entry(
         3,

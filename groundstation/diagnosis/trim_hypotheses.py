@@ -61,12 +61,13 @@ class Scatter:
         """Of differences (..., 4)."""
         from scipy.special import gammaln, logsumexp
 
-        count = left.shape[-1]
+        count = int(left.shape[-1])
         roots = np.linalg.cholesky(np.linalg.inv(self.matrices))
         white = left.reshape(-1, count) @ np.moveaxis(roots, 0, 1).reshape(count, -1)
         square = np.sum(white.reshape(*left.shape[:-1], len(roots), count) ** 2, axis=-1)
         total = 0.5 * (self.freedom + count)
-        constant = gammaln(total) - gammaln(0.5 * self.freedom) - 0.5 * count * np.log(self.freedom * np.pi)
+        constant = float(gammaln(total)) - float(gammaln(0.5 * self.freedom))
+        constant -= 0.5 * count * float(np.log(self.freedom * np.pi))
         each = constant - 0.5 * np.linalg.slogdet(self.matrices)[1] - total * np.log1p(square / self.freedom)
         return np.asarray(logsumexp(each + np.log(self.shares), axis=-1), dtype=float)
 
@@ -86,7 +87,7 @@ class Scatter:
         """Probability that healthy scatter is larger than a difference (4,)."""
         from scipy.stats import f
 
-        square = np.einsum("i,kij,j->k", left, np.linalg.inv(self.matrices), left)
+        square: Array = np.einsum("i,kij,j->k", left, np.linalg.inv(self.matrices), left)
         return float(self.shares @ f.sf(square / len(left), len(left), self.freedom))
 
 
@@ -139,7 +140,7 @@ def either(explain: Callable[[Scatter], Explanation], scatter: Scatter) -> Expla
     """A hypothesis, the healthy flights being of the same individual or (less likely before) of another one."""
     one, two = explain(scatter), explain(scatter.wider())
     evidence, (same, other) = _integrated(np.array([one.evidence, two.evidence + np.log(OTHER)]))
-    parameters = {}
+    parameters: dict[str, Estimate] = {}
     for name, first in one.parameters.items():
         second = two.parameters[name]
         weight, values = np.array([same, other]), np.array([first.value, second.value])
@@ -199,7 +200,8 @@ def weak_pair(pair: tuple[int, int], patterns: Array, change: Array, prior: floa
     left = change - one[:, :, None, None] - two[None, None]
     log_prior = np.log(share)[None, :, None, None] + np.log(share) - 2.0 * np.log(PAIR_SIZES)
     evidence, weight = _integrated(scatter.log_density(left) + log_prior)
-    parameters, off = {}, []
+    parameters: dict[str, Estimate] = {}
+    off: list[float] = []
     mean = np.einsum("abcd,abi->i", weight, one) + np.einsum("abcd,cdi->i", weight, two)
     for index, suffix in enumerate(("", "/2")):
         each = weight.sum(axis=(2, 3) if index == 0 else (0, 1))
@@ -247,7 +249,7 @@ def least_shown(vehicle: Vehicle, patterns: Array, scatter: Scatter) -> tuple[fl
     def shown(change: Array, found: Explanation) -> bool:
         return found.evidence - float(scatter.log_density(change)) > np.log(SHOWN)
 
-    losses = []
+    losses: list[float] = []
     for rotor in range(1, patterns.shape[1] + 1):
         changes = [(size, size / (1.0 - size) * patterns[:, rotor - 1]) for size in sizes]
         losses.append(next((s for s, c in changes if shown(c, weak_rotor(rotor, patterns, c, scatter))), most))

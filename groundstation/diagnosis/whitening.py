@@ -145,7 +145,7 @@ class Whitening:
 
 def bands_of(count: int) -> list[slice]:
     """Frequencies of a periodogram in bands, each an eighth of its own frequency wide, or ``band_bins``."""
-    out, first = [], 0
+    out, first = list[slice](), 0
     while first < count:
         last = first + max(THRESHOLDS.band_bins, first // 8)
         if count - last < THRESHOLDS.band_bins:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from groundstation.errors import BadInput
 from groundstation.fleet.report import DIFFERENT
@@ -93,7 +94,7 @@ def compare_flights(first: Sequence[Flown], second: Sequence[Flown]) -> Comparis
     if not first or not second:
         raise BadInput("a comparison needs a flight on each side.")
     single = len(first) == len(second) == 1
-    rows = {}
+    rows: dict[str, Compared] = {}
     for name, (found, p) in compare_groups(_group(first), _group(second)).items():
         z = found.size / found.std
         before, after = (Estimate.normal(value, found.std / np.sqrt(2.0)) for value in (found.first, found.second))
@@ -109,7 +110,7 @@ def compare_flights(first: Sequence[Flown], second: Sequence[Flown]) -> Comparis
 def _group(flights: Sequence[Flown]) -> Groups:
     """Values and standard deviations by parameter; what has no spread says nothing of a difference."""
     told = [flight.parameters() for flight in flights]
-    out = {}
+    out: dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
     for name in dict.fromkeys(name for known in told for name in known):
         found = [known[name] for known in told if name in known and known[name].std > 0.0]
         if found:

@@ -222,7 +222,8 @@ def pooled(values: Sequence[float] | Array, stds: Sequence[float] | Array) -> tu
     table = _log_evidence(y / unit, s / unit, [np.zeros(len(y))])[0]
     over = logsumexp(table, axis=1)
     weight = np.exp(over - logsumexp(over))
-    means, variances = [], []
+    means: list[float] = []
+    variances: list[float] = []
     for tau in _SCATTERS:
         w = 1.0 / ((s / unit) ** 2 + tau**2)
         means.append(w @ (y / unit) / w.sum())
@@ -246,7 +247,7 @@ def holm(p: Sequence[float]) -> list[float]:
     adjusted = np.empty(len(p))
     worst = 0.0
     for rank, index in enumerate(order):
-        worst = max(worst, min(1.0, (len(p) - rank) * p[index]))
+        worst = max(worst, min(1.0, (len(p) - rank) * p[int(index)]))
         adjusted[index] = worst
     return [float(v) for v in adjusted]
 

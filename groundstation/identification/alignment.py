@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from groundstation.flightdata import FlightData, Stream, resampled
 from groundstation.frames import quat_rotate, slerp
-from groundstation.identification.butterworth import band_pass, correlation, without_phase
 from groundstation.identification.instruments import FlownMotion
 from groundstation.model.rotors import MotorInput, declared_thrust, interpolate_columns, wrench_matrix
 
@@ -89,8 +88,10 @@ def lag_between(
     """By how much the columns of ``second`` come after those of ``first``, shapes (k, d), mean of the columns'
     correlations.
     """
+    from scipy.signal import correlate
+
     first, second = (x / (np.std(x, axis=0) + 1e-12) for x in (first, second))
-    parts = [correlation(second[:, i], first[:, i]) for i in range(first.shape[1])]
+    parts = [correlate(second[:, i], first[:, i], method="fft") for i in range(first.shape[1])]
     score = np.mean(np.asarray(parts), axis=0) / len(first)
     lags = (np.arange(2 * len(first) - 1) - (len(first) - 1)) * step_s
     reach = np.abs(lags) < min(reach_s, 0.5 * len(first) * step_s)
@@ -107,32 +108,28 @@ def lag_between(
 def _by_parts(first: Array, second: Array, shift: int, home: int, step_s: float) -> tuple[float, float]:
     """Standard deviation of a lag, and Student's t of its gain over the one at home, by parts of equal motion."""
     near, moved = round(0.25 / step_s), np.cumsum(np.sum(first**2, axis=1))
-    bounds = np.searchsorted(moved, moved[-1] * np.arange(PARTS + 1) / PARTS)
+    bounds = np.searchsorted(moved, float(moved[-1]) * np.arange(PARTS + 1) / PARTS)
     size = moved[-1] / PARTS
-    lags, gains = [], []
-    for begin, end in pairwise(bounds.tolist()):
-        scores = _scores(first, second, (begin, end), (shift - near, shift + near))
-        if scores is None:
+    lags: list[float] = []
+    gains: list[float] = []
+    for begin, end in pairwise(bounds):
+
+        def score(by: int, begin: int = int(begin), end: int = int(end)) -> float:
+            low, high = begin + by, end + by
+            if low < 0 or high > len(second):
+                return -np.inf
+            return float(np.sum(second[low:high] * first[begin:end])) / size
+
+        scores = [score(shift + k) for k in range(-near, near + 1)]
+        if not np.isfinite(scores).all():
             continue
-        at_home = _scores(first, second, (begin, end), (home, home))
         lags.append((int(np.argmax(scores)) - near) * step_s)
-        gains.append(np.inf if at_home is None else float(scores[near] - at_home[0]) / size)
+        gains.append(scores[near] - score(home))
     if len(lags) < 3 or not np.isfinite(gains).all():
         return 0.1, 0.0
     root = np.sqrt(len(lags))
     std_s = float(np.hypot(np.std(lags, ddof=1) / root, step_s / np.sqrt(12.0)))
     return std_s, float(np.mean(gains) / (np.std(gains, ddof=1) / root + 1e-9))
-
-
-def _scores(first: Array, second: Array, part: tuple[int, int], shifts: tuple[int, int]) -> Array | None:
-    """Sum of products of a part of the first with the second that many samples later, at every shift from one to
-    another; None where the second does not reach so far.
-    """
-    low, high = part[0] + shifts[0], part[1] + shifts[1]
-    if low < 0 or high > len(second) or part[0] == part[1]:
-        return None
-    columns = zip(second[low:high].T, first[part[0] : part[1]].T, strict=True)
-    return np.sum([np.correlate(b, a, "valid") for b, a in columns], axis=0)
 
 
 def motor_offset(flight: FlightData, motion: FlownMotion, inputs: MotorInput) -> tuple[float, list[str]]:
@@ -174,14 +171,16 @@ def _turning_and_force(
     """Measured and predicted angular acceleration (roll, pitch) and specific force z in one band, (k, 2) and (k, 1)
     each.
     """
+    from scipy.signal import butter, sosfiltfilt
+
     vehicle = flight.vehicle
     grid = np.arange(motion.t_s[0], motion.t_s[-1], STEP_S)
     lag_s = 0.0 if inputs.measured or vehicle.rotors.input == "wrench" else TYPICAL_LAG_S
     wrench = declared_thrust(vehicle, inputs.lagged(lag_s, lag_s)) @ wrench_matrix(vehicle).T
-    band = band_pass(BAND_HZ, 1.0 / STEP_S)
+    low_pass = butter(2, BAND_HZ, btype="band", fs=1.0 / STEP_S, output="sos")
 
     def passed(values: Array) -> Array:
-        return without_phase(band, values)
+        return np.asarray(sosfiltfilt(low_pass, values, axis=0), dtype=float)
 
     rate = resampled(grid, motion.t_s, motion.rate)
     made = interpolate_columns(grid + centre, inputs.start_s, inputs.step_s, wrench)
@@ -225,16 +224,18 @@ def _lateness(
     pose: Stream, attitude_offset_s: float, t_imu: Array, accel: Array, gravity_m_s2: float
 ) -> tuple[float, float, float]:
     """By how much positions are later than attitudes, its standard deviation and the correlation; 0 if too short."""
+    from scipy.signal import butter, sosfiltfilt
+
     when = pose.t_s - attitude_offset_s
     grid = np.arange(max(when[0], t_imu[0]), min(when[-1], t_imu[-1]), STEP_S)
     if len(grid) * STEP_S < 5.0:
         return 0.0, 0.0, 0.0
     step = float(np.median(np.diff(pose.t_s)))
     top = min(LATE_BAND_HZ[1], 0.2 / step)
-    band = band_pass((LATE_BAND_HZ[0], top), 1.0 / STEP_S)
+    band = butter(2, (LATE_BAND_HZ[0], top), btype="band", fs=1.0 / STEP_S, output="sos")
 
     def passed(values: Array) -> Array:
-        return without_phase(band, values)
+        return np.asarray(sosfiltfilt(band, values, axis=0), dtype=float)
 
     position = resampled(grid, when, pose.values[:, :3])
     seen = np.gradient(np.gradient(passed(position), STEP_S, axis=0), STEP_S, axis=0)

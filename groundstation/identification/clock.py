@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from groundstation.errors import Refused
 from groundstation.flightdata import resampled
 from groundstation.frames import quat_conjugate, quat_exp, quat_log, quat_multiply, quat_rotate
-from groundstation.identification.butterworth import correlation, low_pass, without_phase
 
 Array = NDArray[np.float64]
 
@@ -32,7 +31,6 @@ def coarse_offset(
     *,
     expected_s: float = 0.0,
     source: str = "motion capture",
-    by_size: bool = False,
 ) -> tuple[float, float]:
     """Pose stamp minus gyro stamp of one instant, to a few milliseconds, by correlating smoothed rates.
 
@@ -40,7 +38,6 @@ def coarse_offset(
         expected_s: centre of the search, e.g. from arrival times; the search goes as far as half of each record
             overlaps.
         source: of the attitudes, for the refusal.
-        by_size: compare how fast both turn, not about which axes: for a marker body that is mounted anyhow.
 
     Returns:
         Offset in seconds and the correlation coefficient there.
@@ -49,11 +46,25 @@ def coarse_offset(
         Refused: the records share no motion to align by.
     """
     pose_rate, t_mid = rates_from_attitude(t_pose, quaternion)
-    if by_size:
-        gyro, pose_rate = (np.linalg.norm(rate, axis=1, keepdims=True) for rate in (gyro, pose_rate))
-    step, a, b = 1.0 / GRID_HZ, _on_grid(t_gyro, gyro), _on_grid(t_mid, pose_rate)
+    return _offset_of_rates((t_gyro, gyro), (t_mid, pose_rate), expected_s, source)
+
+
+def coarse_offset_by_size(
+    t_gyro: Array, gyro: Array, t_pose: Array, quaternion: Array, *, expected_s: float
+) -> tuple[float, float]:
+    """:func:`coarse_offset` by how fast both turn, not about which axes: for a marker body that is mounted anyhow."""
+    pose_rate, t_mid = rates_from_attitude(t_pose, quaternion)
+    gyro, pose_rate = (np.linalg.norm(rate, axis=1, keepdims=True) for rate in (gyro, pose_rate))
+    return _offset_of_rates((t_gyro, gyro), (t_mid, pose_rate), expected_s, "motion capture")
+
+
+def _offset_of_rates(
+    gyro: tuple[Array, Array], pose: tuple[Array, Array], expected_s: float, source: str
+) -> tuple[float, float]:
+    """Where two series of rates, stamps and values each, agree best, and their correlation there."""
+    step, a, b = 1.0 / GRID_HZ, _on_grid(*gyro), _on_grid(*pose)
     total, coefficient = _correlation(a, b)
-    offsets = np.arange(-(len(a) - 1), len(b)) * step + t_mid[0] - t_gyro[0]
+    offsets = np.arange(-(len(a) - 1), len(b)) * step + pose[0][0] - gyro[0][0]
     # Far from what arrival times say, the evidence has to be better: a periodic excitation repeats itself.
     score = coefficient - 0.02 * np.abs(offsets - expected_s)
     best = int(np.argmax(score))
@@ -80,9 +91,12 @@ def _on_grid(t: Array, rate: Array) -> Array:
 
 def _smooth_rates(grid: Array, t: Array, rate: Array) -> Array:
     """Rates on a grid, clipped where they stray, low-passed without phase and without their mean."""
+    from scipy.signal import butter, sosfiltfilt
+
     on_grid = resampled(grid, t, rate)
     limit = 8.0 * np.median(np.abs(on_grid), axis=0) + 0.5
-    smooth = without_phase(low_pass(4, SMOOTHING_HZ, GRID_HZ), np.clip(on_grid, -limit, limit))
+    low_pass = butter(4, SMOOTHING_HZ, fs=GRID_HZ, output="sos")
+    smooth = sosfiltfilt(low_pass, np.clip(on_grid, -limit, limit), axis=0)
     return smooth - smooth.mean(axis=0)
 
 
@@ -90,15 +104,19 @@ def _correlation(a: Array, b: Array) -> tuple[Array, Array]:
     """Correlation of b with a at every lag, and its coefficient; -1 where less than half of the shorter one
     overlaps.
     """
-    total = np.asarray(sum(correlation(b[:, i], a[:, i]) for i in range(a.shape[1])))
+    from scipy.signal import correlate
+
+    total = np.asarray(sum(correlate(b[:, i], a[:, i], method="fft") for i in range(a.shape[1])))
     # The energies are those of the overlapping parts, so that the length of an overlap counts neither for nor against
     # it.
     ones_a, ones_b = np.ones(len(a)), np.ones(len(b))
+    power_a: Array = (a**2).sum(axis=1)
+    power_b: Array = (b**2).sum(axis=1)
     energy = np.sqrt(
-        np.maximum(correlation((b**2).sum(axis=1), ones_a), 0.0)
-        * np.maximum(correlation(ones_b, (a**2).sum(axis=1)), 0.0)
+        np.maximum(correlate(power_b, ones_a, method="fft"), 0.0)
+        * np.maximum(correlate(ones_b, power_a, method="fft"), 0.0)
     )
-    overlap = correlation(ones_b, ones_a)
+    overlap = correlate(ones_b, ones_a, method="fft")
     enough = overlap > 0.5 * min(len(a), len(b))
     return total, np.where(enough, total / np.maximum(energy, 1e-9 * energy.max() + 1e-30), -1.0)
 

@@ -29,7 +29,7 @@ def with_doubts(methods: Mapping[str, MethodResult], best: str) -> dict[str, Met
 
 def _doubt(method: MethodResult, believed: MethodResult, best: str) -> str:
     """Which number is farthest from the best method's, and by how much; empty where none is far."""
-    found = []
+    found: list[tuple[float, str]] = []
     for name in COMPARED:
         one, other = method.parameters.get(name), believed.parameters.get(name)
         if one is None or other is None or other.value == 0.0:

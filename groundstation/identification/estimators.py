@@ -16,6 +16,7 @@ squares remembers all.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,16 +45,20 @@ class LinearEstimate:
         evolution: estimate at those times, shape (n, p); NaN while undetermined.
     """
 
-    values: Array
-    covariance: Array
+    values: Annotated[Array, "p"]
+    covariance: Annotated[Array, "p p"]
     condition_number: float
-    rms_residual: Array
-    evolution_t_s: Array
-    evolution: Array
+    rms_residual: Annotated[Array, "outputs"]
+    evolution_t_s: Annotated[Array, "n"]
+    evolution: Annotated[Array, "n p"]
 
 
 def least_squares(
-    regressor: Array, output: Array, t_s: Array, used: NDArray[np.bool_], points: int = 400
+    regressor: Annotated[Array, "k outputs p"],
+    output: Annotated[Array, "k outputs"],
+    t_s: Annotated[Array, "k"],
+    used: Annotated[NDArray[np.bool_], "k"],
+    points: int = 400,
 ) -> LinearEstimate:
     r"""Least squares (seed eq. 40), with its evolution from cumulated normal equations.
 
@@ -81,7 +86,8 @@ def least_squares(
     evolution = _solve_scaled(scaled, moments / unit) / unit
     values = evolution[-1].copy()
     residual = _residual(gamma, upsilon, values, rows, len(used))
-    inverse = np.linalg.pinv(scaled[-1], rcond=SINGULAR, hermitian=True) / np.outer(unit, unit)
+    final: Array = scaled[-1]
+    inverse = np.linalg.pinv(final, rcond=SINGULAR, hermitian=True) / np.outer(unit, unit)
     influence = np.zeros((len(used), gamma.shape[2], gamma.shape[1]))
     influence[rows] = np.matmul(inverse, gamma.transpose(0, 2, 1))
     covariance = coloured_covariance(influence, residual, float(t_s[1] - t_s[0]))
@@ -124,10 +130,10 @@ def _solve_scaled(normals: Array, moments: Array) -> Array:
 
 
 def gradient_descent(
-    regressor: Array,
-    output: Array,
-    t_s: Array,
-    used: NDArray[np.bool_],
+    regressor: Annotated[Array, "k outputs p"],
+    output: Annotated[Array, "k outputs"],
+    t_s: Annotated[Array, "k"],
+    used: Annotated[NDArray[np.bool_], "k"],
     *,
     rate_per_s: float = ADAPTATION_RATE_PER_S,
     points: int = 400,

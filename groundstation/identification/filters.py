@@ -14,8 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from groundstation.identification.butterworth import low_pass, run, without_phase
-
 Array = NDArray[np.float64]
 
 
@@ -52,9 +50,13 @@ class FilterPair:
         return FilterPair(low_pass, derivative, (1.0, -(pole**steps)), steps * self.period_s)
 
     def _run(self, numerator: tuple[float, float], signal: ArrayLike) -> Array:
-        x = np.ascontiguousarray(signal, dtype=float)
-        section = np.array([[*numerator, 0.0, *self.denominator, 0.0]]) / self.denominator[0]
-        return run(section, x.reshape(len(x), -1), True).reshape(x.shape)
+        from scipy.signal import lfilter
+
+        x = np.asarray(signal, dtype=float)
+        gain = sum(numerator) / sum(self.denominator)
+        # Direct form II transposed: y = b0 x + s, s <- b1 x - a1 y; in steady state s = (gain - b0) x.
+        state = (gain - numerator[0] / self.denominator[0]) * x[:1]
+        return lfilter(numerator, self.denominator, x, axis=0, zi=state)[0]
 
     def gain_ratio(self) -> float:
         """Low-frequency gain of g/(s f): 1 for a matched pair."""
@@ -92,12 +94,14 @@ def zero_phase_low_pass(signal: ArrayLike, cutoff_hz: float, period_s: float, or
     Both passes together have the gain 1/(1 + (f/f_c)^(2 order)); at a tenth of the cut-off that is 1e-4 below one.
     The ends are continued by point reflection, which keeps value and slope. Short signals get the padding they allow.
     """
+    from scipy.signal import butter, sosfiltfilt
+
     x = np.asarray(signal, dtype=float)
     normalised = 2.0 * cutoff_hz * period_s
     if normalised >= 1.0 or len(x) < 8:
         return x.copy()
     padding = min(len(x) - 1, int(np.ceil(3.0 / normalised)) * order)
-    return without_phase(low_pass(order, cutoff_hz, 1.0 / period_s), x, padding)
+    return sosfiltfilt(butter(order, normalised, output="sos"), x, axis=0, padlen=padding)
 
 
 def central_difference(signal: ArrayLike, period_s: float) -> Array:

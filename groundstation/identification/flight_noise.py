@@ -4,26 +4,22 @@ leaves.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.identification.innovation_kernel import filtered, filtered_one
 from groundstation.identification.noise import (
     NoiseModel,
     apply_polynomial,
     fit_noise_model,
-    gains_of,
+    innovations,
     whitening_polynomial,
 )
 from groundstation.identification.record_model import RecordModel
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-_Filter = tuple[Array, Array, float]
-"""Gains (blocks, 5), deviations of innovations (blocks,), half the sum of their variances' logarithms."""
 
 PLAIN: Array = np.array([1.0])
 """The autoregression that changes nothing."""
@@ -54,44 +50,25 @@ class FlightNoise:
     channels: tuple[int, ...]
     colours: tuple[NoiseModel, ...]
     whiteners: tuple[Array, ...]
-    _filters: list[tuple[Array, Mask, list[_Filter]]] = field(
-        default_factory=list[tuple[Array, Mask, list[_Filter]]], init=False, repr=False, compare=False
-    )
 
     def whitened(self, model: RecordModel, residual: Array, sensitivity: Array) -> Whitened:
         """Residuals (blocks, 6) and sensitivities (blocks, 6, P) as innovations of unit variance."""
-        parts = list(self.by_channel(model, residual, sensitivity))
-        return Whitened(tuple(y for y, _ in parts), tuple(x for _, x in parts), self.log_deviation(model))
+        ys: list[Array] = []
+        xs: list[Array] = []
+        logs = 0.0
+        for channel, colour, polynomial in zip(self.channels, self.colours, self.whiteners, strict=True):
+            both = np.concatenate([residual[:, channel : channel + 1], sensitivity[:, channel, :]], axis=1)
+            e, s = innovations(both, model.dt, model.restart, colour, integrated=channel < 3)
+            good = np.isfinite(s)
+            e = apply_polynomial(polynomial, np.where(good[:, None], e / np.sqrt(np.where(good, s, 1.0))[:, None], 0.0))
+            ys.append(e[:, 0])
+            xs.append(e[:, 1:])
+            logs += 0.5 * float(np.sum(np.log(s[good])))
+        return Whitened(tuple(ys), tuple(xs), logs)
 
-    def by_channel(self, model: RecordModel, residual: Array, sensitivity: Array) -> Iterator[tuple[Array, Array]]:
-        """The same, one channel after the other: residual (blocks,) and sensitivities (blocks, P)."""
-        filters, ys = self._filters_of(model), self.residuals(model, residual)
-        for channel, polynomial, (gains, unit, _), y in zip(self.channels, self.whiteners, filters, ys, strict=True):
-            x = filtered(sensitivity[:, channel, :], gains, unit, np.zeros((2, sensitivity.shape[2])))
-            yield y, apply_polynomial(polynomial, x)
-
-    def residuals(self, model: RecordModel, residual: Array) -> Iterator[Array]:
-        """Of the residual (blocks, 6) alone, channel by channel, (blocks,)."""
-        for channel, polynomial, (gains, unit, _) in zip(
-            self.channels, self.whiteners, self._filters_of(model), strict=True
-        ):
-            y = filtered_one(residual[:, channel], gains, unit)
-            yield apply_polynomial(polynomial, y[:, None])[:, 0]
-
-    def log_deviation(self, model: RecordModel) -> float:
-        """Half the sum of the logarithms of the innovations' variances."""
-        return sum(log for _, _, log in self._filters_of(model))
-
-    def _filters_of(self, model: RecordModel) -> list[_Filter]:
-        """The filter of each channel; those of the last record are kept."""
-        if not self._filters or self._filters[0][0] is not model.dt or self._filters[0][1] is not model.restart:
-            found: list[_Filter] = []
-            for channel, colour in zip(self.channels, self.colours, strict=True):
-                gains, variance = gains_of(model.dt, model.restart, colour, integrated=channel < 3)
-                known = variance[np.isfinite(variance)]
-                found.append((gains, np.sqrt(variance), 0.5 * float(np.sum(np.log(known)))))
-            self._filters[:] = [(model.dt, model.restart, found)]
-        return self._filters[0][2]
+    def whitened_residual(self, model: RecordModel, residual: Array) -> Whitened:
+        """The same without sensitivities."""
+        return self.whitened(model, residual, np.zeros((*residual.shape, 0)))
 
 
 def fitted_noise(
@@ -115,7 +92,7 @@ def fitted_noise(
     coloured = FlightNoise(tuple(channels), colours, (PLAIN,) * len(colours))
     if not autoregression:
         return coloured
-    left = coloured.residuals(model, residual)
+    left = coloured.whitened_residual(model, residual).residual
     whiteners = tuple(whitening_polynomial(y, model.restart, autoregression) for y in left)
     return FlightNoise(coloured.channels, colours, whiteners)
 

@@ -22,8 +22,7 @@ from groundstation.errors import NotIdentifiable, Refused
 from groundstation.flightdata import resampled
 from groundstation.frames import matrix_from_quat, quat_exp, quat_from_matrix, quat_log, quat_multiply, quat_rotate
 from groundstation.identification.attitude_fit import Recording
-from groundstation.identification.butterworth import low_pass, without_phase
-from groundstation.identification.clock import coarse_offset, rates_from_attitude
+from groundstation.identification.clock import coarse_offset_by_size, rates_from_attitude
 from groundstation.identification.reconstruction import Compatibility, reconstruct
 
 Array = NDArray[np.float64]
@@ -99,7 +98,7 @@ def calibrate_by_hand(
             f"only {seconds:.0f} s were recorded, {LEAST_S:.0f} s is the least.", "Carry it for 30 s."
         )
     around = float(t_pose[0] - t_imu[0]) if expected_s is None else expected_s
-    coarse, _ = coarse_offset(t_imu, gyro, t_pose, quaternion, expected_s=around, by_size=True)
+    coarse, _ = coarse_offset_by_size(t_imu, gyro, t_pose, quaternion, expected_s=around)
     marker = marker_axes(t_imu, gyro, t_pose - coarse, quaternion)
     refuse_mirrored(t_imu, accel, (t_pose - coarse, position, quaternion), marker)
     refuse_other_up(t_imu, accel, t_pose - coarse, quaternion, marker)
@@ -177,8 +176,10 @@ def up_axis(t_imu: Array, accel: Array, t_pose: Array, quaternion: Array, marker
 
 def _smoothed(t: Array, values: Array) -> Array:
     """Below 5 Hz, where hands move and differences of attitudes are not all noise."""
+    from scipy.signal import butter, sosfiltfilt
+
     rate_hz = 1.0 / float(np.median(np.diff(t)))
-    return without_phase(low_pass(2, min(5.0, 0.2 * rate_hz), rate_hz), values)
+    return np.asarray(sosfiltfilt(butter(2, min(5.0, 0.2 * rate_hz), fs=rate_hz, output="sos"), values, axis=0))
 
 
 def _result(found: Compatibility, marker: Array, position: Array, quaternion: Array, seconds: float) -> HandCalibration:
@@ -190,6 +191,7 @@ def _result(found: Compatibility, marker: Array, position: Array, quaternion: Ar
     turn, turn_std = of("rotation", "xyz", "rad")
     tilt, tilt_std = of("tilt", "xy", "rad")
     step = matrix_from_quat(quaternion)
+    away: Array = np.sum((position - position.mean(axis=0)) ** 2, axis=1)
     angles = np.arccos(np.clip(0.5 * (np.einsum("kij,ij->k", step, step[0]) - 1.0), -1.0, 1.0))
     return HandCalibration(
         position_m=lever, position_std_m=lever_std,
@@ -200,6 +202,6 @@ def _result(found: Compatibility, marker: Array, position: Array, quaternion: Ar
         mocap_minus_imu_s=found.values["mocap_minus_imu_s"], clock_std_s=found.std["mocap_minus_imu_s"],
         drift=found.values["clock_drift"],
         residual_m=found.pose_noise[0], residual_rad=found.pose_noise[1],
-        moved_m=float(np.sqrt(np.mean(np.sum((position - position.mean(axis=0)) ** 2, axis=1)))),
+        moved_m=float(np.sqrt(np.mean(away))),
         turned_rad=float(np.max(angles)), seconds=seconds,
     )  # fmt: skip

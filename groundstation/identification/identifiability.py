@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import NotIdentifiable
-from groundstation.identification.butterworth import low_pass, without_phase
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import RecordModel
@@ -50,9 +49,12 @@ REMEDY = {
 
 def angular_acceleration(prepared: Prepared) -> Array:
     """RMS of the angular acceleration below 5 Hz, rad/s^2, (3,)."""
+    from scipy.signal import butter, sosfiltfilt
+
     record = prepared.record
     rate_hz = 1.0 / float(np.median(np.diff(record.t_s)))
-    slow = without_phase(low_pass(2, min(5.0, 0.4 * rate_hz), rate_hz), record.rate_rad_s)
+    low_pass = butter(2, min(5.0, 0.4 * rate_hz), fs=rate_hz, output="sos")
+    slow = np.asarray(sosfiltfilt(low_pass, record.rate_rad_s, axis=0))
     return np.std(np.gradient(slow, record.t_s, axis=0)[record.keep], axis=0)
 
 
@@ -67,7 +69,8 @@ def revealed(models: Sequence[RecordModel], vehicle: Vehicle, options: FitOption
     start = declared_parameters(vehicle, lag_s=TYPICAL_LAG_S, extra=len(models[0].extra))
     weight = vehicle.mass_kg * vehicle.gravity_m_s2
     trace = float(np.trace(start.tensor))
-    parts, names = [], ()
+    parts: list[Array] = []
+    names: tuple[str, ...] = ()
     for model in models:
         _, sensitivity, names = model.evaluate(start, replace(options, mass=True))
         spacing = max(1, round(SPACING_S / float(np.median(model.dt))))
@@ -112,7 +115,7 @@ def unrevealed(fit: Fitted, prepared: Sequence[Prepared]) -> dict[str, str]:
     trace = float(np.trace(fit.parameters.tensor))
     rates = [np.std(item.record.rate_rad_s[item.record.keep], axis=0) for item in prepared]
     still = {axis for axis, rate in zip("xyz", np.max(rates, axis=0), strict=True) if rate < STILL_RAD_S}
-    hidden = {}
+    hidden: dict[str, str] = {}
     for name in MASS_AND_TENSOR:
         if name != "mass_kg" and set(name[1:3]) <= still:
             hidden[name] = REMEDY[name]
@@ -157,7 +160,8 @@ def partial_answer(fit: Fitted, hidden: Mapping[str, str], prepared: Sequence[Pr
         return None
     first = prepared[0]
     record = first.record
-    thrust = first.signals(fit.parameters.lag_up_s, fit.parameters.lag_down_s, 0.0).thrust_n[record.keep].sum(axis=1)
+    signals = first.signals(fit.parameters.lag_up_s, fit.parameters.lag_down_s, 0.0)
+    thrust: Array = signals.thrust_n[record.keep].sum(axis=1)
     heaves = record.vehicle.rotors.input != "wrench" and np.std(thrust) > 0.1 * np.mean(thrust)
     turned = record.rate_rad_s if first.planned is None else first.planned.rate_rad_s
     line = _one_axis(turned[record.keep])

@@ -134,9 +134,9 @@ def _equations(
     zx, zz = instruments.precision.copy(), instruments.precision.copy()
     ze = (mean - theta) / variance + instruments.split @ (start.values - theta)
     for index, (model, each) in enumerate(zip(problem.models, noise, strict=True)):
-        white = each.by_channel(model, point.residuals[index], point.sensitivities[index])
+        found = each.whitened(model, point.residuals[index], point.sensitivities[index])
         columns, spent = instruments.columns[index], instruments.spent[index]
-        for (y, x), z, factor in zip(white, columns, spent, strict=True):
+        for y, x, z, factor in zip(found.residual, found.sensitivity, columns, spent, strict=True):
             w = huber(y)[:, None]
             zx += z.T @ (x * w)
             zz += factor * z.T @ (z * w)

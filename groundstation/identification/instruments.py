@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from groundstation.flightdata import FlightData, Stream, resampled
 from groundstation.frames import euler_from_quat, quat_continuous, quat_from_euler, quat_rotate_inverse
-from groundstation.identification.butterworth import low_pass, without_phase
 from groundstation.identification.record_model import PlannedMotion
 from groundstation.identification.streams import clean
 from groundstation.trajectory import FlatState, RigidMotion, rigid_motion
@@ -195,11 +194,12 @@ def _path_filters(shifts: _Shifted, motion: FlownMotion, used: NDArray[np.int64]
         return [None] * 4
     yaw = np.unwrap(euler_from_quat(motion.smooth[0][used])[:, 2])
     flown = np.gradient(np.column_stack([motion.smooth[2][used], yaw]), motion.t_s[used], axis=0)
-    moved, found = [shifts.flat(float(shift)) for shift in SHORT_S], []
+    moved, found = [shifts.flat(float(shift)) for shift in SHORT_S], list[Array | None]()
     for axis in range(4):
         columns = np.column_stack([m.position[2, :, axis] if axis < 3 else m.yaw[1] for m in moved])
         still = np.std(columns) < 1e-4
-        found.append(None if still else np.linalg.lstsq(columns, flown[:, axis], rcond=1e-3)[0])
+        weights = None if still else np.linalg.lstsq(columns, flown[:, axis], rcond=1e-3)[0]
+        found.append(None if weights is None else np.asarray(weights, dtype=float))
     return found
 
 
@@ -208,8 +208,10 @@ def _body_filters(shifts: _Shifted, motion: FlownMotion, used: NDArray[np.int64]
 
     A fast manoeuvre couples the axes and saturates loops, which a filter of position and yaw does not tell.
     """
-    slow = without_phase(low_pass(2, min(BAND_HZ, 0.4 * motion.rate_hz), motion.rate_hz), motion.rate)
-    flown = np.gradient(slow[used], motion.t_s[used], axis=0)
+    from scipy.signal import butter, sosfiltfilt
+
+    sos = butter(2, min(BAND_HZ, 0.4 * motion.rate_hz), fs=motion.rate_hz, output="sos")
+    flown = np.gradient(np.asarray(sosfiltfilt(sos, motion.rate, axis=0))[used], motion.t_s[used], axis=0)
     independent = 2.0 * BAND_HZ * float(motion.t_s[used[-1]] - motion.t_s[used[0]])
     found: list[_BodyFilter | None] = []
     for axis in range(3):
@@ -244,7 +246,7 @@ def _most_probable(candidates: Sequence[Array], target: Array, independent: floa
 def _path_spline(motion: FlownMotion, keep: Mask) -> Reference | None:
     """The flown path as a spline with knots every PATH_KNOTS_S, which follows the manoeuvre and not the disturbance."""
     used = np.flatnonzero(keep)
-    index = np.arange(used[0], used[-1], max(1, round(motion.rate_hz / 50.0)))
+    index = np.arange(int(used[0]), int(used[-1]), max(1, round(motion.rate_hz / 50.0)))
     yaw = np.unwrap(euler_from_quat(motion.smooth[0][index])[:, 2])
     path = np.column_stack([motion.smooth[1][index], yaw])
     return _setpoint_spline(Stream(motion.t_s[index], path, ("x_m", "y_m", "z_m", "yaw_rad")), PATH_KNOTS_S)

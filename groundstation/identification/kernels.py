@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 
 @njit(cache=True)
-def descend(gamma, upsilon, gain, stops):
+def descend(gamma: Array, upsilon: Array, gain: Array, stops: NDArray[np.int64]) -> Array:
     """Implicit gradient descent from zero, one scalar row after the other.
 
     Args:
@@ -39,7 +42,7 @@ def descend(gamma, upsilon, gain, stops):
 
 
 @njit(cache=True)
-def descent_influence(gamma, gain):
+def descent_influence(gamma: Array, gain: Array) -> tuple[Array, Array]:
     """H_k of the final estimate of :func:`descend`, and what is left of the initial error.
 
     Going backward, M is the product of the later steps 1 - K Gamma; a row with K = gain Gamma^T/size enters by M K.

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.identification.butterworth import low_pass, without_phase
 from groundstation.identification.lagged_instruments import Equation
 from groundstation.identification.preparation import Prepared
 from groundstation.model.parameters import Parameters
@@ -79,12 +78,14 @@ def without_plan(prepared: Prepared) -> bool:
 
 def _low_pass(edge_hz: float, rate_hz: float, stretches: Sequence[slice]) -> Callable[[Array], Array]:
     """What keeps columns below the edge, each stretch by itself: what stands in a gap is of no flight."""
-    sections = low_pass(2, edge_hz, rate_hz)
+    from scipy.signal import butter, sosfiltfilt
+
+    sos = butter(2, edge_hz, fs=rate_hz, output="sos")
 
     def low(values: Array) -> Array:
         out = np.zeros(values.shape)
         for stretch in stretches:
-            out[stretch] = without_phase(sections, np.nan_to_num(values[stretch]))
+            out[stretch] = sosfiltfilt(sos, np.nan_to_num(values[stretch]), axis=0)
         return out
 
     return low
@@ -183,7 +184,7 @@ def lift_equations(part: Slow) -> Named:
 
 def moment_equations(part: Slow) -> list[Equation]:
     """The torque's equations with the moment of inertia first."""
-    out = []
+    out: list[Equation] = []
     for equation, own in torque_equations(part):
         order = [len(own), *(index for index in range(equation.columns.shape[1]) if index != len(own))]
         out.append(replace(equation, columns=equation.columns[:, order], effects=1))

@@ -24,7 +24,6 @@ from groundstation.frames import (
 )
 from groundstation.identification.alignment import arrival_difference, with_one_stamp
 from groundstation.identification.attitude_fit import Recording
-from groundstation.identification.butterworth import low_pass, without_phase
 from groundstation.identification.clock import coarse_offset, rates_from_attitude
 from groundstation.identification.instruments import FlownMotion
 from groundstation.identification.reconstruction import Compatibility, body_motion, reconstruct
@@ -169,7 +168,7 @@ def _aided(flight: FlightData, imu: Stream, tracked: _Tracked, notes: Sequence[s
         rate_hz=imu.rate_hz(),
         causal=body_motion(found, rate, lever, causal=True),
         force_bias_std=np.array([std[f"accel_bias_{axis}_m_s2"] for axis in "xyz"]),
-        compatibility=found.findings(),
+        compatibility=found,
         clock=clock,
         notes=(*notes, *([] if clock is None else _disagreement(clock)), *([left_out] if dropped else [])),
     )
@@ -199,8 +198,10 @@ def _felt_beside(t: Array, rate: Array, lever: Array) -> Array:
     """What an accelerometer beside the origin feels, rates low-passed at 20 Hz before they are differenced, shape (k,
     3).
     """
+    from scipy.signal import butter, sosfiltfilt
+
     sample_hz = 1.0 / float(np.median(np.diff(t)))
-    smooth = without_phase(low_pass(2, min(20.0, 0.4 * sample_hz), sample_hz), rate)
+    smooth = sosfiltfilt(butter(2, min(20.0, 0.4 * sample_hz), fs=sample_hz, output="sos"), rate, axis=0)
     return lever_arm(smooth, np.gradient(smooth, t, axis=0), lever)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import combinations
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,9 @@ ENOUGH = 1e-3
 """Fall of the cost, in nats, below which a step is not worth another look: a standard deviation costs half of one."""
 
 
-def minimum(costs: Costs, start: Array, floor: Array, ceiling: Array, most: int) -> tuple[Array, float]:
+def minimum(
+    costs: Costs, start: Annotated[Array, "d"], floor: Annotated[Array, "d"], ceiling: Annotated[Array, "d"], most: int
+) -> tuple[Annotated[Array, "d"], float]:
     """The point of least cost within a box, and the cost.
 
     Args:

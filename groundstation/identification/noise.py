@@ -12,17 +12,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from groundstation.identification.innovation_kernel import (
-    direct_gains,
-    filtered,
-    integrated_gains,
-    moving_average,
-)
 from groundstation.identification.noise_kernel import direct_costs, integrated_costs
 
 Array = NDArray[np.float64]
+Restarts = NDArray[np.bool_]
 
 DIFFERENCE = 1e-3
 """Step in the logarithm of a noise by which the likelihood's slope is taken."""
@@ -58,9 +54,97 @@ class NoiseModel:
         return cls(*(float(v) for v in np.exp(vector)))
 
 
-def innovations(
-    z: Array, dt: Array, restart: NDArray[np.bool_], colour: NoiseModel, *, integrated: bool
+@njit(cache=True)
+def _driven(sigma: float, tau: float, q: float, h: float, phi: float) -> tuple[float, float, float]:
+    """Exact covariance of (integral over h, end value) driven by the Ornstein-Uhlenbeck noise: 00, 01, 11."""
+    s2 = sigma * sigma
+    q11 = s2 * (1.0 - phi * phi)
+    q01 = s2 * tau * (1.0 - phi) * (1.0 - phi)
+    q00 = s2 * tau * (2.0 * h - tau * (3.0 - 4.0 * phi + phi * phi)) + q * q * h
+    return max(q00, q * q * h), q01, q11
+
+
+@njit(cache=True)
+def _integrated_innovations(
+    z: Array, dt: Array, restart: Restarts, noise: Array, state: tuple[Array, Array], fresh: bool
 ) -> tuple[Array, Array]:
+    """Innovations and their variances of z = integral(d + white) + white; state [integral, d]; diffuse at restarts.
+
+    z has shape (k, m): the first column drives nothing special, all columns pass the same filter. dt[i] is the time
+    from sample i - 1 to i. Variances at restarts are infinite (the level is unknown there). Columns' states (2, m)
+    and their covariance (3,) go in and come out, so that a long series passes in parts, the first of them ``fresh``.
+    """
+    sigma, tau, q, r = noise
+    x, p = state
+    k, m = z.shape
+    out = np.zeros((k, m))
+    variance = np.empty(k)
+    p00, p01, p11 = p
+    for i in range(k):
+        if restart[i] or (fresh and i == 0):
+            for j in range(m):
+                x[0, j] = z[i, j]
+                x[1, j] = 0.0
+            p00, p01, p11 = r * r, 0.0, sigma * sigma
+            variance[i] = np.inf
+            continue
+        h = dt[i]
+        phi = np.exp(-h / tau)
+        g = tau * (1.0 - phi)
+        q00, q01, q11 = _driven(sigma, tau, q, h, phi)
+        n00 = p00 + 2.0 * g * p01 + g * g * p11 + q00
+        n01 = phi * (p01 + g * p11) + q01
+        n11 = phi * phi * p11 + q11
+        s = n00 + r * r
+        k0, k1 = n00 / s, n01 / s
+        for j in range(m):
+            x0 = x[0, j] + g * x[1, j]
+            x1 = phi * x[1, j]
+            e = z[i, j] - x0
+            out[i, j] = e
+            x[0, j] = x0 + k0 * e
+            x[1, j] = x1 + k1 * e
+        p00, p01, p11 = n00 - k0 * n00, n01 - k0 * n01, n11 - k1 * n01
+        variance[i] = s
+    p[0], p[1], p[2] = p00, p01, p11
+    return out, variance
+
+
+@njit(cache=True)
+def _direct_innovations(
+    z: Array, dt: Array, restart: Restarts, noise: Array, state: tuple[Array, Array], fresh: bool
+) -> tuple[Array, Array]:
+    """Innovations and their variances of z = d + white, with stationary start at restarts. Shapes as above."""
+    sigma, tau, q, r = noise
+    x, p = state
+    k, m = z.shape
+    out = np.empty((k, m))
+    variance = np.empty(k)
+    spread = p[0]
+    for i in range(k):
+        h = dt[i]
+        if restart[i] or (fresh and i == 0):
+            x[0] = 0.0
+            spread = sigma * sigma
+            h = 1.0
+        else:
+            phi = np.exp(-h / tau)
+            for j in range(m):
+                x[0, j] *= phi
+            spread = phi * phi * spread + sigma * sigma * (1.0 - phi * phi)
+        s = spread + r * r + q * q / h
+        gain = spread / s
+        for j in range(m):
+            e = z[i, j] - x[0, j]
+            out[i, j] = e
+            x[0, j] += gain * e
+        spread -= gain * spread
+        variance[i] = s
+    p[0] = spread
+    return out, variance
+
+
+def innovations(z: Array, dt: Array, restart: Restarts, colour: NoiseModel, *, integrated: bool) -> tuple[Array, Array]:
     """One-step innovations of each column of z and their variances.
 
     Args:
@@ -72,15 +156,9 @@ def innovations(
     Returns:
         Innovations (k, m), variances (k,) with inf where a level was only initialised.
     """
-    gains, variance = gains_of(dt, restart, colour, integrated=integrated)
-    unit = np.where(np.isfinite(variance), 1.0, np.inf)
-    return filtered(np.ascontiguousarray(z), gains, unit, np.zeros((2, z.shape[1]))), variance
-
-
-def gains_of(dt: Array, restart: NDArray[np.bool_], colour: NoiseModel, *, integrated: bool) -> tuple[Array, Array]:
-    """Gains (k, 5) of a channel's filter, and the variances (k,) of its innovations; arguments as above."""
-    kernel = integrated_gains if integrated else direct_gains
-    return kernel(dt, restart, colour.vector())
+    kernel = _integrated_innovations if integrated else _direct_innovations
+    state = np.zeros((2, z.shape[1])), np.zeros(3)
+    return kernel(np.ascontiguousarray(z), dt, restart, colour.vector(), state, True)
 
 
 PART = 4096
@@ -88,23 +166,22 @@ PART = 4096
 
 
 def innovation_products(
-    z: Array, columns: Array, dt: Array, restart: NDArray[np.bool_], colour: NoiseModel, *, integrated: bool
+    z: Array, columns: Array, dt: Array, restart: Restarts, colour: NoiseModel, *, integrated: bool
 ) -> Array:
     """Sums of products of the normalised innovations of z (k,) and of columns (k, m), z first, shape (1 + m, 1 + m)."""
-    gains, variance = gains_of(dt, restart, colour, integrated=integrated)
-    unit = np.sqrt(variance)  # innovations are zero where a level was only initialised
+    kernel = _integrated_innovations if integrated else _direct_innovations
     width = 1 + columns.shape[1]
-    state, out = np.zeros((2, width)), np.zeros((width, width))
+    state, out = (np.zeros((2, width)), np.zeros(3)), np.zeros((width, width))
     for first in range(0, len(z), PART):
         part = slice(first, first + PART)
-        white = filtered(np.column_stack([z[part], columns[part]]), gains[part], unit[part], state)
+        stacked = np.column_stack([z[part], columns[part]])
+        e, s = kernel(stacked, dt[part], restart[part], colour.vector(), state, first == 0)
+        white = e / np.sqrt(s)[:, None]  # zero where a level was only initialised
         out += white.T @ white
     return out
 
 
-def minus_log_likelihood(
-    residual: Array, dt: Array, restart: NDArray[np.bool_], colour: NoiseModel, integrated: bool
-) -> float:
+def minus_log_likelihood(residual: Array, dt: Array, restart: Restarts, colour: NoiseModel, integrated: bool) -> float:
     """Half the Gaussian minus-log-likelihood of a residual, robustified (pseudo-Huber at 4 sigma), constants
     dropped.
     """
@@ -139,7 +216,7 @@ def _search(residual: Array, step: float, length: float, *, integrated: bool) ->
 
 
 def fit_noise_model(
-    residual: Array, dt: Array, restart: NDArray[np.bool_], *, integrated: bool, start: NoiseModel | None = None
+    residual: Array, dt: Array, restart: Restarts, *, integrated: bool, start: NoiseModel | None = None
 ) -> NoiseModel:
     """Most likely noise of a channel from its residual, within wide physical bounds.
 
@@ -178,7 +255,7 @@ def fit_noise_model(
     return NoiseModel.from_logarithms(np.clip(best, floor, ceiling))
 
 
-def whitening_polynomial(innovation: Array, restart: NDArray[np.bool_], highest: int = 24) -> Array:
+def whitening_polynomial(innovation: Array, restart: Restarts, highest: int = 24) -> Array:
     """Coefficients [1, -a_1, ...] of the autoregression that takes what colour the state model left, by BIC.
 
     Burg's recursion on normalised innovations; order 0 (just [1.0]) when nothing is gained. Outliers are clipped at 5
@@ -208,4 +285,6 @@ def whitening_polynomial(innovation: Array, restart: NDArray[np.bool_], highest:
 
 def apply_polynomial(polynomial: Array, columns: Array) -> Array:
     """Filter columns by a moving-average polynomial along the first axis, shape kept."""
-    return columns if len(polynomial) == 1 else moving_average(polynomial, columns)
+    from scipy.signal import lfilter
+
+    return columns if len(polynomial) == 1 else np.asarray(lfilter(polynomial, [1.0], columns, axis=0))

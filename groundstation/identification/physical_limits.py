@@ -47,7 +47,7 @@ def outside(vehicle: Vehicle, parameters: Mapping[str, Estimate], model: Mapping
 def _moments(vehicle: Vehicle, parameters: Mapping[str, Estimate]) -> dict[str, str]:
     mass = parameters["mass_kg"].value if "mass_kg" in parameters else vehicle.mass_kg
     most = max(mass, vehicle.mass_kg) * (REACH * vehicle.arm_m()) ** 2
-    found = {}
+    found: dict[str, str] = {}
     for name in ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2"):
         if name in parameters and not 0.0 < parameters[name].value <= most:
             found[name] = (

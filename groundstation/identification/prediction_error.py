@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.identification.flight_noise import PLAIN, FlightNoise, fitted_noise, per_flight
-from groundstation.identification.innovation_kernel import huber_sum
 from groundstation.identification.noise import NoiseModel
 from groundstation.identification.record_model import RecordModel
 from groundstation.model.parameters import (
@@ -163,12 +162,18 @@ class Problem:
 
 def _innovation_cost(model: RecordModel, residual: Array, noise: FlightNoise) -> float:
     """Half the robust squared innovations of one flight's residual, and the logarithms of their deviations."""
-    return noise.log_deviation(model) + sum(huber_sum(y, HUBER) for y in noise.residuals(model, residual))
+    found = noise.whitened_residual(model, residual)
+    return found.log_deviation + sum(huber_cost(y) for y in found.residual)
 
 
 def huber(y: Array, limit: float = HUBER) -> Array:
     """Weights of a robust fit: one within the limit, falling as 1/|y| beyond."""
     return np.minimum(1.0, limit / np.maximum(np.abs(y), 1e-12))
+
+
+def huber_cost(y: Array, limit: float = HUBER) -> float:
+    """Half the square within the limit, linear beyond, summed."""
+    return float(np.sum(np.where(huber(y, limit) < 1.0, limit * np.abs(y) - 0.5 * limit**2, 0.5 * y**2)))
 
 
 def inverted(information: Array) -> Array:
@@ -211,12 +216,13 @@ def _linearised(problem: Problem, point: Point, noise: Sequence[FlightNoise]) ->
     cost = 0.5 * float(np.sum(((theta - mean) / std) ** 2))
     flights = zip(problem.models, noise, point.residuals, point.sensitivities, strict=True)
     for model, each, residual, sensitivity in flights:
-        cost += each.log_deviation(model)
-        for y, x in each.by_channel(model, residual, sensitivity):
+        found = each.whitened(model, residual, sensitivity)
+        cost += found.log_deviation
+        for y, x in zip(found.residual, found.sensitivity, strict=True):
             w = huber(y)
             normal = normal + x.T @ (x * w[:, None])
             gradient = gradient + x.T @ (w * y)
-            cost += huber_sum(y, HUBER)
+            cost += huber_cost(y)
     return _Local(theta, normal, gradient, cost)
 
 

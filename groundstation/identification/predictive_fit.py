@@ -170,8 +170,9 @@ def fitted(
     from scipy.optimize import least_squares
 
     at = np.array([NAMES.index(name) for name in free])
-    spread = np.array([NUMBERS[i].spread for i in at])
-    low, high = (np.array([getattr(NUMBERS[i], end) for i in at]) / spread for end in ("low", "high"))
+    numbers = [NUMBERS[NAMES.index(name)] for name in free]
+    spread = np.array([number.spread for number in numbers])
+    low, high = np.array([n.low for n in numbers]) / spread, np.array([n.high for n in numbers]) / spread
     origin = start.values[at] / spread
     share = 1.0 / np.sqrt(len(shots))
 
@@ -182,7 +183,8 @@ def fitted(
         return np.concatenate([*rows, np.sqrt(SHRINK) * (x - origin)])
 
     begin = np.clip(origin, low + 1e-6, high - 1e-6)
-    found = least_squares(residual, begin, bounds=(low, high), max_nfev=EVALUATIONS, diff_step=1e-3, ftol=1e-4)
+    step = np.full(len(at), 1e-3)
+    found = least_squares(residual, begin, bounds=(low, high), max_nfev=EVALUATIONS, diff_step=step, ftol=1e-4)
     return start.with_values(free, found.x * spread)
 
 
@@ -271,7 +273,7 @@ def _sizes(model: PredictiveModel | VehicleModel | None, shot: Shooting) -> Arra
 
 def _blocks(sizes: Sequence[Array], where: Sequence[tuple[int, Index]], scale: Mapping[int, Array]) -> Array:
     """Mean error of each block in units of constant velocity's in its flight."""
-    out = []
+    out: list[float] = []
     for norm, (flight, block) in zip(sizes, where, strict=True):
         size = scale[flight][:, None]
         each = np.minimum(np.nan_to_num(norm / size, nan=0.0, posinf=1e3), 1e3)[1:]  # the shortest horizon is noise

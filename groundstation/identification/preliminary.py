@@ -141,7 +141,7 @@ def _solved(a: Array, y: Array, weight: Array, block: NDArray[np.int64]) -> tupl
     rows.
     """
     white, target = a * weight[:, None], y * weight
-    scale = np.sqrt(np.einsum("kij,kij->j", white, white)) + 1e-30
+    scale: Array = np.sqrt(np.einsum("kij,kij->j", white, white)) + 1e-30
     flat = (white / scale).reshape(-1, a.shape[2])
     inverse = np.linalg.pinv(flat.T @ flat, rcond=1e-10, hermitian=True)
     theta = inverse @ (flat.T @ target.ravel())

@@ -10,7 +10,8 @@ least squares on the innovations gives values with honest standard deviations.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,40 +34,27 @@ class Compatibility:
         covariance: of ``names`` in order.
         revealed: those of ``names`` that the flight tells at least twice as well as was known beforehand.
         kept: poses used, shape (poses,).
+        quaternion: smoothed attitude of the body at the IMU's stamps, (k, 4); ``causal_quaternion`` is the filter's.
+        position_m, velocity_m_s: of the IMU in the world, smoothed, (k, 3); ``causal_*`` likewise.
         pose_noise: white noise of positions (m) and attitudes (rad), standard deviations.
     """
 
     names: tuple[str, ...]
     values: Mapping[str, float]
     std: Mapping[str, float]
-    covariance: Array
-    kept: Mask
+    covariance: Annotated[Array, "e e"]
+    kept: Annotated[Mask, "poses"]
+    quaternion: Annotated[Array, "k 4"]
+    position_m: Annotated[Array, "k 3"]
+    velocity_m_s: Annotated[Array, "k 3"]
+    causal_quaternion: Annotated[Array, "k 4"]
+    causal_position_m: Annotated[Array, "k 3"]
+    causal_velocity_m_s: Annotated[Array, "k 3"]
     revealed: tuple[str, ...]
-    pose_noise: tuple[float, float]
+    pose_noise: tuple[float, float] = (0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class Reconstruction(Compatibility):
-    """The same with the motion, which is as long as the flight.
-
-    Attributes:
-        quaternion: smoothed attitude of the body at the IMU's stamps, (k, 4); ``causal_quaternion`` is the filter's.
-        position_m, velocity_m_s: of the IMU in the world, smoothed, (k, 3); ``causal_*`` likewise.
-    """
-
-    quaternion: Array
-    position_m: Array
-    velocity_m_s: Array
-    causal_quaternion: Array
-    causal_position_m: Array
-    causal_velocity_m_s: Array
-
-    def findings(self) -> Compatibility:
-        """Without the motion."""
-        return Compatibility(**{each.name: getattr(self, each.name) for each in fields(Compatibility)})
-
-
-def reconstruct(recording: Recording, *, offset_s: float, gravity_m_s2: float, scale: bool = False) -> Reconstruction:
+def reconstruct(recording: Recording, *, offset_s: float, gravity_m_s2: float, scale: bool = False) -> Compatibility:
     """Estimate the kinematic errors of a flight and its smoothed motion.
 
     Args:
@@ -87,7 +75,7 @@ def reconstruct(recording: Recording, *, offset_s: float, gravity_m_s2: float, s
     std = np.sqrt(np.diag(covariance))
     prior = np.concatenate([ATTITUDE_PRIOR, POSITION_PRIOR[2:], SCALE_PRIOR])[: len(names)]
     jitter_s, jitter_std_s = attitude.stamp_jitter_s
-    return Reconstruction(
+    return Compatibility(
         names=names,
         values=dict(zip(names, map(float, theta), strict=True)) | {"stamp_jitter_s": jitter_s},
         std=dict(zip(names, map(float, std), strict=True)) | {"stamp_jitter_s": jitter_std_s},
@@ -135,10 +123,10 @@ def _combine(
 
 
 def body_motion(
-    found: Reconstruction, rate: Array, imu_position_m: Array, *, causal: bool = False
+    compatibility: Compatibility, rate: Array, imu_position_m: Array, *, causal: bool = False
 ) -> tuple[Array, Array, Array]:
     """Attitude, position and velocity of the declared origin from those of the IMU: p - R r, v - R (omega x r)."""
-    q = found.causal_quaternion if causal else found.quaternion
-    p = found.causal_position_m if causal else found.position_m
-    v = found.causal_velocity_m_s if causal else found.velocity_m_s
+    q = compatibility.causal_quaternion if causal else compatibility.quaternion
+    p = compatibility.causal_position_m if causal else compatibility.position_m
+    v = compatibility.causal_velocity_m_s if causal else compatibility.velocity_m_s
     return q, p - quat_rotate(q, imu_position_m), v - quat_rotate(q, np.cross(rate, imu_position_m))

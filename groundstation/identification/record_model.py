@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,11 +68,11 @@ class DynamicRecord:
     """
 
     vehicle: Vehicle
-    t_s: Array
-    keep: Mask
-    rate_rad_s: Array
-    force_m_s2: Array
-    force_bias_std: Array
+    t_s: Annotated[Array, "k"]
+    keep: Annotated[Mask, "k"]
+    rate_rad_s: Annotated[Array, "k 3"]
+    force_m_s2: Annotated[Array, "k 3"]
+    force_bias_std: Annotated[Array, "3"]
     motors: MotorInput
     block: int = 1
 
@@ -90,13 +91,13 @@ class PlannedMotion:
         extra: planned wrench of each BodyWrench term, (k, 6) each.
     """
 
-    rate_rad_s: Array
-    angular_acceleration_rad_s2: Array
-    specific_thrust_m_s2: Array
-    velocity_body_m_s: Array
-    position_m: Array
-    quaternion: Array
-    extra: tuple[Array, ...] = ()
+    rate_rad_s: Annotated[Array, "k 3"]
+    angular_acceleration_rad_s2: Annotated[Array, "k 3"]
+    specific_thrust_m_s2: Annotated[Array, "k"]
+    velocity_body_m_s: Annotated[Array, "k 3"]
+    position_m: Annotated[Array, "k 3"]
+    quaternion: Annotated[Array, "k 4"]
+    extra: tuple[Annotated[Array, "k 6"], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +108,7 @@ class BodyWrench:
     """
 
     name: str
-    value: Array
+    value: Annotated[Array, "k 6"]
     prior_std: float = np.inf
     prior: float = 0.0
 

@@ -117,7 +117,8 @@ class _Signal:
             around, values = np.repeat(around, 2)[1:], np.repeat(values, 2, axis=0)[:-1]
         inner = (around > start_s) & (around < end_s)
         t_s = np.concatenate([[start_s], around[inner], [end_s]])
-        ends = np.stack([np.interp([start_s, end_s], around, column) for column in values.T], axis=1)
+        columns: list[Array] = [np.interp([start_s, end_s], around, column) for column in values.T]
+        ends = np.stack(columns, axis=1)
         x = np.concatenate([ends[:1], values[inner], ends[1:]])
         rising = (t_s - start_s) / length_s
         width = np.diff(t_s, prepend=start_s)
@@ -216,10 +217,10 @@ class RecursiveEstimator:
         out = np.empty_like(values)
         for index, (t_s, value) in enumerate(zip(stamps, values, strict=True)):
             before_s, x, u = self._lagged if self._lagged else (t_s, value, value)
-            up, down = (-np.expm1(-max(t_s - before_s, 0.0) / max(tau, 1e-6)) for tau in self._lag)
-            x = x + np.where(u > x, up, down) * (u - x)
-            out[index] = x
-            self._lagged = (t_s, x, value)
+            up, down = (-float(np.expm1(-max(t_s - before_s, 0.0) / max(tau, 1e-6))) for tau in self._lag)
+            moved = x + np.where(u > x, up, down) * (u - x)
+            out[index] = moved
+            self._lagged = (t_s, moved, value)
         return out
 
     def _take_block(self, start_s: float) -> None:
@@ -277,8 +278,9 @@ class RecursiveEstimator:
         """From the square root of the information: [R z; 0 e] with R'R = Gamma' Gamma and R theta = z (Bierman 1977,
         ch. IV).
         """
-        root, z = self._root[:10, :10], self._root[:10, 10]
-        size = np.linalg.norm(root, axis=0)
+        root: Array = self._root[:10, :10]
+        z: Array = self._root[:10, 10]
+        size: Array = np.linalg.norm(root, axis=0)
         if not (size > 0.0).all():
             return None
         scaled = root / size
@@ -319,7 +321,7 @@ def replay(flight: FlightData, step_s: float = 0.4) -> list[RecursiveEstimate]:
     start_s, end_s = flight.window_s or (max(imu[0, 0], motors[0, 0]), min(imu[-1, 0], motors[-1, 0]))
     estimator = RecursiveEstimator(flight.vehicle)
     estimator.rest(imu[imu[:, 0] < _lift_off(flight)])
-    found = []
+    found: list[RecursiveEstimate] = []
     for t_s in np.arange(start_s, end_s, step_s):
         if flight.battery is not None and len(flight.battery):
             voltage = flight.battery.column("voltage_v")

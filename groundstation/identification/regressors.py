@@ -7,19 +7,25 @@ The standard regressor takes them as they are, the filtered one takes them throu
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+Values = Annotated[ArrayLike, "k"]
+Triples = Annotated[ArrayLike, "k 3"]
+Products = Annotated[ArrayLike, "k 6"]
+Regressor = Annotated[Array, "k 4 7"]
 
 
-def rate_products(rate: ArrayLike) -> Array:
+def rate_products(rate: Triples) -> Annotated[Array, "k 6"]:
     """Products [pp, pq, pr, qq, qr, rr] of body rates (k, 3), rad^2/s^2, shape (k, 6)."""
     p, q, r = np.asarray(rate, dtype=float).T
     return np.stack([p * p, p * q, p * r, q * q, q * r, r * r], axis=-1)
 
 
-def inertia_columns(alpha: ArrayLike, products: ArrayLike) -> Array:
+def inertia_columns(alpha: Triples, products: Products) -> Annotated[Array, "k 3 6"]:
     """Columns that multiply [Ixx, Ixy, Ixz, Iyy, Iyz, Izz] in I alpha + omega x I omega (seed eq. 8-10, signs
     restored).
 
@@ -45,7 +51,7 @@ def inertia_columns(alpha: ArrayLike, products: ArrayLike) -> Array:
     return out
 
 
-def assemble(first: ArrayLike, alpha: ArrayLike, products: ArrayLike) -> Array:
+def assemble(first: Values, alpha: Triples, products: Products) -> Regressor:
     """Regressor of [F_z, tau_x, tau_y, tau_z] on [m, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] (seed eq. 12), shape (k, 4, 7)."""
     first = np.asarray(first, dtype=float)
     out = np.zeros((len(first), 4, 7))
@@ -54,7 +60,7 @@ def assemble(first: ArrayLike, alpha: ArrayLike, products: ArrayLike) -> Array:
     return out
 
 
-def standard_regressor(specific_force_z: ArrayLike, rate: ArrayLike, rate_derivative: ArrayLike) -> Array:
+def standard_regressor(specific_force_z: Values, rate: Triples, rate_derivative: Triples) -> Regressor:
     """Phi of seed eq. (12), shape (k, 4, 7).
 
     Args:
@@ -65,13 +71,13 @@ def standard_regressor(specific_force_z: ArrayLike, rate: ArrayLike, rate_deriva
     return assemble(specific_force_z, rate_derivative, rate_products(rate))
 
 
-def momentum_regressor(velocity: ArrayLike, rate: ArrayLike) -> Array:
+def momentum_regressor(velocity: Triples, rate: Triples) -> Regressor:
     """Phi_a of seed eq. (13): [m w, I omega] = Phi_a Theta, shape (k, 4, 7). Velocity in the body, m/s."""
     velocity = np.asarray(velocity, dtype=float)
     return assemble(velocity[:, 2], rate, np.zeros((len(velocity), 6)))
 
 
-def coriolis_gravity_regressor(velocity: ArrayLike, rate: ArrayLike, gravity_body: ArrayLike) -> Array:
+def coriolis_gravity_regressor(velocity: Triples, rate: Triples, gravity_body: Triples) -> Regressor:
     """Phi_b of seed eq. (13): [m (S(omega) v + g R^T e_z)_z, S(omega) I omega] = Phi_b Theta, shape (k, 4, 7).
 
     Args:
@@ -83,12 +89,12 @@ def coriolis_gravity_regressor(velocity: ArrayLike, rate: ArrayLike, gravity_bod
     return assemble(first, np.zeros((len(first), 3)), rate_products(rate))
 
 
-def transport_and_gravity(velocity: ArrayLike, rate: ArrayLike, gravity_body: ArrayLike) -> Array:
+def transport_and_gravity(velocity: Triples, rate: Triples, gravity_body: Triples) -> Annotated[Array, "k 3"]:
     """S(omega) v + g R^T e_z, m/s^2, shape (k, 3); velocity and rate in the body."""
     return np.cross(np.asarray(rate, dtype=float), np.asarray(velocity, dtype=float)) + np.asarray(gravity_body)
 
 
-def six_row_regressor(specific_force: ArrayLike, rate: ArrayLike, rate_derivative: ArrayLike) -> Array:
+def six_row_regressor(specific_force: Triples, rate: Triples, rate_derivative: Triples) -> Annotated[Array, "k 6 7"]:
     """Regressor of [F_x, F_y, F_z, tau_x, tau_y, tau_z] on Theta, shape (k, 6, 7).
 
     The body x and y rows (seed eq. 5-6 times m) say what the seed drops: without drag, wind or tether the specific

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,7 @@ _ANSWERS = {"mass_kg": 2, "ixx_kg_m2": 3, "iyy_kg_m2": 4, "izz_kg_m2": 5}
 """Which row of force and torque each parameter answers to."""
 
 
-def unresolved_share(prepared: Prepared, model: RecordModel, p: Parameters) -> Array:
+def unresolved_share(prepared: Prepared, model: RecordModel, p: Parameters) -> Annotated[Array, "6"]:
     """The part of each row of force and torque that the flight's streams do not resolve, (6,)."""
     streams = [s for s in (prepared.flight.imu, prepared.flight.motors, prepared.flight.mocap) if s is not None]
     steps = [_step_s(stream) for stream in streams] or [0.0]
@@ -47,7 +48,7 @@ def frequency_squared(model: RecordModel, values: Array) -> Array:
     inside = ~model.restart
     pair, triple = inside[1:], inside[1:-1] & inside[2:]
     if np.count_nonzero(triple) < 3:
-        return np.zeros(values.shape[1])
+        return np.zeros((values.shape[1],))
     first = np.mean((values[1:] - values[:-1])[pair] ** 2, axis=0)
     second = np.mean((values[2:] - values[:-2])[triple] ** 2, axis=0)
     slope = np.maximum(second - first, 0.0) / 3.0

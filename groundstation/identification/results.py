@@ -74,7 +74,7 @@ class MethodResult:
 
     parameters: Mapping[str, Estimate]
     condition_number: float | None = None
-    rms_output_error: Mapping[str, float] = field(default_factory=dict)
+    rms_output_error: Mapping[str, float] = field(default_factory=dict[str, float])
     evolution: Evolution | None = None
     note: str = ""
     covariance: Array | None = None
@@ -172,9 +172,9 @@ class Identification(Tabular):
     best: str
     best_reason: str = ""
     clock: Clock | None = None
-    not_identifiable: Mapping[str, str] = field(default_factory=dict)
+    not_identifiable: Mapping[str, str] = field(default_factory=dict[str, str])
     warnings: tuple[str, ...] = ()
-    bound: Mapping[str, float] = field(default_factory=dict)
+    bound: Mapping[str, float] = field(default_factory=dict[str, float])
     window_s: tuple[float, float] = (0.0, 0.0)
     excluded_s: tuple[tuple[float, float], ...] = ()
     quality: tuple[str, ...] = ()
@@ -182,7 +182,7 @@ class Identification(Tabular):
     revealed: tuple[Revealed, ...] = ()
     disturbance: TurningDisturbance | None = None
     declarations: tuple[Mapping[str, Any], ...] = ()
-    prediction: Mapping[str, Any] = field(default_factory=dict)
+    prediction: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def records(self) -> list[Record]:
         """One row per parameter: the best method's estimate with its 95 % interval; None where the flight does not

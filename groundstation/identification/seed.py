@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,10 +51,10 @@ class Regression:
         note: what the model is and what it leaves out.
     """
 
-    regressor: Array
-    output: Array
-    t_s: Array
-    used: NDArray[np.bool_]
+    regressor: Annotated[Array, "k 4 7"]
+    output: Annotated[Array, "k 4"]
+    t_s: Annotated[Array, "k"]
+    used: Annotated[NDArray[np.bool_], "k"]
     note: str = ""
 
 
@@ -137,7 +138,8 @@ def seed_methods(regressions: Regressions, vehicle: Vehicle, *, refuse: bool = T
         vehicle: as declared; its constants made the wrench, and its anchor says what fixes the scale.
         refuse: leave out what the motion does not reveal; False gives every number, as the paper does.
     """
-    signals, results = regressions.signals, {}
+    signals = regressions.signals
+    results: dict[str, MethodResult] = {}
     for regression, names in ((regressions.standard, ("LS", "GD")), (regressions.filtered, ("FMLS", "FMGD"))):
         doubtful = noisy_parameters(regression, signals.rate_derivative_noise) if refuse else {}
         for name, estimator in zip(names, (least_squares, gradient_descent), strict=True):
@@ -168,7 +170,7 @@ def noisy_parameters(regression: Regression, noise: Array) -> dict[str, str]:
     shares = np.diag(np.diag([a, a + b, a + c, b, b + c, c]))
     scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
     values, vectors = np.linalg.eigh(total / np.outer(scale, scale))
-    out = {}
+    out: dict[str, str] = {}
     for value, vector in zip(values, vectors.T, strict=True):
         share = float(vector @ (shares / np.outer(scale, scale)) @ vector) / max(value, 1e-300)
         if value < 1e-10 or share > NOISE_SHARE:

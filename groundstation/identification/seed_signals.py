@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -61,17 +62,17 @@ class SeedSignals:
         notes: choices and what missing streams leave out, one sentence each.
     """
 
-    t_s: Array
-    used: NDArray[np.bool_]
+    t_s: Annotated[Array, "k"]
+    used: Annotated[NDArray[np.bool_], "k"]
     period_s: float
     cutoff_hz: float
-    wrench: Array
-    rate: Array
-    rate_derivative: Array
-    specific_force: Array | None
-    velocity_body: Array | None
-    gravity_body: Array | None
-    rate_derivative_noise: Array
+    wrench: Annotated[Array, "k 4"]
+    rate: Annotated[Array, "k 3"]
+    rate_derivative: Annotated[Array, "k 3"]
+    specific_force: Annotated[Array, "k 3"] | None
+    velocity_body: Annotated[Array, "k 3"] | None
+    gravity_body: Annotated[Array, "k 3"] | None
+    rate_derivative_noise: Annotated[Array, "3"]
     specific_force_source: str
     window_s: tuple[float, float]
     notes: tuple[str, ...]
@@ -381,7 +382,7 @@ def white_noise_std(values: Array) -> Array:
     absolute deviation a standard deviation.
     """
     if len(values) < 16:
-        return np.zeros(values.shape[1])
+        return np.zeros((values.shape[1],))
     fourth = np.diff(values, 4, axis=0)
     return 1.4826 * np.median(np.abs(fourth - np.median(fourth, axis=0)), axis=0) / np.sqrt(70.0)
 

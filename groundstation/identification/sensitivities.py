@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.frames import skew
-from groundstation.identification.butterworth import run
 from groundstation.model.parameters import BASIS, TENSOR, FitOptions, Parameters, free_entries
 from groundstation.model.rotors import Lag, thrusts_for
 
@@ -84,7 +83,7 @@ class Point:
         out[:, axis] = values
         return out
 
-    @property
+    @cached_property
     def impulse(self) -> Array:
         """Running integral of the rotors' force, (blocks, 3)."""
         raise NotImplementedError
@@ -99,7 +98,7 @@ class Measured(Point):
         super().__init__(model, p)
         self.prediction = prediction
 
-    @property
+    @cached_property
     def impulse(self) -> Array:
         """Of the predicted force."""
         return self.prediction.impulse[:, :3]
@@ -180,10 +179,12 @@ class Planned(Point):
 
     def behind_lag(self, values: Array, lag_s: float) -> Array:
         """Columns at the IMU's stamps through a first-order lag, shape kept."""
+        from scipy.signal import lfilter
+
         if lag_s < 1e-4:
             return values
         keep = np.exp(-float(np.median(np.diff(self.model.record.t_s))) / lag_s)
-        return run(np.array([[1.0 - keep, 0.0, 0.0, 1.0, -keep, 0.0]]), np.ascontiguousarray(values), False)
+        return np.asarray(lfilter([1.0 - keep], [1.0, -keep], values, axis=0), dtype=float)
 
 
 def _measured_entry(index: int) -> Callable[[Measured], Pair]:
@@ -276,9 +277,9 @@ def planned_sensitivities(model: RecordModel, p: Parameters, options: FitOptions
 
 
 def stacked(found: dict[str, Pair]) -> Array:
-    """Columns (rate, force) of each parameter side by side, (blocks, 6, P); in memory one after the other."""
+    """Columns (rate, force) of each parameter side by side, (blocks, 6, P)."""
     first = next(iter(found.values()))[0]
-    out = np.empty((len(found), 6, len(first)))
-    for column, (rate, force) in zip(out, found.values(), strict=True):
-        column[:3], column[3:] = rate.T, force.T
-    return out.transpose(2, 1, 0)
+    out = np.empty((len(first), 6, len(found)))
+    for column, (rate, force) in enumerate(found.values()):
+        out[:, :3, column], out[:, 3:, column] = rate, force
+    return out

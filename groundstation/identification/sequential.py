@@ -20,7 +20,6 @@ is, for efficient estimates, Brownian motion at time :math:`I_k`: independent in
 from __future__ import annotations
 
 import math
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,8 +72,11 @@ class Spending:
             """Probability to be beyond +-edge now, having been within at all looks before."""
             return float(self._mass @ (ndtr((self._score - edge) / step) + ndtr((-edge - self._score) / step)))
 
+        def missing(edge: float) -> float:
+            return leaving(edge) - self._spared
+
         size = math.sqrt(information)
-        edge = cast(float, brentq(lambda e: leaving(e) - self._spared, 0.0, 12.0 * size))
+        edge = brentq(missing, 0.0, 12.0 * size)
         self._carry(edge, step)
         self._information, self._spared, self._critical = information, 0.0, edge / size
         return self._critical

@@ -142,6 +142,8 @@ def position_smoother(dt: Array, states: Array, pf: Array, pp: Array) -> Array:
     for i in range(k - 2, -1, -1):
         h = dt[i + 1]
         f[0, 1], f[0, 2], f[1, 2] = h, 0.5 * h * h, h
-        gain = np.linalg.solve(pp[i + 1], f @ pf[i]).T
+        ahead: Array = pp[i + 1]
+        here: Array = pf[i]
+        gain = np.linalg.solve(ahead, f @ here).T
         out[i] = states[i] + gain @ (out[i + 1] - f @ states[i])
     return out

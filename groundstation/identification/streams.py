@@ -5,6 +5,7 @@ origin.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,9 @@ def clean(stream: Stream, exclude: Segments = ()) -> Stream:
     return kept.select(kept.t_s > latest)
 
 
-def origin_poses(mounting: Mocap, position_m: Array, quaternion: Array) -> tuple[Array, Array]:
+def origin_poses(
+    mounting: Mocap, position_m: Annotated[Array, "k 3"], quaternion: Annotated[Array, "k 4"]
+) -> tuple[Annotated[Array, "k 3"], Annotated[Array, "k 4"]]:
     """Position (k, 3) and attitude (k, 4) of the declared origin from those of the tracked frame.
 
     q_b = q_m q_bm^-1 and p_b = p_m - R(q_b) r, where the vehicle file declares the rotation q_bm from the body to the

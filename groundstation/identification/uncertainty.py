@@ -9,7 +9,7 @@ R need not be truncated. White residuals give the textbook sigma^2 A^{-1} back.
 
 from __future__ import annotations
 
-from typing import cast
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,9 @@ disturbed by.
 """
 
 
-def coloured_covariance(influence: Array, residual: Array, period_s: float) -> Array:
+def coloured_covariance(
+    influence: Annotated[Array, "k p outputs"], residual: Annotated[Array, "k outputs"], period_s: float
+) -> Annotated[Array, "p p"]:
     """Covariance of sum_k H_k e_k for a stationary, coloured, mutually correlated residual.
 
     Args:
@@ -37,7 +39,7 @@ def coloured_covariance(influence: Array, residual: Array, period_s: float) -> A
 
     k, parameters, outputs = influence.shape
     # Padded by the memory that the smoothing leaves to R, so that the correlations below are linear, not circular.
-    length = 2 * cast(int, next_fast_len((k + int(1.0 / (SMOOTHING_HZ * period_s))) // 2 + 1))
+    length = 2 * next_fast_len((k + int(1.0 / (SMOOTHING_HZ * period_s))) // 2 + 1)
     spectrum = _cross_spectrum(residual, period_s, length)
     weight = np.full(length // 2 + 1, 2.0)
     weight[[0, -1]] = 1.0

@@ -132,7 +132,8 @@ def _plain(equation: Equation) -> _Told | None:
     if used.sum() < 4 * (equation.columns.shape[1] + equation.known.shape[1]):
         return None
     beside = np.column_stack([equation.columns[used, 1:], equation.known[used]])
-    beside = beside / (np.linalg.norm(beside, axis=0) + 1e-300)
+    size: Array = np.linalg.norm(beside, axis=0) + 1e-300
+    beside = beside / size
     x, y = (
         v - beside @ np.linalg.lstsq(beside, v, rcond=1e-8)[0]
         for v in (equation.columns[used, 0], equation.output[used])

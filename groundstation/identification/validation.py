@@ -18,7 +18,7 @@ from groundstation.identification.seed import Regression, Regressions
 from groundstation.identification.seed_signals import Processing, interpolate, process_flight
 from groundstation.identification.streams import clean, excitation_window, origin_poses
 from groundstation.identification.wrench import declared_wrench, held_mean
-from groundstation.model.closed_loop import STEP_S, ClosedLoop, Conditions, Wrench, simulate_closed_loop
+from groundstation.model.closed_loop import STEP_S, Body, ClosedLoop, Conditions, Start, Wrench, simulate_closed_loop
 from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle
 
@@ -82,9 +82,7 @@ def validate(
         checks.append(output_validation(regressions.standard, sets, "Standard regression model (34)."))
         checks.append(output_validation(regressions.filtered, sets, "Filtered regression model (38)."))
         if flight.plan is not None and "control" in flight.vehicle.model_fields_set:
-            checks.append(
-                closed_loop_validation(flight, flight.plan, sets, mocap_minus_imu_s=mocap_minus_imu_s, exclude=exclude)
-            )
+            checks.append(closed_loop_validation(flight, sets, mocap_minus_imu_s=mocap_minus_imu_s, exclude=exclude))
     except NotIdentifiable:
         return tuple(checks)
     return tuple(checks)
@@ -93,7 +91,7 @@ def validate(
 def output_validation(regression: Regression, sets: ParameterSets, note: str = "") -> Validation:
     """RMS of Gamma Theta - Upsilon (eq. 43) for each parameter set, over the samples in use."""
     gamma, upsilon = regression.regressor[regression.used], regression.output[regression.used]
-    rms = {}
+    rms: dict[str, dict[str, float]] = {}
     for name, values in sets.items():
         error = gamma @ np.array([values[key] for key in MASS_AND_TENSOR]) - upsilon
         rms[name] = dict(zip(OUTPUTS, map(float, np.sqrt(np.mean(error**2, axis=0))), strict=True))
@@ -102,7 +100,6 @@ def output_validation(regression: Regression, sets: ParameterSets, note: str = "
 
 def closed_loop_validation(
     flight: FlightData,
-    plan: Plan,
     sets: ParameterSets,
     *,
     mocap_minus_imu_s: float = 0.0,
@@ -116,8 +113,7 @@ def closed_loop_validation(
     It stands for the flight only as far as the vehicle flew by that controller.
 
     Args:
-        flight: with poses and a known excitation window.
-        plan: what was flown in that window.
+        flight: with poses, a known excitation window, and the plan that was flown in it.
         sets: parameter sets, names of ``MASS_AND_TENSOR``.
         mocap_minus_imu_s: motion-capture stamp minus IMU stamp of one instant.
         exclude: segments that are not compared.
@@ -125,10 +121,12 @@ def closed_loop_validation(
         wrenches: of the effects that a set of this name is augmented by.
 
     Raises:
-        NotIdentifiable: no poses, or the flight does not say when the excitation began.
+        NotIdentifiable: no poses, no plan, or the flight does not say when the excitation began.
     """
-    if flight.mocap is None or flight.window_s is None:
-        missing = "poses" if flight.mocap is None else "a known start of the excitation"
+    plan = flight.plan
+    if flight.mocap is None or flight.window_s is None or plan is None:
+        unplanned = "the plan that was flown" if flight.window_s is not None else "a known start of the excitation"
+        missing = "poses" if flight.mocap is None else unplanned
         raise NotIdentifiable(f"A closed-loop comparison needs {missing}.", "Record it, or validate by output error.")
     conditions = conditions or Conditions(pose_hz=flight.mocap.rate_hz())
     flown = _Flown.of(flight, flight.mocap, flight.window_s, mocap_minus_imu_s, exclude)
@@ -201,11 +199,8 @@ class _Flown:
         return simulate_closed_loop(
             self.vehicle,
             plan.series(),
-            mass_kg=values["mass_kg"],
-            inertia=_tensor(values),
-            start_s=self.begin_s,
-            duration_s=float(self.t_s[-1] - self.t_s[0]),
-            initial=_start_state(self.t_s, self.pose),
+            Body(values["mass_kg"], _tensor(values)),
+            Start(self.begin_s, float(self.t_s[-1] - self.t_s[0]), _start_state(self.t_s, self.pose)),
             conditions=conditions,
             wrench=wrench,
         )

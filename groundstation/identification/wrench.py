@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,7 +13,9 @@ from groundstation.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 
-def declared_wrench(vehicle: Vehicle, motors: Stream, battery: Stream | None, t_s: Array) -> Array:
+def declared_wrench(
+    vehicle: Vehicle, motors: Stream, battery: Stream | None, t_s: Annotated[Array, "k"]
+) -> Annotated[Array, "k 4"]:
     """[F_z, tau_x, tau_y, tau_z] at the grid times, N and N m about the declared origin, shape (k, 4).
 
     Measured rotor speeds are interpolated linearly; commands, speeds asked for and wrenches hold until the next value
@@ -23,7 +27,7 @@ def declared_wrench(vehicle: Vehicle, motors: Stream, battery: Stream | None, t_
         return held_mean(t_s, stamps, values)
     measured = vehicle.rotors.measured
     if measured:
-        columns = [np.interp(t_s, stamps, column) for column in values.T]
+        columns: list[Array] = [np.interp(t_s, stamps, column) for column in values.T]
         return vehicle.thrust(np.stack(columns, axis=1)) @ vehicle.allocation().T
     if vehicle.rotors.input == "command":
         values = values * voltage_ratio(vehicle, battery, stamps)[:, None]
@@ -36,7 +40,9 @@ def declared_wrench(vehicle: Vehicle, motors: Stream, battery: Stream | None, t_
     return held_mean(t_s, stamps, vehicle.thrust(values) @ vehicle.allocation().T)
 
 
-def held_mean(t_s: Array, stamps_s: Array, values: Array) -> Array:
+def held_mean(
+    t_s: Annotated[Array, "k"], stamps_s: Annotated[Array, "m"], values: Annotated[Array, "m d"]
+) -> Annotated[Array, "k d"]:
     """Mean over each grid cell [t - T/2, t + T/2] of values that hold until the next stamp, shape (k, d).
 
     The integral of a held signal is piecewise linear in time, so two interpolations of it give the mean exactly.
@@ -47,11 +53,11 @@ def held_mean(t_s: Array, stamps_s: Array, values: Array) -> Array:
     first = np.clip(t_s - half, stamps_s[0], stamps_s[-1])
     last = np.clip(t_s + half, stamps_s[0], stamps_s[-1])
     width = np.maximum(last - first, 1e-12)
-    columns = [(np.interp(last, stamps_s, c) - np.interp(first, stamps_s, c)) / width for c in integral.T]
+    columns: list[Array] = [(np.interp(last, stamps_s, c) - np.interp(first, stamps_s, c)) / width for c in integral.T]
     return np.stack(columns, axis=1)
 
 
-def voltage_ratio(vehicle: Vehicle, battery: Stream | None, t_s: Array) -> Array:
+def voltage_ratio(vehicle: Vehicle, battery: Stream | None, t_s: Annotated[Array, "k"]) -> Annotated[Array, "k"]:
     """Voltage over the full battery's (declared, or the flight's highest) at given times; one without a battery
     stream.
     """

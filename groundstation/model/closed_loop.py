@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +22,9 @@ from groundstation.frames import quat_from_euler, quat_rotate
 from groundstation.model.signals import Signals
 from groundstation.trajectory import Trajectory
 from groundstation.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from groundstation.model.closed_loop_kernel import Law
 
 Array = NDArray[np.float64]
 
@@ -45,6 +49,35 @@ class Conditions:
 
 
 @dataclass(frozen=True, slots=True)
+class Body:
+    """The rigid body that the controller flies.
+
+    Attributes:
+        mass_kg: its mass.
+        inertia: its tensor about the centre of mass, kg m^2, shape (3, 3).
+    """
+
+    mass_kg: float
+    inertia: ArrayLike
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where a simulation starts, and how long it lasts.
+
+    Attributes:
+        at_s: time on the trajectory; before the trajectory's start it is held.
+        duration_s: None: to the trajectory's end.
+        state: position (world), velocity (body), roll, pitch, yaw, body rates, shape (12,); None: on the trajectory, at
+            rest and level.
+    """
+
+    at_s: float = 0.0
+    duration_s: float | None = None
+    state: ArrayLike | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class ClosedLoop:
     """A simulated flight, one row per millisecond.
 
@@ -57,69 +90,66 @@ class ClosedLoop:
         wrench: applied [F_z, tau_x, tau_y, tau_z], N and N m, shape (k, 4).
     """
 
-    t_s: Array
-    position_m: Array
-    euler_rad: Array
-    velocity_body_m_s: Array
-    rate_rad_s: Array
-    wrench: Array
+    t_s: Annotated[Array, "k"]
+    position_m: Annotated[Array, "k 3"]
+    euler_rad: Annotated[Array, "k 3"]
+    velocity_body_m_s: Annotated[Array, "k 3"]
+    rate_rad_s: Annotated[Array, "k 3"]
+    wrench: Annotated[Array, "k 4"]
 
 
 def simulate_closed_loop(
     vehicle: Vehicle,
     trajectory: Trajectory,
+    body: Body,
+    start: Start | None = None,
     *,
-    mass_kg: float,
-    inertia: ArrayLike,
-    start_s: float = 0.0,
-    duration_s: float | None = None,
-    initial: ArrayLike | None = None,
     conditions: Conditions | None = None,
     wrench: Wrench | None = None,
 ) -> ClosedLoop:
-    """Fly a trajectory with given plant parameters.
+    """Fly a trajectory with a given body.
 
     Args:
         vehicle: declared: gains, limits, gravity, and the mass that the controller reckons with.
         trajectory: desired x, y, z, yaw.
-        mass_kg: of the plant.
-        inertia: tensor of the plant about the centre of mass, kg m^2, shape (3, 3).
-        start_s: time on the trajectory at which the simulation starts; before its start it is held.
-        duration_s: None: to the trajectory's end.
-        initial: position (world), velocity (body), roll, pitch, yaw, body rates, shape (12,); None: on the trajectory,
-            at rest and level.
+        body: what flies.
+        start: None: the whole trajectory, from rest on it.
         conditions: sampling and limits; None: those of section IV-A.
         wrench: body force and torque of effects, (k, 6) from signals. The loop is flown again with what the last
             round's motion makes of them (waveform relaxation, Lelarasmee 1982), four times; effects are weak beside the
             loop.
     """
-    from groundstation.model.closed_loop_kernel import fly
+    from groundstation.model.closed_loop_kernel import Plant, fly
 
-    conditions = conditions or Conditions()
-    length = trajectory.duration_s - start_s if duration_s is None else duration_s
+    start = start or Start()
+    length = trajectory.duration_s - start.at_s if start.duration_s is None else start.duration_s
     t = np.asarray(STEP_S * np.arange(int(length / STEP_S + 1e-9) + 1), dtype=float)
-    flat = trajectory.sample(start_s + t)
+    flat = trajectory.sample(start.at_s + t)
     wanted = np.column_stack([flat.position[0], flat.position[1], flat.position[2], flat.yaw[0], flat.yaw[1]])
-    if initial is None:
+    if start.state is None:
         state = np.zeros(12)
         state[:3], state[8] = wanted[0, :3], wanted[0, 9]
     else:
-        state = np.array(initial, dtype=float)
-    tensor = np.ascontiguousarray(inertia, dtype=float)
-    plant = (float(mass_kg), tensor, np.ascontiguousarray(np.linalg.inv(tensor)))
-    believed, gains, limits, allocation, rates = _control_law(vehicle, conditions)
-    mixer = np.ascontiguousarray(vehicle.mixing())
-    push = np.zeros((len(t), 6))
-    for turn in range(1 if wrench is None else ROUNDS):
-        states, wrenches = fly(wanted, state, push, believed, gains, *plant, limits, allocation, mixer, rates, STEP_S)
-        flown = ClosedLoop(t, states[:, :3], states[:, 6:9], states[:, 3:6], states[:, 9:], wrenches)
-        if wrench is not None and turn < ROUNDS - 1:
-            push = np.ascontiguousarray(np.nan_to_num(wrench(_signals(vehicle, flown))))
+        state = np.array(start.state, dtype=float)
+    tensor = np.ascontiguousarray(body.inertia, dtype=float)
+    plant = Plant(float(body.mass_kg), tensor, np.ascontiguousarray(np.linalg.inv(tensor)))
+    law = _control_law(vehicle, conditions or Conditions())
+
+    def flight(push: Array) -> ClosedLoop:
+        states, wrenches = fly(wanted, state, push, law, plant)
+        return ClosedLoop(t, states[:, :3], states[:, 6:9], states[:, 3:6], states[:, 9:], wrenches)
+
+    flown = flight(np.zeros((len(t), 6)))
+    if wrench is not None:
+        for _ in range(ROUNDS - 1):
+            flown = flight(np.ascontiguousarray(np.nan_to_num(wrench(_signals(vehicle, flown)))))
     return flown
 
 
-def _control_law(vehicle: Vehicle, conditions: Conditions) -> tuple[Array, Array, Array, Array, Array]:
-    """What the kernel takes of the controller: what it reckons with, gains, limits, allocation, and sampling rates."""
+def _control_law(vehicle: Vehicle, conditions: Conditions) -> Law:
+    """What the kernel takes of the controller."""
+    from groundstation.model.closed_loop_kernel import Law
+
     control, limits = vehicle.control, vehicle.limits
     gains = np.array(
         [control.position_p, control.position_i, control.position_d,
@@ -130,7 +160,8 @@ def _control_law(vehicle: Vehicle, conditions: Conditions) -> tuple[Array, Array
     thrust_max = limits.thrust_max_n or vehicle.rotor_thrust_max_n() * vehicle.rotors.count
     most = np.array([thrust_max, limits.torque_max_nm or np.inf, rotor_max])
     rates = np.array([conditions.pose_hz, conditions.imu_hz])
-    return believed, gains, most, np.ascontiguousarray(vehicle.six_row_allocation()), rates
+    allocation, mixing = np.ascontiguousarray(vehicle.six_row_allocation()), np.ascontiguousarray(vehicle.mixing())
+    return Law(believed, gains, most, allocation, mixing, rates, STEP_S)
 
 
 def _signals(vehicle: Vehicle, flown: ClosedLoop) -> Signals:

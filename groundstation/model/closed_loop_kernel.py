@@ -6,19 +6,58 @@ Import where it is used: numba takes time to load.
 from __future__ import annotations
 
 from math import atan, cos, exp, inf, sin, tan
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Plant(NamedTuple):
+    """The rigid body that flies: mass, tensor about the centre of mass (3, 3), and the tensor's inverse."""
+
+    mass_kg: float
+    inertia: Array
+    inverse: Array
+
+
+class Law(NamedTuple):
+    """The controller, its sampling and its rotors.
+
+    Attributes:
+        declared: mass, gravity, bandwidth of the derivative filter.
+        gains: rows position p, i, d and attitude p, i, d, shape (6, 3).
+        limits: thrust, torque, thrust of one rotor (inf: not limited).
+        allocation: thrusts to body force and torque, shape (6, n).
+        mixing: thrusts for [F_z, tau], shape (n, 4).
+        rates_hz: of position and yaw, of roll and pitch.
+        step_s: of the loop.
+    """
+
+    declared: Array
+    gains: Array
+    limits: Array
+    allocation: Array
+    mixing: Array
+    rates_hz: Array
+    step_s: float
 
 
 @njit(cache=True)
-def _clip(value, low, high):
+def _clip(value: float, low: float, high: float) -> float:
     return min(max(value, low), high)
 
 
 @njit(cache=True)
-def _slope(x, wrench, side, push, mass, inertia, inverse, gravity, out):
-    """Time derivative of [p, v, eta, omega] (seed eq. 1-4) with a further force and torque, written into ``out``."""
+def _slope(x: Array, forces: tuple[Array, Array, Array], plant: Plant, gravity: float, out: Array) -> None:
+    """Time derivative of [p, v, eta, omega] (seed eq. 1-4), written into ``out``.
+
+    Args:
+        forces: the rotors' wrench [F_z, tau], their sideways force (2,), a further force and torque (6,).
+    """
+    (wrench, side, push), (mass, inertia, inverse) = forces, plant
     u, v, w, p, q, r = x[3], x[4], x[5], x[9], x[10], x[11]
     sp, cp, st, ct = sin(x[6]), cos(x[6]), sin(x[7]), cos(x[7])
     sy, cy, tt = sin(x[8]), cos(x[8]), tan(x[7])
@@ -43,13 +82,13 @@ def _slope(x, wrench, side, push, mass, inertia, inverse, gravity, out):
 
 
 @njit(cache=True)
-def _ticks(t, step, rate_hz):
+def _ticks(t: float, step: float, rate_hz: float) -> bool:
     """Whether a sampler of this rate fires at t."""
     return int(t * rate_hz + 1e-6) != int((t - step) * rate_hz + 1e-6) or t == 0.0
 
 
 @njit(cache=True)
-def _sample(x, held, poses, tilts):
+def _sample(x: Array, held: Array, poses: bool, tilts: bool) -> None:
     """Zero-order holds: position (0-2), world velocity (3-5), angles (6-8), their rates (9-11)."""
     sp, cp, st, ct, tt = sin(x[6]), cos(x[6]), sin(x[7]), cos(x[7]), tan(x[7])
     sy, cy = sin(x[8]), cos(x[8])
@@ -70,10 +109,11 @@ def _sample(x, held, poses, tilts):
 
 
 @njit(cache=True)
-def _control(wanted, held, memory, declared, gains, limits, step, first, wrench):
+def _control(wanted: Array, held: Array, memory: Array, law: Law, first: bool, wrench: Array) -> None:
     """PID (28)-(32) on held measurements; memory: position sums (0-2), angle sums (3-5), filtered roll and pitch
     (6-7).
     """
+    declared, gains, limits, step = law.declared, law.gains, law.limits, law.step_s
     force = np.empty(3)
     weight = declared[0] * declared[1]
     for i in range(3):
@@ -106,7 +146,7 @@ def _control(wanted, held, memory, declared, gains, limits, step, first, wrench)
 
 
 @njit(cache=True)
-def _by_rotors(wrench, side, allocation, mixing, largest):
+def _by_rotors(wrench: Array, side: Array, allocation: Array, mixing: Array, largest: float) -> None:
     """What the rotors make of a wrench: their sideways force, and where they are limited to [0, largest] the wrench as
     well.
     """
@@ -130,36 +170,28 @@ def _by_rotors(wrench, side, allocation, mixing, largest):
 
 
 @njit(cache=True)
-def fly(wanted, start, push, declared, gains, mass, inertia, inverse, limits, allocation, mixing, rates_hz, step):
+def fly(wanted: Array, start: Array, push: Array, law: Law, plant: Plant) -> tuple[Array, Array]:
     """Integrate the closed loop with fourth-order Runge-Kutta, the wrench held over each step.
 
     Args:
         wanted: desired position, velocity, acceleration, yaw, yaw rate per step, shape (k, 11).
         start: state at the start, shape (12,).
         push: body force and torque besides the rotors' per step, shape (k, 6).
-        declared: mass, gravity, bandwidth of the derivative filter.
-        gains: rows position p, i, d and attitude p, i, d, shape (6, 3).
-        mass: of the plant.
-        inertia: of the plant, shape (3, 3).
-        inverse: of ``inertia``.
-        limits: thrust, torque, thrust of one rotor (inf: not limited).
-        allocation: thrusts to body force and torque, shape (6, n).
-        mixing: thrusts for [F_z, tau], shape (n, 4).
-        rates_hz: of position and yaw, of roll and pitch.
-        step: s.
+        law: the controller.
+        plant: what it flies.
 
     Returns:
         States (k, 12) and wrenches (k, 4).
     """
-    k = len(wanted)
+    k, step, rates_hz, gravity = len(wanted), law.step_s, law.rates_hz, law.declared[1]
     states, wrenches = np.empty((k, 12)), np.empty((k, 4))
     x, held, memory, wrench, side = start.copy(), np.zeros(12), np.zeros(8), np.zeros(4), np.zeros(2)
     stages, probe = np.empty((4, 12)), np.empty(12)
     for i in range(k):
         t = i * step
         _sample(x, held, _ticks(t, step, rates_hz[0]), _ticks(t, step, rates_hz[1]))
-        _control(wanted[i], held, memory, declared, gains, limits, step, i == 0, wrench)
-        _by_rotors(wrench, side, allocation, mixing, limits[2])
+        _control(wanted[i], held, memory, law, i == 0, wrench)
+        _by_rotors(wrench, side, law.allocation, law.mixing, law.limits[2])
         for j in range(12):
             states[i, j] = x[j]
         for j in range(4):
@@ -168,7 +200,7 @@ def fly(wanted, start, push, declared, gains, mass, inertia, inverse, limits, al
             share = 0.0 if stage == 0 else (step if stage == 3 else 0.5 * step)
             for j in range(12):
                 probe[j] = x[j] + (share * stages[stage - 1, j] if stage > 0 else 0.0)
-            _slope(probe, wrench, side, push[i], mass, inertia, inverse, declared[1], stages[stage])
+            _slope(probe, (wrench, side, push[i]), plant, gravity, stages[stage])
         for j in range(12):
             x[j] += step / 6.0 * (stages[0, j] + 2.0 * stages[1, j] + 2.0 * stages[2, j] + stages[3, j])
     return states, wrenches

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
+from typing import Annotated
 
 import numpy as np
 from numba import njit
@@ -89,11 +90,11 @@ class Carried:
     2).
     """
 
-    acceleration_rad_s2: Array
-    covariance: Array
+    acceleration_rad_s2: Annotated[Array, "k 3"]
+    covariance: Annotated[Array, "3 2 2"]
 
 
-def carried(noise: TurningDisturbance, t_s: Array, beside: Array) -> Carried:
+def carried(noise: TurningDisturbance, t_s: Annotated[Array, "k"], beside: Annotated[Array, "k 3"]) -> Carried:
     """Filter the rates that the model does not account for.
 
     Args:

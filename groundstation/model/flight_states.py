@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +21,17 @@ class FlightStates:
     Windows lie within ``window_s``, and within one of its ``stretches`` where these are given.
     """
 
-    t_s: Array
-    start_position_m: Array
-    start_velocity_m_s: Array
-    start_quaternion: Array
-    start_rate_rad_s: Array
-    position_m: Array
-    velocity_m_s: Array
-    quaternion: Array
-    rate_rad_s: Array
+    t_s: Annotated[Array, "k"]
+    start_position_m: Annotated[Array, "k 3"]
+    start_velocity_m_s: Annotated[Array, "k 3"]
+    start_quaternion: Annotated[Array, "k 4"]
+    start_rate_rad_s: Annotated[Array, "k 3"]
+    position_m: Annotated[Array, "k 3"]
+    velocity_m_s: Annotated[Array, "k 3"]
+    quaternion: Annotated[Array, "k 4"]
+    rate_rad_s: Annotated[Array, "k 3"]
     motors: MotorInput
-    voltage_v: Array
+    voltage_v: Annotated[Array, "k"]
     window_s: tuple[float, float]
     vehicle: Vehicle
     stretches: tuple[tuple[float, float], ...] = ()

@@ -53,20 +53,19 @@ class Number:
     pose: bool = False
 
 
-def _axes(
-    stem: str, unit: str, axes: str, low: float, high: float, start: float, spread: float, pose: bool = False
-) -> tuple[Number, ...]:
-    return tuple(Number(f"{stem}_{axis}{unit}", low, high, start, spread, pose) for axis in axes)
+def _axes(axes: str, of_each: Number) -> tuple[Number, ...]:
+    """The same number for several axes; ``{}`` in its name stands for the axis."""
+    return tuple(replace(of_each, name=of_each.name.format(axis)) for axis in axes)
 
 
 NUMBERS: tuple[Number, ...] = (
     Number("thrust_gain", 0.5, 2.0, 1.0, 0.1, pose=True),
-    *_axes("drag", "_1_s", "xyz", 0.0, 5.0, 0.3, 0.5, pose=True),
+    *_axes("xyz", Number("drag_{}_1_s", 0.0, 5.0, 0.3, 0.5, pose=True)),
     Number("translational_lift_s2_m2", -0.05, 0.05, 0.0, 0.01, pose=True),
-    *_axes("torque_gain", "", "xyz", 0.0, 4.0, 0.6, 0.5),
-    *_axes("damping", "_1_s", "xyz", 0.0, 60.0, 4.0, 5.0),
-    *_axes("flapping", "_rad_s_m", "xy", -60.0, 60.0, 0.0, 5.0, pose=True),
-    *_axes("trim", "_rad_s2", "xyz", -100.0, 100.0, 0.0, 2.0),
+    *_axes("xyz", Number("torque_gain_{}", 0.0, 4.0, 0.6, 0.5)),
+    *_axes("xyz", Number("damping_{}_1_s", 0.0, 60.0, 4.0, 5.0)),
+    *_axes("xy", Number("flapping_{}_rad_s_m", -60.0, 60.0, 0.0, 5.0, pose=True)),
+    *_axes("xyz", Number("trim_{}_rad_s2", -100.0, 100.0, 0.0, 2.0)),
     Number("delay_s", 0.0, 0.1, 0.01, 0.02),
     Number("lead_s", 0.0, 0.1, 0.005, 0.02),
     Number("slow_torque_share", 0.0, 1.0, 0.7, 0.3),
@@ -257,9 +256,8 @@ def windows(flown: Course, index: NDArray[np.int64]) -> Windows:
     every = max(1, int(OBSERVED_S / max(float(np.median(np.diff(c.t_s))), 1e-4)))
     taken = np.union1d(np.arange(0, len(c.t_s), every), index)
     pose = np.concatenate([c.position, c.velocity, c.quaternion], axis=1)
-    told = seen(
-        c.t_s[taken], c.velocity[taken], c.quaternion[taken], c.rate[taken], c.tensor, c.inverse, c.gravity_m_s2
-    )
+    body = (c.tensor, c.inverse, c.gravity_m_s2)
+    told = seen(c.t_s[taken], c.velocity[taken], c.quaternion[taken], c.rate[taken], body)
     at = np.searchsorted(taken, index)
     return Windows(c, c.t_s[taken], c.rate[taken], told, at, c.t_s[index], np.ascontiguousarray(pose[index]))
 
@@ -270,13 +268,11 @@ def run(values: Array, begun: Windows, horizons: Sequence[float], step_s: float 
     if not c.pose:  # velocities are unknown, and what depends on them is left out
         values = values.copy()
         values[FLAPPING : FLAPPING + 2] = 0.0
-    integral = integrated(c.rotor, GRID_S, values)
-    rates, extras = observed(begun.t_s, begun.rate, begun.told, integral, c.rotor_start_s, GRID_S, values, c.pose)
+    rotor = (integrated(c.rotor, GRID_S, values), c.rotor_start_s, GRID_S)
+    rates, extras = observed(begun.t_s, begun.rate, begun.told, rotor, values, c.pose)
     marks = np.array([max(1, round(h / step_s)) for h in horizons], dtype=np.int64)
-    return simulated(
-        (begun.start_s, begun.pose), rates[begun.at], extras[begun.at], (integral, c.rotor_start_s, GRID_S),
-        values, (c.tensor, c.inverse, c.gravity_m_s2), step_s, marks,
-    )  # fmt: skip
+    starts = (begun.start_s, begun.pose, rates[begun.at], extras[begun.at])
+    return simulated(starts, rotor, values, (c.tensor, c.inverse, c.gravity_m_s2), step_s, marks)
 
 
 def simulate(

@@ -24,6 +24,10 @@ Shape = tuple[
     tuple[float, float, float, float, float, float],
     float,
 ]
+Rotor = tuple[Array, float, float]
+"""Running integral of the rotor signals (see :func:`integrated`), its start and its step."""
+Body = tuple[Array, Array, float]
+"""Tensor, its inverse, gravity."""
 
 THRUST, DRAG, LIFT, TORQUE, DAMPING, FLAPPING, TRIM = 0, 1, 4, 5, 8, 11, 13
 DELAY, LEAD, SLOW_SHARE, SLOW_TIME, OBSERVER, MEASURED, FORCE_BANDWIDTH, FORCE_TIME = 16, 17, 18, 19, 20, 26, 27, 28
@@ -62,10 +66,11 @@ def integrated(u: Array, step_s: float, p: Array) -> Array:
 
 
 @njit(cache=True)
-def _mean(integral: Array, start: float, step_s: float, begin: float, end: float, out: Array, first: int) -> None:
+def _mean(rotor: Rotor, begin: float, end: float, out: Array, first: int) -> None:
     """Mean rotor signals from ``begin`` to ``end`` (s) into ``out[first]``, one lane apart; held before and after the
     record.
     """
+    integral, start, step_s = rotor
     last = len(integral) - 1.000001
     a = min(max((begin - start) / step_s, 0.0), last)
     b = min(max((end - start) / step_s, 0.0), last)
@@ -81,12 +86,13 @@ def _mean(integral: Array, start: float, step_s: float, begin: float, end: float
 
 
 @njit(cache=True, error_model="numpy")
-def seen(t: Array, v: Array, q: Array, w: Array, tensor: Array, inverse: Array, g: float) -> Array:
+def seen(t: Array, v: Array, q: Array, w: Array, body: Body) -> Array:
     """What the observer needs of each stamp, whatever the numbers are, (k, 10).
 
     Time since the last stamp; velocity in the body and the angular acceleration of a free body there, at the last
     stamp; and the specific force in the body since then.
     """
+    tensor, inverse, g = body
     out = np.zeros((len(t), 10))
     for k in range(1, len(t)):
         h = t[k] - t[k - 1]
@@ -125,9 +131,7 @@ def _shares(p: Array, h: float, left: Array, new: Array) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def observed(
-    t: Array, w: Array, told: Array, integral: Array, start_s: float, step_s: float, p: Array, pose: bool
-) -> tuple[Array, Array]:
+def observed(t: Array, w: Array, told: Array, rotor: Rotor, p: Array, pose: bool) -> tuple[Array, Array]:
     """Rates (k, 3) and disturbances (k, 6) at each stamp from the past alone: an observer of constant gains.
 
     Args:
@@ -143,7 +147,7 @@ def observed(
             rate[:] = w[k]
             extra[:] = 0.0
         elif h > 0.0:
-            _mean(integral, start_s, step_s, t[k - 1] - p[DELAY], t[k] - p[DELAY], u, 0)
+            _mean(rotor, t[k - 1] - p[DELAY], t[k] - p[DELAY], u, 0)
             if abs(h - usual) > 1e-4 * usual:
                 usual = h
                 _shares(p, h, left, new)
@@ -285,18 +289,16 @@ def _advance(s: Array, p: Array, tensor: Array, inverse: Array, g: float, h: flo
 
 @njit(cache=True)
 def simulated(
-    begin: tuple[Array, Array], rates: Array, extras: Array, rotor: tuple[Array, float, float], p: Array,
-    body: tuple[Array, Array, float], h: float, marks: Index,
-) -> Array:  # fmt: skip
+    begin: tuple[Array, Array, Array, Array], rotor: Rotor, p: Array, body: Body, h: float, marks: Index
+) -> Array:
     """States (position, velocity, attitude, rates) after each number of steps of h in ``marks`` (ascending), (m, k,
     13).
 
     Args:
-        begin: times (k,), and positions, velocities and attitudes (k, 10) of the windows' starts.
-        rotor: of :func:`integrated`, its start and its step.
-        body: tensor, its inverse, gravity.
+        begin: of the windows' starts, times (k,), positions, velocities and attitudes (k, 10), rates (k, 3) and
+            disturbances (k, 6).
     """
-    (start, pose), (integral, start_s, step_s), (tensor, inverse, g) = begin, rotor, body
+    (start, pose, rates, extras), (tensor, inverse, g) = begin, body
     out = np.empty((len(marks), len(start), 13))
     s = np.empty(ROWS)
     for first in range(0, len(start), LANES):
@@ -313,7 +315,7 @@ def simulated(
         for step in range(marks[-1]):
             for n in range(count):
                 now = start[first + n] + step * h - p[DELAY]
-                _mean(integral, start_s, step_s, now, now + h, s, ROTOR + n)
+                _mean(rotor, now, now + h, s, ROTOR + n)
             for n in range(count, LANES):
                 for c in range(6):
                     s[ROTOR + c * LANES + n] = s[ROTOR + c * LANES + count - 1]

@@ -12,8 +12,11 @@ Body = tuple[float, Array, Array, Array, Array, float, float, float]
 
 
 @njit(cache=True, error_model="numpy")
-def _accelerations(v: Array, q: Array, w: Array, wrench: Array, body: Body, linear: Array, turning: Array) -> None:
-    """In the world, and of the rates, from force and torque about the declared origin in the body, (6,)."""
+def _accelerations(v: Array, q: Array, w: Array, wrench: Array, body: Body, out: tuple[Array, Array]) -> None:
+    """In the world, and of the rates, into ``out``, from force and torque about the declared origin in the body,
+    (6,).
+    """
+    linear, turning = out
     mass, tensor, inverse, com, damping, trim, climbing, g = body
     a, x, y, z = q
     r = (
@@ -43,7 +46,7 @@ def turned(v: Array, q: Array, w: Array, wrench: Array, body: Body) -> Array:
     """Angular accelerations of states side by side, (k, 3)."""
     linear, turning = np.empty(3), np.empty((len(w), 3))
     for k in range(len(w)):
-        _accelerations(v[k], q[k], w[k], wrench[k], body, linear, turning[k])
+        _accelerations(v[k], q[k], w[k], wrench[k], body, (linear, turning[k]))
     return turning
 
 
@@ -84,7 +87,7 @@ def stepped(x: Array, wrench: Array, pushed: Array, body: Body, h: float) -> Arr
                 _turn(q0, rates[before], part, q)
             else:
                 q[:] = q0
-            _accelerations(v, q, w, wrench[k], body, linear[stage], angular[stage])
+            _accelerations(v, q, w, wrench[k], body, (linear[stage], angular[stage]))
             for i in range(3):
                 angular[stage, i] += pushed[k, i]
                 rates[stage, i] = w[i]

@@ -26,6 +26,8 @@ from groundstation.model.vehicle_model import RememberingWrench, VehicleModel
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+State = tuple[Array, Array, Array, Array]
+"""Position and velocity in the world, attitude, body rates, a row each."""
 
 STEP_S = 0.005
 
@@ -86,20 +88,21 @@ class Motion:
         q = np.where(known, states.start_quaternion, [1.0, 0.0, 0.0, 0.0])
         rotors = self.at(self.inputs.thrust, t_s)
         parts = (states.start_position_m, states.start_velocity_m_s, q, states.start_rate_rad_s)
-        return self._signals(t_s, *parts, rotors, states.voltage_v)
+        return self._signals(t_s, parts, rotors, states.voltage_v)
 
-    def wrench(self, when: Array, p: Array, v: Array, q: Array, w: Array, rotors: Array, voltage: Array) -> Array:
+    def wrench(self, when: Array, state: State, rotors: Array, voltage: Array) -> Array:
         """Body force and torque of the model's effects, (k, 6)."""
         if self._wrench is None:
             return np.zeros((len(when), 6))
-        return np.nan_to_num(self._wrench(self._signals(when, p, v, q, w, rotors, voltage)))
+        return np.nan_to_num(self._wrench(self._signals(when, state, rotors, voltage)))
 
     def along(self, flown: Signals) -> Array:
         """The same along a flight."""
         wrench = self.model.wrench
         return np.zeros((len(flown.t_s), 6)) if wrench is None else np.nan_to_num(wrench(flown))
 
-    def _signals(self, when: Array, p: Array, v: Array, q: Array, w: Array, rotors: Array, voltage: Array) -> Signals:
+    def _signals(self, when: Array, state: State, rotors: Array, voltage: Array) -> Signals:
+        p, v, q, w = state
         return Signals(
             t_s=when - self._start_s,
             position_m=p,
@@ -185,7 +188,7 @@ def simulate(
         after = motion.at(motion.inputs.impulse, now + h)
         rotors = (after - before) / h
         before = after
-        extra = motion.wrench(now + 0.5 * h, p, v, q, w, rotors, voltage)
+        extra = motion.wrench(now + 0.5 * h, (p, v, q, w), rotors, voltage)
         turning = stepped(x, motion.pushed(rotors, extra), pushed, motion.body, h)
         away = turning + disturbed.pace * w
         w -= back_rate * away

@@ -13,11 +13,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Clock = tuple[Array, float, float, float, float]
+"""Stamps (k,), a dead time, the grid's start, its step and its length."""
 
 LANES = 16
 """Four lags of a quadrotor: two of the widest vector registers, which hide each other's latency."""
-QUAD = 4
-"""Lanes that are averaged together: a constant count, which the compiler turns into one vector operation."""
 CHUNK = 256
 """Steps of the grid that are kept: 64 kB, which a core's own cache holds."""
 SLOWEST = 0.1
@@ -91,21 +92,21 @@ def _turned(s: Array, c0: float, c1: float, c2: float, counts: float) -> None:
 @njit(cache=True, error_model="numpy")
 def _keep(s: Array, row: Array) -> None:
     """Thrusts and running sums into a row of the chunk."""
-    for n in range(2 * LANES):
+    for n in range(len(row)):
         row[n] = s[THRUST + n]
 
 
 @njit(cache=True, error_model="numpy")
-def _averaged(kept, first, last, lanes, clock, members, at, out):
+def _averaged(chunk: tuple[Array, int, int], lanes: Index, clock: Clock, members: Index, at: int, out: Array) -> int:
     """Gather the samples that lie within the grid's steps of the chunk; how many are done then.
 
     Args:
-        kept: thrusts and sums of the steps from ``first`` to ``last``, the last excluded, (steps, 2 * LANES).
-        lanes: the first that counts and how many do, multiples of QUAD, and where they go in ``out``.
-        clock: stamps (k,), a dead time, the grid's start, its step and its length. at: samples done before.
-        out: (blocks, columns), to add to: thrusts, then sums.
+        chunk: thrusts and sums of steps, (steps, 2 * LANES), the first of them and the one after the last.
+        lanes: the first that counts, and how many do.
+        at: samples done before.
+        out: (blocks, 2, lanes), to add to.
     """
-    t, late, start, step, length = clock
+    (kept, first, last), (t, late, start, step, length) = chunk, clock
     size = members.shape[1]
     block = at // size
     member = at - block * size
@@ -116,12 +117,12 @@ def _averaged(kept, first, last, lanes, clock, members, at, out):
             break
         weight = position - i
         before = 1.0 - weight
-        mean, now, later = out[block], kept[i - first], kept[i + 1 - first]
         for row in range(2):
-            for part in range(0, lanes[1], QUAD):
-                place, to = row * LANES + lanes[0] + part, lanes[2] + row * lanes[1] + part
-                for n in range(QUAD):
-                    mean[to + n] += now[place + n] * before + later[place + n] * weight
+            place = row * LANES + lanes[0]
+            now, later = kept[i - first, place : place + lanes[1]], kept[i + 1 - first, place : place + lanes[1]]
+            mean = out[block, row]
+            for n in range(len(now)):
+                mean[n] += now[n] * before + later[n] * weight
         member += 1
         if member == size:
             block, member = block + 1, 0
@@ -133,24 +134,23 @@ def block_means(
     value: Array,
     grid: tuple[float, float, float, bool],
     lags: Array,
-    delays_s: Array,
-    lanes: NDArray[np.int64],
+    delays: tuple[Array, Index],
     curve: Array,
-    t_s: Array,
-    members: NDArray[np.int64],
+    blocks: tuple[Array, Index],
 ) -> Array:
-    """Means over blocks of rotors' thrusts and of their running integrals: thrusts of the lanes of a dead time, then
-    integrals, one dead time after the other, (blocks, columns). Rotors of the first lag come first.
+    """Means over blocks of rotors' thrusts and of their running integrals, (delays, blocks, 2, most lanes of a delay).
+
+    Rotors of the first lag come first.
 
     Args:
         value: motor values on the grid, held over a step, (k, rotors).
         grid: its start and step, the value that hovers, and whether values were measured.
         lags: lag up, lag down and slope of each, (n, 3), n at most LANES // rotors.
-        delays_s: dead times, (delays,). lanes: of each, the first that counts, and how many do, multiples of QUAD,
-            (delays, 2).
+        delays: dead times, (delays,), and of each the first lane that counts, and how many do, (delays, 2).
         curve: thrust by powers of a motor value, (3,).
-        t_s: stamps of the samples. members: samples of each block, (blocks, size).
+        blocks: stamps of the samples (k,), and the samples of each block, (blocks, size).
     """
+    (delays_s, lanes), (t_s, members) = delays, blocks
     start, step, hover, measured = grid
     length, rotors = value.shape
     s = _prepared(lags, rotors, step, hover, measured)
@@ -158,7 +158,8 @@ def block_means(
     small = most * max(np.max(s[UP : UP + LANES]), np.max(s[DOWN : DOWN + LANES])) < 0.2
     sloped = np.any(lags[:, 2] != 0.0)
     kept = np.zeros((CHUNK + 1, 2 * LANES))
-    out = np.zeros((len(members), 2 * np.sum(lanes[:, 1])))
+    width = np.max(lanes[:, 1])
+    out = np.zeros((len(delays_s), len(members), 2, width))
     done = np.zeros(len(delays_s), dtype=np.int64)
     for begin in range(0, length, CHUNK):
         end = min(begin + CHUNK, length)
@@ -183,10 +184,7 @@ def block_means(
             _keep(s, kept[i - begin + 1])
         for n in range(len(delays_s)):
             clock = (t_s, delays_s[n], start, step, float(length))
-            wanted = (lanes[n, 0], lanes[n, 1], 2 * np.sum(lanes[:n, 1]))
-            done[n] = _averaged(kept, begin - 1, end, wanted, clock, members, done[n], out)
-    for n in range(len(delays_s)):
-        integrals = 2 * np.sum(lanes[:n, 1]) + lanes[n, 1]
-        out[:, integrals : integrals + lanes[n, 1]] *= step
+            done[n] = _averaged((kept, begin - 1, end), lanes[n], clock, members, done[n], out[n])
+    out[:, :, 1] *= step
     out /= members.shape[1]
     return out

@@ -12,13 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from groundstation.flightdata import resampled
-from groundstation.model.rotor_kernel import LANES, NEARLY_INSTANT_S, QUAD, SLOWEST, block_means, gain
+from groundstation.model.rotor_kernel import LANES, NEARLY_INSTANT_S, SLOWEST, block_means, gain
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -82,7 +83,12 @@ class MotorInput:
 
 
 def motor_input(
-    t_s: Array, values: Array, *, measured: bool, step_s: float = FINE_STEP_S, hover: float = 1.0
+    t_s: Annotated[Array, "m"],
+    values: Annotated[Array, "m n"],
+    *,
+    measured: bool,
+    step_s: float = FINE_STEP_S,
+    hover: float = 1.0,
 ) -> MotorInput:
     """Put recorded motor values on a uniform grid: hold commands, interpolate measured speeds.
 
@@ -94,11 +100,12 @@ def motor_input(
         hover: value at which a rotor carries its share of the weight.
     """
     t_s = np.asarray(t_s, dtype=float)
-    grid = t_s[0] + step_s * np.arange(int(np.floor((t_s[-1] - t_s[0]) / step_s)) + 1)
+    grid: Array = t_s[0] + step_s * np.arange(int(np.floor((t_s[-1] - t_s[0]) / step_s)) + 1)
     if measured:
         value = resampled(grid, t_s, values)
     else:
-        value = values[np.clip(np.searchsorted(t_s, grid + 1e-9, side="right") - 1, 0, len(t_s) - 1)]
+        index = np.clip(np.searchsorted(t_s, grid + 1e-9, side="right") - 1, 0, len(t_s) - 1)
+        value = values[index]
     return MotorInput(float(t_s[0]), step_s, np.ascontiguousarray(value, dtype=float), measured, hover)
 
 
@@ -115,12 +122,14 @@ def _cumulative(values: Array, step: float, held: bool) -> Array:
     return out
 
 
-def cumulative(values: Array, step_s: float, *, held: bool) -> Array:
+def cumulative(values: Annotated[Array, "k n"], step_s: float, *, held: bool) -> Annotated[Array, "k n"]:
     """Running integral from the first grid point, shape as ``values``; left sums for held values, else trapezoids."""
     return _cumulative(np.ascontiguousarray(values, dtype=float), step_s, held)
 
 
-def interpolate_columns(query_s: Array, start_s: float, step_s: float, values: Array) -> Array:
+def interpolate_columns(
+    query_s: Annotated[Array, "q"], start_s: float, step_s: float, values: Annotated[Array, "k n"]
+) -> Annotated[Array, "q n"]:
     """Linear interpolation of all columns of a uniform grid at query times, held at the ends, shape (q, n)."""
     position = np.clip((query_s - start_s) / step_s, 0.0, len(values) - 1.000001)
     index = position.astype(np.int64)
@@ -138,12 +147,12 @@ def hover_value(vehicle: Vehicle) -> float:
     return float(vehicle.motor_for_thrust(share)) or 1.0
 
 
-def declared_thrust(vehicle: Vehicle, lagged: Array) -> Array:
+def declared_thrust(vehicle: Vehicle, lagged: Annotated[Array, "k n"]) -> Annotated[Array, "k n"]:
     """Thrust of each rotor by the declared constants from (lagged) motor values; the wrench passes through."""
     return lagged if vehicle.rotors.input == "wrench" else vehicle.thrust(lagged)
 
 
-def thrust_polynomial(vehicle: Vehicle) -> Array:
+def thrust_polynomial(vehicle: Vehicle) -> Annotated[Array, "3"]:
     """Coefficients of :func:`declared_thrust` by powers of a motor value, (3,)."""
     if vehicle.rotors.input == "wrench":
         return np.array([0.0, 1.0, 0.0])
@@ -170,30 +179,22 @@ def mean_thrusts(
         some = lags[first : first + together]
         asked = {delay: [n for n, lag in enumerate(some) if (lag, delay) in wanted] for _, delay in wanted}
         asked = {delay: places for delay, places in asked.items() if places}
-        lanes = np.array([_quads(places[0] * rotors, (places[-1] + 1) * rotors) for places in asked.values()])
+        lanes = np.array([(places[0] * rotors, (places[-1] + 1 - places[0]) * rotors) for places in asked.values()])
         delays = np.array(list(asked), dtype=float)
         curve = thrust_polynomial(vehicle)
-        means = block_means(motors.value, grid, np.array(some, dtype=float), delays, lanes, curve, *blocks)
-        parts = np.split(means, 2 * np.cumsum(lanes[:-1, 1]), axis=1)
-        for part, (begin, _), (delay, places) in zip(parts, lanes, asked.items(), strict=True):
-            mean = part.reshape(len(part), 2, -1)
+        means = block_means(motors.value, grid, np.array(some, dtype=float), (delays, lanes), curve, blocks)
+        for mean, (delay, places) in zip(means, asked.items(), strict=True):
             for n in places:
-                at = n * rotors - begin
+                at = (n - places[0]) * rotors
                 found[some[n], delay] = mean[:, :, at : at + rotors]
     return [found[each] for each in wanted]
 
 
-def _quads(first: int, end: int) -> tuple[int, int]:
-    """The first lane and the number of lanes of the whole quads that hold lanes from one to another."""
-    begin = first // QUAD * QUAD
-    return begin, -(-(end - begin) // QUAD) * QUAD
-
-
-def wrench_matrix(vehicle: Vehicle) -> Array:
+def wrench_matrix(vehicle: Vehicle) -> Annotated[Array, "6 n"]:
     """Map what :func:`declared_thrust` gives to body force and torque about the declared origin, shape (6, n)."""
     return np.eye(6)[:, 2:] if vehicle.rotors.input == "wrench" else vehicle.six_row_allocation()
 
 
-def thrusts_for(vehicle: Vehicle) -> Array:
+def thrusts_for(vehicle: Vehicle) -> Annotated[Array, "n 4"]:
     """Map [F_z, tau_x, tau_y, tau_z] to what :func:`declared_thrust` gives, shape (n, 4)."""
     return np.eye(4) if vehicle.rotors.input == "wrench" else vehicle.mixing()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,28 +31,28 @@ class Signals:
         charge_as: charge drawn since the start, (k,).
     """
 
-    t_s: Array
-    position_m: Array
-    velocity_world_m_s: Array
-    quaternion: Array
-    rate_rad_s: Array
-    motor: Array
-    lagged: Array
-    lagged_rate: Array
-    thrust_n: Array
-    voltage_v: Array
-    charge_as: Array
+    t_s: Annotated[Array, "k"]
+    position_m: Annotated[Array, "k 3"]
+    velocity_world_m_s: Annotated[Array, "k 3"]
+    quaternion: Annotated[Array, "k 4"]
+    rate_rad_s: Annotated[Array, "k 3"]
+    motor: Annotated[Array, "k n"]
+    lagged: Annotated[Array, "k n"]
+    lagged_rate: Annotated[Array, "k n"]
+    thrust_n: Annotated[Array, "k n"]
+    voltage_v: Annotated[Array, "k"]
+    charge_as: Annotated[Array, "k"]
 
-    def velocity_body_m_s(self) -> Array:
+    def velocity_body_m_s(self) -> Annotated[Array, "k 3"]:
         """Velocity over ground in body axes, (k, 3)."""
         return quat_rotate_inverse(self.quaternion, self.velocity_world_m_s)
 
-    def up_body(self) -> Array:
+    def up_body(self) -> Annotated[Array, "k 3"]:
         """World vertical in body axes, (k, 3)."""
         return quat_rotate_inverse(self.quaternion, np.broadcast_to([0.0, 0.0, 1.0], (len(self.t_s), 3)))
 
 
-def hover_share(signals: Signals, vehicle: Vehicle) -> Array:
+def hover_share(signals: Signals, vehicle: Vehicle) -> Annotated[Array, "k"]:
     """Sum of rotor speeds over its value at hover, shape (k,): how much rotor there is to be dragged."""
     if vehicle.rotors.input == "wrench":
         return np.ones(len(signals.t_s))

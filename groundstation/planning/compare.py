@@ -7,12 +7,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 
 from groundstation.errors import BadInput
+from groundstation.json_types import JsonObject
 from groundstation.planning.information import DEFAULT_NOISE, Noise, percentages, predicted_std
 from groundstation.planning.limits import envelope
 from groundstation.planning.plan import FREQUENCY_MAX_HZ, describe, paper_plan, plan_excitation
 from groundstation.planning.problem import Problem
 from groundstation.planning.signals import Family, families, family_series
-from groundstation.trajectory import Plan
+from groundstation.trajectory import FourierSeries, Plan
 from groundstation.vehicle import Vehicle
 
 DIAGONAL = ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
@@ -56,9 +57,9 @@ class Comparison:
     duration_s: float
     entries: tuple[Entry, ...]
 
-    def to_dict(self) -> dict:
+    def to_dict(self) -> JsonObject:
         """The table as a JSON document; what a family cannot give is null."""
-        rows = []
+        rows: list[JsonObject] = []
         for entry in self.entries:
             row = {key: value for key, value in asdict(replace(entry, plan=None)).items() if key != "plan"}
             rows.append({k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()})
@@ -94,6 +95,10 @@ class Comparison:
         return "\n".join(lines)
 
 
+def _unwatched(_series: FourierSeries) -> None:
+    """Nobody looks at the iterates."""
+
+
 def compare_families(
     vehicle: Vehicle,
     *,
@@ -116,8 +121,6 @@ def compare_families(
     """
     bounds = envelope(vehicle, limits)
     problem = Problem((vehicle,), (bounds,), criterion, harmonics, 1.0, duration_s, start, noise)
-    common = {"criterion": criterion, "harmonics": harmonics, "duration_s": duration_s, "start": start, "noise": noise}
-    common |= {"frequency_max_hz": frequency_max_hz, "seed": seed, **limits}
     searched = [None] if base_frequency_rad_s is None else [base_frequency_rad_s, None]
     entries: list[Entry] = []
     for k, base in enumerate(searched):
@@ -126,12 +129,11 @@ def compare_families(
             progress(0.9 * (done + fraction) / len(searched), text)
 
         plan = plan_excitation(
-            vehicle,
-            base_frequency_rad_s=base,
-            time_budget_s=time_budget_s / len(searched),
-            progress=part,
-            **common,
-        )
+            vehicle, criterion=criterion, harmonics=harmonics, base_frequency_rad_s=base, duration_s=duration_s,
+            frequency_max_hz=frequency_max_hz, start=start, noise=noise, seed=seed,
+            time_budget_s=time_budget_s / len(searched), progress=part, effects=(), starts=None, watch=_unwatched,
+            **limits,
+        )  # fmt: skip
         where = "the base frequency as given" if base else f"base frequency free below {frequency_max_hz:g} Hz"
         name = "series, free" if base is None and len(searched) > 1 else "series"
         entries.append(_entry(name, f"Fourier series optimised for {criterion}, {where}", plan, vehicle, noise))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,7 +22,9 @@ SAMPLE_STEP_S = 0.002
 """Sampling period of W in the seed paper."""
 
 
-def inertia_regressor(rate: Array, acceleration: Array) -> Array:
+def inertia_regressor(
+    rate: Annotated[Array, "k 3"], acceleration: Annotated[Array, "k 3"]
+) -> Annotated[Array, "k 3 6"]:
     """Y with I dw/dt + w x I w = Y [Ixx, Ixy, Ixz, Iyy, Iyz, Izz], shape (k, 3, 6) (rows 2-4 of eq. 12).
 
     Args:
@@ -37,7 +41,7 @@ def inertia_regressor(rate: Array, acceleration: Array) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def regressor(motion: RigidMotion) -> Array:
+def regressor(motion: RigidMotion) -> Annotated[Array, "k 4 7"]:
     """Phi of eq. (12) along a motion: [F_z, tau_x, tau_y, tau_z] = Phi Theta, shape (k, 4, 7).
 
     Along a planned motion thrust carries acceleration plus gravity, so the mass column is the specific thrust.
@@ -48,7 +52,9 @@ def regressor(motion: RigidMotion) -> Array:
     return phi
 
 
-def stacked_regressor(trajectory: Trajectory, gravity_m_s2: float, step_s: float = SAMPLE_STEP_S) -> Array:
+def stacked_regressor(
+    trajectory: Trajectory, gravity_m_s2: float, step_s: float = SAMPLE_STEP_S
+) -> Annotated[Array, "n 7"]:
     """W of eq. (20): Phi at every step of the trajectory, the end excluded, shape (4 k, 7)."""
     count = max(round(trajectory.duration_s / step_s), 1)
     t = np.arange(count) * (trajectory.duration_s / count)

@@ -117,11 +117,12 @@ def _odds(truth: _Seen, rival: _Seen) -> tuple[float, Array]:
     """Expected log odds for ``truth`` against the rival's best explanation, and the share of each channel."""
     if truth.wrench is None:
         return math.inf, np.zeros(6)
-    found = []
+    found: list[Array] = []
     for offset, columns in rival.explanations:
         difference = truth.wrench - offset
         flat = columns.reshape(-1, columns.shape[-1])
-        flat = flat / np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
+        size: Array = np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
+        flat = flat / size
         fitted = np.linalg.pinv(flat.T @ flat, rcond=1e-10, hermitian=True) @ (flat.T @ difference.ravel())
         rest = difference - (flat @ fitted).reshape(difference.shape)
         found.append(0.5 * np.sum(rest**2, axis=0))

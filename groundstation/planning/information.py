@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,7 +37,7 @@ SIGNALS = 25
 _THRUST, _INERTIA, _VELOCITY, _RATE = 0, 1, 19, 22
 
 
-def signals(motion: RigidMotion) -> Array:
+def signals(motion: RigidMotion) -> Annotated[Array, "k 25"]:
     """The signals of a motion, shape (k, 25). Body velocity is for a vehicle without side-slip correction: R^T v."""
     rate, turning = motion.angular_velocity_body_rad_s, motion.angular_acceleration_body_rad_s2
     roll, pitch, yaw = motion.euler_rad.T
@@ -129,7 +129,7 @@ def _nominal_wrench(vehicle: Vehicle) -> list[tuple[int, Array]]:
     """Mixes that give F_z and the torques of the nominal vehicle."""
     entries = vehicle.inertia_tensor()[np.triu_indices(3)]
     force = vehicle.mass_kg * _unit(_THRUST)
-    torques = []
+    torques: list[Array] = []
     for row in range(3):
         mix = np.zeros(SIGNALS)
         mix[_INERTIA + 6 * row : _INERTIA + 6 * row + 6] = entries
@@ -239,7 +239,7 @@ def fisher_channels(
     channels: list[list[Block]] = []
     for channel in range(len(CHANNELS)):
         entries = [(i, p.scale, c) for i, p in enumerate(model) for c in p.columns if c.channel == channel]
-        blocks = []
+        blocks: list[Block] = []
         for transfer in dict.fromkeys(c.transfer for _, _, c in entries):
             here = [entry for entry in entries if entry[2].transfer is transfer]
             gain = np.sqrt(power[channel]) * (1.0 if transfer is None else transfer(frequency))
@@ -260,7 +260,7 @@ def gram_channels(vehicle: Vehicle, samples: int) -> list[list[Block]]:
     """Blocks such that the sum over channels of X^T X is the mean square of the seed paper's regressor (eq. 12)."""
     operator = np.eye(samples) / np.sqrt(samples)
     model = base_parameters(vehicle)
-    channels = []
+    channels: list[list[Block]] = []
     for channel in range(2, 6):
         here = [(i, c) for i, p in enumerate(model) for c in p.columns if c.channel == channel]
         channels.append([Block(operator, np.column_stack([c.mix for _, c in here]), np.array([i for i, _ in here]))])

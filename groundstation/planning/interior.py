@@ -120,7 +120,7 @@ def _step(program: Constraints, point: _Point, slopes: tuple[Array, Array, list[
     move = -_solved(system, convex, slope)
     dh, decrease = jacobian @ move, -float(slope @ move)
     dz = mu / point.h - point.z - stiff * dh
-    bigs = []
+    bigs: list[Array] = []
     for inverse, big, g in zip(inverses, point.big, gradients, strict=True):
         product = inverse @ np.tensordot(g, move, 1) @ big
         bigs.append(mu * inverse - big - 0.5 * (product + product.T))

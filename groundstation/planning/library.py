@@ -124,5 +124,5 @@ def _stretched(each: Solved, room: Array, problem: Problem) -> Array:
                 for k, edges in enumerate(problem.room)
             ]
         )
-    below = (b / (frequency * np.arange(1, a.shape[1] + 1))).sum(axis=1)
+    below = (b / (frequency * np.arange(1, int(a.shape[1]) + 1))).sum(axis=1)
     return problem.unknowns_of(FourierSeries(a, b, at + below, frequency))

@@ -7,6 +7,7 @@ for roll and pitch each, as in the seed paper (section III-B); acceleration is t
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,18 +67,18 @@ def rotor_thrust_range_n(vehicle: Vehicle) -> tuple[float, float]:
     return 0.0, vehicle.rotor_thrust_max_n() * ratio**2
 
 
-def envelope(vehicle: Vehicle, overrides: dict[str, float] | None = None) -> Envelope:
+def envelope(vehicle: Vehicle, overrides: Mapping[str, float | None] | None = None) -> Envelope:
     """The limits in force for a vehicle, the given ones replacing those of its file.
 
     Raises:
         BadInput: an override that is no limit or no possible value, or limits that exclude even hovering.
     """
-    overrides = {key: value for key, value in (overrides or {}).items() if value is not None}
-    unknown = sorted(set(overrides) - set(Limits.model_fields))
+    given = {key: value for key, value in (overrides or {}).items() if value is not None}
+    unknown = sorted(set(given) - set(Limits.model_fields))
     if unknown:
         raise BadInput(f"{unknown[0]} is not a limit; there are {', '.join(Limits.model_fields)}.")
     try:
-        limits = Limits.model_validate(vehicle.limits.model_dump() | overrides)
+        limits = Limits.model_validate(vehicle.limits.model_dump() | given)
     except ValidationError as error:
         first = error.errors()[0]
         raise BadInput(f"limit {first['loc'][0]} = {first['input']}: {first['msg'].lower()}; correct it.") from None

@@ -109,7 +109,7 @@ def inner_motion(problem: Problem, start: Array) -> FourierSeries:
 
 
 def _starting_at(start: Array, a: Array, b: Array, base_frequency_rad_s: float) -> FourierSeries:
-    harmonic = base_frequency_rad_s * np.arange(1, a.shape[1] + 1)
+    harmonic = base_frequency_rad_s * np.arange(1, int(a.shape[1]) + 1)
     return FourierSeries(a, b, start + (b / harmonic).sum(axis=1), base_frequency_rad_s)
 
 

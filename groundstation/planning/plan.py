@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from groundstation.errors import BadInput
+from groundstation.json_types import JsonObject
 from groundstation.paths import configs_dir, find_config
 from groundstation.planning.criteria import CRITERIA, condition_number
 from groundstation.planning.information import DEFAULT_NOISE, Noise, percentages, predicted_std
@@ -115,8 +116,10 @@ def plan_excitation(
     _check(criterion, harmonics, time_budget_s)
     base = Problem(vehicles, envelopes, criterion, 1, 1.0, 1.0, start, noise, tuple(effects))
     problems = _at_each_frequency(base, harmonics, base_frequency_rad_s, duration_s, frequency_max_hz)
-    search = {"seed": seed, "time_budget_s": time_budget_s, "starts": starts, "progress": progress, "watch": watch}
-    found = best_of(problems, library=solved_rooms(), **search)
+    found = best_of(
+        problems, library=solved_rooms(), seed=seed, time_budget_s=time_budget_s, starts=starts, progress=progress,
+        watch=watch,
+    )  # fmt: skip
     series = replace(found.series, periods=float(round(problems[0].duration_s / found.series.period_s)))
     plan = describe(series, vehicles[0], envelopes, criterion=criterion, noise=noise, effects=effects)
     if not math.isfinite(found.sampled_bound):
@@ -151,7 +154,7 @@ def solved_rooms() -> list[Solved]:
     from groundstation.planning.library import Solved
 
     path = configs_dir() / "library" / "plans.json"
-    document = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {"plans": []}
+    document: JsonObject = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {"plans": []}
     return [Solved.from_dict(each) for each in document["plans"]]
 
 
@@ -199,7 +202,7 @@ def _note(series: FourierSeries, vehicle: Vehicle, envelopes: Sequence[Envelope]
     return text
 
 
-def plan_document(plan: Plan) -> dict:
+def plan_document(plan: Plan) -> JsonObject:
     """The document that ``plan --json`` prints (schema groundstation.plan/1)."""
     return plan_to_dict(plan)
 

@@ -84,6 +84,7 @@ class Program:
         else:
             values = np.array([self._measure(m) for m in ms])
             low, high = 0.0, mu * len(values)
+        middle = high
         for _ in range(_BISECTIONS):
             middle = 0.5 * (low + high)
             slope = middle / (values - middle) if self._matrices else 1.0 / (middle + values.max() - values)

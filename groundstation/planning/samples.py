@@ -136,7 +136,7 @@ def _motion(gravity_m_s2: float) -> _Motion:
 def signal_function(gravity_m_s2: float) -> SampleFunction:
     """The signals of ``information.signals``, in the same order."""
     motion = _motion(gravity_m_s2)
-    columns = []
+    columns: list[ca.SX] = []
     for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
         unit = np.zeros((3, 3))
         unit[i, j] = unit[j, i] = 1.0

@@ -53,9 +53,9 @@ class Gathered:
     _last_ns: int = -(2**62)
 
     def add(self, message: Message, channel: ReadChannel, step_ns: int) -> None:
-        """A message, unless it is closer than a step to the last one that was kept.
+        """A message, unless it is closer than a step to the last one that was kept; texts are kept all.
 
-        Companions, which belong to the message after them, and texts are kept all.
+        A companion that is left out costs its message what that one had to round: a nanosecond.
         """
         if step_ns and channel.type not in _KEPT and abs(message.log_ns - self._last_ns) < step_ns:
             return
@@ -89,7 +89,7 @@ class Gathered:
         return Block(t_s, arrival, values, words, blocks[0].columns)
 
 
-_KEPT = {EXACT_TYPE, *(TOPICS[name].type for name in LOG_COLUMNS)}
+_KEPT = {TOPICS[name].type for name in LOG_COLUMNS}
 """Types of messages that are kept however close they lie."""
 
 

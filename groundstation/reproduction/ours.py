@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +63,7 @@ def run(truth: Truth, folder: Path, progress: Progress, *, circles: bool = True)
     methods = seed_methods(Regressions.of(signals, filter_period_s=PAPER_PERIOD_S), flight.vehicle, refuse=False)
     sets = parameter_sets(flight.vehicle, methods)
     progress(0.3, "simulating the closed loop with each parameter set")
-    loop = closed_loop_validation(flight, plan, sets, mocap_minus_imu_s=CLOCK_S).rms
+    loop = closed_loop_validation(replace(flight, plan=plan), sets, mocap_minus_imu_s=CLOCK_S).rms
     outputs: dict[int, Columns] = dict(zip((5, 6), _outputs(flight, sets), strict=True))
     if circles:
         for index, (name, (radius, altitude)) in enumerate(CIRCLES.items()):

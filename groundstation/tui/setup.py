@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from drivers.access import Access
 from groundstation.errors import BadInput
 from groundstation.flight.children import Child
-from groundstation.flight.client.client import new_flight_folder, start_core
+from groundstation.flight.client.client import FlightOrder, new_flight_folder, start_core
 from groundstation.paths import configs_dir, find_config, shipped_config
 from groundstation.texts import file_name
 from groundstation.tui.margins import FlightLimits
@@ -81,7 +81,7 @@ def begin_flight(setup: Setup, plan: Plan, logs: Path, *, analyse: bool = True) 
         BadInput: vehicle, scenario or station do not exist.
     """
     from groundstation.analysis.plans import write_plan
-    from groundstation.flight.client.rehearse import linked_vehicle, simulated_drone
+    from groundstation.flight.client.rehearse import LinkOrder, linked_vehicle, simulated_drone
     from groundstation.flight.station import load_station
     from groundstation.flight.until import lasting_until
     from groundstation.vehicle import load_vehicle
@@ -95,10 +95,10 @@ def begin_flight(setup: Setup, plan: Plan, logs: Path, *, analyse: bool = True) 
         scenario = find_config("scenarios", setup.scenario).resolve()
         drone = simulated_drone(vehicle, scenario, setup.seed, real_time=setup.real_time)
     else:
-        drone = linked_vehicle(folder, vehicle, link=setup.link, station=setup.station)
+        drone = linked_vehicle(folder, vehicle, LinkOrder(setup.link, setup.station))
     folder.mkdir(parents=True)
     plan_file = write_plan(plan, folder / "plan.toml")
-    core, endpoint = start_core(folder, plan=plan_file, vehicle=vehicle, drone=drone, analyse=analyse)
+    core, endpoint = start_core(FlightOrder(folder, plan_file, vehicle, drone, analyse=analyse))
     return core, endpoint, folder
 
 

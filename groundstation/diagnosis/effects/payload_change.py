@@ -24,8 +24,8 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarra
 
 
 def _variants(signals: Signals, vehicle: Vehicle) -> tuple[Settings, ...]:
-    instants = np.linspace(signals.t_s[0], signals.t_s[-1], 25)[1:-1]
-    return tuple({"at_s": float(s), "within_s": float(instants[1] - instants[0])} for s in instants)
+    instants: list[float] = np.linspace(float(signals.t_s[0]), float(signals.t_s[-1]), 25)[1:-1].tolist()
+    return tuple({"at_s": s, "within_s": instants[1] - instants[0]} for s in instants)
 
 
 def _settled(settings: Settings, values: np.ndarray) -> Settings:

@@ -30,10 +30,10 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarra
 
 
 def _variants(signals: Signals, vehicle: Vehicle) -> tuple[Settings, ...]:
-    instants = np.linspace(signals.t_s[0], signals.t_s[-1], 17)[2:-2]
-    width = float(instants[1] - instants[0])
+    instants: list[float] = np.linspace(float(signals.t_s[0]), float(signals.t_s[-1]), 17)[2:-2].tolist()
+    width = instants[1] - instants[0]
     return tuple(
-        {"rotor": float(i), "from_s": float(s), "within_s": width}
+        {"rotor": float(i), "from_s": s, "within_s": width}
         for i in range(1, vehicle.rotors.count + 1)
         for s in instants
     )

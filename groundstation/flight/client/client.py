@@ -8,6 +8,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -97,28 +98,36 @@ def connect(access: Access, *, name: str = "", timeout_s: float = timeouts.CORE_
         yield CoreClient(session, name)
 
 
+@dataclass(frozen=True, slots=True)
+class FlightOrder:
+    """What a core flies.
+
+    Attributes:
+        folder: where the flight is kept; made when the core starts.
+        plan: plan file.
+        vehicle: vehicle file.
+        drone: module and arguments of the process that stands for the vehicle.
+        analyse: identify, diagnose and report after landing.
+        take_over: ``land`` or ``hold`` a vehicle found in flight, instead of flying the plan; the folder is an
+            interrupted flight's then.
+    """
+
+    folder: Path
+    plan: Path
+    vehicle: Path
+    drone: tuple[str, ...]
+    analyse: bool = True
+    take_over: str = ""
+
+
 def start_core(
-    folder: Path,
-    *,
-    plan: Path,
-    vehicle: Path,
-    drone: tuple[str, ...],
-    start: bool = False,
-    analyse: bool = True,
-    listen: tuple[str, ...] = (),
-    take_over: str = "",
-    secrets: Secrets | None = None,
+    order: FlightOrder, *, start: bool = False, listen: tuple[str, ...] = (), secrets: Secrets | None = None
 ) -> tuple[Child, Access]:
     """Start the core of one flight in a session of its own.
 
     Args:
-        folder: where the flight is kept; made here.
-        plan: plan file.
-        vehicle: vehicle file.
-        drone: module and arguments of the process that stands for the vehicle.
+        order: what it flies.
         start: fly as soon as the checks pass, without an operator's ``start``.
-        analyse: identify, diagnose and report after landing.
-        take_over: ``land`` or ``hold`` a vehicle found in flight; the folder is an interrupted flight's then.
         listen: endpoints beyond the loopback one, for clients on other machines.
         secrets: of the roles; new ones by default.
 
@@ -126,22 +135,23 @@ def start_core(
         The process, and an operator's access to it, which is also in ``core.endpoint`` in the folder, for this user
         alone; in ``watch.endpoint`` is that of those who may watch and abort.
     """
+    folder = order.folder
     folder.mkdir(parents=True, exist_ok=True)
     endpoint = bus.loopback(bus.free_port())
     secrets = secrets or new_secrets()
     access = Access(endpoint, Login("operate", secrets["operate"]))
     write_access(folder / ENDPOINT_FILE, access)
     write_access(folder / WATCH_FILE, Access(endpoint, Login("watch", secrets["watch"])))
-    arguments = ["--folder", folder, "--plan", plan, "--vehicle", vehicle, "--listen", endpoint]
+    arguments = ["--folder", folder, "--plan", order.plan, "--vehicle", order.vehicle, "--listen", endpoint]
     for extra in listen:
         arguments += ["--listen", extra]
     if start:
         arguments.append("--start")
-    if take_over:
-        arguments += ["--take-over", take_over]
-    if not analyse:
+    if order.take_over:
+        arguments += ["--take-over", order.take_over]
+    if not order.analyse:
         arguments.append("--no-analysis")
-    command = module_command("groundstation.flight.core.process", *map(str, arguments), "--", *drone)
+    command = module_command("groundstation.flight.core.process", *map(str, arguments), "--", *order.drone)
     return start_child(command, folder / "core.log", environment=hand_over(flight=secrets)), access
 
 

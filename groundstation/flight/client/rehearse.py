@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from drivers.access import Access
 from groundstation.errors import BadInput, FlightAborted, LinkLost, Refused
 from groundstation.flight import timeouts
 from groundstation.flight.children import Child
-from groundstation.flight.client.client import CoreClient, connect, outcome, start_core
+from groundstation.flight.client.client import CoreClient, FlightOrder, connect, outcome, start_core
 from groundstation.flight.client.interrupts import Interrupts
 from groundstation.flight.journal import RAW_LOG
 from groundstation.flight.link.parameter_journal import left_changed
@@ -52,28 +52,39 @@ def simulated_drone(vehicle: Path, scenario: Path, seed: int, *, real_time: bool
     return (*arguments, "--real-time") if real_time else arguments
 
 
-def linked_vehicle(
-    folder: Path,
-    vehicle: Path,
-    *,
-    link: str,
-    station: str,
-    force: tuple[str, ...] = (),
-    set_parameters: bool = False,
-    key_file: Path | None = None,
-    system: int | None = None,
-) -> tuple[str, ...]:
+@dataclass(frozen=True, slots=True)
+class LinkOrder:
+    """How a vehicle is reached, and what the link to it may do.
+
+    Attributes:
+        link: address, see ``drivers.mavlink.transports``.
+        station: name or file of the station's limits and policy.
+        force: checks whose failure does not stop a flight.
+        set_parameters: change the vehicle's parameters for the flight, and restore them.
+        key_file: of a signed link.
+        system: the vehicle's system id; None takes the only one heard.
+    """
+
+    link: str
+    station: str
+    force: tuple[str, ...] = ()
+    set_parameters: bool = False
+    key_file: Path | None = None
+    system: int | None = None
+
+
+def linked_vehicle(folder: Path, vehicle: Path, order: LinkOrder) -> tuple[str, ...]:
     """Module and arguments of the link process to a MAVLink vehicle; its raw log goes beside the recording."""
-    arguments = ["--link", link, "--vehicle", str(vehicle), "--station", station, "--raw-log", str(folder / RAW_LOG)]
-    arguments += ["--journal", str(folder.parent / "parameters.journal")]
-    for name in force:
+    arguments = ["--link", order.link, "--vehicle", str(vehicle), "--station", order.station]
+    arguments += ["--raw-log", str(folder / RAW_LOG), "--journal", str(folder.parent / "parameters.journal")]
+    for name in order.force:
         arguments += ["--force", name]
-    if set_parameters:
+    if order.set_parameters:
         arguments.append("--set-parameters")
-    if system is not None:
-        arguments += ["--system", str(system)]
-    if key_file is not None:
-        arguments += ["--key-file", str(key_file)]
+    if order.system is not None:
+        arguments += ["--system", str(order.system)]
+    if order.key_file is not None:
+        arguments += ["--key-file", str(order.key_file)]
     return ("groundstation.flight.link.process", *arguments)
 
 
@@ -85,9 +96,9 @@ class Checked:
     checks: tuple[CheckStatus, ...]
 
 
-def check(folder: Path, *, plan: Path, vehicle: Path, drone: tuple[str, ...], say: Say) -> Checked:
+def check(order: FlightOrder, *, say: Say) -> Checked:
     """Upload and check, but do not fly."""
-    core, endpoint = start_core(folder, plan=plan, vehicle=vehicle, drone=drone, analyse=False)
+    core, endpoint = start_core(replace(order, analyse=False))
     ready: list[bool] = []
     checks: tuple[CheckStatus, ...] = ()
 
@@ -106,7 +117,7 @@ def check(folder: Path, *, plan: Path, vehicle: Path, drone: tuple[str, ...], sa
 
     with Interrupts() as stop, stop.ordering(core.interrupt):
         _as_client(core, endpoint, body)
-    return Checked("" if ready else outcome(folder)[1], checks)
+    return Checked("" if ready else outcome(order.folder)[1], checks)
 
 
 def _as_client(core: Child, endpoint: Access, body: Callable[[CoreClient], None]) -> None:
@@ -132,29 +143,15 @@ def _as_client(core: Child, endpoint: Access, body: Callable[[CoreClient], None]
 
 
 def fly(
-    folder: Path,
-    *,
-    plan: Path,
-    vehicle: Path,
-    drone: tuple[str, ...],
-    say: Say,
-    confirm: Callable[[], bool] = lambda: True,
-    analyse: bool = True,
-    stop: Interrupts | None = None,
-    take_over: str = "",
+    order: FlightOrder, *, say: Say, confirm: Callable[[], bool] = lambda: True, stop: Interrupts | None = None
 ) -> FlightResult:
     """Fly a plan through a core and follow it to the report. Ctrl-C is an abort; twice is still an abort.
 
     Args:
-        folder: where the flight is kept.
-        plan: plan file.
-        vehicle: vehicle file.
-        drone: module and arguments of the vehicle's process.
+        order: what is flown.
         say: takes lines of progress.
         confirm: asked once everything is checked; the flight is given up when it says no.
-        analyse: identify, diagnose and report after landing.
         stop: has taken signals since the command began; one that came before now starts nothing.
-        take_over: ``land`` or ``hold`` a vehicle found in flight, instead of flying a plan.
 
     Raises:
         FlightAborted: the flight was aborted and the vehicle is down, or nothing was armed; what was flown told
@@ -164,28 +161,17 @@ def fly(
     """
     if stop is None:
         with Interrupts() as stop:
-            return fly(
-                folder,
-                plan=plan,
-                vehicle=vehicle,
-                drone=drone,
-                say=say,
-                confirm=confirm,
-                analyse=analyse,
-                stop=stop,
-                take_over=take_over,
-            )
+            return fly(order, say=say, confirm=confirm, stop=stop)
     stop.check()
     with stop.ordering(lambda: None):  # what comes until the client is connected is ordered then
-        core, endpoint = start_core(
-            folder, plan=plan, vehicle=vehicle, drone=drone, analyse=analyse, take_over=take_over
-        )
+        core, endpoint = start_core(order)
 
         def body(client: CoreClient) -> None:
             with stop.ordering(lambda: _abort(client, say)):
                 follow(client, lambda: core.poll() is not None, say, confirm, stop)
 
         _as_client(core, endpoint, body)
+    folder = order.folder
     status, reason = outcome(folder)
     recording = folder / "flight.mcap"
     if status == FlightAborted.exit_status and GIVEN_UP in reason:

@@ -25,6 +25,7 @@ from drivers.samples import Batch, decode_batch
 from groundstation.errors import BadInput, GroundStationError
 from groundstation.flight import sequence as seq
 from groundstation.flight import timeouts
+from groundstation.flight.core.analysing import FlightAnalysis
 from groundstation.flight.core.ground_check import check_ground
 from groundstation.flight.core.lease import OperatorLease
 from groundstation.flight.core.orders import ClientOrders
@@ -34,10 +35,8 @@ from groundstation.flight.core.recorder import Recorder, open_recording, sound
 from groundstation.flight.core.requests import Requests
 from groundstation.flight.core.settings import Settings, parse
 from groundstation.flight.core.status_events import event_of
-from groundstation.flight.core.suspects import LiveSuspects, Suspicion
 from groundstation.flight.core.until import FlyUntil
 from groundstation.flight.core.vehicle_process import DRONE, VehicleProcess
-from groundstation.flight.core.worker import AnalysisWorker, Progress
 from groundstation.flight.journal import ENDPOINT_FILE, RAW_LOG, WATCH_FILE, Journal
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.messages import CLIENT_ALIVE, CoreCommand, Lease
@@ -83,8 +82,7 @@ class FlightCore:
         self._abort_heard = False
         self._keeper: Keeper | None = None
         self._process = VehicleProcess(settings, clock)
-        self._worker: AnalysisWorker | None = None
-        self._suspects: LiveSuspects | None = None
+        self._analysis = FlightAnalysis(self, self.inbox.put)
 
     # Main loop --------------------------------------------------------------------------------------------------------
 
@@ -128,7 +126,7 @@ class FlightCore:
             pass
         self._check_children()
         self.event(seq.Tick())
-        self._suspect()
+        self._analysis.watch(self.state.phase, self.clock(), lock_step=self.pace.lock_step)
         self._send_credit()
         self._publish_status()
 
@@ -269,29 +267,6 @@ class FlightCore:
         if order:
             self._requests.change_length(order, lambda ok: until.answered(order, ok=ok))
 
-    def _suspect(self) -> None:
-        """A flight at the wall clock's pace is diagnosed while it flies; a simulated one is over before that would tell
-        anything.
-
-        In the hover before the excitation its declarations are checked, which no effect can be told behind.
-        """
-        if (
-            self.state.phase in (seq.Phase.AIRBORNE, seq.Phase.EXCITING)
-            and not self.pace.lock_step
-            and self.settings.analyse
-        ):
-            if self._suspects is None:
-                self._suspects = LiveSuspects(self.settings.folder, self._from_bus(self._suspected))
-            self._suspects.ask(self.clock())
-        elif self._suspects is not None:
-            self._suspects.stop()
-
-    def _suspected(self, found: Suspicion) -> None:
-        self.view.suspects, self.view.suspects_s = found.suspects, found.seconds
-        if found.suspects:
-            likely = ", ".join(f"{s.effect} {s.odds:.0f}:1" for s in found.suspects)
-            self.tell("suspects", f"likely after {found.seconds:.0f} s of excitation: {likely}")
-
     def _agree(self) -> str:
         return "this flight has a fixed length." if self.view.until is None else self.view.until.agree()
 
@@ -306,7 +281,7 @@ class FlightCore:
                 self._check()
             case seq.Do.START:
                 self._requests.start()
-                self._prepare_analysis()
+                self._analysis.prepare()
             case seq.Do.ABORT | seq.Do.KILL | seq.Do.LAND | seq.Do.DISARM:
                 name: bus.CommandName = action.do.value  # type: ignore[assignment]
                 self._requests.command(name)
@@ -353,27 +328,11 @@ class FlightCore:
         if self.settings.start:
             self.event(seq.StartRequested())
 
-    def _prepare_analysis(self) -> None:
-        """Start the worker during the flight, so that it is warm at landing."""
-        if self.settings.analyse:
-            self._worker = AnalysisWorker(
-                self.settings.folder,
-                on_progress=self._from_bus(self._on_progress),
-                on_end=lambda status, text: self.inbox.put(lambda: self.event(seq.AnalysisFinished(status, text))),
-            )
-
     def _analyse(self) -> None:
-        if self._worker is None:
+        if not self._analysis.begin():
             self.event(seq.AnalysisFinished(0, "" if self.state.aborting else "not asked for"))
             return
-        self._worker.go()
         self.state = seq.analysing(self.state, self.clock())
-
-    def _on_progress(self, message: Progress) -> None:
-        self.view.progress, self.view.text = message.progress, message.text
-        if message.table:
-            self.view.table = message.numbers()
-            self.journal.write("estimates", message.text, host_s=self.digested_s, table=message.table)
 
     # Housekeeping -----------------------------------------------------------------------------------------------------
 
@@ -421,10 +380,7 @@ class FlightCore:
         self._requests.close()
         if self.recorder is not None:
             self.recorder.close()
-        if self._worker is not None:
-            self._worker.stop()
-        if self._suspects is not None:
-            self._suspects.stop()
+        self._analysis.stop()
         if (pid := self._process.leave()) is not None:
             self.tell("vehicle", "the vehicle's process goes on by itself", pid=pid)
         elif self.recorder is not None:

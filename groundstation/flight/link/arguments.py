@@ -5,9 +5,26 @@ from __future__ import annotations
 import argparse
 import shutil
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+from groundstation.flight.link.parameter_journal import ParameterJournal
 from groundstation.flight.link.signing_memory import SigningMemory, signing_memory
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """What a link writes down.
+
+    Attributes:
+        journal: remembers changed parameters through a crash.
+        raw_log: where frames of both directions go, as a telemetry log; None keeps none.
+        memory: of the stamps of a signed link; None for an unsigned one.
+    """
+
+    journal: ParameterJournal
+    raw_log: Path | None = None
+    memory: SigningMemory | None = None
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:

@@ -46,7 +46,6 @@ def collect(
     progress: Callable[[float, str], None] = lambda _f, _t: None,
     *,
     key_file: Path | None = None,
-    clock: Callable[[], float] = time.monotonic,
 ) -> Collected:
     """Listen for a while once both are heard.
 
@@ -64,11 +63,11 @@ def collect(
     core.datagrams = transport.datagrams
     poses = PoseSource(plain.mocap, vehicle)
     rows: list[tuple[Sample, float]] = []
-    patience_s, begun_s = clock() + timeouts.VEHICLE_READY_S, None
+    patience_s, begun_s = time.monotonic() + timeouts.VEHICLE_READY_S, None
     try:
-        while begun_s is None or clock() - begun_s < seconds:
+        while begun_s is None or time.monotonic() - begun_s < seconds:
             transport.wait(timeouts.IDLE_WAIT_S)
-            out = core.step(clock(), transport.read())
+            out = core.step(time.monotonic(), transport.read())
             for data in out.send:
                 transport.write(data)
             if core.peer is not None:
@@ -76,16 +75,16 @@ def collect(
             rows += [(s, t) for s, t in out.samples if isinstance(s, Imu)]
             rows += [(s, t) for s, t in poses.read() if isinstance(s, Pose)]
             if begun_s is None:
-                begun_s = clock() if _both(rows) and core.clock.fit() is not None else None
-                if begun_s is None and clock() > patience_s:
+                begun_s = time.monotonic() if _both(rows) and core.clock.fit() is not None else None
+                if begun_s is None and time.monotonic() > patience_s:
                     raise Refused(*_missing(rows, core, plain))
                 rows = rows if begun_s is None else []
             else:
-                progress((clock() - begun_s) / seconds, "carry it and turn it about all axes")
+                progress((time.monotonic() - begun_s) / seconds, "carry it and turn it about all axes")
     finally:
         poses.close()
         transport.close()
-    return _collected(rows, core, clock())
+    return _collected(rows, core, time.monotonic())
 
 
 def _both(rows: list[tuple[Sample, float]]) -> bool:

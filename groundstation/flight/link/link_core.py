@@ -8,7 +8,6 @@ fails is counted, told and skipped.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import inf
 from typing import TypeVar
@@ -23,21 +22,20 @@ from drivers.mocap.health import vehicle_clock_text
 from drivers.samples import Event, Imu, Pose, Raw, Setpoint, State
 from groundstation.errors import BadInput
 from groundstation.flight import timeouts
+from groundstation.flight.link.captured import CapturedPoses
 from groundstation.flight.link.guard import Guard, Verdict
 from groundstation.flight.link.identity import speaker
 from groundstation.flight.link.inlet import Arrival, Complaints, Inlet, says_who_it_is
-from groundstation.flight.link.marker import MarkerWatch
-from groundstation.flight.link.markers import Markers
 from groundstation.flight.link.options import PLAIN, Options, Output
 from groundstation.flight.link.phase import GUARDED, IN_AIR, Answered, Phase
 from groundstation.flight.link.pilot import Pilot
-from groundstation.flight.link.pose_latency import PoseLatency, latency_sentence
+from groundstation.flight.link.pose_latency import latency_sentence
 from groundstation.flight.link.preflight import Check, Situation, failures, run_checks
 from groundstation.flight.link.prepare import Preparation
 from groundstation.flight.link.profiles import profile_for
 from groundstation.flight.link.roster import Roster
 from groundstation.flight.link.sending import PlanSending
-from groundstation.flight.link.view import Meter, VehicleView
+from groundstation.flight.link.view import VehicleView
 from groundstation.flight.link.voice import Voice
 from groundstation.flight.link.watch import Disagreement, observe
 from groundstation.flight.station import Station
@@ -45,8 +43,6 @@ from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle
 
 T = TypeVar("T")
-
-CARRIED = 200
 
 
 class LinkCore:
@@ -102,13 +98,8 @@ class LinkCore:
         self._abort = ""
         self._sending: PlanSending | None = None
         self._phase = Phase.IDLE
-        self._carried: deque[tuple[State, Pose]] = deque(maxlen=CARRIED)
         self._disagreement = Disagreement()
-        self._latency, self._markers = PoseLatency(), Markers(vehicle.mocap)
-        self._pose_to_vehicle_s = -inf
-        calibration = station.mocap.calibration
-        self._mocap_said = ""
-        self._marker = None if calibration is None else MarkerWatch(calibration, vehicle)
+        self._captured = CapturedPoses(vehicle, station)
 
     # Orders from the core ---------------------------------------------------------------------------------------------
 
@@ -142,11 +133,10 @@ class LinkCore:
             BadInput: a forced check does not exist.
         """
         assert self.view is not None  # noqa: S101 - ready
-        error_s, carried = self.clock.error_s(now_s), tuple(self._carried)
-        free = self.free_bytes()
+        poses = self._captured
         situation = Situation(
-            now_s, self.view, self.station, self.vehicle, plan, self.parameters, error_s, carried, free,
-            None if self._marker is None else self._marker.verdict(), self._mocap_said,
+            now_s, self.view, self.station, self.vehicle, plan, self.parameters, self.clock.error_s(now_s),
+            poses.carried, self.free_bytes(), poses.marker, poses.said,
         )  # fmt: skip
         self.checks = run_checks(situation, self.options.force)
         for check in self.checks:
@@ -165,7 +155,8 @@ class LinkCore:
         if name == "start":
             self._abort, self.verdict = "", None
             self._guard = Guard(self.station.guard, self.station.box, self.vehicle.battery.empty_v)
-            self._disagreement, self._latency = Disagreement(), PoseLatency()
+            self._disagreement = Disagreement()
+            self._captured.begin()
             if self.view is not None:
                 self.view.take_jump()
         return self.pilot.order(name, now_s, reason)
@@ -176,22 +167,8 @@ class LinkCore:
         if self.view is None or self.pilot is None:
             return out
         self._watch_marker(pose, received_s)
-        pose = self._markers.body(pose)
-        self.view.sample(pose, received_s)
-        self.view.meters.setdefault("POSE", Meter()).add(received_s)
-        if self.pilot.phase in IN_AIR:
-            self._latency.pose(pose.device_s, pose.quaternion)
-        if self.view.state is not None and received_s - self.view.state_s < 0.05:
-            self._carried.append((self.view.state, pose))
-        mocap = self.station.mocap
-        if (
-            self.station.indoors is not False
-            and mocap.to_vehicle_hz > 0.0
-            and received_s - self._pose_to_vehicle_s >= 0.9 / mocap.to_vehicle_hz
-        ):
-            self._pose_to_vehicle_s = received_s
-            for message in self.view.profile.external_pose(pose, pose.device_s, mocap.std_m, mocap.std_rad, 0):
-                self._send(message, received_s, out)
+        for message in self._captured.pose(pose, received_s, self.view, in_air=self.pilot.phase in IN_AIR):
+            self._send(message, received_s, out)
         return out
 
     def mocap_told(self, event: Event, received_s: float) -> None:
@@ -199,12 +176,12 @@ class LinkCore:
         fit, text = self.clock.fit(), event.text
         if event.kind == "clock" and fit is not None:
             text += vehicle_clock_text(received_s - fit.device(received_s), fit.error_s(received_s))
-        self._mocap_said = "" if event.kind == "clock" else event.text
+        self._captured.told(event)
         self.note(received_s, event.kind, text)
 
     def _watch_marker(self, sample: Imu | Pose, host_s: float) -> None:
-        if self._marker is not None and self._phase not in IN_AIR:
-            self._marker.take(sample, host_s)
+        if self._phase not in IN_AIR:
+            self._captured.watch(sample, host_s)
 
     # One step ---------------------------------------------------------------------------------------------------------
 
@@ -392,7 +369,7 @@ class LinkCore:
             if isinstance(sample, Imu):
                 self._watch_marker(sample, now_s)
             if isinstance(sample, State) and (fit := self.clock.fit()) is not None:
-                self._latency.state(fit.host(sample.device_s), sample)
+                self._captured.state(fit.host(sample.device_s), sample)
         if received.name == "TIMESYNC":
             self._voice.timesync(received.message, now_s, out)
 
@@ -426,7 +403,7 @@ class LinkCore:
             self._tell(out, now_s, "link", f"{self._phase} -> {self.pilot.phase} {self.pilot.reason}".strip())
             self._phase = self.pilot.phase
             # Before touch-down: the recording ends with the flight.
-            if self._phase is Phase.LANDING and (found := self._latency.result()) is not None:
+            if self._phase is Phase.LANDING and (found := self._captured.latency) is not None:
                 told = latency_sentence(found, self.clock.error_s(now_s), self.station.mocap)
                 self._tell(out, now_s, "latency", told)
 

@@ -45,18 +45,34 @@ def silenced(profile: Profile) -> Generator[Ask, Any, None]:
         yield Ask((profile.interval(message_id(wish.name), 0.0),), acknowledges_interval, 0.5, 2)
 
 
+@dataclass(frozen=True, slots=True)
+class LogRequest:
+    """Which log is fetched, and how.
+
+    Attributes:
+        number: of the log; None the newest.
+        timeout_s: for the whole fetch.
+        key_file: of a signed link.
+    """
+
+    number: int | None = None
+    timeout_s: float = 600.0
+    key_file: Path | None = None
+
+
+NEWEST = LogRequest()
+
+
 def fetch_onboard_log(
     url: str,
     vehicle: Vehicle,
     folder: Path,
     progress: Callable[[float, str], None] = lambda _f, _t: None,
     *,
-    number: int | None = None,
-    timeout_s: float = 600.0,
-    key_file: Path | None = None,
+    request: LogRequest = NEWEST,
     clock: Callable[[], float] = time.monotonic,
 ) -> Path:
-    """Fetch the newest onboard log (or one by number) into ``folder/onboard.ulg`` or ``.bin``.
+    """Fetch an onboard log into ``folder/onboard.ulg`` or ``.bin``.
 
     Raises:
         Refused: no vehicle, no log, or it stopped; what came so far is kept, and the next call goes on from there.
@@ -64,16 +80,17 @@ def fetch_onboard_log(
     """
     transport = open_transport(url)
     options = Options(bytes_per_s=bandwidth_of(url), keep_raw=False, quiet=True)
+    key_file = request.key_file
     memory = None if key_file is None else signing_memory(key_file, folder.parent / "signing.json")
     core = LinkCore(vehicle, load_station(), options, None if memory is None else memory.signing)
     core.datagrams = transport.datagrams
-    line = _Line(core, transport, clock, clock(), timeout_s)
+    line = _Line(core, transport, clock, clock(), request.timeout_s)
     try:
         profile = line.profile_heard()
         if options.bytes_per_s is not None:
             line.run(silenced(profile))
         logs = Logs(profile.system, profile.component)
-        entry = _wanted(line.run(logs.list()), number)
+        entry = _wanted(line.run(logs.list()), request.number)
         data = _fetched(line, logs, entry, folder / f"onboard-{entry.number}.part", progress)
         path = folder / f"onboard{profile.log_suffix}"
         write_whole(path, data)
@@ -170,8 +187,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             vehicle,
             options.folder,
             lambda _f, text: print(text, file=sys.stderr),
-            number=options.number,
-            key_file=options.key_file,
+            request=LogRequest(options.number, key_file=options.key_file),
         )
     except GroundStationError as error:
         print(error, file=sys.stderr)

@@ -19,7 +19,6 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from drivers import bus
 from drivers.access import own_login
@@ -28,19 +27,18 @@ from drivers.mavlink.transports import Transport, open_transport
 from drivers.samples import Batch, Motors, Pose, Raw, Sample, encode_batch
 from groundstation.errors import BadInput, GroundStationError, Refused
 from groundstation.flight import timeouts
-from groundstation.flight.link.arguments import bandwidth_of, free_bytes, parse, signing_of
+from groundstation.flight.link.arguments import Kept, bandwidth_of, free_bytes, parse, signing_of
 from groundstation.flight.link.background import Writer
 from groundstation.flight.link.link_core import LinkCore, Options, Output
 from groundstation.flight.link.parameter_journal import ParameterJournal
 from groundstation.flight.link.phase import IN_AIR, Answered, Phase
 from groundstation.flight.link.pose_source import PoseSource
-from groundstation.flight.link.signing_memory import SigningMemory
 from groundstation.flight.messages import IN_FLIGHT
 from groundstation.flight.station import load_station
 from groundstation.outside import parse_json, parse_toml
 from groundstation.priority import set_nice
 from groundstation.trajectory import plan_from_dict
-from groundstation.vehicle import Vehicle, load_vehicle
+from groundstation.vehicle import load_vehicle
 
 NOT_AHEAD = (
     "link: the system does not let it run ahead of other programs, and setpoints leave less evenly on a busy machine; "
@@ -67,29 +65,18 @@ class LinkProcess:
         core: the link without I/O.
         transport: the port.
         drone: name on the bus.
-        vehicle: as declared.
-        raw_log: where frames of both directions go, as a telemetry log; None keeps none.
-        journal: remembers changed parameters through a crash.
-        memory: of the stamps of a signed link; None for an unsigned one.
+        kept: what it writes down.
         clock: monotonic seconds.
     """
 
     def __init__(
-        self,
-        core: LinkCore,
-        transport: Transport,
-        drone: str,
-        vehicle: Vehicle,
-        raw_log: Path | None,
-        journal: ParameterJournal,
-        clock: Callable[[], float] = time.monotonic,
-        memory: SigningMemory | None = None,
+        self, core: LinkCore, transport: Transport, drone: str, kept: Kept, clock: Callable[[], float] = time.monotonic
     ):
-        self.core, self.transport, self.vehicle, self.clock = core, transport, vehicle, clock
+        self.core, self.transport, self.vehicle, self.clock = core, transport, core.vehicle, clock
         core.datagrams = transport.datagrams
         self._keys = bus.DroneKeys(drone)
         self._drone = drone
-        self._journal = journal
+        self._journal = kept.journal
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._waiting: list[tuple[Answered, queue.SimpleQueue[bus.Answer]]] = []
         self._batch: list[tuple[Sample, float]] = []
@@ -101,13 +88,13 @@ class LinkProcess:
         self._core_gone_s: float | None = None
         self._motor_kind: str | None = None
         self._notes: tuple[str, ...] = ()
-        self._log = raw_log.open("ab", buffering=0) if raw_log is not None else None
+        self._log = kept.raw_log.open("ab", buffering=0) if kept.raw_log is not None else None
         self._log_synced_s = 0.0
-        self._memory, self._remembered_s = memory, -1e9
+        self._memory, self._remembered_s = kept.memory, -1e9
         self._told_failures: set[str] = set()
         self._logger = Writer("raw log", self._write_log) if self._log is not None else None
         mocap = core.station.mocap
-        self._poses = PoseSource(mocap, vehicle) if mocap.system != "none" else None
+        self._poses = PoseSource(mocap, core.vehicle) if mocap.system != "none" else None
 
     def _became_ready(self) -> bool:
         """Wait for a vehicle and for its preparation; False where the link was stopped before.
@@ -438,9 +425,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             take_over=options.take_over,
         )
         core = LinkCore(vehicle, station, settings, signing, journal.pending(), free_bytes(options.raw_log))
-        process = LinkProcess(
-            core, open_transport(options.link), options.drone, vehicle, options.raw_log, journal, memory=memory
-        )
+        kept = Kept(journal, options.raw_log, memory)
+        process = LinkProcess(core, open_transport(options.link), options.drone, kept)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: process.stop("the link was asked to stop"))
         return process.run(options.connect)

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from groundstation.flightdata import FlightData, Stream, resampled
 from groundstation.frames import quat_conjugate, quat_exp, quat_multiply, quat_rotate, slerp
-from groundstation.identification.butterworth import correlation
 from groundstation.identification.clock import rates_from_attitude
 from groundstation.identification.declarations.check import Check
 from groundstation.identification.declarations.signals import (
@@ -72,9 +71,13 @@ def _rates(pose: Stream, quaternion: Array, grid: Array) -> Array:
 
 def _best_shift(first: Array, second: Array) -> int:
     """By how many steps the second comes after the first, by the size of each, which no naming of axes changes."""
+    from scipy.signal import correlate
+
     sizes = [np.linalg.norm(x, axis=1) for x in (first, second)]
+    a: Array
+    b: Array
     a, b = (size - size.mean() for size in sizes)
-    return int(np.argmax(correlation(b, a))) - (len(a) - 1)
+    return int(np.argmax(correlate(b, a, method="fft"))) - (len(a) - 1)
 
 
 def _overlap(first: Array, second: Array, shift: int) -> tuple[Array, Array]:
@@ -94,7 +97,7 @@ def _similarities(imu: Stream, pose: Stream, mounting: Array) -> dict[Naming, fl
     grid = np.arange(imu.t_s[0], imu.t_s[-1], STEP_S)
     when = np.arange(pose.t_s[0], pose.t_s[-1], STEP_S)
     gyro = passed(resampled(grid, imu.t_s, imu.values[:, :3]), (0.3, 4.0))
-    names = np.array(signed_permutations()).reshape(-1, 9)
+    names = signed_permutations()
     results: dict[Naming, float] = {}
     for reading in READINGS:
         quaternion = quat_multiply(read_as(pose.values[:, 3:7], reading), quat_conjugate(mounting))
@@ -106,8 +109,8 @@ def _similarities(imu: Stream, pose: Stream, mounting: Array) -> dict[Naming, fl
                 continue
             size = float(np.sqrt(np.sum(a**2) * np.sum(b**2))) + 1e-12
             cross = b.T @ a / size
-            for number, value in enumerate((names @ cross.ravel()).tolist()):
-                results[reading, number, shift] = value
+            for number, matrix in enumerate(names):
+                results[reading, number, shift] = float(np.sum(cross * matrix))
     return results
 
 
@@ -181,7 +184,7 @@ def _world(imu: Stream, pose: Stream, quaternion: Array, offset: float, gravity:
     evidence = f"correlation {own:.2f} as declared, {top:.2f} at best; gravity at {upward[2]:+.2f} g on z"
     if top < PLAIN:
         return [Check("world_frame", tested, evidence, "cannot tell")]
-    found = []
+    found: list[Check] = []
     if winner and own < FAR * top:
         words = in_words(names[winner])
         says = (

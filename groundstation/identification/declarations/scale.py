@@ -47,8 +47,8 @@ def scale_checks(flown: Flown, vehicle: Vehicle) -> list[Check]:
     free = off < (DOUBTFUL if vehicle.identification.anchor == "thrust" else WRONG)
     if free or abs(ratio - 1.0) < 3.0 * spread:
         return [Check("thrust", tested, evidence, "agrees")]
-    mass, line = vehicle.mass_kg * ratio, []
-    line.append(f"mass_kg = {mass:.4g}")
+    mass = vehicle.mass_kg * ratio
+    line = [f"mass_kg = {mass:.4g}"]
     if vehicle.rotors.thrust_curve is not None:
         line.append(f"or thrust_curve = {[float(f'{c / ratio:.4g}') for c in vehicle.rotors.thrust_curve]}")
     else:
@@ -98,7 +98,7 @@ def _unit(speed: float) -> str:
 
 def lag_doubts(found: Mapping[str, Estimate], vehicle: Vehicle) -> list[str]:
     """Sentences about declared lags of the rotors that are plainly not this vehicle's."""
-    said = []
+    said: list[str] = []
     for name, key in (("rotor_lag_up_s", "up_s"), ("rotor_lag_down_s", "down_s")):
         declared, estimate = getattr(vehicle.rotors.lag, key), found.get(name)
         if estimate is None or declared <= 0.0:

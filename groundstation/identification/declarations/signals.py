@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.flightdata import FlightData, Stream, resampled
-from groundstation.identification.butterworth import band_pass, without_phase
 from groundstation.identification.streams import clean, flown_stretches
 from groundstation.identification.stretches import within
 from groundstation.identification.wrench import voltage_ratio
@@ -25,7 +24,7 @@ PARTS = 12
 
 def signed_permutations() -> list[Array]:
     """The 48 ways to name and point three axes, the declared one first."""
-    found = []
+    found: list[Array] = []
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
             matrix = np.zeros((3, 3))
@@ -43,7 +42,10 @@ def in_words(matrix: Array) -> str:
 
 def passed(values: Array, band_hz: tuple[float, float] = BAND_HZ) -> Array:
     """Columns in the band of manoeuvres, shape kept."""
-    return without_phase(band_pass(band_hz, 1.0 / STEP_S), values)
+    from scipy.signal import butter, sosfiltfilt
+
+    sos = butter(2, band_hz, btype="band", fs=1.0 / STEP_S, output="sos")
+    return np.asarray(sosfiltfilt(sos, values, axis=0), dtype=float)
 
 
 def long_enough(stream: Stream | None) -> Stream | None:
@@ -79,7 +81,7 @@ def apart(better: Array, declared: Array, measured: Array) -> float:
     is.
     """
     moved = np.cumsum(np.sum(measured**2, axis=1))
-    bounds = np.searchsorted(moved, moved[-1] * np.arange(PARTS + 1) / PARTS)
+    bounds = np.searchsorted(moved, float(moved[-1]) * np.arange(PARTS + 1) / PARTS)
     gain = [
         similarity(better[a:b], measured[a:b]) - similarity(declared[a:b], measured[a:b])
         for a, b in pairwise(bounds)

@@ -66,8 +66,8 @@ def _leads(torque: Array, turning: Array, used: NDArray[np.bool_]) -> tuple[Arra
     made = [each / (np.std(each[used], axis=0) + 1e-12) for each in moved]
     top = max(similarity(each[used], measured[used]) for each in made)
     power = np.cumsum(np.where(used, np.sum(measured**2, axis=1), 0.0))
-    bounds = np.searchsorted(power, power[-1] * np.arange(PARTS + 1) / PARTS)
-    leads = []
+    bounds = np.searchsorted(power, float(power[-1]) * np.arange(PARTS + 1) / PARTS)
+    leads: list[float] = []
     for first, last in pairwise(bounds):
         rows = used[first:last]
         if rows.sum() < 50:

@@ -1,0 +1,141 @@
+"""Which pendulums the residual sideways force of a flight may be the pull of: a scan, and Gauss-Newton from its peaks.
+
+A load that swings for half a minute is in step with a pendulum of another length for a few swings only, so that the
+likelihood has many narrow peaks. What stands is judged elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.diagnosis.effect import from_thrust
+from groundstation.diagnosis.thresholds import THRESHOLDS
+from groundstation.frames import quat_rotate
+from groundstation.model.signals import Signals
+from groundstation.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Pull = Callable[[float, float, float], Array]
+"""Of length (m), damping (1/s) and depth of the hook (m): pull per mass at the instants, in the world, (k, 3)."""
+
+LENGTHS_M = tuple(np.geomspace(0.15, 4.0, 110).tolist())
+DAMPINGS_1_S = (0.1, 0.3)
+DEPTHS_ARM = (0.0, 0.15, 0.3, 0.45)
+"""Of the scan; depths as shares of the rotors' arm."""
+SCANNED = len(LENGTHS_M) * len(DAMPINGS_1_S) * len(DEPTHS_ARM)
+POLISHED, GIVEN = 16, 3
+"""Peaks that are looked at closely, and those that are given."""
+APART = 0.025
+"""Share of the length by which two peaks differ."""
+STEPS, ROUNDS = np.array([0.01, 0.02, 0.002]), 8
+"""Differences of the logarithm of the length, damping and depth; steps of Gauss and Newton."""
+LEAST, MOST = np.array([np.log(0.1), 0.005, -0.5]), np.array([np.log(6.0), 3.0, 1.0])
+"""Of the logarithm of the length, damping, and depth as a share of the arm."""
+BLOCK = 3
+"""Instants that are averaged into one."""
+
+
+def likely_pendulums(
+    signals: Signals, keep: NDArray[np.bool_], at: Index, vehicle: Vehicle, pull: Pull
+) -> list[tuple[float, float, float]]:
+    """Length, damping and depth of the hook of the likeliest few; none where accelerations or thrusts are unknown, or
+    where no pendulum keeps in step.
+
+    Args:
+        keep: samples in use, (k,).
+        at: instants that the swing is worked out at.
+        pull: of a pendulum at these instants.
+    """
+    found = _residual(signals, keep, at, vehicle)
+    if found is None:
+        return []
+    left, basis, used = found
+
+    def shown(x: Array) -> Array:
+        values = _blocks(pull(float(np.exp(x[0])), float(x[1]), float(x[2])))[used, :2].T.ravel()
+        return values - basis @ (basis.T @ values)
+
+    arm = vehicle.arm_m()
+    scanned = [np.array([np.log(n), c, d * arm]) for n, c, d in product(LENGTHS_M, DAMPINGS_1_S, DEPTHS_ARM)]
+    peaks = _distinct(scanned, [_fall(shown(x), left) for x in scanned], POLISHED)
+    polished = [_polished(x, shown, left, arm) for x in peaks]
+    best = _distinct(polished, [_fall(shown(x), left) for x in polished], GIVEN)
+    least = THRESHOLDS.pendulum_share * float(left @ left)
+    return [(float(np.exp(x[0])), float(x[1]), float(x[2])) for x in best if _fall(shown(x), left) > least]
+
+
+def _residual(
+    signals: Signals, keep: NDArray[np.bool_], at: Index, vehicle: Vehicle
+) -> tuple[Array, Array, NDArray[np.bool_]] | None:
+    """Sideways force in the world that all that hangs on the thrust, taken as one mass, leaves, (2 n,); an orthonormal
+    basis of what is none of a load (its mass, drag, a tilt); and the blocks in use.
+    """
+    t_s = signals.t_s[at]
+    if len(t_s) < 200 or not np.isfinite(signals.velocity_world_m_s[at]).all():
+        return None
+    force = np.gradient(signals.velocity_world_m_s[at], t_s, axis=0)
+    force[:, 2] += vehicle.gravity_m_s2
+    lift = quat_rotate(signals.quaternion[at], from_thrust(vehicle, signals.thrust_n[at])[:, :3])
+    used = _blocks(keep[at].astype(float)[:, None])[:, 0] == 1.0
+    force, lift, velocity = (_blocks(x)[used] for x in (force, lift, signals.velocity_world_m_s[at]))
+    if used.sum() < 100 or not np.isfinite(lift).all():
+        return None
+    mass = float(lift[:, 2].sum() / force[:, 2].sum())
+    left = (mass * force - lift)[:, :2].T.ravel()
+    each = np.kron(np.eye(2), np.ones((len(force), 1)))
+    columns = np.column_stack([force[:, :2].T.ravel(), velocity[:, :2].T.ravel(), each])
+    basis = np.linalg.qr(columns)[0]
+    return left - basis @ (basis.T @ left), basis, used
+
+
+def _blocks(values: Array) -> Array:
+    count = len(values) // BLOCK
+    return values[: count * BLOCK].reshape(count, BLOCK, -1).mean(axis=1)
+
+
+def _fall(column: Array, left: Array) -> float:
+    """Of the squared residual by a load of this swing; none where its mass would be below zero."""
+    crossed, size = float(column @ left), float(column @ column)
+    return crossed**2 / size if crossed > 0.0 and np.isfinite(size) and size > 0.0 else 0.0
+
+
+def _distinct(points: Sequence[Array], falls: Sequence[float], most: int) -> list[Array]:
+    """The best of each length, best first."""
+    out: list[Array] = []
+    for index in np.argsort(falls)[::-1]:
+        if falls[index] > 0.0 and all(abs(points[index][0] - other[0]) > APART for other in out):
+            out.append(points[index])
+        if len(out) == most:
+            break
+    return out
+
+
+def _polished(x: Array, shown: Callable[[Array], Array], left: Array, arm_m: float) -> Array:
+    """The peak that Gauss and Newton lead to, steps halved where they lead down (variable projection: Golub and Pereyra
+    1973).
+    """
+    column, fall = shown(x), _fall(shown(x), left)
+    least, most = (ends * [1.0, 1.0, arm_m] for ends in (LEAST, MOST))
+    for _ in range(ROUNDS):
+        load = float(column @ left) / float(column @ column)
+        slopes = [(shown(x + step) - column) / size for step, size in zip(np.diag(STEPS), STEPS, strict=True)]
+        columns = np.stack([column, *(load * s for s in slopes)], axis=1)
+        if not np.isfinite(columns).all():
+            return x
+        step = np.clip(np.linalg.lstsq(columns, left, rcond=1e-8)[0][1:], [-0.1, -0.3, -0.05], [0.1, 0.3, 0.05])
+        for share in (1.0, 0.5, 0.25):
+            trial = np.clip(x + share * step, least, most)
+            reached = shown(trial)
+            if _fall(reached, left) > fall:
+                break
+        else:
+            return x
+        x, column, gain, fall = trial, reached, _fall(reached, left) / max(fall, 1e-300), _fall(reached, left)
+        if gain < 1.0 + 1e-4:
+            return x
+    return x
