@@ -1,8 +1,9 @@
 """Speed and memory of the log readers: a long log, and our decoders against the libraries that others keep.
 
-``python -m benchmarks.logs [--minutes 30] [--formats NAME ...] [--out]``; ``make bench`` prints it. Ratios are of the
-same run. The limit of memory is six times the samples that are used, as doubles, beside the base: the peak of a process
-that reads six seconds of the same format, so Python, NumPy, SciPy and numba.
+``python -m benchmarks.logs [--minutes 30] [--formats NAME ...] [--out]``; ``make bench`` prints it. ``--out`` keeps the
+rows as they come, in place of those of the same format, each with when its run began. Ratios are of the same run. The
+limit of memory is six times the samples that are used, as doubles, beside the base: the peak of a process that reads
+six seconds of the same format, so Python, NumPy, SciPy and numba.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from groundstation.writing import write_whole
 from studies.log_memory import FACTOR, measured
 from studies.long_logs import MAPPED, WRITERS
 
@@ -98,6 +100,16 @@ def rows_of(name: str, folder: Path, minutes: float) -> list[dict[str, object]]:
     return rows
 
 
+def keep(rows: list[dict[str, object]], out: Path) -> None:
+    """Write rows into the file, in the formats' order, in place of those it had of the same formats."""
+    before = json.loads(out.read_text(encoding="utf-8")) if out.is_file() else []
+    anew = {row["format"] for row in rows}
+    order = [*WRITERS, *MAPPED]
+    kept = [row for row in before if row["format"] not in anew] + rows
+    kept.sort(key=lambda row: order.index(str(row["format"])))
+    write_whole(out, json.dumps(kept, indent=1) + "\n")
+
+
 def size_of(path: Path) -> int:
     """Bytes of a file, or of a folder's files."""
     return path.stat().st_size if path.is_file() else sum(f.stat().st_size for f in path.rglob("*") if f.is_file())
@@ -123,11 +135,12 @@ def main() -> None:
         + "|"
     )
     rows: list[dict[str, object]] = []
+    begun = time.strftime("%Y-%m-%d %H:%M", time.gmtime())
     for name in options.formats:
         with tempfile.TemporaryDirectory() as folder:
-            rows += rows_of(name, Path(folder), options.minutes)
-    if options.out is not None:
-        options.out.write_text(json.dumps(rows, indent=1) + "\n")
+            rows += [{**row, "run": begun} for row in rows_of(name, Path(folder), options.minutes)]
+        if options.out is not None:
+            keep(rows, options.out)
     with tempfile.TemporaryDirectory() as folder:
         WRITERS["PX4 ULog"][1](Path(folder) / "short.ulg", 1.0)
         against_libraries(Path(folder) / "short.ulg")

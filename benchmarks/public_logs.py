@@ -1,6 +1,7 @@
 """Every log in a folder, as people bring them: what it is, what came of it, how long it took and how much memory.
 
-``python -m benchmarks.public_logs DIR [--out FILE.json]`` prints a table; docs/logs.md keeps what was tried. The
+``python -m benchmarks.public_logs DIR [--out FILE.json]`` prints a table; docs/logs.md keeps what was tried. The file
+keeps the rows of other logs that it had. The
 vehicles of public logs are not known: those that ship stand in (rotor speeds by command), so that the verdict says what
 was read, or why nothing was, and not what the vehicle weighs. Each log is read in a process of its own, for its memory
 and its end alone.
@@ -13,6 +14,8 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+
+from groundstation.writing import write_whole
 
 LIMIT_S = 300.0
 _TOLD = ("left out", "skipped", "too slow", "cut off", "not ended", "primary core")
@@ -111,7 +114,11 @@ def main() -> None:
         rows.append({"source": inside[0].replace("+", "/") if inside else "", **tried(path)})
         print(line(rows[-1]), flush=True)
     if options.out is not None:
-        options.out.write_text(json.dumps(rows, indent=1) + "\n")
+        before = json.loads(options.out.read_text(encoding="utf-8")) if options.out.is_file() else []
+        anew = {(row["source"], row["log"]) for row in rows}
+        kept = [row for row in before if (row["source"], row["log"]) not in anew] + rows
+        kept.sort(key=lambda row: (row["source"], row["log"]))
+        write_whole(options.out, json.dumps(kept, indent=1) + "\n")
 
 
 if __name__ == "__main__":

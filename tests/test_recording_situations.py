@@ -64,6 +64,19 @@ def test_a_clock_that_was_set_leaves_the_longest_part_on_one_clock(tmp_path, mad
     assert "set by GPS or NTP" in note
 
 
+@pytest.mark.parametrize("name", ["imu", "mocap", "battery"])
+@pytest.mark.parametrize("by_s", [-2.0, 1.7e9])
+def test_a_stream_whose_own_clock_was_set_is_used_where_it_agrees_with_the_motors(tmp_path, made, name, by_s):
+    stream = made.streams()[name]
+    stepped = replace(stream, t_s=np.where(stream.t_s >= 9.25, stream.t_s + by_s, stream.t_s))
+    write_bundle(replace(made, **{name: stepped}), tmp_path / "log")
+    read = load_flight(tmp_path / "log")
+    for _, shifts in offsets(read, made):
+        assert np.allclose(shifts, 0.0, atol=1e-6)
+    assert len(read.motors) == len(made.motors)
+    assert any(note.startswith(f"{name}: the clock steps by") for note in read.notes)
+
+
 def test_a_clock_set_ahead_by_seconds_is_a_gap_that_no_fit_goes_across(tmp_path, made):
     write_bundle(clocked(made, lambda t: np.where(t >= 6.25, t + 3.0, t)), tmp_path / "log")
     read = load_flight(tmp_path / "log")
