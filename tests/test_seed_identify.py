@@ -11,7 +11,7 @@ from groundstation.flightdata import Stream
 from groundstation.identification.estimators import least_squares
 from groundstation.identification.filters import matched_pair, seed_pair
 from groundstation.identification.results import MASS_AND_TENSOR, OUTPUTS
-from groundstation.identification.seed import filtered_regression, identify_seed, seed_methods
+from groundstation.identification.seed import Regressions, filtered_regression, identify_seed, seed_methods
 from groundstation.identification.seed_signals import process_flight
 from groundstation.paths import find_config
 from groundstation.trajectory import RestToRest
@@ -67,7 +67,7 @@ def test_the_papers_filter_pair_makes_inertias_three_percent_low_and_a_matched_o
     low = (1 - np.exp(-30 * 0.002)) / (30 * 0.002) - 1
     np.testing.assert_allclose(got["seed"][diagonal] / expected - 1, low, atol=2e-3)
     np.testing.assert_allclose(got["matched"][diagonal] / expected - 1, 0.0, atol=5e-4)
-    paper = seed_methods(signals, flight.vehicle, filter_period_s=0.002)["FMLS"]
+    paper = seed_methods(Regressions.of(signals, filter_period_s=0.002), flight.vehicle)["FMLS"]
     assert paper.parameters["ixx_kg_m2"].value == pytest.approx(got["seed"][1])
     assert "2.00 ms" in paper.note
 

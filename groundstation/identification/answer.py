@@ -28,6 +28,8 @@ from groundstation.identification.prediction_error import Fitted, output_error
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, MethodResult, Revealed
+from groundstation.identification.seed import Regressions, seed_methods
+from groundstation.identification.seed_signals import Processing, process_flight
 from groundstation.identification.unplanned import LOW, LOW_NOTE, LOW_REASON, by_low_frequencies
 from groundstation.identification.unplanned import applies as low_frequencies_apply
 from groundstation.model.parameters import FitOptions
@@ -56,6 +58,7 @@ class Answer:
         combinations: of mass and tensor that the motion acted on.
         hidden: parameter -> why it gets no number.
         methods: results by name. model: the other parameters of the best one.
+        regressions: the seed's, of the first flight, where it allows them.
         warnings: a sentence each.
     """
 
@@ -68,6 +71,7 @@ class Answer:
     warnings: tuple[str, ...]
     methods: Mapping[str, MethodResult] = field(default_factory=dict[str, MethodResult])
     model: Mapping[str, Estimate] = field(default_factory=dict[str, Estimate])
+    regressions: Regressions | None = None
 
     @property
     def vehicle(self) -> Vehicle:
@@ -101,7 +105,8 @@ def believed(fitted: DynamicFit, warnings: Sequence[str] = ()) -> Answer:
 def with_methods(answer: Answer, exclude: Sequence[tuple[float, float]], progress: Progress) -> Answer:
     """With the seed's four methods, output error and the fits that the answer rests on."""
     fitted = answer.fitted
-    methods = _seed_methods(fitted.prepared, exclude, progress)
+    progress(0.75, "the seed's four methods")
+    regressions, methods = _seed_methods(fitted.prepared[0], exclude)
     progress(0.85, "output error")
     found = {"OE": output_error(fitted.models, answer.best.parameters, fitted.options), "FE": fitted.filter_error}
     if fitted.instrumental is not None:
@@ -109,7 +114,7 @@ def with_methods(answer: Answer, exclude: Sequence[tuple[float, float]], progres
     methods |= {name: _result(fitted, fit, answer.hidden, METHOD_NOTES[name]) for name, fit in found.items()}
     if answer.name == LOW:
         methods[LOW] = _result(fitted, answer.best, answer.hidden, LOW_NOTE)
-    return replace(answer, methods=methods)
+    return replace(answer, methods=methods, regressions=regressions)
 
 
 def as_rigid_body(answer: Answer) -> Answer:
@@ -257,16 +262,17 @@ def _torque_rms(models: Sequence[RecordModel], fit: Fitted, options: FitOptions)
 
 
 def _seed_methods(
-    prepared: Sequence[Prepared], exclude: Sequence[tuple[float, float]], progress: Progress
-) -> dict[str, MethodResult]:
-    """The seed's four methods on the first flight; a refusal of theirs is a note, not a failure of the whole."""
-    from groundstation.identification.seed import identify_seed
-
-    progress(0.75, "the seed's four methods")
-    first = prepared[0]
+    first: Prepared, exclude: Sequence[tuple[float, float]]
+) -> tuple[Regressions | None, dict[str, MethodResult]]:
+    """The seed's four methods on the first flight and what they regress; a refusal of theirs is a note, not a failure
+    of the whole.
+    """
     offset = 0.0 if first.clock is None else first.clock.mocap_minus_imu_s
+    regressions = None
     try:
-        return identify_seed(first.flight, mocap_minus_imu_s=offset, exclude=exclude)
+        signals = process_flight(first.flight, Processing(mocap_minus_imu_s=offset, exclude=exclude))
+        regressions = Regressions.of(signals)
+        return regressions, seed_methods(regressions, first.flight.vehicle)
     except GroundStationError as error:
         note = str(error)
-        return {name: MethodResult(parameters={}, note=note) for name in ("LS", "GD", "FMLS", "FMGD")}
+        return regressions, {name: MethodResult(parameters={}, note=note) for name in ("LS", "GD", "FMLS", "FMGD")}

@@ -34,6 +34,21 @@ class FilterPair:
         """Low-passed derivative along the first axis, started in the steady state (zero) of the first sample."""
         return self._run(self.derivative, signal)
 
+    def at_every(self, steps: int) -> FilterPair:
+        """What the pair gives at every so-many-th sample of a signal that is linear between those, in one step."""
+        pole = -self.denominator[1] / self.denominator[0]
+        after = np.arange(1, steps + 1)
+        fade = pole ** (steps - after) / (steps * self.denominator[0])
+
+        def coefficients(numerator: tuple[float, float]) -> tuple[float, float]:
+            now, before = numerator
+            later = float(np.sum(fade * (now * after + before * (after - 1))))
+            earlier = float(np.sum(fade * (now * (steps - after) + before * (steps - after + 1))))
+            return later, earlier
+
+        low_pass, derivative = coefficients(self.low_pass), coefficients(self.derivative)
+        return FilterPair(low_pass, derivative, (1.0, -(pole**steps)), steps * self.period_s)
+
     def _run(self, numerator: tuple[float, float], signal: ArrayLike) -> Array:
         from scipy.signal import lfilter
 

@@ -66,6 +66,7 @@ def _documented(answer: Answer, options: AnalysisOptions, progress: Progress) ->
         answer.methods,
         mocap_minus_imu_s=0.0 if first.clock is None else first.clock.mocap_minus_imu_s,
         exclude=options.exclude,
+        regressions=answer.regressions,
     )
     return Identification(
         flight=" + ".join(item.flight.name for item in prepared),

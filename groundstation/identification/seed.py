@@ -84,25 +84,34 @@ def filtered_regression(
     rate = signals.rate
     finest = 2.0 * FINEST_GAIN_ERROR / cutoff_rad_s
     steps = int(np.ceil(signals.period_s / finest)) if period_s is None else max(1, round(signals.period_s / period_s))
-    filters = pair(cutoff_rad_s, signals.period_s / steps)
-
-    def refine(x: Array) -> Array:
-        return _upsample(x, steps)
-
-    f_wrench = filters.f(refine(signals.wrench))[::steps]
-    f_products = filters.f(refine(rate_products(rate)))[::steps]
-    g_rate = filters.g(refine(rate))[::steps]
+    filters = pair(cutoff_rad_s, signals.period_s / steps).at_every(steps)
+    f_wrench, f_products = filters.f(signals.wrench), filters.f(rate_products(rate))
+    g_rate = filters.g(rate)
     note = f"The filters run at T = {1e3 * signals.period_s / steps:.2f} ms."
     if signals.velocity_body is not None and signals.gravity_body is not None:
         rest = transport_and_gravity(signals.velocity_body, rate, signals.gravity_body)[:, 2]
-        first = (filters.g(refine(signals.velocity_body[:, 2])) + filters.f(refine(rest)))[::steps]
+        first = filters.g(signals.velocity_body[:, 2]) + filters.f(rest)
     elif signals.specific_force is not None:
-        first = filters.f(refine(signals.specific_force[:, 2]))[::steps]
+        first = filters.f(signals.specific_force[:, 2])
         note += " Without velocities the accelerometer stands for the first row."
     else:
         first = np.zeros(len(rate))
     settled = signals.t_s >= signals.t_s[0] + 10.0 / cutoff_rad_s
     return Regression(assemble(first, g_rate, f_products), f_wrench, signals.t_s, signals.used & settled, note)
+
+
+@dataclass(frozen=True, slots=True)
+class Regressions:
+    """A flight as the seed's methods see it: its processed signals, and both models."""
+
+    signals: SeedSignals
+    standard: Regression
+    filtered: Regression
+
+    @classmethod
+    def of(cls, signals: SeedSignals, *, filter_period_s: float | None = None) -> Regressions:
+        """Of processed signals; ``filter_period_s`` as in :func:`filtered_regression`."""
+        return cls(signals, standard_regression(signals), filtered_regression(signals, period_s=filter_period_s))
 
 
 def identify_seed(
@@ -119,24 +128,19 @@ def identify_seed(
         NotIdentifiable: this motion reveals none of the parameters, or the streams do not overlap.
     """
     signals = process_flight(flight, Processing(mocap_minus_imu_s=mocap_minus_imu_s, exclude=exclude))
-    return seed_methods(signals, flight.vehicle)
+    return seed_methods(Regressions.of(signals), flight.vehicle)
 
 
-def seed_methods(
-    signals: SeedSignals, vehicle: Vehicle, *, filter_period_s: float | None = None, refuse: bool = True
-) -> dict[str, MethodResult]:
-    """The four methods on processed signals; see :func:`identify_seed`.
+def seed_methods(regressions: Regressions, vehicle: Vehicle, *, refuse: bool = True) -> dict[str, MethodResult]:
+    """The four methods on a flight's regressions; see :func:`identify_seed`.
 
     Args:
-        signals: processed flight.
         vehicle: as declared; its constants made the wrench, and its anchor says what fixes the scale.
-        filter_period_s: T of (35)-(36); the paper's is 2 ms. See :func:`filtered_regression`.
         refuse: leave out what the motion does not reveal; False gives every number, as the paper does.
     """
-    standard = standard_regression(signals)
-    filtered = filtered_regression(signals, period_s=filter_period_s)
+    signals = regressions.signals
     results: dict[str, MethodResult] = {}
-    for regression, names in ((standard, ("LS", "GD")), (filtered, ("FMLS", "FMGD"))):
+    for regression, names in ((regressions.standard, ("LS", "GD")), (regressions.filtered, ("FMLS", "FMGD"))):
         doubtful = noisy_parameters(regression, signals.rate_derivative_noise) if refuse else {}
         for name, estimator in zip(names, (least_squares, gradient_descent), strict=True):
             estimate = estimator(regression.regressor, regression.output, regression.t_s, regression.used)
@@ -174,15 +178,6 @@ def noisy_parameters(regression: Regression, noise: Array) -> dict[str, str]:
                 if abs(weight) > 0.3:
                     out[name] = "the motion does not move it" if value < 1e-10 else "the motion drowns in sensor noise"
     return out
-
-
-def _upsample(x: Array, steps: int) -> Array:
-    """Insert steps - 1 linearly interpolated samples into each interval of the first axis."""
-    if steps == 1:
-        return x
-    share = (np.arange(steps) / steps).reshape(-1, *([1] * (x.ndim - 1)))
-    inner = x[:-1, None] + share * (x[1:, None] - x[:-1, None])
-    return np.concatenate([inner.reshape(-1, *x.shape[1:]), x[-1:]])
 
 
 def _result(

@@ -14,7 +14,7 @@ from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import FlightData, Stream
 from groundstation.frames import euler_from_quat, slerp
 from groundstation.identification.results import MASS_AND_TENSOR, OUTPUTS, MethodResult, Validation
-from groundstation.identification.seed import Regression, filtered_regression, standard_regression
+from groundstation.identification.seed import Regression, Regressions
 from groundstation.identification.seed_signals import Processing, interpolate, process_flight
 from groundstation.identification.streams import clean, excitation_window, origin_poses
 from groundstation.identification.wrench import declared_wrench, held_mean
@@ -59,6 +59,7 @@ def validate(
     *,
     mocap_minus_imu_s: float = 0.0,
     exclude: Sequence[tuple[float, float]] = (),
+    regressions: Regressions | None = None,
 ) -> tuple[Validation, ...]:
     """All checks of section IV that a flight allows: output error on both models, and the closed loop.
 
@@ -70,13 +71,16 @@ def validate(
         methods: results by name; the nominal set is added.
         mocap_minus_imu_s: motion-capture stamp minus IMU stamp of one instant.
         exclude: segments that are not compared.
+        regressions: of the flight, where they are known; None: worked out here.
     """
     sets = parameter_sets(flight.vehicle, methods)
     checks: list[Validation] = []
     try:
-        signals = process_flight(flight, Processing(mocap_minus_imu_s=mocap_minus_imu_s, exclude=exclude))
-        checks.append(output_validation(standard_regression(signals), sets, "Standard regression model (34)."))
-        checks.append(output_validation(filtered_regression(signals), sets, "Filtered regression model (38)."))
+        if regressions is None:
+            processing = Processing(mocap_minus_imu_s=mocap_minus_imu_s, exclude=exclude)
+            regressions = Regressions.of(process_flight(flight, processing))
+        checks.append(output_validation(regressions.standard, sets, "Standard regression model (34)."))
+        checks.append(output_validation(regressions.filtered, sets, "Filtered regression model (38)."))
         if flight.plan is not None and "control" in flight.vehicle.model_fields_set:
             checks.append(closed_loop_validation(flight, sets, mocap_minus_imu_s=mocap_minus_imu_s, exclude=exclude))
     except NotIdentifiable:

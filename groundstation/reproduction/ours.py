@@ -10,7 +10,7 @@ import numpy as np
 
 from groundstation.flightdata import FlightData
 from groundstation.identification.results import MASS_AND_TENSOR
-from groundstation.identification.seed import filtered_regression, seed_methods, standard_regression
+from groundstation.identification.seed import Regressions, filtered_regression, seed_methods, standard_regression
 from groundstation.identification.seed_signals import Processing, process_flight
 from groundstation.identification.validation import closed_loop_validation, output_validation, parameter_sets
 from groundstation.reproduction.flights import CLOCK_S, Truth, circle_plan, fly, identification_plan
@@ -60,7 +60,7 @@ def run(truth: Truth, folder: Path, progress: Progress, *, circles: bool = True)
     plan = identification_plan()
     flight = fly(plan, truth, 1, folder / "identification")
     signals = process_flight(flight, Processing(mocap_minus_imu_s=CLOCK_S, accelerometer=False))
-    methods = seed_methods(signals, flight.vehicle, filter_period_s=PAPER_PERIOD_S, refuse=False)
+    methods = seed_methods(Regressions.of(signals, filter_period_s=PAPER_PERIOD_S), flight.vehicle, refuse=False)
     sets = parameter_sets(flight.vehicle, methods)
     progress(0.3, "simulating the closed loop with each parameter set")
     loop = closed_loop_validation(replace(flight, plan=plan), sets, mocap_minus_imu_s=CLOCK_S).rms
@@ -95,7 +95,7 @@ def _outputs(flight: FlightData, sets: Columns) -> tuple[Columns, Columns]:
 def _slow_fmls(flight: FlightData) -> dict[str, float]:
     """FMLS as it comes out if all is sampled at the poses' rate and the filters' T is that."""
     signals = process_flight(flight, Processing(mocap_minus_imu_s=CLOCK_S, accelerometer=False, period_s=POSE_PERIOD_S))
-    result = seed_methods(signals, flight.vehicle, filter_period_s=POSE_PERIOD_S, refuse=False)["FMLS"]
+    result = seed_methods(Regressions.of(signals, filter_period_s=POSE_PERIOD_S), flight.vehicle, refuse=False)["FMLS"]
     return {key: result.parameters[key].value for key in MASS_AND_TENSOR}
 
 

@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank
+from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, from_thrust
 from groundstation.diagnosis.pendulum_search import SCANNED, likely_pendulums
 from groundstation.flightdata import resampled
 from groundstation.frames import quat_rotate, quat_rotate_inverse
@@ -82,12 +82,24 @@ def _pulled(signals: Signals, vehicle: Vehicle, settings: Settings, planned: Sig
     t_s, velocity, constants = signals.t_s[at], _velocity(signals, at, hook), _constants(vehicle, settings)
     if not np.isfinite(velocity).all():
         return np.full((len(signals.t_s), 6), np.nan)
-    pull, states = pull_per_mass(t_s, velocity, *constants)
+    _, states = pull_per_mass(t_s, velocity, *constants)
     if planned is None:
-        return _on_body(signals.quaternion, resampled(signals.t_s, t_s, pull), hook)
-    acceleration = np.gradient(_velocity(planned, at, hook), t_s, axis=0)
+        acceleration, quaternion = _lifted(signals, at, vehicle), signals.quaternion
+    else:
+        acceleration, quaternion = np.gradient(_velocity(planned, at, hook), t_s, axis=0), planned.quaternion
     pull = _pull(states, velocity, acceleration, constants)
-    return _on_body(planned.quaternion, resampled(signals.t_s, t_s, pull), hook)
+    return _on_body(quaternion, resampled(signals.t_s, t_s, pull), hook)
+
+
+def _lifted(signals: Signals, at: Index, vehicle: Vehicle) -> Array:
+    """Acceleration as the thrust makes it, in the world, (k, 3), of a mass that the mean thrust holds up.
+
+    The measured one holds the disturbance, which a column made of it would explain away with the mass.
+    """
+    lift = quat_rotate(signals.quaternion[at], from_thrust(vehicle, signals.thrust_n[at])[:, :3])
+    flying = lift[:, 2] > 0.5 * np.median(lift[:, 2])
+    share = vehicle.gravity_m_s2 / max(float(np.mean(lift[flying, 2])) if flying.any() else 0.0, 1e-9)
+    return lift * share - [0.0, 0.0, vehicle.gravity_m_s2]
 
 
 def _pull(states: Array, velocity: Array, acceleration: Array, constants: tuple[float, float, float]) -> Array:
