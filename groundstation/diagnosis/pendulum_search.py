@@ -27,6 +27,12 @@ LENGTHS_M = tuple(np.geomspace(0.15, 4.0, 110).tolist())
 DAMPINGS_1_S = (0.1, 0.3)
 DEPTHS_ARM = (0.0, 0.15, 0.3, 0.45)
 """Of the scan; depths as shares of the rotors' arm."""
+MIDDLE, LOOKED_AT = (0.2, 0.2), 30
+"""Damping and depth at which all lengths are tried, and how many of them are tried at the others."""
+NEAR = 1 / 3
+"""Share of what a pendulum has to explain that its nearest neighbour in the scan explains: half a step of the scan is a
+fifth of a turn after thirty swings.
+"""
 SCANNED = len(LENGTHS_M) * len(DAMPINGS_1_S) * len(DEPTHS_ARM)
 POLISHED, GIVEN = 16, 3
 """Peaks that are looked at closely, and those that are given."""
@@ -60,12 +66,19 @@ def likely_pendulums(
         values = _blocks(pull(float(np.exp(x[0])), float(x[1]), float(x[2])))[used, :2].T.ravel()
         return values - basis @ (basis.T @ values)
 
+    def falls(points: Sequence[Array]) -> list[float]:
+        return [_fall(shown(x), left) for x in points]
+
     arm = vehicle.arm_m()
-    scanned = [np.array([np.log(n), c, d * arm]) for n, c, d in product(LENGTHS_M, DAMPINGS_1_S, DEPTHS_ARM)]
-    peaks = _distinct(scanned, [_fall(shown(x), left) for x in scanned], POLISHED)
+    middle = [np.array([np.log(n), MIDDLE[0], MIDDLE[1] * arm]) for n in LENGTHS_M]
+    lengths = [middle[i][0] for i in np.argsort(falls(middle))[: -LOOKED_AT - 1 : -1]]
+    scanned = [np.array([n, c, d * arm]) for n, c, d in product(lengths, DAMPINGS_1_S, DEPTHS_ARM)]
+    near, least = falls(scanned), THRESHOLDS.pendulum_share * float(left @ left)
+    if max(near) < NEAR * least:
+        return []
+    peaks = _distinct(scanned, near, POLISHED)
     polished = [_polished(x, shown, left, arm) for x in peaks]
-    best = _distinct(polished, [_fall(shown(x), left) for x in polished], GIVEN)
-    least = THRESHOLDS.pendulum_share * float(left @ left)
+    best = _distinct(polished, falls(polished), GIVEN)
     return [(float(np.exp(x[0])), float(x[1]), float(x[2])) for x in best if _fall(shown(x), left) > least]
 
 

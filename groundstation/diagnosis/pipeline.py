@@ -16,7 +16,7 @@ from groundstation.diagnosis.judging import Judged, judge
 from groundstation.diagnosis.next_flight import rival_entries
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
 from groundstation.diagnosis.screen import dependences
-from groundstation.diagnosis.selection import Progress, Selected, pool_of, select_beside
+from groundstation.diagnosis.selection import Progress, Selected, select_beside
 from groundstation.diagnosis.swing import swing_of
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.trim import applies as trim_applies
@@ -165,7 +165,7 @@ def _candidate_entries(case: Case, selected: Selected) -> list[JsonObject]:
         }
         for n in selected.named
     ]
-    pool = pool_of(case.vehicle, selected.evidence, references=bool(case.healthy))
+    pool = [candidate for candidate, _ in selected.selection.pool]
     alternatives = [(n.candidate, n.alternatives) for n in selected.named]
     return [*named, *rival_entries(selected.evidence, selected.chosen, alternatives, pool)]
 
