@@ -71,7 +71,8 @@ def likely_pendulums(
 
     arm = vehicle.arm_m()
     middle = [np.array([np.log(n), MIDDLE[0], MIDDLE[1] * arm]) for n in LENGTHS_M]
-    lengths = [middle[i][0] for i in np.argsort(falls(middle))[: -LOOKED_AT - 1 : -1]]
+    likeliest: list[int] = np.argsort(falls(middle))[: -LOOKED_AT - 1 : -1].tolist()
+    lengths = [float(middle[i][0]) for i in likeliest]
     scanned = [np.array([n, c, d * arm]) for n, c, d in product(lengths, DAMPINGS_1_S, DEPTHS_ARM)]
     near, least = falls(scanned), THRESHOLDS.pendulum_share * float(left @ left)
     if max(near) < NEAR * least:
@@ -120,7 +121,8 @@ def _fall(column: Array, left: Array) -> float:
 def _distinct(points: Sequence[Array], falls: Sequence[float], most: int) -> list[Array]:
     """The best of each length, best first."""
     out: list[Array] = []
-    for index in np.argsort(falls)[::-1]:
+    order: list[int] = np.argsort(falls)[::-1].tolist()
+    for index in order:
         if falls[index] > 0.0 and all(abs(points[index][0] - other[0]) > APART for other in out):
             out.append(points[index])
         if len(out) == most:

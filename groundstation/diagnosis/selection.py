@@ -58,8 +58,10 @@ class Selected:
         """
         flight = self.evidence.flights[0]
         about, moved = values_of(flight.parameters, RIGID_BODY), flight.rigid_body(self.solution)[0]
-        tensor, step = (np.einsum("k,kij->ij", values[1:], BASIS) for values in (about, moved - about))
-        turned = np.abs(np.linalg.eigvals(np.linalg.solve(tensor, step))).max()
+        tensor: Array = np.einsum("k,kij->ij", about[1:], BASIS)
+        step: Array = np.einsum("k,kij->ij", (moved - about)[1:], BASIS)
+        turns: NDArray[np.complex128] = np.linalg.eigvals(np.linalg.solve(tensor, step)).astype(complex)
+        turned = np.abs(turns).max()
         acts = np.concatenate([columns.wrench_rms > 0.0 for _, columns in self.chosen], axis=1)
         share = np.maximum(acts[:3].any(axis=0) * abs(moved[0] / about[0] - 1.0), acts[3:].any(axis=0) * turned)
         effects = slice(self.solution.base, None)

@@ -353,7 +353,7 @@ def to_matfile(model: Identified) -> bytes:
         "std": {name: model.std.get(name, 0.0) for name in values},
     }
     file = io.BytesIO()
-    savemat(file, {"vehicle": fields}, long_field_names=True)
+    savemat(file, {"vehicle": fields}, long_field_names=True)  # pyright: ignore[reportArgumentType] - an open file, too
     head = b"MATLAB 5.0 MAT-file, written by groundstation"  # instead of the date at which it was written
     return head.ljust(MAT_TEXT) + file.getvalue()[MAT_TEXT:]
 
