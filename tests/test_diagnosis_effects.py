@@ -25,6 +25,7 @@ from groundstation.diagnosis.effect import (
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
 from groundstation.diagnosis.sentences import told
 from groundstation.diagnosis.thresholds import THRESHOLDS
+from groundstation.errors import BadInput
 from groundstation.frames import quat_rotate
 from groundstation.identification.results import Estimate
 from groundstation.model.parameters import declared_parameters
@@ -451,3 +452,11 @@ def test_the_origin_is_drawn_round_the_centre_of_mass_when_the_vehicle_spins():
     t = _signals().t_s
     nose_up = np.stack([0.0 * t, -1e-6 * t, 0.0 * t], axis=1)  # about a centre of mass in front: the origin sinks
     assert _wrench("com_offset", _signals(rate_rad_s=nose_up))[0, 2, 0] < 0.0
+
+
+@pytest.mark.parametrize("kept", ["rotor", "loss"])
+def test_an_effect_of_a_model_that_lacks_a_number_is_refused(kept):
+    """A parameter as the model is read, a setting as the effect acts."""
+    document = {"weak_rotor": {kept: {"value": 1.0, "std": 0.0}}}
+    with pytest.raises(BadInput, match=r"effect 'weak_rotor' lacks '(loss|rotor)'.*`report`"):
+        wrench_of(document, VEHICLE)(_signals())

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.errors import BadInput
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
@@ -70,11 +71,7 @@ class EffectInfo:
         return tuple(p.name for p in self.parameters)
 
     def named_in(self, values: Mapping[str, float]) -> Array:
-        """The parameters of a finding; what changes a setting is in that setting already.
-
-        Raises:
-            KeyError: another one is missing.
-        """
+        """The parameters of a finding; what changes a setting is in that setting already."""
         return np.array([values.get(p.name, 0.0) if p.changes else values[p.name] for p in self.parameters])
 
 
@@ -297,17 +294,31 @@ class Acting:
         return out
 
 
+class _Numbers(dict[str, float]):
+    """Parameters and settings of an effect in a model document; one that is missing is named."""
+
+    def __init__(self, name: str, values: Mapping[str, Mapping[str, float]]) -> None:
+        super().__init__({key: float(entry["value"]) for key, entry in values.items()})
+        self._name = name
+
+    def __missing__(self, key: str) -> float:
+        raise BadInput(f"the model's effect '{self._name}' lacks '{key}'; write the model again with `report`.")
+
+
 def wrench_of(effects: Mapping[str, Mapping[str, Mapping[str, float]]], vehicle: Vehicle) -> Acting:
     """Total body wrench (k, 6) of a model document's effects, name -> parameter -> {value, std}; settings among them.
 
     A second finding of an effect stands under "name/2".
+
+    Raises:
+        BadInput: an effect lacks a parameter, or, when its wrench is asked for, a setting.
     """
-    named = [(name.partition("/")[0], values) for name, values in effects.items()]
-    known = [(library()[name], values) for name, values in named if name in library()]
     parts: list[tuple[Effect, Settings, Array]] = []
-    for effect, values in known:
-        numbers = {key: float(entry["value"]) for key, entry in values.items()}
-        parts.append((effect, numbers, effect.named_in(numbers)))
+    for name, values in effects.items():
+        effect = library().get(name.partition("/")[0])
+        if effect is not None:
+            numbers = _Numbers(name, values)
+            parts.append((effect, numbers, effect.named_in(numbers)))
     return Acting(parts, vehicle)
 
 
