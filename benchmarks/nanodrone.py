@@ -70,7 +70,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("docs/results/nanodrone.json"))
     parser.add_argument("--only", choices=["five", "left-out", "single"], default=None)
     options = parser.parse_args()
-    flights = {p.name: api.load_flight(p, everything=True) for p in sorted(options.data.iterdir()) if p.is_dir()}
+    flights = {p.name: api.load_flight(p) for p in sorted(options.data.iterdir()) if p.is_dir()}
     rows: list[dict[str, Any]] = []
     for name in flights if options.only in (None, "left-out") else (TEST,) if options.only == "five" else ():
         others = [flight for key, flight in flights.items() if key != name]

@@ -134,7 +134,7 @@ def twice(made, rest_s):
 
 
 def test_of_two_flights_one_is_used_and_told_and_the_other_can_be_chosen(tmp_path, made):
-    both, second_s = twice(made, 40.0)
+    both, second_s = twice(made, CHANGED_S + 20.0)
     write_bundle(both, tmp_path / "log")
     read = load_flight(tmp_path / "log")
     assert read.motors.t_s[0] == pytest.approx(second_s - 2.0, abs=0.02)
@@ -148,10 +148,10 @@ def test_of_two_flights_one_is_used_and_told_and_the_other_can_be_chosen(tmp_pat
 
 
 def test_hops_with_short_rests_and_a_pause_of_the_logger_are_one_flight(tmp_path, made):
-    both, _ = twice(made, CHANGED_S - 2.0)
+    both, _ = twice(made, 0.5 * CHANGED_S)
     write_bundle(both, tmp_path / "log")
     assert len(load_flight(tmp_path / "log").motors) == len(both.motors)
-    both, _ = twice(made, 40.0)
+    both, _ = twice(made, CHANGED_S + 20.0)
     flying = both.motors.values.mean(axis=1) > 0.0
     write_bundle(replace(both, motors=both.motors.select(flying)), tmp_path / "paused")
     assert len(load_flight(tmp_path / "paused").motors) == np.count_nonzero(flying)

@@ -7,6 +7,7 @@ import io
 import json
 import re
 import tomllib
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -61,9 +62,8 @@ def test_the_model_that_predicts_has_every_weak_rotor(monkeypatch):
         asked.append((int(settings["rotor"]), settings["loss"]))
         return np.zeros((3, 6, 1))
 
-    monkeypatch.setattr(
-        effect, "library", lambda: {"weak_rotor": SimpleNamespace(names=lambda: ("loss",), wrench=wrench)}
-    )
+    weak = replace(effect.library()["weak_rotor"], wrench=wrench)
+    monkeypatch.setattr(effect, "library", lambda: {"weak_rotor": weak})
     total = effect.wrench_of(model_document(planted(), x_frame(), weak_rotors())["effects"], x_frame())
     still: Any = SimpleNamespace(t_s=np.zeros(3))
     total(still)

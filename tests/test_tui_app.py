@@ -22,7 +22,7 @@ from groundstation.tui.screens.base import StationScreen
 from groundstation.tui.screens.flights import Flights
 from groundstation.tui.watch import CoreWatch
 from groundstation.tui.widgets.bars import SCREENS
-from groundstation.tui.widgets.dialogs import Question, TextPage, TypedQuestion
+from groundstation.tui.widgets.dialogs import Choice, Question, TextPage, TypedQuestion
 from tests.scripted_core import (
     HOSTILE,
     ScriptedCore,
@@ -253,3 +253,22 @@ async def test_a_limit_that_is_near_rings_the_bell_and_says_so(core: ScriptedCor
         shown = screen_text(app)
         assert "NEAR" in shown and "◉" in shown and "height" in shown and "streams" in shown
         assert "WALL" not in shown and "PAST" not in shown
+
+
+async def test_signals_for_the_chart_are_chosen_and_escape_leaves_them(core: ScriptedCore, tmp_path: Path) -> None:
+    app = station(tmp_path)
+    signals = {"imu/gyro_x_rad_s": 0.1}
+    async with app.run_test(size=(120, 40)) as pilot:
+        await follow(pilot, core, signals=signals)
+        await pilot.press("c")
+        await until(pilot, lambda: isinstance(app.screen, Choice) and "imu gyro x, rad/s" in screen_text(app))
+        await pilot.press("escape")
+        await until(pilot, lambda: isinstance(app.screen, StationScreen))
+        await pilot.press("c")
+        await until(pilot, lambda: isinstance(app.screen, Choice))
+        await pilot.press("end", "space", "enter")
+        await until(
+            pilot,
+            lambda: "imu gyro x, rad/s, over s" in screen_text(app),
+            lambda: core.say(Phase.EXCITING, signals=signals),
+        )

@@ -8,20 +8,15 @@ from textual.widgets import DataTable
 
 from groundstation.campaign.campaign import Campaign, Round, load_campaign
 from groundstation.fleet.catalogue import Catalogue
-from groundstation.flight.sequence import Phase
 from groundstation.paths import find_config
 from groundstation.trajectory import Plan, load_plan
 from groundstation.tui.app import GroundStation
-from groundstation.tui.screens.base import StationScreen
 from groundstation.tui.screens.plan import Planner
 from groundstation.tui.setup import Setup
 from groundstation.tui.widgets.bars import SCREENS
-from groundstation.tui.widgets.dialogs import Choice
 from groundstation.vehicle import load_vehicle
 from tests.scripted_core import (
-    ScriptedCore,
     all_shown,
-    follow,
     screen_text,
     station,
     text_of,
@@ -145,22 +140,3 @@ async def test_the_campaign_screen_shows_rounds_and_one_key_prepares_the_next_fl
         begun(app.logs / "flight-2")  # type: ignore[operator]
         assert load_campaign(folder).pending["folder"] == str(app.logs / "flight-2")
         assert load_campaign(folder).rounds == stand.rounds
-
-
-async def test_signals_for_the_chart_are_chosen_and_escape_leaves_them(core: ScriptedCore, tmp_path: Path) -> None:
-    app = station(tmp_path)
-    signals = {"imu/gyro_x_rad_s": 0.1}
-    async with app.run_test(size=(120, 40)) as pilot:
-        await follow(pilot, core, signals=signals)
-        await pilot.press("c")
-        await until(pilot, lambda: isinstance(app.screen, Choice) and "imu gyro x, rad/s" in screen_text(app))
-        await pilot.press("escape")
-        await until(pilot, lambda: isinstance(app.screen, StationScreen))
-        await pilot.press("c")
-        await until(pilot, lambda: isinstance(app.screen, Choice))
-        await pilot.press("end", "space", "enter")
-        await until(
-            pilot,
-            lambda: "imu gyro x, rad/s, over s" in screen_text(app),
-            lambda: core.say(Phase.EXCITING, signals=signals),
-        )

@@ -25,8 +25,9 @@ KEPT_S = 180.0
 """What is kept of a longer one: six times the excitation that a plan flies, at a cost that stays near a planned
 flight's.
 """
-CHANGED_S = 15.0
-"""Motors that stand for as long end a flight: enough for a hand to change the battery, a propeller or the load.
+CHANGED_S = 60.0
+"""Motors that stand for as long end a flight: who changes the battery, a propeller or the load walks up to the vehicle
+and away again.
 
 Hops with shorter rests are one flight of several stretches.
 """
