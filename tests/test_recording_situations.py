@@ -151,7 +151,7 @@ def test_hops_with_short_rests_and_a_pause_of_the_logger_are_one_flight(tmp_path
     both, _ = twice(made, 0.5 * CHANGED_S)
     write_bundle(both, tmp_path / "log")
     assert len(load_flight(tmp_path / "log").motors) == len(both.motors)
-    both, _ = twice(made, CHANGED_S + 20.0)
+    both, _ = twice(made, 40.0)
     flying = both.motors.values.mean(axis=1) > 0.0
     write_bundle(replace(both, motors=both.motors.select(flying)), tmp_path / "paused")
     assert len(load_flight(tmp_path / "paused").motors) == np.count_nonzero(flying)
