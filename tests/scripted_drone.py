@@ -80,6 +80,8 @@ class Drone:
                         while self.phase != "landed":
                             self.step()
                         sys.exit(0)
+                elif message in ("abort", "land") and (self.fault, self.fault_phase) == ("hold", self.phase):
+                    self.fault = "none"
                 elif isinstance(message, tuple):
                     self.crc = message[1]
                     self.enter("uploaded")

@@ -89,7 +89,8 @@ def test_ctrl_c_before_arming_means_that_nothing_is_armed(tmp_path, scripted, at
 
 @pytest.mark.parametrize("at", ["airborne", "exciting", "landing"])
 def test_ctrl_c_in_flight_lands_and_is_an_aborted_flight(tmp_path, scripted, at):
-    entries = flown(tmp_path, scripted, at=at)
+    phase = {"airborne": "takeoff"}.get(at, at)
+    entries = flown(tmp_path, (*scripted, "--fault", f"hold@{phase}"), at=at)  # it lands no sooner than it is told to
     said = [entry["text"] for entry in entries if entry["kind"] == "vehicle"]
     assert "landing" in said and said[-1] == "landed"
     assert entries[-1]["kind"] == "outcome" and entries[-1]["exit_status"] == 4
