@@ -40,6 +40,7 @@ _RPM = 2.0 * np.pi / 60.0
 _DSHOT_LEAST, _DSHOT_FULL = 48.0, 2047.0  # DShot's throttle values; below are commands
 _PULSE_LEAST = 1000.0  # microseconds at which an ESC calibrated by the firmware stands still
 _FIRST_DIGITAL = 5.0  # motor_pwm_protocol: PWM, OneShot125, OneShot42, Multishot, brushed, then the digital ones
+_BOTH_WAYS = 1 << 12  # bit of the header's features
 _USED = ("loopIteration", "time", "vbatLatest", "amperageLatest", "vbat", "amperage")
 
 
@@ -205,6 +206,11 @@ def _commands(log: BlackboxLog, source: str) -> tuple[Array, str]:
     Raises:
         BadInput: the header gives no range, or the values lie outside it.
     """
+    if int(log.number("features", 0.0)) & _BOTH_WAYS:
+        raise BadInput(
+            f"{source}: its motors turn both ways (the feature 3D of Betaflight, REVERSIBLE_MOTORS of INAV), which is "
+            'not read; log eRPM (a vehicle file with input = "rotor_speed"), or switch the feature off.'
+        )
     sent = log.array("motor")
     low, _, high = log.headers.get("motorOutput", "").partition(",")
     protocol = log.number("motor_pwm_protocol", -1.0)

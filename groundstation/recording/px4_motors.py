@@ -41,6 +41,8 @@ _DSHOT_FULL = 1999.0
 _UAVCAN_FULL = 8191.0  # uavcan.equipment.esc.RawCommand; before 1.13 its outputs have no limits of their own
 _DSHOT_TIMERS = (-5.0, -4.0, -3.0, -2.0)
 _RPM = 2.0 * np.pi / 60.0
+_AT_BOOT = -np.inf
+"""When protocols and types of vehicles are read: set later, they wait for the next start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +108,7 @@ def _commands(topics: Topics, settings: Settings, source: str) -> _Commands | No
     if topic is not None:
         return _from_motors(topic, settings)
     outputs = [topics[key] for key in sorted(topics) if key[0] == "actuator_outputs"]
-    kind = int(settings.value("MAV_TYPE", np.inf, 0.0))
+    kind = int(settings.value("MAV_TYPE", _AT_BOOT, 0.0))
     if outputs and (kind == 1 or 19 <= kind <= 25):
         raise BadInput(
             f"{source}: is the log of a {'plane' if kind == 1 else 'VTOL plane'} (MAV_TYPE {kind}), not of a "
@@ -214,8 +216,8 @@ def _unnamed(values: Array, settings: Settings) -> _Wiring:
 
     Where the log tells neither, as many as ever move.
     """
-    known = PX4_AUTOSTART.get(int(settings.value("SYS_AUTOSTART", np.inf, 0.0)) // 1000)
-    kind = int(settings.value("MAV_TYPE", np.inf, 0.0))
+    known = PX4_AUTOSTART.get(int(settings.value("SYS_AUTOSTART", _AT_BOOT, 0.0)) // 1000)
+    kind = int(settings.value("MAV_TYPE", _AT_BOOT, 0.0))
     moving = np.flatnonzero(np.ptp(values, axis=0) > 0.0)
     count = int(moving[-1]) + 1 if len(moving) else 0
     return _Wiring("", tuple(range(1, (known.count if known else _MOTORS_OF_TYPE.get(kind, count)) + 1)))
@@ -228,14 +230,18 @@ def _scaled(sent: Array, t_s: Array, wiring: _Wiring, settings: Settings) -> tup
     from the least to the greatest width that the parameters give.
     """
     lowest, highest = float(np.min(sent)), float(np.max(sent))
+    if turned := _turned_round(wiring, settings, t_s):
+        return turned
     timers = [name for name in settings.names() if re.fullmatch(rf"{wiring.prefix}_TIM\d+", name)]
-    protocols = {settings.value(name, t_s[-1], 0.0) for name in timers}
+    protocols = {settings.value(name, _AT_BOOT, 0.0) for name in timers}
     digital = bool(protocols & set(_DSHOT_TIMERS))
     if (
         highest <= 2047.0
         and wiring.prefix.startswith("PWM")
         and ((lowest < 700.0 and digital) or (protocols and protocols <= set(_DSHOT_TIMERS)))
     ):
+        if settings.value("DSHOT_3D_ENABLE", _AT_BOOT, 0.0) > 0.0:
+            return "motors that turn both ways (DSHOT_3D_ENABLE) are not read"
         least = np.maximum(np.floor(settings.at("DSHOT_MIN", t_s, 0.055) * _DSHOT_FULL), 1.0)[:, None]
         return (
             np.clip((sent - least) / (_DSHOT_FULL - least), 0.0, None),
@@ -244,7 +250,7 @@ def _scaled(sent: Array, t_s: Array, wiring: _Wiring, settings: Settings) -> tup
         )
     bounds = [_limits(wiring, output, settings, t_s) for output in wiring.outputs]
     if any(bound is None for bound in bounds):
-        if settings.value("UAVCAN_ENABLE", t_s[-1], 0.0) >= 2.0 and 2047.0 < highest <= _UAVCAN_FULL:
+        if settings.value("UAVCAN_ENABLE", _AT_BOOT, 0.0) >= 2.0 and 2047.0 < highest <= _UAVCAN_FULL:
             return sent / _UAVCAN_FULL, f"raw commands of UAVCAN, from 0 to {_UAVCAN_FULL:g}", ()
         return (
             f"values {lowest:g} to {highest:g}, and the log has no limits ({wiring.prefix or 'PWM'}_MINn, _MAXn) "
@@ -263,6 +269,15 @@ def _scaled(sent: Array, t_s: Array, wiring: _Wiring, settings: Settings) -> tup
     return np.clip(command, 0.0, 1.0), f"from {_span(low)} to {_span(high)} by {names[0]} and so on", names
 
 
+def _turned_round(wiring: _Wiring, settings: Settings, t_s: Array) -> str:
+    """Why outputs do not rise with thrust from their least value to their greatest; empty where they do."""
+    mask = int(np.max(settings.at(f"{wiring.prefix}_REV", t_s, 0.0)))  # to 1.12 one parameter for each output
+    for output in wiring.outputs:
+        if mask >> (output - 1) & 1 or np.any(settings.at(f"{wiring.prefix}_REV{output}", t_s, 0.0) > 0.0):
+            return f"output {output} is reversed ({wiring.prefix}_REV)"
+    return ""
+
+
 def _span(limit: Array) -> str:
     low, high = float(np.min(limit)), float(np.max(limit))
     return f"{low:g}" if low == high else f"{low:g}..{high:g}"
@@ -279,7 +294,7 @@ def _limits(
         ("PWM_MIN", "PWM_MAX"),  # to 1.11
     )
     for low, high in pairs:
-        if low in settings and high in settings and settings.value(high, t_s[-1], 0.0) > 0.0:
+        if low in settings and high in settings and np.all(settings.at(high, t_s) > 0.0):
             return settings.at(low, t_s), settings.at(high, t_s), (low, high)
     return None
 
