@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import re
+import struct
+
 import numpy as np
 import pytest
 
 from groundstation.errors import BadInput
+from groundstation.recording import read_recording
 from groundstation.recording.airframes import ARDUPILOT
 from tests.test_recording_blackbox import log as blackbox
 from tests.test_recording_blackbox import signed
 from tests.test_recording_settings import QUAD, STEP, like, motors
-from tests.written_logs import ArduLog, Px4Log
+from tests.written_logs import ArduLog, Px4Log, truth
 
-LIMITS = dict.fromkeys((1, 2, 3, 4), (1000.0, 2000.0))
+LIMITS: dict[int, tuple[float, float]] = dict.fromkeys((1, 2, 3, 4), (1000.0, 2000.0))
 LANDED_S = 8.9
 
 
@@ -67,7 +71,7 @@ def test_ardupilot_outputs_in_the_range_of_a_servo_are_scaled_by_that(tmp_path, 
     """MOT_PWM_TYPE 8: MOT_PWM_MIN and _MAX are 1000 and 2000 whatever goes out (AP_Motors_Class, rc_write)."""
     log = ArduLog(channels=channels, limits=(1100.0, 1900.0), parameters={"MOT_PWM_TYPE": 8.0})
     log.parameters |= {"MOT_PWM_MIN": 1000.0, "MOT_PWM_MAX": 2000.0, **servos(channels, 1100.0, 1900.0)}
-    read, u, recording = motors(tmp_path, log, "a.bin")
+    read, u, _ = motors(tmp_path, log, "a.bin")
     assert np.allclose(read.values, u, atol=STEP)
     log.parameters |= {"MOT_PWM_TYPE": 0.0, "MOT_PWM_MIN": 1100.0, "MOT_PWM_MAX": 1900.0}
     log.parameters |= servos(channels, 800.0, 2200.0)
@@ -101,8 +105,6 @@ def test_ardupilot_outputs_of_others_may_go_both_ways(tmp_path):
 
 @pytest.mark.parametrize("firmware", ["Betaflight 4.5.0", "INAV 7.1.0"])
 def test_motors_of_a_blackbox_that_turn_both_ways_are_refused(tmp_path, firmware):
-    from groundstation.recording import read_recording
-
     names = ["loopIteration", "time", *(f"gyroADC[{i}]" for i in range(3)), *(f"accSmooth[{i}]" for i in range(3))]
     names += [f"motor[{i}]" for i in range(4)]
     rows = [[k, 1000 * k, 0, 0, 0, 0, 0, 2048, *[1500] * 4] for k in range(20)]
@@ -116,3 +118,54 @@ def test_motors_of_a_blackbox_that_turn_both_ways_are_refused(tmp_path, firmware
                 read_recording(tmp_path / "a.bbl", like(ARDUPILOT[1, 1]))
         else:
             assert len(read_recording(tmp_path / "a.bbl", QUAD).streams["motors"]) == 20
+
+
+@pytest.mark.parametrize("kind", ["command", "rotor_speed"])
+def test_speeds_of_some_rotors_do_not_keep_commands_from_being_read(tmp_path, kind):
+    vehicle = like(ARDUPILOT[1, 1], kind)
+    for log, name in (
+        (Px4Log(limits=LIMITS, esc_places=(0, 1, 2), esc_functions=False), "a.ulg"),
+        (ArduLog(esc_instances=(0, 1, 2)), "a.bin"),
+    ):
+        if kind == "rotor_speed":
+            with pytest.raises(BadInput, match=r"tells speeds of 3 ESCs|covers 3 of 4 rotors"):
+                motors(tmp_path, log, name, vehicle)
+            continue
+        read, u, recording = motors(tmp_path, log, name, vehicle)
+        assert np.allclose(read.values, u, atol=STEP)
+        assert any("it is not used" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize(
+    "functions",
+    [
+        {"PWM_MAIN_FUNC1": 101.0, "PWM_MAIN_FUNC2": 102.0, "PWM_MAIN_FUNC3": 104.0},
+        {"PWM_MAIN_FUNC1": 101.0, "PWM_MAIN_FUNC2": 102.0, "PWM_AUX_FUNC1": 103.0, "PWM_AUX_FUNC2": 104.0},
+    ],
+)
+def test_functions_that_name_no_driver_of_all_motors_are_refused(tmp_path, functions):
+    with pytest.raises(BadInput, match=r"no driver of its outputs has all motors from 1 to 4 .*FUNC2 is motor 4|3 is"):
+        motors(tmp_path, Px4Log(limits=LIMITS, functions=False, parameters=functions))
+    rest = {"UAVCAN_EC_FUNC1": 101.0, "UAVCAN_EC_FUNC2": 102.0}  # left of a driver that has no part in this flight
+    read, u, _ = motors(tmp_path, Px4Log(limits=LIMITS, parameters=rest))
+    assert np.allclose(read.values, u, atol=1e-6)
+
+
+def test_motors_that_turn_both_ways_are_refused(tmp_path):
+    t, u = truth()
+    with pytest.raises(BadInput, match="CA_R_REV"):
+        motors(tmp_path, Px4Log(topic="actuator_motors"), made=(t, np.where(u > 0.0, u - 0.5, np.nan)))
+
+
+def test_speeds_are_those_of_the_escs_that_turn(tmp_path):
+    """esc_status of another driver, or of no ESC at all, may be instance 0."""
+    log = Px4Log(limits=LIMITS, esc_places=(0, 1, 2, 3)).write(*truth())
+    record = struct.pack("<HBB", 3 + len("esc_status"), ord("A"), 0)
+    subscribed = re.search(re.escape(record) + b"..esc_status", log, re.DOTALL)
+    assert subscribed is not None
+    data = bytearray(log)
+    data[subscribed.start() + 3] = 1
+    (tmp_path / "a.ulg").write_bytes(bytes(data))
+    read = read_recording(tmp_path / "a.ulg", like(ARDUPILOT[1, 1], "rotor_speed"))
+    assert read.streams["motors"].columns[0] == "m1_rad_s"
+    assert not any("command" in note for note in read.notes)

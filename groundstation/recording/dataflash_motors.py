@@ -66,8 +66,14 @@ def read_motors(tables: Tables, settings: Settings, vehicle: Vehicle, source: st
     if outputs is not None:
         there["command"], scaling = _commands(outputs, channels, settings, source)
     escs = _escs(tables)
+    wires_esc: list[str] = []
     if escs:
-        there["rotor_speed"], wires_esc = _speeds(escs, channels, there.get("command"), source)
+        try:
+            there["rotor_speed"], wires_esc = _speeds(escs, channels, there.get("command"), source)
+        except BadInput:  # the speeds of some rotors are nothing to who asks for commands
+            if "command" not in there or vehicle.rotors.input == "rotor_speed":
+                raise
+            said = [*said, "motors: ESC telemetry does not cover all rotors; it is not used."]
     kind = wanted_input(vehicle, {name: name in there for name in ("command", "rotor_speed")}, source)
     stream = there[kind]
     stream = replace(stream, values=stream.values[:, order])
