@@ -103,21 +103,33 @@ def test_ardupilot_outputs_of_others_may_go_both_ways(tmp_path):
     assert np.allclose(read.values, u, atol=STEP)
 
 
-@pytest.mark.parametrize("firmware", ["Betaflight 4.5.0", "INAV 7.1.0"])
-def test_motors_of_a_blackbox_that_turn_both_ways_are_refused(tmp_path, firmware):
+def box(path, sent, headers):
+    """A blackbox log of twenty samples at rest, its motors sent one value."""
     names = ["loopIteration", "time", *(f"gyroADC[{i}]" for i in range(3)), *(f"accSmooth[{i}]" for i in range(3))]
     names += [f"motor[{i}]" for i in range(4)]
-    rows = [[k, 1000 * k, 0, 0, 0, 0, 0, 2048, *[1500] * 4] for k in range(20)]
-    frames = [("I", b"".join(map(signed, row))) for row in rows]
-    headers = {"Firmware revision": firmware, "I interval": "1", "gyro_scale": "0x3d75c28f", "acc_1G": "2048"}
-    headers |= {"motorOutput": "1000,2000", "motor_pwm_protocol": "0", "maxthrottle": "2000"}
+    rows = [[k, 1000 * k, 0, 0, 0, 0, 0, 2048, *[sent] * 4] for k in range(20)]
+    common = {"I interval": "1", "gyro_scale": "0x3d75c28f", "acc_1G": "2048", "maxthrottle": "2000"}
+    path.write_bytes(blackbox([("I", b"".join(map(signed, r))) for r in rows], names, headers={**common, **headers}))
+    return path
+
+
+@pytest.mark.parametrize("firmware", ["Betaflight 4.5.0", "INAV 7.1.0"])
+def test_motors_of_a_blackbox_that_turn_both_ways_are_refused(tmp_path, firmware):
+    headers = {"Firmware revision": firmware, "motorOutput": "1000,2000", "motor_pwm_protocol": "0"}
     for features, refused in (("4096", True), ("-1", True), ("541065224", False)):
-        (tmp_path / "a.bbl").write_bytes(blackbox(frames, names, headers={**headers, "features": features}))
+        path = box(tmp_path / "a.bbl", 1500, {**headers, "features": features})
         if refused:
             with pytest.raises(BadInput, match="its motors turn both ways"):
-                read_recording(tmp_path / "a.bbl", like(ARDUPILOT[1, 1]))
+                read_recording(path, QUAD)
         else:
-            assert len(read_recording(tmp_path / "a.bbl", QUAD).streams["motors"]) == 20
+            assert np.all(read_recording(path, QUAD).streams["motors"].values == 0.5)
+
+
+@pytest.mark.parametrize(("protocol", "output", "sent"), [("6", "1000,2000", 1400), ("0", "158,2047", 600)])
+def test_a_protocol_that_the_range_of_the_outputs_contradicts_is_refused(tmp_path, protocol, output, sent):
+    headers = {"Firmware revision": "Betaflight 4.5.0", "motorOutput": output, "motor_pwm_protocol": protocol}
+    with pytest.raises(BadInput, match=rf"do not fit the header's range \(motorOutput '{output}'"):
+        read_recording(box(tmp_path / "a.bbl", sent, headers), QUAD)
 
 
 @pytest.mark.parametrize("kind", ["command", "rotor_speed"])
