@@ -28,13 +28,16 @@ from groundstation.identification.sensitivities import (
     stacked,
     timing_steps,
 )
-from groundstation.model.parameters import BASIS, PAIRS, FitOptions, Parameters
+from groundstation.model.parameters import BASIS, PAIRS, FitOptions, Parameters, free_entries
 from groundstation.model.rotor_kernel import LANES
 from groundstation.model.rotors import Lag, MotorInput, mean_thrusts, wrench_matrix
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+PART = 16384
+"""Blocks whose sensitivities are held at a time: nearly two minutes of flight at the fit's rate."""
 
 CHANNELS = ("torque_x_nm", "torque_y_nm", "torque_z_nm", "force_x_n", "force_y_n", "force_z_n")
 
@@ -88,7 +91,7 @@ class PlannedMotion:
         velocity_body_m_s: (k, 3).
         position_m: (k, 3).
         quaternion: (k, 4), continuous in sign.
-        extra: planned wrench of each BodyWrench term, (k, 6) each.
+        extra: planned values of each BodyWrench term, as :attr:`BodyWrench.value`.
     """
 
     rate_rad_s: Annotated[Array, "k 3"]
@@ -97,20 +100,36 @@ class PlannedMotion:
     velocity_body_m_s: Annotated[Array, "k 3"]
     position_m: Annotated[Array, "k 3"]
     quaternion: Annotated[Array, "k 4"]
-    extra: tuple[Annotated[Array, "k 6"], ...] = ()
+    extra: tuple[Array, ...] = ()
+
+    def part(self, samples: slice) -> PlannedMotion:
+        """Some of the instants."""
+        return PlannedMotion(
+            self.rate_rad_s[samples],
+            self.angular_acceleration_rad_s2[samples],
+            self.specific_thrust_m_s2[samples],
+            self.velocity_body_m_s[samples],
+            self.position_m[samples],
+            self.quaternion[samples],
+            tuple(values[samples] for values in self.extra),
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class BodyWrench:
     """An extra force and torque about the declared origin per unit of one parameter, body axes, at the IMU's stamps.
 
-    ``value`` has shape (k, 6): force (N) then torque (N m). ``prior_std`` regularises the coefficient about ``prior``.
+    Attributes:
+        value: force (N) then torque (N m), (k, 6); of a wrench along one axis, what is taken away there, (k,).
+        against: the row of ``value`` (k,), that the wrench acts against; None for all six rows.
+        prior_std: regularises the coefficient about ``prior``.
     """
 
     name: str
-    value: Annotated[Array, "k 6"]
+    value: Array
     prior_std: float = np.inf
     prior: float = 0.0
+    against: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +143,11 @@ class Predicted:
     impulse: Array
     rate: Array
     force: Array
+
+    def part(self, blocks: slice) -> Predicted:
+        """Of some of the blocks."""
+        moved = {name: (wrench[blocks], impulse[blocks]) for name, (wrench, impulse) in self.moved.items()}
+        return Predicted(moved, *(each[blocks] for each in (self.wrench, self.impulse, self.rate, self.force)))
 
 
 class RecordModel:
@@ -153,14 +177,15 @@ class RecordModel:
         self.matrix = wrench_matrix(record.vehicle)
         self._members, self.restart = _blocks(record)
         self._step = np.concatenate([[0.0], np.diff(record.t_s)])
+        self.sample_s = float(np.median(np.diff(record.t_s)))
         self.t_s = self.average(record.t_s[:, None])[:, 0]
-        nominal = float(np.median(np.diff(record.t_s))) * record.block
+        nominal = self.sample_s * record.block
         self.dt = np.concatenate([[nominal], np.maximum(np.diff(self.t_s), 1e-4)])[: len(self.t_s)]
         self.rate = self.average(record.rate_rad_s)
         self.force = self.average(record.force_m_s2)
         self.elapsed_s = self.t_s - record.t_s[0]
         self.gyroscopic = self.integrated_gyroscopic(record.rate_rad_s)
-        self.extra_means = tuple((self.integrated(e.value), self.average(e.value[:, :3])) for e in self.extra)
+        self.extra_means = tuple(self.means_of(term, term.value) for term in self.extra)
         self._last: tuple[Parameters, Predicted] | None = None
         self._made: tuple[list[tuple[Lag, float]], list[tuple[Array, Array]]] | None = None
         self._asked = FitOptions(lag=False, delay=False)
@@ -176,6 +201,37 @@ class RecordModel:
         other.restart = restart
         return other
 
+    def parts(self) -> list[slice]:
+        """The blocks in parts of at most PART; one for a flight of a minute."""
+        count = len(self.t_s)
+        return [slice(first, min(first + PART, count)) for first in range(0, max(count, 1), PART)]
+
+    def part(self, blocks: slice, before_s: float = 0.0) -> RecordModel:
+        """Some of the blocks, and of the samples those of these blocks and some before: views.
+
+        Running integrals begin at the first sample of the part.
+        """
+        if blocks.start <= 0 and blocks.stop >= len(self.t_s):
+            return self
+        other, members = copy(self), self._members[blocks]
+        before = max(0, int(members[0, 0]) - round(before_s / self.sample_s) - 1)
+        samples = slice(before, int(members[-1, -1]) + 2)
+        record = self.record
+        other.record = replace(
+            record,
+            t_s=record.t_s[samples],
+            keep=record.keep[samples],
+            rate_rad_s=record.rate_rad_s[samples],
+            force_m_s2=record.force_m_s2[samples],
+        )
+        other.planned = None if self.planned is None else self.planned.part(samples)
+        other._members, other._step = members - before, self._step[samples]
+        for name in ("restart", "t_s", "dt", "rate", "force", "elapsed_s", "gyroscopic"):
+            setattr(other, name, getattr(self, name)[blocks])
+        other.extra_means = tuple((integral[blocks], push[blocks]) for integral, push in self.extra_means)
+        other._last = other._made = None
+        return other
+
     def of_vehicle(self, vehicle: Vehicle) -> RecordModel:
         """The same record by another vehicle's thrust, with neither terms nor plan."""
         other = copy(self)
@@ -188,6 +244,16 @@ class RecordModel:
         """Block means of the running integral of values (k, ...) at the IMU's stamps, (blocks, ...)."""
         means = integral_means(values.reshape(len(values), -1), self._step, self._members)
         return means.reshape(len(means), *values.shape[1:])
+
+    def means_of(self, term: BodyWrench, value: Array) -> tuple[Array, Array]:
+        """Running integral (blocks, 6) and mean force (blocks, 3) of a term with these values."""
+        if term.against is None:
+            return self.integrated(value), self.average(value[:, :3])
+        integral, push = np.zeros((len(self.t_s), 6)), np.zeros((len(self.t_s), 3))
+        integral[:, term.against] = -self.integrated(value)
+        if term.against < 3:
+            push[:, term.against] = -self.average(value)
+        return integral, push
 
     def integrated_gyroscopic(self, rate: Array) -> Array:
         """Block means of the integral of omega x J omega per entry of the tensor, (blocks, 3, 6)."""
@@ -212,22 +278,22 @@ class RecordModel:
         """Force and torque of the rotors by the declared constants behind each lag and dead time, averaged over the
         blocks, and their running integrals, (blocks, 6) each.
 
-        The last ones are kept: a fit whose rotors have neither lag nor dead time to find asks for the same again.
+        A single one is kept: a fit whose rotors have neither lag nor dead time to find asks for the same again.
         """
-        if self._made is None or self._made[0] != list(wanted):
-            record = self.record
-            found = mean_thrusts(record.vehicle, record.motors, wanted, (record.t_s, self._members))
-            self._made = (
-                list(wanted),
-                [(each[:, 0] @ self.matrix.T, each[:, 1] @ self.matrix.T) for each in found],
-            )
-        return self._made[1]
+        if self._made is not None and self._made[0] == list(wanted):
+            return self._made[1]
+        record = self.record
+        found = mean_thrusts(record.vehicle, record.motors, wanted, (record.t_s, self._members))
+        made = [(each[:, 0] @ self.matrix.T, each[:, 1] @ self.matrix.T) for each in found]
+        if len(wanted) == 1:
+            self._made = list(wanted), made
+        return made
 
     def wrench(self, p: Parameters) -> Array:
         """Force and torque of the rotors at ``p``, (blocks, 6)."""
-        return self._predict(p).wrench
+        return self.predicted(p).wrench
 
-    def _predict(self, p: Parameters, options: FitOptions | None = None) -> Predicted:
+    def predicted(self, p: Parameters, options: FitOptions | None = None) -> Predicted:
         """At ``p``, with the differences that the sensitivities of these options need (None: those asked for last).
 
         Differences cost little beside the prediction, and a search that ends at ``p`` goes on from there.
@@ -267,7 +333,7 @@ class RecordModel:
             some = trials[first : first + together]
             found = self.thrusts([(lag_of(p), p.delay_s) for p in some])
             for p, thrusts in zip(some, found, strict=True):
-                yield self._residual(p, self._outputs(p, {}, *thrusts))
+                yield self.residual_of(p, self._outputs(p, {}, *thrusts))
 
     def _with_linear(self, p: Parameters, prediction: Predicted) -> Predicted:
         """With what parameters without physics of their own add: value times sensitivity."""
@@ -283,17 +349,27 @@ class RecordModel:
 
     def residual(self, p: Parameters) -> Array:
         """Measured less predicted rates and specific forces at ``p``, (blocks, 6)."""
-        return self._residual(p, self._predict(p))
+        return self.residual_of(p, self.predicted(p))
 
-    def _residual(self, p: Parameters, prediction: Predicted) -> Array:
+    def residual_of(self, p: Parameters, prediction: Predicted) -> Array:
+        """Measured less a prediction at ``p``, (blocks, 6)."""
         force = prediction.force / p.mass_kg + p.force_bias_m_s2
         return np.concatenate([self.rate - prediction.rate, self.force - force], axis=1)
 
+    def sensitivities(self, p: Parameters, prediction: Predicted, options: FitOptions, blocks: slice) -> Array:
+        """d(prediction)/d(parameter) of some of the blocks, (n, 6, P)."""
+        at = Measured(self.part(blocks), p, prediction.part(blocks))
+        return stacked(measured_sensitivities(at, options))
+
+    def names(self, options: FitOptions) -> tuple[str, ...]:
+        """Of what is free, in the order of the sensitivities."""
+        return (*(entry.name for entry in free_entries(options)), *(term.name for term in self.extra))
+
     def evaluate(self, p: Parameters, options: FitOptions) -> tuple[Array, Array, tuple[str, ...]]:
         """Residuals (blocks, 6) and sensitivities d(prediction)/d(parameter) (blocks, 6, P) at ``p``, with names."""
-        prediction = self._predict(p, options)
-        found = measured_sensitivities(Measured(self, p, prediction), options)
-        return self._residual(p, prediction), stacked(found), tuple(found)
+        prediction = self.predicted(p, options)
+        sensitivity = self.sensitivities(p, prediction, options, slice(0, len(self.t_s)))
+        return self.residual_of(p, prediction), sensitivity, self.names(options)
 
 
 def _blocks(record: DynamicRecord) -> tuple[NDArray[np.int64], Mask]:
