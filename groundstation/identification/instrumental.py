@@ -42,11 +42,25 @@ class _Sparse:
         shown = np.flatnonzero(np.any(columns != 0.0, axis=0))
         return cls(columns.shape[1], shown, columns[:, shown])
 
-    def dense(self) -> Array:
+    def all(self) -> Array:
         """All columns."""
         out = np.zeros((len(self.values), self.width))
         out[:, self.shown] = self.values
         return out
+
+
+@dataclass(frozen=True, slots=True)
+class _Dense:
+    """Columns (n, width) as they are."""
+
+    values: Array
+
+    def all(self) -> Array:
+        """All columns."""
+        return self.values
+
+
+_Held = _Sparse | _Dense
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +75,7 @@ class _Instruments:
         split: precision of what is held near the first estimate, (P, P).
     """
 
-    columns: tuple[tuple[tuple[_Sparse, ...], ...], ...]
+    columns: tuple[tuple[tuple[_Held, ...], ...], ...]
     spent: tuple[tuple[float, ...], ...]
     precision: Array
     information: Array
@@ -130,17 +144,17 @@ def _held_near_start(names: Sequence[str]) -> tuple[Array, list[int]]:
 
 def _instruments(problem: Problem, point: Point, noise: Sequence[FlightNoise], split: Array) -> _Instruments:
     """The planned motion's sensitivities at a point under given noise models."""
-    columns: list[tuple[tuple[_Sparse, ...], ...]] = []
+    columns: list[tuple[tuple[_Held, ...], ...]] = []
     mean, std = problem.prior(point.names)
     precision = np.diag(1.0 / std**2) + split
     products = np.zeros_like(precision)
     for model, residual, each in zip(problem.models, point.residuals, noise, strict=True):
-        passing, parts = each.passing(model, len(point.names)), list[tuple[_Sparse, ...]]()
+        passing, parts = each.passing(model, len(point.names)), list[tuple[_Held, ...]]()
         for blocks, planned in planned_parts(model, point.parameters, problem.options):
             white = passing(blocks, residual[blocks], planned).sensitivity
             for z in white:
                 products += z.T @ z
-            parts.append(tuple(map(_Sparse.of, white)))
+            parts.append(tuple(map(_Dense if len(model.parts()) == 1 else _Sparse.of, white)))
         columns.append(tuple(parts))
     information = precision + products
     root = _root_of_inverse(information)
@@ -168,7 +182,7 @@ def _equations(
         for part, columns in zip(point.parts(index), instruments.columns[index], strict=True):
             found = passing(*part)
             for y, x, held, factor in zip(found.residual, found.sensitivity, columns, spent, strict=True):
-                w, z = huber(y)[:, None], held.dense()
+                w, z = huber(y)[:, None], held.all()
                 zx += z.T @ (x * w)
                 zz += factor * z.T @ (z * w)
                 ze += z.T @ (w[:, 0] * y)
@@ -233,7 +247,7 @@ def _root_of_inverse(information: Array) -> Array:
     return unit[:, None] * vectors[:, told] / np.sqrt(eigenvalues[told])
 
 
-def _spent_freedom(parts: Sequence[_Sparse], root: Array) -> float:
+def _spent_freedom(parts: Sequence[_Held], root: Array) -> float:
     """By how much the variance of an estimate exceeds what its residual says: n / (n - p - 2).
 
     A flight has few independent values n in the band an estimate uses (two at each frequency, up to the 95 % point of
@@ -249,7 +263,8 @@ def _spent_freedom(parts: Sequence[_Sparse], root: Array) -> float:
     together = root.shape[1] if len(parts) == 1 else SPECTRA
     for first in range(0, root.shape[1], together):
         some = root[:, first : first + together]
-        z = np.concatenate([part.dense() @ some for part in parts])
+        products = [part.all() @ some for part in parts]
+        z = products[0] if len(products) == 1 else np.concatenate(products)
         parameters += float(np.sum(z**2))
         own = np.sum(np.abs(np.fft.rfft(z, axis=0)) ** 2, axis=1)
         power = own if first == 0 else power + own

@@ -6,6 +6,7 @@ Sums go on from part to part in the order that they have without parts, so that 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,12 @@ PART = 65536
 def parts_of(count: int, size: int = PART) -> list[slice]:
     """All of so many samples in parts; one, and an empty one where there are none."""
     return [slice(first, min(first + size, count)) for first in range(0, max(count, 1), size)]
+
+
+def evenly(count: int, most: int) -> list[slice]:
+    """All of so many samples in parts of nearly the same length, none longer than ``most``."""
+    bounds = np.linspace(0, count, max(1, -(-count // most)) + 1).astype(int).tolist()
+    return [slice(first, last) for first, last in pairwise(bounds)]
 
 
 def by_parts(made: Rows, count: int) -> Array:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import FlightData, Stream
 from groundstation.frames import euler_from_quat, slerp
+from groundstation.identification.parts import parts_of
 from groundstation.identification.results import MASS_AND_TENSOR, OUTPUTS, MethodResult, Validation
 from groundstation.identification.seed import Regression, Regressions
 from groundstation.identification.seed_signals import Processing, interpolate, process_flight
@@ -90,12 +91,17 @@ def validate(
 
 def output_validation(regression: Regression, sets: ParameterSets, note: str = "") -> Validation:
     """RMS of Gamma Theta - Upsilon (eq. 43) for each parameter set, over the samples in use."""
-    gamma, upsilon = regression.regressor[regression.used], regression.output[regression.used]
-    rms: dict[str, dict[str, float]] = {}
-    for name, values in sets.items():
-        error = gamma @ np.array([values[key] for key in MASS_AND_TENSOR]) - upsilon
-        rms[name] = dict(zip(OUTPUTS, map(float, np.sqrt(np.mean(error**2, axis=0))), strict=True))
-    return Validation("output", rms, len(gamma), note)
+    used = np.flatnonzero(regression.used)
+    squares = {name: np.zeros(len(OUTPUTS)) for name in sets}
+    for part in parts_of(len(used)):
+        gamma, upsilon = regression.rows[used[part]], regression.output[used[part]]
+        for name, values in sets.items():
+            error = gamma @ np.array([values[key] for key in MASS_AND_TENSOR]) - upsilon
+            squares[name] += np.sum(error**2, axis=0)
+    rms: dict[str, dict[str, float]] = {
+        name: dict(zip(OUTPUTS, map(float, np.sqrt(total / len(used))), strict=True)) for name, total in squares.items()
+    }
+    return Validation("output", rms, len(used), note)
 
 
 def closed_loop_validation(
