@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,20 @@ Rows = Callable[[slice], Array]
 
 PART = 65536
 """Samples that are held at a time: a minute at 1 kHz."""
+
+
+LONG = 1_000_000
+"""Samples from which what is only kept for later is kept in single precision: half an hour at 500 Hz."""
+
+
+def kept(values: Array) -> Array:
+    """Values to keep: those of a long record in single precision, 6e-8 of their size."""
+    return values if len(values) <= LONG else cast(Array, values.astype(np.float32))
+
+
+def double(values: Array) -> Array:
+    """Values that were kept, to work with."""
+    return np.asarray(values, dtype=float)
 
 
 def parts_of(count: int, size: int = PART) -> list[slice]:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from groundstation.identification.flight_noise import PLAIN, FlightNoise, fitted_noise, per_flight
 from groundstation.identification.noise import NoiseModel
-from groundstation.identification.record_model import Predicted, RecordModel
+from groundstation.identification.record_model import RecordModel
 from groundstation.model.parameters import (
     FitOptions,
     Parameters,
@@ -78,7 +78,6 @@ class Point:
 
     Attributes:
         names: of what is free. residuals: measured less predicted, (blocks, 6) for each flight.
-        predictions: of each flight, from which its sensitivities follow part by part.
     """
 
     models: tuple[RecordModel, ...]
@@ -86,7 +85,6 @@ class Point:
     parameters: Parameters
     names: tuple[str, ...]
     residuals: tuple[Array, ...]
-    predictions: tuple[Predicted, ...]
     _held: dict[int, Array] = field(default_factory=dict[int, Array])
 
     def parts(self, flight: int) -> Iterator[tuple[slice, Array, Array]]:
@@ -99,7 +97,7 @@ class Point:
         for blocks in parts:
             columns = self._held.get(flight)
             if columns is None:
-                columns = model.sensitivities(self.parameters, self.predictions[flight], self.options, blocks)
+                columns = model.sensitivities(self.parameters, self.options, blocks)
             if len(parts) == 1:
                 self._held[flight] = columns
             yield blocks, residual[blocks], columns
@@ -131,10 +129,8 @@ class Problem:
 
     def at(self, p: Parameters) -> Point:
         """Residuals and sensitivities at ``p``."""
-        predictions = tuple(model.predicted(p, self.options) for model in self.models)
-        pairs = zip(self.models, predictions, strict=True)
-        residuals = tuple(model.residual_of(p, prediction) for model, prediction in pairs)
-        return Point(self.models, self.options, p, self.models[0].names(self.options), residuals, predictions)
+        residuals = tuple(model.residual_of(p, model.predicted(p, self.options)) for model in self.models)
+        return Point(self.models, self.options, p, self.models[0].names(self.options), residuals)
 
     def values(self, point: Point) -> Array:
         """Values of what is free at a point, (P,)."""

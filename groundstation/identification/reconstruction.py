@@ -57,7 +57,15 @@ class Compatibility:
     def without_path(self) -> Compatibility:
         """The numbers alone, where the path of the declared origin is held beside them: it is as long as the flight."""
         none = self.position_m[:0]
-        return replace(self, position_m=none, velocity_m_s=none, causal_position_m=none, causal_velocity_m_s=none)
+        return replace(
+            self,
+            quaternion=self.quaternion[:0],
+            position_m=none,
+            velocity_m_s=none,
+            causal_quaternion=self.quaternion[:0],
+            causal_position_m=none,
+            causal_velocity_m_s=none,
+        )
 
 
 def reconstruct(recording: Recording, *, offset_s: float, gravity_m_s2: float, scale: bool = False) -> Compatibility:

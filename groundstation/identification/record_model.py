@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from groundstation.frames import skew
 from groundstation.identification.block_kernel import integral_means, wrench_means
+from groundstation.identification.parts import double
 from groundstation.identification.sensitivities import (
     Measured,
     lag_of,
@@ -82,7 +83,8 @@ class DynamicRecord:
 
 @dataclass(frozen=True, slots=True)
 class PlannedMotion:
-    """The motion that was asked for, at the IMU's stamps: it owes nothing to this flight's disturbances.
+    """The motion that was asked for, at the IMU's stamps: it owes nothing to this flight's disturbances. Of a long
+    flight it is in single precision, and :meth:`part` in double.
 
     Attributes:
         rate_rad_s: body rates, (k, 3).
@@ -105,13 +107,13 @@ class PlannedMotion:
     def part(self, samples: slice) -> PlannedMotion:
         """Some of the instants."""
         return PlannedMotion(
-            self.rate_rad_s[samples],
-            self.angular_acceleration_rad_s2[samples],
-            self.specific_thrust_m_s2[samples],
-            self.velocity_body_m_s[samples],
-            self.position_m[samples],
-            self.quaternion[samples],
-            tuple(values[samples] for values in self.extra),
+            double(self.rate_rad_s[samples]),
+            double(self.angular_acceleration_rad_s2[samples]),
+            double(self.specific_thrust_m_s2[samples]),
+            double(self.velocity_body_m_s[samples]),
+            double(self.position_m[samples]),
+            double(self.quaternion[samples]),
+            tuple(double(values[samples]) for values in self.extra),
         )
 
 
@@ -133,9 +135,34 @@ class BodyWrench:
 
 
 @dataclass(frozen=True, slots=True)
+class TermMeans:
+    """Of a term its running integral and its force, averaged over the blocks: (blocks, 6) and (blocks, 3), or along one
+    axis (blocks,) each.
+    """
+
+    integral: Array
+    push: Array
+    against: int | None = None
+
+    def part(self, blocks: slice) -> TermMeans:
+        """Of some of the blocks."""
+        return replace(self, integral=self.integral[blocks], push=self.push[blocks])
+
+    def dense(self) -> tuple[Array, Array]:
+        """Running integral (blocks, 6) and force (blocks, 3)."""
+        if self.against is None:
+            return self.integral, self.push
+        integral, push = np.zeros((len(self.integral), 6)), np.zeros((len(self.integral), 3))
+        integral[:, self.against] = self.integral
+        if self.against < 3:
+            push[:, self.against] = self.push
+        return integral, push
+
+
+@dataclass(frozen=True, slots=True)
 class Predicted:
-    """A record's outputs at given parameters: wrench and impulse (blocks, 6), rates, forces; differences of wrench and
-    impulse by lags and dead time.
+    """A record's outputs at given parameters: wrench and impulse (blocks, 6), rates, forces; differences of force
+    (blocks, 3) and impulse (blocks, 6) by lags and dead time.
     """
 
     moved: Mapping[str, tuple[Array, Array]]
@@ -187,7 +214,7 @@ class RecordModel:
         self.gyroscopic = self.integrated_gyroscopic(record.rate_rad_s)
         self.extra_means = tuple(self.means_of(term, term.value) for term in self.extra)
         self._last: tuple[Parameters, Predicted] | None = None
-        self._made: tuple[list[tuple[Lag, float]], list[tuple[Array, Array]]] | None = None
+        self._made: tuple[list[tuple[Lag, float]], tuple[Array, Array]] | None = None
         self._asked = FitOptions(lag=False, delay=False)
 
     def channels(self, options: FitOptions) -> tuple[int, ...]:
@@ -228,7 +255,7 @@ class RecordModel:
         other._members, other._step = members - before, self._step[samples]
         for name in ("restart", "t_s", "dt", "rate", "force", "elapsed_s", "gyroscopic"):
             setattr(other, name, getattr(self, name)[blocks])
-        other.extra_means = tuple((integral[blocks], push[blocks]) for integral, push in self.extra_means)
+        other.extra_means = tuple(means.part(blocks) for means in self.extra_means)
         other._last = other._made = None
         return other
 
@@ -245,15 +272,11 @@ class RecordModel:
         means = integral_means(values.reshape(len(values), -1), self._step, self._members)
         return means.reshape(len(means), *values.shape[1:])
 
-    def means_of(self, term: BodyWrench, value: Array) -> tuple[Array, Array]:
-        """Running integral (blocks, 6) and mean force (blocks, 3) of a term with these values."""
+    def means_of(self, term: BodyWrench, value: Array) -> TermMeans:
+        """Of a term with these values at the IMU's stamps."""
         if term.against is None:
-            return self.integrated(value), self.average(value[:, :3])
-        integral, push = np.zeros((len(self.t_s), 6)), np.zeros((len(self.t_s), 3))
-        integral[:, term.against] = -self.integrated(value)
-        if term.against < 3:
-            push[:, term.against] = -self.average(value)
-        return integral, push
+            return TermMeans(self.integrated(value), self.average(value[:, :3]))
+        return TermMeans(-self.integrated(value), -self.average(value), term.against)
 
     def integrated_gyroscopic(self, rate: Array) -> Array:
         """Block means of the integral of omega x J omega per entry of the tensor, (blocks, 3, 6)."""
@@ -274,20 +297,21 @@ class RecordModel:
             total += values[column]
         return total / self._members.shape[1]
 
-    def thrusts(self, wanted: Sequence[tuple[Lag, float]]) -> list[tuple[Array, Array]]:
+    def thrusts(self, wanted: Sequence[tuple[Lag, float]]) -> Iterator[tuple[Array, Array]]:
         """Force and torque of the rotors by the declared constants behind each lag and dead time, averaged over the
         blocks, and their running integrals, (blocks, 6) each.
 
         A single one is kept: a fit whose rotors have neither lag nor dead time to find asks for the same again.
         """
         if self._made is not None and self._made[0] == list(wanted):
-            return self._made[1]
+            yield self._made[1]
+            return
         record = self.record
-        found = mean_thrusts(record.vehicle, record.motors, wanted, (record.t_s, self._members))
-        made = [(each[:, 0] @ self.matrix.T, each[:, 1] @ self.matrix.T) for each in found]
-        if len(wanted) == 1:
-            self._made = list(wanted), made
-        return made
+        for each in mean_thrusts(record.vehicle, record.motors, wanted, (record.t_s, self._members)):
+            made = each[:, 0] @ self.matrix.T, each[:, 1] @ self.matrix.T
+            if len(wanted) == 1:
+                self._made = list(wanted), made
+            yield made
 
     def wrench(self, p: Parameters) -> Array:
         """Force and torque of the rotors at ``p``, (blocks, 6)."""
@@ -302,10 +326,12 @@ class RecordModel:
             return self._last[1]
         self._asked = self._asked if options is None else options
         steps = timing_steps(p, self._asked)
-        here, *others = self.thrusts([(lag_of(p), p.delay_s), *((step.lag, step.delay_s) for step in steps.values())])
+        self._last = None
+        made = self.thrusts([(lag_of(p), p.delay_s), *((step.lag, step.delay_s) for step in steps.values())])
+        here = next(made)
         moved = {
-            name: ((wrench - here[0]) / step.size, (impulse - here[1]) / step.size)
-            for (name, step), (wrench, impulse) in zip(steps.items(), others, strict=True)
+            name: ((wrench[:, :3] - here[0][:, :3]) / step.size, (impulse - here[1]) / step.size)
+            for (name, step), (wrench, impulse) in zip(steps.items(), made, strict=True)
         }
         prediction = self._outputs(p, moved, *here)
         self._last = p, prediction
@@ -321,7 +347,8 @@ class RecordModel:
         torque -= impulse[:, :3] @ arm
         torque[:, 2] += p.yaw_trim_nm * self.elapsed_s
         force = wrench[:, :3].copy()
-        for coefficient, (integral, push) in zip(p.extra, self.extra_means, strict=True):
+        for coefficient, means in zip(p.extra, self.extra_means, strict=True):
+            integral, push = means.dense()
             torque += coefficient * (integral[:, 3:] - integral[:, :3] @ arm)
             force += coefficient * push
         return self._with_linear(p, Predicted(moved, wrench, impulse, torque @ np.linalg.inv(p.tensor).T, force))
@@ -356,8 +383,9 @@ class RecordModel:
         force = prediction.force / p.mass_kg + p.force_bias_m_s2
         return np.concatenate([self.rate - prediction.rate, self.force - force], axis=1)
 
-    def sensitivities(self, p: Parameters, prediction: Predicted, options: FitOptions, blocks: slice) -> Array:
+    def sensitivities(self, p: Parameters, options: FitOptions, blocks: slice) -> Array:
         """d(prediction)/d(parameter) of some of the blocks, (n, 6, P)."""
+        prediction = self.predicted(p, options)
         at = Measured(self.part(blocks), p, prediction.part(blocks))
         return stacked(measured_sensitivities(at, options))
 
@@ -367,9 +395,8 @@ class RecordModel:
 
     def evaluate(self, p: Parameters, options: FitOptions) -> tuple[Array, Array, tuple[str, ...]]:
         """Residuals (blocks, 6) and sensitivities d(prediction)/d(parameter) (blocks, 6, P) at ``p``, with names."""
-        prediction = self.predicted(p, options)
-        sensitivity = self.sensitivities(p, prediction, options, slice(0, len(self.t_s)))
-        return self.residual_of(p, prediction), sensitivity, self.names(options)
+        sensitivity = self.sensitivities(p, options, slice(0, len(self.t_s)))
+        return self.residual_of(p, self.predicted(p, options)), sensitivity, self.names(options)
 
 
 def _blocks(record: DynamicRecord) -> tuple[NDArray[np.int64], Mask]:

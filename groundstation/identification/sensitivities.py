@@ -105,9 +105,9 @@ class Measured(Point):
 
     def moved(self, name: str) -> Pair:
         """By a lag, its slope or the dead time: a difference of the exact lag."""
-        wrench, impulse = self.prediction.moved[name]
+        force, impulse = self.prediction.moved[name]
         torque = impulse[:, 3:] - impulse[:, :3] @ self.arm
-        return torque @ self.inverse.T, wrench[:, :3] / self.p.mass_kg
+        return torque @ self.inverse.T, force / self.p.mass_kg
 
 
 class Planned(Point):
@@ -257,7 +257,8 @@ def sensitivity_of(name: str) -> Callable[[Measured], Pair]:
 def measured_sensitivities(at: Measured, options: FitOptions) -> dict[str, Pair]:
     """Of each parameter that is free, and of each wrench term of the model, by name."""
     found = {entry.name: sensitivity_of(entry.name)(at) for entry in free_entries(options)}
-    for term, (integral, push) in zip(at.model.extra, at.model.extra_means, strict=True):
+    for term, means in zip(at.model.extra, at.model.extra_means, strict=True):
+        integral, push = means.dense()
         torque = integral[:, 3:] - integral[:, :3] @ at.arm
         found[term.name] = torque @ at.inverse.T, push / at.p.mass_kg
     return found
@@ -271,7 +272,7 @@ def planned_sensitivities(model: RecordModel, p: Parameters, options: FitOptions
         for entry in free_entries(options)
     }
     for term, value in zip(model.extra, at.plan.extra, strict=True):
-        mean, push = model.means_of(term, value)
+        mean, push = model.means_of(term, value).dense()
         found[term.name] = mean[:, 3:] @ at.inverse.T, push / p.mass_kg
     return stacked(found)
 
