@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.frames import quat_rotate_inverse
+from groundstation.identification.parts import by_parts
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import BodyWrench, PlannedMotion
 
@@ -22,7 +23,10 @@ def damping_terms(prepared: Prepared) -> tuple[list[BodyWrench], PlannedMotion |
     """
     record = prepared.record
     vehicle = record.vehicle
-    climb = quat_rotate_inverse(prepared.quaternion, prepared.velocity_m_s)[:, 2]
+    climb = by_parts(
+        lambda part: quat_rotate_inverse(prepared.quaternion[part], prepared.velocity_m_s[part])[:, 2].copy(),
+        len(record.t_s),
+    )
     sources = [(3, record.rate_rad_s[:, 0]), (4, record.rate_rad_s[:, 1]), (5, record.rate_rad_s[:, 2]), (2, climb)]
     plan = prepared.planned
     terms: list[BodyWrench] = []

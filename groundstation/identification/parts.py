@@ -36,8 +36,9 @@ def double(values: Array) -> Array:
     return np.asarray(values, dtype=float)
 
 
-def parts_of(count: int, size: int = PART) -> list[slice]:
-    """All of so many samples in parts; one, and an empty one where there are none."""
+def parts_of(count: int, size: int | None = None) -> list[slice]:
+    """All of so many samples in parts of PART, or another size; one, and an empty one where there are none."""
+    size = PART if size is None else size
     return [slice(first, min(first + size, count)) for first in range(0, max(count, 1), size)]
 
 
