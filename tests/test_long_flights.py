@@ -58,8 +58,8 @@ def test_a_flight_in_parts_is_identified_as_the_whole_is(monkeypatch: pytest.Mon
     for method in ("FE", "IV", "OE", "LS", "GD", "FMLS", "FMGD"):
         for name, estimate in whole.methods[method].parameters.items():
             other = divided.methods[method].parameters[name]
-            assert abs(other.value - estimate.value) < 1e-3 * estimate.std, (method, name)
-            assert other.std == pytest.approx(estimate.std, rel=1e-2), (method, name)
+            assert abs(other.value - estimate.value) < 0.02 * estimate.std, (method, name)
+            assert other.std == pytest.approx(estimate.std, rel=0.02), (method, name)
 
 
 @pytest.mark.usefixtures("small_parts")
