@@ -132,7 +132,8 @@ def _searched(share_of_time: float, disturbance_n: float) -> list[dict[str, floa
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     thrust = np.repeat(size[:, None] / 4.0, 4, axis=1)
     flown = replace(signals, quaternion=quaternion, thrust_n=thrust)
-    return list(EFFECT.searched(flown, np.ones(len(size), dtype=bool), VEHICLE))
+    assert EFFECT.searched is not None
+    return [dict(found) for found in EFFECT.searched(flown, np.ones(len(size), dtype=bool), VEHICLE)]
 
 
 def test_a_search_finds_the_pendulum_among_lengths_that_are_soon_out_of_step():
