@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +85,9 @@ class Evidence:
         self._recent = Recent(COLUMNS_BYTES)
         self._products: dict[tuple[int, int], _Pair] = {}
         self._beside: tuple[tuple[int, ...], Products] | None = None
+        self.folds: dict[tuple[int, float], list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]] = {}
         self._priors: dict[str, Array] = {}
+        self._solved: dict[tuple[int, tuple[int, ...]], tuple[NDArray[np.bool_], Solution]] = {}
         vehicle = flights[0].prepared.record.vehicle
         self.scale = weight(vehicle) * np.array([1.0] * 3 + [vehicle.arm_m()] * 3)
         self.weight = np.ones(len(self.y))
@@ -161,9 +164,15 @@ class Evidence:
 
         Args:
             chosen: candidates with their columns.
-            rows: which rows to use (all). Products over all rows are remembered.
+            rows: which rows to use (all). Products over all rows are remembered, and solutions over some of them.
         """
-        return Solution(*estimated(self._equations(chosen, rows)), self.x.shape[1])
+        if rows is None:
+            return Solution(*estimated(self._equations(chosen, rows)), self.x.shape[1])
+        key = id(rows), tuple(columns.number for _, columns in chosen)
+        if key not in self._solved:
+            found = Solution(*estimated(self._equations(chosen, rows)), self.x.shape[1])
+            self._solved[key] = rows, found  # the rows stay as well, so that no others have their number
+        return self._solved[key][1]
 
     def strengths(self, chosen: Sequence[tuple[Candidate, Columns]]) -> Array:
         """F of the instruments of each parameter of :meth:`solve`, beside all the others."""
@@ -314,6 +323,10 @@ class Evidence:
 
     def time_of_rows(self) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
         """Time, channel and flight of each whitened row."""
+        return self._places
+
+    @cached_property
+    def _places(self) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
         times: list[Array] = []
         channels: list[NDArray[np.int64]] = []
         flights: list[NDArray[np.int64]] = []

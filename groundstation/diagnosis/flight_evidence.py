@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.columns import Candidate, Columns, Solution
 from groundstation.diagnosis.effect import library
 from groundstation.diagnosis.joint import updated_rigid_body
-from groundstation.diagnosis.signals import planned_signals, thinned
+from groundstation.diagnosis.signals import planned_signals
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.whitening import Whitening
 from groundstation.identification.prediction_error import Fitted
@@ -47,6 +48,7 @@ class FlightEvidence:
         generic: bool = True,
     ):
         self.prepared, self.known = prepared, tuple(known)
+        self._moved: list[tuple[Candidate, Array]] = []
         self._fitted, self._given = fitted, options
         record, p = prepared.record, fitted.parameters
         self.parameters = replace(p, com_m=np.zeros(3), yaw_trim_nm=0.0, force_bias_m_s2=np.zeros(3), extra=np.zeros(0))
@@ -61,7 +63,7 @@ class FlightEvidence:
         )
         self.model = RecordModel(record, (), None if prepared.planned is None else replace(prepared.planned, extra=()))
         self.signals = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
-        self.excited = thinned(self.signals, record.keep)
+        self.excited = self.signals.at(record.keep)
         self._share = record.keep / np.sum(record.keep)
         self._inverse = np.linalg.inv(self.parameters.tensor)
         self.residual, self.sensitivity, self.names = self.model.evaluate(self.parameters, self.options)
@@ -82,6 +84,11 @@ class FlightEvidence:
         timing = [index for index, name in enumerate(self.names) if entries[name].timing]
         z[:, timing] = self.whitening.explained(self.x[:, timing], z)
         return z
+
+    @cached_property
+    def declared(self) -> RecordModel:
+        """The flight by the thrust curve that was declared."""
+        return self.model.of_vehicle(self.prepared.flight.vehicle)
 
     def base_std(self, name: str) -> float:
         """Standard deviation of a parameter of the base fit."""
@@ -163,9 +170,8 @@ class FlightEvidence:
         vehicle = self.prepared.record.vehicle
         for effect in library().values():
             settings = effect.variants(self.excited, vehicle) if effect.applies(vehicle) else ()
-            shown = [i for i, p in enumerate(effect.parameters) if not p.changes]
             for chosen in settings[:: max(1, len(settings) // THRESHOLDS.variants_in_noise)]:
-                wrench = effect.wrench(self.signals, vehicle, chosen)[:, :, shown]
+                wrench = effect.unchanged(self.signals, vehicle, chosen)
                 if np.isfinite(wrench).all():
                     _add(parts, self.predicted(wrench), self.channels)
 
@@ -175,6 +181,17 @@ class FlightEvidence:
         out[:, :3] = np.einsum("ij,kjp->kip", self._inverse, out[:, :3])
         out[:, 3:] /= self.parameters.mass_kg
         return out
+
+    def moved_by(self, candidate: Candidate) -> Array:
+        """Rates and specific forces (blocks, 6, p) that a candidate adds per unit of its parameters; those asked for
+        last are kept.
+        """
+        for known, moved in self._moved:
+            if known is candidate:
+                return moved
+        moved = self.predicted(candidate.effect.wrench(self.signals, self.prepared.record.vehicle, candidate.settings))
+        self._moved = [*self._moved[1 - THRESHOLDS.effects_most :], (candidate, moved)]
+        return moved
 
     def columns(self, candidate: Candidate) -> Columns | None:
         """Whitened sensitivities and instruments of a candidate; None where its signals are unknown or it does

@@ -53,8 +53,3 @@ def _slow(t_s: Array, values: Array) -> Array:
     peaks: list[Array] = [np.interp(t_s, corners, peak) for peak in np.eye(len(corners))]
     hats = np.stack(peaks, axis=1)
     return hats @ np.linalg.solve(hats.T @ hats, hats.T @ values)
-
-
-def thinned(signals: Signals, rows: NDArray[np.bool_]) -> Signals:
-    """Some of the instants."""
-    return Signals(*(getattr(signals, name)[rows] for name in Signals.__slots__))
