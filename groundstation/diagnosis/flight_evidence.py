@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.columns import Candidate, Columns, Solution
+from groundstation.diagnosis.columns import Batch, Candidate, Columns, Solution
 from groundstation.diagnosis.effect import library
 from groundstation.diagnosis.joint import updated_rigid_body
 from groundstation.diagnosis.signals import planned_signals
@@ -178,7 +178,7 @@ class FlightEvidence:
     def predicted(self, wrench: Array) -> Array:
         """Rates and specific forces (blocks, 6, p) that a body wrench (k, 6, p) adds."""
         out = self.model.of_wrench(wrench)
-        out[:, :3] = np.einsum("ij,kjp->kip", self._inverse, out[:, :3])
+        out[:, :3] = self._inverse @ out[:, :3]
         out[:, 3:] /= self.parameters.mass_kg
         return out
 
@@ -193,30 +193,44 @@ class FlightEvidence:
         self._moved = [*self._moved[1 - THRESHOLDS.effects_most :], (candidate, moved)]
         return moved
 
-    def columns(self, candidate: Candidate) -> Columns | None:
-        """Whitened sensitivities and instruments of a candidate; None where its signals are unknown or it does
-        nothing.
-        """
-        vehicle = self.prepared.record.vehicle
-        wrench = candidate.effect.wrench(self.signals, vehicle, candidate.settings)
-        if not np.isfinite(wrench.sum()):  # nothing adds up to a number that holds none
-            return None
-        flat = wrench.reshape(len(wrench), -1)
-        rms = np.sqrt(np.einsum("k,kj,kj->j", self._share, flat, flat)).reshape(wrench.shape[1:])
-        seen = self.predicted(wrench)
-        if self.planned is None:
-            sensitivity = self.whitening.apply(seen)
-            return Columns.of(sensitivity, sensitivity, rms)
-        own = candidate.effect.instrument
-        wished = (
-            candidate.effect.wrench(self.planned, vehicle, candidate.settings)
-            if own is None
-            else own(self.signals, self.planned, vehicle, candidate.settings)
+    def batch(self, candidates: Sequence[Candidate]) -> Batch:
+        """Whitened sensitivities and instruments of candidates; zero where one's signals are unknown."""
+        counts = [len(candidate.effect.parameters) for candidate in candidates]
+        total = sum(counts)
+        planned = self.planned is not None
+        raw = np.zeros((len(self.model.t_s), 6, 2 * total if planned else total))
+        rms, known, first = np.zeros((6, total)), list[bool](), 0
+        for candidate, count in zip(candidates, counts, strict=True):
+            wrenches = self._wrenches(candidate)
+            known.append(
+                all(np.isfinite(wrench.sum()) for wrench in wrenches)
+            )  # nothing adds up to one without numbers
+            if known[-1]:
+                flat = wrenches[0].reshape(len(wrenches[0]), -1)
+                squares = np.einsum("k,kj,kj->j", self._share, flat, flat)
+                rms[:, first : first + count] = np.sqrt(squares).reshape(6, count)
+                for start, wrench in zip((first, total + first), wrenches, strict=False):
+                    raw[:, :, start : start + count] = self.predicted(wrench)
+            first += count
+        return Batch(*self.whitening.applied(raw), rms, tuple(known))
+
+    def nothing(self, candidates: Sequence[Candidate]) -> Batch:
+        """Of candidates that do not act on this flight."""
+        total = sum(len(candidate.effect.parameters) for candidate in candidates)
+        bands = len(self.whitening.freedom())
+        return Batch(
+            np.zeros((len(self.y), total)), np.zeros((bands, total)), np.zeros((6, total)), (True,) * len(candidates)
         )
-        if not np.isfinite(wished.sum()):
-            return None
-        white = self.whitening.apply(np.concatenate([seen, self.predicted(wished)], axis=2))
-        return Columns.of(white[:, : wrench.shape[2]], white[:, wrench.shape[2] :], rms)
+
+    def _wrenches(self, candidate: Candidate) -> list[Array]:
+        """What a candidate adds per unit of its parameters, (k, 6, p); with a plan, its instrument, too."""
+        vehicle, effect, planned = self.prepared.record.vehicle, candidate.effect, self.planned
+        seen = effect.wrench(self.signals, vehicle, candidate.settings)
+        if planned is None:
+            return [seen]
+        if effect.instrument is None:
+            return [seen, effect.wrench(planned, vehicle, candidate.settings)]
+        return [seen, effect.instrument(self.signals, planned, vehicle, candidate.settings)]
 
     def along(self, basis: Array, wished: Array | None) -> dict[int, Columns]:
         """Columns of the same functions of time (k, p) as torque or force of each known channel, by channel.
@@ -227,7 +241,7 @@ class FlightEvidence:
         both = basis if wished is None else np.concatenate([basis, wished], axis=1)
         count, blocks = basis.shape[1], len(self.model.t_s)
         turning, pushing = self.model.integrated(both), self.model.average(both) / self.parameters.mass_kg
-        parts = [self.whitening.channel(n, turning if c < 3 else pushing) for n, c in enumerate(self.channels)]
+        parts = [self.whitening.channel(n, turning if c < 3 else pushing)[0] for n, c in enumerate(self.channels)]
         size = np.sqrt(self._share @ (basis * basis))
         out: dict[int, Columns] = {}
         for channel in self.channels:
