@@ -322,6 +322,17 @@ def fit(
 
 
 def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: FitOptions) -> Fitted:
+    """Prediction error estimate from the declared vehicle: searched for in the liveliest part of a long flight, then of
+    all of it.
+    """
+    looked_at = [model.liveliest() for model in models]
+    found = _searched(looked_at, vehicle, options)
+    if all(part is model for part, model in zip(looked_at, models, strict=True)):
+        return found
+    return fit(models, found.parameters, options, noise_of(found, models, options))
+
+
+def _searched(models: Sequence[RecordModel], vehicle: Vehicle, options: FitOptions) -> Fitted:
     """Prediction error estimate from the declared vehicle: first one lag and no dead time from two starts, then all.
 
     What divides the total into lag and dead time are the commands' highest frequencies, a narrow band: each of its
