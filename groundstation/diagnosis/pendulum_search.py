@@ -46,6 +46,8 @@ STEPS, ROUNDS = np.array([0.01, 0.02, 0.002]), 8
 """Differences of the logarithm of the length, damping and depth; steps of Gauss and Newton."""
 LEAST, MOST = np.array([np.log(0.1), 0.005, -0.5]), np.array([np.log(6.0), 3.0, 1.0])
 """Of the logarithm of the length, damping, and depth as a share of the arm."""
+PARTS = 4
+"""Of a flight, in each of which a pendulum has to show the same load."""
 BLOCK = 3
 """Instants that are averaged into one."""
 
@@ -87,9 +89,13 @@ def likely_pendulums(
         return []
     peaks = _distinct(scanned, near, POLISHED)
     polished = [_polished(x, shown, left, arm) for x in peaks]
-    reached = falls(polished)
-    best = _distinct(polished, reached, GIVEN, least)
-    return [(float(np.exp(x[0])), float(x[1]), float(x[2])) for x in best]
+    best = _distinct(polished, falls(polished), GIVEN)
+    columns = shown(best).T if best else ()
+    return [
+        (float(np.exp(x[0])), float(x[1]), float(x[2]))
+        for x, column in zip(best, columns, strict=True)
+        if _fall(column, left) > least and _keeps_step(column, left)
+    ]
 
 
 def _residual(
@@ -127,12 +133,26 @@ def _fall(column: Array, left: Array) -> float:
     return crossed**2 / size if crossed > 0.0 and np.isfinite(size) and size > 0.0 else 0.0
 
 
-def _distinct(points: Sequence[Array], falls: Sequence[float], most: int, least: float = 0.0) -> list[Array]:
-    """The best of each length, best first, that fall by more than the least."""
+def _keeps_step(column: Array, left: Array) -> bool:
+    """Whether the load is the same all flight long: a pendulum that falls out of step pulls where nothing does.
+
+    The flight is cut where each part of the column has as much power, so that each tells the load as well.
+    """
+    power = np.cumsum(np.sum(column.reshape(2, -1) ** 2, axis=0))
+    part = np.tile(np.minimum(PARTS * power / power[-1], PARTS - 1).astype(int), 2)
+    crossed, size = (np.bincount(part, column * other, PARTS) for other in (left, column))
+    if (size == 0.0).any():
+        return False
+    away = crossed / size / (crossed.sum() / size.sum()) - 1.0
+    return bool(np.all(np.abs(away) < THRESHOLDS.pendulum_uneven))
+
+
+def _distinct(points: Sequence[Array], falls: Sequence[float], most: int) -> list[Array]:
+    """The best of each length, best first."""
     out: list[Array] = []
     order: list[int] = np.argsort(falls)[::-1].tolist()
     for index in order:
-        if falls[index] > least and all(abs(points[index][0] - other[0]) > APART for other in out):
+        if falls[index] > 0.0 and all(abs(points[index][0] - other[0]) > APART for other in out):
             out.append(points[index])
         if len(out) == most:
             break
