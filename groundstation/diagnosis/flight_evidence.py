@@ -20,7 +20,7 @@ from groundstation.diagnosis.whitening import Whitening
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import RecordModel
-from groundstation.identification.sensitivities import planned_sensitivities
+from groundstation.identification.sensitivities import planned_parts
 from groundstation.model.parameters import RIGID_BODY, FitOptions, table, values_of, with_values
 
 Array = NDArray[np.float64]
@@ -79,7 +79,8 @@ class FlightEvidence:
         """The base's columns along the planned motion; what delays the inputs takes what all of those explain of its
         own.
         """
-        z = self.whitening.apply(planned_sensitivities(self.model, self.parameters, self.options))
+        parts = [columns for _, columns in planned_parts(self.model, self.parameters, self.options)]
+        z = self.whitening.apply(parts[0] if len(parts) == 1 else np.concatenate(parts))
         entries = table()
         timing = [index for index, name in enumerate(self.names) if entries[name].timing]
         z[:, timing] = self.whitening.explained(self.x[:, timing], z)
@@ -138,7 +139,7 @@ class FlightEvidence:
             for own, drift in zip(parts, self._drift(), strict=True):
                 own.append(drift)
             self._add_library(parts)
-        return [np.concatenate(own, axis=1) for own in parts]
+        return [np.concatenate(parts.pop(0), axis=1) for _ in self.channels]  # the parts of one channel at a time
 
     def _drift(self) -> list[Array]:
         """Columns (blocks, m) of each known channel: slow drift, its own speed and thrust as torque and as force.
