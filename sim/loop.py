@@ -140,13 +140,14 @@ class Stretch(NamedTuple):
 
 
 @compiled
-def deliver_poses(observer: Observer, estimate, ring, flags, history, step: int, age: int, t: float) -> None:
+def deliver_poses(observer: Observer, memory: Memory, step: int, age: int, t: float) -> None:
     """Hand poses that have arrived to the estimator, compared with the estimate ``age`` steps ago."""
+    flags = memory.flags
     while flags[PENDING_HEAD] != flags[PENDING_TAIL]:
-        row = ring[flags[PENDING_HEAD]]
+        row = memory.pending[flags[PENDING_HEAD]]
         if row[1] > t:
             return
-        correct(observer, estimate, history[max(step - age, 0) % HISTORY], row[2:])
+        correct(observer, memory.estimate, memory.history[max(step - age, 0) % HISTORY], row[2:])
         flags[PENDING_HEAD] = (flags[PENDING_HEAD] + 1) % PENDING
 
 
@@ -174,18 +175,18 @@ def touch_floor(x, flags, ground_m: float) -> None:
 
 
 @compiled
-def fly_law(
-    law: Law, control, estimate, led, target, setpoint, outer: bool, inner_s: float, outer_s: float, standing: bool
-) -> None:
-    """One control tick: new motor values into ``target``; the position loop runs where ``outer`` says so."""
+def fly_law(world: World, memory: Memory, setpoint, outer: bool) -> None:
+    """One control tick: new target of the motors; the position loop runs where ``outer`` says so."""
+    law, control, estimate, standing = world.law, memory.control, memory.estimate, memory.flags[STANDING] == 1
     if outer:
-        position_loop(law, control, estimate, setpoint, outer_s, standing)
+        position_loop(law, control, estimate, setpoint, world.outer_every * world.dt, standing)
+    inner_s = world.control_every * world.dt
     thrust, torque = attitude_loop(law, control, estimate, setpoint, inner_s, standing)
     if standing:
         torque = (0.0, 0.0, 0.0)
-    mix(law, thrust, torque, target)
+    mix(law, thrust, torque, memory.target)
     if law.lead_s > 0.0:
-        lead(law, inner_s, led, target)
+        lead(law, inner_s, memory.led, memory.target)
 
 
 @compiled
@@ -201,18 +202,7 @@ def control_tick(world: World, memory: Memory, stretch: Stretch, step: int, tick
     if powered and stretch.mode == FLYING:
         before = int((step - world.control_every) / world.outer_every + 1e-9)
         outer = int(step / world.outer_every + 1e-9) != before or step == 0
-        fly_law(
-            world.law,
-            memory.control,
-            memory.estimate,
-            memory.led,
-            memory.target,
-            stretch.setpoints[tick],
-            outer,
-            world.control_every * world.dt,
-            world.outer_every * world.dt,
-            memory.flags[STANDING] == 1,
-        )
+        fly_law(world, memory, stretch.setpoints[tick], outer)
     elif powered:
         copy(stretch.motors[tick], memory.target)
     else:
@@ -243,7 +233,7 @@ def surroundings(world: World, memory: Memory, stretch: Stretch, k: int, t: floa
     wind = (0.0, 0.0, 0.0)
     if world.plant.effects.wind.on:
         wind = gust_step(world.plant.effects.wind, memory.gust, stretch.gust_noise[k], world.dt)
-    return Surroundings(wind, force, torque, t - stretch.start_s, powered, memory.flags[STANDING] == 1)
+    return Surroundings(wind, force, torque, t - stretch.start_s, powered, memory.flags[STANDING] == 1, world.dt)
 
 
 @compiled
@@ -306,7 +296,7 @@ def sample_pose(world: World, memory: Memory, stretch: Stretch, at: Start, i: in
     seen = add(at.position, add(scale(s, at.velocity), scale(0.5 * s * s, (first[3], first[4], first[5]))))
     middle = add(at.w, scale(0.5 * s, (first[10], first[11], first[12])))
     q = multiply(at.q, exponential(scale(s, middle)))
-    measure_pose(world.instruments, memory.last_pose, seen, q, stretch.pose_frozen[i], stretch.pose_noise[i], row)
+    measure_pose(world.instruments, memory.last_pose, (seen, q), stretch.pose_frozen[i], stretch.pose_noise[i], row)
     if stretch.pose_arrival_s[i] < np.inf:
         tail = memory.flags[PENDING_TAIL]
         memory.pending[tail, 0] = stretch.pose_s[i]
@@ -371,7 +361,7 @@ def run(world: World, memory: Memory, stretch: Stretch):
         t = step * dt
         powered = stretch.mode != IDLE and flags[CRASHED] == 0
         remember(memory, step)
-        deliver_poses(world.observer, memory.estimate, memory.pending, flags, memory.history, step, pose_age, t)
+        deliver_poses(world.observer, memory, step, pose_age, t)
         if step % world.control_every == 0:
             control_tick(world, memory, stretch, step, tick, powered)
             copy(memory.target, commands[tick])
@@ -384,7 +374,7 @@ def run(world: World, memory: Memory, stretch: Stretch):
         copy(x, path[k])
         position, velocity = (x[0], x[1], x[2]), (x[3], x[4], x[5])
         q, w = (x[6], x[7], x[8], x[9]), (x[10], x[11], x[12])
-        rk4_step(x, memory.work, asked, memory.thrust, plant, now, dt)
+        rk4_step(x, memory.work, asked, memory.thrust, plant, now)
         sample(world, memory, stretch, Start(t, position, velocity, q, w, memory.work[0], memory.work[3]), out)
         touch_floor(x, flags, world.ground_m)
     return out.imu, out.poses, out.speeds, out.volts, commands, estimates, path

@@ -54,8 +54,9 @@ def measure_imu(p: Instruments, state, w: Vector, felt: Vector, noise, out) -> N
 
 
 @compiled
-def measure_pose(p: Instruments, last, position: Vector, q: Quaternion, frozen: bool, noise, out) -> None:
-    """One pose of the marker body, written into ``out``."""
+def measure_pose(p: Instruments, last, pose: tuple[Vector, Quaternion], frozen: bool, noise, out) -> None:
+    """One pose of the marker body, from position and attitude of the body, written into ``out``."""
+    position, q = pose
     if not frozen:
         seen = to_world(p.world_turn, add(position, to_world(q, p.point)))
         turn = multiply(multiply(p.world_turn, q), p.marker_turn)

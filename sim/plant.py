@@ -33,10 +33,10 @@ from sim.algebra import (
     to_world,
 )
 from sim.compiled import compiled
-from sim.effects import Effects
+from sim.effects import Effects, bodily_wrench
 from sim.effects.actuation import motor_slope
-from sim.effects.airframe import angular_damping, body_drag
 from sim.effects.attachments import attachment_velocity, cable, tether
+from sim.effects.bodily import Moving
 from sim.effects.rotor_aerodynamics import ground_factor, hub_drag, hub_moment, inflow_factor
 from sim.effects.rotor_faults import loss_of, power_law
 from sim.effects.surroundings import constant_force, magnet, wall
@@ -118,6 +118,7 @@ class Surroundings(NamedTuple):
         flight_s: seconds since take-off; negative on the ground.
         powered: whether the rotors turn.
         standing: whether the floor holds the vehicle.
+        step_s: length of the step.
     """
 
     wind: Vector
@@ -126,6 +127,7 @@ class Surroundings(NamedTuple):
     flight_s: float
     powered: bool
     standing: bool
+    step_s: float
 
 
 @compiled
@@ -136,23 +138,21 @@ def thrust_of(rotors: Rotors, value: float) -> float:
 
 
 @compiled
-def rotor_wrench(
-    x, slope, memory, rotors: Rotors, effects: Effects, flight_s: float, u: Vector
-) -> tuple[Vector, Vector, Vector, Vector]:
+def rotor_wrench(x, slope, memory, plant: Plant, flight_s: float, u: Vector) -> tuple[Vector, Vector, Vector, Vector]:
     """Sum of the rotors in the body about the origin.
 
     Args:
         x: state vector.
         slope: its derivative so far, of which the rotors' part is read.
         memory: memory of each rotor's thrust (effect ``thrust_memory``), shape (n,).
-        rotors: constants.
-        effects: those switched on.
+        plant: constants.
         flight_s: seconds since take-off.
         u: velocity relative to the air in the body, m/s.
 
     Returns:
         Force (N), torque (N m), angular momentum h and its derivative in the body.
     """
+    rotors, effects = plant.rotors, plant.effects
     n = len(rotors.spin)
     force, torque = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     momentum, momentum_slope = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -258,16 +258,15 @@ def derivative(x, slope, target, memory, plant: Plant, now: Surroundings) -> Non
             slope[ROTOR + i] = (target[i] - value) / lag
     q = (x[ATTITUDE], x[ATTITUDE + 1], x[ATTITUDE + 2], x[ATTITUDE + 3])
     w = (x[RATE], x[RATE + 1], x[RATE + 2])
-    u = to_body(q, subtract((x[VELOCITY], x[VELOCITY + 1], x[VELOCITY + 2]), now.wind))
+    velocity = (x[VELOCITY], x[VELOCITY + 1], x[VELOCITY + 2])
+    u = to_body(q, subtract(velocity, now.wind))
 
     force, torque = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     momentum, momentum_slope = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     if now.powered:
-        force, torque, momentum, momentum_slope = rotor_wrench(x, slope, memory, rotors, effects, now.flight_s, u)
-    if effects.body_drag.on:
-        force = add(force, body_drag(effects.body_drag, u, plant.air_density))
-    if effects.angular_damping.on:
-        torque = add(torque, angular_damping(effects.angular_damping, w))
+        force, torque, momentum, momentum_slope = rotor_wrench(x, slope, memory, plant, now.flight_s, u)
+    at = Moving((x[0], x[1], x[2]), velocity, q, w, u, plant.air_density, now.flight_s)
+    force, torque = bodily_wrench(effects, at, force, torque)
     room_force, room_torque = attached_wrench(x, slope, effects, plant.wall_direction, plant.gravity)
     force = add(force, to_body(q, add(room_force, now.force)))
     torque = add(torque, add(room_torque, now.torque))
@@ -292,7 +291,7 @@ def derivative(x, slope, target, memory, plant: Plant, now: Surroundings) -> Non
 
 
 @compiled
-def rk4_step(x, work, target, memory, plant: Plant, now: Surroundings, dt: float) -> None:
+def rk4_step(x, work, target, memory, plant: Plant, now: Surroundings) -> None:
     """Advance the state by one step of the classical fourth-order Runge-Kutta method.
 
     Args:
@@ -302,9 +301,8 @@ def rk4_step(x, work, target, memory, plant: Plant, now: Surroundings, dt: float
         memory: thrust memory of each rotor.
         plant: constants.
         now: surroundings, held over the step.
-        dt: step, s.
     """
-    size = len(x)
+    size, dt = len(x), now.step_s
     if not (plant.effects.motor_lag.on or plant.rotors.lag_up > 0.0):
         for i in range(len(plant.rotors.spin)):
             x[ROTOR + i] = target[i]

@@ -47,10 +47,18 @@ def state_of(plant: Plant, *, position=(0.0, 0.0, 5.0), velocity=STILL, euler=ST
     return x
 
 
-def now(*, wind=STILL, force=STILL, torque=STILL, flight_s: float = 0.0, powered: bool = True) -> Surroundings:
+def now(
+    *, wind=STILL, force=STILL, torque=STILL, flight_s: float = 0.0, powered: bool = True, step_s: float = 0.001
+) -> Surroundings:
     """Surroundings in the air."""
     return Surroundings(
-        tuple(map(float, wind)), tuple(map(float, force)), tuple(map(float, torque)), float(flight_s), powered, False
+        tuple(map(float, wind)),
+        tuple(map(float, force)),
+        tuple(map(float, torque)),
+        float(flight_s),
+        powered,
+        False,
+        step_s,
     )
 
 
@@ -102,9 +110,9 @@ def advance(plant: Plant, x, seconds: float, dt: float = 0.001, *, target=None, 
     count = len(plant.rotors.spin)
     x, work, memory = x.copy(), np.zeros((5, len(x))), np.zeros(count)
     goal = x[ROTOR:].copy() if target is None else np.asarray(target, dtype=float)
-    around = now(**surroundings)
+    around = now(**surroundings, step_s=dt)
     history = [x.copy()]
     for _ in range(round(seconds / dt)):
-        rk4_step(x, work, goal, memory, plant, around, dt)
+        rk4_step(x, work, goal, memory, plant, around)
         history.append(x.copy())
     return np.array(history)

@@ -9,10 +9,8 @@ from sim_states import advance, change_of, plant_of, slope_of, state_of, vehicle
 from groundstation import frames
 from sim.build import build_instruments
 from sim.effects import (
-    AngularDamping,
     AttractingWall,
     BatterySag,
-    BodyDrag,
     ClimbInflow,
     ClockOffset,
     ComOffset,
@@ -39,7 +37,9 @@ from sim.effects import (
     Wind,
 )
 from sim.effects.airframe import gust_step
+from sim.effects.angular_damping import AngularDamping
 from sim.effects.attachments import cable
+from sim.effects.body_drag import BodyDrag
 from sim.effects.rotor_aerodynamics import axial_inflow, edgewise_inflow, ground_factor
 from sim.effects.rotor_faults import play
 from sim.measure import measure_imu, measure_pose
@@ -366,7 +366,7 @@ def test_a_turned_imu_reads_the_same_vector_in_its_own_axes():
 def _pose(position, q, **effects):
     instruments = build_instruments(VEHICLE, Scenario(effects=Effects()._replace(**effects)))
     out = np.zeros(7)
-    measure_pose(instruments, np.zeros(7), tuple(position), tuple(map(float, q)), False, np.zeros(6), out)
+    measure_pose(instruments, np.zeros(7), (tuple(position), tuple(map(float, q))), False, np.zeros(6), out)
     return out
 
 

@@ -12,19 +12,31 @@ a helicopter). Swings may be large. The cable does not go slack: a pull below ze
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+
+class Pendulum(NamedTuple):
+    """Gravity, m/s^2; length, m; damping by the air per mass, 1/s."""
+
+    gravity: float
+    length: float
+    air: float
+
+
 PART_RAD, MOST_PARTS = 0.25, 1000.0
 """Angle of one step of the integration at most, and how many steps lie between two samples, whatever they are."""
 
 
 @njit(cache=True)
-def _slopes(x: Array, v: Array, a: Array, gravity: float, length: float, air: float, out: Array) -> float:
+def _slopes(x: Array, v: Array, a: Array, of: Pendulum, out: Array) -> float:
     """Slopes of direction and its rate, (6,), into ``out``; returns the pull per mass."""
+    gravity, length, air = of
     along, square = 0.0, 0.0
     for j in range(3):
         push = -a[j] - air * (v[j] + length * x[3 + j]) - (gravity if j == 2 else 0.0)
@@ -50,9 +62,7 @@ def _settle(x: Array) -> None:
 
 
 @njit(cache=True)
-def _stepped(
-    x: Array, work: Array, acceleration: Array, step: float, gravity: float, length: float, air: float
-) -> None:
+def _stepped(x: Array, work: Array, acceleration: Array, step: float, of: Pendulum) -> None:
     """Direction and rate moved by a step of fourth-order Runge-Kutta.
 
     It starts from the velocity in the last row of ``work``, which moves along.
@@ -64,7 +74,7 @@ def _stepped(
             v[j] = start[j] + share * step * acceleration[j]
         for j in range(6):
             stage[j] = x[j] + (share * step * slopes[number - 1, j] if number > 0 else 0.0)
-        _slopes(stage, v, acceleration, gravity, length, air, slopes[number])
+        _slopes(stage, v, acceleration, of, slopes[number])
     for j in range(6):
         x[j] += step / 6.0 * (slopes[0, j] + 2.0 * slopes[1, j] + 2.0 * slopes[2, j] + slopes[3, j])
     for j in range(3):
@@ -73,9 +83,7 @@ def _stepped(
 
 
 @njit(cache=True)
-def _advance(
-    x: Array, work: Array, ends: tuple[Array, Array], step: float, gravity: float, length: float, air: float
-) -> None:
+def _advance(x: Array, work: Array, ends: tuple[Array, Array], step: float, of: Pendulum) -> None:
     """Direction and rate, (6,), over a step, in as many parts as keep the angle of each small.
 
     Args:
@@ -88,10 +96,10 @@ def _advance(
         work[6, j] = velocity[j]
         pushed += acceleration[j] * acceleration[j]
         turning += x[3 + j] * x[3 + j]
-    pace = np.sqrt((gravity + np.sqrt(pushed)) / length + turning) + air
+    pace = np.sqrt((of.gravity + np.sqrt(pushed)) / of.length + turning) + of.air
     parts = 1 + int(min(step * pace / PART_RAD, MOST_PARTS))
     for _ in range(parts):
-        _stepped(x, work, acceleration, step / parts, gravity, length, air)
+        _stepped(x, work, acceleration, step / parts, of)
 
 
 @njit(cache=True)
@@ -105,6 +113,7 @@ def pull_per_mass(t_s: Array, velocity: Array, gravity: float, length: float, ai
         velocity: of the upper end in the world, m/s, (k, 3).
         gravity: m/s^2. length: m. air: 1/s.
     """
+    of = Pendulum(gravity, length, air)
     k = len(t_s)
     out, states = np.empty((k, 3)), np.empty((k, 6))
     x, work = np.zeros(6), np.empty((7, 6))
@@ -120,10 +129,10 @@ def pull_per_mass(t_s: Array, velocity: Array, gravity: float, length: float, ai
             middle[j] = 0.5 * (before[j] + after[j]) if 0 < i < k - 1 else (after[j] if i == 0 else before[j])
             before[j] = after[j]
         states[i] = x
-        pull = _slopes(x, velocity[i], middle, gravity, length, air, work[0])
+        pull = _slopes(x, velocity[i], middle, of, work[0])
         for j in range(3):
             out[i, j] = pull * x[j]
-        _advance(x, work, (velocity[i], after), step, gravity, length, air)
+        _advance(x, work, (velocity[i], after), step, of)
     return out, states
 
 
@@ -138,15 +147,15 @@ def pulls_moved(
         velocity: of the upper ends where the step starts and where it ends, (k, 3) each.
         step_s: (k,).
     """
-    old, new = velocity
+    of, (old, new) = Pendulum(gravity, length, air), velocity
     out = np.empty((len(states), 3))
     work, acceleration = np.empty((7, 6)), np.zeros(3)
     for i in range(len(states)):
         step = max(step_s[i], 1e-6)
         for j in range(3):
             acceleration[j] = (new[i, j] - old[i, j]) / step
-        _advance(states[i], work, (old[i], acceleration), step, gravity, length, air)
-        pull = _slopes(states[i], new[i], acceleration, gravity, length, air, work[0])
+        _advance(states[i], work, (old[i], acceleration), step, of)
+        pull = _slopes(states[i], new[i], acceleration, of, work[0])
         for j in range(3):
             out[i, j] = pull * states[i, j]
     return out
