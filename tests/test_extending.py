@@ -4,14 +4,9 @@ diagnoses, reports, exports and predicts with the new effect and the new paramet
 
 from __future__ import annotations
 
-import json
-import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 

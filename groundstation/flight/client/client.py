@@ -156,10 +156,10 @@ def start_core(
 
 
 def running_cores(
-    logs: Path, timeout_s: float = 1.0, told: Callable[[str], None] = lambda sentence: None
+    logs: Path, timeout_s: float = 1.0, report: Callable[[str], None] = lambda sentence: None
 ) -> list[tuple[Path, Access]]:
-    """Flights in ``logs`` whose core answers now: (folder, access), newest first; ``told`` hears of files that are not
-    ours.
+    """Flights in ``logs`` whose core answers now: (folder, access), newest first; ``report`` gets a sentence on each
+    file that is not ours.
     """
     found = []
     for file in sorted(logs.glob(f"*/{ENDPOINT_FILE}"), reverse=True):
@@ -168,7 +168,7 @@ def running_cores(
             with bus.open_session(connect=[access.endpoint], connect_timeout_s=timeout_s, login=access.login):
                 found.append((file.parent, access))
         except BadInput as error:
-            told(str(error))
+            report(str(error))
         except ConnectionError:
             continue
     return found

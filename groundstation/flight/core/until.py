@@ -99,7 +99,7 @@ class FlyUntil:
         if look is None:
             return None
         rows = {
-            n: KnownStatus(*(_told(v) for v in (p.spent, p.at_any_time, p.seconds))) for n, p in look.progress.items()
+            n: KnownStatus(*(_finite(v) for v in (p.spent, p.at_any_time, p.seconds))) for n, p in look.progress.items()
         }
         proposal = (
             ""
@@ -112,5 +112,5 @@ class FlyUntil:
         return UntilStatus(rows, look.sentence, proposal, known.length * period_s, known.goal.at_most * period_s)
 
 
-def _told(value: float) -> float | None:
+def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
