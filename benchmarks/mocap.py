@@ -323,7 +323,7 @@ def table(kept: Mapping[str, Row]) -> str:
         "latency p50, ms",
         "p99, ms",
         "clock error, ms",
-        "told, ms",
+        "reported, ms",
         "how known",
         "after, ms",
         "mass, kg",

@@ -123,7 +123,7 @@ class Thresholds:
     )
     swing_load: float = _entry(
         0.015,
-        "Least load that is told, as a share of the mass: eight flights without one gave half of it at most.",
+        "Least load that is reported, as a share of the mass: eight flights without one gave half of it at most.",
         source="judgement",
         chosen_on="12 flights of two simulators, 4 of them with loads",
     )
