@@ -4,48 +4,52 @@ diagnoses, reports, exports and predicts with the new effect and the new paramet
 
 from __future__ import annotations
 
+import json
+import os
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 DENSITY_KG_M, DRIFT_M_S3 = 0.05, 0.01
-SEED = 7
 
 STRANGER = """
-import json, sys
+import json
 from dataclasses import replace
-
-import numpy as np
-
-from groundstation import api
 
 {flying}
 # The page's second example: the accelerometer's z axis drifts while it warms up.
-imu = flight.imu
-values = imu.values.copy()
-values[:, list(imu.columns).index("az_m_s2")] += {drift} * (imu.t_s - imu.t_s[0])
-flight = replace(flight, imu=replace(imu, values=values))
+values = flight.imu.values.copy()
+values[:, list(flight.imu.columns).index("az_m_s2")] += {drift} * (flight.imu.t_s - flight.imu.t_s[0])
+warming = replace(flight, imu=replace(flight.imu, values=values))
 
 identification = api.identify(flight, predictive=False)
+drifted = api.identify(warming, predictive=False)
 model = api.model_document(identification, flight.vehicle, found)
-other = {{name: values for name, values in model.items() if name != "effects"}} | {{"effects": {{}}}}
+without = {{**model, "effects": {{}}}}
+drifted_model = api.model_document(drifted, flight.vehicle)
 api.write_report("report.html", flight, identification, found)
-errors = [api.predict(each, flight, horizon_s=0.5, use="physical").error for each in (model, other)]
+api.write_report("drifted.html", warming, drifted)
+errors = [api.predict(each, flight, use="physical").error["model"]["0.5"] for each in (model, without)]
 print(json.dumps({{
     "verdict": found.verdict,
-    "findings": [[f.effect, f.sentence, f.parameters["cable_kg_m"].ci95] for f in found.findings],
-    "drift": identification.model["accel_drift_z_m_s3"].ci95,
-    "rows": [row["parameter"] for row in identification.records()],
-    "model": {{part: list(model[part]) for part in ("model", "effects")}},
-    "csv": api.export(model, "csv"),
+    "findings": {{f.effect: f.sentence for f in found.findings}},
+    "density": [f.parameters["cable_kg_m"].ci95 for f in found.findings if f.effect == "hanging_cable"],
+    "drift": [each.model["accel_drift_z_m_s3"].ci95 for each in (identification, drifted)],
+    "rows": [row["parameter"] for row in drifted.records()],
+    "model": drifted_model["model"],
+    "csv": api.export(drifted_model, "csv"),
+    "effects": model["effects"],
     "scenario": api.export(model, "scenario"),
-    "report": open("report.html", encoding="utf-8").read(),
-    "climb_m_s": [float(list(each.values())[0]["0.5"]["velocity_m_s"]["rms"]) if False else each for each in errors],
-}}, default=float))
+    "reports": [open(name, encoding="utf-8").read() for name in ("report.html", "drifted.html")],
+    "miss_m_s": [each["velocity_m_s"]["rms"] for each in errors],
+}}))
 """
 
 
@@ -81,3 +85,58 @@ def clone(tmp_path_factory) -> Path:
         shutil.copytree(ROOT / name, folder / name)
     type_in(folder)
     return folder
+
+
+@pytest.fixture(scope="module")
+def seen(clone) -> dict[str, Any]:
+    """What the page's last block and the program's other outputs give in the copy."""
+    flying = blocks("text")[0].replace("print(", "(")
+    program = STRANGER.format(flying=flying, drift=DRIFT_M_S3)
+    known = {"PYTHONPATH": str(clone), "NUMBA_OPT": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", program], cwd=clone, env=os.environ | known, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    return json.loads(done.stdout)
+
+
+def test_an_effect_takes_two_new_files_and_a_parameter_changes_two(clone):
+    def sources(folder: Path) -> dict[str, bytes]:
+        return {
+            str(path.relative_to(folder)): path.read_bytes()
+            for name in ("groundstation", "sim", "drivers")
+            for path in (folder / name).rglob("*.py")
+        }
+
+    before, after = sources(ROOT), sources(clone)
+    assert set(after) - set(before) == {
+        "groundstation/diagnosis/effects/hanging_cable.py",
+        "sim/effects/hanging_cable.py",
+    }
+    changed = {name for name in before if before[name] != after[name]}
+    assert changed == {"groundstation/model/parameters.py", "groundstation/identification/sensitivities.py"}
+
+
+def test_the_effect_is_found_in_a_simulated_flight_and_nothing_else_is(seen):
+    assert seen["verdict"] == "explained" and list(seen["findings"]) == ["hanging_cable"], seen["findings"]
+    low, high = seen["density"][0]
+    assert low < DENSITY_KG_M < high and high - low < 0.5 * DENSITY_KG_M, (low, high)
+
+
+def test_report_scenario_model_and_prediction_know_the_effect(seen):
+    sentence = seen["findings"]["hanging_cable"]
+    assert re.fullmatch(r"A cable hangs from the vehicle: each metre of height adds [\d.]+ g\.", sentence)
+    assert sentence in seen["reports"][0]
+    assert re.search(r"\[effects\.hanging_cable\]\ndensity_kg_m = 0\.0[45]", seen["scenario"])
+    assert set(seen["effects"]["hanging_cable"]) == {"cable_kg_m"}
+    with_it, without = seen["miss_m_s"]
+    assert with_it < 0.9 * without, seen["miss_m_s"]
+
+
+def test_the_parameter_is_estimated_and_shown_wherever_parameters_are(seen):
+    (none, (low, high)), name = seen["drift"], "accel_drift_z_m_s3"
+    assert low < DRIFT_M_S3 < high and high - low < DRIFT_M_S3, (low, high)
+    assert none[0] < 0.0 < none[1], none
+    assert name in seen["rows"] and name in seen["model"]
+    assert re.search(rf"^{name},.*,m/s³,identified$", seen["csv"], re.M)
+    assert "accelerometer drift z" in seen["reports"][1]
