@@ -65,9 +65,10 @@ def summed(parts: Sequence[tuple[int, Wrench]]) -> Sum:
     """
 
     @numba.njit(error_model="numpy")
-    def total(effects: Any, at: Moving, force: Vector, torque: Vector) -> tuple[Vector, Vector]:
+    def nothing(effects: Any, at: Moving, force: Vector, torque: Vector) -> tuple[Vector, Vector]:
         return force, torque
 
+    total: Sum = nothing
     for place, wrench in parts:
         total = _after(total, place, wrench)
     return total
