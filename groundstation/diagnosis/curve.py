@@ -87,7 +87,7 @@ def with_exponent(findings: list[Finding], error: float, gain: float) -> list[Fi
     own = Finding(
         effect=NAME,
         parameters={"exponent_error": total},
-        evidence=filled(library()[NAME].sentence, exponent_error=total.value),
+        sentence=filled(library()[NAME].sentence, exponent_error=total.value),
         confidence=1.0 if more is None else more.confidence,
         gain=gain,
     )

@@ -139,7 +139,7 @@ def _finding(item: Named, solution: Solution, offset: int) -> Finding:
     return Finding(
         effect=effect.identifier,
         parameters=parameters,
-        evidence=filled(effect.sentence, **known, rotor=str(rotor)),
+        sentence=filled(effect.sentence, **known, rotor=str(rotor)),
         confidence=item.confidence,
         alternatives=item.alternatives,
         rotor=rotor,

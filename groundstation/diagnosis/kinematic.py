@@ -79,7 +79,7 @@ def _finding(effect: SensorEffect, reading: Reading, departure: _Departure, riva
     return Finding(
         effect=effect.identifier,
         parameters=departure.parameters,
-        evidence=filled(reading.sentence, **values, size=float(np.linalg.norm(departure.size))),
+        sentence=filled(reading.sentence, **values, size=float(np.linalg.norm(departure.size))),
         confidence=posterior([THRESHOLDS.sensor_std**2 - departure.evidence, *(-d for d in rivals.values())]),
         alternatives=tuple(name for name, d in rivals.items() if d < THRESHOLDS.inseparable),
         gain=departure.evidence,

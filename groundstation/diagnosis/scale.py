@@ -37,7 +37,7 @@ def scale_findings(vehicle: Vehicle, parameters: Mapping[str, Estimate]) -> list
         Finding(
             effect=EFFECT.identifier,
             parameters={EFFECT.names()[0]: Estimate.normal(ratio, std)},
-            evidence=filled(EFFECT.sentence, **{EFFECT.names()[0]: ratio}),
+            sentence=filled(EFFECT.sentence, **{EFFECT.names()[0]: ratio}),
             confidence=posterior([THRESHOLDS.timing_wald - wald]),
             gain=wald,
         )

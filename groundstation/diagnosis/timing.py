@@ -110,7 +110,7 @@ def _lag(
             NAMES[1]: Estimate.time(down, float(std[1]), beside.step_s),
             SLOPE: beside.slope,
         },
-        evidence=filled(LAG.sentence, **{NAMES[0]: up, NAMES[1]: down}),
+        sentence=filled(LAG.sentence, **{NAMES[0]: up, NAMES[1]: down}),
         confidence=posterior(rivals),
         alternatives=(DELAY.identifier,) if close else (),
         gain=gain,
@@ -123,7 +123,7 @@ def _delay(
     return Finding(
         effect=DELAY.identifier,
         parameters={NAMES[2]: Estimate.time(value, float(np.sqrt(variance)), step_s)},
-        evidence=filled(DELAY.sentence, **{NAMES[2]: float(value)}),
+        sentence=filled(DELAY.sentence, **{NAMES[2]: float(value)}),
         confidence=posterior(rivals),
         alternatives=(LAG.identifier,) if close else (),
         gain=gain,

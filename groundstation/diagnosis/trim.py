@@ -206,7 +206,7 @@ def _findings(
                 for name, value in best.parameters.items()
                 if len(best.rotors) < 2 or name.endswith("/2") == (place == 1)
             },
-            evidence=f"{_sentence(best, place, rotor)}{limit}",
+            sentence=f"{_sentence(best, place, rotor)}{limit}",
             confidence=shares[0],
             alternatives=tuple(name for name in alternatives if name != best.effect),
             rotor=rotor,

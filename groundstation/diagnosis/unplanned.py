@@ -81,7 +81,7 @@ class PastMotion:
         return Finding(
             effect=self.effect.identifier,
             parameters=values,
-            evidence=f"{sentence} No plan is recorded: past motion is the instrument, and parts of the flights check "
+            sentence=f"{sentence} No plan is recorded: past motion is the instrument, and parts of the flights check "
             "each other.",
             confidence=posterior([self.chance - self.wald]),
             gain=self.gain,
