@@ -47,10 +47,6 @@ class Signals:
         """Velocity over ground in body axes, (k, 3)."""
         return quat_rotate_inverse(self.quaternion, self.velocity_world_m_s)
 
-    def up_body(self) -> Annotated[Array, "k 3"]:
-        """World vertical in body axes, (k, 3)."""
-        return quat_rotate_inverse(self.quaternion, np.broadcast_to([0.0, 0.0, 1.0], (len(self.t_s), 3)))
-
 
 def hover_share(signals: Signals, vehicle: Vehicle) -> Annotated[Array, "k"]:
     """Sum of rotor speeds over its value at hover, shape (k,): how much rotor there is to be dragged."""

@@ -68,10 +68,6 @@ class CoreClient:
         request = Lease(self.name, take=True, force=force, sequence=self._next())
         return bus.ask(self._session, bus.CORE_LEASE, request, LeaseAnswer)
 
-    def give_lease(self) -> LeaseAnswer:
-        """Stop being the operator."""
-        return bus.ask(self._session, bus.CORE_LEASE, Lease(self.name, take=False, sequence=self._next()), LeaseAnswer)
-
     def _next(self) -> int:
         """The number of the next order: of the clock, so that it grows when a client of this name is started again."""
         self._sequence = max(self._sequence + 1, time.time_ns())

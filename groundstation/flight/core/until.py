@@ -43,7 +43,6 @@ class FlyUntil:
         self._waiting, self._looked_s = False, -math.inf
         self._preview_s = -math.inf
         self._newest: Look | None = None
-        self._moment_s = 0.0
 
     def follow(self, status: DroneStatus) -> None:
         """The excitation's start on the host's clock."""
@@ -68,7 +67,6 @@ class FlyUntil:
         """Everything up to a moment is known: the order that leaves now, and the sentence for the log; both empty
         between looks.
         """
-        self._moment_s = host_s
         if self._waiting or self._start_s is None:
             return "", ""
         if host_s + (batch_s if self._lock_step else 0.0) <= self._look_s():
