@@ -15,6 +15,7 @@ import numpy as np
 
 from sim.algebra import Quaternion, Vector, conjugate, exponential, multiply, normalise, scale, to_world
 from sim.compiled import compiled
+from sim.lanes import nearest, select
 
 POSITION_SUM, ANGLE_SUM, TILT, FORCE, CONTROL_SIZE = 0, 3, 6, 8, 11
 """Controller state: integrals of position error and of attitude error, filtered commanded roll and pitch, held f_p."""
@@ -130,10 +131,10 @@ def correct(observer: Observer, estimate, then, pose) -> None:
         error = pose[i] - then[i]
         estimate[EST_POSITION + i] += min(3.0 * h, 0.8) * error
         estimate[EST_VELOCITY + i] += 3.0 * h * observer.bandwidth * error
-        estimate[ACCEL_BIAS + i] -= h * observer.bandwidth**2 * error
+        estimate[ACCEL_BIAS + i] -= h * (observer.bandwidth * observer.bandwidth) * error
     old = (then[3], then[4], then[5], then[6])
     turn = multiply(conjugate(old), (pose[3], pose[4], pose[5], pose[6]))
-    sign = 2.0 if turn[0] >= 0.0 else -2.0
+    sign = select(turn[0] >= 0.0, 2.0, -2.0)
     k = observer.attitude_bandwidth * observer.pose_period
     step = (sign * turn[1], sign * turn[2], sign * turn[3])
     q = (estimate[6], estimate[7], estimate[8], estimate[9])
@@ -150,9 +151,9 @@ def position_loop(law: Law, control, estimate, setpoint, dt: float, standing: bo
     for i in range(3):
         error = setpoint[i] - estimate[EST_POSITION + i]
         rate = setpoint[3 + i] - estimate[EST_VELOCITY + i]
-        if not standing:
-            largest = 0.5 * law.mass * law.gravity / max(law.position_i[i], 1e-9)
-            control[POSITION_SUM + i] = clip(control[POSITION_SUM + i] + dt * error, -largest, largest)
+        largest = 0.5 * law.mass * law.gravity / max(law.position_i[i], 1e-9)
+        total = clip(control[POSITION_SUM + i] + dt * error, -largest, largest)
+        control[POSITION_SUM + i] = select(standing, control[POSITION_SUM + i], total)
         wanted = law.mass * (setpoint[6 + i] + (law.gravity if i == 2 else 0.0))
         wanted += law.position_p[i] * error + law.position_i[i] * control[POSITION_SUM + i] + law.position_d[i] * rate
         control[FORCE + i] = wanted
@@ -172,7 +173,7 @@ def attitude_loop(law: Law, control, estimate, setpoint, dt: float, standing: bo
     roll = clip(atan(cos(pitch) * (fx * s_yaw - fy * c_yaw) / fz), -law.tilt_max, law.tilt_max)
     thrust = fz / max(c_roll * c_pitch, 0.3)
     yaw_error = setpoint[9] - angles[2]
-    yaw_error -= 2.0 * pi * round(yaw_error / (2.0 * pi))
+    yaw_error -= 2.0 * pi * nearest(yaw_error / (2.0 * pi))
     errors = (roll - angles[0], pitch - angles[1], clip(yaw_error, -0.5, 0.5))
     # Derivative filter a s/(s + a), zero-order hold: the state follows, the difference times a is the derivative.
     a = law.filter_rad_s
@@ -186,9 +187,9 @@ def attitude_loop(law: Law, control, estimate, setpoint, dt: float, standing: bo
     rates = (p + t_pitch * turning, q * c_roll - r * s_roll, turning / max(c_pitch, 0.1))
     u = (0.0, 0.0, 0.0)
     for i in range(3):
-        if not standing:
-            largest = 0.3 * law.attitude_p[i] / max(law.attitude_i[i], 1e-9)
-            control[ANGLE_SUM + i] = clip(control[ANGLE_SUM + i] + dt * errors[i], -largest, largest)
+        largest = 0.3 * law.attitude_p[i] / max(law.attitude_i[i], 1e-9)
+        total = clip(control[ANGLE_SUM + i] + dt * errors[i], -largest, largest)
+        control[ANGLE_SUM + i] = select(standing, control[ANGLE_SUM + i], total)
         value = law.attitude_p[i] * errors[i] + law.attitude_i[i] * control[ANGLE_SUM + i]
         value += law.attitude_d[i] * (slopes[i] - rates[i])
         u = (value if i == 0 else u[0], value if i == 1 else u[1], value if i == 2 else u[2])
@@ -204,10 +205,9 @@ def attitude_loop(law: Law, control, estimate, setpoint, dt: float, standing: bo
 def motor_value(law: Law, thrust: float) -> float:
     """Motor value that gives a thrust by the declared curve."""
     c = law.curve
-    if c[2] == 0.0:
-        return min((thrust - c[0]) / c[1], law.value_max)
     root = c[1] * c[1] - 4.0 * c[2] * (c[0] - thrust)
-    return clip((-c[1] + sqrt(max(root, 0.0))) / (2.0 * c[2]), 0.0, law.value_max)
+    curved = clip((-c[1] + sqrt(max(root, 0.0))) / (2.0 * c[2]), 0.0, law.value_max)
+    return select(c[2] == 0.0, min((thrust - c[0]) / c[1], law.value_max), curved)
 
 
 @compiled
@@ -231,7 +231,7 @@ def mix(law: Law, thrust: float, torque: Vector, values) -> None:
         tilt = m[i, 1] * tx + m[i, 2] * ty
         least, most = min(least, tilt), max(most, tilt)
     room = law.rotor_max - law.rotor_min
-    keep = room / (most - least) if most - least > room else 1.0
+    keep = select(most - least > room, room / (most - least), 1.0)
     low, high = 1e30, -1e30
     for i in range(n):
         values[i] = m[i, 0] * total + keep * (m[i, 1] * tx + m[i, 2] * ty)
@@ -241,10 +241,9 @@ def mix(law: Law, thrust: float, torque: Vector, values) -> None:
     for i in range(n):
         values[i] += shift
         turn = m[i, 3] * tz
-        if turn > 0.0:
-            yaw_share = min(yaw_share, max(law.rotor_max - values[i], 0.0) / turn)
-        elif turn < 0.0:
-            yaw_share = min(yaw_share, max(values[i] - law.rotor_min, 0.0) / -turn)
+        above = min(yaw_share, max(law.rotor_max - values[i], 0.0) / turn)
+        below = min(yaw_share, max(values[i] - law.rotor_min, 0.0) / -turn)
+        yaw_share = select(turn > 0.0, above, select(turn < 0.0, below, yaw_share))
     for i in range(n):
         values[i] = motor_value(law, values[i] + yaw_share * m[i, 3] * tz)
 
@@ -252,6 +251,8 @@ def mix(law: Law, thrust: float, torque: Vector, values) -> None:
 @compiled
 def lead(law: Law, dt: float, state, values) -> None:
     """Lead motor values by (1 + T s)/(1 + r T s), r = LEAD_RATIO, which leaves a rotor lag of r T in the loop.
+
+    Nothing is led where T is zero.
 
     Args:
         law: constants; T is ``lead_s``.
@@ -263,4 +264,5 @@ def lead(law: Law, dt: float, state, values) -> None:
     low, high = motor_value(law, law.rotor_min), motor_value(law, law.rotor_max)
     for i in range(len(values)):
         state[i] += share * (values[i] - state[i])
-        values[i] = clip(state[i] + (values[i] - state[i]) / LEAD_RATIO, low, high)
+        led = clip(state[i] + (values[i] - state[i]) / LEAD_RATIO, low, high)
+        values[i] = select(law.lead_s > 0.0, led, values[i])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from groundstation.vehicle import Vehicle
 from sim.autopilot import SETPOINT_SIZE
 from sim.build import STEP_S
 from sim.scenario import Scenario
-from sim.simulation import Samples, SetpointSource, Simulation
+from sim.simulation import Prepared, Samples, SetpointSource, Simulation
 
 Array = NDArray[np.float64]
 
@@ -94,7 +95,25 @@ def simulate(vehicle: Vehicle, plan: Plan, scenario: Scenario, seed: int, *, res
         BadInput: the scenario does not fit the vehicle.
     """
     simulation = Simulation(vehicle, scenario, seed)
-    chunks = [simulation.idle(round(rest_s / STEP_S))]
+    flight = flown(simulation, plan, rest_s)
+    prepared = next(flight)
+    while True:
+        try:
+            prepared = flight.send(simulation.run(prepared))
+        except StopIteration as end:
+            return end.value
+
+
+def flown(
+    simulation: Simulation, plan: Plan, rest_s: float
+) -> Generator[Prepared, dict[str, Samples], SimulatedFlight]:
+    """A flight as stretches to run, each answered by what was recorded on it; returns the whole.
+
+    Raises:
+        FlightAborted: the vehicle hit the floor or did not come down.
+    """
+    vehicle, scenario = simulation.declared, simulation.scenario
+    chunks = [(yield simulation.ready_to_idle(round(rest_s / STEP_S)))]
     start = scenario.start
     path = flight_path(plan, np.array([*start.position_m, start.yaw_rad]))
     simulation.take_off_now()
@@ -102,9 +121,9 @@ def simulate(vehicle: Vehicle, plan: Plan, scenario: Scenario, seed: int, *, res
     begin, end = excitation_window(path, simulation.time_s)
     give_up = simulation.time_s + path.duration_s + 20.0
     while not (simulation.standing and simulation.time_s > end):
-        chunks.append(simulation.fly(_CHUNK, source))
+        chunks.append((yield simulation.ready_to_fly(_CHUNK, source)))
         _refuse_what_cannot_be_flown(simulation, vehicle.name, give_up)
-    chunks.append(simulation.idle(round(rest_s / STEP_S)))
+    chunks.append((yield simulation.ready_to_idle(round(rest_s / STEP_S))))
     joined = {name: tuple(np.concatenate([chunk[name][i] for chunk in chunks]) for i in range(3)) for name in chunks[0]}
     clock = simulation.motor_clock_s
     return SimulatedFlight(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from math import cos, sin
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,33 @@ c).
 
 SetpointSource = Callable[[Array], Array]
 """Setpoint rows, shape (k, 11), at true times; see :data:`sim.autopilot.SETPOINT_SIZE`."""
+
+
+class Prepared(NamedTuple):
+    """A stretch of time that is ready to run.
+
+    Attributes:
+        simulation: whose it is.
+        stretch: what the compiled loop needs.
+        times: by device; see :data:`Times`.
+        lost: which poses are.
+    """
+
+    simulation: Simulation
+    stretch: Stretch
+    times: dict[str, Times]
+    lost: Mask
+
+
+class Recorded(NamedTuple):
+    """What the compiled loop leaves of a stretch; see :func:`sim.loop.run`."""
+
+    imu: Array
+    poses: Array
+    speeds: Array
+    volts: Array
+    commands: Array
+    estimates: Array
 
 
 class Simulation:
@@ -196,10 +224,14 @@ class Simulation:
 
     def idle(self, steps: int) -> dict[str, Samples]:
         """Run with the rotors off."""
+        return self.run(self.ready_to_idle(steps))
+
+    def ready_to_idle(self, steps: int) -> Prepared:
+        """What :meth:`idle` runs."""
         ticks = self.control_ticks(steps)
         held = np.zeros((len(ticks), SETPOINT_SIZE))
         held[:, :3] = self.scenario.start.position_m
-        return self._run(steps, IDLE, held, None)
+        return self._prepare(steps, IDLE, held, None)
 
     def fly(self, steps: int, setpoints: SetpointSource) -> dict[str, Samples]:
         """Run under the vehicle's own control law.
@@ -208,7 +240,11 @@ class Simulation:
             steps: of 1 ms.
             setpoints: where to be, at the true times of the control ticks.
         """
-        return self._run(steps, FLYING, setpoints(self.control_ticks(steps)), None)
+        return self.run(self.ready_to_fly(steps, setpoints))
+
+    def ready_to_fly(self, steps: int, setpoints: SetpointSource) -> Prepared:
+        """What :meth:`fly` runs."""
+        return self._prepare(steps, FLYING, setpoints(self.control_ticks(steps)), None)
 
     def drive(self, steps: int, motors: Array, setpoints: Array | None = None) -> dict[str, Samples]:
         """Run with motor values from outside, as another autopilot gives them.
@@ -224,7 +260,8 @@ class Simulation:
             (ticks, self.declared.rotors.count)
         )  # a writable array: compiled code has no second form for others
         rows[:] = motors
-        return self._run(steps, EXTERNAL, np.zeros((ticks, SETPOINT_SIZE)) if setpoints is None else setpoints, rows)
+        held = np.zeros((ticks, SETPOINT_SIZE)) if setpoints is None else setpoints
+        return self.run(self._prepare(steps, EXTERNAL, held, rows))
 
     def _stretch(
         self, steps: int, mode: int, setpoints: Array, motors: Array | None, times: Mapping[str, Times], lost: Mask
@@ -251,28 +288,40 @@ class Simulation:
             speed_s=times["speed"][0],
             battery_s=times["battery"][0],
             drift_noise=self._random["drift"].standard_normal((steps, 6)),
-            gust_noise=self._random["gust"].standard_normal((steps, 3)),
+            gust_noise=self._random["gust"].standard_normal((steps if self.scenario.effects.wind.on else 0, 3)),
         )
 
-    def _run(self, steps: int, mode: int, setpoints: Array, motors: Array | None) -> dict[str, Samples]:
+    def _prepare(self, steps: int, mode: int, setpoints: Array, motors: Array | None) -> Prepared:
         end = (self.step + steps) * STEP_S
         times = {key: ticker.until(end) for key, ticker in self._tickers.items()}
         ticks = self.control_ticks(steps)
         times["flight"] = (ticks, *self._flight.stamp(ticks))
-        _, pose_stamp, pose_arrival = times["pose"]
         lost = self._lost.during(times["pose"][0])
-        stretch = self._stretch(steps, mode, setpoints, motors, times, lost)
-        imu, poses, values, volts, commands, estimates, self.path = run(self.world, self.memory, stretch)
-        self.step += steps
+        return Prepared(self, self._stretch(steps, mode, setpoints, motors, times, lost), times, lost)
+
+    def run(self, prepared: Prepared) -> dict[str, Samples]:
+        """Run a stretch; returns what the devices recorded, by stream."""
+        *arrays, self.path = run(self.world, self.memory, prepared.stretch)
+        return self.recorded(prepared, Recorded(*arrays))
+
+    def recorded(self, prepared: Prepared, found: Recorded) -> dict[str, Samples]:
+        """The streams of a stretch that has been run.
+
+        Raises:
+            FloatingPointError: the state is no longer finite.
+        """
+        times, lost, setpoints = prepared.times, prepared.lost, prepared.stretch.setpoints
+        _, pose_stamp, pose_arrival = times["pose"]
+        self.step += prepared.stretch.steps
         if not np.isfinite(self.memory.x).all():
             raise FloatingPointError(f"the simulated state is no longer finite {self.time_s:.3f} s after the start")
         return {
-            "imu": (*times["imu"][1:], imu),
-            "mocap": (pose_stamp[~lost], pose_arrival[~lost], poses[~lost]),
-            "motors": self._motors(times, values, commands),
-            "battery": (*times["battery"][1:], self._battery(volts)),
+            "imu": (*times["imu"][1:], found.imu),
+            "mocap": (pose_stamp[~lost], pose_arrival[~lost], found.poses[~lost]),
+            "motors": self._motors(times, found.speeds, found.commands),
+            "battery": (*times["battery"][1:], self._battery(found.volts)),
             "setpoint": self._thin(times["flight"], setpoints[:, [0, 1, 2, 9]], self.scenario.setpoint.rate_hz),
-            "state": self._thin(times["flight"], estimates, self.scenario.state.rate_hz),
+            "state": self._thin(times["flight"], found.estimates, self.scenario.state.rate_hz),
         }
 
     def _motors(self, times: dict[str, Samples], values: Array, commands: Array) -> Samples:

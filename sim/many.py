@@ -1,0 +1,236 @@
+"""Many simulated flights at once, for studies: eight in lockstep, each bit by bit what :func:`sim.flight.simulate` gives.
+
+Flights whose worlds differ in numbers only (masses, gains, strengths of effects) share a vector register. Others do
+not: rotor counts, control rates, or which effects are on. So a study of one laboratory gains most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Hashable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.errors import GroundStationError
+from groundstation.trajectory import Plan
+from groundstation.vehicle import Vehicle
+from sim.autopilot import CONTROL_SIZE, ESTIMATE_SIZE
+from sim.build import build_world
+from sim.flight import SimulatedFlight, flown, simulate
+from sim.lanes import WIDTH, Lanes, Rows
+from sim.lockstep import Inputs, Outputs, Scratch, run_lanes
+from sim.loop import FLYING, Memory, World
+from sim.scenario import Scenario
+from sim.simulation import Prepared, Recorded, Samples, Simulation
+
+Array = NDArray[np.float64]
+Outcome = SimulatedFlight | GroundStationError | FloatingPointError
+
+LEAST = 3
+"""Flights of one kind from which lockstep pays: eight lanes cost about as much as two flights alone."""
+
+
+class Job(NamedTuple):
+    """A flight to be simulated: the arguments of :func:`sim.flight.simulate`."""
+
+    vehicle: Vehicle
+    plan: Plan
+    scenario: Scenario
+    seed: int
+    rest_s: float = 1.0
+
+
+def simulate_many(jobs: Sequence[Job]) -> Iterator[tuple[int, Outcome]]:
+    """Fly them all; yields each one's number and flight (or why there is none), as groups are done.
+
+    Raises:
+        BadInput: a scenario does not fit its vehicle.
+    """
+    kinds: dict[Hashable, list[int]] = {}
+    known: dict[tuple[int, int], Hashable] = {}
+    for number, job in enumerate(jobs):
+        pair = (id(job.vehicle), id(job.scenario))
+        if pair not in known:
+            known[pair] = kind(build_world(job.vehicle, job.scenario))
+        kinds.setdefault((known[pair], job.rest_s), []).append(number)
+    for numbers in kinds.values():
+        for first in range(0, len(numbers), WIDTH):
+            group = numbers[first : first + WIDTH]
+            alone = len(group) < LEAST
+            yield from (((n, _alone(jobs[n])) for n in group) if alone else _in_lockstep(jobs, group))
+
+
+def kind(world: Any) -> Hashable:
+    """What flights in lockstep share: shapes, switches and counts, but not the numbers."""
+    if isinstance(world, World):
+        return (world.dt, world.outer_every, *(kind(part) for part in world[4:]), world.control_every)
+    if isinstance(world, tuple):
+        return tuple(kind(part) for part in world)
+    if isinstance(world, np.ndarray):
+        return world.shape
+    return None if isinstance(world, float) else world
+
+
+def _alone(job: Job) -> Outcome:
+    try:
+        return simulate(job.vehicle, job.plan, job.scenario, job.seed, rest_s=job.rest_s)
+    except (GroundStationError, FloatingPointError) as error:
+        return error
+
+
+def _stacked(parts: Sequence[Any]) -> Any:
+    """Constants of eight worlds as lanes, in the same tuples."""
+    first = parts[0]
+    if isinstance(first, tuple):
+        fields = [_stacked(column) for column in zip(*parts, strict=True)]
+        return type(first)(*fields) if hasattr(first, "_fields") else tuple(fields)
+    if isinstance(first, np.ndarray):
+        return Rows(np.ascontiguousarray(np.stack(parts, axis=-1)))
+    return Lanes(np.array(parts)) if isinstance(first, float) else first
+
+
+class Lane:
+    """One flight of a group: its stretch, and how much of it has been run."""
+
+    def __init__(self, simulation: Simulation, flight: Generator[Prepared, dict[str, Samples], SimulatedFlight]):
+        self.simulation = simulation
+        self.outcome: Outcome | None = None
+        self._flight = flight
+        self._take(next(flight))
+
+    def _take(self, prepared: Prepared) -> None:
+        self.prepared, self.steps, self.ticks, self.taken = prepared, 0, 0, np.zeros(4, dtype=int)
+        self._found: list[Recorded] = []
+
+    @property
+    def left(self) -> int:
+        """Steps of its stretch that are still to be run."""
+        return self.prepared.stretch.steps - self.steps
+
+    def advance(self, steps: int, found: Recorded, taken: NDArray[np.int_]) -> None:
+        """Take what a run of so many steps left; at the end of its stretch the flight says what comes next."""
+        self._found.append(found)
+        self.steps += steps
+        self.ticks += len(found.commands)
+        self.taken = self.taken + taken
+        if self.left:
+            return
+        whole = Recorded(*(np.concatenate(parts) for parts in zip(*self._found, strict=True)))
+        try:
+            self._take(self._flight.send(self.simulation.recorded(self.prepared, whole)))
+        except StopIteration as end:
+            self.outcome = end.value
+        except (GroundStationError, FloatingPointError) as error:
+            self.outcome = error
+
+
+def _in_lockstep(jobs: Sequence[Job], numbers: Sequence[int]) -> Iterator[tuple[int, Outcome]]:
+    """Fly up to eight flights of one kind; empty lanes repeat the first one's world."""
+    simulations = [Simulation(job.vehicle, job.scenario, job.seed) for job in (jobs[n] for n in numbers)]
+    spare = [simulations[0]] * (WIDTH - len(simulations))
+    shared = simulations[0].world
+    world = _stacked([s.world for s in (*simulations, *spare)])._replace(dt=shared.dt, outer_every=shared.outer_every)
+    memory = [np.stack(parts, axis=-1, dtype=float) for parts in zip(*(s.memory for s in (*simulations, *spare)), strict=True)]
+    lanes = []
+    for j, (simulation, n) in enumerate(zip(simulations, numbers, strict=True)):
+        simulation.memory = Memory(*(array[..., j] for array in memory))
+        lanes.append(Lane(simulation, flown(simulation, jobs[n].plan, jobs[n].rest_s)))
+    rows, scratch = Memory(*map(Rows, memory)), _scratch(len(memory[3]))
+    step = 0
+    while any(lane.outcome is None for lane in lanes):
+        step += _run(world, rows, scratch, lanes, step)
+    yield from ((n, lane.outcome) for n, lane in zip(numbers, lanes, strict=True))  # type: ignore[misc]
+
+
+def _scratch(rotors: int) -> Scratch:
+    def rows(*shape: int) -> Rows:
+        return Rows(np.zeros((*shape, WIDTH)))
+
+    return Scratch(
+        control=rows(CONTROL_SIZE),
+        led=rows(rotors),
+        estimate=rows(ESTIMATE_SIZE),
+        low_pass=rows(2, 6),
+        last_pose=rows(7),
+        asked=rows(rotors),
+        noise=rows(6),
+        row=rows(7),
+        pose=rows(7),
+    )
+
+
+def _side_by_side(parts: Sequence[Array | None], width: int, empty: float) -> Rows:
+    """Rows of each lane side by side, and one more; ``empty`` where a lane has none."""
+    longest = max(len(part) for part in parts if part is not None)
+    out = np.full((longest + 1, width, WIDTH), empty)
+    for j, part in enumerate(parts):
+        if part is not None:
+            out[: len(part), :, j] = part
+    return Rows(out)
+
+
+def _inputs(lanes: Sequence[Lane], first: int, steps: int, ticks: int) -> Inputs:
+    """What the flights that are still under way need of the next steps."""
+    under_way = [lane if lane.outcome is None else None for lane in lanes]
+    stretches = [(lane, lane.prepared.stretch) if lane else None for lane in under_way]
+
+    def column(device: int, values: Any, width: int, empty: float = np.inf) -> Rows:
+        parts = [values(pair[1])[pair[0].taken[device] :] if pair else None for pair in stretches]
+        return _side_by_side(parts, width, empty)
+
+    def per_step(values: Any, width: int) -> Rows:
+        parts = [values(pair[1])[pair[0].steps : pair[0].steps + steps] if pair else None for pair in stretches]
+        return _side_by_side(parts, width, 0.0)
+
+    setpoints = [pair[1].setpoints[pair[0].ticks : pair[0].ticks + ticks] if pair else None for pair in stretches]
+    flying, start = np.zeros(WIDTH), np.full(WIDTH, np.inf)
+    for j, pair in enumerate(stretches):
+        if pair:
+            flying[j], start[j] = pair[1].mode == FLYING, pair[1].start_s
+    return Inputs(
+        first=first,
+        steps=steps,
+        flying=Lanes(flying),
+        start_s=Lanes(start),
+        setpoints=_side_by_side(setpoints, 11, 0.0),
+        imu_s=column(0, lambda s: s.imu_s[:, None], 1),
+        imu_noise=column(0, lambda s: s.imu_noise, 6, 0.0),
+        poses=column(
+            1, lambda s: np.column_stack([s.pose_s, s.pose_arrival_s, s.pose_frozen, s.pose_noise]), 9
+        ),
+        speed_s=column(2, lambda s: s.speed_s[:, None], 1),
+        battery_s=column(3, lambda s: s.battery_s[:, None], 1),
+        drift_noise=per_step(lambda s: s.drift_noise, 6),
+        gust_noise=per_step(lambda s: s.gust_noise, 3),
+    )
+
+
+def _run(world: World, memory: Memory, scratch: Scratch, lanes: Sequence[Lane], first: int) -> int:
+    """Advance a group to the next end of a stretch; returns how many steps that was."""
+    steps = min(lane.left for lane in lanes if lane.outcome is None)
+    every, rotors = world.control_every, len(scratch.asked.values)
+    ticks = (first + steps - 1) // every - (first - 1) // every
+    inputs = _inputs(lanes, first, steps, ticks)
+
+    def rows(count: int, width: int) -> Rows:
+        return Rows(np.empty((count, width, WIDTH)))
+
+    out = Outputs(
+        imu=rows(len(inputs.imu_s.values), 6),
+        poses=rows(len(inputs.poses.values), 7),
+        speeds=rows(len(inputs.speed_s.values), rotors),
+        volts=rows(len(inputs.battery_s.values), 2),
+        commands=rows(ticks, rotors),
+        estimates=rows(ticks, 13),
+        taken=Rows(np.zeros((4, WIDTH))),
+    )
+    run_lanes(world, memory, inputs, scratch, out)
+    for j, lane in enumerate(lanes):
+        if lane.outcome is None:
+            taken = out.taken.values[:, j].astype(int)
+            sampled = (out.imu, out.poses, out.speeds, out.volts)
+            samples = [rows.values[:k, :, j] for rows, k in zip(sampled, taken, strict=True)]
+            found = Recorded(*samples, out.commands.values[..., j], out.estimates.values[..., j])
+            lane.advance(steps, found, taken)
+    return steps
