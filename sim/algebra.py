@@ -8,7 +8,7 @@ from __future__ import annotations
 from math import cos, sin, sqrt
 
 from sim.compiled import compiled
-from sim.lanes import select
+from sim.lanes import any_of, negate, select
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -103,6 +103,8 @@ def exponential(r: Vector) -> Quaternion:
     angle = norm(r)
     tiny = angle < 1e-8
     near = normalise((1.0, 0.5 * r[0], 0.5 * r[1], 0.5 * r[2]))
+    if not any_of(negate(tiny)):
+        return near
     s = sin(0.5 * angle) / angle
     return (
         select(tiny, near[0], cos(0.5 * angle)),

@@ -8,7 +8,7 @@ has the desired one in (29)-(30), so that a yaw error does not turn the thrust. 
 
 from __future__ import annotations
 
-from math import asin, atan, atan2, cos, exp, pi, sin, sqrt
+from math import asin, atan, atan2, cos, pi, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +38,7 @@ class Law(NamedTuple):
         mass, gravity: declared weight's factors.
         position_p, position_i, position_d, attitude_p, attitude_i, attitude_d: diagonals of eq. (31)-(32).
         filter_rad_s: of the derivative of commanded tilt.
+        filter_share: what its state takes of a new value per control period.
         mixing: wrench to rotor thrusts, pseudo-inverse of the declared allocation, shape (n, 4).
         rotor_min, rotor_max: thrust of one rotor, N.
         thrust_max, torque_max: of the whole vehicle, N and N m.
@@ -45,6 +46,7 @@ class Law(NamedTuple):
         curve: declared c0, c1, c2 of thrust against motor value.
         value_max: largest motor value.
         lead_s: rotor lag that the law knows of and leads by; 0 for none.
+        lead_share: what the lead's state takes of a new value per control period.
     """
 
     mass: float
@@ -56,6 +58,7 @@ class Law(NamedTuple):
     attitude_i: Vector
     attitude_d: Vector
     filter_rad_s: float
+    filter_share: float
     mixing: np.ndarray
     rotor_min: float
     rotor_max: float
@@ -65,6 +68,7 @@ class Law(NamedTuple):
     curve: Vector
     value_max: float
     lead_s: float
+    lead_share: float
 
 
 class Observer(NamedTuple):
@@ -178,7 +182,7 @@ def attitude_loop(law: Law, control, estimate, setpoint, dt: float, standing: bo
     # Derivative filter a s/(s + a), zero-order hold: the state follows, the difference times a is the derivative.
     a = law.filter_rad_s
     slopes = (a * (roll - control[TILT]), a * (pitch - control[TILT + 1]), setpoint[10])
-    share = 1.0 - exp(-a * dt)
+    share = law.filter_share
     control[TILT] += share * (roll - control[TILT])
     control[TILT + 1] += share * (pitch - control[TILT + 1])
     p, q, r = estimate[EST_RATE], estimate[EST_RATE + 1], estimate[EST_RATE + 2]
@@ -249,20 +253,18 @@ def mix(law: Law, thrust: float, torque: Vector, values) -> None:
 
 
 @compiled
-def lead(law: Law, dt: float, state, values) -> None:
+def lead(law: Law, state, values) -> None:
     """Lead motor values by (1 + T s)/(1 + r T s), r = LEAD_RATIO, which leaves a rotor lag of r T in the loop.
 
     Nothing is led where T is zero.
 
     Args:
         law: constants; T is ``lead_s``.
-        dt: control period, s.
         state: lagged motor values, shape (n,), changed in place.
         values: motor values, changed in place and kept within the rotors' limits.
     """
-    share = 1.0 - exp(-dt / (LEAD_RATIO * law.lead_s))
     low, high = motor_value(law, law.rotor_min), motor_value(law, law.rotor_max)
     for i in range(len(values)):
-        state[i] += share * (values[i] - state[i])
+        state[i] += law.lead_share * (values[i] - state[i])
         led = clip(state[i] + (values[i] - state[i]) / LEAD_RATIO, low, high)
         values[i] = select(law.lead_s > 0.0, led, values[i])

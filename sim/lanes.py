@@ -1,9 +1,9 @@
 """Eight numbers that compiled code treats as one: a lane of a vector register for each of eight flights.
 
 The formulas of the simulator are written once. Given numbers they compile to scalar code; given :class:`Lanes` and
-:class:`Rows` the same functions compile to vector code. Both do the same IEEE operations in the same order, so a
-lane's result is the scalar one to the last bit. Sines and the like call the same library function lane by lane. A branch
-on a number becomes :func:`select`, of which both sides are worked out.
+:class:`sim.rows.Rows` the same functions compile to vector code. Both do the same IEEE operations in the same order,
+so a lane's result is the scalar one to the last bit. Sines and the like call the same library function lane by lane. A
+branch on a number becomes :func:`select`, of which both sides are worked out.
 
 Numba's extension interface is used as its manual says ("Extending Numba", low level): a type, its LLVM
 representation (a vector of doubles), the operators on it, and how a Python object is taken apart.
@@ -38,8 +38,8 @@ from numpy.typing import NDArray
 WIDTH = 8
 """Doubles of the widest vector registers; narrower machines take two or four registers for it."""
 
-_DOUBLE = ir.DoubleType()
-_VECTOR = ir.VectorType(_DOUBLE, WIDTH)
+DOUBLE = ir.DoubleType()
+VECTOR = ir.VectorType(DOUBLE, WIDTH)
 _BITS = ir.VectorType(ir.IntType(1), WIDTH)
 
 
@@ -49,18 +49,6 @@ class Lanes:
     def __init__(self, values: NDArray[np.float64]):
         self.values = np.ascontiguousarray(values, dtype=np.float64)
         self.address = int(self.values.ctypes.data)
-
-
-class Rows:
-    """An array of numbers of each flight, shape (k, 8) or (k, c, 8); compiled code reads and writes it in place."""
-
-    def __init__(self, values: NDArray[np.float64]):
-        if not (values.flags.c_contiguous and values.dtype == np.float64 and values.shape[-1] == WIDTH):
-            raise ValueError(f"rows of lanes are contiguous doubles of shape (..., {WIDTH}), not {values.shape}")
-        self.values = values
-        self.address = int(values.ctypes.data)
-        self.rows = values.shape[0]
-        self.columns = values.shape[1] if values.ndim == 3 else 1
 
 
 class LanesType(types.Type):
@@ -85,21 +73,13 @@ class MaskType(types.Type):
         return Conversion.safe if isinstance(other, types.Boolean) else None
 
 
-class RowsType(types.Type):
-    """Numba's type of :class:`Rows`."""
-
-    def __init__(self, ndim: int):
-        self.ndim = ndim
-        super().__init__(f"Rows({ndim})")
-
-
 LANES, MASK = LanesType(), MaskType()
 
 
 @register_model(LanesType)
 class _LanesModel(models.PrimitiveModel):
     def __init__(self, dmm: Any, fe_type: Any):
-        super().__init__(dmm, fe_type, _VECTOR)
+        super().__init__(dmm, fe_type, VECTOR)
 
 
 @register_model(MaskType)
@@ -108,24 +88,12 @@ class _MaskModel(models.PrimitiveModel):
         super().__init__(dmm, fe_type, _BITS)
 
 
-@register_model(RowsType)
-class _RowsModel(models.StructModel):
-    def __init__(self, dmm: Any, fe_type: Any):
-        members = [("data", types.voidptr), ("rows", types.intp), ("columns", types.intp)]
-        super().__init__(dmm, fe_type, members)
-
-
 @typeof_impl.register(Lanes)
 def _typeof_lanes(value: Lanes, context: Any) -> types.Type:
     return LANES
 
 
-@typeof_impl.register(Rows)
-def _typeof_rows(value: Rows, context: Any) -> types.Type:
-    return RowsType(value.values.ndim - 1)
-
-
-def _integer(c: Any, obj: Any, name: str) -> Any:
+def integer_attribute(c: Any, obj: Any, name: str) -> Any:
     attribute = c.pyapi.object_getattr_string(obj, name)
     value = c.pyapi.number_as_ssize_t(attribute)
     c.pyapi.decref(attribute)
@@ -134,16 +102,10 @@ def _integer(c: Any, obj: Any, name: str) -> Any:
 
 @unbox(LanesType)
 def _unbox_lanes(typ: Any, obj: Any, c: Any) -> NativeValue:
-    pointer = c.builder.inttoptr(_integer(c, obj, "address"), _VECTOR.as_pointer())
-    return NativeValue(c.builder.load(pointer, align=8), is_error=cgutils.is_not_null(c.builder, c.pyapi.err_occurred()))
-
-
-@unbox(RowsType)
-def _unbox_rows(typ: Any, obj: Any, c: Any) -> NativeValue:
-    struct = cgutils.create_struct_proxy(typ)(c.context, c.builder)
-    struct.data = c.builder.inttoptr(_integer(c, obj, "address"), cgutils.voidptr_t)
-    struct.rows, struct.columns = _integer(c, obj, "rows"), _integer(c, obj, "columns")
-    return NativeValue(struct._getvalue(), is_error=cgutils.is_not_null(c.builder, c.pyapi.err_occurred()))
+    pointer = c.builder.inttoptr(integer_attribute(c, obj, "address"), VECTOR.as_pointer())
+    return NativeValue(
+        c.builder.load(pointer, align=8), is_error=cgutils.is_not_null(c.builder, c.pyapi.err_occurred())
+    )
 
 
 # --- numbers and masks become lanes -----------------------------------------------------------------------------------
@@ -155,11 +117,11 @@ def _spread(builder: Any, value: Any, vector: Any) -> Any:
     return builder.shuffle_vector(first, ir.Constant(vector, ir.Undefined), zeros)
 
 
-def _vector(context: Any, builder: Any, typ: Any, value: Any) -> Any:
+def as_vector(context: Any, builder: Any, typ: Any, value: Any) -> Any:
     """The operand as a vector of doubles."""
     if isinstance(typ, LanesType):
         return value
-    return _spread(builder, context.cast(builder, value, typ, types.float64), _VECTOR)
+    return _spread(builder, context.cast(builder, value, typ, types.float64), VECTOR)
 
 
 def _mask(context: Any, builder: Any, typ: Any, value: Any) -> Any:
@@ -169,7 +131,7 @@ def _mask(context: Any, builder: Any, typ: Any, value: Any) -> Any:
 @lower_cast(types.Float, LanesType)
 @lower_cast(types.Integer, LanesType)
 def _cast_number(context: Any, builder: Any, fromty: Any, toty: Any, value: Any) -> Any:
-    return _vector(context, builder, fromty, value)
+    return as_vector(context, builder, fromty, value)
 
 
 @lower_cast(types.Boolean, MaskType)
@@ -179,7 +141,7 @@ def _cast_truth(context: Any, builder: Any, fromty: Any, toty: Any, value: Any) 
 
 # --- operators --------------------------------------------------------------------------------------------------------
 
-_NUMBERS = (LanesType, types.Float, types.Integer)
+NUMBERS = (LanesType, types.Float, types.Integer)
 
 
 def _binary(function: Callable[..., Any], result: types.Type, make: Callable[[Any, Any, Any], Any]) -> None:
@@ -187,19 +149,19 @@ def _binary(function: Callable[..., Any], result: types.Type, make: Callable[[An
 
     class Template(AbstractTemplate):
         def generic(self, args: Any, kws: Any) -> Any:
-            if len(args) == 2 and LANES in args and all(isinstance(a, _NUMBERS) for a in args):
+            if len(args) == 2 and LANES in args and all(isinstance(a, NUMBERS) for a in args):
                 return signature(result, *args)
             return None
 
     infer_global(function)(Template)
 
     def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        a, b = (_vector(context, builder, t, v) for t, v in zip(sig.args, args, strict=True))
+        a, b = (as_vector(context, builder, t, v) for t, v in zip(sig.args, args, strict=True))
         return make(builder, a, b)
 
-    for left in _NUMBERS:
+    for left in NUMBERS:
         lower_builtin(function, left, LanesType)(lowered)
-    for right in _NUMBERS[1:]:
+    for right in NUMBERS[1:]:
         lower_builtin(function, LanesType, right)(lowered)
 
 
@@ -282,13 +244,15 @@ def _intrinsic_of(name: str) -> Callable[[Any, Any], Any]:
     """A vector instruction of the processor, exact as the scalar one."""
 
     def make(builder: Any, value: Any) -> Any:
-        function = ir.FunctionType(_VECTOR, [_VECTOR])
-        return builder.call(cgutils.get_or_insert_function(builder.module, function, f"llvm.{name}.v{WIDTH}f64"), [value])
+        function = ir.FunctionType(VECTOR, [VECTOR])
+        return builder.call(
+            cgutils.get_or_insert_function(builder.module, function, f"llvm.{name}.v{WIDTH}f64"), [value]
+        )
 
     return make
 
 
-_unary(operator.neg, lambda builder, value: builder.fsub(ir.Constant(_VECTOR, [-0.0] * WIDTH), value))
+_unary(operator.neg, lambda builder, value: builder.fsub(ir.Constant(VECTOR, [-0.0] * WIDTH), value))
 _unary(math.sqrt, _intrinsic_of("sqrt"))
 _unary(abs, _intrinsic_of("fabs"))
 
@@ -298,7 +262,7 @@ def _library(function: Callable[..., Any], count: int) -> None:
 
     class Template(AbstractTemplate):
         def generic(self, args: Any, kws: Any) -> Any:
-            if len(args) == count and LANES in args and all(isinstance(a, _NUMBERS) for a in args):
+            if len(args) == count and LANES in args and all(isinstance(a, NUMBERS) for a in args):
                 return signature(LANES, *args)
             return None
 
@@ -306,15 +270,15 @@ def _library(function: Callable[..., Any], count: int) -> None:
 
     def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         scalar = context.get_function(function, signature(types.float64, *[types.float64] * count))
-        vectors = [_vector(context, builder, t, v) for t, v in zip(sig.args, args, strict=True)]
-        result = ir.Constant(_VECTOR, ir.Undefined)
+        vectors = [as_vector(context, builder, t, v) for t, v in zip(sig.args, args, strict=True)]
+        result = ir.Constant(VECTOR, ir.Undefined)
         for i in range(WIDTH):
             lane = ir.Constant(ir.IntType(32), i)
             value = scalar(builder, [builder.extract_element(v, lane) for v in vectors])
             result = builder.insert_element(result, value, lane)
         return result
 
-    patterns = [(LanesType,)] if count == 1 else [(a, b) for a in _NUMBERS for b in _NUMBERS if LanesType in (a, b)]
+    patterns = [(LanesType,)] if count == 1 else [(a, b) for a in NUMBERS for b in NUMBERS if LanesType in (a, b)]
     for pattern in patterns:
         lower_builtin(function, *pattern)(lowered)
 
@@ -335,7 +299,9 @@ def _python_only(*_: Any) -> Any:
 @intrinsic
 def _select(typingctx: Any, mask: Any, a: Any, b: Any) -> Any:
     def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        _, left, right = (_vector(context, builder, t, v) if i else v for i, (t, v) in enumerate(zip(sig.args, args, strict=True)))
+        _, left, right = (
+            as_vector(context, builder, t, v) if i else v for i, (t, v) in enumerate(zip(sig.args, args, strict=True))
+        )
         return builder.select(args[0], left, right)
 
     return signature(LANES, MASK, a, b), lowered
@@ -400,7 +366,7 @@ _nearest = _intrinsic_of("rint")
 @intrinsic
 def _rint(typingctx: Any, value: Any) -> Any:
     def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return builder.fadd(_nearest(builder, args[0]), ir.Constant(_VECTOR, [0.0] * WIDTH))  # no negative zero
+        return builder.fadd(_nearest(builder, args[0]), ir.Constant(VECTOR, [0.0] * WIDTH))  # no negative zero
 
     return signature(LANES, LANES), lowered
 
@@ -413,138 +379,3 @@ def nearest(value: Any) -> Any:
 @overload(nearest)
 def _nearest_overload(value):
     return (lambda value: _rint(value)) if value == LANES else (lambda value: round(value))
-
-
-# --- rows -------------------------------------------------------------------------------------------------------------
-
-
-def _cell(context: Any, builder: Any, typ: Any, rows: Any, row: Any, column: Any) -> Any:
-    """Pointer to the lanes in a row and column."""
-    struct = cgutils.create_struct_proxy(typ)(context, builder, rows)
-    number = row if typ.ndim == 1 else builder.add(builder.mul(row, struct.columns), column)
-    return builder.gep(builder.bitcast(struct.data, _VECTOR.as_pointer()), [number])
-
-
-def _indices(context: Any, builder: Any, sig: Any, args: Any) -> tuple[Any, Any]:
-    if isinstance(sig.args[1], types.Integer):
-        return context.cast(builder, args[1], sig.args[1], types.intp), None
-    parts = cgutils.unpack_tuple(builder, args[1], 2)
-    row, column = (context.cast(builder, v, t, types.intp) for v, t in zip(parts, sig.args[1], strict=True))
-    return row, column
-
-
-def _names_cell(typ: Any, index: Any) -> bool:
-    if isinstance(index, types.Integer):
-        return typ.ndim == 1
-    return isinstance(index, types.BaseTuple) and typ.ndim == 2 and all(isinstance(i, types.Integer) for i in index)
-
-
-@infer_global(operator.getitem)
-class _GetRow(AbstractTemplate):
-    def generic(self, args: Any, kws: Any) -> Any:
-        if not isinstance(args[0], RowsType):
-            return None
-        return signature(LANES if _names_cell(*args) else RowsType(1), *args)
-
-
-@infer_global(operator.setitem)
-class _SetRow(AbstractTemplate):
-    def generic(self, args: Any, kws: Any) -> Any:
-        if isinstance(args[0], RowsType) and _names_cell(args[0], args[1]) and isinstance(args[2], _NUMBERS):
-            return signature(types.none, *args)
-        return None
-
-
-@lower_builtin(operator.getitem, RowsType, types.Integer)
-@lower_builtin(operator.getitem, RowsType, types.BaseTuple)
-def _get_row(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    row, column = _indices(context, builder, sig, args)
-    zero = ir.Constant(ir.IntType(64), 0)
-    pointer = _cell(context, builder, sig.args[0], args[0], row, zero if column is None else column)
-    if sig.return_type == LANES:
-        return builder.load(pointer, align=8)
-    whole = cgutils.create_struct_proxy(sig.args[0])(context, builder, args[0])
-    struct = cgutils.create_struct_proxy(sig.return_type)(context, builder)
-    struct.data = builder.bitcast(pointer, cgutils.voidptr_t)
-    struct.rows, struct.columns = whole.columns, ir.Constant(ir.IntType(64), 1)
-    return struct._getvalue()
-
-
-def _set_row(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    row, column = _indices(context, builder, sig, args)
-    pointer = _cell(context, builder, sig.args[0], args[0], row, column)
-    builder.store(_vector(context, builder, sig.args[2], args[2]), pointer, align=8)
-    return context.get_dummy_value()
-
-
-for _index in (types.Integer, types.BaseTuple):
-    for _number in _NUMBERS:
-        lower_builtin(operator.setitem, RowsType, _index, _number)(_set_row)
-
-
-@overload(len)
-def _length(rows):
-    return (lambda rows: _row_count(rows)) if isinstance(rows, RowsType) else None
-
-
-@intrinsic
-def _row_count(typingctx: Any, rows: Any) -> Any:
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return cgutils.create_struct_proxy(sig.args[0])(context, builder, args[0]).rows
-
-    return signature(types.intp, rows), lowered
-
-
-def _addresses(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-    """Pointers to the numbers of each lane, each in a row of its own."""
-    struct = cgutils.create_struct_proxy(sig.args[0])(context, builder, args[0])
-    data = builder.bitcast(struct.data, _DOUBLE.as_pointer())
-    column = context.cast(builder, args[2], sig.args[2], types.intp)
-    for i in range(WIDTH):
-        row = builder.fptosi(builder.extract_element(args[1], ir.Constant(ir.IntType(32), i)), ir.IntType(64))
-        cell = builder.add(builder.mul(row, struct.columns), column)
-        number = builder.add(builder.mul(cell, ir.Constant(ir.IntType(64), WIDTH)), ir.Constant(ir.IntType(64), i))
-        yield ir.Constant(ir.IntType(32), i), builder.gep(data, [number])
-
-
-@intrinsic
-def pick(typingctx: Any, rows: Any, number: Any, column: Any) -> Any:
-    """Of each lane the number in a row of its own."""
-
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        result = ir.Constant(_VECTOR, ir.Undefined)
-        for lane, pointer in _addresses(context, builder, sig, args):
-            result = builder.insert_element(result, builder.load(pointer), lane)
-        return result
-
-    return signature(LANES, rows, LANES, column), lowered
-
-
-@intrinsic
-def place(typingctx: Any, rows: Any, number: Any, column: Any, value: Any) -> Any:
-    """Write each lane's number into a row of its own."""
-
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        vector = _vector(context, builder, sig.args[3], args[3])
-        for lane, pointer in _addresses(context, builder, sig, args):
-            builder.store(builder.extract_element(vector, lane), pointer)
-        return context.get_dummy_value()
-
-    return signature(types.none, rows, LANES, column, value), lowered
-
-
-def past(ring: Any, step: int, back: Any, column: int) -> Any:
-    """What a ring of one row per step held ``back`` steps ago, to the nearest one."""
-    return ring[(step - round(back)) % len(ring), column]
-
-
-@overload(past)
-def _past_overload(ring, step, back, column):
-    if back != LANES:
-        return lambda ring, step, back, column: ring[(step - round(back)) % len(ring), column]
-
-    def lanes_ago(ring, step, back, column):
-        row = step % len(ring) - _rint(back)
-        return pick(ring, select(row < 0.0, row + len(ring), row), column)
-
-    return lanes_ago

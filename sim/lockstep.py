@@ -12,10 +12,10 @@ import numpy as np
 
 from sim.algebra import copy
 from sim.autopilot import correct
+from sim.background import drift_step
 from sim.compiled import compiled
 from sim.effects.airframe import gust_step
-from sim.background import drift_step
-from sim.lanes import Lanes, Rows, any_of, nearest, negate, pick, place, select
+from sim.lanes import Lanes, any_of, nearest, negate, select
 from sim.loop import (
     CRASHED,
     HISTORY,
@@ -36,6 +36,7 @@ from sim.loop import (
 )
 from sim.measure import body_pose
 from sim.plant import ROTOR, Surroundings, rk4_step
+from sim.rows import Rows, pick, place
 
 
 class Inputs(NamedTuple):
@@ -149,9 +150,7 @@ def control_tick(world: World, memory: Memory, inputs: Inputs, scratch: Scratch,
         control, led = scratch.control, scratch.led
         copy(memory.control, control)
         copy(memory.led, led)
-        fly_law(
-            world.law, control, memory.estimate, led, memory.target, setpoint, outer, inner_s, outer_s, standing
-        )
+        fly_law(world.law, control, memory.estimate, led, memory.target, setpoint, outer, inner_s, outer_s, standing)
         keep(flying, control, memory.control)
         keep(flying, led, memory.led)
     for i in range(len(memory.target)):
@@ -270,4 +269,4 @@ def run_lanes(world: World, memory: Memory, inputs: Inputs, scratch: Scratch, ou
         sample_imus(world, memory, inputs, scratch, at, out)
         sample_poses(world, memory, inputs, scratch, at, out)
         sample_telemetry(world, memory, inputs, at, out)
-        touch_floor(x, memory.flags, world.ground_m)
+        touch_floor(x, memory.flags, world.ground_m, step)

@@ -25,7 +25,7 @@ from sim.background import Disturbance, Supply, drain, drift_step
 from sim.compiled import compiled
 from sim.effects.airframe import gust_step
 from sim.effects.rotor_faults import play, power_law
-from sim.lanes import any_of, negate, past, select
+from sim.lanes import any_of, negate, select
 from sim.measure import Instruments, body_pose, measure_imu, measure_pose
 from sim.plant import (
     ATTITUDE,
@@ -39,8 +39,9 @@ from sim.plant import (
     specific_force,
     thrust_of,
 )
+from sim.rows import past
 
-STANDING, CRASHED, PENDING_HEAD, PENDING_TAIL, FLAG_COUNT = 0, 1, 2, 3, 4
+STANDING, CRASHED, PENDING_HEAD, PENDING_TAIL, CRASH_STEP, FLAG_COUNT = 0, 1, 2, 3, 4, 5
 HISTORY, PENDING = 1024, 256
 IDLE, FLYING, EXTERNAL = 0, 1, 2
 """Rotors off; the vehicle's own control law; motor values from outside."""
@@ -80,7 +81,7 @@ class Memory(NamedTuple):
         drift: disturbance processes, shape (2, 6).
         gust: turbulence processes, shape (2, 3).
         low_pass: filter states, shape (2, 6).
-        flags: standing, crashed, head and tail of the pending poses.
+        flags: standing, crashed, head and tail of the pending poses, step of the latest crash.
     """
 
     x: np.ndarray
@@ -153,7 +154,7 @@ def deliver_poses(observer: Observer, estimate, ring, flags, history, step: int,
 
 
 @compiled
-def touch_floor(x, flags, ground_m: float) -> None:
+def touch_floor(x, flags, ground_m: float, step: int) -> None:
     """Lift off and touch down: the floor holds the vehicle level until its thrust exceeds its weight."""
     standing, rising = flags[STANDING] != 0, x[VELOCITY + 2] > 0.0
     lands = negate(standing | rising | (x[2] > ground_m))
@@ -163,7 +164,9 @@ def touch_floor(x, flags, ground_m: float) -> None:
     q = (x[ATTITUDE], x[ATTITUDE + 1], x[ATTITUDE + 2], x[ATTITUDE + 3])
     up = to_world(q, (0.0, 0.0, 1.0))[2]
     speed = sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5])
-    flags[CRASHED] = select(lands & ((up < 0.5) | (speed > 2.5)), 1, flags[CRASHED])
+    crashes = lands & ((up < 0.5) | (speed > 2.5))
+    flags[CRASH_STEP] = select(crashes & (flags[CRASHED] == 0), step, flags[CRASH_STEP])
+    flags[CRASHED] = select(crashes, 1, flags[CRASHED])
     yaw = euler_of(q)[2]
     x[2] = select(lands, ground_m, x[2])
     for i in range(3):
@@ -186,7 +189,7 @@ def fly_law(
     thrust, torque = attitude_loop(law, control, estimate, setpoint, inner_s, standing)
     mix(law, thrust, chosen(standing, (0.0, 0.0, 0.0), torque), target)
     if any_of(law.lead_s > 0.0):
-        lead(law, inner_s, led, target)
+        lead(law, led, target)
 
 
 @compiled
@@ -398,5 +401,5 @@ def run(world: World, memory: Memory, stretch: Stretch):
         q, w = (x[6], x[7], x[8], x[9]), (x[10], x[11], x[12])
         rk4_step(x, memory.work, asked, memory.thrust, plant, now, dt)
         sample(world, memory, stretch, Start(t, position, velocity, q, w, memory.work[0], memory.work[3]), out)
-        touch_floor(x, flags, world.ground_m)
+        touch_floor(x, flags, world.ground_m, step)
     return out.imu, out.poses, out.speeds, out.volts, commands, estimates, path

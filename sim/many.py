@@ -1,4 +1,4 @@
-"""Many simulated flights at once, for studies: eight in lockstep, each bit by bit what :func:`sim.flight.simulate` gives.
+"""Many simulated flights at once: eight in lockstep, each to the bit what :func:`sim.flight.simulate` gives.
 
 Flights whose worlds differ in numbers only (masses, gains, strengths of effects) share a vector register. Others do
 not: rotor counts, control rates, or which effects are on. So a study of one laboratory gains most.
@@ -6,10 +6,11 @@ not: rotor counts, control rates, or which effects are on. So a study of one lab
 
 from __future__ import annotations
 
-from collections.abc import Generator, Hashable, Iterator, Sequence
+from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import typeof
 from numpy.typing import NDArray
 
 from groundstation.errors import GroundStationError
@@ -18,9 +19,10 @@ from groundstation.vehicle import Vehicle
 from sim.autopilot import CONTROL_SIZE, ESTIMATE_SIZE
 from sim.build import build_world
 from sim.flight import SimulatedFlight, flown, simulate
-from sim.lanes import WIDTH, Lanes, Rows
+from sim.lanes import WIDTH, Lanes
 from sim.lockstep import Inputs, Outputs, Scratch, run_lanes
 from sim.loop import FLYING, Memory, World
+from sim.rows import Rows
 from sim.scenario import Scenario
 from sim.simulation import Prepared, Recorded, Samples, Simulation
 
@@ -131,15 +133,16 @@ def _in_lockstep(jobs: Sequence[Job], numbers: Sequence[int]) -> Iterator[tuple[
     spare = [simulations[0]] * (WIDTH - len(simulations))
     shared = simulations[0].world
     world = _stacked([s.world for s in (*simulations, *spare)])._replace(dt=shared.dt, outer_every=shared.outer_every)
-    memory = [np.stack(parts, axis=-1, dtype=float) for parts in zip(*(s.memory for s in (*simulations, *spare)), strict=True)]
-    lanes = []
+    memory = [
+        np.stack(parts, axis=-1, dtype=float) for parts in zip(*(s.memory for s in (*simulations, *spare)), strict=True)
+    ]
+    lanes, sources = [], {}
     for j, (simulation, n) in enumerate(zip(simulations, numbers, strict=True)):
         simulation.memory = Memory(*(array[..., j] for array in memory))
-        lanes.append(Lane(simulation, flown(simulation, jobs[n].plan, jobs[n].rest_s)))
-    rows, scratch = Memory(*map(Rows, memory)), _scratch(len(memory[3]))
-    step = 0
+        lanes.append(Lane(simulation, flown(simulation, jobs[n].plan, jobs[n].rest_s, sources)))
+    group = Group(world, Memory(*map(Rows, memory)), _scratch(len(memory[3])), lanes)
     while any(lane.outcome is None for lane in lanes):
-        step += _run(world, rows, scratch, lanes, step)
+        group.run()
     yield from ((n, lane.outcome) for n, lane in zip(numbers, lanes, strict=True))  # type: ignore[misc]
 
 
@@ -196,9 +199,7 @@ def _inputs(lanes: Sequence[Lane], first: int, steps: int, ticks: int) -> Inputs
         setpoints=_side_by_side(setpoints, 11, 0.0),
         imu_s=column(0, lambda s: s.imu_s[:, None], 1),
         imu_noise=column(0, lambda s: s.imu_noise, 6, 0.0),
-        poses=column(
-            1, lambda s: np.column_stack([s.pose_s, s.pose_arrival_s, s.pose_frozen, s.pose_noise]), 9
-        ),
+        poses=column(1, lambda s: np.column_stack([s.pose_s, s.pose_arrival_s, s.pose_frozen, s.pose_noise]), 9),
         speed_s=column(2, lambda s: s.speed_s[:, None], 1),
         battery_s=column(3, lambda s: s.battery_s[:, None], 1),
         drift_noise=per_step(lambda s: s.drift_noise, 6),
@@ -206,17 +207,40 @@ def _inputs(lanes: Sequence[Lane], first: int, steps: int, ticks: int) -> Inputs
     )
 
 
-def _run(world: World, memory: Memory, scratch: Scratch, lanes: Sequence[Lane], first: int) -> int:
-    """Advance a group to the next end of a stretch; returns how many steps that was."""
-    steps = min(lane.left for lane in lanes if lane.outcome is None)
-    every, rotors = world.control_every, len(scratch.asked.values)
-    ticks = (first + steps - 1) // every - (first - 1) // every
-    inputs = _inputs(lanes, first, steps, ticks)
+class Group:
+    """Eight lanes at the same step."""
 
+    def __init__(self, world: World, memory: Memory, scratch: Scratch, lanes: Sequence[Lane]):
+        self.lanes, self._world, self._memory, self._scratch = lanes, world, memory, scratch
+        self._step = 0
+        self._kernel: Callable[..., None] | None = None
+
+    def run(self) -> None:
+        """Advance to the next end of a stretch."""
+        steps = min(lane.left for lane in self.lanes if lane.outcome is None)
+        every = self._world.control_every
+        ticks = (self._step + steps - 1) // every - (self._step - 1) // every
+        inputs = _inputs(self.lanes, self._step, steps, ticks)
+        out = _outputs(inputs, ticks, len(self._scratch.asked.values))
+        arguments = (self._world, self._memory, inputs, self._scratch, out)
+        if self._kernel is None:  # numba would look at the types of all constants at each call
+            self._kernel = run_lanes.compile(tuple(map(typeof, arguments)))
+        self._kernel(*arguments)
+        self._step += steps
+        for j, lane in enumerate(self.lanes):
+            if lane.outcome is None:
+                taken = out.taken.values[:, j].astype(int)
+                sampled = (out.imu, out.poses, out.speeds, out.volts)
+                samples = [rows.values[:k, :, j] for rows, k in zip(sampled, taken, strict=True)]
+                found = Recorded(*samples, out.commands.values[..., j], out.estimates.values[..., j])
+                lane.advance(steps, found, taken)
+
+
+def _outputs(inputs: Inputs, ticks: int, rotors: int) -> Outputs:
     def rows(count: int, width: int) -> Rows:
         return Rows(np.empty((count, width, WIDTH)))
 
-    out = Outputs(
+    return Outputs(
         imu=rows(len(inputs.imu_s.values), 6),
         poses=rows(len(inputs.poses.values), 7),
         speeds=rows(len(inputs.speed_s.values), rotors),
@@ -225,12 +249,3 @@ def _run(world: World, memory: Memory, scratch: Scratch, lanes: Sequence[Lane], 
         estimates=rows(ticks, 13),
         taken=Rows(np.zeros((4, WIDTH))),
     )
-    run_lanes(world, memory, inputs, scratch, out)
-    for j, lane in enumerate(lanes):
-        if lane.outcome is None:
-            taken = out.taken.values[:, j].astype(int)
-            sampled = (out.imu, out.poses, out.speeds, out.volts)
-            samples = [rows.values[:k, :, j] for rows, k in zip(sampled, taken, strict=True)]
-            found = Recorded(*samples, out.commands.values[..., j], out.estimates.values[..., j])
-            lane.advance(steps, found, taken)
-    return steps

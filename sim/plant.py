@@ -163,8 +163,10 @@ def rotor_wrench(
     for i in range(n):
         value = x[ROTOR + i]
         ideal = thrust_of(rotors, value)
-        speed = sqrt(max(ideal, 0.0) / rotors.speed_coefficient)
-        speed_ratio = speed / rotors.hover_speed
+        speed, speed_ratio = 0.0, 0.0
+        if effects.rotor_drag.on or effects.flapping_moment.on or effects.rotor_gyroscopic.on:
+            speed = sqrt(max(ideal, 0.0) / rotors.speed_coefficient)
+            speed_ratio = speed / rotors.hover_speed
         axis = (rotors.axis[i, 0], rotors.axis[i, 1], rotors.axis[i, 2])
         hub = (rotors.position[i, 0], rotors.position[i, 1], rotors.position[i, 2])
         thrust = power_law(effects.thrust_curve, ideal, rotors.hover_thrust)
@@ -179,7 +181,10 @@ def rotor_wrench(
             reaction *= left**1.25  # similarity of cut propellers: T ~ D^4, Q ~ D^5
         if effects.torque_scale.on:
             reaction *= effects.torque_scale.ratio
-        thrust *= inflow * ground_factor(effects.ground_effect, x[POSITION + 2] + to_world(q, hub)[2], rotors.radius)
+        near_floor = 1.0
+        if effects.ground_effect.on:
+            near_floor = ground_factor(effects.ground_effect, x[POSITION + 2] + to_world(q, hub)[2], rotors.radius)
+        thrust *= inflow * near_floor
         pull = scale(thrust, axis)
         if effects.rotor_drag.on:
             pull = add(pull, hub_drag(effects.rotor_drag, u, speed_ratio, rotors.hover_inflow, n))

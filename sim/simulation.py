@@ -5,7 +5,7 @@ One seed gives one flight, however the time is cut into stretches: every source 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from math import cos, sin
 from typing import NamedTuple
 
@@ -24,6 +24,7 @@ from sim.autopilot import (
 )
 from sim.build import STEP_S, build_world
 from sim.loop import (
+    CRASH_STEP,
     CRASHED,
     EXTERNAL,
     FLAG_COUNT,
@@ -68,6 +69,15 @@ class Prepared(NamedTuple):
     stretch: Stretch
     times: dict[str, Times]
     lost: Mask
+
+
+class Asked(NamedTuple):
+    """What a stretch is asked to do; see :class:`sim.loop.Stretch`."""
+
+    steps: int
+    mode: int
+    setpoints: Array
+    motors: Array | None
 
 
 class Recorded(NamedTuple):
@@ -184,6 +194,11 @@ class Simulation:
         return bool(self.memory.flags[CRASHED])
 
     @property
+    def crashed_s(self) -> float:
+        """True time of the latest crash."""
+        return float(self.memory.flags[CRASH_STEP]) * STEP_S
+
+    @property
     def position_m(self) -> Array:
         """True position of the origin in the world."""
         return self.memory.x[:3].copy()
@@ -231,7 +246,7 @@ class Simulation:
         ticks = self.control_ticks(steps)
         held = np.zeros((len(ticks), SETPOINT_SIZE))
         held[:, :3] = self.scenario.start.position_m
-        return self._prepare(steps, IDLE, held, None)
+        return self._prepare([steps], IDLE, held, None)
 
     def fly(self, steps: int, setpoints: SetpointSource) -> dict[str, Samples]:
         """Run under the vehicle's own control law.
@@ -242,9 +257,12 @@ class Simulation:
         """
         return self.run(self.ready_to_fly(steps, setpoints))
 
-    def ready_to_fly(self, steps: int, setpoints: SetpointSource) -> Prepared:
-        """What :meth:`fly` runs."""
-        return self._prepare(steps, FLYING, setpoints(self.control_ticks(steps)), None)
+    def ready_to_fly(self, steps: int, setpoints: SetpointSource, pieces: int = 1) -> Prepared:
+        """What :meth:`fly` runs so many times; its last bits are the same as if it did."""
+        ticks = self.control_ticks(steps * pieces)
+        ends = np.searchsorted(ticks, (self.step + steps * np.arange(1, pieces)) * STEP_S - 1e-9)
+        rows = np.concatenate([setpoints(piece) for piece in np.split(ticks, ends)])
+        return self._prepare([steps] * pieces, FLYING, rows, None)
 
     def drive(self, steps: int, motors: Array, setpoints: Array | None = None) -> dict[str, Samples]:
         """Run with motor values from outside, as another autopilot gives them.
@@ -261,12 +279,17 @@ class Simulation:
         )  # a writable array: compiled code has no second form for others
         rows[:] = motors
         held = np.zeros((ticks, SETPOINT_SIZE)) if setpoints is None else setpoints
-        return self.run(self._prepare(steps, EXTERNAL, held, rows))
+        return self.run(self._prepare([steps], EXTERNAL, held, rows))
 
-    def _stretch(
-        self, steps: int, mode: int, setpoints: Array, motors: Array | None, times: Mapping[str, Times], lost: Mask
-    ) -> Stretch:
-        """What the compiled loop needs of the next steps: sample times, noise, what is asked for."""
+    def _stretch(self, asked: Asked, times: Mapping[str, Times], lost: Mask, imu: Sequence[int]) -> Stretch:
+        """What the compiled loop needs of the next steps: sample times, noise, what is asked for.
+
+        Args:
+            asked: of the next steps.
+            times: by device.
+            lost: which poses are.
+            imu: samples of each piece of the stretch.
+        """
         pose_s, _, pose_arrival = times["pose"]
         frozen = self._frozen.during(pose_s)
         mocap = self.scenario.mocap
@@ -274,30 +297,33 @@ class Simulation:
         count = self.declared.rotors.count
         return Stretch(
             first=self.step,
-            steps=steps,
-            mode=mode,
+            steps=asked.steps,
+            mode=asked.mode,
             start_s=float(self.flight_start_s),
-            setpoints=np.ascontiguousarray(setpoints),
-            motors=np.zeros((len(setpoints), count)) if motors is None else motors,
+            setpoints=np.ascontiguousarray(asked.setpoints),
+            motors=np.zeros((len(asked.setpoints), count)) if asked.motors is None else asked.motors,
             imu_s=times["imu"][0],
-            imu_noise=self._imu_noise.draw(len(times["imu"][0])),
+            imu_noise=self._imu_noise.draw(imu),
             pose_s=pose_s,
             pose_arrival_s=np.where(lost, np.inf, pose_arrival),
             pose_frozen=frozen,
             pose_noise=pose_std * self._random["pose_noise"].standard_normal((len(pose_s), 6)),
             speed_s=times["speed"][0],
             battery_s=times["battery"][0],
-            drift_noise=self._random["drift"].standard_normal((steps, 6)),
-            gust_noise=self._random["gust"].standard_normal((steps if self.scenario.effects.wind.on else 0, 3)),
+            drift_noise=self._random["drift"].standard_normal((asked.steps, 6)),
+            gust_noise=self._random["gust"].standard_normal((asked.steps if self.scenario.effects.wind.on else 0, 3)),
         )
 
-    def _prepare(self, steps: int, mode: int, setpoints: Array, motors: Array | None) -> Prepared:
+    def _prepare(self, pieces: Sequence[int], mode: int, setpoints: Array, motors: Array | None) -> Prepared:
+        steps = sum(pieces)
+        ends = (self.step + np.cumsum(pieces)) * STEP_S
+        imu = np.diff([self._tickers["imu"].count_until(float(end)) for end in ends], prepend=0)
         end = (self.step + steps) * STEP_S
         times = {key: ticker.until(end) for key, ticker in self._tickers.items()}
         ticks = self.control_ticks(steps)
         times["flight"] = (ticks, *self._flight.stamp(ticks))
         lost = self._lost.during(times["pose"][0])
-        return Prepared(self, self._stretch(steps, mode, setpoints, motors, times, lost), times, lost)
+        return Prepared(self, self._stretch(Asked(steps, mode, setpoints, motors), times, lost, imu), times, lost)
 
     def run(self, prepared: Prepared) -> dict[str, Samples]:
         """Run a stretch; returns what the devices recorded, by stream."""
