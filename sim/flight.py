@@ -23,6 +23,7 @@ EXCITATION = 3
 
 _CHUNK = 500  # steps after which a flight is asked whether it is over
 _AT_ONCE = 8  # of these prepared together while it cannot be
+_REMEMBERED = 400  # of these of which the setpoints are kept: three minutes, 10 MB
 _SINK_M_S = 0.3  # how fast the setpoint goes on down after the landing leg, until the floor is felt
 
 
@@ -116,7 +117,7 @@ class LastRows:
         """Rows at true times, which are control ticks one after the other."""
         key = (float(times_s[0]), len(times_s))
         if key not in self._latest:
-            if len(self._latest) >= 2 * _AT_ONCE:
+            if len(self._latest) >= _REMEMBERED:
                 del self._latest[next(iter(self._latest))]
             self._latest[key] = self.source(times_s)
         return self._latest[key]

@@ -9,12 +9,14 @@ Numba's extension interface is used as its manual says ("Extending Numba", low l
 representation (a vector of doubles), the operators on it, and how a Python object is taken apart.
 """
 
+# pyright: reportOptionalCall=false, reportCallIssue=false
+# Numba's decorators of extensions have no types.
+
 from __future__ import annotations
 
 import math
 import operator
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from llvmlite import ir
@@ -31,7 +33,7 @@ from numba.core.extending import (
     typeof_impl,
     unbox,
 )
-from numba.core.typeconv import Conversion
+from numba.core.typeconv.castgraph import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numpy.typing import NDArray
 
@@ -40,6 +42,8 @@ WIDTH = 8
 
 DOUBLE = ir.DoubleType()
 VECTOR = ir.VectorType(DOUBLE, WIDTH)
+Make = Callable[..., object]
+"""Emits what an operator does, given numba's builder and the operands."""
 _BITS = ir.VectorType(ir.IntType(1), WIDTH)
 
 
@@ -57,7 +61,7 @@ class LanesType(types.Type):
     def __init__(self) -> None:
         super().__init__("Lanes")
 
-    def can_convert_from(self, typingctx: Any, other: types.Type) -> Conversion | None:
+    def can_convert_from(self, typingctx, other: types.Type) -> Conversion | None:
         """A number stands for eight equal ones."""
         return Conversion.safe if isinstance(other, (types.Float, types.Integer)) else None
 
@@ -68,7 +72,7 @@ class MaskType(types.Type):
     def __init__(self) -> None:
         super().__init__("LanesMask")
 
-    def can_convert_from(self, typingctx: Any, other: types.Type) -> Conversion | None:
+    def can_convert_from(self, typingctx, other: types.Type) -> Conversion | None:
         """One truth value stands for eight equal ones."""
         return Conversion.safe if isinstance(other, types.Boolean) else None
 
@@ -78,22 +82,22 @@ LANES, MASK = LanesType(), MaskType()
 
 @register_model(LanesType)
 class _LanesModel(models.PrimitiveModel):
-    def __init__(self, dmm: Any, fe_type: Any):
+    def __init__(self, dmm, fe_type):
         super().__init__(dmm, fe_type, VECTOR)
 
 
 @register_model(MaskType)
 class _MaskModel(models.PrimitiveModel):
-    def __init__(self, dmm: Any, fe_type: Any):
+    def __init__(self, dmm, fe_type):
         super().__init__(dmm, fe_type, _BITS)
 
 
 @typeof_impl.register(Lanes)
-def _typeof_lanes(value: Lanes, context: Any) -> types.Type:
+def _typeof_lanes(value: Lanes, context) -> types.Type:
     return LANES
 
 
-def integer_attribute(c: Any, obj: Any, name: str) -> Any:
+def integer_attribute(c, obj, name: str):
     attribute = c.pyapi.object_getattr_string(obj, name)
     value = c.pyapi.number_as_ssize_t(attribute)
     c.pyapi.decref(attribute)
@@ -101,7 +105,7 @@ def integer_attribute(c: Any, obj: Any, name: str) -> Any:
 
 
 @unbox(LanesType)
-def _unbox_lanes(typ: Any, obj: Any, c: Any) -> NativeValue:
+def _unbox_lanes(typ, obj, c) -> NativeValue:
     pointer = c.builder.inttoptr(integer_attribute(c, obj, "address"), VECTOR.as_pointer())
     return NativeValue(
         c.builder.load(pointer, align=8), is_error=cgutils.is_not_null(c.builder, c.pyapi.err_occurred())
@@ -111,31 +115,31 @@ def _unbox_lanes(typ: Any, obj: Any, c: Any) -> NativeValue:
 # --- numbers and masks become lanes -----------------------------------------------------------------------------------
 
 
-def _spread(builder: Any, value: Any, vector: Any) -> Any:
+def _spread(builder, value, vector):
     first = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
     zeros = ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH)
     return builder.shuffle_vector(first, ir.Constant(vector, ir.Undefined), zeros)
 
 
-def as_vector(context: Any, builder: Any, typ: Any, value: Any) -> Any:
+def as_vector(context, builder, typ, value):
     """The operand as a vector of doubles."""
     if isinstance(typ, LanesType):
         return value
     return _spread(builder, context.cast(builder, value, typ, types.float64), VECTOR)
 
 
-def _mask(context: Any, builder: Any, typ: Any, value: Any) -> Any:
+def _mask(context, builder, typ, value):
     return value if isinstance(typ, MaskType) else _spread(builder, value, _BITS)
 
 
 @lower_cast(types.Float, LanesType)
 @lower_cast(types.Integer, LanesType)
-def _cast_number(context: Any, builder: Any, fromty: Any, toty: Any, value: Any) -> Any:
+def _cast_number(context, builder, fromty, toty, value):
     return as_vector(context, builder, fromty, value)
 
 
 @lower_cast(types.Boolean, MaskType)
-def _cast_truth(context: Any, builder: Any, fromty: Any, toty: Any, value: Any) -> Any:
+def _cast_truth(context, builder, fromty, toty, value):
     return _mask(context, builder, fromty, value)
 
 
@@ -144,18 +148,18 @@ def _cast_truth(context: Any, builder: Any, fromty: Any, toty: Any, value: Any) 
 NUMBERS = (LanesType, types.Float, types.Integer)
 
 
-def _binary(function: Callable[..., Any], result: types.Type, make: Callable[[Any, Any, Any], Any]) -> None:
+def _binary(function: Callable[..., object], result: types.Type, make: Make) -> None:
     """Define an operator on two numbers of which at least one is lanes."""
 
     class Template(AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:
+        def generic(self, args, kws):
             if len(args) == 2 and LANES in args and all(isinstance(a, NUMBERS) for a in args):
                 return signature(result, *args)
             return None
 
     infer_global(function)(Template)
 
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    def lowered(context, builder, sig, args):
         a, b = (as_vector(context, builder, t, v) for t, v in zip(sig.args, args, strict=True))
         return make(builder, a, b)
 
@@ -165,11 +169,11 @@ def _binary(function: Callable[..., Any], result: types.Type, make: Callable[[An
         lower_builtin(function, LanesType, right)(lowered)
 
 
-def _compare(sign: str) -> Callable[[Any, Any, Any], Any]:
+def _compare(sign: str) -> Make:
     return lambda builder, a, b: builder.fcmp_ordered(sign, a, b)
 
 
-def _choose(sign: str) -> Callable[[Any, Any, Any], Any]:
+def _choose(sign: str) -> Make:
     """Numba's ``max`` and ``min`` of two floats: the second one where it is beyond the first."""
     return lambda builder, a, b: builder.select(builder.fcmp_ordered(sign, b, a), b, a)
 
@@ -202,18 +206,18 @@ for _function, _plain in (
     _binary(_function, LANES, _plain)
 
 
-def _logic(function: Callable[..., Any], make: Callable[[Any, Any, Any], Any]) -> None:
+def _logic(function: Callable[..., object], make: Make) -> None:
     """Define ``&`` or ``|`` of two truths of which at least one is a mask."""
 
     class Template(AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:
+        def generic(self, args, kws):
             if len(args) == 2 and MASK in args and all(isinstance(a, (MaskType, types.Boolean)) for a in args):
                 return signature(MASK, *args)
             return None
 
     infer_global(function)(Template)
 
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    def lowered(context, builder, sig, args):
         a, b = (_mask(context, builder, t, v) for t, v in zip(sig.args, args, strict=True))
         return make(builder, a, b)
 
@@ -225,25 +229,25 @@ _logic(operator.and_, lambda builder, a, b: builder.and_(a, b))
 _logic(operator.or_, lambda builder, a, b: builder.or_(a, b))
 
 
-def _unary(function: Callable[..., Any], make: Callable[[Any, Any], Any]) -> None:
+def _unary(function: Callable[..., object], make: Make) -> None:
     """Define a function of lanes."""
 
     class Template(AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:
+        def generic(self, args, kws):
             return signature(LANES, LANES) if args == (LANES,) else None
 
     infer_global(function)(Template)
 
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    def lowered(context, builder, sig, args):
         return make(builder, args[0])
 
     lower_builtin(function, LanesType)(lowered)
 
 
-def _intrinsic_of(name: str) -> Callable[[Any, Any], Any]:
+def _intrinsic_of(name: str) -> Make:
     """A vector instruction of the processor, exact as the scalar one."""
 
-    def make(builder: Any, value: Any) -> Any:
+    def make(builder, value):
         function = ir.FunctionType(VECTOR, [VECTOR])
         return builder.call(
             cgutils.get_or_insert_function(builder.module, function, f"llvm.{name}.v{WIDTH}f64"), [value]
@@ -257,18 +261,18 @@ _unary(math.sqrt, _intrinsic_of("sqrt"))
 _unary(abs, _intrinsic_of("fabs"))
 
 
-def _library(function: Callable[..., Any], count: int) -> None:
+def _library(function: Callable[..., object], count: int) -> None:
     """Define a function of the C library: called lane by lane, so that its bits are those of the scalar code."""
 
     class Template(AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:
+        def generic(self, args, kws):
             if len(args) == count and LANES in args and all(isinstance(a, NUMBERS) for a in args):
                 return signature(LANES, *args)
             return None
 
     infer_global(function)(Template)
 
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    def lowered(context, builder, sig, args):
         scalar = context.get_function(function, signature(types.float64, *[types.float64] * count))
         vectors = [as_vector(context, builder, t, v) for t, v in zip(sig.args, args, strict=True)]
         result = ir.Constant(VECTOR, ir.Undefined)
@@ -292,13 +296,9 @@ for _function in (math.atan2, operator.pow):
 # --- what formulas need beside operators ------------------------------------------------------------------------------
 
 
-def _python_only(*_: Any) -> Any:
-    raise NotImplementedError("only in compiled code")
-
-
 @intrinsic
-def _select(typingctx: Any, mask: Any, a: Any, b: Any) -> Any:
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+def _select(typingctx, mask, a, b):
+    def lowered(context, builder, sig, args):
         _, left, right = (
             as_vector(context, builder, t, v) if i else v for i, (t, v) in enumerate(zip(sig.args, args, strict=True))
         )
@@ -307,7 +307,7 @@ def _select(typingctx: Any, mask: Any, a: Any, b: Any) -> Any:
     return signature(LANES, MASK, a, b), lowered
 
 
-def select(condition: Any, a: Any, b: Any) -> Any:
+def select(condition, a, b):
     """``a`` where the condition holds, else ``b``; both are worked out."""
     return a if condition else b
 
@@ -322,16 +322,16 @@ def _select_overload(condition, a, b):
 
 
 @intrinsic
-def _spread_truth(typingctx: Any, truth: Any) -> Any:
+def _spread_truth(typingctx, truth):
     return signature(MASK, truth), lambda context, builder, sig, args: _mask(context, builder, sig.args[0], args[0])
 
 
 @intrinsic
-def _flip(typingctx: Any, mask: Any) -> Any:
+def _flip(typingctx, mask):
     return signature(MASK, MASK), lambda context, builder, sig, args: builder.not_(args[0])
 
 
-def negate(condition: Any) -> Any:
+def negate(condition):
     """Where the condition does not hold."""
     return not condition
 
@@ -342,15 +342,15 @@ def _negate_overload(condition):
 
 
 @intrinsic
-def _any(typingctx: Any, mask: Any) -> Any:
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+def _any(typingctx, mask):
+    def lowered(context, builder, sig, args):
         bits = builder.bitcast(args[0], ir.IntType(WIDTH))
         return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(WIDTH), 0))
 
     return signature(types.boolean, MASK), lowered
 
 
-def any_of(condition: Any) -> bool:
+def any_of(condition) -> bool:
     """Whether the condition holds in any lane."""
     return bool(condition)
 
@@ -364,14 +364,14 @@ _nearest = _intrinsic_of("rint")
 
 
 @intrinsic
-def _rint(typingctx: Any, value: Any) -> Any:
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+def _rint(typingctx, value):
+    def lowered(context, builder, sig, args):
         return builder.fadd(_nearest(builder, args[0]), ir.Constant(VECTOR, [0.0] * WIDTH))  # no negative zero
 
     return signature(LANES, LANES), lowered
 
 
-def nearest(value: Any) -> Any:
+def nearest(value):
     """The nearest whole number."""
     return round(value)
 

@@ -4,6 +4,9 @@ What happens at the same step in all lanes (plant, air, battery, control) is don
 time of its own (samples, poses that arrive, landing) is done for all lanes on a scratch copy and kept where it is due.
 """
 
+# pyright: reportCallIssue=false
+# Numba's intrinsics take an argument less than they are written with.
+
 from __future__ import annotations
 
 from typing import NamedTuple
@@ -15,7 +18,7 @@ from sim.autopilot import correct
 from sim.background import drift_step
 from sim.compiled import compiled
 from sim.effects.airframe import gust_step
-from sim.lanes import Lanes, any_of, nearest, negate, select
+from sim.lanes import any_of, nearest, negate, select
 from sim.loop import (
     CRASHED,
     HISTORY,
@@ -45,8 +48,8 @@ class Inputs(NamedTuple):
     Attributes:
         first: number of its first step.
         steps: how many.
-        flying: 1 under the vehicle's own law, 0 with the rotors off.
-        start_s: time of take-off (infinite before).
+        flying: 1 under the vehicle's own law, 0 with the rotors off; lanes.
+        start_s: time of take-off (infinite before); lanes.
         setpoints: shape (ticks, 11).
         imu_s: true sample times, shape (k, 1).
         imu_noise: noise with bias, shape (k, 6).
@@ -60,8 +63,8 @@ class Inputs(NamedTuple):
 
     first: int
     steps: int
-    flying: Lanes
-    start_s: Lanes
+    flying: float
+    start_s: float
     setpoints: Rows
     imu_s: Rows
     imu_noise: Rows

@@ -284,7 +284,7 @@ class Start(NamedTuple):
 
 
 @compiled
-def sample_imu(world: World, low_pass, estimate, at: Start, s: float, noise, row) -> None:
+def sample_imu(world: World, low_pass, estimate, at: Start, s, noise, row) -> None:
     """IMU sample ``s`` after the step's start, into ``row`` and into the flight software's estimate."""
     first, last, share = at.first, at.last, s / world.dt
     turn = (
@@ -305,7 +305,7 @@ def sample_imu(world: World, low_pass, estimate, at: Start, s: float, noise, row
 
 
 @compiled
-def sample_pose(world: World, last_pose, at: Start, s: float, frozen: bool, noise, row) -> None:
+def sample_pose(world: World, last_pose, at: Start, s, frozen, noise, row) -> None:
     """Pose seen ``s`` after the step's start, into ``row``."""
     first = at.first
     seen = add(at.position, add(scale(s, at.velocity), scale(0.5 * s * s, (first[3], first[4], first[5]))))

@@ -7,10 +7,11 @@ not: rotor counts, control rates, or which effects are on. So a study of one lab
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from numba import typeof
+from numba.core.dispatcher import Dispatcher
 from numpy.typing import NDArray
 
 from groundstation.errors import GroundStationError
@@ -21,10 +22,10 @@ from sim.build import build_world
 from sim.flight import SimulatedFlight, flown, simulate
 from sim.lanes import WIDTH, Lanes
 from sim.lockstep import Inputs, Outputs, Scratch, run_lanes
-from sim.loop import FLYING, Memory, World
+from sim.loop import FLYING, Memory, Stretch, World
 from sim.rows import Rows
 from sim.scenario import Scenario
-from sim.simulation import Prepared, Recorded, Samples, Simulation
+from sim.simulation import Prepared, Recorded, Samples, SetpointSource, Simulation
 
 Array = NDArray[np.float64]
 Outcome = SimulatedFlight | GroundStationError | FloatingPointError
@@ -56,14 +57,19 @@ def simulate_many(jobs: Sequence[Job]) -> Iterator[tuple[int, Outcome]]:
         if pair not in known:
             known[pair] = kind(build_world(job.vehicle, job.scenario))
         kinds.setdefault((known[pair], job.rest_s), []).append(number)
+    sources: dict[Hashable, SetpointSource] = {}
     for numbers in kinds.values():
         for first in range(0, len(numbers), WIDTH):
             group = numbers[first : first + WIDTH]
-            alone = len(group) < LEAST
-            yield from (((n, _alone(jobs[n])) for n in group) if alone else _in_lockstep(jobs, group))
+            if len(group) < LEAST:
+                yield from ((n, _alone(jobs[n])) for n in group)
+                continue
+            yield from _in_lockstep(jobs, group, sources)
+            for other in list(sources)[:-WIDTH]:  # a study flies one plan, or each flight its own
+                del sources[other]
 
 
-def kind(world: Any) -> Hashable:
+def kind(world: object) -> Hashable:
     """What flights in lockstep share: shapes, switches and counts, but not the numbers."""
     if isinstance(world, World):
         return (world.dt, world.outer_every, *(kind(part) for part in world[4:]), world.control_every)
@@ -71,7 +77,7 @@ def kind(world: Any) -> Hashable:
         return tuple(kind(part) for part in world)
     if isinstance(world, np.ndarray):
         return world.shape
-    return None if isinstance(world, float) else world
+    return None if isinstance(world, float) else cast(Hashable, world)
 
 
 def _alone(job: Job) -> Outcome:
@@ -81,14 +87,14 @@ def _alone(job: Job) -> Outcome:
         return error
 
 
-def _stacked(parts: Sequence[Any]) -> Any:
+def _stacked(parts: Sequence[object]) -> object:
     """Constants of eight worlds as lanes, in the same tuples."""
     first = parts[0]
     if isinstance(first, tuple):
-        fields = [_stacked(column) for column in zip(*parts, strict=True)]
-        return type(first)(*fields) if hasattr(first, "_fields") else tuple(fields)
+        fields = [_stacked(column) for column in zip(*cast(Sequence[tuple[object, ...]], parts), strict=True)]
+        return cast(Callable[..., object], type(first))(*fields) if hasattr(first, "_fields") else tuple(fields)
     if isinstance(first, np.ndarray):
-        return Rows(np.ascontiguousarray(np.stack(parts, axis=-1)))
+        return Rows(np.ascontiguousarray(np.stack(cast(Sequence[Array], parts), axis=-1)))
     return Lanes(np.array(parts)) if isinstance(first, float) else first
 
 
@@ -127,23 +133,27 @@ class Lane:
             self.outcome = error
 
 
-def _in_lockstep(jobs: Sequence[Job], numbers: Sequence[int]) -> Iterator[tuple[int, Outcome]]:
+def _in_lockstep(
+    jobs: Sequence[Job], numbers: Sequence[int], sources: dict[Hashable, SetpointSource]
+) -> Iterator[tuple[int, Outcome]]:
     """Fly up to eight flights of one kind; empty lanes repeat the first one's world."""
     simulations = [Simulation(job.vehicle, job.scenario, job.seed) for job in (jobs[n] for n in numbers)]
     spare = [simulations[0]] * (WIDTH - len(simulations))
     shared = simulations[0].world
-    world = _stacked([s.world for s in (*simulations, *spare)])._replace(dt=shared.dt, outer_every=shared.outer_every)
+    constants = cast(World, _stacked([s.world for s in (*simulations, *spare)]))
+    world = constants._replace(dt=shared.dt, outer_every=shared.outer_every)
     memory = [
         np.stack(parts, axis=-1, dtype=float) for parts in zip(*(s.memory for s in (*simulations, *spare)), strict=True)
     ]
-    lanes, sources = [], {}
+    lanes = []
     for j, (simulation, n) in enumerate(zip(simulations, numbers, strict=True)):
         simulation.memory = Memory(*(array[..., j] for array in memory))
         lanes.append(Lane(simulation, flown(simulation, jobs[n].plan, jobs[n].rest_s, sources)))
-    group = Group(world, Memory(*map(Rows, memory)), _scratch(len(memory[3])), lanes)
+    rows = cast(Sequence[Array], [Rows(array) for array in memory])
+    group = Group(world, Memory(*rows), _scratch(simulations[0].declared.rotors.count), lanes)
     while any(lane.outcome is None for lane in lanes):
         group.run()
-    yield from ((n, lane.outcome) for n, lane in zip(numbers, lanes, strict=True))  # type: ignore[misc]
+    yield from ((n, lane.outcome) for n, lane in zip(numbers, lanes, strict=True) if lane.outcome is not None)
 
 
 def _scratch(rotors: int) -> Scratch:
@@ -178,11 +188,11 @@ def _inputs(lanes: Sequence[Lane], first: int, steps: int, ticks: int) -> Inputs
     under_way = [lane if lane.outcome is None else None for lane in lanes]
     stretches = [(lane, lane.prepared.stretch) if lane else None for lane in under_way]
 
-    def column(device: int, values: Any, width: int, empty: float = np.inf) -> Rows:
+    def column(device: int, values: Callable[[Stretch], Array], width: int, empty: float = np.inf) -> Rows:
         parts = [values(pair[1])[pair[0].taken[device] :] if pair else None for pair in stretches]
         return _side_by_side(parts, width, empty)
 
-    def per_step(values: Any, width: int) -> Rows:
+    def per_step(values: Callable[[Stretch], Array], width: int) -> Rows:
         parts = [values(pair[1])[pair[0].steps : pair[0].steps + steps] if pair else None for pair in stretches]
         return _side_by_side(parts, width, 0.0)
 
@@ -194,8 +204,8 @@ def _inputs(lanes: Sequence[Lane], first: int, steps: int, ticks: int) -> Inputs
     return Inputs(
         first=first,
         steps=steps,
-        flying=Lanes(flying),
-        start_s=Lanes(start),
+        flying=cast(float, Lanes(flying)),
+        start_s=cast(float, Lanes(start)),
         setpoints=_side_by_side(setpoints, 11, 0.0),
         imu_s=column(0, lambda s: s.imu_s[:, None], 1),
         imu_noise=column(0, lambda s: s.imu_noise, 6, 0.0),
@@ -205,6 +215,11 @@ def _inputs(lanes: Sequence[Lane], first: int, steps: int, ticks: int) -> Inputs
         drift_noise=per_step(lambda s: s.drift_noise, 6),
         gust_noise=per_step(lambda s: s.gust_noise, 3),
     )
+
+
+def _machine_code(arguments: tuple[object, ...]) -> Callable[..., None]:
+    """The loop compiled for these types; a plain call would look at the types of all constants each time."""
+    return cast(Dispatcher, run_lanes).compile(tuple(map(typeof, arguments)))
 
 
 class Group:
@@ -223,16 +238,17 @@ class Group:
         inputs = _inputs(self.lanes, self._step, steps, ticks)
         out = _outputs(inputs, ticks, len(self._scratch.asked.values))
         arguments = (self._world, self._memory, inputs, self._scratch, out)
-        if self._kernel is None:  # numba would look at the types of all constants at each call
-            self._kernel = run_lanes.compile(tuple(map(typeof, arguments)))
+        if self._kernel is None:
+            self._kernel = _machine_code(arguments)
         self._kernel(*arguments)
         self._step += steps
         for j, lane in enumerate(self.lanes):
             if lane.outcome is None:
                 taken = out.taken.values[:, j].astype(int)
                 sampled = (out.imu, out.poses, out.speeds, out.volts)
-                samples = [rows.values[:k, :, j] for rows, k in zip(sampled, taken, strict=True)]
-                found = Recorded(*samples, out.commands.values[..., j], out.estimates.values[..., j])
+                imu, poses, speeds, volts = (rows.values[:k, :, j] for rows, k in zip(sampled, taken, strict=True))
+                commands, estimates = out.commands.values[..., j], out.estimates.values[..., j]
+                found = Recorded(imu, poses, speeds, volts, commands, estimates)
                 lane.advance(steps, found, taken)
 
 

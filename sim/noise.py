@@ -151,8 +151,11 @@ class Outages:
     def during(self, times_s: Array) -> NDArray[np.bool_]:
         """Which of the (increasing) times lie in an outage."""
         out = np.zeros(len(times_s), dtype=bool)
-        for i, t in enumerate(times_s):
-            while t >= self._end:
+        done = 0
+        while done < len(times_s):
+            while times_s[done] >= self._end:
                 self._draw()
-            out[i] = t >= self._start
+            here = slice(done, int(np.searchsorted(times_s, self._end)))
+            out[here] = times_s[here] >= self._start
+            done = here.stop
         return out

@@ -4,10 +4,12 @@ Indexing gives lanes, or a row of a table without a copy. Where each flight has 
 :func:`place` read and write a number per lane.
 """
 
+# pyright: reportOptionalCall=false, reportCallIssue=false, reportGeneralTypeIssues=false
+# Numba's decorators of extensions have no types.
+
 from __future__ import annotations
 
 import operator
-from typing import Any
 
 import numpy as np
 from llvmlite import ir
@@ -40,6 +42,15 @@ class Rows:
         self.rows = values.shape[0]
         self.columns = values.shape[1] if values.ndim == 3 else 1
 
+    def __len__(self) -> int:
+        return self.rows
+
+    def __getitem__(self, index: int | tuple[int, int]) -> NDArray[np.float64]:
+        return self.values[index]
+
+    def __setitem__(self, index: int | tuple[int, int], value: NDArray[np.float64]) -> None:
+        self.values[index] = value
+
 
 class RowsType(types.Type):
     """Numba's type of :class:`Rows`."""
@@ -51,32 +62,32 @@ class RowsType(types.Type):
 
 @register_model(RowsType)
 class _RowsModel(models.StructModel):
-    def __init__(self, dmm: Any, fe_type: Any):
+    def __init__(self, dmm, fe_type):
         members = [("data", types.voidptr), ("rows", types.intp), ("columns", types.intp)]
         super().__init__(dmm, fe_type, members)
 
 
 @typeof_impl.register(Rows)
-def _typeof_rows(value: Rows, context: Any) -> types.Type:
+def _typeof_rows(value: Rows, context) -> types.Type:
     return RowsType(value.values.ndim - 1)
 
 
 @unbox(RowsType)
-def _unbox_rows(typ: Any, obj: Any, c: Any) -> NativeValue:
+def _unbox_rows(typ, obj, c) -> NativeValue:
     struct = cgutils.create_struct_proxy(typ)(c.context, c.builder)
     struct.data = c.builder.inttoptr(integer_attribute(c, obj, "address"), cgutils.voidptr_t)
     struct.rows, struct.columns = integer_attribute(c, obj, "rows"), integer_attribute(c, obj, "columns")
     return NativeValue(struct._getvalue(), is_error=cgutils.is_not_null(c.builder, c.pyapi.err_occurred()))
 
 
-def _cell(context: Any, builder: Any, typ: Any, rows: Any, row: Any, column: Any) -> Any:
+def _cell(context, builder, typ, rows, row, column):
     """Pointer to the lanes in a row and column."""
     struct = cgutils.create_struct_proxy(typ)(context, builder, rows)
     number = row if typ.ndim == 1 else builder.add(builder.mul(row, struct.columns), column)
     return builder.gep(builder.bitcast(struct.data, VECTOR.as_pointer()), [number])
 
 
-def _indices(context: Any, builder: Any, sig: Any, args: Any) -> tuple[Any, Any]:
+def _indices(context, builder, sig, args):
     if isinstance(sig.args[1], types.Integer):
         return context.cast(builder, args[1], sig.args[1], types.intp), None
     parts = cgutils.unpack_tuple(builder, args[1], 2)
@@ -84,7 +95,7 @@ def _indices(context: Any, builder: Any, sig: Any, args: Any) -> tuple[Any, Any]
     return row, column
 
 
-def _names_cell(typ: Any, index: Any) -> bool:
+def _names_cell(typ, index) -> bool:
     if isinstance(index, types.Integer):
         return typ.ndim == 1
     return isinstance(index, types.BaseTuple) and typ.ndim == 2 and all(isinstance(i, types.Integer) for i in index)
@@ -92,7 +103,7 @@ def _names_cell(typ: Any, index: Any) -> bool:
 
 @infer_global(operator.getitem)
 class _GetRow(AbstractTemplate):
-    def generic(self, args: Any, kws: Any) -> Any:
+    def generic(self, args, kws):
         if not isinstance(args[0], RowsType):
             return None
         return signature(LANES if _names_cell(*args) else RowsType(1), *args)
@@ -100,7 +111,7 @@ class _GetRow(AbstractTemplate):
 
 @infer_global(operator.setitem)
 class _SetRow(AbstractTemplate):
-    def generic(self, args: Any, kws: Any) -> Any:
+    def generic(self, args, kws):
         if isinstance(args[0], RowsType) and _names_cell(args[0], args[1]) and isinstance(args[2], NUMBERS):
             return signature(types.none, *args)
         return None
@@ -108,7 +119,7 @@ class _SetRow(AbstractTemplate):
 
 @lower_builtin(operator.getitem, RowsType, types.Integer)
 @lower_builtin(operator.getitem, RowsType, types.BaseTuple)
-def _get_row(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+def _get_row(context, builder, sig, args):
     row, column = _indices(context, builder, sig, args)
     zero = ir.Constant(ir.IntType(64), 0)
     pointer = _cell(context, builder, sig.args[0], args[0], row, zero if column is None else column)
@@ -121,7 +132,7 @@ def _get_row(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     return struct._getvalue()
 
 
-def _set_row(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+def _set_row(context, builder, sig, args):
     row, column = _indices(context, builder, sig, args)
     pointer = _cell(context, builder, sig.args[0], args[0], row, column)
     builder.store(as_vector(context, builder, sig.args[2], args[2]), pointer, align=8)
@@ -139,14 +150,14 @@ def _length(rows):
 
 
 @intrinsic
-def _row_count(typingctx: Any, rows: Any) -> Any:
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+def _row_count(typingctx, rows):
+    def lowered(context, builder, sig, args):
         return cgutils.create_struct_proxy(sig.args[0])(context, builder, args[0]).rows
 
     return signature(types.intp, rows), lowered
 
 
-def _addresses(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+def _addresses(context, builder, sig, args):
     """Pointers to the numbers of each lane, each in a row of its own."""
     struct = cgutils.create_struct_proxy(sig.args[0])(context, builder, args[0])
     data = builder.bitcast(struct.data, DOUBLE.as_pointer())
@@ -159,10 +170,10 @@ def _addresses(context: Any, builder: Any, sig: Any, args: Any) -> Any:
 
 
 @intrinsic
-def pick(typingctx: Any, rows: Any, number: Any, column: Any) -> Any:
+def pick(typingctx, rows, number, column):
     """Of each lane the number in a row of its own."""
 
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    def lowered(context, builder, sig, args):
         result = ir.Constant(VECTOR, ir.Undefined)
         for lane, pointer in _addresses(context, builder, sig, args):
             result = builder.insert_element(result, builder.load(pointer), lane)
@@ -172,10 +183,10 @@ def pick(typingctx: Any, rows: Any, number: Any, column: Any) -> Any:
 
 
 @intrinsic
-def place(typingctx: Any, rows: Any, number: Any, column: Any, value: Any) -> Any:
+def place(typingctx, rows, number, column, value):
     """Write each lane's number into a row of its own."""
 
-    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    def lowered(context, builder, sig, args):
         vector = as_vector(context, builder, sig.args[3], args[3])
         for lane, pointer in _addresses(context, builder, sig, args):
             builder.store(builder.extract_element(vector, lane), pointer)
@@ -184,7 +195,7 @@ def place(typingctx: Any, rows: Any, number: Any, column: Any, value: Any) -> An
     return signature(types.none, rows, LANES, column, value), lowered
 
 
-def past(ring: Any, step: int, back: Any, column: int) -> Any:
+def past(ring, step: int, back, column: int):
     """What a ring of one row per step held ``back`` steps ago, to the nearest one."""
     return ring[(step - round(back)) % len(ring), column]
 

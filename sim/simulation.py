@@ -6,6 +6,7 @@ One seed gives one flight, however the time is cut into stretches: every source 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from math import cos, sin
 from typing import NamedTuple
 
@@ -317,7 +318,8 @@ class Simulation:
     def _prepare(self, pieces: Sequence[int], mode: int, setpoints: Array, motors: Array | None) -> Prepared:
         steps = sum(pieces)
         ends = (self.step + np.cumsum(pieces)) * STEP_S
-        imu = np.diff([self._tickers["imu"].count_until(float(end)) for end in ends], prepend=0)
+        until = [self._tickers["imu"].count_until(float(end)) for end in ends]
+        imu = [b - a for a, b in pairwise([0, *until])]
         end = (self.step + steps) * STEP_S
         times = {key: ticker.until(end) for key, ticker in self._tickers.items()}
         ticks = self.control_ticks(steps)
