@@ -20,9 +20,13 @@ from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-Pull = Callable[[float, float, float], Array]
-"""Of length (m), damping (1/s) and depth of the hook (m): pull per mass at the instants, in the world, (k, 3)."""
+Pull = Callable[[Array], Array]
+"""Of length (m), damping (1/s) and depth of the hook (m) of at most LANES pendulums, (n, 3): their pulls per mass at
+the instants, in the world, (k, 3, n).
+"""
 
+LANES = 8
+"""Pendulums that are worked out at once: the doubles of the widest vector registers."""
 LENGTHS_M = tuple(np.geomspace(0.15, 4.0, 110).tolist())
 DAMPINGS_1_S = (0.1, 0.3)
 DEPTHS_ARM = (0.0, 0.15, 0.3, 0.45)
@@ -42,6 +46,8 @@ STEPS, ROUNDS = np.array([0.01, 0.02, 0.002]), 8
 """Differences of the logarithm of the length, damping and depth; steps of Gauss and Newton."""
 LEAST, MOST = np.array([np.log(0.1), 0.005, -0.5]), np.array([np.log(6.0), 3.0, 1.0])
 """Of the logarithm of the length, damping, and depth as a share of the arm."""
+PARTS = 4
+"""Of a flight, in each of which a pendulum has to show the same load."""
 BLOCK = 3
 """Instants that are averaged into one."""
 
@@ -62,12 +68,16 @@ def likely_pendulums(
         return []
     left, basis, used = found
 
-    def shown(x: Array) -> Array:
-        values = _blocks(pull(float(np.exp(x[0])), float(x[1]), float(x[2])))[used, :2].T.ravel()
+    def shown(points: Sequence[Array]) -> Array:
+        """Columns (2 n, points) of what at most LANES pendulums of these places do to the residual."""
+        pulls = pull(np.array([[np.exp(x[0]), x[1], x[2]] for x in points]))[:, :2]
+        blocks = _blocks(pulls.reshape(len(pulls), -1))[used]
+        values = blocks.reshape(len(blocks), 2, -1).transpose(1, 0, 2).reshape(2 * len(blocks), -1)
         return values - basis @ (basis.T @ values)
 
     def falls(points: Sequence[Array]) -> list[float]:
-        return [_fall(shown(x), left) for x in points]
+        groups = [shown(points[i : i + LANES]) for i in range(0, len(points), LANES)]
+        return [_fall(column, left) for columns in groups for column in columns.T]
 
     arm = vehicle.arm_m()
     middle = [np.array([np.log(n), MIDDLE[0], MIDDLE[1] * arm]) for n in LENGTHS_M]
@@ -80,7 +90,12 @@ def likely_pendulums(
     peaks = _distinct(scanned, near, POLISHED)
     polished = [_polished(x, shown, left, arm) for x in peaks]
     best = _distinct(polished, falls(polished), GIVEN)
-    return [(float(np.exp(x[0])), float(x[1]), float(x[2])) for x in best if _fall(shown(x), left) > least]
+    columns = shown(best).T if best else ()
+    return [
+        (float(np.exp(x[0])), float(x[1]), float(x[2]))
+        for x, column in zip(best, columns, strict=True)
+        if _fall(column, left) > least and _keeps_step(column, left)
+    ]
 
 
 def _residual(
@@ -118,6 +133,20 @@ def _fall(column: Array, left: Array) -> float:
     return crossed**2 / size if crossed > 0.0 and np.isfinite(size) and size > 0.0 else 0.0
 
 
+def _keeps_step(column: Array, left: Array) -> bool:
+    """Whether the load is the same all flight long: a pendulum that falls out of step pulls where nothing does.
+
+    The flight is cut where each part of the column has as much power, so that each tells the load as well.
+    """
+    power = np.cumsum(np.sum(column.reshape(2, -1) ** 2, axis=0))
+    part = np.tile(np.minimum(PARTS * power / power[-1], PARTS - 1).astype(int), 2)
+    crossed, size = (np.bincount(part, column * other, PARTS) for other in (left, column))
+    if (size == 0.0).any():
+        return False
+    away = crossed / size / (crossed.sum() / size.sum()) - 1.0
+    return bool(np.all(np.abs(away) < THRESHOLDS.pendulum_uneven))
+
+
 def _distinct(points: Sequence[Array], falls: Sequence[float], most: int) -> list[Array]:
     """The best of each length, best first."""
     out: list[Array] = []
@@ -130,27 +159,27 @@ def _distinct(points: Sequence[Array], falls: Sequence[float], most: int) -> lis
     return out
 
 
-def _polished(x: Array, shown: Callable[[Array], Array], left: Array, arm_m: float) -> Array:
+def _polished(x: Array, shown: Callable[[Sequence[Array]], Array], left: Array, arm_m: float) -> Array:
     """The peak that Gauss and Newton lead to, steps halved where they lead down (variable projection: Golub and Pereyra
     1973).
     """
-    column, fall = shown(x), _fall(shown(x), left)
     least, most = (ends * [1.0, 1.0, arm_m] for ends in (LEAST, MOST))
+    seen = shown([x, *(x + np.diag(STEPS))])
+    column, fall = seen[:, 0], _fall(seen[:, 0], left)
     for _ in range(ROUNDS):
         load = float(column @ left) / float(column @ column)
-        slopes = [(shown(x + step) - column) / size for step, size in zip(np.diag(STEPS), STEPS, strict=True)]
-        columns = np.stack([column, *(load * s for s in slopes)], axis=1)
+        columns = np.column_stack([column, load * (seen[:, 1:] - column[:, None]) / STEPS])
         if not np.isfinite(columns).all():
             return x
         step = np.clip(np.linalg.lstsq(columns, left, rcond=1e-8)[0][1:], [-0.1, -0.3, -0.05], [0.1, 0.3, 0.05])
-        for share in (1.0, 0.5, 0.25):
-            trial = np.clip(x + share * step, least, most)
-            reached = shown(trial)
-            if _fall(reached, left) > fall:
-                break
-        else:
+        trials = [np.clip(x + share * step, least, most) for share in (1.0, 0.5, 0.25)]
+        tried = shown(trials)
+        number = next((n for n in range(len(trials)) if _fall(tried[:, n], left) > fall), None)
+        if number is None:
             return x
-        x, column, gain, fall = trial, reached, _fall(reached, left) / max(fall, 1e-300), _fall(reached, left)
+        x, column = trials[number], tried[:, number]
+        gain, fall = _fall(column, left) / max(fall, 1e-300), _fall(column, left)
         if gain < 1.0 + 1e-4:
             return x
+        seen = shown([x, *(x + np.diag(STEPS))])
     return x
