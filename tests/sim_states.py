@@ -47,18 +47,10 @@ def state_of(plant: Plant, *, position=(0.0, 0.0, 5.0), velocity=STILL, euler=ST
     return x
 
 
-def now(
-    *, wind=STILL, force=STILL, torque=STILL, flight_s: float = 0.0, powered: bool = True, step_s: float = 0.001
-) -> Surroundings:
+def now(*, wind=STILL, force=STILL, torque=STILL, flight_s: float = 0.0, powered: bool = True) -> Surroundings:
     """Surroundings in the air."""
     return Surroundings(
-        tuple(map(float, wind)),
-        tuple(map(float, force)),
-        tuple(map(float, torque)),
-        float(flight_s),
-        powered,
-        False,
-        step_s,
+        tuple(map(float, wind)), tuple(map(float, force)), tuple(map(float, torque)), float(flight_s), powered, False
     )
 
 
@@ -110,9 +102,9 @@ def advance(plant: Plant, x, seconds: float, dt: float = 0.001, *, target=None, 
     count = len(plant.rotors.spin)
     x, work, memory = x.copy(), np.zeros((5, len(x))), np.zeros(count)
     goal = x[ROTOR:].copy() if target is None else np.asarray(target, dtype=float)
-    around = now(**surroundings, step_s=dt)
+    around = now(**surroundings)
     history = [x.copy()]
     for _ in range(round(seconds / dt)):
-        rk4_step(x, work, goal, memory, plant, around)
+        rk4_step(x, work, goal, memory, plant, around, dt)
         history.append(x.copy())
     return np.array(history)

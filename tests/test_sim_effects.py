@@ -366,7 +366,7 @@ def test_a_turned_imu_reads_the_same_vector_in_its_own_axes():
 def _pose(position, q, **effects):
     instruments = build_instruments(VEHICLE, Scenario(effects=Effects()._replace(**effects)))
     out = np.zeros(7)
-    measure_pose(instruments, np.zeros(7), (tuple(position), tuple(map(float, q))), False, np.zeros(6), out)
+    measure_pose(instruments, np.zeros(7), tuple(position), tuple(map(float, q)), False, np.zeros(6), out)
     return out
 
 

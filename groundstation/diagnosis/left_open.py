@@ -27,10 +27,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.columns import Candidate, Columns, Pair, Solution
+from groundstation.diagnosis.beside import beside
+from groundstation.diagnosis.columns import Candidate, Columns, Solution
 from groundstation.diagnosis.effect import ParameterInfo, Settings
 from groundstation.diagnosis.evidence import Evidence
-from groundstation.diagnosis.rivals import Entry, kind_of, plausible
+from groundstation.diagnosis.rivals import Entry, kind_of
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.model.parameters import RIGID_BODY
 from groundstation.model.signals import Signals
@@ -66,19 +67,19 @@ def left_open(
     index = [evidence.names.index(name) for name in RIGID_BODY]
     named = evidence.solve(chosen)
     forms = list(_misshapen(evidence, chosen, named))
-    beside, total, spread = list(chosen), 0.0, np.zeros((len(index), len(index)))
+    along, total, spread = list(chosen), 0.0, np.zeros((len(index), len(index)))
     choice = [*pool, *forms]
     for _ in range(THRESHOLDS.effects_most):
-        margins = _margins(evidence, beside, choice, threshold)
+        margins = _margins(evidence, along, choice, threshold)
         best = int(np.argmax(margins)) if margins else -1
         if best < 0 or margins[best] <= 0.0:
             break
-        beside.append(choice[best])
-        moved = evidence.solve(beside).theta[index] - named.theta[index]
+        along.append(choice[best])
+        moved = evidence.solve(along).theta[index] - named.theta[index]
         total += margins[best]
         spread += margins[best] * np.outer(moved, moved)
         choice = [entry for entry, margin in zip(choice, margins, strict=True) if margin > 0.0]
-    shown = {kind_of(entry) for entry in beside}
+    shown = {kind_of(entry) for entry in along}
     unseen = [_unseen(evidence, chosen, named, form, index) for form in forms if kind_of(form) not in shown]
     return sum(unseen, spread / total if total > 0.0 else spread)
 
@@ -94,23 +95,18 @@ def _unseen(evidence: Evidence, chosen: Sequence[Entry], named: Solution, form: 
 
 def _margins(
     evidence: Evidence,
-    beside: Sequence[Entry],
+    chosen: Sequence[Entry],
     choice: Sequence[Entry],
     threshold: Callable[[Candidate, Columns], float],
 ) -> list[float]:
     """By how much each entry beats chance beside others; nothing where it is among them or implausible."""
-    offset = sum(len(candidate.effect.parameters) for candidate, _ in beside)
-    taken = {kind_of(entry) for entry in beside}
-    out: list[float] = []
-    for entry in choice:
-        effect = entry[0].effect
-        if kind_of(entry) in taken:
-            out.append(0.0)
-            continue
-        found = evidence.solve([*beside, entry])
-        margin = found.wald(offset, effect.telling()) - threshold(*entry)
-        right = margin > 0.0 and plausible(entry[0], *found.part(offset, len(effect.parameters)))
-        out.append(margin if right else 0.0)
+    taken = {kind_of(entry) for entry in chosen}
+    out = [0.0] * len(choice)
+    open_ones = [index for index, entry in enumerate(choice) if kind_of(entry) not in taken]
+    for found in beside(evidence, chosen, [choice[index] for index in open_ones]):
+        for place, wald, right in zip(found.index, found.walds(), found.plausible(), strict=True):
+            margin = float(wald) - threshold(*choice[open_ones[place]])
+            out[open_ones[place]] = margin if right and margin > 0.0 else 0.0
     return out
 
 
@@ -121,25 +117,19 @@ def _misshapen(evidence: Evidence, chosen: Sequence[Entry], solution: Solution) 
         count = len(candidate.effect.parameters)
         values = solution.part(first, count)[0]
         first += count
-        for forms in _forms(candidate, values):
-            together = evidence.columns(forms)
+        forms_of = list(_forms(candidate, values))
+        for forms, together in zip(forms_of, evidence.columns_of(forms_of), strict=True):
             if together is not None:
-                yield from _one_by_one(forms, together)
+                yield from _one_by_one(evidence, forms, together)
 
 
-def _one_by_one(forms: Candidate, together: Columns) -> Iterator[Entry]:
+def _one_by_one(evidence: Evidence, forms: Candidate, together: Columns) -> Iterator[Entry]:
     """A candidate of several parameters as one for each, without those that do nothing."""
     for number, parameter in enumerate(forms.effect.parameters):
         own = slice(number, number + 1)
         if np.any(together.sensitivity[:, own] != 0.0) and np.any(together.instrument[:, own] != 0.0):
             effect = replace(forms.effect, identifier=parameter.name, parameters=(parameter,))
-            rms = together.wrench_rms[:, own]
-            yield Candidate(effect, forms.settings), Columns(lambda own=own: _part(together, own), rms)
-
-
-def _part(together: Columns, own: slice) -> Pair:
-    sensitivity, instrument = together.pair()
-    return sensitivity[:, own], instrument[:, own]
+            yield Candidate(effect, forms.settings), evidence.part(together, own)
 
 
 def _forms(candidate: Candidate, values: Array) -> Iterator[Candidate]:

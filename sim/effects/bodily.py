@@ -64,7 +64,7 @@ def summed(parts: Sequence[tuple[int, Wrench]]) -> Sum:
     Compiled as one chain of functions, since numba has no list of functions; what calls it is kept on disk.
     """
 
-    @numba.njit(error_model="numpy")
+    @numba.njit(error_model="numpy", forceinline=True)
     def nothing(effects: Any, at: Moving, force: Vector, torque: Vector) -> tuple[Vector, Vector]:
         return force, torque
 
@@ -75,7 +75,7 @@ def summed(parts: Sequence[tuple[int, Wrench]]) -> Sum:
 
 
 def _after(before: Sum, place: int, wrench: Wrench) -> Sum:
-    @numba.njit(error_model="numpy")
+    @numba.njit(error_model="numpy", forceinline=True)
     def total(effects: Any, at: Moving, force: Vector, torque: Vector) -> tuple[Vector, Vector]:
         force, torque = before(effects, at, force, torque)
         if effects[place].on:
