@@ -383,7 +383,7 @@ def test_a_shifted_marker_body_swings_with_the_attitude_and_a_turned_one_differs
 def test_a_tilted_capture_world_turns_positions_and_attitudes_alike():
     q = frames.quat_from_euler(0.3, -0.2, 1.0)
     pose = _pose((1.0, 2.0, 3.0), q, mocap_tilt=MocapTilt(tilt_rad=(0.02, -0.01)))
-    tilt = frames.quat_exp([0.02, -0.01, 0.0])
+    tilt = frames.quat_exp([-0.02, 0.01, 0.0])  # seen from a frame that is tilted the other way
     np.testing.assert_allclose(pose[:3], frames.quat_rotate(tilt, [1.0, 2.0, 3.0]))
     np.testing.assert_allclose(pose[3:], frames.quat_multiply(tilt, q))
 
