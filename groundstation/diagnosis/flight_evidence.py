@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.columns import Batch, Candidate, Columns, Solution
+from groundstation.diagnosis.columns import Batch, Candidate, Solution
 from groundstation.diagnosis.effect import library
 from groundstation.diagnosis.joint import updated_rigid_body
 from groundstation.diagnosis.signals import planned_signals
@@ -233,29 +233,13 @@ class FlightEvidence:
             return [seen, effect.wrench(planned, vehicle, candidate.settings)]
         return [seen, effect.instrument(self.signals, planned, vehicle, candidate.settings)]
 
-    def along(self, basis: Array, wished: Array | None) -> dict[int, Columns]:
-        """Columns of the same functions of time (k, p) as torque or force of each known channel, by channel.
-
-        Args:
-            basis: along the measured motion; wished: along the planned one, where there is one.
+    def shares_of(self, channel: int) -> Array:
+        """How much of a torque or force of each of the six channels shows in one, (6,); torques by the tensor's
+        inverse.
         """
-        both = basis if wished is None else np.concatenate([basis, wished], axis=1)
-        count, blocks = basis.shape[1], len(self.model.t_s)
-        turning, pushing = self.model.integrated(both), self.model.average(both) / self.parameters.mass_kg
-        parts = [self.whitening.channel(n, turning if c < 3 else pushing)[0] for n, c in enumerate(self.channels)]
-        size = np.sqrt(self._share @ (basis * basis))
-        out: dict[int, Columns] = {}
-        for channel in self.channels:
-            white, rms = np.zeros((len(self.channels), blocks, both.shape[1])), np.zeros((6, count))
-            for n, c in enumerate(self.channels):
-                if channel < 3 and c < 3:
-                    white[n] = self._inverse[c, channel] * parts[n]
-                elif c == channel:
-                    white[n] = parts[n]
-            rms[WRENCH_ROW[channel]] = size
-            flat = white.reshape(-1, both.shape[1])
-            out[channel] = Columns.of(flat[:, :count], flat[:, :count] if wished is None else flat[:, count:], rms)
-        return out
+        if channel >= 3:
+            return np.eye(6)[channel]
+        return np.concatenate([self._inverse[channel], np.zeros(3)])
 
 
 def _channels_of(prepared: Prepared) -> tuple[int, ...]:
