@@ -25,6 +25,8 @@ from groundstation.model.parameters import RIGID_BODY, FitOptions, table, values
 
 Array = NDArray[np.float64]
 
+SAMPLES_AT_ONCE = 2**22
+"""Of functions of time that are worked out side by side: 32 MB."""
 WRENCH_ROW = {0: 3, 1: 4, 2: 5, 3: 0, 4: 1, 5: 2}
 """Of each channel, where its force or torque stands in a wrench."""
 
@@ -200,19 +202,30 @@ class FlightEvidence:
         total = sum(counts)
         planned = self.planned is not None
         raw = np.zeros((len(self.model.t_s), 6, 2 * total if planned else total))
-        rms, known, first = np.zeros((6, total)), list[bool](), 0
-        for candidate, count in zip(candidates, counts, strict=True):
+        rms, known = np.zeros((6, total)), [True] * len(candidates)
+        firsts: list[int] = np.cumsum([0, *counts[:-1]]).tolist() if counts else []
+        straight = [index for index, candidate in enumerate(candidates) if candidate.effect.straight is not None]
+        at_once = max(1, SAMPLES_AT_ONCE // len(self.signals.t_s))
+        for start in range(0, len(straight), at_once):
+            some = straight[start : start + at_once]
+            own = [firsts[index] for index in some]
+            columns, sizes, finite = self._straight([candidates[index] for index in some])
+            raw[:, :, own], rms[:, own] = columns[:, :, : len(some)], sizes
+            if planned:
+                raw[:, :, [total + first for first in own]] = columns[:, :, len(some) :]
+            for index, is_finite in zip(some, finite, strict=True):
+                known[index] = is_finite
+        for index, (candidate, first, count) in enumerate(zip(candidates, firsts, counts, strict=True)):
+            if candidate.effect.straight is not None:
+                continue
             wrenches = self._wrenches(candidate)
-            known.append(
-                all(np.isfinite(wrench.sum()) for wrench in wrenches)
-            )  # nothing adds up to one without numbers
-            if known[-1]:
+            known[index] = all(np.isfinite(wrench.sum()) for wrench in wrenches)  # nothing adds up to one without it
+            if known[index]:
                 flat = wrenches[0].reshape(len(wrenches[0]), -1)
                 squares = np.einsum("k,kj,kj->j", self._share, flat, flat)
                 rms[:, first : first + count] = np.sqrt(squares).reshape(6, count)
                 for start, wrench in zip((first, total + first), wrenches, strict=False):
                     raw[:, :, start : start + count] = self.predicted(wrench)
-            first += count
         return Batch(*self.whitening.applied(raw), rms, tuple(known))
 
     def nothing(self, candidates: Sequence[Candidate]) -> Batch:
@@ -222,6 +235,33 @@ class FlightEvidence:
         return Batch(
             np.zeros((len(self.y), total)), np.zeros((bands, total)), np.zeros((6, total)), (True,) * len(candidates)
         )
+
+    def _straight(self, candidates: Sequence[Candidate]) -> tuple[Array, Array, list[bool]]:
+        """What candidates that push in one direction add, those of the plan behind, (blocks, 6, n); RMS of their
+        wrenches, (6, candidates); and whether their signals are known.
+        """
+        vehicle, both = self.prepared.record.vehicle, [self.signals]
+        if self.planned is not None:
+            both.append(self.planned)
+        made = [
+            candidate.effect.straight(signals, vehicle, candidate.settings)
+            for signals in both
+            for candidate in candidates
+            if candidate.effect.straight is not None
+        ]
+        series = np.stack([how_hard for how_hard, _ in made], axis=1)
+        finite = np.isfinite(series.sum(axis=0))
+        series[:, ~finite] = 0.0
+        directions = np.stack([direction for _, direction in made], axis=1)
+        turning = self._inverse @ directions[3:]
+        out = np.empty((len(self.model.t_s), 6, len(made)))
+        out[:, :3] = self.model.integrated(series)[:, None] * turning
+        out[:, 3:] = self.model.average(series)[:, None] * (directions[:3] / self.parameters.mass_kg)
+        own = series[:, : len(candidates)]
+        sizes = np.sqrt(self._share @ (own * own)) * np.abs(directions[:, : len(candidates)])
+        known = finite.reshape(len(both), -1).all(axis=0)
+        out[:, :, np.tile(~known, len(both))] = 0.0
+        return out, sizes, known.tolist()
 
     def _wrenches(self, candidate: Candidate) -> list[Array]:
         """What a candidate adds per unit of its parameters, (k, 6, p); with a plan, its instrument, too."""
