@@ -5,6 +5,7 @@ else?
 
 Every campaign draws its vehicle, effects, true mass and inertia, disturbance and seeds from a master seed that is new
 each run and printed, and kept with the outcomes: the same command goes on where it was ended. It may fly five times.
+With ``--keep`` the folders of those that miss are kept, to be looked at.
 Beside it stand its first flight alone, and the seconds that the paper's trajectory, repeated, would take to the same
 worst interval: one 40 s flight of it is flown and identified, and variances are scaled by the number of flights. Sizes
 are those parameters of findings that a scenario states one to one (studies/effect_sizes.py).
@@ -15,9 +16,11 @@ from __future__ import annotations
 import argparse
 import json
 import secrets
+import shutil
 import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +67,8 @@ class Outcome:
     """Of each unseen flight: velocity and rate errors declared, before and after."""
     sizes: Mapping[str, float] = field(default_factory=dict)
     """Parameters of what was hidden and named: (found - true) over standard deviation."""
+    sentence: str = ""
+    """How it ended."""
 
 
 def draw(master: int, count: int) -> list[tuple[int, str, tuple[str, ...]]]:
@@ -104,19 +109,31 @@ class _Hall:
         simulated = simulate(self._vehicle, load_plan(plan), self._scenario, int(self._random.integers(2**31)))
         self.truth = simulated.truth.parameters()
         folder.mkdir()
+        (folder / "plan.toml").write_bytes(plan.read_bytes())
         write_mcap(flight_data(simulated, folder.name), folder / "flight.mcap")
 
 
-def campaign(item: tuple[int, str, tuple[str, ...]]) -> Outcome:
-    """Hide, fly until it ends, count."""
+def campaign(item: tuple[int, str, tuple[str, ...]], keep: Path | None = None) -> Outcome:
+    """Hide, fly until it ends, count.
+
+    Args:
+        keep: where its folder is kept if it misses.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        outcome = _flown(item, Path(folder))
+        if keep is not None and not all(is_right(outcome)):
+            shutil.copytree(folder, keep / str(item[0]), dirs_exist_ok=True)
+    return outcome
+
+
+def _flown(item: tuple[int, str, tuple[str, ...]], folder: Path) -> Outcome:
     seed, name, names = item
     random: Random = np.random.default_rng(seed)
     vehicle = declared(name, ())
     hidden = {effect: sizes(vehicle)[effect](random) for effect in names}
     scenario = world(random, hidden, vehicle)
-    with tempfile.TemporaryDirectory() as folder:
-        hall = _Hall(Path(folder), vehicle, scenario, random)
-        done = run(Campaign(Path(folder) / "campaign", vehicle, parse_targets(TARGETS), AT_MOST, seed % 1000), hall)
+    hall = _Hall(folder, vehicle, scenario, random)
+    done = run(Campaign(folder / "campaign", vehicle, parse_targets(TARGETS), AT_MOST, seed % 1000), hall)
     truth = hall.truth
     last = done.rounds[-1]
     z = {
@@ -141,6 +158,7 @@ def campaign(item: tuple[int, str, tuple[str, ...]]) -> Outcome:
         z,
         tuple(errors),
         deviations(list(last.findings), hidden, vehicle),
+        done.sentence,
     )
 
 
@@ -216,6 +234,7 @@ def main() -> None:
         "--seed", type=int, default=None, help="master seed (default: that of the file, else a fresh one, printed)"
     )
     parser.add_argument("--json", type=Path, default=None, help="outcomes are kept here; a run that was ended goes on")
+    parser.add_argument("--keep", type=Path, default=None, help="folders of campaigns that miss are kept here")
     many.add_options(parser)
     arguments = parser.parse_args()
     before, found, lost = kept_before(arguments.json)
@@ -225,7 +244,7 @@ def main() -> None:
     print("master seed", master, flush=True)
     numbers = [n for n in range(arguments.campaigns) if n not in found and n not in lost]
     drawn = draw(master, arguments.campaigns)
-    for each in many.outcomes(campaign, [drawn[n] for n in numbers], arguments):
+    for each in many.outcomes(partial(campaign, keep=arguments.keep), [drawn[n] for n in numbers], arguments):
         number = numbers[each.index]
         if each.value is None:
             lost[number] = each.failure

@@ -18,6 +18,7 @@ from typing import Any
 
 from groundstation import api
 from groundstation.diagnosis.trim import compare_trims
+from groundstation.errors import Refused
 from groundstation.identification.preparation import Prepared, prepare
 
 HEALTHY = "normal_flight"
@@ -65,7 +66,12 @@ def prepared_sets(folder: Path) -> dict[tuple[str, str], list[Prepared]]:
     for path in sorted(folder.glob("*/*")):
         if re.fullmatch(r"E\d+_log\d+", path.name):
             flight = api.load_flight(path, vehicle=vehicle)
-            out.setdefault((path.parent.name, path.name.partition("_")[0]), []).append(prepare(flight))
+            try:
+                prepared = prepare(flight)
+            except Refused as refusal:
+                print(f"left out: {path.parent.name}/{path.name}: {refusal}", flush=True)
+                continue
+            out.setdefault((path.parent.name, path.name.partition("_")[0]), []).append(prepared)
     return out
 
 

@@ -80,7 +80,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=OUT)
     options = parser.parse_args()
     kinds = options.kind or ["mixed", "all"]
-    results: dict[str, list[dict[str, Any]]] = {}
+    results: dict[str, list[dict[str, Any]]] = json.loads(options.out.read_text()) if options.out.exists() else {}
     for profile in options.profile or ["px4", "arducopter"]:
         flights = results[profile] = []
         while (left := options.frames - sum(f["sent_in_air"] for f in flights)) > 0 and len(flights) < 40:

@@ -3,7 +3,9 @@
 ``python -m benchmarks.logs [--minutes 30] [--formats NAME ...] [--out]``; ``make bench`` prints it. ``--out`` keeps the
 rows as they come, in place of those of the same format, each with when its run began. Ratios are of the same run. The
 limit of memory is six times the samples that are used, as doubles, beside the base: the peak of a process that reads
-six seconds of the same format, so Python, NumPy, SciPy and numba.
+six seconds of the same format by the same way. That is Python with NumPy, pydantic and this program (60 MB), and what
+the format needs: numba's compiler for the scans of PX4, ArduPilot and Betaflight logs (140 MB more), pyarrow for
+Parquet. A bag is read by ``rosbags`` in a process of its own, and the larger of the two counts.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 FILE = ROOT / "docs" / "results" / "speed.json"
 TABLE = FILE.with_suffix(".md")
-SECTIONS = ("estimation", "starts", "peers")
+SECTIONS = ("estimation", "length", "starts", "peers")
 """In the order of the page."""
 
 

@@ -1,5 +1,4 @@
-"""Section of ``benchmarks.speed``: processor time and memory of ``identify`` and ``diagnose`` over the length of a
-flight.
+"""Section of ``benchmarks.speed``: processor time and memory of ``identify`` and ``diagnose`` of a minute of flight.
 
     python -m benchmarks.speed_estimation TASK LENGTH_S RATE_HZ [RUNS]     one measurement, as JSON
 
@@ -59,7 +58,6 @@ MINUTES: tuple[tuple[str, float | None], ...] = (
     ("diagnose_on", 1.0),
 )
 """Tasks on a minute of flight, and the most seconds each should take."""
-LENGTHS_S = (20.0, 300.0, 1200.0)
 
 
 STREAMS = ("imu", "mocap", "motors", "battery", "setpoint", "state")
@@ -161,7 +159,8 @@ def one(name: str, length_s: float, rate_hz: float, runs: int) -> dict[str, floa
     }
 
 
-def _in_process(name: str, length_s: float, rate_hz: float, runs: int) -> dict[str, float]:
+def in_process(name: str, length_s: float, rate_hz: float, runs: int) -> dict[str, float]:
+    """One measurement in a process of its own."""
     flown(length_s, rate_hz)
     command = [sys.executable, "-P", "-m", "benchmarks.speed_estimation", name, str(length_s), str(rate_hz), str(runs)]
     done = subprocess.run(
@@ -171,22 +170,14 @@ def _in_process(name: str, length_s: float, rate_hz: float, runs: int) -> dict[s
 
 
 def measure() -> list[Row]:
-    """All of it; a quarter of an hour.
-
-    An hour at 1 kHz is for a machine with 32 GB, by hand: ``identify 3600 1000`` on the command line of this module.
-    """
+    """All of it; longer flights are the section ``length``."""
     rows: list[Row] = []
     for name, goal in MINUTES:
-        found = _in_process(name, MINUTE_S, 500.0, 3)
+        found = in_process(name, MINUTE_S, 500.0, 3)
         rows.append(Row(f"{name}, 60 s, warm", found["warm_s"], "s", goal, found["warm_s"] / found["loop_s"]))
         if name == "identify":
             rows.append(Row("identify, 60 s, cold", found["cold_s"], "s", 1.5, found["cold_s"] / found["loop_s"]))
         rows.append(Row(f"{name}, 60 s, memory", found["peak_mb"], "MB"))
-    for name in ("identify", "diagnose"):
-        for length_s in LENGTHS_S:
-            found = _in_process(name, length_s, 500.0, 1 if length_s < 100 else 0)
-            rows.append(Row(f"{name}, {length_s:g} s", found["warm_s"], "s", None, found["warm_s"] / found["loop_s"]))
-            rows.append(Row(f"{name}, {length_s:g} s, memory", found["peak_mb"], "MB"))
     return rows
 
 

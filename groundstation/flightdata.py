@@ -80,7 +80,8 @@ class Stream(Tabular):
 
     def rate_hz(self) -> float:
         """Median sample rate; 0 for fewer than two samples."""
-        return float(1.0 / np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.0
+        with np.errstate(divide="ignore"):  # stamps that are all alike are dealt with by whoever repairs
+            return float(1.0 / np.median(np.diff(self.t_s))) if len(self.t_s) > 1 else 0.0
 
 
 def resampled(

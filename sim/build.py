@@ -223,7 +223,7 @@ def build_instruments(declared: Vehicle, scenario: Scenario) -> Instruments:
         low_pass=low_pass(declared.imu.filter_hz, scenario.imu.rate_hz),
         point=_vector(point),
         marker_turn=(w, x, y, z),
-        world_turn=_quaternion([*tilt.tilt_rad, 0.0] if tilt.on else zero),
+        world_turn=_quaternion([*(-a for a in tilt.tilt_rad), 0.0] if tilt.on else zero),
         latency=scenario.mocap.clock.latency_s + scenario.mocap.clock.latency_jitter_s,
         known_point=_vector(declared.mocap.position_m),
         known_marker_turn=_quaternion(declared.mocap.rotation_rad),

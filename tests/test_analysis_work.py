@@ -112,7 +112,7 @@ def test_costs_of_position_noises_are_those_of_the_filter() -> None:
     z += 1e-3 * random.standard_normal((400, 3))
     noises = np.array([[1e-3, 0.01, 0.01, 0.3], [2e-3, 0.1, 0.01, 0.3], [1e-3, 0.5, 0.03, 0.3]])
     for noise, cost in zip(noises, position_costs(z, dt, noises), strict=True):
-        e, s, *_ = position_filter(z, dt, noise)
+        e, s, *_ = position_filter(z, dt, noise, True)
         known = np.isfinite(s)
         squares = np.minimum(e[known] ** 2 / s[known, None], 25.0)
         assert cost == pytest.approx(0.5 * (3.0 * np.sum(np.log(s[known])) + np.sum(squares)), rel=1e-10)

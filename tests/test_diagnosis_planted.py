@@ -25,6 +25,7 @@ from groundstation.trajectory import load_plan
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
 from sim.flight import simulate
 from sim.scenario import RotorLag
+from studies.effect_sizes import TRUE
 from studies.flown import flight_data
 
 SEED = 7
@@ -153,6 +154,22 @@ def test_all_four_at_once_are_four_findings():
     _assert_within(found["imu_misalignment"]["rotation_x_rad"], 0.02)
     _assert_within(found["mocap_misalignment"]["offset_x_m"], 0.03)
     _assert_within(found["mocap_tilt"]["tilt_y_rad"], 0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "table"),
+    [
+        ("mocap_tilt", {"tilt_rad": [0.02, -0.015]}),
+        ("imu_misalignment", {"rotation_rad": [0.02, -0.015, 0.01]}),
+        ("mocap_misalignment", {"rotation_rad": [0.02, 0.01, -0.015], "offset_m": [0.0, 0.0, 0.0]}),
+    ],
+)
+def test_a_frame_that_is_off_in_the_simulator_is_found_with_its_sign(name, table):
+    """A model that goes back into the simulator as a scenario would else fly with twice the error."""
+    (finding,) = kinematic_findings(prepare(_flown(_qball(), **{name: table})))
+    assert finding.effect == name
+    for parameter, truth in TRUE[name].items():
+        _assert_within(finding.parameters[parameter], truth(table, _qball()))
 
 
 TIMING = {

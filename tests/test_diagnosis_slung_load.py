@@ -59,6 +59,9 @@ def test_the_pull_is_that_of_newtons_law_at_large_swings():
     np.testing.assert_allclose(found[1:-1], expected[1:-1], atol=2e-3)
 
 
+HUNG = {"length_m": 0.52, "air_1_s": 0.12, "depth_m": 0.04}
+
+
 def _signals(duration_s: float = 10.0, step_s: float = 0.004) -> Signals:
     """A level vehicle that moves sideways and climbs."""
     t = np.arange(0.0, duration_s, step_s)
@@ -111,13 +114,17 @@ def test_a_load_swings_on_in_windows_that_start_in_a_flight():
     np.testing.assert_allclose(found, along[starts + 119], atol=0.3 * np.abs(along).max())  # the thrust is not theirs
 
 
-def test_a_search_finds_the_pendulum_among_lengths_that_are_soon_out_of_step():
+def _searched(share_of_time: float, disturbance_n: float) -> list[dict[str, float]]:
+    """What a search gives of a load that pulls for a share of the flight, beside a slow disturbance of this RMS."""
     signals = _signals(30.0)
-    true = {"length_m": 0.52, "air_1_s": 0.12, "depth_m": 0.04}
-    load = 0.06 * VEHICLE.mass_kg
-    pull = EFFECT.wrench(signals, VEHICLE, true)[:, :3, 0] * load
-    velocity = signals.velocity_world_m_s
-    force = np.gradient(velocity, signals.t_s, axis=0) * VEHICLE.mass_kg + [0.0, 0.0, VEHICLE.mass_kg * GRAVITY] - pull
+    pull = EFFECT.wrench(signals, VEHICLE, HUNG)[:, :3, 0] * 0.06 * VEHICLE.mass_kg
+    pull[signals.t_s > 30.0 * share_of_time] = 0.0
+    random, wind = np.random.default_rng(SEED), np.zeros_like(pull)
+    for k in range(1, len(wind)):  # correlated over 0.4 s
+        wind[k] = 0.99 * wind[k - 1] + random.standard_normal(3)
+    wind *= disturbance_n / max(float(np.sqrt(np.mean(wind**2))), 1e-9)
+    force = np.gradient(signals.velocity_world_m_s, signals.t_s, axis=0) * VEHICLE.mass_kg - pull - wind
+    force[:, 2] += VEHICLE.mass_kg * GRAVITY
     # what hangs on the thrust is level: all of the force that is missing points along the thrust
     size = np.linalg.norm(force, axis=1)
     axis = force / size[:, None]
@@ -125,9 +132,26 @@ def test_a_search_finds_the_pendulum_among_lengths_that_are_soon_out_of_step():
     quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
     thrust = np.repeat(size[:, None] / 4.0, 4, axis=1)
     flown = replace(signals, quaternion=quaternion, thrust_n=thrust)
-    found = EFFECT.searched(flown, np.ones(len(size), dtype=bool), VEHICLE)[0]
-    assert found["length_m"] == pytest.approx(true["length_m"], rel=0.01)
-    assert found["air_1_s"] == pytest.approx(true["air_1_s"], abs=0.1)
+    assert EFFECT.searched is not None
+    return [dict(found) for found in EFFECT.searched(flown, np.ones(len(size), dtype=bool), VEHICLE)]
+
+
+def test_a_search_finds_the_pendulum_among_lengths_that_are_soon_out_of_step():
+    found = _searched(1.0, 0.0)[0]
+    assert found["length_m"] == pytest.approx(HUNG["length_m"], rel=0.01)
+    assert found["air_1_s"] == pytest.approx(HUNG["air_1_s"], abs=0.1)
+
+
+def test_a_disturbance_as_large_as_what_no_mass_takes_of_the_pull_does_not_hide_it():
+    print("seed", SEED)
+    signals = _signals(30.0)
+    pull = EFFECT.wrench(signals, VEHICLE, HUNG)[:, :2, 0] * 0.06 * VEHICLE.mass_kg
+    found = _searched(1.0, 0.6 * float(np.sqrt(np.mean(pull**2))))[0]
+    assert found["length_m"] == pytest.approx(HUNG["length_m"], rel=0.03)
+
+
+def test_a_pendulum_that_is_in_step_for_half_of_the_flight_is_none():
+    assert _searched(0.5, 0.0) == []
 
 
 def test_a_load_far_below_is_named_with_its_size_and_improves_the_prediction():

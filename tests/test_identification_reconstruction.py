@@ -123,7 +123,7 @@ def test_poses_without_any_noise_do_not_make_the_filter_singular() -> None:
     dt = np.concatenate([[0.0], np.full(999, 0.01)])
     error = 1e-15 * random.standard_normal((1000, 3)) + np.linspace(0.0, 1e-12, 1000)[:, None]
     noise = position_fit._position_noise(error, dt)
-    _, variance, _, _, predicted = position_filter(error, dt, noise)
+    _, variance, _, _, predicted = position_filter(error, dt, noise, True)
     assert np.all(variance[3:] > 0.0)
     assert np.min(np.linalg.eigvalsh(predicted[3:])) > 0.0
 

@@ -1,4 +1,4 @@
-"""A step of the force in flight: found before any noise is modelled, named by a diagnosis, told by an identification."""
+"""A step of the force in flight: found before any noise is modelled, named by a diagnosis, told by `identify`."""
 
 from __future__ import annotations
 

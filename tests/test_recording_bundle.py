@@ -263,6 +263,13 @@ def test_a_file_without_a_header(bundle):
     refused(bundle, "imu.csv", "line 1", "name the columns")
 
 
+@pytest.mark.parametrize(("separator", "named"), [("|", "'|'"), (" ", "spaces"), ("  ", "spaces")])
+def test_a_separator_that_is_not_read_is_named(bundle, separator, named):
+    path = bundle / "motors.csv"
+    path.write_text(path.read_text().replace(",", separator))
+    refused(bundle, "motors.csv", f"line 1 names its columns with {named} between")
+
+
 def test_a_column_named_twice(bundle):
     path = bundle / "battery.csv"
     path.write_text(path.read_text().replace("current_a", "voltage_v", 1))

@@ -231,6 +231,43 @@ def test_a_field_that_a_usd_log_lacks_is_named_and_events_apart_are_joined(tmp_p
     assert np.allclose(recording.streams["imu"].values[:, 5], 9.80665)
 
 
+WAVES = {f"{stem}.{axis}": 3 * i + j for i, stem in enumerate(("gyro", "acc")) for j, axis in enumerate("xyz")}
+
+
+def in_events(path, crazyflie, *events):
+    """A log of ten seconds of waves: each event has its variables, its rate and its start; the recording."""
+    made = {}
+    for number, (names, rate_hz, start_s) in enumerate(events):
+        t = np.arange(start_s, 10.0, 1.0 / rate_hz)
+        columns = [
+            (40000 + 9000 * np.sin(t + k)).astype(int) if name.startswith("motor") else np.sin(t + WAVES[name])
+            for k, name in enumerate(names)
+        ]
+        rows = [(round(1e6 * x), *(c[i].item() for c in columns)) for i, x in enumerate(t)]
+        made[f"event{number}"] = ([(n, "H" if n.startswith("motor") else "f") for n in names], rows)
+    path.write_bytes(usd_events(made))
+    return read_recording(path, crazyflie)
+
+
+GYRO, ACC, MOTOR = list(WAVES)[:3], list(WAVES)[3:], [f"motor.m{i}" for i in range(1, 5)]
+
+
+def test_nothing_is_made_up_where_an_event_has_not_begun_or_is_slower(tmp_path, crazyflie):
+    path = tmp_path / "log00"
+    imu = in_events(path, crazyflie, (GYRO, 500, 0.0), (ACC, 500, 5.0), (MOTOR, 500, 0.0)).streams["imu"]
+    assert imu.t_s[0] == 5.0
+    assert np.allclose(imu.values[:, 3], 9.80665 * np.sin(imu.t_s + 3), atol=1e-4)
+    slow = in_events(path, crazyflie, (GYRO, 500, 0.0), (ACC, 5, 0.0), (MOTOR, 5, 0.0))
+    assert slow.streams["imu"].rate_hz() == pytest.approx(5.0)
+    for name in ("imu", "motors"):
+        assert any(note.startswith(f"{name}: 5 Hz is too slow") for note in slow.notes), slow.notes
+    split = in_events(path, crazyflie, ([*GYRO, *ACC, MOTOR[0]], 500, 0.0), (MOTOR[1:], 5, 0.0))
+    assert split.streams["motors"].rate_hz() == pytest.approx(5.0)
+    apart = in_events(path, crazyflie, (GYRO, 500, 0.0), (MOTOR, 500, 0.0), (ACC, 500, 9.999))
+    assert len(apart.streams.get("imu", ())) == 0
+    assert any("no field acc.z at the time of gyro.x" in note for note in apart.notes)
+
+
 def test_a_usd_log_of_a_version_to_come_is_named(tmp_path, crazyflie):
     path = tmp_path / "log00"
     path.write_bytes(struct.pack("<BHH", 0xBC, 3, 1) + bytes(40))

@@ -12,7 +12,7 @@ from groundstation.errors import BadInput
 from groundstation.flightdata import STATE_COLUMNS, Stream
 from groundstation.frames import quat_from_euler
 from groundstation.identification.motion import motion_of
-from groundstation.recording import load_flight, read_recording, write_bundle
+from groundstation.recording import bagclock, load_flight, read_recording, write_bundle
 from groundstation.recording.one_clock import pieces_of
 from groundstation.recording.thinning import CHANGED_S
 from tests.recording_flight import flight
@@ -115,6 +115,23 @@ def test_a_bag_whose_clock_was_set_back_is_refused(tmp_path, store):
         "motors"
         in read_recording(rosbag.bag(tmp_path / "other", rosbag.StoragePlugin[store], steady), rosbag.QUAD).streams
     )
+
+
+@pytest.mark.parametrize("together", [1, 7, 10, 64])
+@pytest.mark.parametrize("step_at", [5, 9, 64, 195])
+def test_a_clock_set_back_is_found_wherever_its_stamps_are_divided(monkeypatch, together, step_at):
+    monkeypatch.setattr(bagclock, "_AT_ONCE", together)
+    stamps = np.arange(200) * 20_000_000 + 10**18
+    clock = bagclock._Clock(10**18)
+    for first in range(0, 200, 3):
+        clock.add(stamps[first : first + 3])
+    assert clock.back() == []
+    stamps[step_at:] -= 2_000_000_000
+    clock = bagclock._Clock(10**18)
+    for first in range(0, 200, 3):
+        clock.add(stamps[first : first + 3])
+    before = 0.02 * (step_at - 1)
+    assert clock.back() == [pytest.approx((before, before + 0.02 - 2.0))]
 
 
 def twice(made, rest_s):

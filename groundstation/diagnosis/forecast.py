@@ -35,6 +35,8 @@ HORIZONS_S = (0.1, 0.5)
 STEP_S = 0.01
 EVERY_S = 0.25
 """Between the starts of two windows: half of the longer one, so that little is counted twice."""
+WINDOWS_MOST = 400
+"""In one part that is judged: of so many an error's RMS is known to a few percent."""
 
 
 def vehicle_model(evidence: Evidence, chosen: Chosen, solution: Solution) -> VehicleModel:
@@ -180,7 +182,8 @@ def window_starts(prepared: Prepared, judged_s: Array) -> NDArray[np.int64]:
     record, longest = prepared.record, HORIZONS_S[-1]
     if not len(judged_s) or judged_s[-1] - judged_s[0] <= longest:
         return np.zeros(0, dtype=np.int64)
-    first = np.searchsorted(record.t_s, np.arange(judged_s[0], judged_s[-1] - longest, EVERY_S))
+    every = max(EVERY_S, float(judged_s[-1] - judged_s[0]) / WINDOWS_MOST)
+    first = np.searchsorted(record.t_s, np.arange(judged_s[0], judged_s[-1] - longest, every))
     last = np.minimum(np.searchsorted(record.t_s, record.t_s[first] + longest), len(record.t_s) - 1)
     left_out = np.cumsum(~record.keep)
     whole = (left_out[last] == left_out[first]) & record.keep[first] & (record.t_s[last] <= judged_s[-1])

@@ -42,6 +42,8 @@ STEPS, ROUNDS = np.array([0.01, 0.02, 0.002]), 8
 """Differences of the logarithm of the length, damping and depth; steps of Gauss and Newton."""
 LEAST, MOST = np.array([np.log(0.1), 0.005, -0.5]), np.array([np.log(6.0), 3.0, 1.0])
 """Of the logarithm of the length, damping, and depth as a share of the arm."""
+PARTS = 4
+"""Of a flight, in each of which a pendulum has to show the same load."""
 BLOCK = 3
 """Instants that are averaged into one."""
 
@@ -79,8 +81,12 @@ def likely_pendulums(
         return []
     peaks = _distinct(scanned, near, POLISHED)
     polished = [_polished(x, shown, left, arm) for x in peaks]
-    best = _distinct(polished, falls(polished), GIVEN)
-    return [(float(np.exp(x[0])), float(x[1]), float(x[2])) for x in best if _fall(shown(x), left) > least]
+    best = [(x, shown(x)) for x in _distinct(polished, falls(polished), GIVEN)]
+    return [
+        (float(np.exp(x[0])), float(x[1]), float(x[2]))
+        for x, column in best
+        if _fall(column, left) > least and _keeps_step(column, left)
+    ]
 
 
 def _residual(
@@ -116,6 +122,20 @@ def _fall(column: Array, left: Array) -> float:
     """Of the squared residual by a load of this swing; none where its mass would be below zero."""
     crossed, size = float(column @ left), float(column @ column)
     return crossed**2 / size if crossed > 0.0 and np.isfinite(size) and size > 0.0 else 0.0
+
+
+def _keeps_step(column: Array, left: Array) -> bool:
+    """Whether the load is the same all flight long: a pendulum that falls out of step pulls where nothing does.
+
+    The flight is cut where each part of the column has as much power, so that each tells the load as well.
+    """
+    power = np.cumsum(np.sum(column.reshape(2, -1) ** 2, axis=0))
+    part = np.tile(np.minimum(PARTS * power / power[-1], PARTS - 1).astype(int), 2)
+    crossed, size = (np.bincount(part, column * other, PARTS) for other in (left, column))
+    if (size == 0.0).any():
+        return False
+    away = crossed / size / (crossed.sum() / size.sum()) - 1.0
+    return bool(np.all(np.abs(away) < THRESHOLDS.pendulum_uneven))
 
 
 def _distinct(points: Sequence[Array], falls: Sequence[float], most: int) -> list[Array]:

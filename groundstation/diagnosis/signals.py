@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import quat_normalise, quat_rotate
+from groundstation.identification.parts import by_parts, parts_of
 from groundstation.identification.preparation import Prepared
 from groundstation.model.parameters import Parameters
 from groundstation.model.rotors import thrusts_for
@@ -25,6 +26,7 @@ def planned_signals(prepared: Prepared, p: Parameters) -> Signals | None:
     if plan is None:
         return None
     vehicle = prepared.record.vehicle
+    plan = plan.part(slice(None))
     rate = plan.rate_rad_s
     torque = plan.angular_acceleration_rad_s2 @ p.tensor + np.cross(rate, rate @ p.tensor)
     wrench = np.concatenate([p.mass_kg * plan.specific_thrust_m_s2[:, None], torque], axis=1)
@@ -50,9 +52,26 @@ def _slow(t_s: Array, values: Array) -> Array:
     """A polygon through a signal with corners ``voltage_knot_s`` apart, by least squares, shape (k,)."""
     begin, end = float(t_s[0]), float(t_s[-1])
     corners = np.linspace(begin, end, max(3, round((end - begin) / THRESHOLDS.voltage_knot_s)) + 1)
-    peaks: list[Array] = [np.interp(t_s, corners, peak) for peak in np.eye(len(corners))]
-    hats = np.stack(peaks, axis=1)
-    return hats @ np.linalg.solve(hats.T @ hats, hats.T @ values)
+    gram, moment = np.zeros((len(corners), len(corners))), np.zeros(len(corners))
+    for part in parts_of(len(t_s)):
+        own, hats = _hats(t_s[part], corners)
+        gram[own, own] += hats.T @ hats
+        moment[own] += hats.T @ values[part]
+    heights = np.linalg.solve(gram, moment)
+
+    def slow(part: slice) -> Array:
+        own, hats = _hats(t_s[part], corners)
+        return hats @ heights[own]
+
+    return by_parts(slow, len(t_s))
+
+
+def _hats(t_s: Array, corners: Array) -> tuple[slice, Array]:
+    """Corners that times lie between, and the hat functions there, (k, corners)."""
+    first, last = np.searchsorted(corners, (t_s[0], t_s[-1]))
+    own = slice(max(int(first) - 1, 0), int(last) + 1)
+    peaks: list[Array] = [np.interp(t_s, corners, peak) for peak in np.eye(len(corners))[own]]
+    return own, np.stack(peaks, axis=1)
 
 
 def thinned(signals: Signals, rows: NDArray[np.bool_]) -> Signals:

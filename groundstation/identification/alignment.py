@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from groundstation.flightdata import FlightData, Stream, resampled
 from groundstation.frames import quat_rotate, slerp
 from groundstation.identification.instruments import FlownMotion
+from groundstation.identification.parts import by_parts
 from groundstation.model.rotors import MotorInput, declared_thrust, interpolate_columns, wrench_matrix
+from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -176,18 +178,28 @@ def _turning_and_force(
     vehicle = flight.vehicle
     grid = np.arange(motion.t_s[0], motion.t_s[-1], STEP_S)
     lag_s = 0.0 if inputs.measured or vehicle.rotors.input == "wrench" else TYPICAL_LAG_S
-    wrench = declared_thrust(vehicle, inputs.lagged(lag_s, lag_s)) @ wrench_matrix(vehicle).T
+    lagged, at_s = inputs.lagged(lag_s, lag_s), grid + centre
     low_pass = butter(2, BAND_HZ, btype="band", fs=1.0 / STEP_S, output="sos")
 
     def passed(values: Array) -> Array:
         return np.asarray(sosfiltfilt(low_pass, values, axis=0), dtype=float)
 
     rate = resampled(grid, motion.t_s, motion.rate)
-    made = interpolate_columns(grid + centre, inputs.start_s, inputs.step_s, wrench)
+    made = by_parts(lambda part: _wrench_at(at_s, part, (inputs, lagged), vehicle), len(grid))
     torque = passed(made[:, 3:] @ np.linalg.inv(vehicle.inertia_tensor()))[:, :2]
     turning = passed(np.gradient(rate, STEP_S, axis=0))[:, :2]
     up = np.nan_to_num(np.interp(grid, motion.t_s, motion.force[:, 2]))[:, None]
     return (turning, torque), (passed(up), passed(made[:, 2:3]))
+
+
+def _wrench_at(at_s: Array, part: slice, motors: tuple[MotorInput, Array], vehicle: Vehicle) -> Array:
+    """Body wrench (n, 6) at some of the times, from motor values behind their lag on the motors' grid."""
+    inputs, lagged = motors
+    first = 0 if part.start == 0 else max(0, int((at_s[part.start] - inputs.start_s) / inputs.step_s) - 1)
+    beyond = int((at_s[part.stop - 1] - inputs.start_s) / inputs.step_s) + 3
+    rows = slice(first, len(lagged) if part.stop == len(at_s) else max(beyond, first + 2))
+    wrench = declared_thrust(vehicle, lagged[rows]) @ wrench_matrix(vehicle).T
+    return interpolate_columns(at_s[part], inputs.start_s + first * inputs.step_s, inputs.step_s, wrench)
 
 
 LATE_S = 0.01

@@ -252,7 +252,7 @@ def _torque_rms(models: Sequence[RecordModel], fit: Fitted, options: FitOptions)
     """RMS of the torque residual at up to 10 Hz, from differences of the rate residual over 0.1 s."""
     rows: list[Array] = []
     for model in models:
-        residual = model.evaluate(fit.parameters, options)[0][:, :3]
+        residual = model.residual_of(fit.parameters, model.predicted(fit.parameters, options))[:, :3]
         lag = max(1, round(0.1 / float(np.median(model.dt))))
         if len(residual) > lag:
             rows.append(

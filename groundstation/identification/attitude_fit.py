@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from groundstation.flightdata import resampled
 from groundstation.frames import matrix_from_quat, quat_conjugate, quat_exp, quat_log, quat_multiply, slerp
 from groundstation.identification.noise import NoiseModel, fit_noise_model, innovations
+from groundstation.identification.parts import at_times, by_parts, running_sums, weighted_products
 from groundstation.identification.smoothing import integrate_rates, local_level
 
 Array = NDArray[np.float64]
@@ -73,22 +74,23 @@ def whitened_fit(e: Array, columns: Array, variance: Array, prior_std: Array) ->
     """Huber-weighted least squares of innovations on innovations of regressors, with zero-mean priors."""
     keep = np.isfinite(variance)
     scale = np.sqrt(np.where(keep, variance, 1.0))
-    y, x = np.where(keep, e / scale, 0.0), np.where(keep[:, None], columns / scale[:, None], 0.0)
+    y = np.where(keep, e / scale, 0.0)
+    x = by_parts(lambda part: np.where(keep[part, None], columns[part] / scale[part, None], 0.0), len(columns))
     weight = np.ones(len(y))
     theta = np.zeros(x.shape[1])
     information = normal = np.diag(1.0 / prior_std**2)
     for _ in range(6):
-        normal = x.T @ (x * weight[:, None]) + information
+        normal = weighted_products(x, weight) + information
         theta = np.linalg.solve(normal, x.T @ (weight * y))
         size = np.abs(y - x @ theta)
         weight = np.minimum(1.0, 2.5 / np.maximum(size, 1e-12))
     residual = y - x @ theta
     inverse = np.asarray(np.linalg.inv(normal), dtype=float)
     # Stamps jitter, so a pose is noisier the faster it moves: the spread of each row is its own (White 1980).
-    rows = x * (weight * residual)[:, None]
+    x *= (weight * residual)[:, None]
     return WhitenedFit(
         np.asarray(theta, dtype=float),
-        inverse @ (rows.T @ rows + information) @ inverse,
+        inverse @ (weighted_products(x) + information) @ inverse,
         keep & (np.abs(residual) > 6.0),
     )
 
@@ -140,19 +142,24 @@ class AttitudeFit:
 
 def _attitude_columns(recording: Recording, errors: AttitudeErrors, tk: Array, attitude: Array, rates: Array) -> Array:
     """What each error changes of the attitude at the poses' stamps, (n, 3, 11)."""
-    t_imu, dt_imu = recording.t_imu, recording.dt_imu
-    world_from_body = matrix_from_quat(attitude)
+    t_imu, dt_imu, count = recording.t_imu, recording.dt_imu[:, None, None], len(attitude)
+
+    def drifting(part: slice) -> Array:
+        return (matrix_from_quat(attitude[part]) * dt_imu[part]).reshape(-1, 9)
+
+    def scaling(part: slice) -> Array:
+        return (matrix_from_quat(attitude[part]) * rates[part, None, :] * dt_imu[part]).reshape(-1, 9)
+
+    drifted, scaled = (at_times(running_sums(made, count), t_imu, tk) for made in (drifting, scaling))
     r_poses = matrix_from_quat(slerp(tk, t_imu, attitude))
     rate_world = np.einsum("nij,nj->ni", r_poses, resampled(tk, t_imu, rates))
-    drifted = np.cumsum(world_from_body * dt_imu[:, None, None], axis=0).reshape(-1, 9)
-    scaled = np.cumsum(world_from_body * rates[:, None, :] * dt_imu[:, None, None], axis=0).reshape(-1, 9)
     return np.concatenate(
         [
             -rate_world[:, :, None],
             (-rate_world * (tk - recording.middle_s)[:, None])[:, :, None],
-            -resampled(tk, t_imu, drifted).reshape(-1, 3, 3),
+            -drifted.reshape(-1, 3, 3),
             r_poses @ matrix_from_quat(recording.alignment),  # the rotation is about the marker frame's declared axes
-            -resampled(tk, t_imu, scaled).reshape(-1, 3, 3),
+            -scaled.reshape(-1, 3, 3),
         ],
         axis=2,
     )
@@ -168,7 +175,8 @@ def _compared_attitudes(
     rates = (recording.gyro - errors.gyro_bias) / (1.0 + errors.gyro_scale)
     rough = integrate_rates(np.array([1.0, 0.0, 0.0, 0.0]), recording.dt_imu, rates)
     at_first = slerp(tk[:1], t_imu, rough)[0]
-    attitude = quat_multiply(quat_multiply(body[0], quat_conjugate(at_first)), rough)
+    turn = quat_multiply(body[0], quat_conjugate(at_first))
+    attitude = by_parts(lambda part: quat_multiply(turn, rough[part]), len(rough))
     error = quat_log(quat_multiply(body, quat_conjugate(slerp(tk, t_imu, attitude))))
     return attitude, error, _attitude_columns(recording, errors, tk, attitude, rates)
 
@@ -201,11 +209,16 @@ def _attitude_step(
         covariance=fit.covariance,
         kept=kept,
         colour=fit_noise_model(remainder, dts, restart, integrated=True, start=colour),
-        filtered=quat_multiply(quat_exp(resampled(recording.t_imu, tk[good], filtered)), attitude),
-        smoothed=quat_multiply(quat_exp(resampled(recording.t_imu, tk[good], smoothed)), attitude),
+        filtered=_turned(recording.t_imu, tk[good], filtered, attitude),
+        smoothed=_turned(recording.t_imu, tk[good], smoothed, attitude),
         stamp_jitter_s=_stamp_jitter(e[:, 0] - e[:, 1:] @ fit.values, e[:, 1], s, fit.outlier),
     )
     return found, bool(np.all(np.abs(fit.values) < 0.05 * np.sqrt(np.diag(fit.covariance))))
+
+
+def _turned(t_imu: Array, tk: Array, by: Array, attitude: Array) -> Array:
+    """Attitudes (k, 4) turned by rotation vectors (n, 3) that are known at the poses' stamps."""
+    return by_parts(lambda part: quat_multiply(quat_exp(resampled(t_imu[part], tk, by)), attitude[part]), len(attitude))
 
 
 def align_attitude(recording: Recording, offset_s: float) -> AttitudeFit:

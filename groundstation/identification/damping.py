@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.frames import quat_rotate_inverse
+from groundstation.identification.parts import by_parts
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import BodyWrench, PlannedMotion
 
@@ -22,8 +23,10 @@ def damping_terms(prepared: Prepared) -> tuple[list[BodyWrench], PlannedMotion |
     """
     record = prepared.record
     vehicle = record.vehicle
-    count = len(record.t_s)
-    climb = quat_rotate_inverse(prepared.quaternion, prepared.velocity_m_s)[:, 2]
+    climb = by_parts(
+        lambda part: quat_rotate_inverse(prepared.quaternion[part], prepared.velocity_m_s[part])[:, 2].copy(),
+        len(record.t_s),
+    )
     sources = [(3, record.rate_rad_s[:, 0]), (4, record.rate_rad_s[:, 1]), (5, record.rate_rad_s[:, 2]), (2, climb)]
     plan = prepared.planned
     terms: list[BodyWrench] = []
@@ -34,11 +37,7 @@ def damping_terms(prepared: Prepared) -> tuple[list[BodyWrench], PlannedMotion |
     for index, ((column, values), name, scale) in enumerate(zip(sources, names, scales, strict=True)):
         if not np.isfinite(values).all():
             continue
-        wrench = np.zeros((count, 6))
-        wrench[:, column] = -values
-        terms.append(BodyWrench(name, wrench, prior_std=float(scale)))
+        terms.append(BodyWrench(name, values, prior_std=float(scale), against=column))
         if plan is not None:
-            wished = np.zeros((count, 6))
-            wished[:, column] = -(plan.rate_rad_s[:, index] if index < 3 else plan.velocity_body_m_s[:, 2])
-            planned.append(wished)
+            planned.append(plan.rate_rad_s[:, index] if index < 3 else plan.velocity_body_m_s[:, 2])
     return terms, None if plan is None else replace(plan, extra=tuple(planned))

@@ -22,12 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.errors import NotIdentifiable
+from groundstation.identification.parts import evenly, parts_of
+from groundstation.identification.regressors import Assembled
 from groundstation.identification.uncertainty import coloured_covariance
 
 Array = NDArray[np.float64]
 
 ADAPTATION_RATE_PER_S = 1.0
 """Rate at which gradient descent forgets along an average direction: memory of about one second."""
+STRETCH = 131072
+"""Samples over which a spectrum is taken at most: two minutes at 1 kHz, of which a residual's memory is a hundredth."""
 SINGULAR = 1e-10
 """Eigenvalues of the correlation matrix of the regressor's columns below this are zero in double precision."""
 
@@ -54,7 +58,7 @@ class LinearEstimate:
 
 
 def least_squares(
-    regressor: Annotated[Array, "k outputs p"],
+    regressor: Annotated[Array, "k outputs p"] | Assembled,
     output: Annotated[Array, "k outputs"],
     t_s: Annotated[Array, "k"],
     used: Annotated[NDArray[np.bool_], "k"],
@@ -76,37 +80,38 @@ def least_squares(
         NotIdentifiable: no sample is used.
     """
     rows = _used_rows(used)
-    gamma, upsilon = regressor[rows], output[rows]
     stops = _stops(len(rows), points)
-    normals, moments = _cumulated(gamma, upsilon, stops)
+    normals, moments = _cumulated(regressor, output, rows, stops)
     length = np.sqrt(np.diag(normals[-1]))
     unit = np.where(length > 0.0, length, 1.0)
     scaled = normals / np.outer(unit, unit)
     known = _determined(scaled[-1])
     evolution = _solve_scaled(scaled, moments / unit) / unit
     values = evolution[-1].copy()
-    residual = _residual(gamma, upsilon, values, rows, len(used))
     final: Array = scaled[-1]
     inverse = np.linalg.pinv(final, rcond=SINGULAR, hermitian=True) / np.outer(unit, unit)
-    influence = np.zeros((len(used), gamma.shape[2], gamma.shape[1]))
-    influence[rows] = np.matmul(inverse, gamma.transpose(0, 2, 1))
-    covariance = coloured_covariance(influence, residual, float(t_s[1] - t_s[0]))
+    residual, covariance = _residual(regressor, output, values, rows), np.zeros_like(inverse)
+    for part in evenly(len(used), STRETCH):
+        inside = rows[slice(*np.searchsorted(rows, (part.start, part.stop)))]
+        influence = np.zeros((part.stop - part.start, *regressor.shape[:0:-1]))
+        influence[inside - part.start] = np.matmul(inverse, regressor[inside].transpose(0, 2, 1))
+        covariance += coloured_covariance(influence, residual[part], float(t_s[1] - t_s[0]))
     covariance[~known, :] = covariance[:, ~known] = np.inf
     evolution[:, ~known] = values[~known] = np.nan
     rms = np.sqrt(np.sum(residual**2, axis=0) / len(rows))
     return LinearEstimate(values, covariance, _condition(normals[-1]), rms, t_s[rows[stops - 1]], evolution)
 
 
-def _cumulated(gamma: Array, upsilon: Array, stops: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Gamma^T Gamma (n, p, p) and Gamma^T Upsilon (n, p) of the samples up to each stop."""
-    count, per_sample = gamma.shape[2], gamma.shape[1]
-    flat, target = gamma.reshape(-1, count), upsilon.reshape(-1)
+def _cumulated(
+    regressor: Array | Assembled, output: Array, rows: NDArray[np.intp], stops: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Gamma^T Gamma (n, p, p) and Gamma^T Upsilon (n, p) of the rows up to each stop."""
+    count = regressor.shape[2]
     normals, moments = np.empty((len(stops), count, count)), np.empty((len(stops), count))
     for index, (first, last) in enumerate(zip(np.append(0, stops[:-1]), stops, strict=True)):
-        rows = slice(first * per_sample, last * per_sample)
-        part = flat[rows]
+        part = regressor[rows[first:last]].reshape(-1, count)
         normals[index] = part.T @ part
-        moments[index] = target[rows] @ part
+        moments[index] = output[rows[first:last]].reshape(-1) @ part
     return np.cumsum(normals, axis=0), np.cumsum(moments, axis=0)
 
 
@@ -130,7 +135,7 @@ def _solve_scaled(normals: Array, moments: Array) -> Array:
 
 
 def gradient_descent(
-    regressor: Annotated[Array, "k outputs p"],
+    regressor: Annotated[Array, "k outputs p"] | Assembled,
     output: Annotated[Array, "k outputs"],
     t_s: Annotated[Array, "k"],
     used: Annotated[NDArray[np.bool_], "k"],
@@ -145,38 +150,68 @@ def gradient_descent(
     Raises:
         NotIdentifiable: no sample is used.
     """
-    from groundstation.identification.kernels import descend, descent_influence
-
     period_s = float(t_s[1] - t_s[0])
     rows = _used_rows(used)
-    gamma, upsilon = np.ascontiguousarray(regressor[rows]), np.ascontiguousarray(output[rows])
-    normal = np.tensordot(gamma, gamma, axes=((0, 1), (0, 1)))
+    normal, moment = _sums(regressor, output, rows)
     mean_square = np.diag(normal) / len(rows)
     known = mean_square > 0.0
     gain = np.where(known, rate_per_s * period_s / np.where(known, mean_square, 1.0), 0.0)
     stops = _stops(len(rows), points)
-    evolution = descend(gamma, upsilon, gain, stops)
+    evolution = _descended(regressor, output, rows, gain, stops)
     values = evolution[-1].copy()
-    influence = np.zeros((len(used), regressor.shape[2], regressor.shape[1]))
-    influence[rows], initial = descent_influence(gamma, gain)
-    residual = _residual(gamma, upsilon, _fitted(gamma, upsilon, normal), rows, len(used))
-    covariance = coloured_covariance(influence, residual, period_s)
+    # What least squares leaves is the disturbance: a descent's own error would add lines where it listens.
+    fitted = np.asarray(np.linalg.lstsq(normal, moment, rcond=SINGULAR)[0], dtype=float)
+    residual = _residual(regressor, output, fitted, rows)
+    covariance, initial = _descent_covariance(regressor, residual, rows, gain, period_s)
     left = initial @ values  # what is left of the start at zero is an error of its own, -M Theta
     covariance += np.outer(left, left)
     covariance[~known, :] = covariance[:, ~known] = np.inf
     evolution[:, ~known] = np.nan
-    rms = np.sqrt(np.mean((gamma @ values - upsilon) ** 2, axis=0))
+    rms = np.sqrt(np.sum(_residual(regressor, output, values, rows) ** 2, axis=0) / len(rows))
     values[~known] = np.nan
     return LinearEstimate(values, covariance, _condition(normal), rms, t_s[rows[stops - 1]], evolution)
 
 
-def _fitted(gamma: Array, upsilon: Array, normal: Array) -> Array:
-    """Least squares, (p,): what it leaves is the disturbance.
+def _sums(regressor: Array | Assembled, output: Array, rows: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Gamma^T Gamma (p, p) and Gamma^T Upsilon (p,) of all rows."""
+    count = regressor.shape[2]
+    normal, moment = np.zeros((count, count)), np.zeros(count)
+    for part in parts_of(len(rows), STRETCH):
+        gamma = regressor[rows[part]]
+        normal += np.tensordot(gamma, gamma, axes=((0, 1), (0, 1)))
+        moment += np.tensordot(gamma, output[rows[part]], axes=((0, 1), (0, 1)))
+    return normal, moment
 
-    A descent's own error would add lines where it listens.
-    """
-    moment = np.tensordot(gamma, upsilon, axes=((0, 1), (0, 1)))
-    return np.asarray(np.linalg.lstsq(normal, moment, rcond=SINGULAR)[0], dtype=float)
+
+def _descended(
+    regressor: Array | Assembled, output: Array, rows: NDArray[np.intp], gain: Array, stops: NDArray[np.int64]
+) -> Array:
+    """The descent's estimate at each stop, (n, p)."""
+    from groundstation.identification.kernels import descend
+
+    theta, noted = np.zeros(regressor.shape[2]), list[Array]()
+    for part in parts_of(len(rows), STRETCH):
+        gamma, upsilon = np.ascontiguousarray(regressor[rows[part]]), np.ascontiguousarray(output[rows[part]])
+        inside = stops[(stops > part.start) & (stops <= part.stop)] - part.start
+        noted.append(descend(gamma, upsilon, gain, inside, theta))
+    return np.concatenate(noted)
+
+
+def _descent_covariance(
+    regressor: Array | Assembled, residual: Array, rows: NDArray[np.intp], gain: Array, period_s: float
+) -> tuple[Array, Array]:
+    """Covariance of the final estimate (p, p), and what is left of the initial error, (p, p)."""
+    from groundstation.identification.kernels import descent_influence
+
+    later = np.eye(regressor.shape[2])
+    covariance = np.zeros_like(later)
+    for part in reversed(evenly(len(residual), STRETCH)):
+        inside = rows[slice(*np.searchsorted(rows, (part.start, part.stop)))]
+        influence = np.zeros((part.stop - part.start, *regressor.shape[:0:-1]))
+        influence[inside - part.start] = descent_influence(np.ascontiguousarray(regressor[inside]), gain, later)
+        if np.any(influence):
+            covariance += coloured_covariance(influence, residual[part], period_s)
+    return covariance, later
 
 
 def _used_rows(used: NDArray[np.bool_]) -> NDArray[np.intp]:
@@ -199,8 +234,9 @@ def _condition(normal: Array) -> float:
     )
 
 
-def _residual(gamma: Array, upsilon: Array, values: Array, rows: NDArray[np.intp], samples: int) -> Array:
+def _residual(regressor: Array | Assembled, output: Array, values: Array, rows: NDArray[np.intp]) -> Array:
     """Gamma Theta - Upsilon (eq. 43) on the full grid, zero where a sample was not used."""
-    out = np.zeros((samples, upsilon.shape[1]))
-    out[rows] = gamma @ values - upsilon
+    out = np.zeros(output.shape)
+    for part in parts_of(len(rows), STRETCH):
+        out[rows[part]] = regressor[rows[part]] @ values - output[rows[part]]
     return out

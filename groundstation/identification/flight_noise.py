@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from groundstation.identification.noise import (
     NoiseModel,
-    apply_polynomial,
+    Passing,
     fit_noise_model,
-    innovations,
     whitening_polynomial,
 )
 from groundstation.identification.record_model import RecordModel
@@ -39,6 +38,29 @@ class Whitened:
 
 
 @dataclass(frozen=True, slots=True)
+class WhitenedParts:
+    """Whitens a flight part by part, from its beginning to its end."""
+
+    model: RecordModel
+    channels: tuple[int, ...]
+    filters: tuple[Passing, ...]
+
+    def __call__(self, blocks: slice, residual: Array, sensitivity: Array) -> Whitened:
+        """The next part's residuals (n, 6) and sensitivities (n, 6, P) as innovations of unit variance."""
+        dt, restart = self.model.dt[blocks], self.model.restart[blocks]
+        ys: list[Array] = []
+        xs: list[Array] = []
+        logs = 0.0
+        for channel, passed in zip(self.channels, self.filters, strict=True):
+            both = np.concatenate([residual[:, channel : channel + 1], sensitivity[:, channel, :]], axis=1)
+            e, deviation = passed(both, dt, restart)
+            ys.append(e[:, 0])
+            xs.append(e[:, 1:])
+            logs += deviation
+        return Whitened(tuple(ys), tuple(xs), logs)
+
+
+@dataclass(frozen=True, slots=True)
 class FlightNoise:
     """Noise model of one flight, an entry for each channel.
 
@@ -51,24 +73,15 @@ class FlightNoise:
     colours: tuple[NoiseModel, ...]
     whiteners: tuple[Array, ...]
 
-    def whitened(self, model: RecordModel, residual: Array, sensitivity: Array) -> Whitened:
-        """Residuals (blocks, 6) and sensitivities (blocks, 6, P) as innovations of unit variance."""
-        ys: list[Array] = []
-        xs: list[Array] = []
-        logs = 0.0
-        for channel, colour, polynomial in zip(self.channels, self.colours, self.whiteners, strict=True):
-            both = np.concatenate([residual[:, channel : channel + 1], sensitivity[:, channel, :]], axis=1)
-            e, s = innovations(both, model.dt, model.restart, colour, integrated=channel < 3)
-            good = np.isfinite(s)
-            e = apply_polynomial(polynomial, np.where(good[:, None], e / np.sqrt(np.where(good, s, 1.0))[:, None], 0.0))
-            ys.append(e[:, 0])
-            xs.append(e[:, 1:])
-            logs += 0.5 * float(np.sum(np.log(s[good])))
-        return Whitened(tuple(ys), tuple(xs), logs)
+    def passing(self, model: RecordModel, columns: int) -> WhitenedParts:
+        """The filters of all channels, for a residual and as many columns of sensitivities."""
+        kinds = zip(self.channels, self.colours, self.whiteners, strict=True)
+        filters = tuple(Passing(colour, rest, 1 + columns, integrated=c < 3) for c, colour, rest in kinds)
+        return WhitenedParts(model, self.channels, filters)
 
     def whitened_residual(self, model: RecordModel, residual: Array) -> Whitened:
-        """The same without sensitivities."""
-        return self.whitened(model, residual, np.zeros((*residual.shape, 0)))
+        """Residuals (blocks, 6) as innovations of unit variance."""
+        return self.passing(model, 0)(slice(0, len(residual)), residual, np.zeros((*residual.shape, 0)))
 
 
 def fitted_noise(

@@ -15,7 +15,7 @@ from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Revealed
-from groundstation.model.parameters import FitOptions, declared_parameters
+from groundstation.model.parameters import FitOptions, Parameters, declared_parameters
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -67,20 +67,9 @@ def revealed(models: Sequence[RecordModel], vehicle: Vehicle, options: FitOption
     largest first.
     """
     start = declared_parameters(vehicle, lag_s=TYPICAL_LAG_S, extra=len(models[0].extra))
-    weight = vehicle.mass_kg * vehicle.gravity_m_s2
     trace = float(np.trace(start.tensor))
-    parts: list[Array] = []
-    names: tuple[str, ...] = ()
-    for model in models:
-        _, sensitivity, names = model.evaluate(start, replace(options, mass=True))
-        spacing = max(1, round(SPACING_S / float(np.median(model.dt))))
-        torque = (sensitivity[spacing:, :3] - sensitivity[:-spacing, :3]) / (spacing * float(np.median(model.dt)))
-        whole = np.cumsum(model.restart)
-        torque = np.einsum("ij,kjp->kip", start.tensor, torque)[whole[spacing:] == whole[:-spacing]]
-        rows = [torque.reshape(-1, len(names)) / (weight * vehicle.arm_m())]
-        if 5 in options.channels:
-            rows.append(sensitivity[:, 5] * vehicle.mass_kg / weight)
-        parts += [part / np.sqrt(len(part)) for part in rows]
+    names = models[0].names(replace(options, mass=True))
+    parts = [part for model in models for part in _scaled_rows(model, start, replace(options, mass=True))]
     stacked = np.concatenate(parts) / np.sqrt(len(models))
     own = [names.index(name) for name in MASS_AND_TENSOR]
     entries = [
@@ -98,6 +87,34 @@ def revealed(models: Sequence[RecordModel], vehicle: Vehicle, options: FitOption
         Revealed(float(share), {name: float(v) for name, v in zip(MASS_AND_TENSOR, direction, strict=True)})
         for share, direction in zip(values, directions, strict=True)
     ]
+
+
+def _scaled_rows(model: RecordModel, p: Parameters, options: FitOptions) -> list[Array]:
+    """Sensitivities of torque and vertical force as shares of weight (times arm), each over the root of how many rows
+    there are, (n, P); of a long flight triangular factors of them, which have the same products.
+    """
+    vehicle, step, parts = model.record.vehicle, float(np.median(model.dt)), model.parts()
+    weight, spacing = vehicle.mass_kg * vehicle.gravity_m_s2, max(1, round(SPACING_S / step))
+    torques, forces = list[Array](), list[Array]()
+    counts = np.zeros(2, dtype=int)
+    for blocks in parts:
+        before = min(spacing, blocks.start)
+        sensitivity = model.sensitivities(p, options, slice(blocks.start - before, blocks.stop))
+        whole = np.cumsum(model.restart[blocks.start - before : blocks.stop])
+        torque = (sensitivity[spacing:, :3] - sensitivity[:-spacing, :3]) / (spacing * step)
+        torque = np.einsum("ij,kjp->kip", p.tensor, torque)[whole[spacing:] == whole[:-spacing]]
+        torques.append(torque.reshape(-1, torque.shape[2]) / (weight * vehicle.arm_m()))
+        if 5 in options.channels:
+            forces.append(sensitivity[before:, 5] * vehicle.mass_kg / weight)
+        counts += len(torques[-1]), len(forces[-1]) if forces else 0
+        if len(parts) > 1:
+            torques, forces = _triangular(torques), _triangular(forces)
+    return [part / np.sqrt(count) for kind, count in zip((torques, forces), counts, strict=True) for part in kind]
+
+
+def _triangular(rows: Sequence[Array]) -> list[Array]:
+    """One triangular factor of rows, (P, P); none of none."""
+    return [np.asarray(np.linalg.qr(np.concatenate(rows), mode="r"), dtype=float)] if rows else []
 
 
 def never_moved(combinations: Sequence[Revealed]) -> dict[str, str]:

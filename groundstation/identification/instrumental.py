@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from groundstation.identification.flight_noise import FlightNoise
 from groundstation.identification.prediction_error import Fitted, Point, Problem, huber, inverted, noise_of
 from groundstation.identification.record_model import RecordModel
-from groundstation.identification.sensitivities import planned_sensitivities
+from groundstation.identification.sensitivities import planned_parts
 from groundstation.model.parameters import FitOptions, Parameters, table
 
 Array = NDArray[np.float64]
@@ -24,6 +24,43 @@ ROUNDS = 3
 """How often the noise model is refitted to the residual."""
 STEPS = 10
 """Steps under one noise model, at most."""
+SPECTRA = 4
+"""Columns whose spectrum is held at a time, of a flight in several parts."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Sparse:
+    """Columns (n, width) of which those that are zero all along are not held."""
+
+    width: int
+    shown: NDArray[np.intp]
+    values: Array
+
+    @classmethod
+    def of(cls, columns: Array) -> _Sparse:
+        """Hold them."""
+        shown = np.flatnonzero(np.any(columns != 0.0, axis=0))
+        return cls(columns.shape[1], shown, columns[:, shown])
+
+    def all(self) -> Array:
+        """All columns."""
+        out = np.zeros((len(self.values), self.width))
+        out[:, self.shown] = self.values
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class _Dense:
+    """Columns (n, width) as they are."""
+
+    values: Array
+
+    def all(self) -> Array:
+        """All columns."""
+        return self.values
+
+
+_Held = _Sparse | _Dense
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,14 +68,14 @@ class _Instruments:
     """Under one noise model: what the residual is multiplied by, and what else weighs on the estimate.
 
     Attributes:
-        columns: whitened sensitivities of the planned motion, by flight and channel, (n, P) each.
+        columns: whitened sensitivities of the planned motion, by flight, part and channel, (n, P) each.
         spent: of each of them, by how much its variance exceeds what the residual says.
         precision: of the priors and of the lag's division, (P, P). information: with the instruments' own, (P, P).
         pull: mean and variance of the priors, (P,) each.
         split: precision of what is held near the first estimate, (P, P).
     """
 
-    columns: tuple[tuple[Array, ...], ...]
+    columns: tuple[tuple[tuple[_Held, ...], ...], ...]
     spent: tuple[tuple[float, ...], ...]
     precision: Array
     information: Array
@@ -107,17 +144,24 @@ def _held_near_start(names: Sequence[str]) -> tuple[Array, list[int]]:
 
 def _instruments(problem: Problem, point: Point, noise: Sequence[FlightNoise], split: Array) -> _Instruments:
     """The planned motion's sensitivities at a point under given noise models."""
-    columns = tuple(
-        each.whitened(model, residual, planned_sensitivities(model, point.parameters, problem.options)).sensitivity
-        for model, residual, each in zip(problem.models, point.residuals, noise, strict=True)
-    )
+    columns: list[tuple[tuple[_Held, ...], ...]] = []
     mean, std = problem.prior(point.names)
     precision = np.diag(1.0 / std**2) + split
-    information = precision + sum(z.T @ z for flight in columns for z in flight)
+    products = np.zeros_like(precision)
+    for model, residual, each in zip(problem.models, point.residuals, noise, strict=True):
+        passing, parts = each.passing(model, len(point.names)), list[tuple[_Held, ...]]()
+        for blocks, planned in planned_parts(model, point.parameters, problem.options):
+            white = passing(blocks, residual[blocks], planned).sensitivity
+            for z in white:
+                products += z.T @ z
+            parts.append(tuple(map(_Dense if len(model.parts()) == 1 else _Sparse.of, white)))
+        columns.append(tuple(parts))
+    information = precision + products
     root = _root_of_inverse(information)
+    by_channel = [list(zip(*flight, strict=True)) for flight in columns]
     return _Instruments(
-        columns=columns,
-        spent=tuple(tuple(_spent_freedom(z @ root) for z in flight) for flight in columns),
+        columns=tuple(columns),
+        spent=tuple(tuple(_spent_freedom(parts, root) for parts in flight) for flight in by_channel),
         precision=precision,
         information=information,
         pull=(mean, std**2),
@@ -134,13 +178,14 @@ def _equations(
     zx, zz = instruments.precision.copy(), instruments.precision.copy()
     ze = (mean - theta) / variance + instruments.split @ (start.values - theta)
     for index, (model, each) in enumerate(zip(problem.models, noise, strict=True)):
-        found = each.whitened(model, point.residuals[index], point.sensitivities[index])
-        columns, spent = instruments.columns[index], instruments.spent[index]
-        for y, x, z, factor in zip(found.residual, found.sensitivity, columns, spent, strict=True):
-            w = huber(y)[:, None]
-            zx += z.T @ (x * w)
-            zz += factor * z.T @ (z * w)
-            ze += z.T @ (w[:, 0] * y)
+        passing, spent = each.passing(model, len(point.names)), instruments.spent[index]
+        for part, columns in zip(point.parts(index), instruments.columns[index], strict=True):
+            found = passing(*part)
+            for y, x, held, factor in zip(found.residual, found.sensitivity, columns, spent, strict=True):
+                w, z = huber(y)[:, None], held.all()
+                zx += z.T @ (x * w)
+                zz += factor * z.T @ (z * w)
+                ze += z.T @ (w[:, 0] * y)
     return zx, zz, ze
 
 
@@ -202,7 +247,7 @@ def _root_of_inverse(information: Array) -> Array:
     return unit[:, None] * vectors[:, told] / np.sqrt(eigenvalues[told])
 
 
-def _spent_freedom(z: Array) -> float:
+def _spent_freedom(parts: Sequence[_Held], root: Array) -> float:
     """By how much the variance of an estimate exceeds what its residual says: n / (n - p - 2).
 
     A flight has few independent values n in the band an estimate uses (two at each frequency, up to the 95 % point of
@@ -211,10 +256,18 @@ def _spent_freedom(z: Array) -> float:
     - p - 2). p is this channel's leverage, trace(I^-1 Z^T Z).
 
     Args:
-        z: whitened instruments of one channel in units of the whole fit's standard deviations, (rows, P).
+        parts: whitened instruments of one channel, (n, P) each.
+        root: what brings them to units of the whole fit's standard deviations, (P, r).
     """
-    parameters = float(np.sum(z**2))
-    power = np.sum(np.abs(np.fft.rfft(z, axis=0)) ** 2, axis=1)
+    parameters, power = 0.0, np.zeros(0)
+    together = root.shape[1] if len(parts) == 1 else SPECTRA
+    for first in range(0, root.shape[1], together):
+        some = root[:, first : first + together]
+        products = [part.all() @ some for part in parts]
+        z = products[0] if len(products) == 1 else np.concatenate(products)
+        parameters += float(np.sum(z**2))
+        own = np.sum(np.abs(np.fft.rfft(z, axis=0)) ** 2, axis=1)
+        power = own if first == 0 else power + own
     count = 2.0 * (1.0 + int(np.searchsorted(np.cumsum(power), 0.95 * float(np.sum(power)))))
     return count / max(count - parameters - 2.0, 0.3 * count)
 

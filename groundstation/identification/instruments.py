@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from groundstation.flightdata import FlightData, Stream, resampled
 from groundstation.frames import euler_from_quat, quat_continuous, quat_from_euler, quat_rotate_inverse
+from groundstation.identification.parts import kept, parts_of
 from groundstation.identification.record_model import PlannedMotion
 from groundstation.identification.streams import clean
 from groundstation.trajectory import FlatState, RigidMotion, rigid_motion
@@ -78,12 +79,22 @@ def planned_motion(
     used = np.flatnonzero(keep)[:: max(1, round(motion.rate_hz / 50.0))]
     shifts = _Shifted(reference, delay_s, gravity, motion.t_s[used])
     tracking = _Tracking(_path_filters(shifts, motion, used), _body_filters(shifts, motion, used))
-    starts = range(0, len(motion.t_s), PART)
-    parts = [tracking.at(_Shifted(reference, delay_s, gravity, motion.t_s[i : i + PART])) for i in starts]
-    rate, acceleration, thrust, velocity, position, attitude = (
-        np.concatenate([part[n] for part in parts]) for n in range(6)
-    )
-    return PlannedMotion(rate, acceleration, thrust, velocity, position, quat_continuous(attitude))
+    found = _followed(tracking, lambda part: _Shifted(reference, delay_s, gravity, motion.t_s[part]), len(motion.t_s))
+    rate, acceleration, thrust, velocity, position, attitude = found
+    return PlannedMotion(rate, acceleration, thrust, velocity, position, kept(quat_continuous(attitude)))
+
+
+def _followed(tracking: _Tracking, shifted: Callable[[slice], _Shifted], count: int) -> list[Array]:
+    """What :meth:`_Tracking.at` gives of all samples, part by part; all but the attitude as it is kept."""
+    out = list[Array]()
+    for part in parts_of(count, PART):
+        found = tracking.at(shifted(part))
+        if not out:
+            out = [kept(np.empty((count, *values.shape[1:]))) for values in found[:-1]]
+            out.append(np.empty((count, *found[-1].shape[1:])))
+        for whole, values in zip(out, found, strict=True):
+            whole[part] = values
+    return out
 
 
 def _reference(flight: FlightData, motion: FlownMotion, keep: Mask, start_s: float, stand_in: bool) -> Reference | None:

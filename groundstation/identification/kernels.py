@@ -10,20 +10,20 @@ Array = NDArray[np.float64]
 
 
 @njit(cache=True)
-def descend(gamma: Array, upsilon: Array, gain: Array, stops: NDArray[np.int64]) -> Array:
-    """Implicit gradient descent from zero, one scalar row after the other.
+def descend(gamma: Array, upsilon: Array, gain: Array, stops: NDArray[np.int64], theta: Array) -> Array:
+    """Implicit gradient descent, one scalar row after the other.
 
     Args:
         gamma: shape (n, outputs, p).
         upsilon: shape (n, outputs).
         gain: T D of each parameter, shape (p,).
         stops: numbers of samples after which to note the estimate, ascending.
+        theta: where it begins, (p,); then where it has come.
 
     Returns:
         Estimate at each stop, shape (len(stops), p).
     """
     samples, outputs, parameters = gamma.shape
-    theta = np.zeros(parameters)
     noted = np.empty((len(stops), parameters))
     at = 0
     for k in range(samples):
@@ -42,17 +42,17 @@ def descend(gamma: Array, upsilon: Array, gain: Array, stops: NDArray[np.int64])
 
 
 @njit(cache=True)
-def descent_influence(gamma: Array, gain: Array) -> tuple[Array, Array]:
-    """H_k of the final estimate of :func:`descend`, and what is left of the initial error.
+def descent_influence(gamma: Array, gain: Array, later: Array) -> Array:
+    """H_k of the final estimate of :func:`descend`, (n, p, outputs).
 
     Going backward, M is the product of the later steps 1 - K Gamma; a row with K = gain Gamma^T/size enters by M K.
 
-    Returns:
-        influence (n, p, outputs), M at the start (p, p).
+    Args:
+        gamma: shape (n, outputs, p). gain: T D of each parameter, (p,).
+        later: M of the samples after these, (p, p); then with these, too: what is left of an error before them.
     """
     samples, outputs, parameters = gamma.shape
     influence = np.zeros((samples, parameters, outputs))
-    later = np.eye(parameters)
     for k in range(samples - 1, -1, -1):
         for row in range(outputs - 1, -1, -1):
             size = 1.0
@@ -66,4 +66,4 @@ def descent_influence(gamma: Array, gain: Array) -> tuple[Array, Array]:
                 influence[k, i, row] = entering
                 for j in range(parameters):
                     later[i, j] -= entering * gamma[k, row, j]
-    return influence, later
+    return influence

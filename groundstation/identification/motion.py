@@ -168,7 +168,7 @@ def _aided(flight: FlightData, imu: Stream, tracked: _Tracked, notes: Sequence[s
         rate_hz=imu.rate_hz(),
         causal=body_motion(found, rate, lever, causal=True),
         force_bias_std=np.array([std[f"accel_bias_{axis}_m_s2"] for axis in "xyz"]),
-        compatibility=found,
+        compatibility=found.without_path(),
         clock=clock,
         notes=(*notes, *([] if clock is None else _disagreement(clock)), *([left_out] if dropped else [])),
     )

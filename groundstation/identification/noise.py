@@ -161,6 +161,35 @@ def innovations(z: Array, dt: Array, restart: Restarts, colour: NoiseModel, *, i
     return kernel(np.ascontiguousarray(z), dt, restart, colour.vector(), state, True)
 
 
+class Passing:
+    """The whitening of one channel, which a long series passes part by part.
+
+    Args:
+        colour: its noise. integrated: as in :func:`innovations`.
+        polynomial: the autoregression that whitens the rest.
+        width: columns that pass.
+    """
+
+    def __init__(self, colour: NoiseModel, polynomial: Array, width: int, *, integrated: bool):
+        self._kernel = _integrated_innovations if integrated else _direct_innovations
+        self._noise, self._polynomial = colour.vector(), polynomial
+        self._state = np.zeros((2, width)), np.zeros(3)
+        self._tail = np.zeros((len(polynomial) - 1, width))
+        self._fresh = True
+
+    def __call__(self, z: Array, dt: Array, restart: Restarts) -> tuple[Array, float]:
+        """Normalised innovations of the next part (k, width), and half the sum of the logarithms of their variances."""
+        from scipy.signal import lfilter
+
+        e, s = self._kernel(np.ascontiguousarray(z), dt, restart, self._noise, self._state, self._fresh)
+        self._fresh = False
+        good = np.isfinite(s)
+        e = np.where(good[:, None], e / np.sqrt(np.where(good, s, 1.0))[:, None], 0.0)
+        if len(self._polynomial) > 1:
+            e, self._tail = lfilter(self._polynomial, [1.0], e, axis=0, zi=self._tail)
+        return np.asarray(e), 0.5 * float(np.sum(np.log(s[good])))
+
+
 PART = 4096
 """Samples whose innovations are held at a time where only products of them are asked for."""
 
@@ -281,10 +310,3 @@ def whitening_polynomial(innovation: Array, restart: Restarts, highest: int = 24
         if cost < best_cost:
             best_cost, best = cost, polynomial
     return best
-
-
-def apply_polynomial(polynomial: Array, columns: Array) -> Array:
-    """Filter columns by a moving-average polynomial along the first axis, shape kept."""
-    from scipy.signal import lfilter
-
-    return columns if len(polynomial) == 1 else np.asarray(lfilter(polynomial, [1.0], columns, axis=0))

@@ -4,6 +4,7 @@ capture.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from groundstation.frames import matrix_from_quat, slerp
 from groundstation.identification.attitude_fit import AttitudeFit, Recording, whitened_fit
 from groundstation.identification.newton import DIFFERENCE, minimum
 from groundstation.identification.noise_kernel import LANES
+from groundstation.identification.parts import at_times, by_parts, running_integrals
 from groundstation.identification.position_kernel import position_costs
 from groundstation.identification.smoothing import position_filter, position_smoother
 
@@ -57,12 +59,20 @@ class PositionFit:
     smoothed: tuple[Array, Array]
 
 
-def _twice(values: Array, dt: Array) -> tuple[Array, Array]:
-    """Running integral and its running integral by the trapezoidal rule, shapes of ``values``."""
-    mean = 0.5 * (values[1:] + values[:-1]) * dt[1:, None]
-    speed = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(mean, axis=0)])
-    path = 0.5 * (speed[1:] + speed[:-1]) * dt[1:, None]
-    return speed, np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(path, axis=0)])
+def _integrals(made: Callable[[slice], Array], dt: Array) -> tuple[Array, Array]:
+    """Running integral (k, m) of what is made of the samples, and its running integral."""
+    speed, path = np.zeros((2, 0, 0))
+    for samples, speeds, paths in running_integrals(made, dt):
+        if not speed.size:
+            speed, path = np.empty((2, len(dt), speeds.shape[1]))
+        speed[samples], path[samples] = speeds, paths
+    return speed, path
+
+
+def _paths(made: Callable[[slice], Array], recording: Recording, tk: Array) -> Array:
+    """What is made of the IMU's samples, integrated twice, at the poses' stamps, (n, m)."""
+    integrals = running_integrals(made, recording.dt_imu)
+    return at_times(((samples, paths) for samples, _, paths in integrals), recording.t_imu, tk)
 
 
 def _position_columns(
@@ -70,7 +80,7 @@ def _position_columns(
 ) -> Array:
     """What each parameter in ``POSITION`` changes of the positions, (n, 3, 10)."""
     t_imu = recording.t_imu
-    _, biased = _twice(matrix_from_quat(attitude.smoothed).reshape(-1, 9), recording.dt_imu)
+    biased = _paths(lambda part: matrix_from_quat(attitude.smoothed[part]).reshape(-1, 9), recording, tk)
     elapsed = tk - tk[0]
     tilt = np.zeros((len(tk), 3, 2))
     tilt[:, 0, 1] = 0.5 * gravity_m_s2 * elapsed**2
@@ -79,7 +89,7 @@ def _position_columns(
         [
             -velocity[:, :, None],
             (-velocity * (tk - recording.middle_s)[:, None])[:, :, None],
-            -resampled(tk, t_imu, biased).reshape(-1, 3, 3),
+            -biased.reshape(-1, 3, 3),
             matrix_from_quat(slerp(tk, t_imu, attitude.smoothed)),
             tilt,
         ],
@@ -89,8 +99,8 @@ def _position_columns(
 
 def _scale_columns(recording: Recording, tk: Array, place: Array, force: Array) -> Array:
     """What the scales of poses and accelerometer change of the positions, (n, 3, 2)."""
-    _, felt = _twice(force, recording.dt_imu)
-    return np.stack([place - place.mean(axis=0), -resampled(tk, recording.t_imu, felt)], axis=2)
+    felt = _paths(lambda part: force[part], recording, tk)
+    return np.stack([place - place.mean(axis=0), -felt], axis=2)
 
 
 def _fitted_position(error: Array, columns: Array, dt: Array, noise: Array) -> tuple[Array, Array, Array, Array]:
@@ -103,7 +113,7 @@ def _fitted_position(error: Array, columns: Array, dt: Array, noise: Array) -> t
         tight = noise.copy()
         tight[3] = 1e-3  # a constant acceleration is named (bias, tilt), not absorbed
         parts = [
-            position_filter(np.concatenate([error[:, i : i + 1], columns[:, i, :]], axis=1), dt, tight)[:2]
+            position_filter(np.concatenate([error[:, i : i + 1], columns[:, i, :]], axis=1), dt, tight, False)[:2]
             for i in range(3)
         ]
         e = np.concatenate([p[0] for p in parts])
@@ -131,11 +141,14 @@ def align_position(
     t_imu = recording.t_imu
     tk = attitude.errors.stamps(recording, attitude.kept)
     dt = np.concatenate([[0.0], np.diff(tk)])
-    force = np.einsum("nij,nj->ni", matrix_from_quat(attitude.smoothed), recording.accel)
-    speed, path = _twice(force - np.array([0.0, 0.0, gravity_m_s2]), recording.dt_imu)
+    force = by_parts(
+        lambda part: np.einsum("nij,nj->ni", matrix_from_quat(attitude.smoothed[part]), recording.accel[part]),
+        len(t_imu),
+    )
+    speed, path = _integrals(lambda part: force[part] - np.array([0.0, 0.0, gravity_m_s2]), recording.dt_imu)
     error = recording.position[attitude.kept] - resampled(tk, t_imu, path)
     noise = _position_noise(error, dt)
-    _, _, states, _, _ = position_filter(error, dt, noise)
+    _, _, states, _, _ = position_filter(error, dt, noise, True)
     # from the past alone: a velocity or place that knows this pose's noise would pull clock and scale towards it
     expected = states[:-1, 1, :] + dt[1:, None] * states[:-1, 2, :]
     velocity = resampled(tk, t_imu, speed) + np.concatenate([states[:1, 1, :], expected])
@@ -145,7 +158,7 @@ def align_position(
         place = resampled(tk, t_imu, path) + np.concatenate([states[:1, 0, :], ahead])
         columns = np.concatenate([columns, _scale_columns(recording, tk, place, force)], axis=2)
     values, covariance, residual, noise = _fitted_position(error, columns, dt, noise)
-    _, _, states, pf, pp = position_filter(residual, dt, noise)
+    _, _, states, pf, pp = position_filter(residual, dt, noise, True)
     smooth = position_smoother(dt, states, pf, pp)
     shift = _of_the_vehicle(columns) @ values
     slope = np.gradient(shift, tk, axis=0) if len(tk) > 2 else np.zeros_like(shift)

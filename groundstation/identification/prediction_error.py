@@ -14,8 +14,8 @@ the exact lag.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,13 +78,29 @@ class Point:
 
     Attributes:
         names: of what is free. residuals: measured less predicted, (blocks, 6) for each flight.
-        sensitivities: of the prediction to ``names``, (blocks, 6, P) for each flight.
     """
 
+    models: tuple[RecordModel, ...]
+    options: FitOptions
     parameters: Parameters
     names: tuple[str, ...]
     residuals: tuple[Array, ...]
-    sensitivities: tuple[Array, ...]
+    _held: dict[int, Array] = field(default_factory=dict[int, Array])
+
+    def parts(self, flight: int) -> Iterator[tuple[slice, Array, Array]]:
+        """Blocks, residuals (n, 6) and sensitivities of the prediction to ``names`` (n, 6, P), part by part.
+
+        Those of a flight that is one part are kept: they are asked for again under the next noise.
+        """
+        model, residual = self.models[flight], self.residuals[flight]
+        parts = model.parts()
+        for blocks in parts:
+            columns = self._held.get(flight)
+            if columns is None:
+                columns = model.sensitivities(self.parameters, self.options, blocks)
+            if len(parts) == 1:
+                self._held[flight] = columns
+            yield blocks, residual[blocks], columns
 
     def rms(self) -> Array:
         """Root mean square of the residuals of all flights, (6,)."""
@@ -113,8 +129,8 @@ class Problem:
 
     def at(self, p: Parameters) -> Point:
         """Residuals and sensitivities at ``p``."""
-        found = [model.evaluate(p, self.options) for model in self.models]
-        return Point(p, found[0][2], tuple(each[0] for each in found), tuple(each[1] for each in found))
+        residuals = tuple(model.residual_of(p, model.predicted(p, self.options)) for model in self.models)
+        return Point(self.models, self.options, p, self.models[0].names(self.options), residuals)
 
     def values(self, point: Point) -> Array:
         """Values of what is free at a point, (P,)."""
@@ -214,15 +230,16 @@ def _linearised(problem: Problem, point: Point, noise: Sequence[FlightNoise]) ->
     normal = np.diag(1.0 / std**2)
     gradient = (mean - theta) / std**2
     cost = 0.5 * float(np.sum(((theta - mean) / std) ** 2))
-    flights = zip(problem.models, noise, point.residuals, point.sensitivities, strict=True)
-    for model, each, residual, sensitivity in flights:
-        found = each.whitened(model, residual, sensitivity)
-        cost += found.log_deviation
-        for y, x in zip(found.residual, found.sensitivity, strict=True):
-            w = huber(y)
-            normal = normal + x.T @ (x * w[:, None])
-            gradient = gradient + x.T @ (w * y)
-            cost += huber_cost(y)
+    for flight, (model, each) in enumerate(zip(problem.models, noise, strict=True)):
+        passing = each.passing(model, len(point.names))
+        for part in point.parts(flight):
+            found = passing(*part)
+            cost += found.log_deviation
+            for y, x in zip(found.residual, found.sensitivity, strict=True):
+                w = huber(y)
+                normal = normal + x.T @ (x * w[:, None])
+                gradient = gradient + x.T @ (w * y)
+                cost += huber_cost(y)
     return _Local(theta, normal, gradient, cost)
 
 

@@ -15,6 +15,7 @@ from groundstation.flightdata import FlightData, Stream
 from groundstation.identification.alignment import motor_offset
 from groundstation.identification.instruments import planned_motion
 from groundstation.identification.motion import Motion, motion_of
+from groundstation.identification.parts import kept
 from groundstation.identification.reconstruction import Compatibility
 from groundstation.identification.record_model import DynamicRecord, PlannedMotion
 from groundstation.identification.results import Clock
@@ -51,7 +52,8 @@ class Prepared:
         compatibility: kinematic findings, where poses and IMU both exist.
         quaternion, position_m, velocity_m_s: smoothed motion of the declared origin at the record's stamps; NaN if
             unknown.
-        causal_quaternion, causal_position_m, causal_velocity_m_s: the same from the past alone.
+        causal_quaternion, causal_position_m, causal_velocity_m_s: the same from the past alone; of a long flight in
+            single precision.
         voltage_v, charge_as: battery at the record's stamps; NaN if unknown.
         source: "imu", "poses" or "state": where rates and accelerations come from.
         window_s: start and end of what is used, on the record's clock.
@@ -99,9 +101,9 @@ class Prepared:
             quaternion=motion.smooth[0],
             position_m=motion.smooth[1],
             velocity_m_s=motion.smooth[2],
-            causal_quaternion=motion.causal[0],
-            causal_position_m=motion.causal[1],
-            causal_velocity_m_s=motion.causal[2],
+            causal_quaternion=kept(motion.causal[0]),
+            causal_position_m=kept(motion.causal[1]),
+            causal_velocity_m_s=kept(motion.causal[2]),
             voltage_v=voltage,
             charge_as=charge,
             clock=motion.clock,

@@ -10,7 +10,7 @@ least squares on the innovations gives values with honest standard deviations.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from groundstation.frames import quat_normalise, quat_rotate
 from groundstation.identification.attitude_fit import ATTITUDE, ATTITUDE_PRIOR, Recording, align_attitude
+from groundstation.identification.parts import by_parts
 from groundstation.identification.position_fit import POSITION, POSITION_PRIOR, SCALE_PRIOR, SCALES, align_position
 
 Array = NDArray[np.float64]
@@ -52,6 +53,19 @@ class Compatibility:
     causal_velocity_m_s: Annotated[Array, "k 3"]
     revealed: tuple[str, ...]
     pose_noise: tuple[float, float] = (0.0, 0.0)
+
+    def without_path(self) -> Compatibility:
+        """The numbers alone, where the path of the declared origin is held beside them: it is as long as the flight."""
+        none = self.position_m[:0]
+        return replace(
+            self,
+            quaternion=self.quaternion[:0],
+            position_m=none,
+            velocity_m_s=none,
+            causal_quaternion=self.quaternion[:0],
+            causal_position_m=none,
+            causal_velocity_m_s=none,
+        )
 
 
 def reconstruct(recording: Recording, *, offset_s: float, gravity_m_s2: float, scale: bool = False) -> Compatibility:
@@ -129,4 +143,13 @@ def body_motion(
     q = compatibility.causal_quaternion if causal else compatibility.quaternion
     p = compatibility.causal_position_m if causal else compatibility.position_m
     v = compatibility.causal_velocity_m_s if causal else compatibility.velocity_m_s
-    return q, p - quat_rotate(q, imu_position_m), v - quat_rotate(q, np.cross(rate, imu_position_m))
+    if not np.any(imu_position_m):
+        return q, p, v
+
+    def beside(part: slice) -> Array:
+        return p[part] - quat_rotate(q[part], imu_position_m)
+
+    def slower(part: slice) -> Array:
+        return v[part] - quat_rotate(q[part], np.cross(rate[part], imu_position_m))
+
+    return q, by_parts(beside, len(q)), by_parts(slower, len(q))

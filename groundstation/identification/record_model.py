@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from groundstation.frames import skew
 from groundstation.identification.block_kernel import integral_means, wrench_means
+from groundstation.identification.parts import double
 from groundstation.identification.sensitivities import (
     Measured,
     lag_of,
@@ -28,13 +29,16 @@ from groundstation.identification.sensitivities import (
     stacked,
     timing_steps,
 )
-from groundstation.model.parameters import BASIS, PAIRS, FitOptions, Parameters
+from groundstation.model.parameters import BASIS, PAIRS, FitOptions, Parameters, free_entries
 from groundstation.model.rotor_kernel import LANES
 from groundstation.model.rotors import Lag, MotorInput, mean_thrusts, wrench_matrix
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+PART = 16384
+"""Blocks whose sensitivities are held at a time: nearly two minutes of flight at the fit's rate."""
 
 CHANNELS = ("torque_x_nm", "torque_y_nm", "torque_z_nm", "force_x_n", "force_y_n", "force_z_n")
 
@@ -79,7 +83,8 @@ class DynamicRecord:
 
 @dataclass(frozen=True, slots=True)
 class PlannedMotion:
-    """The motion that was asked for, at the IMU's stamps: it owes nothing to this flight's disturbances.
+    """The motion that was asked for, at the IMU's stamps: it owes nothing to this flight's disturbances. Of a long
+    flight it is in single precision, and :meth:`part` in double.
 
     Attributes:
         rate_rad_s: body rates, (k, 3).
@@ -88,7 +93,7 @@ class PlannedMotion:
         velocity_body_m_s: (k, 3).
         position_m: (k, 3).
         quaternion: (k, 4), continuous in sign.
-        extra: planned wrench of each BodyWrench term, (k, 6) each.
+        extra: planned values of each BodyWrench term, as :attr:`BodyWrench.value`.
     """
 
     rate_rad_s: Annotated[Array, "k 3"]
@@ -97,26 +102,67 @@ class PlannedMotion:
     velocity_body_m_s: Annotated[Array, "k 3"]
     position_m: Annotated[Array, "k 3"]
     quaternion: Annotated[Array, "k 4"]
-    extra: tuple[Annotated[Array, "k 6"], ...] = ()
+    extra: tuple[Array, ...] = ()
+
+    def part(self, samples: slice) -> PlannedMotion:
+        """Some of the instants."""
+        return PlannedMotion(
+            double(self.rate_rad_s[samples]),
+            double(self.angular_acceleration_rad_s2[samples]),
+            double(self.specific_thrust_m_s2[samples]),
+            double(self.velocity_body_m_s[samples]),
+            double(self.position_m[samples]),
+            double(self.quaternion[samples]),
+            tuple(double(values[samples]) for values in self.extra),
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class BodyWrench:
     """An extra force and torque about the declared origin per unit of one parameter, body axes, at the IMU's stamps.
 
-    ``value`` has shape (k, 6): force (N) then torque (N m). ``prior_std`` regularises the coefficient about ``prior``.
+    Attributes:
+        value: force (N) then torque (N m), (k, 6); of a wrench along one axis, what is taken away there, (k,).
+        against: the row of ``value`` (k,), that the wrench acts against; None for all six rows.
+        prior_std: regularises the coefficient about ``prior``.
     """
 
     name: str
-    value: Annotated[Array, "k 6"]
+    value: Array
     prior_std: float = np.inf
     prior: float = 0.0
+    against: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TermMeans:
+    """Of a term its running integral and its force, averaged over the blocks: (blocks, 6) and (blocks, 3), or along one
+    axis (blocks,) each.
+    """
+
+    integral: Array
+    push: Array
+    against: int | None = None
+
+    def part(self, blocks: slice) -> TermMeans:
+        """Of some of the blocks."""
+        return replace(self, integral=self.integral[blocks], push=self.push[blocks])
+
+    def dense(self) -> tuple[Array, Array]:
+        """Running integral (blocks, 6) and force (blocks, 3)."""
+        if self.against is None:
+            return self.integral, self.push
+        integral, push = np.zeros((len(self.integral), 6)), np.zeros((len(self.integral), 3))
+        integral[:, self.against] = self.integral
+        if self.against < 3:
+            push[:, self.against] = self.push
+        return integral, push
 
 
 @dataclass(frozen=True, slots=True)
 class Predicted:
-    """A record's outputs at given parameters: wrench and impulse (blocks, 6), rates, forces; differences of wrench and
-    impulse by lags and dead time.
+    """A record's outputs at given parameters: wrench and impulse (blocks, 6), rates, forces; differences of force
+    (blocks, 3) and impulse (blocks, 6) by lags and dead time.
     """
 
     moved: Mapping[str, tuple[Array, Array]]
@@ -124,6 +170,11 @@ class Predicted:
     impulse: Array
     rate: Array
     force: Array
+
+    def part(self, blocks: slice) -> Predicted:
+        """Of some of the blocks."""
+        moved = {name: (wrench[blocks], impulse[blocks]) for name, (wrench, impulse) in self.moved.items()}
+        return Predicted(moved, *(each[blocks] for each in (self.wrench, self.impulse, self.rate, self.force)))
 
 
 class RecordModel:
@@ -153,16 +204,17 @@ class RecordModel:
         self.matrix = wrench_matrix(record.vehicle)
         self._members, self.restart = _blocks(record)
         self._step = np.concatenate([[0.0], np.diff(record.t_s)])
+        self.sample_s = float(np.median(np.diff(record.t_s)))
         self.t_s = self.average(record.t_s[:, None])[:, 0]
-        nominal = float(np.median(np.diff(record.t_s))) * record.block
+        nominal = self.sample_s * record.block
         self.dt = np.concatenate([[nominal], np.maximum(np.diff(self.t_s), 1e-4)])[: len(self.t_s)]
         self.rate = self.average(record.rate_rad_s)
         self.force = self.average(record.force_m_s2)
         self.elapsed_s = self.t_s - record.t_s[0]
         self.gyroscopic = self.integrated_gyroscopic(record.rate_rad_s)
-        self.extra_means = tuple((self.integrated(e.value), self.average(e.value[:, :3])) for e in self.extra)
+        self.extra_means = tuple(self.means_of(term, term.value) for term in self.extra)
         self._last: tuple[Parameters, Predicted] | None = None
-        self._made: tuple[list[tuple[Lag, float]], list[tuple[Array, Array]]] | None = None
+        self._made: tuple[list[tuple[Lag, float]], tuple[Array, Array]] | None = None
         self._asked = FitOptions(lag=False, delay=False)
 
     def channels(self, options: FitOptions) -> tuple[int, ...]:
@@ -174,6 +226,37 @@ class RecordModel:
         """The same record with other segment starts."""
         other = copy(self)
         other.restart = restart
+        return other
+
+    def parts(self) -> list[slice]:
+        """The blocks in parts of at most PART; one for a flight of a minute."""
+        count = len(self.t_s)
+        return [slice(first, min(first + PART, count)) for first in range(0, max(count, 1), PART)]
+
+    def part(self, blocks: slice, before_s: float = 0.0) -> RecordModel:
+        """Some of the blocks, and of the samples those of these blocks and some before: views.
+
+        Running integrals begin at the first sample of the part.
+        """
+        if blocks.start <= 0 and blocks.stop >= len(self.t_s):
+            return self
+        other, members = copy(self), self._members[blocks]
+        before = max(0, int(members[0, 0]) - round(before_s / self.sample_s) - 1)
+        samples = slice(before, int(members[-1, -1]) + 2)
+        record = self.record
+        other.record = replace(
+            record,
+            t_s=record.t_s[samples],
+            keep=record.keep[samples],
+            rate_rad_s=record.rate_rad_s[samples],
+            force_m_s2=record.force_m_s2[samples],
+        )
+        other.planned = None if self.planned is None else self.planned.part(samples)
+        other._members, other._step = members - before, self._step[samples]
+        for name in ("restart", "t_s", "dt", "rate", "force", "elapsed_s", "gyroscopic"):
+            setattr(other, name, getattr(self, name)[blocks])
+        other.extra_means = tuple(means.part(blocks) for means in self.extra_means)
+        other._last = other._made = None
         return other
 
     def of_vehicle(self, vehicle: Vehicle) -> RecordModel:
@@ -188,6 +271,12 @@ class RecordModel:
         """Block means of the running integral of values (k, ...) at the IMU's stamps, (blocks, ...)."""
         means = integral_means(values.reshape(len(values), -1), self._step, self._members)
         return means.reshape(len(means), *values.shape[1:])
+
+    def means_of(self, term: BodyWrench, value: Array) -> TermMeans:
+        """Of a term with these values at the IMU's stamps."""
+        if term.against is None:
+            return TermMeans(self.integrated(value), self.average(value[:, :3]))
+        return TermMeans(-self.integrated(value), -self.average(value), term.against)
 
     def integrated_gyroscopic(self, rate: Array) -> Array:
         """Block means of the integral of omega x J omega per entry of the tensor, (blocks, 3, 6)."""
@@ -208,26 +297,27 @@ class RecordModel:
             total += values[column]
         return total / self._members.shape[1]
 
-    def thrusts(self, wanted: Sequence[tuple[Lag, float]]) -> list[tuple[Array, Array]]:
+    def thrusts(self, wanted: Sequence[tuple[Lag, float]]) -> Iterator[tuple[Array, Array]]:
         """Force and torque of the rotors by the declared constants behind each lag and dead time, averaged over the
         blocks, and their running integrals, (blocks, 6) each.
 
-        The last ones are kept: a fit whose rotors have neither lag nor dead time to find asks for the same again.
+        A single one is kept: a fit whose rotors have neither lag nor dead time to find asks for the same again.
         """
-        if self._made is None or self._made[0] != list(wanted):
-            record = self.record
-            found = mean_thrusts(record.vehicle, record.motors, wanted, (record.t_s, self._members))
-            self._made = (
-                list(wanted),
-                [(each[:, 0] @ self.matrix.T, each[:, 1] @ self.matrix.T) for each in found],
-            )
-        return self._made[1]
+        if self._made is not None and self._made[0] == list(wanted):
+            yield self._made[1]
+            return
+        record = self.record
+        for each in mean_thrusts(record.vehicle, record.motors, wanted, (record.t_s, self._members)):
+            made = each[:, 0] @ self.matrix.T, each[:, 1] @ self.matrix.T
+            if len(wanted) == 1:
+                self._made = list(wanted), made
+            yield made
 
     def wrench(self, p: Parameters) -> Array:
         """Force and torque of the rotors at ``p``, (blocks, 6)."""
-        return self._predict(p).wrench
+        return self.predicted(p).wrench
 
-    def _predict(self, p: Parameters, options: FitOptions | None = None) -> Predicted:
+    def predicted(self, p: Parameters, options: FitOptions | None = None) -> Predicted:
         """At ``p``, with the differences that the sensitivities of these options need (None: those asked for last).
 
         Differences cost little beside the prediction, and a search that ends at ``p`` goes on from there.
@@ -236,10 +326,12 @@ class RecordModel:
             return self._last[1]
         self._asked = self._asked if options is None else options
         steps = timing_steps(p, self._asked)
-        here, *others = self.thrusts([(lag_of(p), p.delay_s), *((step.lag, step.delay_s) for step in steps.values())])
+        self._last = None
+        made = self.thrusts([(lag_of(p), p.delay_s), *((step.lag, step.delay_s) for step in steps.values())])
+        here = next(made)
         moved = {
-            name: ((wrench - here[0]) / step.size, (impulse - here[1]) / step.size)
-            for (name, step), (wrench, impulse) in zip(steps.items(), others, strict=True)
+            name: ((wrench[:, :3] - here[0][:, :3]) / step.size, (impulse - here[1]) / step.size)
+            for (name, step), (wrench, impulse) in zip(steps.items(), made, strict=True)
         }
         prediction = self._outputs(p, moved, *here)
         self._last = p, prediction
@@ -255,7 +347,8 @@ class RecordModel:
         torque -= impulse[:, :3] @ arm
         torque[:, 2] += p.yaw_trim_nm * self.elapsed_s
         force = wrench[:, :3].copy()
-        for coefficient, (integral, push) in zip(p.extra, self.extra_means, strict=True):
+        for coefficient, means in zip(p.extra, self.extra_means, strict=True):
+            integral, push = means.dense()
             torque += coefficient * (integral[:, 3:] - integral[:, :3] @ arm)
             force += coefficient * push
         return self._with_linear(p, Predicted(moved, wrench, impulse, torque @ np.linalg.inv(p.tensor).T, force))
@@ -267,7 +360,7 @@ class RecordModel:
             some = trials[first : first + together]
             found = self.thrusts([(lag_of(p), p.delay_s) for p in some])
             for p, thrusts in zip(some, found, strict=True):
-                yield self._residual(p, self._outputs(p, {}, *thrusts))
+                yield self.residual_of(p, self._outputs(p, {}, *thrusts))
 
     def _with_linear(self, p: Parameters, prediction: Predicted) -> Predicted:
         """With what parameters without physics of their own add: value times sensitivity."""
@@ -283,17 +376,27 @@ class RecordModel:
 
     def residual(self, p: Parameters) -> Array:
         """Measured less predicted rates and specific forces at ``p``, (blocks, 6)."""
-        return self._residual(p, self._predict(p))
+        return self.residual_of(p, self.predicted(p))
 
-    def _residual(self, p: Parameters, prediction: Predicted) -> Array:
+    def residual_of(self, p: Parameters, prediction: Predicted) -> Array:
+        """Measured less a prediction at ``p``, (blocks, 6)."""
         force = prediction.force / p.mass_kg + p.force_bias_m_s2
         return np.concatenate([self.rate - prediction.rate, self.force - force], axis=1)
 
+    def sensitivities(self, p: Parameters, options: FitOptions, blocks: slice) -> Array:
+        """d(prediction)/d(parameter) of some of the blocks, (n, 6, P)."""
+        prediction = self.predicted(p, options)
+        at = Measured(self.part(blocks), p, prediction.part(blocks))
+        return stacked(measured_sensitivities(at, options))
+
+    def names(self, options: FitOptions) -> tuple[str, ...]:
+        """Of what is free, in the order of the sensitivities."""
+        return (*(entry.name for entry in free_entries(options)), *(term.name for term in self.extra))
+
     def evaluate(self, p: Parameters, options: FitOptions) -> tuple[Array, Array, tuple[str, ...]]:
         """Residuals (blocks, 6) and sensitivities d(prediction)/d(parameter) (blocks, 6, P) at ``p``, with names."""
-        prediction = self._predict(p, options)
-        found = measured_sensitivities(Measured(self, p, prediction), options)
-        return self._residual(p, prediction), stacked(found), tuple(found)
+        sensitivity = self.sensitivities(p, options, slice(0, len(self.t_s)))
+        return self.residual_of(p, self.predicted(p, options)), sensitivity, self.names(options)
 
 
 def _blocks(record: DynamicRecord) -> tuple[NDArray[np.int64], Mask]:

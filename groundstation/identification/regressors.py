@@ -7,6 +7,7 @@ The standard regressor takes them as they are, the filtered one takes them throu
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -17,6 +18,7 @@ Values = Annotated[ArrayLike, "k"]
 Triples = Annotated[ArrayLike, "k 3"]
 Products = Annotated[ArrayLike, "k 6"]
 Regressor = Annotated[Array, "k 4 7"]
+Index = slice | NDArray[np.intp] | NDArray[np.bool_]
 
 
 def rate_products(rate: Triples) -> Annotated[Array, "k 6"]:
@@ -105,3 +107,25 @@ def six_row_regressor(specific_force: Triples, rate: Triples, rate_derivative: T
     out[:, :3, 0] = specific_force
     out[:, 3:, 1:] = inertia_columns(rate_derivative, rate_products(rate))
     return out
+
+
+@dataclass(frozen=True, slots=True)
+class Assembled:
+    """A regressor (k, 4, 7) of which only those rows are made that are asked for: made, it is three times as large.
+
+    Attributes:
+        first, alpha, products: as :func:`assemble` takes them.
+    """
+
+    first: Annotated[Array, "k"]
+    alpha: Annotated[Array, "k 3"]
+    products: Annotated[Array, "k 6"]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Of all rows."""
+        return len(self.first), 4, 7
+
+    def __getitem__(self, rows: Index) -> Regressor:
+        """Some rows, (n, 4, 7)."""
+        return assemble(self.first[rows], self.alpha[rows], self.products[rows])

@@ -16,12 +16,8 @@ from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import thrust_constants
 from groundstation.identification.estimators import LinearEstimate, gradient_descent, least_squares
 from groundstation.identification.filters import FilterPair, seed_pair
-from groundstation.identification.regressors import (
-    assemble,
-    rate_products,
-    standard_regressor,
-    transport_and_gravity,
-)
+from groundstation.identification.parts import parts_of
+from groundstation.identification.regressors import Assembled, rate_products, transport_and_gravity
 from groundstation.identification.results import MASS_AND_TENSOR, OUTPUTS, Estimate, Evolution, MethodResult
 from groundstation.identification.seed_signals import Processing, SeedSignals, process_flight
 from groundstation.vehicle import Vehicle
@@ -44,25 +40,31 @@ class Regression:
     """Gamma Theta = Upsilon on a uniform grid.
 
     Attributes:
-        regressor: Gamma, shape (k, 4, 7); the first column is zero where nothing tells specific force.
+        rows: Gamma, shape (k, 4, 7), made as it is asked for; the first column is zero where nothing tells specific
+            force.
         output: Upsilon, [F_z, tau_x, tau_y, tau_z], N and N m, shape (k, 4).
         t_s: shape (k,).
         used: shape (k,).
         note: what the model is and what it leaves out.
     """
 
-    regressor: Annotated[Array, "k 4 7"]
+    rows: Assembled
     output: Annotated[Array, "k 4"]
     t_s: Annotated[Array, "k"]
     used: Annotated[NDArray[np.bool_], "k"]
     note: str = ""
+
+    @property
+    def regressor(self) -> Annotated[Array, "k 4 7"]:
+        """Gamma, all of it."""
+        return self.rows[slice(None)]
 
 
 def standard_regression(signals: SeedSignals) -> Regression:
     """The standard model (34): accelerations from differentiated signals."""
     rate, derivative = signals.rate, signals.rate_derivative
     first = np.zeros(len(rate)) if signals.specific_force is None else signals.specific_force[:, 2]
-    return Regression(standard_regressor(first, rate, derivative), signals.wrench, signals.t_s, signals.used)
+    return Regression(Assembled(first, derivative, rate_products(rate)), signals.wrench, signals.t_s, signals.used)
 
 
 def filtered_regression(
@@ -97,7 +99,7 @@ def filtered_regression(
     else:
         first = np.zeros(len(rate))
     settled = signals.t_s >= signals.t_s[0] + 10.0 / cutoff_rad_s
-    return Regression(assemble(first, g_rate, f_products), f_wrench, signals.t_s, signals.used & settled, note)
+    return Regression(Assembled(first, g_rate, f_products), f_wrench, signals.t_s, signals.used & settled, note)
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +145,7 @@ def seed_methods(regressions: Regressions, vehicle: Vehicle, *, refuse: bool = T
     for regression, names in ((regressions.standard, ("LS", "GD")), (regressions.filtered, ("FMLS", "FMGD"))):
         doubtful = noisy_parameters(regression, signals.rate_derivative_noise) if refuse else {}
         for name, estimator in zip(names, (least_squares, gradient_descent), strict=True):
-            estimate = estimator(regression.regressor, regression.output, regression.t_s, regression.used)
+            estimate = estimator(regression.rows, regression.output, regression.t_s, regression.used)
             results[name] = _result(estimate, vehicle, doubtful, refuse, (*signals.notes, regression.note))
     if not any(result.parameters for result in results.values()):
         reasons = next(iter(results.values())).note
@@ -163,8 +165,11 @@ def noisy_parameters(regression: Regression, noise: Array) -> dict[str, str]:
         regression: either model.
         noise: standard deviation of the noise in alpha, rad/s^2, shape (3,).
     """
-    gamma = regression.regressor[regression.used][:, 1:, 1:]
-    total = np.tensordot(gamma, gamma, axes=((0, 1), (0, 1))) / len(gamma)
+    used, total = np.flatnonzero(regression.used), np.zeros((6, 6))
+    for part in parts_of(len(used)):
+        gamma = regression.rows[used[part]][:, 1:, 1:]
+        total += np.tensordot(gamma, gamma, axes=((0, 1), (0, 1)))
+    total /= max(len(used), 1)
     # Row i of inertia_columns(alpha, 0) is linear in alpha: E[d^T d] is diagonal for independent axes.
     a, b, c = np.asarray(noise, dtype=float) ** 2
     shares = np.diag(np.diag([a, a + b, a + c, b, b + c, c]))

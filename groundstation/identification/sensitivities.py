@@ -7,7 +7,7 @@ rate.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -105,9 +105,9 @@ class Measured(Point):
 
     def moved(self, name: str) -> Pair:
         """By a lag, its slope or the dead time: a difference of the exact lag."""
-        wrench, impulse = self.prediction.moved[name]
+        force, impulse = self.prediction.moved[name]
         torque = impulse[:, 3:] - impulse[:, :3] @ self.arm
-        return torque @ self.inverse.T, wrench[:, :3] / self.p.mass_kg
+        return torque @ self.inverse.T, force / self.p.mass_kg
 
 
 class Planned(Point):
@@ -183,7 +183,7 @@ class Planned(Point):
 
         if lag_s < 1e-4:
             return values
-        keep = np.exp(-float(np.median(np.diff(self.model.record.t_s))) / lag_s)
+        keep = np.exp(-self.model.sample_s / lag_s)
         return np.asarray(lfilter([1.0 - keep], [1.0, -keep], values, axis=0), dtype=float)
 
 
@@ -257,7 +257,8 @@ def sensitivity_of(name: str) -> Callable[[Measured], Pair]:
 def measured_sensitivities(at: Measured, options: FitOptions) -> dict[str, Pair]:
     """Of each parameter that is free, and of each wrench term of the model, by name."""
     found = {entry.name: sensitivity_of(entry.name)(at) for entry in free_entries(options)}
-    for term, (integral, push) in zip(at.model.extra, at.model.extra_means, strict=True):
+    for term, means in zip(at.model.extra, at.model.extra_means, strict=True):
+        integral, push = means.dense()
         torque = integral[:, 3:] - integral[:, :3] @ at.arm
         found[term.name] = torque @ at.inverse.T, push / at.p.mass_kg
     return found
@@ -270,10 +271,30 @@ def planned_sensitivities(model: RecordModel, p: Parameters, options: FitOptions
         entry.name: EITHER[entry.name](at) if entry.name in EITHER else PLANNED[entry.name](at)
         for entry in free_entries(options)
     }
-    for term, wrench in zip(model.extra, at.plan.extra, strict=True):
-        mean = model.integrated(wrench)
-        found[term.name] = mean[:, 3:] @ at.inverse.T, model.average(wrench[:, :3]) / p.mass_kg
+    for term, value in zip(model.extra, at.plan.extra, strict=True):
+        mean, push = model.means_of(term, value).dense()
+        found[term.name] = mean[:, 3:] @ at.inverse.T, push / p.mass_kg
     return stacked(found)
+
+
+MEMORY = 40.0
+"""Lags after which a rotor has forgotten what was asked of it, to the last bit."""
+
+
+def planned_parts(model: RecordModel, p: Parameters, options: FitOptions) -> Iterator[tuple[slice, Array]]:
+    """Blocks and :func:`planned_sensitivities`, part by part.
+
+    A part begins with the last block of the one before, from which its integrals go on.
+    """
+    before_s, last = MEMORY * max(p.lag_up_s, p.lag_down_s), None
+    for blocks in model.parts():
+        overlap = 0 if last is None else 1
+        part = model.part(slice(blocks.start - overlap, blocks.stop), before_s)
+        found = planned_sensitivities(part, p, options)
+        if last is not None:
+            found[:, :3] += last - found[0, :3]
+        last = found[-1, :3].copy()
+        yield blocks, found[overlap:]
 
 
 def stacked(found: dict[str, Pair]) -> Array:

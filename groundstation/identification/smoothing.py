@@ -94,28 +94,31 @@ def _fill(out: Array, p: Upper) -> None:
 
 
 @njit(cache=True)
-def position_filter(z: Array, dt: Array, noise: Array) -> tuple[Array, Array, Array, Array, Array]:
+def position_filter(z: Array, dt: Array, noise: Array, held: bool) -> tuple[Array, Array, Array, Array, Array]:
     """Kalman filter of [position, velocity, acceleration] errors seen in position; columns alike.
 
     ``noise`` is (pose noise, white acceleration density, acceleration random walk density, initial acceleration).
     Returns innovations (k, m), variances (k,), filtered states (k, 3, m), filtered and predicted covariances (k, 3, 3).
-    The first three samples only initialise (variance inf).
+    The first three samples only initialise (variance inf). Unless ``held``, states and covariances are empty.
     """
     r, qv, qa, a0 = noise
     k, m = z.shape
     out = np.zeros((k, m))
     variance = np.full(k, np.inf)
-    states = np.empty((k, 3, m))
-    pf = np.empty((k, 3, 3))
-    pp = np.empty((k, 3, 3))
+    length = k if held else 0
+    states = np.empty((length, 3, m))
+    pf = np.empty((length, 3, 3))
+    pp = np.empty((length, 3, 3))
     x0, x1, x2 = z[0].copy(), np.zeros(m), np.zeros(m)
     p = (r * r, 0.0, 0.0, 25.0, 0.0, a0 * a0)
-    _fill(pp[0], p)
+    if held:
+        _fill(pp[0], p)
     for i in range(k):
         h = dt[i]
         if i > 0:
             p = _ahead(p, h, qv * qv, qa * qa)
-            _fill(pp[i], p)
+            if held:
+                _fill(pp[i], p)
             s = p[0] + r * r
             k0, k1, k2 = p[0] / s, p[1] / s, p[2] / s
             for j in range(m):
@@ -128,8 +131,9 @@ def position_filter(z: Array, dt: Array, noise: Array) -> tuple[Array, Array, Ar
             p = _seen(p, r)
             if i >= 3:
                 variance[i] = s
-        states[i, 0], states[i, 1], states[i, 2] = x0, x1, x2
-        _fill(pf[i], p)
+        if held:
+            states[i, 0], states[i, 1], states[i, 2] = x0, x1, x2
+            _fill(pf[i], p)
     return out, variance, states, pf, pp
 
 

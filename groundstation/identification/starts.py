@@ -7,6 +7,7 @@ import numpy as np
 from groundstation.errors import BadInput
 from groundstation.flightdata import FlightData
 from groundstation.frames import quat_continuous
+from groundstation.identification.parts import double
 from groundstation.identification.preparation import Prepared, prepare
 from groundstation.identification.streams import clean
 from groundstation.model.flight_states import FlightStates
@@ -47,10 +48,10 @@ def own_states(prepared: Prepared) -> FlightStates:
 def smoothed_states(prepared: Prepared) -> FlightStates:
     """Starts from the past alone, and the smoothed motion to judge by."""
     record = prepared.record
-    q, causal = quat_continuous(prepared.quaternion), quat_continuous(prepared.causal_quaternion)
+    q, causal = quat_continuous(prepared.quaternion), quat_continuous(double(prepared.causal_quaternion))
     return FlightStates(
         record.t_s,
-        prepared.causal_position_m, prepared.causal_velocity_m_s, causal, record.rate_rad_s,
+        double(prepared.causal_position_m), double(prepared.causal_velocity_m_s), causal, record.rate_rad_s,
         prepared.position_m, prepared.velocity_m_s, q, record.rate_rad_s,
         record.motors, prepared.voltage_v, prepared.window_s, record.vehicle, prepared.stretches,
     )  # fmt: skip

@@ -29,9 +29,10 @@ def clean(stream: Stream, exclude: Segments = ()) -> Stream:
     keep = np.isfinite(stream.values).all(axis=1) & np.isfinite(stream.t_s)
     for first, last in exclude:
         keep &= (stream.t_s < first) | (stream.t_s > last)
-    kept = stream.select(keep)
+    kept = stream if keep.all() else stream.select(keep)
     latest = np.maximum.accumulate(np.concatenate([[-np.inf], kept.t_s[:-1]]))
-    return kept.select(kept.t_s > latest)
+    rising = kept.t_s > latest
+    return kept if rising.all() else kept.select(rising)
 
 
 def origin_poses(

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import FlightData, Stream
 from groundstation.frames import euler_from_quat, slerp
+from groundstation.identification.parts import parts_of
 from groundstation.identification.results import MASS_AND_TENSOR, OUTPUTS, MethodResult, Validation
 from groundstation.identification.seed import Regression, Regressions
 from groundstation.identification.seed_signals import Processing, interpolate, process_flight
@@ -25,6 +26,8 @@ from groundstation.vehicle import Vehicle
 Array = NDArray[np.float64]
 ParameterSets = Mapping[str, Mapping[str, float]]
 
+LOOP_MOST_S = 600.0
+"""Of the excitation that the closed loop is simulated along: hundreds of manoeuvres."""
 SETTLE_S = 3.0
 """The simulated loop holds the start for this long before the excitation, as the flight did."""
 CLOSED_LOOP_SIGNALS = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad", *OUTPUTS)
@@ -82,20 +85,35 @@ def validate(
         checks.append(output_validation(regressions.standard, sets, "Standard regression model (34)."))
         checks.append(output_validation(regressions.filtered, sets, "Filtered regression model (38)."))
         if flight.plan is not None and "control" in flight.vehicle.model_fields_set:
-            checks.append(closed_loop_validation(flight, sets, mocap_minus_imu_s=mocap_minus_imu_s, exclude=exclude))
+            checks.append(
+                closed_loop_validation(_begun(flight), sets, mocap_minus_imu_s=mocap_minus_imu_s, exclude=exclude)
+            )
     except NotIdentifiable:
         return tuple(checks)
     return tuple(checks)
 
 
+def _begun(flight: FlightData) -> FlightData:
+    """With no more than LOOP_MOST_S of its excitation."""
+    if flight.window_s is None:
+        return flight
+    start, end = flight.window_s
+    return replace(flight, window_s=(start, min(end, start + LOOP_MOST_S)))
+
+
 def output_validation(regression: Regression, sets: ParameterSets, note: str = "") -> Validation:
     """RMS of Gamma Theta - Upsilon (eq. 43) for each parameter set, over the samples in use."""
-    gamma, upsilon = regression.regressor[regression.used], regression.output[regression.used]
-    rms: dict[str, dict[str, float]] = {}
-    for name, values in sets.items():
-        error = gamma @ np.array([values[key] for key in MASS_AND_TENSOR]) - upsilon
-        rms[name] = dict(zip(OUTPUTS, map(float, np.sqrt(np.mean(error**2, axis=0))), strict=True))
-    return Validation("output", rms, len(gamma), note)
+    used = np.flatnonzero(regression.used)
+    squares = {name: np.zeros(len(OUTPUTS)) for name in sets}
+    for part in parts_of(len(used)):
+        gamma, upsilon = regression.rows[used[part]], regression.output[used[part]]
+        for name, values in sets.items():
+            error = gamma @ np.array([values[key] for key in MASS_AND_TENSOR]) - upsilon
+            squares[name] += np.sum(error**2, axis=0)
+    rms: dict[str, dict[str, float]] = {
+        name: dict(zip(OUTPUTS, map(float, np.sqrt(total / len(used))), strict=True)) for name, total in squares.items()
+    }
+    return Validation("output", rms, len(used), note)
 
 
 def closed_loop_validation(

@@ -15,7 +15,7 @@ from groundstation.recording.autopilot import one_line
 from groundstation.recording.cdrlayout import MOST_ELEMENTS, UNREAD, Columns
 from groundstation.recording.part import WHOLE, Part
 from groundstation.recording.plainmcap import plain_mcap
-from groundstation.recording.tables import Table, table_of
+from groundstation.recording.tables import Table, table_of_rows
 
 _DEFINED = {
     "actuator_msgs/msg/Actuators": "std_msgs/Header header\nfloat64[] position\nfloat64[] velocity\nfloat64[] "
@@ -121,15 +121,18 @@ def _require_definition(store: Any, connection: Any, path: Path) -> None:
 
 
 def _table(topic: str, received: array[int], columns: Columns) -> Table:
-    values, names = columns.values(), columns.names or ()
-    named = {RECEIVED: np.frombuffer(received, np.int64) * 1e-9, **dict(zip(names, values.T, strict=True))}
-    if "timestamp" in named:  # px4_msgs
-        return table_of(topic, named, ("timestamp", 1e6))
+    values = columns.values(spare=2)  # in their place, since a copy of all is most that a bag takes
+    places = {name: i for i, name in enumerate(columns.names or ())}
+    places[RECEIVED] = at = len(places)
+    values[:, at] = np.frombuffer(received, np.int64) * 1e-9
+    if "timestamp" in places:  # px4_msgs
+        return table_of_rows(topic, values, places, ("timestamp", 1e6))
     clock = RECEIVED
-    if {"header.stamp.sec", "header.stamp.nanosec"} <= named.keys():
-        named["_stamp"] = named["header.stamp.sec"] + 1e-9 * named["header.stamp.nanosec"]
-        clock = "_stamp" if named["_stamp"].any() else RECEIVED
-    return table_of(topic, named, (clock, 1.0))
+    if {"header.stamp.sec", "header.stamp.nanosec"} <= places.keys():
+        places["_stamp"] = at + 1
+        values[:, at + 1] = values[:, places["header.stamp.sec"]] + 1e-9 * values[:, places["header.stamp.nanosec"]]
+        clock = "_stamp" if values[:, at + 1].any() else RECEIVED
+    return table_of_rows(topic, values, places, (clock, 1.0))
 
 
 def _flatten(message: Any, prefix: str, out: dict[str, float]) -> None:

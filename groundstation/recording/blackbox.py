@@ -39,7 +39,9 @@ _G = 9.80665
 _RPM = 2.0 * np.pi / 60.0
 _DSHOT_LEAST, _DSHOT_FULL = 48.0, 2047.0  # DShot's throttle values; below are commands
 _PULSE_LEAST = 1000.0  # microseconds at which an ESC calibrated by the firmware stands still
+_PULSE_SHORTEST = 850.0  # least that motorOutput can be set to; DShot's idle ends at a fifth of its range, 448
 _FIRST_DIGITAL = 5.0  # motor_pwm_protocol: PWM, OneShot125, OneShot42, Multishot, brushed, then the digital ones
+_BOTH_WAYS = 1 << 12  # bit of the header's features
 _USED = ("loopIteration", "time", "vbatLatest", "amperageLatest", "vbat", "amperage")
 
 
@@ -205,6 +207,11 @@ def _commands(log: BlackboxLog, source: str) -> tuple[Array, str]:
     Raises:
         BadInput: the header gives no range, or the values lie outside it.
     """
+    if int(log.number("features", 0.0)) & _BOTH_WAYS:
+        raise BadInput(
+            f"{source}: its motors turn both ways (the feature 3D of Betaflight, REVERSIBLE_MOTORS of INAV), which is "
+            'not read; log eRPM (a vehicle file with input = "rotor_speed"), or switch the feature off.'
+        )
     sent = log.array("motor")
     low, _, high = log.headers.get("motorOutput", "").partition(",")
     protocol = log.number("motor_pwm_protocol", -1.0)
@@ -217,7 +224,9 @@ def _commands(log: BlackboxLog, source: str) -> tuple[Array, str]:
     else:
         least, full = _PULSE_LEAST, log.number("maxthrottle", top)
         said = f"pulses from {least:g} to maxthrottle {full:g}"
-    if full <= least or float(np.mean(sent > full + 1.0)) > 0.01:
+    idle = float(low) if low.strip().isdigit() else 0.0
+    contradicted = idle >= _PULSE_LEAST if digital else 0.0 < idle < _PULSE_SHORTEST and not inav
+    if contradicted or full <= least or float(np.mean(sent > full + 1.0)) > 0.01:
         raise BadInput(
             f"{source}: motor values of {np.min(sent):g} to {np.max(sent):g} do not fit the header's range "
             f"(motorOutput '{low},{high}', motor_pwm_protocol {protocol:g}; tested: {said}); say the scale with "

@@ -150,11 +150,19 @@ class Columns:
         if len(self._waiting) >= self._BLOCK:
             self._settle()
 
-    def values(self) -> Array:
-        """Give up all messages so far, shape (k, len(names)); NaN where one lacks a field that the first one has."""
+    def values(self, spare: int = 0) -> Array:
+        """Give up all messages so far, shape (k, len(names) + spare); NaN where one lacks a field that the first one
+        has, and in the spare columns behind.
+        """
         self._settle()
         rows, self._rows = self._rows, []
-        return np.concatenate(rows) if rows else np.empty((0, len(self.names or ())))
+        width = len(self.names or ())
+        out = np.full((sum(map(len, rows)), width + spare), np.nan)
+        first = 0
+        for block in rows:
+            out[first : first + len(block), :width] = block
+            first += len(block)
+        return out
 
     def _settle(self) -> None:
         waiting, self._waiting = self._waiting, []

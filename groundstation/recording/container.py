@@ -320,20 +320,17 @@ def read_metadata(file: BinaryIO) -> dict[str, dict[str, str]]:
     return contents.metadata
 
 
-def indexed_times(file: BinaryIO) -> dict[int, NDArray[np.int64]]:
-    """Log times of each channel's messages in the file's order, by the indices behind its chunks, nanoseconds.
+def indexed_times(file: BinaryIO) -> Iterator[tuple[int, NDArray[np.int64]]]:
+    """Log times of a channel's messages in the file's order, chunk by chunk, by the indices behind these, nanoseconds.
 
     Raises:
         ValueError: the file does not begin like an MCAP file, or an index is torn.
     """
-    found: dict[int, list[NDArray[np.int64]]] = {}
     for head, length in _records(file, file.seek(0, 2)):
         if head[0] == Opcode.MESSAGE_INDEX and length >= 6:
             body = file.read(length)
             entries = np.frombuffer(body[6:], np.dtype([("at_ns", "<i8"), ("offset", "<u8")]))
-            times = entries["at_ns"][np.argsort(entries["offset"], kind="stable")]
-            found.setdefault(int.from_bytes(body[:2], "little"), []).append(times)
-    return {channel: np.concatenate(times) for channel, times in found.items() if any(map(len, times))}
+            yield int.from_bytes(body[:2], "little"), entries["at_ns"][np.argsort(entries["offset"], kind="stable")]
 
 
 _TORN = (McapError, struct.error, ValueError, LookupError, OverflowError, MemoryError)

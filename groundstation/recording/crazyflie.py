@@ -29,7 +29,7 @@ from groundstation.flightdata import (
     motor_columns,
 )
 from groundstation.frames import quat_from_euler
-from groundstation.recording.autopilot import check_count, present, wanted_input
+from groundstation.recording.autopilot import MOTORS_SLOW_HZ, check_count, present, slow_note, wanted_input
 from groundstation.recording.derive import body_rates
 from groundstation.recording.part import WHOLE, Part
 from groundstation.recording.recorded import Recording
@@ -40,6 +40,7 @@ MAGIC = 0xBC
 _G = 9.80665
 _LONGEST_HEADER, _BLOCK = 1 << 16, 1 << 24
 _FULL_COMMAND = 65535.0
+_FASTER = "log them in an event of a higher rate."
 _VERSIONS, _NEWEST_THINKABLE = (1, 2), 99  # a file of another kind has a larger number here
 _TYPES = {
     **{"b": "<i1", "B": "<u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "l": "<i4", "L": "<u4"},
@@ -220,25 +221,41 @@ class _Variables:
         return name in self._event
 
     def together(self, *names: str) -> tuple[Array, Array]:
-        """Stamps of the first, and columns there: those of another event interpolated to these stamps.
+        """Stamps and columns of what may be in several events, while all of these go on.
+
+        The stamps are the first one's, to which others are interpolated; an event that has less than half as many a
+        second sets the pace instead, since nobody measured what lies between its samples.
 
         Raises:
-            MissingField: the log has none of that name.
+            MissingField: the log has none of that name, or not while it has the others.
         """
         missing = next((name for name in names if name not in self._event), None)
         if missing is not None:
             raise MissingField("the configuration", missing)
-        t_s = self._log.t_s[self._event[names[0]]]
-        columns = []
-        for name in names:
-            own = self._log.t_s[self._event[name]]
-            values = self._log.columns[self._event[name]][name]
-            columns.append(values if own is t_s else np.interp(t_s, own, values))
-        return t_s, np.column_stack(columns)
+        stamps = {event: self._log.t_s[event] for event in dict.fromkeys(self._event[name] for name in names)}
+        rates = {event: _rate_hz(t_s) for event, t_s in stamps.items()}
+        lead, slowest = self._event[names[0]], min(rates, key=lambda event: rates[event])
+        t_s = stamps[slowest if rates[slowest] < 0.5 * rates[lead] else lead]
+        if len(stamps) > 1:
+            begin, end = max(own.min() for own in stamps.values()), min(own.max() for own in stamps.values())
+            t_s = t_s[(t_s >= begin) & (t_s <= end)]
+        if not len(t_s):
+            raise MissingField("the configuration", f"{names[-1]} at the time of {names[0]}")
+        return t_s, np.column_stack([self.at(name, t_s) for name in names])
+
+    def at(self, name: str, t_s: Array) -> Array:
+        """A variable at some times, its first and last value before and after it."""
+        own, values = self._log.t_s[self._event[name]], self._log.columns[self._event[name]][name]
+        return values if own is t_s else np.interp(t_s, own, values)
 
     def everything(self) -> str:
         """All names, for messages."""
         return ", ".join(sorted(self._event)) or "nothing"
+
+
+def _rate_hz(t_s: Array) -> float:
+    """Median rate; 0 for fewer than two samples."""
+    return 1.0 / max(float(np.median(np.diff(t_s))), 1e-6) if len(t_s) > 1 else 0.0
 
 
 def _axes(stem: str) -> tuple[str, ...]:
@@ -249,7 +266,8 @@ def _imu(variables: _Variables) -> tuple[Stream | None, list[str]]:
     if not any(name in variables for name in (*_axes("gyro"), *_axes("acc"))):
         return None, []
     t_s, values = variables.together(*_axes("gyro"), *_axes("acc"))
-    return Stream(t_s, values * [*[np.pi / 180.0] * 3, *[_G] * 3], IMU_COLUMNS), []
+    stream = Stream(t_s, values * [*[np.pi / 180.0] * 3, *[_G] * 3], IMU_COLUMNS)
+    return stream, slow_note("imu", stream, 100.0, _FASTER)
 
 
 _BATTERY = (("pm.vbatMV", 1e-3), ("pm.vbat", 1.0))
@@ -282,25 +300,28 @@ def _motors(variables: _Variables, vehicle: Vehicle, source: str) -> tuple[Strea
     check_count(vehicle, logged[kind], f"{prefixes[kind]}.m1 to m{logged[kind]}", source)
     t_s, values = variables.together(*(f"{prefixes[kind]}.m{i}" for i in range(1, count + 1)))
     columns = motor_columns(kind, count)
+    slow = slow_note("motors", Stream(t_s, values, columns), MOTORS_SLOW_HZ, _FASTER)
     if kind == "rotor_speed":
-        return Stream(t_s, values * (2.0 * np.pi / 60.0), columns), []
+        return Stream(t_s, values * (2.0 * np.pi / 60.0), columns), slow
     plain = Stream(t_s, values / _FULL_COMMAND, columns)
     widths = [f"pwm.m{i}_pwm" for i in range(1, count + 1)]
     if not all(name in variables for name in widths):
-        return plain, []
+        return plain, slow
     battery, full = next((known for known in _BATTERY if known[0] in variables), None), vehicle.battery.full_v
     if battery is None or full is None:
         lacking = "no voltage is logged (pm.vbatMV)" if battery is None else "the vehicle file lacks [battery] full_v"
         return plain, [
+            *slow,
             "motors: pwm.m1_pwm and on, which a firmware that compensates the battery sends to the motors, are not "
-            f"used: {lacking}. The commands are motor.m1 and on."
+            f"used: {lacking}. The commands are motor.m1 and on.",
         ]
-    _, sent = variables.together(f"{prefixes[kind]}.m1", *widths, battery[0])
-    applied = sent[:, 1:-1] / _FULL_COMMAND * sent[:, -1:] * battery[1] / full
+    t_s, sent = variables.together(*widths)
+    applied = sent / _FULL_COMMAND * variables.at(battery[0], t_s)[:, None] * battery[1] / full
     note = (
         f"motors: commands are the voltage applied (pwm and {battery[0]}), as a share of the full battery's {full:g} V."
     )
-    return Stream(t_s, applied, columns), [note]
+    stream = Stream(t_s, applied, columns)
+    return stream, [*slow_note("motors", stream, MOTORS_SLOW_HZ, _FASTER), note]
 
 
 _STATE = tuple(f"stateEstimate.{name}" for name in ("x", "y", "z", "vx", "vy", "vz", "yaw"))

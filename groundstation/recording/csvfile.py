@@ -130,6 +130,12 @@ def with_commas(text: str, source: str) -> str:
 def _check_header(names: tuple[str, ...], source: str) -> None:
     if names == ("",):
         raise BadInput(f"{source}: is empty; its first line must name the columns.")
+    other = next((c for c in "| " if c in names[0]), None)
+    if len(names) == 1 and other is not None:
+        raise BadInput(
+            f"{source}: line 1 names its columns with {'spaces' if other == ' ' else repr(other)} between; save the "
+            "table with commas, semicolons or tabs."
+        )
     try:
         float(names[0])
     except ValueError:

@@ -38,6 +38,11 @@ _REMEDY = (
 )
 _FUNCTIONS = (*range(33, 41), *range(82, 86))  # of motors 1 to 8 and 9 to 12
 _MOST_OUTPUTS = 32
+_PWM_RANGE, _PWM_ANGLE = 8, 9  # MOT_PWM_TYPE: outputs scaled as those of servos
+_TESTED = (
+    "MOT_PWM_MIN and MOT_PWM_MAX, and the throttle channel's RC3_MIN and RC3_MAX",
+    "SERVOn_MIN and SERVOn_MAX, which MOT_PWM_TYPE 8 asks for",
+)
 _RPM = 2.0 * np.pi / 60.0
 
 
@@ -61,8 +66,14 @@ def read_motors(tables: Tables, settings: Settings, vehicle: Vehicle, source: st
     if outputs is not None:
         there["command"], scaling = _commands(outputs, channels, settings, source)
     escs = _escs(tables)
+    wires_esc: list[str] = []
     if escs:
-        there["rotor_speed"], wires_esc = _speeds(escs, channels, there.get("command"), source)
+        try:
+            there["rotor_speed"], wires_esc = _speeds(escs, channels, there.get("command"), source)
+        except BadInput:  # the speeds of some rotors are nothing to who asks for commands
+            if "command" not in there or vehicle.rotors.input == "rotor_speed":
+                raise
+            said = [*said, "motors: ESC telemetry does not cover all rotors; it is not used."]
     kind = wanted_input(vehicle, {name: name in there for name in ("command", "rotor_speed")}, source)
     stream = there[kind]
     stream = replace(stream, values=stream.values[:, order])
@@ -152,7 +163,7 @@ def _airframe(settings: Settings, at_s: float, motors: int, source: str) -> Airf
 
 def _limits(settings: Settings, t_s: Array) -> tuple[Array, Array, list[str]] | None:
     """Least and greatest pulse over time: MOT_PWM_MIN and _MAX, or where those are 0 the throttle channel's."""
-    throttle = int(settings.value("RCMAP_THROTTLE", np.inf, 3.0))
+    throttle = int(settings.value("RCMAP_THROTTLE", -np.inf, 3.0))
     names = [("MOT_PWM_MIN", f"RC{throttle}_MIN"), ("MOT_PWM_MAX", f"RC{throttle}_MAX")]
     bounds = []
     for own, radio in names:
@@ -160,7 +171,37 @@ def _limits(settings: Settings, t_s: Array) -> tuple[Array, Array, list[str]] | 
         bounds.append(np.where(value > 0.0, value, settings.at(radio, t_s, 0.0)))
     if np.any(bounds[0] <= 0.0) or np.any(bounds[1] <= bounds[0]):
         return None
-    return bounds[0], bounds[1], [name for pair in names for name in pair]
+    return bounds[0][:, None], bounds[1][:, None], [name for pair in names for name in pair]
+
+
+def _of_servos(settings: Settings, t_s: Array, channels: list[int]) -> tuple[Array, Array, list[str]] | None:
+    """Least and greatest pulse of each output over time under MOT_PWM_TYPE 8: those of the servo output."""
+    names = [(f"SERVO{channel}_MIN", f"SERVO{channel}_MAX") for channel in channels]
+    low, high = (np.column_stack([settings.at(pair[side], t_s, 0.0) for pair in names]) for side in (0, 1))
+    if np.any(low <= 0.0) or np.any(high <= low):
+        return None
+    return low, high, [name for pair in names for name in pair]
+
+
+def _require_one_way(settings: Settings, channels: list[int], kind: int, source: str) -> None:
+    """Refuse outputs that do not rise with thrust from their least value to their greatest.
+
+    Raises:
+        BadInput: says which parameter has it otherwise.
+    """
+    both_ways = int(settings.value("SERVO_BLH_3DMASK", -np.inf, 0.0))
+    why = "MOT_PWM_TYPE 9: thrust goes from an angle to the other" if kind == _PWM_ANGLE else ""
+    for channel in channels:
+        if both_ways >> (channel - 1) & 1:
+            why = f"SERVO_BLH_3DMASK {both_ways}: output {channel} drives a motor both ways"
+        if kind == _PWM_RANGE and settings.value(f"SERVO{channel}_REVERSED", -np.inf, 0.0) > 0.0:
+            why = f"SERVO{channel}_REVERSED 1: output {channel} falls where thrust rises"
+    if why:
+        raise BadInput(
+            f"{source}: its motor outputs do not rise with thrust from MIN to MAX ({why}); such motors are not read. "
+            'Log ESC telemetry (a vehicle file with input = "rotor_speed"), or say the scale with '
+            "`groundstation convert --map`."
+        )
 
 
 def _commands(
@@ -176,19 +217,21 @@ def _commands(
         raise BadInput(
             f"{source}: RCOU holds outputs 1 to {widths.shape[1]}, and a motor is on output {max(channels)}."
         )
-    limits = _limits(settings, t_s)
+    kind = int(settings.value("MOT_PWM_TYPE", -np.inf, 0.0))  # what is set later waits for the next start
+    _require_one_way(settings, channels, kind, source)
+    limits = _of_servos(settings, t_s, channels) if kind == _PWM_RANGE else _limits(settings, t_s)
     sent = widths[:, [channel - 1 for channel in channels]]
     if limits is None:
         raise BadInput(
             f"{source}: the scale of its outputs ({np.min(sent):g} to {np.max(sent):g}) is not in the log: tested were "
-            "MOT_PWM_MIN and MOT_PWM_MAX, and the throttle channel's RC3_MIN and RC3_MAX. Log the parameters."
+            f"{_TESTED[kind == _PWM_RANGE]}. Log the parameters."
         )
     low, high, names = limits
-    command = (sent - low[:, None]) / (high - low)[:, None]
+    command = (sent - low) / (high - low)
     if float(np.mean(np.max(command, axis=1) > 1.02)) > 0.01:
         raise BadInput(
             f"{source}: outputs of up to {np.max(sent):g} lie beyond the limits {np.min(low):g} to {np.max(high):g} "
-            "(MOT_PWM_MIN, MOT_PWM_MAX, or RC3_MIN, RC3_MAX); the log contradicts itself."
+            f"({_TESTED[kind == _PWM_RANGE]}); the log contradicts itself."
         )
     return Stream(t_s, np.clip(command, 0.0, 1.0), motor_columns("command", len(channels))), names
 

@@ -23,9 +23,10 @@ LEAP_S = 60.0
 
 A shorter leap cannot be told from a gap, which no fit goes across either.
 """
-_BESIDE = 5
+BESIDE = 5
 """Samples on both sides that agree on a step: stamps that stray are no step, nor are some that came out of order."""
-_MOST = 20
+MOST_STEPS = 20
+"""Of a clock; stamps that step more often are no clock's."""
 
 
 def on_one_clock(flight: FlightData) -> FlightData:
@@ -51,12 +52,13 @@ def _pieces(name: str, stream: Stream) -> list[Piece]:
     return [(0, len(stream))] if name == "mocap" and stream.received_s is not None else pieces_of(stream.t_s)
 
 
-def pieces_of(t_s: Array, beside: int = _BESIDE) -> list[Piece]:
+def pieces_of(t_s: Array, beside: int = BESIDE, most: int = MOST_STEPS) -> list[Piece]:
     """The parts of a stream between steps back and leaps ahead of its stamps; one where there are none, or too many.
 
     Args:
         t_s: stamps in the order of the log.
         beside: samples on both sides that must agree.
+        most: steps that there may be.
     """
     index = np.flatnonzero(np.isfinite(t_s))
     t = t_s[index]
@@ -67,7 +69,7 @@ def pieces_of(t_s: Array, beside: int = _BESIDE) -> list[Piece]:
     back = after.max(axis=1) < before.min(axis=1)
     ahead = after.min(axis=1) > before.max(axis=1) + LEAP_S
     steps = index[np.flatnonzero(back | ahead) + beside].tolist()
-    return list(pairwise([0, *steps, len(t_s)])) if len(steps) <= _MOST else [(0, len(t_s))]
+    return list(pairwise([0, *steps, len(t_s)])) if len(steps) <= most else [(0, len(t_s))]
 
 
 def _part_of(stream: Stream, motors: Stream, of_motors: list[Piece], chosen: int) -> Stream:
@@ -78,7 +80,7 @@ def _part_of(stream: Stream, motors: Stream, of_motors: list[Piece], chosen: int
     if stream.received_s is not None and motors.received_s is not None:
         first, last = np.nanmin(motors.received_s[wanted]), np.nanmax(motors.received_s[wanted])
         return stream.select((stream.received_s >= first) & (stream.received_s <= last))
-    for beside in (_BESIDE, 2, 1):  # a slow stream steps back by few samples
+    for beside in (BESIDE, 2, 1):  # a slow stream steps back by few samples
         pieces = pieces_of(stream.t_s, beside)
         if len(pieces) == len(of_motors):
             return stream.select(slice(*pieces[chosen]))

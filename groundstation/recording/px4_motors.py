@@ -41,6 +41,8 @@ _DSHOT_FULL = 1999.0
 _UAVCAN_FULL = 8191.0  # uavcan.equipment.esc.RawCommand; before 1.13 its outputs have no limits of their own
 _DSHOT_TIMERS = (-5.0, -4.0, -3.0, -2.0)
 _RPM = 2.0 * np.pi / 60.0
+_AT_BOOT = -np.inf
+"""When protocols and types of vehicles are read: set later, they wait for the next start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,14 +68,21 @@ def read_motors(topics: Topics, settings: Settings, vehicle: Vehicle, source: st
     check_count(vehicle, count, airframe.name if airframe else "by its outputs", source)
     order, notes = motor_order(vehicle, airframe, source) if airframe else (list(range(count)), [])
     frame = airframe.name if airframe else "not told by the log: motor i is taken for rotor i"
-    speeds, wires = _speeds(topics, commands, count, source)
+    said: list[str] = []
+    try:
+        speeds, wires = _speeds(topics, commands, count, source)
+    except (
+        BadInput
+    ):  # the speeds of some rotors are none where speeds are asked for, and nothing to who asks for commands
+        if commands is None or vehicle.rotors.input == "rotor_speed":
+            raise
+        speeds, wires, said = None, (), ["motors: esc_status does not tell the speeds of all rotors; it is not used."]
     there = {
         name: s for name, s in (("command", commands and commands.stream), ("rotor_speed", speeds)) if s is not None
     }
-    said: list[str] = []
     computed = commands_behind(speeds, commands.stream) if speeds is not None and commands is not None else None
     if computed is not None:
-        there, said = {"command": computed[0]}, [computed[1]]
+        there, said = {"command": computed[0]}, [*said, computed[1]]
     kind = wanted_input(vehicle, {name: name in there for name in ("command", "rotor_speed")}, source)
     if kind == "command" and commands is not None:
         wires = commands.wires
@@ -104,9 +113,9 @@ def _airframe(settings: Settings, at_s: float, count: int) -> Airframe | None:
 def _commands(topics: Topics, settings: Settings, source: str) -> _Commands | None:
     topic = topics.get(("actuator_motors", 0))
     if topic is not None:
-        return _from_motors(topic, settings)
+        return _from_motors(topic, settings, source)
     outputs = [topics[key] for key in sorted(topics) if key[0] == "actuator_outputs"]
-    kind = int(settings.value("MAV_TYPE", np.inf, 0.0))
+    kind = int(settings.value("MAV_TYPE", _AT_BOOT, 0.0))
     if outputs and (kind == 1 or 19 <= kind <= 25):
         raise BadInput(
             f"{source}: is the log of a {'plane' if kind == 1 else 'VTOL plane'} (MAV_TYPE {kind}), not of a "
@@ -115,15 +124,23 @@ def _commands(topics: Topics, settings: Settings, source: str) -> _Commands | No
     return _from_outputs(outputs, settings, source) if outputs else None
 
 
-def _from_motors(topic: Table, settings: Settings) -> _Commands:
+def _from_motors(topic: Table, settings: Settings, source: str) -> _Commands:
     """``actuator_motors`` is a thrust per motor, whatever output it goes to; what reaches the ESC follows from
     THR_MDL_FAC.
+
+    Raises:
+        BadInput: motors turn both ways.
     """
     thrust = topic.array("control", _MOST_MOTORS)
     driven = np.isfinite(thrust).any(axis=0)
     count = int(np.flatnonzero(driven)[-1]) + 1 if driven.any() else 0
     thrust = thrust[:, :count]
     thrust[np.all(np.isnan(thrust), axis=1)] = 0.0  # disarmed
+    if float(np.mean(np.any(thrust < -0.01, axis=1))) > 0.01:
+        raise BadInput(
+            f"{source}: its motors are sent less than nothing: they turn both ways (CA_R_REV), which is not read. Say "
+            "with `groundstation convert --map` what drives the rotors."
+        )
     t_s = topic.seconds()
     factor = settings.at("THR_MDL_FAC", t_s, 0.0)[:, None]
     stream = Stream(t_s, thrust_curve(thrust, factor), motor_columns("command", count))
@@ -150,8 +167,12 @@ class _Wiring:
         return f"{self.prefix} {self.outputs[index]}" if self.prefix else f"output {self.outputs[index]}"
 
 
-def _wirings(settings: Settings, at_s: float) -> list[_Wiring]:
-    """By the parameters PREFIX_FUNCn = 101 (Motor 1), 102, ...; before 1.13 there are none."""
+def _wirings(settings: Settings, at_s: float, source: str) -> list[_Wiring]:
+    """By the parameters PREFIX_FUNCn = 101 (Motor 1), 102, ...; before 1.13 there are none.
+
+    Raises:
+        BadInput: the log has functions of motors, and no driver has all of them from the first on.
+    """
     found: dict[str, dict[int, int]] = {}
     for name in settings.names():
         match = re.fullmatch(r"(\w+)_FUNC(\d+)", name)
@@ -159,11 +180,19 @@ def _wirings(settings: Settings, at_s: float) -> list[_Wiring]:
             motor = int(settings.value(name, at_s, 0.0)) - _FIRST_FUNCTION
             if 0 <= motor < _MOST_MOTORS:
                 found.setdefault(match[1], {})[motor] = int(match[2])
-    return [
-        _Wiring(prefix, tuple(by_motor[motor] for motor in sorted(by_motor)))
-        for prefix, by_motor in sorted(found.items())
-        if sorted(by_motor) == list(range(len(by_motor)))
-    ]
+    most = max([-1, *(motor for by_motor in found.values() for motor in by_motor)]) + 1
+    whole = {prefix: by_motor for prefix, by_motor in found.items() if len(by_motor) == most}
+    if found and not whole:
+        told = "; ".join(
+            f"{prefix}_FUNC{output} is motor {motor + 1}"
+            for prefix, by_motor in sorted(found.items())
+            for motor, output in sorted(by_motor.items())
+        )
+        raise BadInput(
+            f"{source}: no driver of its outputs has all motors from 1 to {most} ({told}). Log actuator_motors, or say "
+            "which output is which rotor with `groundstation convert --map`."
+        )
+    return [_Wiring(prefix, tuple(whole[prefix][motor] for motor in range(most))) for prefix in sorted(whole)]
 
 
 def _from_outputs(outputs: list[Table], settings: Settings, source: str) -> _Commands:
@@ -179,7 +208,7 @@ def _from_outputs(outputs: list[Table], settings: Settings, source: str) -> _Com
         width = sum(f"output[{i}]" in topic for i in range(16))
         values = topic.array("output", width)
         start, _ = running(t_s, values)
-        for wiring in _wirings(settings, start) or [_unnamed(values, settings)]:
+        for wiring in _wirings(settings, start, source) or [_unnamed(values, settings)]:
             label = f"instance {topic.instance} as {wiring.prefix or 'outputs in order'}"
             if not wiring.outputs or max(wiring.outputs) > width:
                 tested.append(f"{label}: has no such outputs")
@@ -214,8 +243,8 @@ def _unnamed(values: Array, settings: Settings) -> _Wiring:
 
     Where the log tells neither, as many as ever move.
     """
-    known = PX4_AUTOSTART.get(int(settings.value("SYS_AUTOSTART", np.inf, 0.0)) // 1000)
-    kind = int(settings.value("MAV_TYPE", np.inf, 0.0))
+    known = PX4_AUTOSTART.get(int(settings.value("SYS_AUTOSTART", _AT_BOOT, 0.0)) // 1000)
+    kind = int(settings.value("MAV_TYPE", _AT_BOOT, 0.0))
     moving = np.flatnonzero(np.ptp(values, axis=0) > 0.0)
     count = int(moving[-1]) + 1 if len(moving) else 0
     return _Wiring("", tuple(range(1, (known.count if known else _MOTORS_OF_TYPE.get(kind, count)) + 1)))
@@ -228,14 +257,18 @@ def _scaled(sent: Array, t_s: Array, wiring: _Wiring, settings: Settings) -> tup
     from the least to the greatest width that the parameters give.
     """
     lowest, highest = float(np.min(sent)), float(np.max(sent))
+    if turned := _turned_round(wiring, settings, t_s):
+        return turned
     timers = [name for name in settings.names() if re.fullmatch(rf"{wiring.prefix}_TIM\d+", name)]
-    protocols = {settings.value(name, t_s[-1], 0.0) for name in timers}
+    protocols = {settings.value(name, _AT_BOOT, 0.0) for name in timers}
     digital = bool(protocols & set(_DSHOT_TIMERS))
     if (
         highest <= 2047.0
         and wiring.prefix.startswith("PWM")
         and ((lowest < 700.0 and digital) or (protocols and protocols <= set(_DSHOT_TIMERS)))
     ):
+        if settings.value("DSHOT_3D_ENABLE", _AT_BOOT, 0.0) > 0.0:
+            return "motors that turn both ways (DSHOT_3D_ENABLE) are not read"
         least = np.maximum(np.floor(settings.at("DSHOT_MIN", t_s, 0.055) * _DSHOT_FULL), 1.0)[:, None]
         return (
             np.clip((sent - least) / (_DSHOT_FULL - least), 0.0, None),
@@ -244,7 +277,7 @@ def _scaled(sent: Array, t_s: Array, wiring: _Wiring, settings: Settings) -> tup
         )
     bounds = [_limits(wiring, output, settings, t_s) for output in wiring.outputs]
     if any(bound is None for bound in bounds):
-        if settings.value("UAVCAN_ENABLE", t_s[-1], 0.0) >= 2.0 and 2047.0 < highest <= _UAVCAN_FULL:
+        if settings.value("UAVCAN_ENABLE", _AT_BOOT, 0.0) >= 2.0 and 2047.0 < highest <= _UAVCAN_FULL:
             return sent / _UAVCAN_FULL, f"raw commands of UAVCAN, from 0 to {_UAVCAN_FULL:g}", ()
         return (
             f"values {lowest:g} to {highest:g}, and the log has no limits ({wiring.prefix or 'PWM'}_MINn, _MAXn) "
@@ -263,6 +296,15 @@ def _scaled(sent: Array, t_s: Array, wiring: _Wiring, settings: Settings) -> tup
     return np.clip(command, 0.0, 1.0), f"from {_span(low)} to {_span(high)} by {names[0]} and so on", names
 
 
+def _turned_round(wiring: _Wiring, settings: Settings, t_s: Array) -> str:
+    """Why outputs do not rise with thrust from their least value to their greatest; empty where they do."""
+    mask = int(np.max(settings.at(f"{wiring.prefix}_REV", t_s, 0.0)))  # to 1.12 one parameter for each output
+    for output in wiring.outputs:
+        if mask >> (output - 1) & 1 or np.any(settings.at(f"{wiring.prefix}_REV{output}", t_s, 0.0) > 0.0):
+            return f"output {output} is reversed ({wiring.prefix}_REV)"
+    return ""
+
+
 def _span(limit: Array) -> str:
     low, high = float(np.min(limit)), float(np.max(limit))
     return f"{low:g}" if low == high else f"{low:g}..{high:g}"
@@ -279,7 +321,7 @@ def _limits(
         ("PWM_MIN", "PWM_MAX"),  # to 1.11
     )
     for low, high in pairs:
-        if low in settings and high in settings and settings.value(high, t_s[-1], 0.0) > 0.0:
+        if low in settings and high in settings and np.all(settings.at(high, t_s) > 0.0):
             return settings.at(low, t_s), settings.at(high, t_s), (low, high)
     return None
 
@@ -291,15 +333,11 @@ def _speeds(
 
     An ESC is a motor's by its ``actuator_function`` (1.13 on), else by its place in the message.
     """
-    escs = topics.get(("esc_status", 0))
+    escs, rpm = _turning(topics)
     if escs is None:
         return None, ()
-    t_s = escs.seconds()
+    t_s, turning = escs.seconds(), list(rpm)
     places = [i for i in range(_MOST_MOTORS) if f"esc[{i}].esc_rpm" in escs]
-    rpm = {i: np.abs(escs.column(f"esc[{i}].esc_rpm")) for i in places}
-    turning = [i for i in places if rpm[i].any()]
-    if not turning:
-        return None, ()
     motor_of = {i: i for i in places}
     if all(f"esc[{i}].actuator_function" in escs for i in places):
         told = {i: int(np.median(escs.column(f"esc[{i}].actuator_function"))) - _FIRST_FUNCTION for i in turning}
@@ -320,3 +358,15 @@ def _speeds(
     values = np.column_stack([rpm[by_motor[motor]] for motor in range(count)]) * _RPM
     wires = tuple(f"esc[{by_motor[motor]}]" for motor in range(count))
     return Stream(t_s, values, motor_columns("rotor_speed", count)), wires
+
+
+def _turning(topics: Topics) -> tuple[Table | None, dict[int, Array]]:
+    """The first instance of esc_status in which a rotor turns, and the rpm of those that do by their places."""
+    for (name, _), escs in sorted(topics.items()):
+        if name == "esc_status":
+            places = [i for i in range(_MOST_MOTORS) if f"esc[{i}].esc_rpm" in escs]
+            rpm = {i: np.abs(escs.column(f"esc[{i}].esc_rpm")) for i in places}
+            turning = {i: values for i, values in rpm.items() if values.any()}
+            if turning:
+                return escs, turning
+    return None, {}

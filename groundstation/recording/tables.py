@@ -111,8 +111,19 @@ def table_of(
 ) -> Table:
     """Columns that are in memory already as a table, with the units that are told of them."""
     matrix = np.ascontiguousarray(np.column_stack(list(columns.values())), dtype="<f8")
-    fields = {field: (8 * i, "<f8", 1.0) for i, field in enumerate(columns)}
-    where = np.arange(len(matrix), dtype=np.int64) * 8 * len(columns)
+    return table_of_rows(name, matrix, {field: i for i, field in enumerate(columns)}, clock, units)
+
+
+def table_of_rows(
+    name: str,
+    matrix: Array,
+    places: Mapping[str, int],
+    clock: tuple[str, float],
+    units: Mapping[str, str] | None = None,
+) -> Table:
+    """The same of rows, shape (k, c), contiguous, and the column that each field is: nothing is copied."""
+    fields = {field: (8 * place, "<f8", 1.0) for field, place in places.items()}
+    where = np.arange(len(matrix), dtype=np.int64) * 8 * matrix.shape[1]
     return Table(name, 0, fields, matrix.reshape(-1).view(np.uint8), where, clock, units or {})
 
 

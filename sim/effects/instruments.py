@@ -54,7 +54,8 @@ class MocapTilt(NamedTuple):
     """Motion capture's world is tilted against gravity (a carelessly laid calibration square).
 
     Attributes:
-        tilt_rad: rotation vector about world x and y; poses are given in the tilted frame.
+        tilt_rad: rotation vector about world x and y; poses are given in the tilted frame:
+            v_capture = exp(-tilt) v_world.
     """
 
     tilt_rad: tuple[float, float] = (0.01, 0.0)

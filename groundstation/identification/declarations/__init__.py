@@ -13,7 +13,7 @@ from groundstation.identification.declarations.check import Check
 from groundstation.identification.declarations.frames import frame_checks
 from groundstation.identification.declarations.rotors import rotor_checks
 from groundstation.identification.declarations.scale import lag_doubts, scale_checks, tensor_checks
-from groundstation.identification.declarations.signals import flown
+from groundstation.identification.declarations.signals import flown, liveliest
 from groundstation.identification.declarations.speeds import speed_checks
 
 __all__ = ["Check", "check_declarations", "go_on", "lag_doubts", "said_first"]
@@ -21,6 +21,7 @@ __all__ = ["Check", "check_declarations", "go_on", "lag_doubts", "said_first"]
 
 def check_declarations(flight: FlightData) -> tuple[Check, ...]:
     """Every check that a flight's streams allow; those that are contradicted first."""
+    flight = liveliest(flight)
     try:
         signals = flown(flight)
     except Refused:

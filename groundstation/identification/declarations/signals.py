@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise, permutations, product
 
 import numpy as np
@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 STEP_S = 0.01
 SHORTEST_S = 3.0
 """Of a stream that a check can go by: the slowest manoeuvre in its band, once."""
+LONGEST_S = 300.0
+"""Of a flight that the checks look at: five lively minutes show beyond doubt what they tell, axes, units and orders."""
 BAND_HZ = (0.3, 8.0)
 PARTS = 12
 
@@ -106,6 +108,46 @@ class Flown:
     rate: Array | None
     force: Array | None
     thrust: Array | None
+
+
+def liveliest(flight: FlightData) -> FlightData:
+    """The LONGEST_S of a flight in which it turns most; a shorter flight as it is."""
+    source = flight.imu if flight.imu is not None and len(flight.imu) else flight.motors
+    if len(source) < 2 or source.t_s[-1] - source.t_s[0] <= LONGEST_S:
+        return flight
+    second = np.clip(source.t_s - source.t_s[0], 0.0, None).astype(np.int64)
+    turning = source.values[:, :3] - np.nanmedian(source.values[:, :3], axis=0)
+    size = np.nan_to_num(np.sum(turning**2, axis=1))
+    energy = np.concatenate([[0.0], np.cumsum(np.bincount(second, np.minimum(size, np.quantile(size, 0.99))))])
+    whole = int(LONGEST_S)
+    first = float(source.t_s[0]) + int(np.argmax(energy[whole:] - energy[:-whole]))
+    cut = {name: _cut(stream, source, first) for name, stream in flight.streams().items()}
+    window = flight.window_s
+    if window is not None:
+        late = _later(flight.motors, source)
+        window = max(window[0], first + late), min(window[1], first + late + LONGEST_S)
+        if window[1] - window[0] < SHORTEST_S:
+            return flight
+    return replace(flight, window_s=window, **cut)
+
+
+def _later(stream: Stream, source: Stream) -> float:
+    """A stream's clock less another's, by arrivals, or where stamps are of two times by where they begin."""
+    from groundstation.identification.alignment import arrival_difference
+
+    difference = arrival_difference(stream, source)
+    if difference is not None:
+        return difference
+    apart = float(stream.t_s[0] - source.t_s[0])
+    return 0.0 if abs(apart) < float(source.t_s[-1] - source.t_s[0]) else apart
+
+
+def _cut(stream: Stream, source: Stream, first_s: float) -> Stream:
+    """A stream's LONGEST_S from a time of the other's clock on."""
+    if not len(stream):
+        return stream
+    begin = first_s + _later(stream, source)
+    return stream.select(slice(*np.searchsorted(stream.t_s, (begin, begin + LONGEST_S)).tolist()))
 
 
 def flown(flight: FlightData) -> Flown:
