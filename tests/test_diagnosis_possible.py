@@ -65,12 +65,16 @@ def test_a_lag_of_seconds_is_no_finding(vehicle):
     assert found.verdict == "unexplained"
 
 
-def test_a_tensor_of_no_rigid_body_becomes_the_nearest_one_and_says_so(vehicle):
+@pytest.mark.parametrize("weighed", [False, True])
+def test_a_tensor_of_no_rigid_body_becomes_the_nearest_one_and_says_so(vehicle, weighed):
     largest = 1.1 * (vehicle.inertia_kg_m2.xx + vehicle.inertia_kg_m2.yy)
     found = diagnosed(vehicle, izz_kg_m2=largest)
+    if weighed:
+        found.covariance_after[0] = found.covariance_after[:, 0] = 0.0
     assert physically_consistent(found.parameters_after)
     rigid = possible(found, vehicle)
     assert not physically_consistent(rigid.parameters_after)
     assert any("no rigid body" in text for text in rigid.warnings)
     moved = abs(rigid.parameters_after["izz_kg_m2"].value - largest)
     assert moved < 0.1 * largest, "the nearest, not any"
+    assert rigid.parameters_after["mass_kg"].value == pytest.approx(vehicle.mass_kg, rel=1e-3 if weighed else 0.02)

@@ -15,6 +15,9 @@ from groundstation.identification.physical_limits import outside
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
 from groundstation.vehicle import Vehicle
 
+LEAST = 1e-4
+"""Spread of a number that is given and not estimated, as a share of mass or trace, for the distance to a rigid body."""
+
 
 def possible(found: Diagnosis, vehicle: Vehicle) -> Diagnosis:
     """The same without what the vehicle cannot hold, and with the nearest rigid body where the estimate is none."""
@@ -53,7 +56,9 @@ def _of_a_rigid_body(found: Diagnosis) -> Diagnosis:
     if not trouble or found.covariance_after is None:
         return found
     measured = np.array([found.parameters_after[name].value for name in MASS_AND_TENSOR])
-    values, away = nearest_values(measured, found.covariance_after)
+    trace = float(np.abs(measured[[1, 4, 6]]).sum())
+    fixed = LEAST * np.array([abs(measured[0]), *[trace] * 6])  # a mass that was weighed has no spread
+    values, away = nearest_values(measured, found.covariance_after + np.diag(fixed**2))
     nearest = {
         name: Estimate.normal(float(value), found.parameters_after[name].std)
         for name, value in zip(MASS_AND_TENSOR, values, strict=True)
