@@ -181,3 +181,17 @@ def test_speeds_are_those_of_the_escs_that_turn(tmp_path):
     read = read_recording(tmp_path / "a.ulg", like(ARDUPILOT[1, 1], "rotor_speed"))
     assert read.streams["motors"].columns[0] == "m1_rad_s"
     assert not any("command" in note for note in read.notes)
+
+
+def test_outputs_that_cannot_be_read_do_not_keep_speeds_from_being_read(tmp_path):
+    """Motors that turn both ways, or have no limits in the log, have the speeds that their ESCs tell."""
+    vehicle = like(ARDUPILOT[1, 1], "rotor_speed")
+    both_ways = ArduLog(parameters={"SERVO_BLH_3DMASK": 15.0}, esc_instances=(0, 1, 2, 3))
+    nothing = ArduLog(limits=(0.0, 0.0), esc_instances=(0, 1, 2, 3))
+    reversed_ones = Px4Log(limits=LIMITS, parameters={"PWM_MAIN_REV": 15.0}, esc_places=(0, 1, 2, 3))
+    for log, name in ((both_ways, "a.bin"), (nothing, "b.bin"), (reversed_ones, "a.ulg")):
+        read, u, _ = motors(tmp_path, log, name, vehicle)
+        expected = 9000.0 * np.sqrt(u[np.maximum(np.arange(len(u)) - 4, 0)]) * np.pi / 30.0
+        assert np.allclose(read.values, expected, atol=0.06)
+        with pytest.raises(BadInput):
+            motors(tmp_path, log, name)

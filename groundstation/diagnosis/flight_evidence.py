@@ -6,21 +6,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.columns import Candidate, Columns, Solution
+from groundstation.diagnosis.columns import Batch, Candidate, Columns, Solution
 from groundstation.diagnosis.effect import library
 from groundstation.diagnosis.joint import updated_rigid_body
-from groundstation.diagnosis.signals import planned_signals, thinned
+from groundstation.diagnosis.signals import planned_signals
 from groundstation.diagnosis.sudden import sudden
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.whitening import Whitening
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import RecordModel
-from groundstation.identification.sensitivities import planned_sensitivities
+from groundstation.identification.sensitivities import planned_parts
 from groundstation.identification.sudden import VERTICAL
 from groundstation.model.parameters import RIGID_BODY, FitOptions, table, values_of, with_values
 
@@ -49,6 +50,7 @@ class FlightEvidence:
         generic: bool = True,
     ):
         self.prepared, self.known = prepared, tuple(known)
+        self._moved: list[tuple[Candidate, Array]] = []
         self._fitted, self._given = fitted, options
         record, p = prepared.record, fitted.parameters
         self.parameters = replace(p, com_m=np.zeros(3), yaw_trim_nm=0.0, force_bias_m_s2=np.zeros(3), extra=np.zeros(0))
@@ -63,7 +65,7 @@ class FlightEvidence:
         )
         self.model = RecordModel(record, (), None if prepared.planned is None else replace(prepared.planned, extra=()))
         self.signals = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
-        self.excited = thinned(self.signals, record.keep)
+        self.excited = self.signals.at(record.keep)
         self._share = record.keep / np.sum(record.keep)
         self._inverse = np.linalg.inv(self.parameters.tensor)
         self.residual, self.sensitivity, self.names = self.model.evaluate(self.parameters, self.options)
@@ -89,11 +91,17 @@ class FlightEvidence:
         """The base's columns along the planned motion; what delays the inputs takes what all of those explain of its
         own.
         """
-        z = self.whitening.apply(planned_sensitivities(self.model, self.parameters, self.options))
+        parts = [columns for _, columns in planned_parts(self.model, self.parameters, self.options)]
+        z = self.whitening.apply(parts[0] if len(parts) == 1 else np.concatenate(parts))
         entries = table()
         timing = [index for index, name in enumerate(self.names) if entries[name].timing]
         z[:, timing] = self.whitening.explained(self.x[:, timing], z)
         return z
+
+    @cached_property
+    def declared(self) -> RecordModel:
+        """The flight by the thrust curve that was declared."""
+        return self.model.of_vehicle(self.prepared.flight.vehicle)
 
     def base_std(self, name: str) -> float:
         """Standard deviation of a parameter of the base fit."""
@@ -144,7 +152,7 @@ class FlightEvidence:
             for own, drift in zip(parts, self._drift(), strict=True):
                 own.append(drift)
             self._add_library(parts)
-        return [np.concatenate(own, axis=1) for own in parts]
+        return [np.concatenate(parts.pop(0), axis=1) for _ in self.channels]  # the parts of one channel at a time
 
     def _drift(self) -> list[Array]:
         """Columns (blocks, m) of each known channel: slow drift, its own speed and thrust as torque and as force.
@@ -176,43 +184,67 @@ class FlightEvidence:
         vehicle = self.prepared.record.vehicle
         for effect in library().values():
             settings = effect.variants(self.excited, vehicle) if effect.applies(vehicle) else ()
-            shown = [i for i, p in enumerate(effect.parameters) if not p.changes]
             for chosen in settings[:: max(1, len(settings) // THRESHOLDS.variants_in_noise)]:
-                wrench = effect.wrench(self.signals, vehicle, chosen)[:, :, shown]
+                wrench = effect.unchanged(self.signals, vehicle, chosen)
                 if np.isfinite(wrench).all():
                     _add(parts, self.predicted(wrench), self.channels)
 
     def predicted(self, wrench: Array) -> Array:
         """Rates and specific forces (blocks, 6, p) that a body wrench (k, 6, p) adds."""
         out = self.model.of_wrench(wrench)
-        out[:, :3] = np.einsum("ij,kjp->kip", self._inverse, out[:, :3])
+        out[:, :3] = self._inverse @ out[:, :3]
         out[:, 3:] /= self.parameters.mass_kg
         return out
 
-    def columns(self, candidate: Candidate) -> Columns | None:
-        """Whitened sensitivities and instruments of a candidate; None where its signals are unknown or it does
-        nothing.
+    def moved_by(self, candidate: Candidate) -> Array:
+        """Rates and specific forces (blocks, 6, p) that a candidate adds per unit of its parameters; those asked for
+        last are kept.
         """
-        vehicle = self.prepared.record.vehicle
-        wrench = candidate.effect.wrench(self.signals, vehicle, candidate.settings)
-        if not np.isfinite(wrench.sum()):  # nothing adds up to a number that holds none
-            return None
-        flat = wrench.reshape(len(wrench), -1)
-        rms = np.sqrt(np.einsum("k,kj,kj->j", self._share, flat, flat)).reshape(wrench.shape[1:])
-        seen = self.predicted(wrench)
-        if self.planned is None:
-            sensitivity = self.whitening.apply(seen)
-            return Columns.of(sensitivity, sensitivity, rms)
-        own = candidate.effect.instrument
-        wished = (
-            candidate.effect.wrench(self.planned, vehicle, candidate.settings)
-            if own is None
-            else own(self.signals, self.planned, vehicle, candidate.settings)
+        for known, moved in self._moved:
+            if known is candidate:
+                return moved
+        moved = self.predicted(candidate.effect.wrench(self.signals, self.prepared.record.vehicle, candidate.settings))
+        self._moved = [*self._moved[1 - THRESHOLDS.effects_most :], (candidate, moved)]
+        return moved
+
+    def batch(self, candidates: Sequence[Candidate]) -> Batch:
+        """Whitened sensitivities and instruments of candidates; zero where one's signals are unknown."""
+        counts = [len(candidate.effect.parameters) for candidate in candidates]
+        total = sum(counts)
+        planned = self.planned is not None
+        raw = np.zeros((len(self.model.t_s), 6, 2 * total if planned else total))
+        rms, known, first = np.zeros((6, total)), list[bool](), 0
+        for candidate, count in zip(candidates, counts, strict=True):
+            wrenches = self._wrenches(candidate)
+            known.append(
+                all(np.isfinite(wrench.sum()) for wrench in wrenches)
+            )  # nothing adds up to one without numbers
+            if known[-1]:
+                flat = wrenches[0].reshape(len(wrenches[0]), -1)
+                squares = np.einsum("k,kj,kj->j", self._share, flat, flat)
+                rms[:, first : first + count] = np.sqrt(squares).reshape(6, count)
+                for start, wrench in zip((first, total + first), wrenches, strict=False):
+                    raw[:, :, start : start + count] = self.predicted(wrench)
+            first += count
+        return Batch(*self.whitening.applied(raw), rms, tuple(known))
+
+    def nothing(self, candidates: Sequence[Candidate]) -> Batch:
+        """Of candidates that do not act on this flight."""
+        total = sum(len(candidate.effect.parameters) for candidate in candidates)
+        bands = len(self.whitening.freedom())
+        return Batch(
+            np.zeros((len(self.y), total)), np.zeros((bands, total)), np.zeros((6, total)), (True,) * len(candidates)
         )
-        if not np.isfinite(wished.sum()):
-            return None
-        white = self.whitening.apply(np.concatenate([seen, self.predicted(wished)], axis=2))
-        return Columns.of(white[:, : wrench.shape[2]], white[:, wrench.shape[2] :], rms)
+
+    def _wrenches(self, candidate: Candidate) -> list[Array]:
+        """What a candidate adds per unit of its parameters, (k, 6, p); with a plan, its instrument, too."""
+        vehicle, effect, planned = self.prepared.record.vehicle, candidate.effect, self.planned
+        seen = effect.wrench(self.signals, vehicle, candidate.settings)
+        if planned is None:
+            return [seen]
+        if effect.instrument is None:
+            return [seen, effect.wrench(planned, vehicle, candidate.settings)]
+        return [seen, effect.instrument(self.signals, planned, vehicle, candidate.settings)]
 
     def along(self, basis: Array, wished: Array | None) -> dict[int, Columns]:
         """Columns of the same functions of time (k, p) as torque or force of each known channel, by channel.
@@ -223,7 +255,7 @@ class FlightEvidence:
         both = basis if wished is None else np.concatenate([basis, wished], axis=1)
         count, blocks = basis.shape[1], len(self.model.t_s)
         turning, pushing = self.model.integrated(both), self.model.average(both) / self.parameters.mass_kg
-        parts = [self.whitening.channel(n, turning if c < 3 else pushing) for n, c in enumerate(self.channels)]
+        parts = [self.whitening.channel(n, turning if c < 3 else pushing)[0] for n, c in enumerate(self.channels)]
         size = np.sqrt(self._share @ (basis * basis))
         out: dict[int, Columns] = {}
         for channel in self.channels:

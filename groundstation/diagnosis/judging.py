@@ -99,7 +99,7 @@ def judge(
         evidence, chosen, unexplained(left), lambda more: held_out_errors(evidence, chosen, list(more), splits)
     )
     if plain is not None:
-        splits, halves = (with_plain(each, evidence, case.vehicle) for each in (splits, halves))
+        splits, halves = (with_plain(each, evidence, case.vehicle, plain) for each in (splits, halves))
     error = held_out_errors(evidence, baseline, chosen, splits)
     progress(0.95, "predicting what no estimate saw")
     ahead, notes = forecast(evidence, baseline, chosen, splits, halves)

@@ -31,10 +31,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.columns import Candidate, Columns, Pair, Solution
+from groundstation.diagnosis.beside import beside
+from groundstation.diagnosis.columns import Candidate, Columns, Solution
 from groundstation.diagnosis.effect import ParameterInfo, Settings
 from groundstation.diagnosis.evidence import Evidence
-from groundstation.diagnosis.rivals import Entry, kind_of, plausible
+from groundstation.diagnosis.rivals import Entry, kind_of
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
@@ -83,31 +84,30 @@ def left_open(
     size = len(named.theta)
     forms = list(_misshapen(evidence, chosen, named))
     choice = [*(_Beside(entry, np.zeros((size, len(entry[0].effect.parameters)))) for entry in pool), *forms]
-    beside: list[_Beside] = []
+    along: list[_Beside] = []
     total, spread = 0.0, np.zeros((size, size))
     for _ in range(THRESHOLDS.effects_most):
-        taken = [*chosen, *(each.entry for each in beside)]
+        taken = [*chosen, *(each.entry for each in along)]
         margins = _margins(evidence, taken, [each.entry for each in choice], threshold)
         best = int(np.argmax(margins)) if margins else -1
         if best < 0 or margins[best] <= 0.0:
             break
-        beside.append(choice[best])
-        moved = _seen_by(evidence, chosen, named, beside)[0]
+        along.append(choice[best])
+        moved = _seen_by(evidence, chosen, named, along)[0]
         total += margins[best]
         spread += margins[best] * np.outer(moved, moved)
         choice = [each for each, margin in zip(choice, margins, strict=True) if margin > 0.0]
-    shown = {kind_of(each.entry) for each in beside}
-    shown |= {kind_of(entry) for entry in chosen}
+    shown = {kind_of(entry) for entry in (*chosen, *(each.entry for each in along))}
     unseen = [_unseen(evidence, chosen, named, form) for form in forms if kind_of(form.entry) not in shown]
     return sum(unseen, spread / total if total > 0.0 else spread)
 
 
 def _seen_by(
-    evidence: Evidence, chosen: Sequence[Entry], named: Solution, beside: Sequence[_Beside]
+    evidence: Evidence, chosen: Sequence[Entry], named: Solution, along: Sequence[_Beside]
 ) -> tuple[Array, Array]:
     """How far the joint estimate moves (p,) where others are estimated along, and its covariance (p, p) then."""
-    found = evidence.solve([*chosen, *(each.entry for each in beside)])
-    parts = np.concatenate([np.eye(len(named.theta)), *(each.shape for each in beside)], axis=1)
+    found = evidence.solve([*chosen, *(each.entry for each in along)])
+    parts = np.concatenate([np.eye(len(named.theta)), *(each.shape for each in along)], axis=1)
     return parts @ found.theta - named.theta, parts @ found.covariance @ parts.T
 
 
@@ -128,23 +128,18 @@ def _positive(matrix: Array) -> Array:
 
 def _margins(
     evidence: Evidence,
-    beside: Sequence[Entry],
+    chosen: Sequence[Entry],
     choice: Sequence[Entry],
     threshold: Callable[[Candidate, Columns], float],
 ) -> list[float]:
     """By how much each entry beats chance beside others; nothing where it is among them or implausible."""
-    offset = sum(len(candidate.effect.parameters) for candidate, _ in beside)
-    taken = {kind_of(entry) for entry in beside}
-    out: list[float] = []
-    for entry in choice:
-        effect = entry[0].effect
-        if kind_of(entry) in taken:
-            out.append(0.0)
-            continue
-        found = evidence.solve([*beside, entry])
-        margin = found.wald(offset, effect.telling()) - threshold(*entry)
-        right = margin > 0.0 and plausible(entry[0], *found.part(offset, len(effect.parameters)))
-        out.append(margin if right else 0.0)
+    taken = {kind_of(entry) for entry in chosen}
+    out = [0.0] * len(choice)
+    open_ones = [index for index, entry in enumerate(choice) if kind_of(entry) not in taken]
+    for found in beside(evidence, chosen, [choice[index] for index in open_ones]):
+        for place, wald, right in zip(found.index, found.walds(), found.plausible(), strict=True):
+            margin = float(wald) - threshold(*choice[open_ones[place]])
+            out[open_ones[place]] = margin if right and margin > 0.0 else 0.0
     return out
 
 
@@ -156,11 +151,11 @@ def _misshapen(evidence: Evidence, chosen: Sequence[Entry], solution: Solution) 
         values = solution.part(first, count)[0]
         own = slice(solution.base + first, solution.base + first + count)
         first += count
-        for forms in _forms(candidate, values):
-            together = evidence.columns(forms)
+        forms_of = list(_forms(candidate, values))
+        for forms, together in zip(forms_of, evidence.columns_of(forms_of), strict=True):
             if together is None:
                 continue
-            for entry in _one_by_one(forms, together):
+            for entry in _one_by_one(evidence, forms, together):
                 shape = np.zeros((len(solution.theta), 1))
                 shape[own] = _in_shape(entry[1].sensitivity, columns.sensitivity)
                 yield _Beside(entry, shape)
@@ -172,19 +167,13 @@ def _in_shape(form: Array, own: Array) -> Array:
     return np.linalg.lstsq(own / scale, form, rcond=1e-8)[0] / scale[:, None]
 
 
-def _one_by_one(forms: Candidate, together: Columns) -> Iterator[Entry]:
+def _one_by_one(evidence: Evidence, forms: Candidate, together: Columns) -> Iterator[Entry]:
     """A candidate of several parameters as one for each, without those that do nothing."""
     for number, parameter in enumerate(forms.effect.parameters):
         own = slice(number, number + 1)
         if np.any(together.sensitivity[:, own] != 0.0) and np.any(together.instrument[:, own] != 0.0):
             effect = replace(forms.effect, identifier=parameter.name, parameters=(parameter,))
-            rms = together.wrench_rms[:, own]
-            yield Candidate(effect, forms.settings), Columns(lambda own=own: _part(together, own), rms)
-
-
-def _part(together: Columns, own: slice) -> Pair:
-    sensitivity, instrument = together.pair()
-    return sensitivity[:, own], instrument[:, own]
+            yield Candidate(effect, forms.settings), evidence.part(together, own)
 
 
 def _forms(candidate: Candidate, values: Array) -> Iterator[Candidate]:

@@ -28,7 +28,7 @@ from groundstation.diagnosis.weakness import weak_instruments
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored, anchored_covariance
-from groundstation.identification.declarations import check_declarations, said_first
+from groundstation.identification.declarations import said_first
 from groundstation.identification.identifiability import unrevealed
 from groundstation.identification.low_frequency import without_plan
 from groundstation.identification.preparation import Prepared
@@ -55,8 +55,9 @@ def diagnose(
         progress: told the fraction done and what is being done.
         work: of another analysis of the same flights, or to be kept for one.
     """
-    checks = check_declarations(flights[0])
-    found = _diagnose(flights, options, progress, Work() if work is None else work)
+    work = Work() if work is None else work
+    checks = work.checked(flights[0])
+    found = _diagnose(flights, options, progress, work)
     return replace(
         found,
         declarations=tuple(check.to_dict() for check in checks),

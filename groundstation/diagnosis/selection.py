@@ -99,6 +99,7 @@ def select(
             break
         known = tuple(n.candidate for n in found.named)
         base = replace(base, fitted=found.evidence.flights[0].updated_base(base.fitted, found.solution))
+        del found  # one evidence at a time: that of an hour is a gigabyte
         found = _select(case, base, augmented, known, progress, settled)
         if not found.is_bent():
             break

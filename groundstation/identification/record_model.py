@@ -39,6 +39,12 @@ Mask = NDArray[np.bool_]
 
 PART = 16384
 """Blocks whose sensitivities are held at a time: nearly two minutes of flight at the fit's rate."""
+LIVELIEST = 45000
+"""Blocks in which lags, dead time and noise are searched for: five minutes, which tell them to a few parts of a
+thousand, so that a fit of all from there takes few steps.
+"""
+LATEST_S = 1.0
+"""By which commands come before what they do, at most."""
 
 CHANNELS = ("torque_x_nm", "torque_y_nm", "torque_z_nm", "force_x_n", "force_y_n", "force_z_n")
 
@@ -210,6 +216,7 @@ class RecordModel:
         self.dt = np.concatenate([[nominal], np.maximum(np.diff(self.t_s), 1e-4)])[: len(self.t_s)]
         self.rate = self.average(record.rate_rad_s)
         self.force = self.average(record.force_m_s2)
+        self._known = (True, True, True, *np.isfinite(self.force).all(axis=0).tolist())
         self.elapsed_s = self.t_s - record.t_s[0]
         self.gyroscopic = self.integrated_gyroscopic(record.rate_rad_s)
         self.extra_means = tuple(self.means_of(term, term.value) for term in self.extra)
@@ -219,8 +226,7 @@ class RecordModel:
 
     def channels(self, options: FitOptions) -> tuple[int, ...]:
         """Outputs of this record that a fit uses: those asked for, measured, and not silent."""
-        known = [True] * 3 + [bool(np.isfinite(self.force[:, axis]).all()) for axis in range(3)]
-        return tuple(c for c in options.channels if known[c] and c not in self.silent)
+        return tuple(c for c in options.channels if self._known[c] and c not in self.silent)
 
     def restarted(self, restart: Mask) -> RecordModel:
         """The same record with other segment starts."""
@@ -251,6 +257,11 @@ class RecordModel:
             rate_rad_s=record.rate_rad_s[samples],
             force_m_s2=record.force_m_s2[samples],
         )
+        motors = record.motors
+        times = np.array([record.t_s[before] - LATEST_S, other.record.t_s[-1] + LATEST_S])
+        rows = slice(*np.clip(((times - motors.start_s) / motors.step_s).astype(int), 0, len(motors.value)).tolist())
+        start_s = motors.start_s + rows.start * motors.step_s
+        other.record = replace(other.record, motors=replace(motors, start_s=start_s, value=motors.value[rows]))
         other.planned = None if self.planned is None else self.planned.part(samples)
         other._members, other._step = members - before, self._step[samples]
         for name in ("restart", "t_s", "dt", "rate", "force", "elapsed_s", "gyroscopic"):
@@ -258,6 +269,18 @@ class RecordModel:
         other.extra_means = tuple(means.part(blocks) for means in self.extra_means)
         other._last = other._made = None
         return other
+
+    def liveliest(self) -> RecordModel:
+        """The LIVELIEST blocks in a row in which the vehicle turns most; itself where there are no more."""
+        count = len(self.t_s)
+        if count <= LIVELIEST:
+            return self
+        turned = np.cumsum(np.sum(np.diff(self.rate, axis=0, prepend=self.rate[:1]) ** 2, axis=1))
+        first = int(np.argmax(turned[LIVELIEST:] - turned[:-LIVELIEST]))
+        found = self.part(slice(first, first + LIVELIEST), LATEST_S)
+        found.restart = found.restart.copy()
+        found.restart[0] = True
+        return found
 
     def of_vehicle(self, vehicle: Vehicle) -> RecordModel:
         """The same record by another vehicle's thrust, with neither terms nor plan."""
@@ -352,6 +375,10 @@ class RecordModel:
             torque += coefficient * (integral[:, 3:] - integral[:, :3] @ arm)
             force += coefficient * push
         return self._with_linear(p, Predicted(moved, wrench, impulse, torque @ np.linalg.inv(p.tensor).T, force))
+
+    def forget(self) -> None:
+        """Let go of the last prediction."""
+        self._last = self._made = None
 
     def residuals(self, trials: Sequence[Parameters]) -> Iterator[Array]:
         """:meth:`residual` at many points that differ in lags and dead time, for less."""

@@ -63,9 +63,13 @@ def read_motors(tables: Tables, settings: Settings, vehicle: Vehicle, source: st
     check_count(vehicle, len(channels), f"{frame}; {', '.join(wires)}", source)
     order, notes = motor_order(vehicle, airframe, source) if airframe else (list(range(len(channels))), [])
     there: dict[str, Stream] = {}
-    if outputs is not None:
-        there["command"], scaling = _commands(outputs, channels, settings, source)
     escs = _escs(tables)
+    if outputs is not None:
+        try:
+            there["command"], scaling = _commands(outputs, channels, settings, source)
+        except BadInput:  # of no account where the ESCs' speeds are asked for and there
+            if vehicle.rotors.input != "rotor_speed" or not escs:
+                raise
     wires_esc: list[str] = []
     if escs:
         try:

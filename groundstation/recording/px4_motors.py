@@ -61,7 +61,13 @@ def read_motors(topics: Topics, settings: Settings, vehicle: Vehicle, source: st
     Raises:
         BadInput: no outputs, another number of motors, or outputs whose scale the log does not give.
     """
-    commands = _commands(topics, settings, source)
+    _require_multicopter(topics, settings, source)
+    try:
+        commands = _commands(topics, settings, source)
+    except BadInput:  # of no account where the ESCs' speeds are asked for and there
+        if vehicle.rotors.input != "rotor_speed" or _turning(topics)[0] is None:
+            raise
+        commands = None
     start, end = running(commands.stream.t_s, commands.stream.values) if commands else (-np.inf, np.inf)
     count = len(commands.stream.columns) if commands else vehicle.rotors.count
     airframe = _airframe(settings, start, count)
@@ -115,13 +121,18 @@ def _commands(topics: Topics, settings: Settings, source: str) -> _Commands | No
     if topic is not None:
         return _from_motors(topic, settings, source)
     outputs = [topics[key] for key in sorted(topics) if key[0] == "actuator_outputs"]
+    return _from_outputs(outputs, settings, source) if outputs else None
+
+
+def _require_multicopter(topics: Topics, settings: Settings, source: str) -> None:
+    """Refuse a log without ``actuator_motors`` of what flies on wings."""
     kind = int(settings.value("MAV_TYPE", _AT_BOOT, 0.0))
-    if outputs and (kind == 1 or 19 <= kind <= 25):
+    plane = kind == 1 or 19 <= kind <= 25
+    if plane and ("actuator_motors", 0) not in topics and any(name == "actuator_outputs" for name, _ in topics):
         raise BadInput(
             f"{source}: is the log of a {'plane' if kind == 1 else 'VTOL plane'} (MAV_TYPE {kind}), not of a "
             "multicopter."
         )
-    return _from_outputs(outputs, settings, source) if outputs else None
 
 
 def _from_motors(topic: Table, settings: Settings, source: str) -> _Commands:

@@ -10,8 +10,7 @@ from groundstation.diagnosis.effect import (
     Effect,
     ParameterInfo,
     Settings,
-    blank,
-    from_thrust,
+    from_rotor,
     has_rotors,
     ramp,
     sharper,
@@ -21,12 +20,9 @@ from groundstation.vehicle import Vehicle
 
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
-    lost = np.zeros_like(signals.thrust_n)
     rotor = int(settings["rotor"]) - 1
-    lost[:, rotor] = -signals.thrust_n[:, rotor] * ramp(signals.t_s, settings["from_s"], settings["within_s"])
-    out = blank(signals)
-    out[:, :, 0] = from_thrust(vehicle, lost)
-    return out
+    lost = -signals.thrust_n[:, rotor] * ramp(signals.t_s, settings["from_s"], settings["within_s"])
+    return from_rotor(vehicle, rotor, lost)[:, :, None]
 
 
 def _variants(signals: Signals, vehicle: Vehicle) -> tuple[Settings, ...]:

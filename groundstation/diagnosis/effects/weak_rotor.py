@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, from_thrust, has_rotors
+from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, from_rotor, has_rotors
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
-    lost = np.zeros_like(signals.thrust_n)
     rotor = int(settings["rotor"]) - 1
-    lost[:, rotor] = -signals.thrust_n[:, rotor]
-    out = blank(signals)
-    out[:, :, 0] = from_thrust(vehicle, lost)
-    return out
+    lost = -signals.thrust_n[:, rotor]
+    return from_rotor(vehicle, rotor, lost)[:, :, None]
 
 
 EFFECT = Effect(
