@@ -15,12 +15,14 @@ from groundstation.diagnosis.columns import Batch, Candidate, Solution
 from groundstation.diagnosis.effect import library
 from groundstation.diagnosis.joint import updated_rigid_body
 from groundstation.diagnosis.signals import planned_signals
+from groundstation.diagnosis.sudden import sudden
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.whitening import Whitening
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import RecordModel
 from groundstation.identification.sensitivities import planned_parts
+from groundstation.identification.sudden import VERTICAL
 from groundstation.model.parameters import RIGID_BODY, FitOptions, table, values_of, with_values
 
 Array = NDArray[np.float64]
@@ -70,12 +72,22 @@ class FlightEvidence:
         self._inverse = np.linalg.inv(self.parameters.tensor)
         self.residual, self.sensitivity, self.names = self.model.evaluate(self.parameters, self.options)
         self.planned = planned_signals(prepared, self.parameters)
+        self.sudden = self._sudden()
         self.whitening = Whitening(
             self.channels, self.model.dt, self.model.restart, self.residual, self._nuisance(generic)
         )
         self.y = self.whitened_residual(self.residual)
         self.x = self.whitening.apply(self.sensitivity)
         self.z = self.x if prepared.planned is None else self._base_instruments()
+
+    def _sudden(self) -> list[Candidate]:
+        """What begins at an instant of this flight, and nobody knows of yet."""
+        if VERTICAL not in self.channels:
+            return []
+        left = (self.residual[:, VERTICAL], _of_channel(self.sensitivity, VERTICAL))
+        taken = {candidate.identifier for candidate in self.known}
+        found = sudden(self.model, self.prepared.record.vehicle, self.signals, self.excited, left)
+        return [candidate for candidate in found if candidate.identifier not in taken]
 
     def _base_instruments(self) -> Array:
         """The base's columns along the planned motion; what delays the inputs takes what all of those explain of its
@@ -133,7 +145,8 @@ class FlightEvidence:
     def _nuisance(self, generic: bool) -> list[Array]:
         """Columns (blocks, m) of each known channel that keep an effect's own residual out of the noise model."""
         vehicle = self.prepared.record.vehicle
-        known = [self.predicted(c.effect.wrench(self.signals, vehicle, c.settings)) for c in self.known]
+        kept_out = (*self.known, *self.sudden)
+        known = [self.predicted(c.effect.wrench(self.signals, vehicle, c.settings)) for c in kept_out]
         parts: list[list[Array]] = [[_of_channel(self.sensitivity, c)] for c in self.channels]
         for columns in known:
             _add(parts, columns, self.channels)
