@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -314,9 +315,9 @@ def test_a_slung_load_is_pulled_after_the_vehicle_and_rings_at_its_own_frequency
     velocity[:, 0] = (t > 1.0) * 0.2  # a small swing
     signals = Signals(
         **{
-            name: np.repeat(getattr(_signals(), name)[:1], 4000, axis=0)
-            for name in Signals.__slots__
-            if name not in ("t_s", "velocity_world_m_s")
+            each.name: np.repeat(getattr(_signals(), each.name)[:1], 4000, axis=0)
+            for each in fields(Signals)
+            if each.name not in ("t_s", "velocity_world_m_s")
         },
         t_s=t,
         velocity_world_m_s=velocity,

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.effect import Acting, library
-from groundstation.diagnosis.pendulum import pull_per_mass
+from groundstation.diagnosis.pendulum import pulls_per_mass
 from groundstation.model.signals import Signals
 from groundstation.paths import find_config
 from groundstation.trajectory import load_plan
@@ -55,8 +55,10 @@ def test_the_pull_is_that_of_newtons_law_at_large_swings():
     tilt = np.degrees(np.arccos(-exact[:, 2] / LENGTH_M).max())
     assert tilt > 50.0
     expected = np.array([_pull(at, x) for at, x in zip(t, exact, strict=True)])
-    found, _ = pull_per_mass(t, _velocity(t), GRAVITY, LENGTH_M, AIR_1_S)
-    np.testing.assert_allclose(found[1:-1], expected[1:-1], atol=2e-3)
+    pendulums = np.array([[LENGTH_M, AIR_1_S, 0.0], [2.0 * LENGTH_M, AIR_1_S, 0.0]])
+    found, _ = pulls_per_mass(t, (_velocity(t), 0.0 * _velocity(t)), GRAVITY, pendulums, False)
+    np.testing.assert_allclose(found[1:-1, :, 0], expected[1:-1], atol=2e-3)
+    assert np.abs(found[:, :, 1] - found[:, :, 0]).max() > 1.0  # another pendulum beside it
 
 
 HUNG = {"length_m": 0.52, "air_1_s": 0.12, "depth_m": 0.04}
@@ -109,7 +111,7 @@ def test_a_load_swings_on_in_windows_that_start_in_a_flight():
     along, starts = acting(signals), np.array([500, 1200])
     ahead = acting.begun(signals, starts)
     for step in range(1, 120):
-        now = Signals(*(getattr(signals, name)[starts + step] for name in Signals.__slots__))
+        now = signals.at(starts + step)
         found = ahead(now)
     np.testing.assert_allclose(found, along[starts + 119], atol=0.3 * np.abs(along).max())  # the thrust is not theirs
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.beside import beside
 from groundstation.diagnosis.columns import Candidate, Columns, Solution
 from groundstation.diagnosis.discrepancy import Discrepancy, allowance
 from groundstation.diagnosis.effect import Effect, library
@@ -98,15 +99,14 @@ class Selection:
         self.evidence = evidence
         self.baseline = list(baseline)
         self.pool: list[Entry] = []
-        for number, candidate in enumerate(pool):
-            columns = evidence.columns(candidate)
+        for candidate, columns in zip(pool, evidence.columns_of(pool), strict=True):
             if (
                 columns is not None
                 and np.any(columns.wrench_rms > 0.0)
                 and np.all(np.any(columns.sensitivity != 0.0, axis=0))
             ):
                 self.pool.append((candidate, columns))
-            progress((number + 1) / len(pool))
+        progress(1.0)
         self.discrepancy = Discrepancy(evidence)
         self.lag = self.discrepancy.of_lag(evidence.solve(self.baseline))
         self.variants = Counter(c.identifier for c, _ in self.pool) if variants is None else variants
@@ -159,13 +159,31 @@ class Selection:
             out.append(solution.wald(first, telling) - least)
         return out
 
+    def _margins_of_each(self, chosen: Sequence[Entry], entries: Sequence[Entry]) -> list[float]:
+        """That of each of several entries beside a set, as :meth:`_margins` has it."""
+        out = [-np.inf] * len(entries)
+        others = self._together(chosen)
+        for found in beside(self.evidence, [*self.baseline, *chosen], entries):
+            walds = found.walds()
+            energies = self.discrepancy.energy_of_each(found)
+            right = found.plausible() & found.material(self.evidence.scale)
+            for place, index in enumerate(found.index):
+                candidate, columns = entries[index]
+                if right[place] and self._has_prerequisites(candidate, [*chosen, entries[index]]):
+                    least = self.threshold(candidate, columns, candidate.effect.telling())
+                    out[index] = float(walds[place]) - least - allowance(energies[place], others)
+        return out
+
     def _without(self, chosen: Sequence[Entry], index: int) -> Array:
         """Energy by channel, shape (6,), of lag and the other members as they are estimated without one.
 
         What their formulas may leave to it is theirs where it is not there: beside it, two that are alike nearly
         cancel, and their energies mean nothing.
         """
-        rest = [*chosen[:index], *chosen[index + 1 :]]
+        return self._together([*chosen[:index], *chosen[index + 1 :]])
+
+    def _together(self, rest: Sequence[Entry]) -> Array:
+        """The same of a set."""
         key = frozenset(columns.number for _, columns in rest)
         if key not in self._alone:
             solution = self.evidence.solve([*self.baseline, *rest])
@@ -180,13 +198,10 @@ class Selection:
 
     def _best_addition(self, chosen: list[Entry], refuted: set[str]) -> Entry | None:
         taken = {c.identifier for c, _ in chosen} | refuted
-        best, found = 0.0, None
-        for entry in self.pool:
-            if entry[0].identifier not in taken:
-                (margin,) = self._margins([*chosen, entry], [len(chosen)])
-                if margin > best:
-                    best, found = margin, entry
-        return found
+        entries = [entry for entry in self.pool if entry[0].identifier not in taken]
+        margins = self._margins_of_each(chosen, entries)
+        best = int(np.argmax(margins)) if entries else 0
+        return entries[best] if entries and margins[best] > 0.0 else None
 
     def choose(self) -> list[Entry]:
         """The set that explains most beyond chance: of the one that forward selection ends in, and those from other
@@ -222,8 +237,7 @@ class Selection:
     def _from_other_starts(self, found: Sequence[Entry]) -> list[list[Entry]]:
         """The sets that plain forward selection ends in from each kind of candidate that ``found`` does without."""
         best: dict[Kind, tuple[float, Entry]] = {}
-        for entry in self.pool:
-            (margin,) = self._margins([entry], [0])
+        for entry, margin in zip(self.pool, self._margins_of_each([], self.pool), strict=True):
             if margin > best.get(kind_of(entry), (-np.inf, entry))[0]:
                 best[kind_of(entry)] = margin, entry
         within = {kind_of(entry) for entry in found}
@@ -363,14 +377,12 @@ class Selection:
         """
         others, own = {c.identifier for i, (c, _) in enumerate(chosen) if i != index}, kind_of(chosen[index])
         best: dict[Kind, tuple[float, Entry]] = {}
-        for entry in self.pool:
-            kind = kind_of(entry)
-            if kind == own or kind[0] in others:
-                continue
-            trial = [*chosen[:index], entry, *chosen[index + 1 :]]
-            (margin,) = self._margins(trial, [index])
-            if margin > best.get(kind, (0.0, entry))[0]:
-                best[kind] = margin, entry
+        kinds = [(kind_of(entry), entry) for entry in self.pool]
+        entries = [entry for kind, entry in kinds if kind != own and kind[0] not in others]
+        margins = self._margins_of_each([*chosen[:index], *chosen[index + 1 :]], entries)
+        for entry, margin in zip(entries, margins, strict=True):
+            if margin > best.get(kind_of(entry), (0.0, entry))[0]:
+                best[kind_of(entry)] = margin, entry
         rivals = [entry for _, entry in sorted(best.values(), key=lambda item: -item[0])[: THRESHOLDS.rivals_most]]
         sets = [[*self.baseline, *chosen[:index], entry, *chosen[index + 1 :]] for entry in (chosen[index], *rivals)]
         rest = [*self.baseline, *chosen[:index], *chosen[index + 1 :]]

@@ -32,34 +32,34 @@ Pair = tuple[Array, Array]
 
 
 class Recent:
-    """The columns that were used last, up to a number of bytes; older ones are made anew where they are asked for.
+    """The batches of columns that were used last, up to a number of bytes; older ones are made anew where they are
+    asked for.
 
-    A flight of a minute has a hundred megabytes of them, and keeps them all; an hour of it has six gigabytes.
+    A flight of a minute has fifty megabytes of them, and keeps them all; an hour of it has three gigabytes.
     """
 
     def __init__(self, most: int):
         self._most, self._size = most, 0
-        self._held: OrderedDict[int, Pair] = OrderedDict()
+        self._held: OrderedDict[int, Array] = OrderedDict()
 
-    def hold(self, number: int, pair: Pair) -> Pair:
-        """Keep a pair, and let go of the ones that were not used for longest."""
-        self._held[number] = pair
-        self._size += _bytes(pair)
+    def hold(self, number: int, white: Array) -> Array:
+        """Keep a batch, and let go of the ones that were not used for longest."""
+        self._held[number] = white
+        self._size += white.nbytes
         while self._size > self._most and len(self._held) > 1:
             _, old = self._held.popitem(last=False)
-            self._size -= _bytes(old)
-        return pair
+            self._size -= old.nbytes
+        return white
 
-    def pair(self, number: int, anew: Callable[[], Pair]) -> Pair:
-        """A pair that was held, or made anew."""
+    def batch(self, number: int, anew: Callable[[], Array]) -> Array:
+        """A batch that was held, or made anew."""
         if number not in self._held:
             return self.hold(number, anew())
         self._held.move_to_end(number)
         return self._held[number]
 
 
-def _bytes(pair: Pair) -> int:
-    return pair[0].nbytes + (0 if pair[1] is pair[0] else pair[1].nbytes)
+_NUMBERS = count()
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,17 +67,21 @@ class Columns:
     """Whitened sensitivities to a candidate's parameters and their instruments, (rows, p) each; RMS of its wrench per
     unit.
 
-    ``number`` tells one from another where products of pairs are remembered.
+    Attributes:
+        energy: how that of each instrument lies over the channels and bands of the flights, (bands, p); None where it
+            is still to be worked out.
+        number: tells one from another where products of pairs are remembered.
     """
 
     pair: Callable[[], Pair]
     wrench_rms: Array
-    number: int = field(default_factory=count().__next__)
+    energy: Array | None = None
+    number: int = field(default_factory=_NUMBERS.__next__)
 
     @classmethod
-    def of(cls, sensitivity: Array, instrument: Array, wrench_rms: Array) -> Columns:
+    def of(cls, sensitivity: Array, instrument: Array, wrench_rms: Array, energy: Array | None = None) -> Columns:
         """Columns that stay."""
-        return cls(lambda: (sensitivity, instrument), wrench_rms)
+        return cls(lambda: (sensitivity, instrument), wrench_rms, energy)
 
     @property
     def sensitivity(self) -> Array:
@@ -89,18 +93,48 @@ class Columns:
         """Of the parameters, (rows, p)."""
         return self.pair()[1]
 
-    def recent(self, recent: Recent, anew: Callable[[], Columns | None]) -> Columns:
-        """The same, held for as long as there is room, and else made anew."""
-        number = self.number
-        recent.hold(number, self.pair())
 
-        def again() -> Pair:
-            found = anew()
-            if found is None:
-                raise RuntimeError("columns that were there are not any more")
-            return found.pair()
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Whitened columns of many candidates side by side: the sensitivities of all of them, then the instruments of all.
 
-        return Columns(lambda: recent.pair(number, again), self.wrench_rms, number)
+    Attributes:
+        white: (rows, 2 p), or (rows, p) where sensitivities are their own instruments.
+        energy: of each column by channel and band, (bands, as many).
+        wrench_rms: (6, p).
+        known: of each candidate, whether its signals are; else its columns are zero.
+    """
+
+    white: Array
+    energy: Array
+    wrench_rms: Array
+    known: tuple[bool, ...]
+
+    @property
+    def planned(self) -> bool:
+        """Whether instruments are columns of their own."""
+        return self.white.shape[1] > self.wrench_rms.shape[1]
+
+    def with_instruments(self) -> Batch:
+        """The same with instruments of their own, where there were none."""
+        if self.planned:
+            return self
+        white, energy = (np.concatenate([array, array], axis=1) for array in (self.white, self.energy))
+        return Batch(white, energy, self.wrench_rms, self.known)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Batch], suspects: int) -> Batch:
+        """Of several flights, those under suspicion first, as one."""
+        if any(part.planned for part in parts):
+            parts = [part.with_instruments() for part in parts]
+        if len(parts) == 1:
+            return parts[0]
+        return cls(
+            np.concatenate([part.white for part in parts]),
+            np.concatenate([part.energy for part in parts]),
+            np.sqrt(np.mean([part.wrench_rms**2 for part in parts[:suspects]], axis=0)),
+            tuple(map(all, zip(*(part.known for part in parts), strict=True))),
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -64,13 +64,13 @@ def splits_of(evidence: Evidence, unseen: Sequence[Prepared], count: int | None 
     ]
 
 
-def with_plain(splits: Sequence[Split], evidence: Evidence, vehicle: Vehicle) -> list[Split]:
-    """The same, each with the base as declared by its own training data."""
-    return [replace(split, plain=as_declared(evidence, vehicle, split.train)) for split in splits]
+def with_plain(splits: Sequence[Split], evidence: Evidence, vehicle: Vehicle, plain: Fitted) -> list[Split]:
+    """The same, each with the base as declared by its own training data; ``plain`` is that by all of them."""
+    return [replace(split, plain=as_declared(evidence, vehicle, split.train, plain.parameters)) for split in splits]
 
 
 def _base_estimates(
-    evidence: Evidence, vehicle: Vehicle, chosen: Chosen, left_open: Array | float = 0.0
+    evidence: Evidence, vehicle: Vehicle, chosen: Chosen, left_open: Array | None = None
 ) -> dict[str, Estimate]:
     """Mass and tensor of the linearised joint estimate with some effects, under the anchor."""
     estimates, constants = anchored(vehicle, RIGID_BODY, *_joint(evidence, chosen, left_open))
@@ -107,13 +107,14 @@ def flight_parameters(evidence: Evidence, chosen: Chosen) -> list[dict[str, Esti
 
 
 def _joint(
-    evidence: Evidence, chosen: Chosen, left_open: Array | float
+    evidence: Evidence, chosen: Chosen, left_open: Array | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mass and tensor with the effects put in, and their covariance with what these effects' formulas, and other
-    effects, leave open.
+    """Mass and tensor with the effects put in, and their covariance with what is left open; None: what these effects'
+    formulas leave.
     """
     solution = evidence.solve(chosen)
-    return _rigid_body(evidence, solution, form_covariance(evidence, chosen, solution) + left_open)
+    form = form_covariance(evidence, chosen, solution) if left_open is None else left_open
+    return _rigid_body(evidence, solution, form)
 
 
 def _rigid_body(
@@ -123,7 +124,7 @@ def _rigid_body(
     names = list(evidence.names)
     index = [names.index(n) for n in RIGID_BODY]
     values, jacobian = evidence.flights[0].rigid_body(solution)
-    covariance = solution.covariance[np.ix_(index, index)] + form
+    covariance = (solution.covariance + form)[np.ix_(index, index)]
     return values, jacobian @ covariance @ jacobian.T
 
 
@@ -138,7 +139,7 @@ def base_parameters(
     """Base parameters with the effects left out and put in. Left out means re-estimated without them, lag included.
 
     Args:
-        left_open: what explanations beside the chosen leave open in mass and tensor.
+        left_open: what the formulas of the chosen, and explanations beside them, leave open in their joint estimate.
     """
     after = _base_estimates(evidence, vehicle, chosen, left_open)
     if plain is not None:
@@ -147,22 +148,22 @@ def base_parameters(
     return _base_estimates(evidence, vehicle, baseline), after
 
 
-def declared_model(flight: FlightEvidence) -> RecordModel:
-    """The flight by the thrust curve that was declared."""
-    return flight.model.of_vehicle(flight.prepared.flight.vehicle)
-
-
-def as_declared(evidence: Evidence, vehicle: Vehicle, train: NDArray[np.bool_] | None = None) -> Fitted:
+def as_declared(
+    evidence: Evidence,
+    vehicle: Vehicle,
+    train: NDArray[np.bool_] | None = None,
+    begin: Parameters | None = None,
+) -> Fitted:
     """The base by the declared curve with rotors that follow as declared: *before*, where a lag or a curve was found.
 
     By output error: an estimate with a noise model would take most of what is missing for a disturbance, and its
     parameters would be worse than anyone would use.
 
     Args:
-        train: rows whose times are used; None for all.
+        train: rows whose times are used; None for all. begin: an estimate by more of the flights.
     """
     options = replace(evidence.flights[0].options, lag=False, delay=False, channels=(0, 1, 2, 5))
-    models = [declared_model(flight) for flight in evidence.flights]
+    models = [flight.declared for flight in evidence.flights]
     if train is not None:
         times, _, numbers = evidence.time_of_rows()
         models = [m for number, m in enumerate(models) if np.any(train & (numbers == number))]
@@ -174,14 +175,14 @@ def as_declared(evidence: Evidence, vehicle: Vehicle, train: NDArray[np.bool_] |
             t = model.record.t_s
             keep = model.record.keep & ~((t >= left_out.min()) & (t <= left_out.max()))
             models[place] = RecordModel(replace(model.record, keep=keep), (), None)
-    return output_error(models, declared_parameters(vehicle, lag_s=0.0), options)
+    return output_error(models, declared_parameters(vehicle, lag_s=0.0), options, begin)
 
 
 def plain_gain(evidence: Evidence, chosen: Chosen, plain: Fitted | None) -> float:
     """Fall of the whitened squared error from the base as declared to everything that was found."""
     if plain is None:
         return 0.0
-    residuals = [f.whitened_residual(declared_model(f).residual(plain.parameters)) for f in evidence.flights]
+    residuals = [f.whitened_residual(f.declared.residual(plain.parameters)) for f in evidence.flights]
     after = evidence.remainder(chosen, evidence.solve(chosen))
     return float(np.sum(np.concatenate(residuals) ** 2 - after**2))
 
@@ -206,8 +207,7 @@ def remaining(flight: FlightEvidence, chosen: Chosen, solution: Solution) -> Arr
     for candidate, _ in chosen:
         count = len(candidate.effect.parameters)
         theta = solution.theta[first : first + count]
-        wrench = candidate.effect.wrench(flight.signals, flight.prepared.record.vehicle, candidate.settings)
-        out = out - flight.predicted(wrench) @ theta
+        out = out - flight.moved_by(candidate) @ theta
         first += count
     if solution.base > len(flight.names):
         return _without_own_bias(flight, out)
@@ -243,13 +243,17 @@ def held_out_errors(
     """RMS of the residual wrench per channel on data that no estimate saw: nominal, before, after."""
     nominal = declared_parameters(evidence.flights[0].prepared.record.vehicle, lag_s=0.0)
     stages: dict[str, list[Array]] = {"nominal": [], "before": [], "after": []}
+    wrenches: dict[int, Array] = {}
     for split in splits:
         pairs = {
             "before": (baseline, evidence.solve(baseline, split.train)),
             "after": (chosen, evidence.solve(chosen, split.train)),
         }
         for flight, inside in split.judged:
-            _collect(flight, inside, pairs, nominal, split.plain, stages)
+            if id(flight) not in wrenches:
+                wrenches[id(flight)] = residual_wrench(flight, flight.declared.residual(nominal), flight.parameters)
+            stages["nominal"].append(wrenches[id(flight)][inside])
+            _collect(flight, inside, pairs, split.plain, stages)
     channels = evidence.flights[0].channels
     return {
         stage: {
@@ -270,7 +274,7 @@ def residual_series(
     """Residual wrench of the first flight over time for the report: by channel before, and as "channel/after"."""
     flight = evidence.flights[0]
     before = (
-        declared_model(flight).residual(plain.parameters)
+        flight.declared.residual(plain.parameters)
         if plain is not None
         else remaining(flight, baseline, evidence.solve(baseline))
     )
@@ -286,15 +290,13 @@ def _collect(
     flight: FlightEvidence,
     inside: NDArray[np.bool_],
     pairs: dict[str, tuple[Chosen, Solution]],
-    nominal: Parameters,
     plain: Fitted | None,
     stages: dict[str, list[Array]],
 ) -> None:
     p = flight.parameters
-    stages["nominal"].append(residual_wrench(flight, declared_model(flight).residual(nominal), p)[inside])
     for stage, (chosen, solution) in pairs.items():
         if stage == "before" and plain is not None:
-            residual = declared_model(flight).residual(plain.parameters)
+            residual = flight.declared.residual(plain.parameters)
         else:
             residual = remaining(flight, chosen, solution)
         stages[stage].append(residual_wrench(flight, residual, p)[inside])

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.beside import Beside
 from groundstation.diagnosis.columns import Candidate, Columns, Solution
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.thresholds import THRESHOLDS
@@ -28,22 +29,27 @@ class Discrepancy:
     def __init__(self, evidence: Evidence):
         self._evidence = evidence
         _, self._channels, _ = evidence.time_of_rows()
-        weighted = evidence.z * evidence.weight[:, None]
-        self._absorbing = np.linalg.solve(weighted.T @ evidence.z + evidence.prior, weighted.T)
+        self._base = evidence.table.of_base()
+        self._absorbing: Array = np.linalg.inv(self._base.sum(axis=0) + evidence.prior)
         self._grams: dict[int, Array] = {}
 
     def _gram(self, columns: Columns) -> Array:
         """Products (6, p, p) of what the base leaves of a candidate's columns."""
         if columns.number not in self._grams:
-            own = columns.instrument - self._evidence.z @ (self._absorbing @ columns.instrument)
-            weighted = own * self._evidence.weight[:, None]
-            rows = [self._channels == channel for channel in range(len(CHANNELS))]
-            self._grams[columns.number] = np.stack([weighted[mine].T @ own[mine] for mine in rows])
+            crossed, own = self._evidence.table.by_channel(columns)
+            taken = self._absorbing @ crossed.sum(axis=0)
+            across = taken.T @ crossed
+            self._grams[columns.number] = own - across - across.transpose(0, 2, 1) + taken.T @ self._base @ taken
         return self._grams[columns.number]
 
     def energy(self, columns: Columns, values: Array) -> Array:
         """Squared whitened size of an effect of these values by channel, shape (6,)."""
         return np.einsum("i,cij,j->c", values, self._gram(columns), values)
+
+    def energy_of_each(self, found: Beside) -> Array:
+        """The same of each of several, shape (several, 6)."""
+        grams = np.stack([self._gram(columns) for _, columns in found.entries])
+        return np.einsum("mi,mcij,mj->mc", found.values, grams, found.values)
 
     def of_lag(self, solution: Solution) -> Array:
         """Of rotor lag and dead time beyond what is declared, shape (6,): a first-order lag is a formula, too."""

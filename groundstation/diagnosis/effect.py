@@ -84,6 +84,10 @@ class Effect(EffectInfo):
             parameter, shape (k, 6, len(parameters)); NaN where the signals it needs are unknown.
         instrument: (signals, planned signals, vehicle, settings) -> the wrench's instruments; None for ``wrench`` of
             the planned ones. What a pendulum does follows from the motion there was; by a plan it is soon out of step.
+        straight: of an effect of one parameter that pushes in one direction all along: how hard, (k,), and the wrench
+            of one, (6,); ``wrench`` is their product (:func:`pushing`). Many settings are then worked out at once.
+        alone: the wrench's columns of those parameters that change no setting, (k, 6, own); None where the others are
+            no further work.
         sentence: one sentence a pilot understands, with places for parameters and settings as :mod:`.sentences` says.
         variants: settings to try (a rotor, an instant, a length); one empty set for most effects.
         searched: (signals, samples in use, vehicle) -> settings that a search of the flight gives, tried in the place
@@ -107,6 +111,8 @@ class Effect(EffectInfo):
     wrench: Callable[[Signals, Vehicle, Settings], Array]
     sentence: str
     instrument: Callable[[Signals, Signals, Vehicle, Settings], Array] | None = None
+    straight: Callable[[Signals, Vehicle, Settings], tuple[Array, Array]] | None = None
+    alone: Callable[[Signals, Vehicle, Settings], Array] | None = None
     variants: Callable[[Signals, Vehicle], Sequence[Settings]] = field(default=lambda signals, vehicle: ({},))
     searched: Callable[[Signals, NDArray[np.bool_], Vehicle], Sequence[Settings]] | None = None
     scanned: int = 1
@@ -124,6 +130,13 @@ class Effect(EffectInfo):
     def telling(self) -> list[int]:
         """Which of the parameters tell the effect."""
         return [index for index, parameter in enumerate(self.parameters) if not parameter.companion]
+
+    def unchanged(self, signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
+        """Wrench of the parameters that change no setting, (k, 6, own)."""
+        if self.alone is not None:
+            return self.alone(signals, vehicle, settings)
+        own = [index for index, parameter in enumerate(self.parameters) if not parameter.changes]
+        return self.wrench(signals, vehicle, settings)[:, :, own]
 
     def precision(self, vehicle: Vehicle) -> Array:
         """Prior precision of each parameter."""
@@ -230,6 +243,32 @@ def from_thrust(vehicle: Vehicle, thrust: Annotated[Array, "k n"]) -> Annotated[
     from groundstation.model.rotors import wrench_matrix
 
     return np.asarray(thrust @ wrench_matrix(vehicle).T, dtype=float)
+
+
+def lift_of(vehicle: Vehicle, thrust: Annotated[Array, "k n"]) -> Annotated[Array, "k"]:
+    """Body force along z (k,) of rotor thrusts (k, n)."""
+    from groundstation.model.rotors import wrench_matrix
+
+    return np.asarray(thrust @ wrench_matrix(vehicle)[2], dtype=float)
+
+
+def rotor_wrench(vehicle: Vehicle, rotor: int) -> Annotated[Array, "6"]:
+    """Body wrench (6,) of one newton of a rotor's thrust, by its number from zero."""
+    from groundstation.model.rotors import wrench_matrix
+
+    return np.asarray(wrench_matrix(vehicle)[:, rotor], dtype=float)
+
+
+def pushing(
+    straight: Callable[[Signals, Vehicle, Settings], tuple[Array, Array]],
+) -> Callable[[Signals, Vehicle, Settings], Array]:
+    """The wrench (k, 6, 1) of an effect that pushes in one direction."""
+
+    def wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
+        how_hard, direction = straight(signals, vehicle, settings)
+        return (how_hard[:, None] * direction)[:, :, None]
+
+    return wrench
 
 
 def ramp(t_s: Annotated[Array, "k"], at_s: float, within_s: float) -> Annotated[Array, "k"]:

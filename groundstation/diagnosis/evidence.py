@@ -10,21 +10,23 @@ effect's evidence is its Wald statistic in the joint estimate. Without a plan Z 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from functools import cached_property
+from itertools import count, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.columns import Candidate, Columns, Contest, Recent, Solution
+from groundstation.diagnosis.columns import Batch, Candidate, Columns, Contest, Pair, Recent, Solution
 from groundstation.diagnosis.effect import weight
 from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.joint import Products, estimated, strengths
+from groundstation.diagnosis.products import Member, Table, product
+from groundstation.diagnosis.products import Pair as Crossed
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.whitening import spanning
 from groundstation.identification.instrumental import lag_split_precision
 from groundstation.model.parameters import PriorContext, table
-from groundstation.model.signals import Signals
 
 Array = NDArray[np.float64]
 
@@ -33,21 +35,9 @@ FLIGHTS_OWN = ("accel_bias_x_m_s2", "accel_bias_y_m_s2", "accel_bias_z_m_s2")
 
 
 COLUMNS_BYTES = 400 * 2**20
-"""Of candidates' columns that are held: those of four minutes of flight, all candidates together."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Pair:
-    """Z_a^T W X_b, Z_a^T W Z_b, X_a^T W X_b and X_a^T W Z_b of two members."""
-
-    zx: Array
-    zz: Array
-    xx: Array
-    xz: Array
-
-    def turned(self) -> _Pair:
-        """Of the second and the first."""
-        return _Pair(self.xz.T, self.zz.T, self.xx.T, self.zx.T)
+"""Of candidates' columns that are held: those of six minutes of flight, all candidates together."""
+BATCH_BYTES = 64 * 2**20
+"""Of those that stand side by side."""
 
 
 class Evidence:
@@ -79,16 +69,17 @@ class Evidence:
                 [np.zeros((len(repeated), len(shared))), np.diag(repeated)],
             ]
         )
-        self._base = Columns.of(self.x, self.z, np.zeros(6))
-        self._output = Columns.of(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
-        self._recent = Recent(COLUMNS_BYTES)
-        self._products: dict[tuple[int, int], _Pair] = {}
+        self.base = Columns.of(self.x, self.z, np.zeros(6))
+        self.output = Columns.of(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
+        self._recent, self._batches = Recent(COLUMNS_BYTES), count()
         self._beside: tuple[tuple[int, ...], Products] | None = None
+        self.folds: dict[tuple[int, float], list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]] = {}
         self._priors: dict[str, Array] = {}
+        self._solved: dict[tuple[int, tuple[int, ...]], tuple[NDArray[np.bool_], Solution]] = {}
         vehicle = flights[0].prepared.record.vehicle
         self.scale = weight(vehicle) * np.array([1.0] * 3 + [vehicle.arm_m()] * 3)
-        self.weight = np.ones(len(self.y))
         self.weight = np.minimum(1.0, THRESHOLDS.outlier_std / np.maximum(np.abs(self._plain_remainder()), 1e-9))
+        self.table = Table(self.base, self.output, self.weight, self.time_of_rows()[1])
 
     def of_each_flight(self) -> list[int]:
         """Base parameters that are another on every flight: the accelerometer's biases, which change from power-on to
@@ -109,68 +100,102 @@ class Evidence:
 
     def _plain_remainder(self) -> Array:
         """What base and known effects leave in the least squares sense: an effect's own rows are not outliers."""
-        columns = [self.columns(candidate) for candidate in self.flights[0].known]
-        a = np.concatenate([self.x, *(c.sensitivity for c in columns if c is not None)], axis=1)
+        known = self._over_flights(self.flights[0].known, everywhere=False)
+        a = np.concatenate([self.x, known.white[:, : known.wrench_rms.shape[1]]], axis=1)
         scale: Array = np.linalg.norm(a, axis=0) + 1e-30
         fitted = np.linalg.lstsq(a / scale, self.y, rcond=1e-8)[0] / scale
         return self.y - a @ fitted
 
     def columns(self, candidate: Candidate, *, everywhere: bool = False) -> Columns | None:
-        """A candidate's columns over all flights, zero on the references unless ``everywhere``."""
-        found = self._over_flights(candidate, everywhere)
-        if found is None:
-            return None
-        return found.recent(self._recent, lambda: self._over_flights(candidate, everywhere))
+        """A candidate's columns over all flights, zero on the references unless ``everywhere``; None where its signals
+        are unknown.
+        """
+        return self.columns_of([candidate], everywhere=everywhere)[0]
 
-    def _over_flights(self, candidate: Candidate, everywhere: bool) -> Columns | None:
-        count = len(candidate.effect.parameters)
-        known: list[Columns] = []
-        for number, flight in enumerate(self.flights):
-            if number < self.suspects or everywhere:
-                part = flight.columns(candidate)
-                if part is None:
-                    return None
-            else:
-                nothing = np.zeros((len(flight.y), count))
-                part = Columns.of(nothing, nothing, np.zeros((6, count)))
-            known.append(part)
-        return self._joined(known)
+    def columns_of(self, candidates: Sequence[Candidate], *, everywhere: bool = False) -> list[Columns | None]:
+        """Those of many, whitened and kept side by side."""
+        out: list[Columns | None] = []
+        bytes_each = 2 * 8 * len(self.y)
+        some, width = list[Candidate](), 0
+        for candidate in candidates:
+            more = len(candidate.effect.parameters)
+            if some and (width + more) * bytes_each > BATCH_BYTES:
+                out += self._held(tuple(some), everywhere)
+                some, width = [], 0
+            some.append(candidate)
+            width += more
+        return out + (self._held(tuple(some), everywhere) if some else [])
 
-    def _joined(self, parts: Sequence[Columns]) -> Columns:
-        rms = np.sqrt(np.mean([part.wrench_rms**2 for part in parts[: self.suspects]], axis=0))
-        sensitivity, instrument = (
-            np.concatenate([getattr(p, n) for p in parts]) for n in ("sensitivity", "instrument")
-        )
-        return Columns.of(sensitivity, instrument, rms)
+    def part(self, columns: Columns, own: slice) -> Columns:
+        """Of some of the parameters."""
 
-    def along(self, function: Callable[[Signals], Array]) -> dict[int, Columns]:
-        """Columns of functions of the signals (k, p) as torque or force of each channel; empty where one is unknown."""
-        found: list[dict[int, Columns]] = []
-        for flight in self.flights[: self.suspects]:
-            basis, wished = function(flight.signals), None if flight.planned is None else function(flight.planned)
-            if not np.isfinite(basis).all() or (wished is not None and not np.isfinite(wished).all()):
-                return {}
-            found.append(flight.along(basis, wished))
-        count = next(iter(found[0].values())).sensitivity.shape[1]
-        blank = [np.zeros((len(flight.y), count)) for flight in self.flights[self.suspects :]]
-        rest = [Columns.of(nothing, nothing, np.zeros((6, count))) for nothing in blank]
-        return {channel: self._joined([*(each[channel] for each in found), *rest]) for channel in found[0]}
+        def cut() -> Pair:
+            sensitivity, instrument = columns.pair()
+            return sensitivity[:, own], instrument[:, own]
+
+        energy = None if columns.energy is None else columns.energy[:, own]
+        found = Columns(cut, columns.wrench_rms[:, own], energy)
+        self.table.add_part(columns.number, found.number, own)
+        return found
+
+    def _held(self, candidates: Sequence[Candidate], everywhere: bool) -> list[Columns | None]:
+        """Those of a batch, held for as long as there is room, and else made anew."""
+        number, batch = next(self._batches), self._over_flights(candidates, everywhere)
+        self._recent.hold(number, batch.white)
+
+        def white() -> Array:
+            return self._recent.batch(number, lambda: self._over_flights(candidates, everywhere).white)
+
+        total, first = batch.wrench_rms.shape[1], 0
+        apart = total if batch.planned else 0
+        out: list[Columns | None] = []
+        members: list[Member] = []
+        for candidate, known in zip(candidates, batch.known, strict=True):
+            own = slice(first, first + len(candidate.effect.parameters))
+            wished = slice(own.start + apart, own.stop + apart)
+            first = own.stop
+            if not known:
+                out.append(None)
+                continue
+
+            def pair(own: slice = own, wished: slice = wished) -> Pair:
+                found = white()
+                return found[:, own], found[:, wished]
+
+            columns = Columns(pair, batch.wrench_rms[:, own], batch.energy[:, wished])
+            members.append(Member(columns.number, own, wished))
+            out.append(columns)
+        self.table.add(white, members)
+        return out
+
+    def _over_flights(self, candidates: Sequence[Candidate], everywhere: bool) -> Batch:
+        parts = [
+            flight.batch(candidates) if everywhere or number < self.suspects else flight.nothing(candidates)
+            for number, flight in enumerate(self.flights)
+        ]
+        return Batch.joined(parts, self.suspects)
 
     def solve(self, chosen: Sequence[tuple[Candidate, Columns]], rows: NDArray[np.bool_] | None = None) -> Solution:
         """Joint instrumental estimate of base and chosen candidates (:func:`.estimated`).
 
         Args:
             chosen: candidates with their columns.
-            rows: which rows to use (all). Products over all rows are remembered.
+            rows: which rows to use (all). Products over all rows are remembered, and solutions over some of them.
         """
-        return Solution(*estimated(self._equations(chosen, rows)), self.x.shape[1])
+        if rows is None:
+            return Solution(*estimated(self._equations(chosen, rows)), self.x.shape[1])
+        key = id(rows), tuple(columns.number for _, columns in chosen)
+        if key not in self._solved:
+            found = Solution(*estimated(self._equations(chosen, rows)), self.x.shape[1])
+            self._solved[key] = rows, found  # the rows stay as well, so that no others have their number
+        return self._solved[key][1]
 
     def strengths(self, chosen: Sequence[tuple[Candidate, Columns]]) -> Array:
         """F of the instruments of each parameter of :meth:`solve`, beside all the others."""
         return strengths(self._equations(chosen, None))
 
     def _equations(self, chosen: Sequence[tuple[Candidate, Columns]], rows: NDArray[np.bool_] | None) -> Products:
-        members = [self._base, *(columns for _, columns in chosen)]
+        members = [self.base, *(columns for _, columns in chosen)]
         return self._products_of(members, rows).with_prior(self._precision(chosen))
 
     def _products_of(self, members: Sequence[Columns], rows: NDArray[np.bool_] | None) -> Products:
@@ -181,7 +206,7 @@ class Evidence:
         """
         first, last = members[:-1], members[-1]
         if not first:
-            own, output = self._product(last, last, rows), self._product(last, self._output, rows)
+            own, output = self._product(last, last, rows), self._product(last, self.output, rows)
             count = len(self.y) if rows is None else int(np.count_nonzero(rows))
             return Products(own.zx, own.zz, own.xx, output.zx[:, 0], output.xx[:, 0], count)
         key = tuple(columns.number for columns in first)
@@ -203,18 +228,25 @@ class Evidence:
             zx[start:end, place:], zz[start:end, place:], xx[start:end, place:] = across.zx, across.zz, across.xx
             back = across.turned()
             zx[place:, start:end], zz[place:, start:end], xx[place:, start:end] = back.zx, back.zz, back.xx
-        own, output = self._product(last, last, rows), self._product(last, self._output, rows)
+        own, output = self._product(last, last, rows), self._product(last, self.output, rows)
         zx[place:, place:], zz[place:, place:], xx[place:, place:] = own.zx, own.zz, own.xx
         zy, xy = np.append(before.zy, output.zx[:, 0]), np.append(before.xy, output.xx[:, 0])
         return Products(zx, zz, xx, zy, xy, before.rows)
 
+    def products(self, chosen: Sequence[tuple[Candidate, Columns]]) -> Products:
+        """Of base and chosen candidates with their priors."""
+        return self._equations(chosen, None)
+
+    def prior_of(self, candidate: Candidate) -> Array:
+        """Prior precision of a candidate's parameters, (p,)."""
+        if candidate.identifier not in self._priors:
+            self._priors[candidate.identifier] = candidate.effect.precision(self.flights[0].prepared.record.vehicle)
+        return self._priors[candidate.identifier]
+
     def _precision(self, chosen: Sequence[tuple[Candidate, Columns]]) -> Array:
         """Prior precision of base and chosen candidates together."""
-        vehicle, base = self.flights[0].prepared.record.vehicle, len(self.prior)
-        for candidate, _ in chosen:
-            if candidate.identifier not in self._priors:
-                self._priors[candidate.identifier] = candidate.effect.precision(vehicle)
-        known = [self._priors[candidate.identifier] for candidate, _ in chosen]
+        base = len(self.prior)
+        known = [self.prior_of(candidate) for candidate, _ in chosen]
         total = base + sum(map(len, known))
         out = np.zeros((total, total))
         out[:base, :base] = self.prior
@@ -231,36 +263,34 @@ class Evidence:
         Args:
             members: which of the columns' parameters the statistic is of; None for all.
         """
-        from scipy.stats import f
+        energy = self._energy(columns.instrument) if columns.energy is None else columns.energy
+        return self.threshold_of(energy if members is None else energy[:, members], chance)
 
-        chosen = columns.instrument if members is None else columns.instrument[:, members]
-        count, first = chosen.shape[1], 0
-        energies: list[Array] = []
-        freedoms: list[Array] = []
-        for flight in self.flights:
-            energy, freedom = flight.whitening.spread(chosen[first : first + len(flight.y)])
-            energies.append(energy)
-            freedoms.append(freedom)
-            first += len(flight.y)
-        share = np.concatenate(energies)
+    def threshold_of(self, energy: Array, chance: float) -> float:
+        """The same by how the energy of each parameter's instrument lies over channels and bands, (bands, p)."""
+        from scipy.special import betaincinv
+
+        share, count = energy.sum(axis=1), energy.shape[1]
         if not share.sum() > 0.0:
             return float("inf")  # the plan does none of it: no instrument tells it
         share = share / share.sum()
-        return count * float(f.isf(chance, count, 1.0 / np.sum(share**2 / np.concatenate(freedoms))))
+        freedom = 1.0 / np.sum(share**2 / self._freedom)
+        left = float(betaincinv(0.5 * freedom, 0.5 * count, chance))  # nu / (nu + W), of a beta distribution
+        return freedom * (1.0 - left) / left
 
-    def _product(self, a: Columns, b: Columns, rows: NDArray[np.bool_] | None) -> _Pair:
+    def _energy(self, instrument: Array) -> Array:
+        """How that of each instrument lies over the channels and bands of the flights, (bands, p)."""
+        starts = np.cumsum([0, *(len(flight.y) for flight in self.flights)])
+        parts = [instrument[first:last] for first, last in pairwise(starts)]
+        return np.concatenate([f.whitening.energy(part) for f, part in zip(self.flights, parts, strict=True)])
+
+    @cached_property
+    def _freedom(self) -> Array:
+        return np.concatenate([flight.whitening.freedom() for flight in self.flights])
+
+    def _product(self, a: Columns, b: Columns, rows: NDArray[np.bool_] | None) -> Crossed:
         """Products of two members, remembered for all rows."""
-        if b.number < a.number:
-            return self._product(b, a, rows).turned()
-        key = (a.number, b.number)
-        if rows is None and key in self._products:
-            return self._products[key]
-        w = (self.weight if rows is None else self.weight * rows)[:, None]
-        z, x = (a.instrument * w).T, (a.sensitivity * w).T
-        pair = _Pair(z @ b.sensitivity, z @ b.instrument, x @ b.sensitivity, x @ b.instrument)
-        if rows is None:
-            self._products[key] = pair
-        return pair
+        return self.table.pair(a, b) if rows is None else product(a, b, self.weight * rows)
 
     def contest(self, sets: Sequence[Sequence[tuple[Candidate, Columns]]]) -> Contest:
         r"""Fall of the instrumented squared residual :math:`|P_Z W^{1/2} (y - A \theta)|^2` that each set brings to the
@@ -314,6 +344,10 @@ class Evidence:
 
     def time_of_rows(self) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
         """Time, channel and flight of each whitened row."""
+        return self._places
+
+    @cached_property
+    def _places(self) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
         times: list[Array] = []
         channels: list[NDArray[np.int64]] = []
         flights: list[NDArray[np.int64]] = []

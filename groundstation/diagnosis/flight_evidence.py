@@ -6,24 +6,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.columns import Candidate, Columns, Solution
+from groundstation.diagnosis.columns import Batch, Candidate, Solution
 from groundstation.diagnosis.effect import library
 from groundstation.diagnosis.joint import updated_rigid_body
-from groundstation.diagnosis.signals import planned_signals, thinned
+from groundstation.diagnosis.signals import planned_signals
+from groundstation.diagnosis.sudden import sudden
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.whitening import Whitening
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import RecordModel
-from groundstation.identification.sensitivities import planned_sensitivities
+from groundstation.identification.sensitivities import planned_parts
+from groundstation.identification.sudden import VERTICAL
 from groundstation.model.parameters import RIGID_BODY, FitOptions, table, values_of, with_values
 
 Array = NDArray[np.float64]
 
+SAMPLES_AT_ONCE = 2**22
+"""Of functions of time that are worked out side by side: 32 MB."""
 WRENCH_ROW = {0: 3, 1: 4, 2: 5, 3: 0, 4: 1, 5: 2}
 """Of each channel, where its force or torque stands in a wrench."""
 
@@ -47,6 +52,7 @@ class FlightEvidence:
         generic: bool = True,
     ):
         self.prepared, self.known = prepared, tuple(known)
+        self._moved: list[tuple[Candidate, Array]] = []
         self._fitted, self._given = fitted, options
         record, p = prepared.record, fitted.parameters
         self.parameters = replace(p, com_m=np.zeros(3), yaw_trim_nm=0.0, force_bias_m_s2=np.zeros(3), extra=np.zeros(0))
@@ -61,11 +67,12 @@ class FlightEvidence:
         )
         self.model = RecordModel(record, (), None if prepared.planned is None else replace(prepared.planned, extra=()))
         self.signals = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
-        self.excited = thinned(self.signals, record.keep)
+        self.excited = self.signals.at(record.keep)
         self._share = record.keep / np.sum(record.keep)
         self._inverse = np.linalg.inv(self.parameters.tensor)
         self.residual, self.sensitivity, self.names = self.model.evaluate(self.parameters, self.options)
         self.planned = planned_signals(prepared, self.parameters)
+        self.sudden = self._sudden()
         self.whitening = Whitening(
             self.channels, self.model.dt, self.model.restart, self.residual, self._nuisance(generic)
         )
@@ -73,15 +80,30 @@ class FlightEvidence:
         self.x = self.whitening.apply(self.sensitivity)
         self.z = self.x if prepared.planned is None else self._base_instruments()
 
+    def _sudden(self) -> list[Candidate]:
+        """What begins at an instant of this flight, and nobody knows of yet."""
+        if VERTICAL not in self.channels:
+            return []
+        left = (self.residual[:, VERTICAL], _of_channel(self.sensitivity, VERTICAL))
+        taken = {candidate.identifier for candidate in self.known}
+        found = sudden(self.model, self.prepared.record.vehicle, self.signals, self.excited, left)
+        return [candidate for candidate in found if candidate.identifier not in taken]
+
     def _base_instruments(self) -> Array:
         """The base's columns along the planned motion; what delays the inputs takes what all of those explain of its
         own.
         """
-        z = self.whitening.apply(planned_sensitivities(self.model, self.parameters, self.options))
+        parts = [columns for _, columns in planned_parts(self.model, self.parameters, self.options)]
+        z = self.whitening.apply(parts[0] if len(parts) == 1 else np.concatenate(parts))
         entries = table()
         timing = [index for index, name in enumerate(self.names) if entries[name].timing]
         z[:, timing] = self.whitening.explained(self.x[:, timing], z)
         return z
+
+    @cached_property
+    def declared(self) -> RecordModel:
+        """The flight by the thrust curve that was declared."""
+        return self.model.of_vehicle(self.prepared.flight.vehicle)
 
     def base_std(self, name: str) -> float:
         """Standard deviation of a parameter of the base fit."""
@@ -123,7 +145,8 @@ class FlightEvidence:
     def _nuisance(self, generic: bool) -> list[Array]:
         """Columns (blocks, m) of each known channel that keep an effect's own residual out of the noise model."""
         vehicle = self.prepared.record.vehicle
-        known = [self.predicted(c.effect.wrench(self.signals, vehicle, c.settings)) for c in self.known]
+        kept_out = (*self.known, *self.sudden)
+        known = [self.predicted(c.effect.wrench(self.signals, vehicle, c.settings)) for c in kept_out]
         parts: list[list[Array]] = [[_of_channel(self.sensitivity, c)] for c in self.channels]
         for columns in known:
             _add(parts, columns, self.channels)
@@ -131,7 +154,7 @@ class FlightEvidence:
             for own, drift in zip(parts, self._drift(), strict=True):
                 own.append(drift)
             self._add_library(parts)
-        return [np.concatenate(own, axis=1) for own in parts]
+        return [np.concatenate(parts.pop(0), axis=1) for _ in self.channels]  # the parts of one channel at a time
 
     def _drift(self) -> list[Array]:
         """Columns (blocks, m) of each known channel: slow drift, its own speed and thrust as torque and as force.
@@ -163,67 +186,113 @@ class FlightEvidence:
         vehicle = self.prepared.record.vehicle
         for effect in library().values():
             settings = effect.variants(self.excited, vehicle) if effect.applies(vehicle) else ()
-            shown = [i for i, p in enumerate(effect.parameters) if not p.changes]
             for chosen in settings[:: max(1, len(settings) // THRESHOLDS.variants_in_noise)]:
-                wrench = effect.wrench(self.signals, vehicle, chosen)[:, :, shown]
+                wrench = effect.unchanged(self.signals, vehicle, chosen)
                 if np.isfinite(wrench).all():
                     _add(parts, self.predicted(wrench), self.channels)
 
     def predicted(self, wrench: Array) -> Array:
         """Rates and specific forces (blocks, 6, p) that a body wrench (k, 6, p) adds."""
         out = self.model.of_wrench(wrench)
-        out[:, :3] = np.einsum("ij,kjp->kip", self._inverse, out[:, :3])
+        out[:, :3] = self._inverse @ out[:, :3]
         out[:, 3:] /= self.parameters.mass_kg
         return out
 
-    def columns(self, candidate: Candidate) -> Columns | None:
-        """Whitened sensitivities and instruments of a candidate; None where its signals are unknown or it does
-        nothing.
+    def moved_by(self, candidate: Candidate) -> Array:
+        """Rates and specific forces (blocks, 6, p) that a candidate adds per unit of its parameters; those asked for
+        last are kept.
         """
-        vehicle = self.prepared.record.vehicle
-        wrench = candidate.effect.wrench(self.signals, vehicle, candidate.settings)
-        if not np.isfinite(wrench.sum()):  # nothing adds up to a number that holds none
-            return None
-        flat = wrench.reshape(len(wrench), -1)
-        rms = np.sqrt(np.einsum("k,kj,kj->j", self._share, flat, flat)).reshape(wrench.shape[1:])
-        seen = self.predicted(wrench)
-        if self.planned is None:
-            sensitivity = self.whitening.apply(seen)
-            return Columns.of(sensitivity, sensitivity, rms)
-        own = candidate.effect.instrument
-        wished = (
-            candidate.effect.wrench(self.planned, vehicle, candidate.settings)
-            if own is None
-            else own(self.signals, self.planned, vehicle, candidate.settings)
+        for known, moved in self._moved:
+            if known is candidate:
+                return moved
+        moved = self.predicted(candidate.effect.wrench(self.signals, self.prepared.record.vehicle, candidate.settings))
+        self._moved = [*self._moved[1 - THRESHOLDS.effects_most :], (candidate, moved)]
+        return moved
+
+    def batch(self, candidates: Sequence[Candidate]) -> Batch:
+        """Whitened sensitivities and instruments of candidates; zero where one's signals are unknown."""
+        counts = [len(candidate.effect.parameters) for candidate in candidates]
+        total = sum(counts)
+        planned = self.planned is not None
+        raw = np.zeros((len(self.model.t_s), 6, 2 * total if planned else total))
+        rms, known = np.zeros((6, total)), [True] * len(candidates)
+        firsts: list[int] = np.cumsum([0, *counts[:-1]]).tolist() if counts else []
+        straight = [index for index, candidate in enumerate(candidates) if candidate.effect.straight is not None]
+        at_once = max(1, SAMPLES_AT_ONCE // len(self.signals.t_s))
+        for start in range(0, len(straight), at_once):
+            some = straight[start : start + at_once]
+            own = [firsts[index] for index in some]
+            columns, sizes, finite = self._straight([candidates[index] for index in some])
+            raw[:, :, own], rms[:, own] = columns[:, :, : len(some)], sizes
+            if planned:
+                raw[:, :, [total + first for first in own]] = columns[:, :, len(some) :]
+            for index, is_finite in zip(some, finite, strict=True):
+                known[index] = is_finite
+        for index, (candidate, first, count) in enumerate(zip(candidates, firsts, counts, strict=True)):
+            if candidate.effect.straight is not None:
+                continue
+            wrenches = self._wrenches(candidate)
+            known[index] = all(np.isfinite(wrench.sum()) for wrench in wrenches)  # nothing adds up to one without it
+            if known[index]:
+                flat = wrenches[0].reshape(len(wrenches[0]), -1)
+                squares = np.einsum("k,kj,kj->j", self._share, flat, flat)
+                rms[:, first : first + count] = np.sqrt(squares).reshape(6, count)
+                for start, wrench in zip((first, total + first), wrenches, strict=False):
+                    raw[:, :, start : start + count] = self.predicted(wrench)
+        return Batch(*self.whitening.applied(raw), rms, tuple(known))
+
+    def nothing(self, candidates: Sequence[Candidate]) -> Batch:
+        """Of candidates that do not act on this flight."""
+        total = sum(len(candidate.effect.parameters) for candidate in candidates)
+        bands = len(self.whitening.freedom())
+        return Batch(
+            np.zeros((len(self.y), total)), np.zeros((bands, total)), np.zeros((6, total)), (True,) * len(candidates)
         )
-        if not np.isfinite(wished.sum()):
-            return None
-        white = self.whitening.apply(np.concatenate([seen, self.predicted(wished)], axis=2))
-        return Columns.of(white[:, : wrench.shape[2]], white[:, wrench.shape[2] :], rms)
 
-    def along(self, basis: Array, wished: Array | None) -> dict[int, Columns]:
-        """Columns of the same functions of time (k, p) as torque or force of each known channel, by channel.
-
-        Args:
-            basis: along the measured motion; wished: along the planned one, where there is one.
+    def _straight(self, candidates: Sequence[Candidate]) -> tuple[Array, Array, list[bool]]:
+        """What candidates that push in one direction add, those of the plan behind, (blocks, 6, n); RMS of their
+        wrenches, (6, candidates); and whether their signals are known.
         """
-        both = basis if wished is None else np.concatenate([basis, wished], axis=1)
-        count, blocks = basis.shape[1], len(self.model.t_s)
-        turning, pushing = self.model.integrated(both), self.model.average(both) / self.parameters.mass_kg
-        parts = [self.whitening.channel(n, turning if c < 3 else pushing) for n, c in enumerate(self.channels)]
-        size = np.sqrt(self._share @ (basis * basis))
-        out: dict[int, Columns] = {}
-        for channel in self.channels:
-            white, rms = np.zeros((len(self.channels), blocks, both.shape[1])), np.zeros((6, count))
-            for n, c in enumerate(self.channels):
-                if channel < 3 and c < 3:
-                    white[n] = self._inverse[c, channel] * parts[n]
-                elif c == channel:
-                    white[n] = parts[n]
-            rms[WRENCH_ROW[channel]] = size
-            flat = white.reshape(-1, both.shape[1])
-            out[channel] = Columns.of(flat[:, :count], flat[:, :count] if wished is None else flat[:, count:], rms)
-        return out
+        vehicle, both = self.prepared.record.vehicle, [self.signals]
+        if self.planned is not None:
+            both.append(self.planned)
+        made = [
+            candidate.effect.straight(signals, vehicle, candidate.settings)
+            for signals in both
+            for candidate in candidates
+            if candidate.effect.straight is not None
+        ]
+        series = np.stack([how_hard for how_hard, _ in made], axis=1)
+        finite = np.isfinite(series.sum(axis=0))
+        series[:, ~finite] = 0.0
+        directions = np.stack([direction for _, direction in made], axis=1)
+        turning = self._inverse @ directions[3:]
+        out = np.empty((len(self.model.t_s), 6, len(made)))
+        out[:, :3] = self.model.integrated(series)[:, None] * turning
+        out[:, 3:] = self.model.average(series)[:, None] * (directions[:3] / self.parameters.mass_kg)
+        own = series[:, : len(candidates)]
+        sizes = np.sqrt(self._share @ (own * own)) * np.abs(directions[:, : len(candidates)])
+        known = finite.reshape(len(both), -1).all(axis=0)
+        out[:, :, np.tile(~known, len(both))] = 0.0
+        return out, sizes, known.tolist()
+
+    def _wrenches(self, candidate: Candidate) -> list[Array]:
+        """What a candidate adds per unit of its parameters, (k, 6, p); with a plan, its instrument, too."""
+        vehicle, effect, planned = self.prepared.record.vehicle, candidate.effect, self.planned
+        seen = effect.wrench(self.signals, vehicle, candidate.settings)
+        if planned is None:
+            return [seen]
+        if effect.instrument is None:
+            return [seen, effect.wrench(planned, vehicle, candidate.settings)]
+        return [seen, effect.instrument(self.signals, planned, vehicle, candidate.settings)]
+
+    def shares_of(self, channel: int) -> Array:
+        """How much of a torque or force of each of the six channels shows in one, (6,); torques by the tensor's
+        inverse.
+        """
+        if channel >= 3:
+            return np.eye(6)[channel]
+        return np.concatenate([self._inverse[channel], np.zeros(3)])
 
 
 def _channels_of(prepared: Prepared) -> tuple[int, ...]:

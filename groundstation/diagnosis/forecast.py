@@ -94,22 +94,26 @@ def prediction_errors(
     Stages are called "prediction_0.1_s_before" and so on; without a rigid body's mass and tensor a stage is empty.
     """
     found: dict[str, dict[str, list[Array]]] = defaultdict(lambda: defaultdict(list))
-    windows = 0
+    starts: dict[tuple[str, int, int], tuple[VehicleModel, Prepared, list[NDArray[np.int64]]]] = {}
+    nominal, windows = declared_model(evidence.flights[0].prepared.flight.vehicle), 0
     for split in splits:
-        models = models_of(evidence, baseline, chosen, split)
+        models = models_of(evidence, baseline, chosen, split) | {"nominal": nominal}
         for flight, inside in split.judged:
-            states = smoothed_states(flight.prepared)
             index = window_starts(flight.prepared, flight.model.t_s[inside])
-            if not len(index):
-                continue
             windows += len(index)
-            known: dict[int, Mapping[float, Mapping[str, Array]]] = {}
-            for stage, model in models.items():
-                if id(model) not in known:
-                    known[id(model)] = error_norms(model, states, index, list(HORIZONS_S), step_s=STEP_S)
-                for horizon, norms in known[id(model)].items():
-                    for quantity, values in norms.items():
-                        found[f"prediction_{horizon:g}_s_{stage}"][quantity].append(values)
+            for stage, model in models.items() if len(index) else ():
+                key = stage, id(model), id(flight)
+                starts.setdefault(key, (model, flight.prepared, []))[2].append(index)
+    judged = {key[2]: prepared for key, (_, prepared, _) in starts.items()}
+    states = {number: smoothed_states(prepared) for number, prepared in judged.items()}
+    known: dict[tuple[int, int], Mapping[float, Mapping[str, Array]]] = {}
+    for (stage, *key), (model, _, parts) in starts.items():
+        own = key[0], key[1]
+        if own not in known:
+            known[own] = error_norms(model, states[own[1]], np.concatenate(parts), list(HORIZONS_S), step_s=STEP_S)
+        for horizon, norms in known[own].items():
+            for quantity, values in norms.items():
+                found[f"prediction_{horizon:g}_s_{stage}"][quantity].append(values)
     return {stage: _pooled(norms) for stage, norms in found.items()}, windows
 
 

@@ -25,19 +25,29 @@ def held_out(evidence: Evidence) -> list[tuple[Rows, Rows]]:
     if evidence.suspects < WHOLE_FLIGHTS:
         return folds(evidence)
     _, _, flights = evidence.time_of_rows()
-    return [(flights != number, flights == number) for number in range(evidence.suspects)]
+    whole = (0, 0.0)  # no block and no guard
+    if whole not in evidence.folds:
+        evidence.folds[whole] = [(flights != number, flights == number) for number in range(evidence.suspects)]
+    return evidence.folds[whole]
 
 
 def folds(
     evidence: Evidence, count: int = THRESHOLDS.held_out_blocks, guard_s: float = THRESHOLDS.held_out_guard_s
-) -> list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
-    """Train and test rows for blocks of time, the guard around each test block left out of training."""
+) -> list[tuple[Rows, Rows]]:
+    """Train and test rows for blocks of time, the guard around each test block left out of training; the same ones
+    whenever they are asked for.
+    """
+    if (count, guard_s) not in evidence.folds:
+        evidence.folds[count, guard_s] = _folds(evidence, count, guard_s)
+    return evidence.folds[count, guard_s]
+
+
+def _folds(evidence: Evidence, count: int, guard_s: float) -> list[tuple[Rows, Rows]]:
     times, _, flights = evidence.time_of_rows()
-    out: list[tuple[NDArray[np.bool_], NDArray[np.bool_]]] = []
-    starts = {n: times[flights == n].min() for n in np.unique(flights)}
-    spans = {n: np.ptp(times[flights == n]) for n in np.unique(flights)}
-    relative = np.array([times - np.vectorize(starts.get)(flights)])[0]
-    span = np.vectorize(spans.get)(flights)
+    out: list[tuple[Rows, Rows]] = []
+    owns = [times[flights == number] for number in range(len(evidence.flights))]
+    relative = times - np.array([own.min() for own in owns])[flights]
+    span = np.array([np.ptp(own) for own in owns])[flights]
     for index in range(count):
         low, high = index * span / count, (index + 1) * span / count
         test = (relative >= low) & (relative < high)

@@ -46,6 +46,8 @@ def updated_rigid_body(about: Array, step: Array) -> tuple[Array, Array] | None:
 class Products:
     """Sums of products over whitened rows, of sensitivities x and instruments z (p columns each) and the output y.
 
+    Of many joint estimates at once a leading axis counts them.
+
     Attributes:
         zx, zz, xx: (p, p). zy, xy: (p,).
         rows: how many.
@@ -80,10 +82,11 @@ def estimated(found: Products) -> tuple[Array, Array]:
     that deviation the bias of feedback is the correlation of regressor and noise over :math:`\sqrt{1 + F}`: never more
     than one.
     """
-    share = FULLER / max(found.rows - len(found.zx), 1)
-    through = (1.0 - share) * found.zx.T @ pseudo_inverse(found.zz)
+    share = FULLER / max(found.rows - found.zx.shape[-1], 1)
+    through = (1.0 - share) * np.swapaxes(found.zx, -1, -2) @ pseudo_inverse(found.zz)
     covariance = pseudo_inverse(through @ found.zx + share * found.xx)
-    return covariance @ (through @ found.zy + share * found.xy), covariance
+    right = through @ found.zy[..., None] + share * found.xy[..., None]
+    return (covariance @ right)[..., 0], covariance
 
 
 def strengths(found: Products) -> Array:
@@ -98,19 +101,23 @@ def strengths(found: Products) -> Array:
 
 
 def pseudo_inverse(matrix: Array) -> Array:
-    """The pseudo-inverse of a symmetric matrix, (p, p), in units in which its diagonal is one; the plain inverse where
-    nothing is small.
+    """The pseudo-inverse of a symmetric matrix, (p, p), or of each of many, (many, p, p), in units in which its
+    diagonal is one; the plain inverse where nothing is small.
 
     The plain one is several times cheaper. A bound on the condition number (1-norms) decides.
     """
-    scale = np.sqrt(np.diag(matrix))
-    scale[scale == 0.0] = 1.0  # what no row is of stays as it is
-    outer = np.outer(scale, scale)
+    scale = np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
+    scale = np.where(scale == 0.0, 1.0, scale)  # what no row is of stays as it is
+    outer = scale[..., :, None] * scale[..., None, :]
     scaled = matrix / outer
     try:
         inverse = np.linalg.inv(scaled)
     except np.linalg.LinAlgError:
+        if matrix.ndim > 2:
+            return np.stack([pseudo_inverse(one) for one in matrix])
         inverse = np.full_like(scaled, np.inf)
-    if not np.linalg.norm(inverse, 1) * np.linalg.norm(scaled, 1) < WELL_CONDITIONED:
-        inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)
-    return 0.5 * (inverse + inverse.T) / outer
+    norms = (np.abs(each).sum(axis=-2).max(axis=-1) for each in (inverse, scaled))
+    near = ~(np.prod(list(norms), axis=0) < WELL_CONDITIONED)
+    if near.any():
+        inverse[near] = np.linalg.pinv(scaled[near], rcond=1e-12, hermitian=True)
+    return 0.5 * (inverse + np.swapaxes(inverse, -1, -2)) / outer

@@ -8,6 +8,9 @@ resists the mass by c times its velocity, Newton's law for the mass and :math:`|
 and the pull on the upper end, per mass, :math:`s (L |\dot s|^2 + s^T (g - a - c (v + L \dot s)))` (Goldstein, Poole,
 Safko 2002, Classical mechanics, ch. 1 and 2: constraint forces; Bisgaard 2008, thesis Aalborg, ch. 3, for a load below
 a helicopter). Swings may be large. The cable does not go slack: a pull below zero is a push.
+
+Pendulums are worked out side by side, one in each lane of a vector register: all that they keep lies in one array, a
+row of LANES for each quantity.
 """
 
 from __future__ import annotations
@@ -16,137 +19,184 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.pendulum_search import LANES
+
 Array = NDArray[np.float64]
 
 PART_RAD, MOST_PARTS = 0.25, 1000.0
 """Angle of one step of the integration at most, and how many steps lie between two samples, whatever they are."""
+STATE, STAGE, SLOPES, HOOK, BETWEEN, PUSH, LENGTH, AIR, DEPTH, STEP, PULL, ROWS = (
+    LANES * row for row in (0, 6, 12, 36, 39, 42, 45, 46, 47, 48, 49, 50)
+)
+"""Where the rows begin: direction and its rate, those of a stage and its slopes; the upper end's velocity where a step
+starts and within it, and its acceleration; what each pendulum is, its step, and its pull per mass.
+"""
 
 
-@njit(cache=True)
-def _slopes(x: Array, v: Array, a: Array, gravity: float, length: float, air: float, out: Array) -> float:
-    """Slopes of direction and its rate, (6,), into ``out``; returns the pull per mass."""
-    along, square = 0.0, 0.0
-    for j in range(3):
-        push = -a[j] - air * (v[j] + length * x[3 + j]) - (gravity if j == 2 else 0.0)
-        out[3 + j] = push
-        along += push * x[j]
-        square += x[3 + j] * x[3 + j]
-    for j in range(3):
-        out[j] = x[3 + j]
-        out[3 + j] = (out[3 + j] - along * x[j]) / length - square * x[j]
-    return length * square + along
-
-
-@njit(cache=True)
-def _settle(x: Array) -> None:
-    """Direction of length one, rate across it."""
-    size = np.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
-    along = 0.0
-    for j in range(3):
-        x[j] /= size
-        along += x[j] * x[3 + j]
-    for j in range(3):
-        x[3 + j] -= along * x[j]
-
-
-@njit(cache=True)
-def _stepped(
-    x: Array, work: Array, acceleration: Array, step: float, gravity: float, length: float, air: float
-) -> None:
-    """Direction and rate moved by a step of fourth-order Runge-Kutta.
-
-    It starts from the velocity in the last row of ``work``, which moves along.
+@njit(cache=True, error_model="numpy")
+def _slopes(s: Array, gravity: float, at: int, hook: int, out: int) -> None:
+    """Slopes of direction and rate in the rows from ``at``, with the upper end's velocity from ``hook`` on, into those
+    from ``out``; and the pulls per mass.
     """
-    slopes, stage, v, start = work[:4], work[4], work[5], work[6]
+    for n in range(LANES):
+        length, air = s[LENGTH + n], s[AIR + n]
+        x0, x1, x2 = s[at + n], s[at + LANES + n], s[at + 2 * LANES + n]
+        r0, r1, r2 = s[at + 3 * LANES + n], s[at + 4 * LANES + n], s[at + 5 * LANES + n]
+        p0 = -s[PUSH + n] - air * (s[hook + n] + length * r0)
+        p1 = -s[PUSH + LANES + n] - air * (s[hook + LANES + n] + length * r1)
+        p2 = -s[PUSH + 2 * LANES + n] - air * (s[hook + 2 * LANES + n] + length * r2) - gravity
+        along, square = p0 * x0 + p1 * x1 + p2 * x2, r0 * r0 + r1 * r1 + r2 * r2
+        inverse = 1.0 / length
+        s[out + n], s[out + LANES + n], s[out + 2 * LANES + n] = r0, r1, r2
+        s[out + 3 * LANES + n] = (p0 - along * x0) * inverse - square * x0
+        s[out + 4 * LANES + n] = (p1 - along * x1) * inverse - square * x1
+        s[out + 5 * LANES + n] = (p2 - along * x2) * inverse - square * x2
+        s[PULL + n] = length * square + along
+
+
+@njit(cache=True, error_model="numpy")
+def _settle(s: Array) -> None:
+    """Directions of length one, rates across them."""
+    for n in range(LANES):
+        x0, x1, x2 = s[n], s[LANES + n], s[2 * LANES + n]
+        r0, r1, r2 = s[3 * LANES + n], s[4 * LANES + n], s[5 * LANES + n]
+        size = np.sqrt(x0 * x0 + x1 * x1 + x2 * x2)
+        x0, x1, x2 = x0 / size, x1 / size, x2 / size
+        along = x0 * r0 + x1 * r1 + x2 * r2
+        s[n], s[LANES + n], s[2 * LANES + n] = x0, x1, x2
+        s[3 * LANES + n], s[4 * LANES + n], s[5 * LANES + n] = r0 - along * x0, r1 - along * x1, r2 - along * x2
+
+
+@njit(cache=True, error_model="numpy")
+def _stepped(s: Array, gravity: float, part: float) -> None:
+    """Directions, rates and the upper ends' velocities moved by a part of the step, fourth-order Runge-Kutta."""
     for number in range(4):
-        share = 0.0 if number == 0 else (1.0 if number == 3 else 0.5)
-        for j in range(3):
-            v[j] = start[j] + share * step * acceleration[j]
-        for j in range(6):
-            stage[j] = x[j] + (share * step * slopes[number - 1, j] if number > 0 else 0.0)
-        _slopes(stage, v, acceleration, gravity, length, air, slopes[number])
-    for j in range(6):
-        x[j] += step / 6.0 * (slopes[0, j] + 2.0 * slopes[1, j] + 2.0 * slopes[2, j] + slopes[3, j])
-    for j in range(3):
-        start[j] += step * acceleration[j]
-    _settle(x)
+        share = 0.0 if number == 0 else (part if number == 3 else 0.5 * part)
+        before = SLOPES + 6 * LANES * max(number - 1, 0)
+        for row in range(0, 6 * LANES, LANES):
+            for n in range(LANES):
+                s[STAGE + row + n] = s[STATE + row + n] + share * s[STEP + n] * s[before + row + n]
+        for row in range(0, 3 * LANES, LANES):
+            for n in range(LANES):
+                s[BETWEEN + row + n] = s[HOOK + row + n] + share * s[STEP + n] * s[PUSH + row + n]
+        _slopes(s, gravity, STAGE, BETWEEN, SLOPES + 6 * LANES * number)
+    for row in range(0, 6 * LANES, LANES):
+        one, two = SLOPES + row, SLOPES + row + 6 * LANES
+        three, four = SLOPES + row + 12 * LANES, SLOPES + row + 18 * LANES
+        for n in range(LANES):
+            slope = s[one + n] + 2.0 * s[two + n] + 2.0 * s[three + n] + s[four + n]
+            s[STATE + row + n] += part * s[STEP + n] / 6.0 * slope
+    for row in range(0, 3 * LANES, LANES):
+        for n in range(LANES):
+            s[HOOK + row + n] += part * s[STEP + n] * s[PUSH + row + n]
+    _settle(s)
 
 
-@njit(cache=True)
-def _advance(
-    x: Array, work: Array, ends: tuple[Array, Array], step: float, gravity: float, length: float, air: float
-) -> None:
-    """Direction and rate, (6,), over a step, in as many parts as keep the angle of each small.
-
-    Args:
-        work: of shape (7, 6).
-        ends: velocity of the upper end where the step starts, and its acceleration over it, (3,) each.
-    """
-    velocity, acceleration = ends
-    pushed, turning = 0.0, 0.0
-    for j in range(3):
-        work[6, j] = velocity[j]
-        pushed += acceleration[j] * acceleration[j]
-        turning += x[3 + j] * x[3 + j]
-    pace = np.sqrt((gravity + np.sqrt(pushed)) / length + turning) + air
-    parts = 1 + int(min(step * pace / PART_RAD, MOST_PARTS))
+@njit(cache=True, error_model="numpy")
+def _advance(s: Array, gravity: float) -> None:
+    """Over a step, in as many parts as keep the angle of each small in every lane."""
+    widest = 0.0
+    for n in range(LANES):
+        pushed, turning = 0.0, 0.0
+        for row in range(0, 3 * LANES, LANES):
+            pushed += s[PUSH + row + n] ** 2
+            turning += s[STATE + 3 * LANES + row + n] ** 2
+        pace = np.sqrt((gravity + np.sqrt(pushed)) / s[LENGTH + n] + turning) + s[AIR + n]
+        widest = max(widest, s[STEP + n] * pace)
+    parts = 1 + int(min(widest / PART_RAD, MOST_PARTS))
     for _ in range(parts):
-        _stepped(x, work, acceleration, step / parts, gravity, length, air)
+        _stepped(s, gravity, 1.0 / parts)
 
 
-@njit(cache=True)
-def pull_per_mass(t_s: Array, velocity: Array, gravity: float, length: float, air: float) -> tuple[Array, Array]:
-    """Pull on the upper end at each instant, m/s^2 in the world (z up), (k, 3), and direction and its rate, (k, 6).
+@njit(cache=True, error_model="numpy")
+def _begun(pendulums: Array) -> Array:
+    """The array of pendulums (n, 3) that hang at rest, the last one in the lanes beyond them."""
+    s = np.zeros(ROWS)
+    for n in range(LANES):
+        s[LENGTH + n], s[AIR + n], s[DEPTH + n] = pendulums[min(n, len(pendulums) - 1)]
+        s[STATE + 2 * LANES + n] = -1.0
+    return s
 
-    The mass hangs at rest at first. Between the instants the acceleration is constant.
+
+@njit(cache=True, error_model="numpy")
+def pulls_per_mass(
+    t_s: Array, velocity: tuple[Array, Array], gravity: float, pendulums: Array, keep: bool
+) -> tuple[Array, Array]:
+    """Pulls on the upper ends of at most LANES pendulums at each instant, m/s^2 in the world (z up), (k, 3, n), and
+    directions and their rates, (k, 6, n), or none of these.
+
+    The masses hang at rest at first. Between the instants the acceleration is constant.
 
     Args:
         t_s: ascending, (k,).
-        velocity: of the upper end in the world, m/s, (k, 3).
-        gravity: m/s^2. length: m. air: 1/s.
+        velocity: in the world, m/s, of where the upper ends would be at no depth, and what each metre of depth adds,
+            (k, 3) each.
+        gravity: m/s^2.
+        pendulums: length (m), damping by the air (1/s) and depth of the upper end (m) of each, (n, 3).
+        keep: directions and rates.
     """
-    k = len(t_s)
-    out, states = np.empty((k, 3)), np.empty((k, 6))
-    x, work = np.zeros(6), np.empty((7, 6))
-    x[2] = -1.0
-    before, after, middle = np.zeros(3), np.zeros(3), np.zeros(3)
+    k, count, (origin, by_depth) = len(t_s), len(pendulums), velocity
+    out, states = np.empty((k, 3, count)), np.empty((k if keep else 0, 6, count))
+    s = _begun(pendulums)
+    after = np.zeros(3 * LANES)
     for i in range(k):
         step = 0.0
+        before = after.copy()
         if i + 1 < k:
             step = max(t_s[i + 1] - t_s[i], 1e-6)
             for j in range(3):
-                after[j] = (velocity[i + 1, j] - velocity[i, j]) / step
+                change, deeper = (origin[i + 1, j] - origin[i, j]) / step, (by_depth[i + 1, j] - by_depth[i, j]) / step
+                for n in range(LANES):
+                    after[j * LANES + n] = change + s[DEPTH + n] * deeper
         for j in range(3):
-            middle[j] = 0.5 * (before[j] + after[j]) if 0 < i < k - 1 else (after[j] if i == 0 else before[j])
-            before[j] = after[j]
-        states[i] = x
-        pull = _slopes(x, velocity[i], middle, gravity, length, air, work[0])
-        for j in range(3):
-            out[i, j] = pull * x[j]
-        _advance(x, work, (velocity[i], after), step, gravity, length, air)
+            for n in range(LANES):
+                now, last = after[j * LANES + n], before[j * LANES + n]
+                s[PUSH + j * LANES + n] = 0.5 * (last + now) if 0 < i < k - 1 else now
+                s[HOOK + j * LANES + n] = origin[i, j] + s[DEPTH + n] * by_depth[i, j]
+        _slopes(s, gravity, STATE, HOOK, SLOPES)
+        for n in range(count):
+            for j in range(3):
+                out[i, j, n] = s[PULL + n] * s[j * LANES + n]
+            if keep:
+                for j in range(6):
+                    states[i, j, n] = s[j * LANES + n]
+        for n in range(LANES):
+            s[STEP + n] = step
+        s[PUSH : PUSH + 3 * LANES] = after
+        _advance(s, gravity)
     return out, states
 
 
-@njit(cache=True)
-def pulls_moved(
-    states: Array, velocity: tuple[Array, Array], step_s: Array, gravity: float, length: float, air: float
-) -> Array:
-    """Pulls per mass of many pendulums side by side, (k, 3), after each has moved by a step of its own.
+@njit(cache=True, error_model="numpy")
+def pulls_moved(states: Array, velocity: tuple[Array, Array], step_s: Array, gravity: float, pendulum: Array) -> Array:
+    """Pulls per mass of one pendulum in many windows side by side, (k, 3), after each has moved by a step of its own.
 
     Args:
         states: direction and rate of each, (k, 6), changed in place.
         velocity: of the upper ends where the step starts and where it ends, (k, 3) each.
-        step_s: (k,).
+        step_s: (k,). pendulum: length, damping and depth, (3,).
     """
     old, new = velocity
-    out = np.empty((len(states), 3))
-    work, acceleration = np.empty((7, 6)), np.zeros(3)
-    for i in range(len(states)):
-        step = max(step_s[i], 1e-6)
-        for j in range(3):
-            acceleration[j] = (new[i, j] - old[i, j]) / step
-        _advance(states[i], work, (old[i], acceleration), step, gravity, length, air)
-        pull = _slopes(states[i], new[i], acceleration, gravity, length, air, work[0])
-        for j in range(3):
-            out[i, j] = pull * states[i, j]
+    k = len(states)
+    out = np.empty((k, 3))
+    s = _begun(pendulum.reshape(1, 3))
+    for first in range(0, k, LANES):
+        for n in range(LANES):
+            i = min(first + n, k - 1)
+            s[STEP + n] = max(step_s[i], 1e-6)
+            for j in range(6):
+                s[STATE + j * LANES + n] = states[i, j]
+            for j in range(3):
+                s[HOOK + j * LANES + n] = old[i, j]
+                s[PUSH + j * LANES + n] = (new[i, j] - old[i, j]) / s[STEP + n]
+        _advance(s, gravity)
+        for n in range(min(LANES, k - first)):
+            for j in range(3):
+                s[HOOK + j * LANES + n] = new[first + n, j]
+        _slopes(s, gravity, STATE, HOOK, SLOPES)
+        for n in range(min(LANES, k - first)):
+            for j in range(6):
+                states[first + n, j] = s[STATE + j * LANES + n]
+            for j in range(3):
+                out[first + n, j] = s[PULL + n] * s[j * LANES + n]
     return out

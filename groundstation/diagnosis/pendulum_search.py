@@ -20,9 +20,13 @@ from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-Pull = Callable[[float, float, float], Array]
-"""Of length (m), damping (1/s) and depth of the hook (m): pull per mass at the instants, in the world, (k, 3)."""
+Pull = Callable[[Array], Array]
+"""Of length (m), damping (1/s) and depth of the hook (m) of at most LANES pendulums, (n, 3): their pulls per mass at
+the instants, in the world, (k, 3, n).
+"""
 
+LANES = 8
+"""Pendulums that are worked out at once: the doubles of the widest vector registers."""
 LENGTHS_M = tuple(np.geomspace(0.15, 4.0, 110).tolist())
 DAMPINGS_1_S = (0.1, 0.3)
 DEPTHS_ARM = (0.0, 0.15, 0.3, 0.45)
@@ -64,12 +68,16 @@ def likely_pendulums(
         return []
     left, basis, used = found
 
-    def shown(x: Array) -> Array:
-        values = _blocks(pull(float(np.exp(x[0])), float(x[1]), float(x[2])))[used, :2].T.ravel()
+    def shown(points: Sequence[Array]) -> Array:
+        """Columns (2 n, points) of what at most LANES pendulums of these places do to the residual."""
+        pulls = pull(np.array([[np.exp(x[0]), x[1], x[2]] for x in points]))[:, :2]
+        blocks = _blocks(pulls.reshape(len(pulls), -1))[used]
+        values = blocks.reshape(len(blocks), 2, -1).transpose(1, 0, 2).reshape(2 * len(blocks), -1)
         return values - basis @ (basis.T @ values)
 
     def falls(points: Sequence[Array]) -> list[float]:
-        return [_fall(shown(x), left) for x in points]
+        groups = [shown(points[i : i + LANES]) for i in range(0, len(points), LANES)]
+        return [_fall(column, left) for columns in groups for column in columns.T]
 
     arm = vehicle.arm_m()
     middle = [np.array([np.log(n), MIDDLE[0], MIDDLE[1] * arm]) for n in LENGTHS_M]
@@ -81,10 +89,11 @@ def likely_pendulums(
         return []
     peaks = _distinct(scanned, near, POLISHED)
     polished = [_polished(x, shown, left, arm) for x in peaks]
-    best = [(x, shown(x)) for x in _distinct(polished, falls(polished), GIVEN)]
+    best = _distinct(polished, falls(polished), GIVEN)
+    columns = shown(best).T if best else ()
     return [
         (float(np.exp(x[0])), float(x[1]), float(x[2]))
-        for x, column in best
+        for x, column in zip(best, columns, strict=True)
         if _fall(column, left) > least and _keeps_step(column, left)
     ]
 
@@ -150,27 +159,27 @@ def _distinct(points: Sequence[Array], falls: Sequence[float], most: int) -> lis
     return out
 
 
-def _polished(x: Array, shown: Callable[[Array], Array], left: Array, arm_m: float) -> Array:
+def _polished(x: Array, shown: Callable[[Sequence[Array]], Array], left: Array, arm_m: float) -> Array:
     """The peak that Gauss and Newton lead to, steps halved where they lead down (variable projection: Golub and Pereyra
     1973).
     """
-    column, fall = shown(x), _fall(shown(x), left)
     least, most = (ends * [1.0, 1.0, arm_m] for ends in (LEAST, MOST))
+    seen = shown([x, *(x + np.diag(STEPS))])
+    column, fall = seen[:, 0], _fall(seen[:, 0], left)
     for _ in range(ROUNDS):
         load = float(column @ left) / float(column @ column)
-        slopes = [(shown(x + step) - column) / size for step, size in zip(np.diag(STEPS), STEPS, strict=True)]
-        columns = np.stack([column, *(load * s for s in slopes)], axis=1)
+        columns = np.column_stack([column, load * (seen[:, 1:] - column[:, None]) / STEPS])
         if not np.isfinite(columns).all():
             return x
         step = np.clip(np.linalg.lstsq(columns, left, rcond=1e-8)[0][1:], [-0.1, -0.3, -0.05], [0.1, 0.3, 0.05])
-        for share in (1.0, 0.5, 0.25):
-            trial = np.clip(x + share * step, least, most)
-            reached = shown(trial)
-            if _fall(reached, left) > fall:
-                break
-        else:
+        trials = [np.clip(x + share * step, least, most) for share in (1.0, 0.5, 0.25)]
+        tried = shown(trials)
+        number = next((n for n in range(len(trials)) if _fall(tried[:, n], left) > fall), None)
+        if number is None:
             return x
-        x, column, gain, fall = trial, reached, _fall(reached, left) / max(fall, 1e-300), _fall(reached, left)
+        x, column = trials[number], tried[:, number]
+        gain, fall = _fall(column, left) / max(fall, 1e-300), _fall(column, left)
         if gain < 1.0 + 1e-4:
             return x
+        seen = shown([x, *(x + np.diag(STEPS))])
     return x

@@ -14,6 +14,8 @@ from groundstation.diagnosis.comparison import base_covariance, flight_parameter
 from groundstation.diagnosis.effect import catalogue
 from groundstation.diagnosis.judging import Judged, judge
 from groundstation.diagnosis.next_flight import rival_entries
+from groundstation.diagnosis.possible import possible
+from groundstation.diagnosis.published import published
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
 from groundstation.diagnosis.screen import dependences
 from groundstation.diagnosis.selection import Progress, Selected, select_beside
@@ -26,7 +28,7 @@ from groundstation.diagnosis.weakness import weak_instruments
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored, anchored_covariance
-from groundstation.identification.declarations import check_declarations, said_first
+from groundstation.identification.declarations import said_first
 from groundstation.identification.identifiability import unrevealed
 from groundstation.identification.low_frequency import without_plan
 from groundstation.identification.preparation import Prepared
@@ -53,8 +55,9 @@ def diagnose(
         progress: told the fraction done and what is being done.
         work: of another analysis of the same flights, or to be kept for one.
     """
-    checks = check_declarations(flights[0])
-    found = _diagnose(flights, options, progress, Work() if work is None else work)
+    work = Work() if work is None else work
+    checks = work.checked(flights[0])
+    found = _diagnose(flights, options, progress, work)
     return replace(
         found,
         declarations=tuple(check.to_dict() for check in checks),
@@ -89,7 +92,9 @@ def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress:
     found = _diagnosis(name, case, selected, judged, air)
     if not (selected.chosen or augmented):
         found = _with_swing(found, case, base)
-    return _with_low_frequencies(found, case, base)
+    found = possible(_with_low_frequencies(found, case, base), case.vehicle)
+    hidden = unrevealed(base.fitted, case.suspects)
+    return published(found, hidden) if hidden else found
 
 
 def _with_swing(found: Diagnosis, case: Case, base: Base) -> Diagnosis:

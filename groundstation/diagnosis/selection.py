@@ -69,7 +69,7 @@ class Selected:
         return bool(np.any(share * np.abs(self.solution.theta[effects]) > std))
 
     def left_open(self) -> Array:
-        """Covariance (7, 7) of mass and tensor that explanations beside them leave open."""
+        """Covariance (p, p) that explanations beside the chosen leave open in the joint estimate."""
         return left_open(self.evidence, self.chosen, self.selection.pool, self.selection.threshold)
 
 
@@ -99,6 +99,7 @@ def select(
             break
         known = tuple(n.candidate for n in found.named)
         base = replace(base, fitted=found.evidence.flights[0].updated_base(base.fitted, found.solution))
+        del found  # one evidence at a time: that of an hour is a gigabyte
         found = _select(case, base, augmented, known, progress, settled)
         if not found.is_bent():
             break

@@ -72,8 +72,3 @@ def _hats(t_s: Array, corners: Array) -> tuple[slice, Array]:
     own = slice(max(int(first) - 1, 0), int(last) + 1)
     peaks: list[Array] = [np.interp(t_s, corners, peak) for peak in np.eye(len(corners))[own]]
     return own, np.stack(peaks, axis=1)
-
-
-def thinned(signals: Signals, rows: NDArray[np.bool_]) -> Signals:
-    """Some of the instants."""
-    return Signals(*(getattr(signals, name)[rows] for name in Signals.__slots__))

@@ -23,6 +23,8 @@ from groundstation.identification.noise import (
 
 Array = NDArray[np.float64]
 
+COLUMNS_AT_ONCE = 16
+"""Columns of a channel that are whitened at a time: what they need stays in the processor's cache."""
 SEED = 0
 """Of the draws that put back the noise that generic columns take."""
 
@@ -53,28 +55,43 @@ class Whitening:
 
     def apply(self, columns: Array) -> Array:
         """Stack the whitened channels of (blocks, 6, m) below each other, (channels * blocks, m)."""
-        return np.concatenate([self.channel(n, columns[:, c, :]) for n, c in enumerate(self.channels)])
+        return self.applied(columns)[0]
 
-    def channel(self, number: int, columns: Array) -> Array:
-        """Whitened columns (blocks, m) of one channel, by its place among the known ones."""
+    def applied(self, columns: Array) -> tuple[Array, Array]:
+        """The same, and how the energy of each whitened column, taken to be of size one, lies over channels and bands,
+        (channels * bands, m).
+        """
+        blocks, _, count = columns.shape
+        white = np.zeros((len(self.channels) * blocks, count))
+        energy = np.zeros((len(self.channels), len(self.bands), count))
+        for number, channel in enumerate(self.channels):
+            shown = np.flatnonzero(columns[:, channel].any(axis=0))
+            for first in range(0, len(shown), COLUMNS_AT_ONCE):
+                some = shown[first : first + COLUMNS_AT_ONCE]
+                found = self.channel(number, columns[:, channel, some])
+                white[number * blocks : (number + 1) * blocks, some], energy[number][:, some] = found
+        return white, of_size_one(energy.reshape(len(self.channels) * len(self.bands), count))
+
+    def channel(self, number: int, columns: Array) -> tuple[Array, Array]:
+        """Whitened columns (blocks, m) of one channel, by its place among the known ones, and their energy by band,
+        (bands, m).
+        """
         colour, gain = self.colours[number], self._gains[number]
         e, s = innovations(columns, self._dt, self._restart, colour, integrated=self.channels[number] < 3)
-        good = np.isfinite(s)
-        white = np.where(good[:, None], e / np.sqrt(np.where(good, s, 1.0))[:, None], 0.0)
-        return np.fft.irfft(np.fft.rfft(white, axis=0) * gain[:, None], len(white), axis=0)
+        e /= np.sqrt(s)[:, None]  # zero where a level was only initialised
+        spectrum = np.fft.rfft(e, axis=0) * gain[:, None]
+        power = spectrum.real**2 + spectrum.imag**2
+        return np.fft.irfft(spectrum, len(e), axis=0), np.add.reduceat(power, [b.start for b in self.bands], axis=0)
 
-    def spread(self, columns: Array) -> tuple[Array, Array]:
-        """How the energy of whitened columns (rows, p), each of size one, lies over channels and bands, and each one's
-        degrees of freedom.
-
-        Both of shape (channels * bands,).
-        """
+    def energy(self, columns: Array) -> Array:
+        """That of whitened columns (rows, m), (channels * bands, m)."""
         power = np.abs(np.fft.rfft(columns.reshape(len(self.channels), -1, columns.shape[1]), axis=1)) ** 2
-        by_band = np.stack([power[:, band].sum(axis=1) for band in self.bands], axis=1)
-        total = by_band.sum(axis=(0, 1))
-        energy = np.sum(by_band / np.where(total > 0.0, total, 1.0), axis=-1)
-        freedom = np.tile([2.0 * (band.stop - band.start) for band in self.bands], len(self.channels))
-        return energy.ravel(), freedom
+        by_band = np.add.reduceat(power, [band.start for band in self.bands], axis=1)
+        return of_size_one(by_band.reshape(-1, columns.shape[1]))
+
+    def freedom(self) -> Array:
+        """Degrees of freedom by channel and band, (channels * bands,)."""
+        return np.tile([2.0 * (band.stop - band.start) for band in self.bands], len(self.channels))
 
     def explained(self, columns: Array, basis: Array) -> Array:
         """What a basis tells of whitened columns, channel by channel, by least squares."""
@@ -137,10 +154,16 @@ class Whitening:
             z, colour, integrated = residual[:, channel], self.colours[number], channel < 3
             products = innovation_products(z, columns, self._dt, self._restart, colour, integrated=integrated)
             left = z - columns @ coefficients(products[1:, 1:], products[1:, 0], random)
-            power = np.abs(np.fft.rfft(self.channel(number, left[:, None])[:, 0])) ** 2 / len(z)
-            for band in self.bands:
-                out[number, band] = 1.0 / np.sqrt(np.mean(power[band]) + 1e-12)
+            power = self.channel(number, left[:, None])[1][:, 0] / len(z)
+            for band, total in zip(self.bands, power, strict=True):
+                out[number, band] = 1.0 / np.sqrt(total / (band.stop - band.start) + 1e-12)
         return out
+
+
+def of_size_one(energy: Array) -> Array:
+    """Energy by channel and band (rows, m) of columns of size one."""
+    total = energy.sum(axis=0)
+    return energy / np.where(total > 0.0, total, 1.0)
 
 
 def bands_of(count: int) -> list[slice]:

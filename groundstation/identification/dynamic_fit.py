@@ -92,6 +92,8 @@ def fit_dynamics(prepared: Sequence[Prepared], progress: Progress = lambda fract
     found = _fitted(prepared, progress)
     p = found.best.parameters
     shares = [unresolved_share(item, model, p) for item, model in zip(found.prepared, found.models, strict=True)]
+    for model in found.models:
+        model.forget()
     share = np.mean(shares, axis=0)
     refined = None if found.instrumental is None else no_finer(found.instrumental, share)
     return replace(found, filter_error=no_finer(found.filter_error, share), instrumental=refined)

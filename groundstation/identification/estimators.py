@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 ADAPTATION_RATE_PER_S = 1.0
 """Rate at which gradient descent forgets along an average direction: memory of about one second."""
 STRETCH = 131072
-"""Samples over which a spectrum is taken at most: two minutes at 1 kHz, of which a residual's memory is a hundredth."""
+"""Samples over which a spectrum is taken at most: two minutes at 1 kHz, of which a residual remembers a thirtieth."""
 SINGULAR = 1e-10
 """Eigenvalues of the correlation matrix of the regressor's columns below this are zero in double precision."""
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from groundstation.flightdata import FlightData
 from groundstation.identification.answer import Answer, as_rigid_body, believed, bound_of, with_methods, within_limits
-from groundstation.identification.declarations import check_declarations, said_first
+from groundstation.identification.declarations import said_first
 from groundstation.identification.disagreement import with_doubts
 from groundstation.identification.dynamic_fit import Progress
 from groundstation.identification.predictive_choice import physical_model, prediction_section
@@ -42,8 +42,8 @@ def identify(
     """
     progress(0.05, "bringing the streams onto one clock")
     options.require_only("identify", "exclude")
-    checks = check_declarations(flights[0])
     work = Work() if work is None else work
+    checks = work.checked(flights[0])
     prepared = work.prepared(flights, options.exclude)
     answer = believed(work.fitted(prepared, progress), said_first(checks))
     answer = with_methods(answer, options.exclude, progress)

@@ -378,10 +378,15 @@ def divided_anew(models: Sequence[RecordModel], found: Fitted, options: FitOptio
 SHOOTING_S = 2.0
 
 
-def output_error(models: Sequence[RecordModel], start: Parameters, options: FitOptions) -> Fitted:
+def output_error(
+    models: Sequence[RecordModel], start: Parameters, options: FitOptions, begin: Parameters | None = None
+) -> Fitted:
     """Output error by multiple shooting: every SHOOTING_S the state starts anew, and the rest is taken for white noise.
 
     The classical estimate (Klein and Morelli, ch. 6), for comparison: what it takes for noise is mostly disturbance.
+
+    Args:
+        start: whose residual tells the noise. begin: where the search begins, there where it is not given.
     """
     white: list[FlightNoise] = []
     shooting: list[RecordModel] = []
@@ -389,8 +394,8 @@ def output_error(models: Sequence[RecordModel], start: Parameters, options: FitO
         every = max(2, round(SHOOTING_S / float(np.median(model.dt))))
         restart = model.restart.copy()
         restart[::every] = True
-        shooting.append(model.restarted(restart))
         residual = model.residual(start)
+        shooting.append(model.restarted(restart))
         chosen = model.channels(options)
         spread = [
             max(float(np.std(np.diff(residual[:, c])[~model.restart[1:]] if c < 3 else residual[:, c])), 1e-9)
@@ -398,4 +403,5 @@ def output_error(models: Sequence[RecordModel], start: Parameters, options: FitO
         ]
         colours = tuple(NoiseModel(1e-9 * s, 1.0, 1e-9 * s, s) for s in spread)
         white.append(FlightNoise(chosen, colours, (PLAIN,) * len(chosen)))
-    return fit(shooting, start, replace(options, colour_rounds=0, autoregression=0), white, fixed=True)
+    begin = start if begin is None else begin
+    return fit(shooting, begin, replace(options, colour_rounds=0, autoregression=0), white, fixed=True)

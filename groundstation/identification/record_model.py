@@ -376,6 +376,10 @@ class RecordModel:
             force += coefficient * push
         return self._with_linear(p, Predicted(moved, wrench, impulse, torque @ np.linalg.inv(p.tensor).T, force))
 
+    def forget(self) -> None:
+        """Let go of the last prediction."""
+        self._last = self._made = None
+
     def residuals(self, trials: Sequence[Parameters]) -> Iterator[Array]:
         """:meth:`residual` at many points that differ in lags and dead time, for less."""
         together = max(1, LANES // self.record.motors.value.shape[1])

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from groundstation.flightdata import FlightData
+from groundstation.identification.declarations import Check, check_declarations
 from groundstation.identification.dynamic_fit import DynamicFit, Progress, fit_dynamics
 from groundstation.identification.preparation import Prepared, prepare_all
 
@@ -21,6 +22,13 @@ class Work:
 
     _flights: tuple[list[FlightData], list[tuple[float, float]], list[Prepared]] | None = field(default=None)
     _fit: tuple[list[Prepared], DynamicFit] | None = field(default=None)
+    _checks: tuple[FlightData, tuple[Check, ...]] | None = field(default=None)
+
+    def checked(self, flight: FlightData) -> tuple[Check, ...]:
+        """:func:`.declarations.check_declarations`."""
+        if self._checks is None or self._checks[0] is not flight:
+            self._checks = flight, check_declarations(flight)
+        return self._checks[1]
 
     def prepared(self, flights: Sequence[FlightData], exclude: Stretches) -> list[Prepared]:
         """:func:`.preparation.prepare_all`."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -14,9 +16,11 @@ from groundstation.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Signals:
     """k instants of one flight, or k parallel simulations at one instant. Unknown signals are NaN.
+
+    What follows from them is worked out once, and cannot be written to.
 
     Attributes:
         t_s: time from the start of the flight, shape (k,).
@@ -45,11 +49,30 @@ class Signals:
 
     def velocity_body_m_s(self) -> Annotated[Array, "k 3"]:
         """Velocity over ground in body axes, (k, 3)."""
-        return quat_rotate_inverse(self.quaternion, self.velocity_world_m_s)
+        return self._once("velocity", lambda: quat_rotate_inverse(self.quaternion, self.velocity_world_m_s))
+
+    def axis_body(self, axis: int) -> Annotated[Array, "k 3"]:
+        """An axis of the world in body axes, (k, 3)."""
+        unit = np.broadcast_to(np.eye(3)[axis], (len(self.t_s), 3))
+        return self._once(f"axis {axis}", lambda: quat_rotate_inverse(self.quaternion, unit))
 
     def up_body(self) -> Annotated[Array, "k 3"]:
         """World vertical in body axes, (k, 3)."""
-        return quat_rotate_inverse(self.quaternion, np.broadcast_to([0.0, 0.0, 1.0], (len(self.t_s), 3)))
+        return self.axis_body(2)
+
+    def at(self, rows: slice | NDArray[np.bool_] | NDArray[np.int64]) -> Signals:
+        """Some of the instants."""
+        return Signals(*(getattr(self, each.name)[rows] for each in fields(self)))
+
+    @cached_property
+    def _known(self) -> dict[str, Array]:
+        return {}
+
+    def _once(self, name: str, made: Callable[[], Array]) -> Array:
+        if name not in self._known:
+            self._known[name] = made()
+            self._known[name].flags.writeable = False
+        return self._known[name]
 
 
 def hover_share(signals: Signals, vehicle: Vehicle) -> Annotated[Array, "k"]:

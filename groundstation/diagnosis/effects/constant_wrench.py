@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, weight
-from groundstation.frames import quat_rotate_inverse
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
@@ -18,8 +17,7 @@ MOST_NM = 1000.0
 def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
     out = blank(signals, 5)
     for axis in range(2):
-        steady = np.broadcast_to(np.eye(3)[axis], (len(signals.t_s), 3))
-        out[:, :3, axis] = quat_rotate_inverse(signals.quaternion, steady)
+        out[:, :3, axis] = signals.axis_body(axis)
     for axis in range(3):
         out[:, 3 + axis, 2 + axis] = 1.0
     return out

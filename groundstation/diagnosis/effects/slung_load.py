@@ -10,7 +10,8 @@ minute later, and it is not found here (:mod:`groundstation.diagnosis.swing` war
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,20 +47,19 @@ def _full(settings: Settings) -> Settings:
     return {AIR_1_S: SEARCHED_AIR_1_S, DEPTH_M: 0.0, **settings}
 
 
-def _hook(settings: Settings) -> Array:
-    """Where the cable is tied, in the body, (3,)."""
-    return np.array([0.0, 0.0, -settings[DEPTH_M]])
+Moving = tuple[Array, Array]
+"""Velocity in the world of the body's origin, and what each metre below it adds, (k, 3) each."""
 
 
-def _velocity(signals: Signals, at: Index | slice, hook: Array) -> Array:
-    """Of the hook in the world at some of the instants, (k, 3)."""
-    beside = quat_rotate(signals.quaternion[at], np.cross(signals.rate_rad_s[at], hook))
-    return np.ascontiguousarray(signals.velocity_world_m_s[at] + beside)
+def _moving(signals: Signals, at: Index | slice) -> Moving:
+    """At some of the instants."""
+    down = np.cross(signals.rate_rad_s[at], [0.0, 0.0, -1.0])
+    return np.ascontiguousarray(signals.velocity_world_m_s[at]), quat_rotate(signals.quaternion[at], down)
 
 
-def _constants(vehicle: Vehicle, settings: Settings) -> tuple[float, float, float]:
-    """Gravity, length and damping, as the kernel takes them."""
-    return float(vehicle.gravity_m_s2), float(settings[LENGTH_M]), float(settings[AIR_1_S])
+def _pendulum(settings: Settings) -> Array:
+    """Length, damping and depth, as the kernel takes them, (3,)."""
+    return np.array([settings[LENGTH_M], settings[AIR_1_S], settings[DEPTH_M]])
 
 
 def _grid(t_s: Array) -> Index:
@@ -68,27 +68,37 @@ def _grid(t_s: Array) -> Index:
     return np.unique(np.r_[0 : len(t_s) : every, len(t_s) - 1])
 
 
-def _on_body(quaternion: Array, pull: Array, hook: Array) -> Array:
-    """Body wrench of a pull in the world, (k, 6)."""
+def _on_body(quaternion: Array, pull: Array, depth_m: float) -> Array:
+    """Body wrench of a pull in the world on the hook, (k, 6)."""
     force = quat_rotate_inverse(quaternion, pull)
-    return np.concatenate([force, np.cross(hook, force)], axis=1)
+    arm = np.stack([depth_m * force[:, 1], -depth_m * force[:, 0], np.zeros(len(force))], axis=1)
+    return np.concatenate([force, arm], axis=1)
 
 
-def _pulled(signals: Signals, vehicle: Vehicle, settings: Settings, planned: Signals | None) -> Array:
-    """Body wrench of one kilogram, (k, 6); along a plan, where there is one, of a load that hangs as it did."""
-    from groundstation.diagnosis.pendulum import pull_per_mass
+def _pulled(
+    signals: Signals, vehicle: Vehicle, several: Sequence[Settings], planned: Signals | None
+) -> Annotated[Array, "k 6 n"]:
+    """Body wrench of one kilogram for each of several settings, (k, 6, n); along a plan, where there is one, of a load
+    that hangs as it did.
+    """
+    from groundstation.diagnosis.pendulum import pulls_per_mass
 
-    at, hook = _grid(signals.t_s), _hook(settings)
-    t_s, velocity, constants = signals.t_s[at], _velocity(signals, at, hook), _constants(vehicle, settings)
-    if not np.isfinite(velocity).all():
-        return np.full((len(signals.t_s), 6), np.nan)
-    _, states = pull_per_mass(t_s, velocity, *constants)
-    if planned is None:
-        acceleration, quaternion = _lifted(signals, at, vehicle), signals.quaternion
-    else:
-        acceleration, quaternion = np.gradient(_velocity(planned, at, hook), t_s, axis=0), planned.quaternion
-    pull = _pull(states, velocity, acceleration, constants)
-    return _on_body(quaternion, resampled(signals.t_s, t_s, pull), hook)
+    at, pendulums = _grid(signals.t_s), np.array([_pendulum(settings) for settings in several])
+    t_s, moving, gravity = signals.t_s[at], _moving(signals, at), float(vehicle.gravity_m_s2)
+    out = np.full((len(signals.t_s), 6, len(several)), np.nan)
+    if not (np.isfinite(moving[0]).all() and np.isfinite(moving[1]).all()):
+        return out
+    _, states = pulls_per_mass(t_s, moving, gravity, pendulums, True)
+    going = None if planned is None else _moving(planned, at)
+    for number, (_, _, depth_m) in enumerate(pendulums):
+        velocity = moving[0] + depth_m * moving[1]
+        if going is None or planned is None:
+            acceleration, quaternion = _lifted(signals, at, vehicle), signals.quaternion
+        else:
+            acceleration, quaternion = np.gradient(going[0] + depth_m * going[1], t_s, axis=0), planned.quaternion
+        pull = _pull(states[:, :, number], velocity, acceleration, (gravity, *pendulums[number, :2]))
+        out[:, :, number] = _on_body(quaternion, resampled(signals.t_s, t_s, pull), float(depth_m))
+    return out
 
 
 def _lifted(signals: Signals, at: Index, vehicle: Vehicle) -> Array:
@@ -115,14 +125,18 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
     return _columns(signals, vehicle, settings, None)
 
 
+def _alone(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
+    """Of the load, (k, 6, 1)."""
+    return _pulled(signals, vehicle, [_full(settings)], None)
+
+
 def _columns(signals: Signals, vehicle: Vehicle, settings: Settings, planned: Signals | None) -> Array:
     """Of the load and of the changes of its settings, (k, 6, 4)."""
-    out, full = blank(signals, len(PARAMETERS)), _full(settings)
-    out[:, :, 0] = about = _pulled(signals, vehicle, full, planned)
-    for column, (name, step) in enumerate(STEPS.items(), 1):
-        size = step * full[name] if name == LENGTH_M else step
-        moved = _pulled(signals, vehicle, {**full, name: full[name] + size}, planned)
-        out[:, :, column] = (moved - about) / size
+    full = _full(settings)
+    sizes = {name: step * full[name] if name == LENGTH_M else step for name, step in STEPS.items()}
+    moved = [{**full, name: full[name] + size} for name, size in sizes.items()]
+    out = _pulled(signals, vehicle, [full, *moved], planned)
+    out[:, :, 1:] = (out[:, :, 1:] - out[:, :, :1]) / np.array(list(sizes.values()))
     return out
 
 
@@ -133,20 +147,26 @@ def _instrument(signals: Signals, planned: Signals, vehicle: Vehicle, settings: 
 
 def _begun(signals: Signals, vehicle: Vehicle, settings: Settings, index: Index) -> Callable[[Signals], Array]:
     """In windows that start in a flight the load swings on from where it was."""
-    from groundstation.diagnosis.pendulum import pull_per_mass, pulls_moved
+    from groundstation.diagnosis.pendulum import pulls_moved, pulls_per_mass
 
-    full = _full(settings)
-    hook, constants, at = _hook(full), _constants(vehicle, full), _grid(signals.t_s)
-    _, states = pull_per_mass(signals.t_s[at], np.nan_to_num(_velocity(signals, at, hook)), *constants)
-    going = states[np.clip(np.searchsorted(at, index), 0, len(at) - 1)]
-    last = [signals.t_s[index], np.nan_to_num(_velocity(signals, index, hook))]
+    pendulum, at, gravity = _pendulum(_full(settings)), _grid(signals.t_s), float(vehicle.gravity_m_s2)
+    depth_m = float(pendulum[2])
+
+    def hook(now: Signals, rows: Index | slice) -> Array:
+        origin, deeper = _moving(now, rows)
+        return np.nan_to_num(origin + depth_m * deeper)
+
+    origin, deeper = (np.nan_to_num(part) for part in _moving(signals, at))
+    _, states = pulls_per_mass(signals.t_s[at], (origin, deeper), gravity, pendulum[None, :], True)
+    going = np.ascontiguousarray(states[np.clip(np.searchsorted(at, index), 0, len(at) - 1), :, 0])
+    last = [signals.t_s[index], hook(signals, index)]
 
     def wrench(now: Signals) -> Array:
-        velocity = np.nan_to_num(_velocity(now, slice(None), hook))
-        pull = pulls_moved(going, (last[1], velocity), now.t_s - last[0], *constants)
+        velocity = hook(now, slice(None))
+        pull = pulls_moved(going, (last[1], velocity), now.t_s - last[0], gravity, pendulum)
         last[:] = now.t_s, velocity
         out = blank(now, len(PARAMETERS))
-        out[:, :, 0] = _on_body(now.quaternion, pull, hook)
+        out[:, :, 0] = _on_body(now.quaternion, pull, depth_m)
         return out
 
     return wrench
@@ -176,15 +196,13 @@ def _finer(settings: Settings) -> tuple[Settings, ...]:
 
 def _searched(signals: Signals, keep: NDArray[np.bool_], vehicle: Vehicle) -> tuple[Settings, ...]:
     """The likeliest pendulums."""
-    from groundstation.diagnosis.pendulum import pull_per_mass
+    from groundstation.diagnosis.pendulum import pulls_per_mass
 
     at = _grid(signals.t_s)[::SEARCHED_EVERY]
-    t_s, origin = signals.t_s[at], _velocity(signals, at, np.zeros(3))
-    by_depth = _velocity(signals, at, np.array([0.0, 0.0, -1.0])) - origin
+    t_s, moving, gravity = signals.t_s[at], _moving(signals, at), float(vehicle.gravity_m_s2)
 
-    def pull(length_m: float, air_1_s: float, depth_m: float) -> Array:
-        velocity = origin + depth_m * by_depth
-        return pull_per_mass(t_s, velocity, float(vehicle.gravity_m_s2), length_m, air_1_s)[0]
+    def pull(pendulums: Array) -> Array:
+        return pulls_per_mass(t_s, moving, gravity, pendulums, False)[0]
 
     found = likely_pendulums(signals, keep, at, vehicle, pull)
     return tuple({LENGTH_M: length, AIR_1_S: air, DEPTH_M: depth} for length, air, depth in found)
@@ -211,6 +229,7 @@ EFFECT = Effect(
     parameters=PARAMETERS,
     wrench=_wrench,
     instrument=_instrument,
+    alone=_alone,
     sentence="A load of {load_kg:g} swings {length_m:m} below the vehicle.",
     confused_with=("wind", "payload_change"),
     manoeuvre="a brisk sideways stop, then hover still for ten seconds and watch the swing ring down",

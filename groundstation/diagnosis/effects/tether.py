@@ -14,12 +14,11 @@ MOST_N = 1000.0
 
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
-    count = len(signals.t_s)
     centre = np.mean(signals.position_m, axis=0)
     out = blank(signals, 4)
     out[:, :3, 0] = quat_rotate_inverse(signals.quaternion, -(signals.position_m - centre))
     for axis in range(3):
-        out[:, :3, 1 + axis] = quat_rotate_inverse(signals.quaternion, np.broadcast_to(np.eye(3)[axis], (count, 3)))
+        out[:, :3, 1 + axis] = signals.axis_body(axis)
     return out
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, weight
-from groundstation.frames import quat_rotate_inverse
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
@@ -15,12 +14,10 @@ MOST_N = 1000.0
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
     out = blank(signals, 2)
-    count = len(signals.t_s)
     ratio = settings["drag_ratio"]
     felt = np.array([np.sqrt(ratio), 1.0 / np.sqrt(ratio), 0.0]) if ratio else np.ones(3)
     for axis in range(2):
-        steady = np.broadcast_to(np.eye(3)[axis], (count, 3))
-        out[:, :3, axis] = quat_rotate_inverse(signals.quaternion, steady) * felt
+        out[:, :3, axis] = signals.axis_body(axis) * felt
     return out
 
 
