@@ -40,6 +40,7 @@ EFFECT = Effect(
     source="Newton's second law with a step in mass",
     parameters=(ParameterInfo("mass_change_kg", lambda v: 0.5 * v.mass_kg, (-MOST_KG, MOST_KG)),),
     wrench=_wrench,
+    pointwise=True,
     sentence="At {at_s:s} the vehicle became {mass_change_kg:g|heavier|lighter}.",
     confused_with=("battery_sag", "rotor_degradation"),
     manoeuvre="hover before and after, at the same voltage",

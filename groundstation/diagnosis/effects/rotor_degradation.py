@@ -41,6 +41,7 @@ EFFECT = Effect(
     source="Freddi, Lanzon, Longhi 2011 (abrupt loss of effectiveness)",
     parameters=(ParameterInfo("loss", lambda v: 0.5, (-0.5, 1.0)),),
     wrench=_wrench,
+    pointwise=True,
     sentence="From {from_s:s} on, rotor {rotor} gives {loss:%|less|more} thrust than before.",
     confused_with=("weak_rotor", "payload_change"),
     manoeuvre="repeat the same manoeuvre early and late",

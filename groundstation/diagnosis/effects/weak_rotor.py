@@ -21,6 +21,7 @@ EFFECT = Effect(
     source="Freddi, Lanzon, Longhi 2011, IFAC 44(1), sec. 2 (rotor effectiveness factor)",
     parameters=(ParameterInfo("loss", lambda v: 0.5, (-0.5, 1.0)),),
     wrench=_wrench,
+    pointwise=True,
     sentence="Rotor {rotor} gives {loss:%|less|more} thrust than declared.",
     confused_with=("com_offset", "constant_wrench"),
     manoeuvre="turn in yaw both ways and climb hard: a weak rotor shows in yaw torque, an offset centre of mass does "
