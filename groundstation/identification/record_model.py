@@ -216,7 +216,7 @@ class RecordModel:
         self.dt = np.concatenate([[nominal], np.maximum(np.diff(self.t_s), 1e-4)])[: len(self.t_s)]
         self.rate = self.average(record.rate_rad_s)
         self.force = self.average(record.force_m_s2)
-        self._known = (True, True, True, *np.isfinite(self.force).all(axis=0).tolist())
+        self._known = [True] * 3 + [bool(np.isfinite(self.force[:, axis]).all()) for axis in range(3)]
         self.elapsed_s = self.t_s - record.t_s[0]
         self.gyroscopic = self.integrated_gyroscopic(record.rate_rad_s)
         self.extra_means = tuple(self.means_of(term, term.value) for term in self.extra)
