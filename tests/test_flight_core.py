@@ -12,6 +12,8 @@ import pytest
 
 from drivers import bus
 from groundstation.flight.client.client import FlightOrder, connect, outcome, running_cores, start_core
+from groundstation.flight.client.interrupts import Interrupts
+from groundstation.flight.client.rehearse import rejoin
 from groundstation.flight.journal import NAME as JOURNAL
 from groundstation.flight.journal import read_journal
 from groundstation.flight.messages import CoreCommand
@@ -194,6 +196,19 @@ def test_a_lease_ends_with_its_holder(core):
             assert operator.take_lease().ok
         wait_for(lambda: guest.take_lease().ok, "the lease to be free")
         assert guest.command("abort").ok
+
+
+@pytest.mark.parametrize("go", [True, False], ids=["in flight", "not started yet"])
+def test_a_flight_whose_client_was_killed_is_followed_to_its_end(core, go):
+    child, _, folder = core(go=go)
+    phase_reached(folder, "exciting" if go else "checked")
+    lines: list[str] = []
+    with Interrupts() as stop:
+        assert rejoin(folder, say=lines.append, confirm=lambda: True, stop=stop)
+        assert outcome(folder)[0] == 0
+        assert child.wait(DEADLINE_S) == 0
+        assert not rejoin(folder, say=lines.append, confirm=lambda: True, stop=stop), "it has ended"
+    assert lines[0] == "flight is still under way; following it to its end"
 
 
 def test_a_flood_of_orders_is_limited_an_old_one_is_refused_and_an_abort_is_always_taken(core):

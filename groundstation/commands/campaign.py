@@ -132,9 +132,11 @@ class _Flyer:
         return new_flight_folder(self._logs, self._stand.vehicle.name)
 
     def was_flown(self, folder: Path) -> bool:
-        """Whether the core of that folder ended its flight as planned."""
+        """Whether the core of that folder ended its flight as planned; one that is under way is followed to its end."""
         from groundstation.campaign.campaign import was_flown
+        from groundstation.flight.client.rehearse import rejoin
 
+        rejoin(folder, say=self._line.say, confirm=self._confirmed, stop=self._stop)
         return was_flown(folder)
 
     def fly(self, plan: Path, folder: Path) -> None:

@@ -11,21 +11,25 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.columns import Batch, Candidate, Columns, Solution
+from groundstation.diagnosis.columns import Batch, Candidate, Solution
 from groundstation.diagnosis.effect import library
 from groundstation.diagnosis.joint import updated_rigid_body
 from groundstation.diagnosis.signals import planned_signals
+from groundstation.diagnosis.sudden import sudden
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.whitening import Whitening
 from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import RecordModel
 from groundstation.identification.sensitivities import planned_parts
+from groundstation.identification.sudden import VERTICAL
 from groundstation.model.parameters import RIGID_BODY, FitOptions, table, values_of, with_values
 from groundstation.model.signals import Signals
 
 Array = NDArray[np.float64]
 
+SAMPLES_AT_ONCE = 2**22
+"""Of functions of time that are worked out side by side: 32 MB."""
 WRENCH_ROW = {0: 3, 1: 4, 2: 5, 3: 0, 4: 1, 5: 2}
 """Of each channel, where its force or torque stands in a wrench."""
 
@@ -89,12 +93,22 @@ class FlightEvidence:
         self._inverse = np.linalg.inv(self.parameters.tensor)
         self.residual, self.sensitivity, self.names = self.model.evaluate(self.parameters, self.options)
         self.planned = planned_signals(prepared, self.parameters)
+        self.sudden = self._sudden()
         self.whitening = Whitening(
             self.channels, self.model.dt, self.model.restart, self.residual, self._nuisance(generic)
         )
         self.y = self.whitened_residual(self.residual)
         self.x = self.whitening.apply(self.sensitivity)
         self.z = self.x if prepared.planned is None else self._base_instruments()
+
+    def _sudden(self) -> list[Candidate]:
+        """What begins at an instant of this flight, and nobody knows of yet."""
+        if VERTICAL not in self.channels:
+            return []
+        left = (self.residual[:, VERTICAL], _of_channel(self.sensitivity, VERTICAL))
+        taken = {candidate.identifier for candidate in self.known}
+        found = sudden(self.model, self.prepared.record.vehicle, self.signals, self.excited, left)
+        return [candidate for candidate in found if candidate.identifier not in taken]
 
     def _base_instruments(self) -> Array:
         """The base's columns along the planned motion; what delays the inputs takes what all of those explain of its
@@ -151,7 +165,7 @@ class FlightEvidence:
 
     def _nuisance(self, generic: bool) -> list[Array]:
         """Columns (blocks, m) of each known channel that keep an effect's own residual out of the noise model."""
-        known = [self.moved_by(candidate) for candidate in self.known]
+        known = [self.moved_by(candidate) for candidate in (*self.known, *self.sudden)]
         parts: list[list[Array]] = [[_of_channel(self.sensitivity, c)] for c in self.channels]
         for columns in known:
             _add(parts, columns, self.channels)
@@ -283,15 +297,28 @@ class FlightEvidence:
         total = sum(counts)
         planned = self.planned is not None
         raw = np.zeros((len(self.model.t_s), 6, 2 * total if planned else total))
-        rms, known, first = np.zeros((6, total)), list[bool](), 0
-        for candidate, count in zip(candidates, counts, strict=True):
+        rms, known = np.zeros((6, total)), [True] * len(candidates)
+        firsts: list[int] = np.cumsum([0, *counts[:-1]]).tolist() if counts else []
+        straight = [index for index, candidate in enumerate(candidates) if candidate.effect.straight is not None]
+        at_once = max(1, SAMPLES_AT_ONCE // len(self.signals.t_s))
+        for start in range(0, len(straight), at_once):
+            some = straight[start : start + at_once]
+            own = [firsts[index] for index in some]
+            columns, sizes, finite = self._straight([candidates[index] for index in some])
+            raw[:, :, own], rms[:, own] = columns[:, :, : len(some)], sizes
+            if planned:
+                raw[:, :, [total + first for first in own]] = columns[:, :, len(some) :]
+            for index, is_finite in zip(some, finite, strict=True):
+                known[index] = is_finite
+        for index, (candidate, first, count) in enumerate(zip(candidates, firsts, counts, strict=True)):
+            if candidate.effect.straight is not None:
+                continue
             found = self._moved_along(self._wrenches_of(candidate), pointwise=candidate.effect.pointwise)
-            known.append(found is not None)
+            known[index] = found is not None
             if found is not None:
                 moved, rms[:, first : first + count] = found
                 for start, columns in zip((first, total + first), moved, strict=False):
                     raw[:, :, start : start + count] = columns
-            first += count
         return Batch(*self.whitening.applied(raw), rms, tuple(known))
 
     def nothing(self, candidates: Sequence[Candidate]) -> Batch:
@@ -301,6 +328,33 @@ class FlightEvidence:
         return Batch(
             np.zeros((len(self.y), total)), np.zeros((bands, total)), np.zeros((6, total)), (True,) * len(candidates)
         )
+
+    def _straight(self, candidates: Sequence[Candidate]) -> tuple[Array, Array, list[bool]]:
+        """What candidates that push in one direction add, those of the plan behind, (blocks, 6, n); RMS of their
+        wrenches, (6, candidates); and whether their signals are known.
+        """
+        vehicle, both = self.prepared.record.vehicle, [self.signals]
+        if self.planned is not None:
+            both.append(self.planned)
+        made = [
+            candidate.effect.straight(signals, vehicle, candidate.settings)
+            for signals in both
+            for candidate in candidates
+            if candidate.effect.straight is not None
+        ]
+        series = np.stack([how_hard for how_hard, _ in made], axis=1)
+        finite = np.isfinite(series.sum(axis=0))
+        series[:, ~finite] = 0.0
+        directions = np.stack([direction for _, direction in made], axis=1)
+        turning = self._inverse @ directions[3:]
+        out = np.empty((len(self.model.t_s), 6, len(made)))
+        out[:, :3] = self.model.integrated(series)[:, None] * turning
+        out[:, 3:] = self.model.average(series)[:, None] * (directions[:3] / self.parameters.mass_kg)
+        own = series[:, : len(candidates)]
+        sizes = np.sqrt(self._share @ (own * own)) * np.abs(directions[:, : len(candidates)])
+        known = finite.reshape(len(both), -1).all(axis=0)
+        out[:, :, np.tile(~known, len(both))] = 0.0
+        return out, sizes, known.tolist()
 
     def _wrenches_of(self, candidate: Candidate) -> Wrenches:
         """What a candidate adds per unit of its parameters, (k, 6, p); with a plan, its instrument, too."""
@@ -316,29 +370,13 @@ class FlightEvidence:
 
         return wrenches
 
-    def along(self, basis: Array, wished: Array | None) -> dict[int, Columns]:
-        """Columns of the same functions of time (k, p) as torque or force of each known channel, by channel.
-
-        Args:
-            basis: along the measured motion; wished: along the planned one, where there is one.
+    def shares_of(self, channel: int) -> Array:
+        """How much of a torque or force of each of the six channels shows in one, (6,); torques by the tensor's
+        inverse.
         """
-        both = basis if wished is None else np.concatenate([basis, wished], axis=1)
-        count, blocks = basis.shape[1], len(self.model.t_s)
-        turning, pushing = self.model.integrated(both), self.model.average(both) / self.parameters.mass_kg
-        parts = [self.whitening.channel(n, turning if c < 3 else pushing)[0] for n, c in enumerate(self.channels)]
-        size = np.sqrt(self._share @ (basis * basis))
-        out: dict[int, Columns] = {}
-        for channel in self.channels:
-            white, rms = np.zeros((len(self.channels), blocks, both.shape[1])), np.zeros((6, count))
-            for n, c in enumerate(self.channels):
-                if channel < 3 and c < 3:
-                    white[n] = self._inverse[c, channel] * parts[n]
-                elif c == channel:
-                    white[n] = parts[n]
-            rms[WRENCH_ROW[channel]] = size
-            flat = white.reshape(-1, both.shape[1])
-            out[channel] = Columns.of(flat[:, :count], flat[:, :count] if wished is None else flat[:, count:], rms)
-        return out
+        if channel >= 3:
+            return np.eye(6)[channel]
+        return np.concatenate([self._inverse[channel], np.zeros(3)])
 
 
 def _channels_of(prepared: Prepared) -> tuple[int, ...]:

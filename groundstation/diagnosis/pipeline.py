@@ -14,6 +14,8 @@ from groundstation.diagnosis.comparison import base_covariance, flight_parameter
 from groundstation.diagnosis.effect import catalogue
 from groundstation.diagnosis.judging import Judged, judge
 from groundstation.diagnosis.next_flight import rival_entries
+from groundstation.diagnosis.possible import possible
+from groundstation.diagnosis.published import published
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
 from groundstation.diagnosis.screen import dependences
 from groundstation.diagnosis.selection import Progress, Selected, select_beside
@@ -90,7 +92,9 @@ def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress:
     found = _diagnosis(name, case, selected, judged, air)
     if not (selected.chosen or augmented):
         found = _with_swing(found, case, base)
-    return _with_low_frequencies(found, case, base)
+    found = possible(_with_low_frequencies(found, case, base), case.vehicle)
+    hidden = unrevealed(base.fitted, case.suspects)
+    return published(found, hidden) if hidden else found
 
 
 def _with_swing(found: Diagnosis, case: Case, base: Base) -> Diagnosis:

@@ -69,7 +69,7 @@ class Selected:
         return bool(np.any(share * np.abs(self.solution.theta[effects]) > std))
 
     def left_open(self) -> Array:
-        """Covariance (7, 7) of mass and tensor that explanations beside them leave open."""
+        """Covariance (p, p) that explanations beside the chosen leave open in the joint estimate."""
         return left_open(self.evidence, self.chosen, self.selection.pool, self.selection.threshold)
 
 

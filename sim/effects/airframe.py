@@ -9,6 +9,7 @@ from pydantic import Field
 
 from sim.algebra import Vector, norm
 from sim.compiled import compiled
+from sim.lanes import select
 
 
 class BodyDrag(NamedTuple):
@@ -90,7 +91,7 @@ def gust_step(p: Wind, state, noise, dt: float) -> Vector:
         state[0, i] += -h * state[0, i] + sqrt(2.0 * h) * noise[i]
     x, y = p.velocity_m_s[0] / speed, p.velocity_m_s[1] / speed
     flat = sqrt(x * x + y * y)
-    x, y = (x / flat, y / flat) if flat > 1e-9 else (1.0, 0.0)
+    x, y = select(flat > 1e-9, x / flat, 1.0), select(flat > 1e-9, y / flat, 0.0)
     along = p.gust_m_s * state[0, 0]
     across = p.gust_m_s * (sqrt(3.0) * state[0, 1] + (1.0 - sqrt(3.0)) * state[1, 1]) / sqrt(2.0)
     up = p.gust_m_s * (sqrt(3.0) * state[0, 2] + (1.0 - sqrt(3.0)) * state[1, 2]) / sqrt(2.0)

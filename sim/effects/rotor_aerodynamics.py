@@ -116,8 +116,6 @@ def inflow_factor(lift: TranslationalLift, climb: ClimbInflow, u: Vector, hover_
 @compiled
 def ground_factor(p: GroundEffect, height: float, radius: float) -> float:
     """Thrust over that far from the floor; below half a radius the theory ends and its value there is kept."""
-    if not p.on:
-        return 1.0
     ratio = radius / (4.0 * max(height, 0.5 * radius))
     return 1.0 / (1.0 - min(p.strength * ratio * ratio, 0.9))
 

@@ -8,6 +8,7 @@ from typing import Annotated, NamedTuple
 from pydantic import Field
 
 from sim.compiled import compiled
+from sim.lanes import select
 
 RotorNumber = Annotated[int, Field(ge=1, le=16)]
 
@@ -110,9 +111,9 @@ def loss_of(weak: WeakRotor, worn: RotorDegradation, rotor: int, flight_s: float
 @compiled
 def power_law(p: ThrustCurve, thrust: float, hover_thrust: float) -> float:
     """Thrust by the power law where the declared law gives ``thrust``."""
-    if not p.on or thrust <= 0.0:
+    if not p.on:
         return thrust
-    return hover_thrust * (thrust / hover_thrust) ** (0.5 * p.exponent)
+    return select(thrust <= 0.0, thrust, hover_thrust * (thrust / hover_thrust) ** (0.5 * p.exponent))
 
 
 @compiled

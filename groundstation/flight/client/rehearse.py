@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,7 +13,7 @@ from drivers.access import Access
 from groundstation.errors import BadInput, FlightAborted, LinkLost, Refused
 from groundstation.flight import timeouts
 from groundstation.flight.children import Child
-from groundstation.flight.client.client import CoreClient, FlightOrder, connect, outcome, start_core
+from groundstation.flight.client.client import CoreClient, FlightOrder, connect, outcome, running_cores, start_core
 from groundstation.flight.client.interrupts import Interrupts
 from groundstation.flight.journal import RAW_LOG
 from groundstation.flight.link.parameter_journal import left_changed
@@ -183,6 +185,42 @@ def fly(
     if status == Refused.exit_status and not (folder / "report.html").is_file():
         raise Refused(reason)
     return FlightResult(folder, status, reason)
+
+
+def rejoin(folder: Path, *, say: Say, confirm: Callable[[], bool], stop: Interrupts) -> bool:
+    """Go on with a flight whose client was killed: its core flew on, or waits for the order to start.
+
+    Returns:
+        Whether there was one.
+    """
+    access = dict(running_cores(folder.parent)).get(folder)
+    if access is None:
+        return False
+    say(f"{folder.name} is still under way; following it to its end")
+    with suppress(ConnectionError), connect(access) as client:
+        client.take_lease()
+        last, heard_s = client.seen, time.monotonic()
+
+        def silent() -> bool:
+            nonlocal last, heard_s
+            if client.seen is not last:
+                last, heard_s = client.seen, time.monotonic()
+            return time.monotonic() - heard_s > timeouts.CORE_CONNECT_S
+
+        with stop.ordering(lambda: _abort(client, say)):
+            follow(client, silent, say, confirm, stop)
+    end = time.monotonic() + timeouts.CORE_CONNECT_S
+    while not _has_outcome(folder) and time.monotonic() < end:
+        time.sleep(timeouts.STATUS_EVERY_S)
+    return True
+
+
+def _has_outcome(folder: Path) -> bool:
+    """Whether a core wrote how its flight ended: the last that it does, after it left the bus."""
+    try:
+        return bool(outcome(folder))
+    except BadInput:
+        return False
 
 
 def _still_changed(folder: Path) -> str:
