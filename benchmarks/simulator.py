@@ -1,16 +1,20 @@
-"""The simulator against RotorPy on the same flight: steps a second on one core, controller and all sensors on.
+"""The simulator alone, many flights at once on one core and on two, and RotorPy: steps a second, all sensors on.
 
-Both fly the paper's published trajectory with the QBall 2's mass, inertia and rotors; the ground-truth loop of RotorPy
+All fly the paper's published trajectory with the QBall 2's mass, inertia and rotors; the ground-truth loop of RotorPy
 is its own (Multirotor with the SE3 controller and its IMU), stepped at the same rate over a part of the flight, because
-it is slow.
+it is slow. Flights at once share the plan and differ in seeds, masses and tensors. Rates are per second of processor
+time of one core; of two processes at once also per second on the clock, which counts what else the machine does.
 
-Run with ``python -m benchmarks.simulator``.
+Run with ``python -m benchmarks.simulator``; ``--flights 1024`` is the study of 1024.
 """
 
 from __future__ import annotations
 
+import argparse
 import statistics
 import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 
 import numpy as np
 from rotorpy.controllers.quadrotor_control import SE3Control
@@ -22,25 +26,77 @@ from groundstation.planning import paper_plan
 from groundstation.trajectory import Plan, flight_path
 from groundstation.vehicle import Vehicle, load_vehicle
 from sim.build import STEP_S
-from sim.flight import simulate
+from sim.flight import SimulatedFlight, simulate
+from sim.many import Job, simulate_many
 from sim.scenario import load_scenario
 
 RUNS = 3
+WARM = 8
 ROTORPY_S = 4.0
 
 
 def ours(vehicle: Vehicle, plan: Plan) -> tuple[float, float]:
-    """Steps per second and times real time, median of several whole flights in the seed's laboratory."""
+    """Steps per processor second and times real time, median of several whole flights in the seed's laboratory."""
     scenario = load_scenario(find_config("scenarios", "seed"))
-    flown_s = flight_path(plan, np.zeros(4)).duration_s
     simulate(vehicle, plan, scenario, 0)  # compiles
-    took = []
+    rates = []
     for seed in range(1, RUNS + 1):
         began = time.process_time()
-        simulate(vehicle, plan, scenario, seed)
-        took.append(time.process_time() - began)
-    median = statistics.median(took)
-    return flown_s / STEP_S / median, flown_s / median
+        flight = simulate(vehicle, plan, scenario, seed)
+        rates.append(flown_steps(flight) / (time.process_time() - began))
+    rate = statistics.median(rates)
+    return rate, rate * STEP_S
+
+
+def jobs(vehicle: Vehicle, plan: Plan, seeds: range) -> list[Job]:
+    """Flights in the seed's laboratory, each with a mass and a tensor of its own."""
+    scenario = load_scenario(find_config("scenarios", "seed"))
+    truth = scenario.truth
+
+    def world(seed: int):
+        x, y, z = np.random.default_rng(seed).uniform(0.97, 1.03, 3)
+        a, b, c = truth.inertia_factor
+        update = {"mass_factor": 1.02 * x, "inertia_factor": (a * y, b * y, c * z)}
+        return scenario.model_copy(update={"truth": truth.model_copy(update=update)})
+
+    return [Job(vehicle, plan, world(seed), seed) for seed in seeds]
+
+
+def _many(first: int, flights: int) -> tuple[float, float]:
+    """Simulated steps and processor seconds of so many flights at once."""
+    vehicle, plan = load_vehicle(find_config("vehicles", "qball2")), paper_plan()
+    steps = 0.0
+    began = time.process_time()
+    for _, flight in simulate_many(jobs(vehicle, plan, range(first, first + flights))):
+        if not isinstance(flight, SimulatedFlight):
+            raise flight
+        steps += flown_steps(flight)
+    return steps, time.process_time() - began
+
+
+def flown_steps(flight: SimulatedFlight) -> float:
+    """Steps that a flight took, by its IMU."""
+    stamps = flight.streams["imu"][0]
+    return float(np.round((stamps[-1] - stamps[0]) / STEP_S))
+
+
+def many(flights: int) -> float:
+    """Steps per processor second of flights at once on one core."""
+    _many(0, WARM)  # compiles, or loads
+    steps, took = _many(1, flights)
+    return steps / took
+
+
+def many_on_two(flights: int) -> tuple[float, float]:
+    """Steps per processor second and core, and per second on the clock, of flights at once in two processes."""
+    half = flights // 2
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        list(pool.map(_many, (0, 0), (WARM, WARM)))
+        began = time.perf_counter()
+        done = list(pool.map(_many, (1, 1 + half), (half, half)))
+        clock = time.perf_counter() - began
+    steps = sum(s for s, _ in done)
+    return steps / sum(took for _, took in done), steps / clock
 
 
 def parameters(vehicle: Vehicle) -> dict:
@@ -93,13 +149,23 @@ def rotorpy(vehicle: Vehicle, plan: Plan) -> float:
 
 
 def main() -> None:
-    """Print both."""
+    """Print all of them."""
+    parser = argparse.ArgumentParser(description="Steps a second of the simulator, and of RotorPy.")
+    parser.add_argument("--flights", type=int, default=64, help="flights at once")
+    options = parser.parse_args()
     vehicle, plan = load_vehicle(find_config("vehicles", "qball2")), paper_plan()
     rate, times = ours(vehicle, plan)
+    together = many(options.flights)
+    each, clock = many_on_two(options.flights)
     theirs = rotorpy(vehicle, plan)
     print(
         f"simulator: {rate:9.0f} steps/s of {1e3 * STEP_S:g} ms, all sensors on: {times:.0f} times real time on one "
         "core"
+    )
+    print(f"{options.flights} flights at once, one core: {together:9.0f} steps/s; ratio {together / rate:.1f}")
+    print(
+        f"{options.flights} flights at once, two processes: {2.0 * each:9.0f} steps/s by processor time of both, "
+        f"{clock:.0f} on the clock"
     )
     print(
         f"RotorPy:   {theirs:9.0f} steps/s of {1e3 * STEP_S:g} ms, plant, controller and IMU; ratio {rate / theirs:.0f}"

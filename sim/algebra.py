@@ -8,6 +8,7 @@ from __future__ import annotations
 from math import cos, sin, sqrt
 
 from sim.compiled import compiled
+from sim.lanes import any_of, negate, select
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -32,6 +33,12 @@ def scale(s: float, a: Vector) -> Vector:
 @compiled
 def dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@compiled
+def chosen(condition: bool, a: Vector, b: Vector) -> Vector:
+    """``a`` where the condition holds, else ``b``."""
+    return (select(condition, a[0], b[0]), select(condition, a[1], b[1]), select(condition, a[2], b[2]))
 
 
 @compiled
@@ -94,10 +101,17 @@ def to_body(q: Quaternion, v: Vector) -> Vector:
 def exponential(r: Vector) -> Quaternion:
     """Quaternion of a rotation vector."""
     angle = norm(r)
-    if angle < 1e-8:
-        return normalise((1.0, 0.5 * r[0], 0.5 * r[1], 0.5 * r[2]))
+    tiny = angle < 1e-8
+    near = normalise((1.0, 0.5 * r[0], 0.5 * r[1], 0.5 * r[2]))
+    if not any_of(negate(tiny)):
+        return near
     s = sin(0.5 * angle) / angle
-    return (cos(0.5 * angle), s * r[0], s * r[1], s * r[2])
+    return (
+        select(tiny, near[0], cos(0.5 * angle)),
+        select(tiny, near[1], s * r[0]),
+        select(tiny, near[2], s * r[1]),
+        select(tiny, near[3], s * r[2]),
+    )
 
 
 @compiled

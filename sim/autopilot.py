@@ -8,13 +8,14 @@ has the desired one in (29)-(30), so that a yaw error does not turn the thrust. 
 
 from __future__ import annotations
 
-from math import asin, atan, atan2, cos, exp, pi, sin, sqrt
+from math import asin, atan, atan2, cos, pi, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from sim.algebra import Quaternion, Vector, conjugate, exponential, multiply, normalise, scale, to_world
 from sim.compiled import compiled
+from sim.lanes import nearest, select
 
 POSITION_SUM, ANGLE_SUM, TILT, FORCE, CONTROL_SIZE = 0, 3, 6, 8, 11
 """Controller state: integrals of position error and of attitude error, filtered commanded roll and pitch, held f_p."""
@@ -37,6 +38,7 @@ class Law(NamedTuple):
         mass, gravity: declared weight's factors.
         position_p, position_i, position_d, attitude_p, attitude_i, attitude_d: diagonals of eq. (31)-(32).
         filter_rad_s: of the derivative of commanded tilt.
+        filter_share: what its state takes of a new value per control period.
         mixing: wrench to rotor thrusts, pseudo-inverse of the declared allocation, shape (n, 4).
         rotor_min, rotor_max: thrust of one rotor, N.
         thrust_max, torque_max: of the whole vehicle, N and N m.
@@ -44,6 +46,7 @@ class Law(NamedTuple):
         curve: declared c0, c1, c2 of thrust against motor value.
         value_max: largest motor value.
         lead_s: rotor lag that the law knows of and leads by; 0 for none.
+        lead_share: what the lead's state takes of a new value per control period.
     """
 
     mass: float
@@ -55,6 +58,7 @@ class Law(NamedTuple):
     attitude_i: Vector
     attitude_d: Vector
     filter_rad_s: float
+    filter_share: float
     mixing: np.ndarray
     rotor_min: float
     rotor_max: float
@@ -64,6 +68,7 @@ class Law(NamedTuple):
     curve: Vector
     value_max: float
     lead_s: float
+    lead_share: float
 
 
 class Observer(NamedTuple):
@@ -130,10 +135,10 @@ def correct(observer: Observer, estimate, then, pose) -> None:
         error = pose[i] - then[i]
         estimate[EST_POSITION + i] += min(3.0 * h, 0.8) * error
         estimate[EST_VELOCITY + i] += 3.0 * h * observer.bandwidth * error
-        estimate[ACCEL_BIAS + i] -= h * observer.bandwidth**2 * error
+        estimate[ACCEL_BIAS + i] -= h * (observer.bandwidth * observer.bandwidth) * error
     old = (then[3], then[4], then[5], then[6])
     turn = multiply(conjugate(old), (pose[3], pose[4], pose[5], pose[6]))
-    sign = 2.0 if turn[0] >= 0.0 else -2.0
+    sign = select(turn[0] >= 0.0, 2.0, -2.0)
     k = observer.attitude_bandwidth * observer.pose_period
     step = (sign * turn[1], sign * turn[2], sign * turn[3])
     q = (estimate[6], estimate[7], estimate[8], estimate[9])
@@ -150,9 +155,9 @@ def position_loop(law: Law, control, estimate, setpoint, dt: float, standing: bo
     for i in range(3):
         error = setpoint[i] - estimate[EST_POSITION + i]
         rate = setpoint[3 + i] - estimate[EST_VELOCITY + i]
-        if not standing:
-            largest = 0.5 * law.mass * law.gravity / max(law.position_i[i], 1e-9)
-            control[POSITION_SUM + i] = clip(control[POSITION_SUM + i] + dt * error, -largest, largest)
+        largest = 0.5 * law.mass * law.gravity / max(law.position_i[i], 1e-9)
+        total = clip(control[POSITION_SUM + i] + dt * error, -largest, largest)
+        control[POSITION_SUM + i] = select(standing, control[POSITION_SUM + i], total)
         wanted = law.mass * (setpoint[6 + i] + (law.gravity if i == 2 else 0.0))
         wanted += law.position_p[i] * error + law.position_i[i] * control[POSITION_SUM + i] + law.position_d[i] * rate
         control[FORCE + i] = wanted
@@ -172,12 +177,12 @@ def attitude_loop(law: Law, control, estimate, setpoint, dt: float, standing: bo
     roll = clip(atan(cos(pitch) * (fx * s_yaw - fy * c_yaw) / fz), -law.tilt_max, law.tilt_max)
     thrust = fz / max(c_roll * c_pitch, 0.3)
     yaw_error = setpoint[9] - angles[2]
-    yaw_error -= 2.0 * pi * round(yaw_error / (2.0 * pi))
+    yaw_error -= 2.0 * pi * nearest(yaw_error / (2.0 * pi))
     errors = (roll - angles[0], pitch - angles[1], clip(yaw_error, -0.5, 0.5))
     # Derivative filter a s/(s + a), zero-order hold: the state follows, the difference times a is the derivative.
     a = law.filter_rad_s
     slopes = (a * (roll - control[TILT]), a * (pitch - control[TILT + 1]), setpoint[10])
-    share = 1.0 - exp(-a * dt)
+    share = law.filter_share
     control[TILT] += share * (roll - control[TILT])
     control[TILT + 1] += share * (pitch - control[TILT + 1])
     p, q, r = estimate[EST_RATE], estimate[EST_RATE + 1], estimate[EST_RATE + 2]
@@ -186,9 +191,9 @@ def attitude_loop(law: Law, control, estimate, setpoint, dt: float, standing: bo
     rates = (p + t_pitch * turning, q * c_roll - r * s_roll, turning / max(c_pitch, 0.1))
     u = (0.0, 0.0, 0.0)
     for i in range(3):
-        if not standing:
-            largest = 0.3 * law.attitude_p[i] / max(law.attitude_i[i], 1e-9)
-            control[ANGLE_SUM + i] = clip(control[ANGLE_SUM + i] + dt * errors[i], -largest, largest)
+        largest = 0.3 * law.attitude_p[i] / max(law.attitude_i[i], 1e-9)
+        total = clip(control[ANGLE_SUM + i] + dt * errors[i], -largest, largest)
+        control[ANGLE_SUM + i] = select(standing, control[ANGLE_SUM + i], total)
         value = law.attitude_p[i] * errors[i] + law.attitude_i[i] * control[ANGLE_SUM + i]
         value += law.attitude_d[i] * (slopes[i] - rates[i])
         u = (value if i == 0 else u[0], value if i == 1 else u[1], value if i == 2 else u[2])
@@ -204,10 +209,9 @@ def attitude_loop(law: Law, control, estimate, setpoint, dt: float, standing: bo
 def motor_value(law: Law, thrust: float) -> float:
     """Motor value that gives a thrust by the declared curve."""
     c = law.curve
-    if c[2] == 0.0:
-        return min((thrust - c[0]) / c[1], law.value_max)
     root = c[1] * c[1] - 4.0 * c[2] * (c[0] - thrust)
-    return clip((-c[1] + sqrt(max(root, 0.0))) / (2.0 * c[2]), 0.0, law.value_max)
+    curved = clip((-c[1] + sqrt(max(root, 0.0))) / (2.0 * c[2]), 0.0, law.value_max)
+    return select(c[2] == 0.0, min((thrust - c[0]) / c[1], law.value_max), curved)
 
 
 @compiled
@@ -231,7 +235,7 @@ def mix(law: Law, thrust: float, torque: Vector, values) -> None:
         tilt = m[i, 1] * tx + m[i, 2] * ty
         least, most = min(least, tilt), max(most, tilt)
     room = law.rotor_max - law.rotor_min
-    keep = room / (most - least) if most - least > room else 1.0
+    keep = select(most - least > room, room / (most - least), 1.0)
     low, high = 1e30, -1e30
     for i in range(n):
         values[i] = m[i, 0] * total + keep * (m[i, 1] * tx + m[i, 2] * ty)
@@ -241,26 +245,26 @@ def mix(law: Law, thrust: float, torque: Vector, values) -> None:
     for i in range(n):
         values[i] += shift
         turn = m[i, 3] * tz
-        if turn > 0.0:
-            yaw_share = min(yaw_share, max(law.rotor_max - values[i], 0.0) / turn)
-        elif turn < 0.0:
-            yaw_share = min(yaw_share, max(values[i] - law.rotor_min, 0.0) / -turn)
+        above = min(yaw_share, max(law.rotor_max - values[i], 0.0) / turn)
+        below = min(yaw_share, max(values[i] - law.rotor_min, 0.0) / -turn)
+        yaw_share = select(turn > 0.0, above, select(turn < 0.0, below, yaw_share))
     for i in range(n):
         values[i] = motor_value(law, values[i] + yaw_share * m[i, 3] * tz)
 
 
 @compiled
-def lead(law: Law, dt: float, state, values) -> None:
+def lead(law: Law, state, values) -> None:
     """Lead motor values by (1 + T s)/(1 + r T s), r = LEAD_RATIO, which leaves a rotor lag of r T in the loop.
+
+    Nothing is led where T is zero.
 
     Args:
         law: constants; T is ``lead_s``.
-        dt: control period, s.
         state: lagged motor values, shape (n,), changed in place.
         values: motor values, changed in place and kept within the rotors' limits.
     """
-    share = 1.0 - exp(-dt / (LEAD_RATIO * law.lead_s))
     low, high = motor_value(law, law.rotor_min), motor_value(law, law.rotor_max)
     for i in range(len(values)):
-        state[i] += share * (values[i] - state[i])
-        values[i] = clip(state[i] + (values[i] - state[i]) / LEAD_RATIO, low, high)
+        state[i] += law.lead_share * (values[i] - state[i])
+        led = clip(state[i] + (values[i] - state[i]) / LEAD_RATIO, low, high)
+        values[i] = select(law.lead_s > 0.0, led, values[i])

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from sim.algebra import Vector
 from sim.compiled import compiled
+from sim.lanes import select
 
 
 class Supply(NamedTuple):
@@ -37,19 +38,12 @@ def open_circuit_ratio(charge_left: float) -> float:
     Piecewise linear through typical discharge curves (4.20, 4.03, 3.94, 3.83, 3.75, 3.67, 3.58, 3.2 V).
     """
     left = min(max(charge_left, 0.0), 1.0)
-    if left > 0.9:
-        return 0.96 + (left - 0.9) * 0.4
-    if left > 0.8:
-        return 0.938 + (left - 0.8) * 0.22
-    if left > 0.6:
-        return 0.912 + (left - 0.6) * 0.13
-    if left > 0.4:
-        return 0.893 + (left - 0.4) * 0.095
-    if left > 0.2:
-        return 0.874 + (left - 0.2) * 0.095
-    if left > 0.1:
-        return 0.852 + (left - 0.1) * 0.22
-    return 0.762 + left * 0.9
+    ratio = select(left > 0.1, 0.852 + (left - 0.1) * 0.22, 0.762 + left * 0.9)
+    ratio = select(left > 0.2, 0.874 + (left - 0.2) * 0.095, ratio)
+    ratio = select(left > 0.4, 0.893 + (left - 0.4) * 0.095, ratio)
+    ratio = select(left > 0.6, 0.912 + (left - 0.6) * 0.13, ratio)
+    ratio = select(left > 0.8, 0.938 + (left - 0.8) * 0.22, ratio)
+    return select(left > 0.9, 0.96 + (left - 0.9) * 0.4, ratio)
 
 
 @compiled

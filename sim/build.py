@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, pi, sin, sqrt, tan
+from math import cos, exp, pi, sin, sqrt, tan
 
 import numpy as np
 
@@ -144,6 +144,11 @@ def value_for(curve: Vector, thrust: float) -> float:
     return (-c1 + sqrt(max(c1 * c1 - 4.0 * c2 * (c0 - thrust), 0.0))) / (2.0 * c2)
 
 
+def control_every(scenario: Scenario) -> int:
+    """Steps from one control tick to the next."""
+    return round(1.0 / (scenario.control.attitude_hz * STEP_S))
+
+
 def build_law(declared: Vehicle, scenario: Scenario) -> Law:
     """The control law with the vehicle file's gains, or with gains tuned to the vehicle where the file has none."""
     truth = true_vehicle(declared, scenario)
@@ -161,6 +166,8 @@ def build_law(declared: Vehicle, scenario: Scenario) -> Law:
     highest = declared.rotor_thrust_max_n()
     bounded = declared.rotors.input != "wrench" and highest < _UNBOUNDED
     limits = declared.limits
+    lead = lag if tuned else 0.0
+    period = control_every(scenario) * STEP_S
     return Law(
         mass=declared.mass_kg,
         gravity=declared.gravity_m_s2,
@@ -171,6 +178,7 @@ def build_law(declared: Vehicle, scenario: Scenario) -> Law:
         attitude_i=gains.attitude_i,
         attitude_d=gains.attitude_d,
         filter_rad_s=gains.derivative_filter_rad_s,
+        filter_share=1.0 - exp(-gains.derivative_filter_rad_s * period),
         mixing=np.ascontiguousarray(declared.mixing()),
         rotor_min=-_UNBOUNDED if declared.rotors.input == "wrench" else 0.05 * weight / count,
         rotor_max=highest if bounded else _UNBOUNDED,
@@ -179,7 +187,8 @@ def build_law(declared: Vehicle, scenario: Scenario) -> Law:
         tilt_max=_TILT_MAX,
         curve=motor_curve(declared),
         value_max=motor_value_max(declared),
-        lead_s=lag if tuned else 0.0,
+        lead_s=lead,
+        lead_share=1.0 - exp(-period / (LEAD_RATIO * lead)) if lead > 0.0 else 1.0,
     )
 
 
@@ -265,7 +274,7 @@ def build_world(declared: Vehicle, scenario: Scenario) -> World:
     return World(
         dt=STEP_S,
         ground_m=scenario.start.position_m[2],
-        control_every=round(1.0 / (scenario.control.attitude_hz * STEP_S)),
+        control_every=control_every(scenario),
         outer_every=1.0 / (scenario.control.position_hz * STEP_S),
         plant=build_plant(declared, scenario),
         law=build_law(declared, scenario),

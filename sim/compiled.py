@@ -19,6 +19,9 @@ from numba.core import config
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+_COMPILES = (b"import compiled", b"numba.core.extending", b"numba.njit")
+"""What a source with compiled functions has in it."""
+
 
 @cache
 def _cache_folder() -> str:
@@ -26,7 +29,7 @@ def _cache_folder() -> str:
     digest = hashlib.sha256()
     for source in sorted([*package.glob("*.py"), *(package / "effects").glob("*.py")]):
         text = source.read_bytes()
-        digest.update(text if b"import compiled" in text else b"")
+        digest.update(text if any(mark in text for mark in _COMPILES) else b"")
     name = f"kernel-{digest.hexdigest()[:16]}"
     if os.access(package, os.W_OK):
         return str(package / "__pycache__" / name)
@@ -39,6 +42,6 @@ def compiled(function: F) -> F:
     before = config.CACHE_DIR  # pyright: ignore[reportAttributeAccessIssue]
     config.CACHE_DIR = _cache_folder()  # pyright: ignore[reportAttributeAccessIssue]
     try:
-        return numba.njit(cache=True, error_model="numpy")(function)  # type: ignore[return-value]
+        return numba.njit(cache=True, error_model="numpy", forceinline=True)(function)  # type: ignore[return-value]
     finally:
         config.CACHE_DIR = before  # pyright: ignore[reportAttributeAccessIssue]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Generator, Hashable
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +14,16 @@ from groundstation.vehicle import Vehicle
 from sim.autopilot import SETPOINT_SIZE
 from sim.build import STEP_S
 from sim.scenario import Scenario
-from sim.simulation import Samples, SetpointSource, Simulation
+from sim.simulation import Prepared, Samples, SetpointSource, Simulation
 
 Array = NDArray[np.float64]
 
 EXCITATION = 3
 """Which part of :func:`groundstation.trajectory.flight_path` is the excitation."""
 
-_CHUNK = 500  # steps simulated at a time
+_CHUNK = 500  # steps after which a flight is asked whether it is over
+_AT_ONCE = 8  # of these prepared together while it cannot be
+_REMEMBERED = 400  # of these of which the setpoints are kept: three minutes, 10 MB
 _SINK_M_S = 0.3  # how fast the setpoint goes on down after the landing leg, until the floor is felt
 
 
@@ -72,7 +75,7 @@ def _refuse_what_cannot_be_flown(simulation: Simulation, name: str, give_up_s: f
     """End a flight that hit the floor, or is in the air though its time is up."""
     if simulation.crashed:
         raise FlightAborted(
-            f"{name} hit the floor {simulation.time_s - simulation.flight_start_s:.1f} s after take-off; "
+            f"{name} hit the floor {simulation.crashed_s - simulation.flight_start_s:.1f} s after take-off; "
             "fly a gentler plan, or look whether the scenario leaves it enough thrust."
         )
     if simulation.time_s > give_up_s:
@@ -94,17 +97,61 @@ def simulate(vehicle: Vehicle, plan: Plan, scenario: Scenario, seed: int, *, res
         BadInput: the scenario does not fit the vehicle.
     """
     simulation = Simulation(vehicle, scenario, seed)
-    chunks = [simulation.idle(round(rest_s / STEP_S))]
+    flight = flown(simulation, plan, rest_s, {})
+    prepared = next(flight)
+    while True:
+        try:
+            prepared = flight.send(simulation.run(prepared))
+        except StopIteration as end:
+            return end.value
+
+
+@dataclass(slots=True)
+class LastRows:
+    """Setpoint rows that are worked out once where several flights in a row ask for the same ones."""
+
+    source: SetpointSource
+    _latest: dict[tuple[float, int], Array] = field(default_factory=dict)
+
+    def __call__(self, times_s: Array) -> Array:
+        """Rows at true times, which are control ticks one after the other."""
+        key = (float(times_s[0]), len(times_s))
+        if key not in self._latest:
+            if len(self._latest) >= _REMEMBERED:
+                del self._latest[next(iter(self._latest))]
+            self._latest[key] = self.source(times_s)
+        return self._latest[key]
+
+
+def flown(
+    simulation: Simulation, plan: Plan, rest_s: float, sources: dict[Hashable, SetpointSource]
+) -> Generator[Prepared, dict[str, Samples], SimulatedFlight]:
+    """A flight as stretches to run, each answered by what was recorded on it; returns the whole.
+
+    Args:
+        simulation: of the vehicle, on the floor at time zero.
+        plan: what to fly.
+        rest_s: seconds on the floor before and after.
+        sources: setpoints of flights side by side, by plan and start; added to.
+
+    Raises:
+        FlightAborted: the vehicle hit the floor or did not come down.
+    """
+    vehicle, scenario = simulation.declared, simulation.scenario
+    chunks = [(yield simulation.ready_to_idle(round(rest_s / STEP_S)))]
     start = scenario.start
     path = flight_path(plan, np.array([*start.position_m, start.yaw_rad]))
     simulation.take_off_now()
-    source = path_setpoints(path, simulation.time_s)
+    key = (id(plan), start.position_m, start.yaw_rad, simulation.time_s)
+    source = sources.setdefault(key, LastRows(path_setpoints(path, simulation.time_s)))
     begin, end = excitation_window(path, simulation.time_s)
     give_up = simulation.time_s + path.duration_s + 20.0
     while not (simulation.standing and simulation.time_s > end):
-        chunks.append(simulation.fly(_CHUNK, source))
+        sure = int((end - simulation.time_s) / (_CHUNK * STEP_S))  # pieces after which it cannot have landed
+        pieces = min(max(sure, 1), _AT_ONCE)
+        chunks.append((yield simulation.ready_to_fly(_CHUNK, source, pieces)))
         _refuse_what_cannot_be_flown(simulation, vehicle.name, give_up)
-    chunks.append(simulation.idle(round(rest_s / STEP_S)))
+    chunks.append((yield simulation.ready_to_idle(round(rest_s / STEP_S))))
     joined = {name: tuple(np.concatenate([chunk[name][i] for chunk in chunks]) for i in range(3)) for name in chunks[0]}
     clock = simulation.motor_clock_s
     return SimulatedFlight(

@@ -13,6 +13,7 @@ import numpy as np
 
 from sim.algebra import (
     add,
+    chosen,
     copy,
     exponential,
     multiply,
@@ -24,6 +25,7 @@ from sim.background import Disturbance, Supply, drain, drift_step
 from sim.compiled import compiled
 from sim.effects.airframe import gust_step
 from sim.effects.rotor_faults import play, power_law
+from sim.lanes import any_of, negate, select
 from sim.measure import Instruments, body_pose, measure_imu, measure_pose
 from sim.plant import (
     ATTITUDE,
@@ -37,8 +39,9 @@ from sim.plant import (
     specific_force,
     thrust_of,
 )
+from sim.rows import past
 
-STANDING, CRASHED, PENDING_HEAD, PENDING_TAIL, FLAG_COUNT = 0, 1, 2, 3, 4
+STANDING, CRASHED, PENDING_HEAD, PENDING_TAIL, CRASH_STEP, FLAG_COUNT = 0, 1, 2, 3, 4, 5
 HISTORY, PENDING = 1024, 256
 IDLE, FLYING, EXTERNAL = 0, 1, 2
 """Rotors off; the vehicle's own control law; motor values from outside."""
@@ -78,7 +81,7 @@ class Memory(NamedTuple):
         drift: disturbance processes, shape (2, 6).
         gust: turbulence processes, shape (2, 3).
         low_pass: filter states, shape (2, 6).
-        flags: standing, crashed, head and tail of the pending poses.
+        flags: standing, crashed, head and tail of the pending poses, step of the latest crash.
     """
 
     x: np.ndarray
@@ -151,26 +154,29 @@ def deliver_poses(observer: Observer, estimate, ring, flags, history, step: int,
 
 
 @compiled
-def touch_floor(x, flags, ground_m: float) -> None:
+def touch_floor(x, flags, ground_m: float, step: int) -> None:
     """Lift off and touch down: the floor holds the vehicle level until its thrust exceeds its weight."""
-    if flags[STANDING]:
-        if x[VELOCITY + 2] > 0.0:
-            flags[STANDING] = 0
-        return
-    if x[2] > ground_m or x[VELOCITY + 2] > 0.0:
+    standing, rising = flags[STANDING] != 0, x[VELOCITY + 2] > 0.0
+    lands = negate(standing | rising | (x[2] > ground_m))
+    flags[STANDING] = select(standing & rising, 0, flags[STANDING])
+    if not any_of(lands):
         return
     q = (x[ATTITUDE], x[ATTITUDE + 1], x[ATTITUDE + 2], x[ATTITUDE + 3])
     up = to_world(q, (0.0, 0.0, 1.0))[2]
-    speed = sqrt(x[3] ** 2 + x[4] ** 2 + x[5] ** 2)
-    if up < 0.5 or speed > 2.5:
-        flags[CRASHED] = 1
+    speed = sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5])
+    crashes = lands & ((up < 0.5) | (speed > 2.5))
+    flags[CRASH_STEP] = select(crashes & (flags[CRASHED] == 0), step, flags[CRASH_STEP])
+    flags[CRASHED] = select(crashes, 1, flags[CRASHED])
     yaw = euler_of(q)[2]
-    x[2] = ground_m
+    x[2] = select(lands, ground_m, x[2])
     for i in range(3):
-        x[VELOCITY + i] = 0.0
-        x[RATE + i] = 0.0
-    x[ATTITUDE], x[ATTITUDE + 1], x[ATTITUDE + 2], x[ATTITUDE + 3] = cos(0.5 * yaw), 0.0, 0.0, sin(0.5 * yaw)
-    flags[STANDING] = 1
+        x[VELOCITY + i] = select(lands, 0.0, x[VELOCITY + i])
+        x[RATE + i] = select(lands, 0.0, x[RATE + i])
+    x[ATTITUDE] = select(lands, cos(0.5 * yaw), q[0])
+    x[ATTITUDE + 1] = select(lands, 0.0, q[1])
+    x[ATTITUDE + 2] = select(lands, 0.0, q[2])
+    x[ATTITUDE + 3] = select(lands, sin(0.5 * yaw), q[3])
+    flags[STANDING] = select(lands, 1, flags[STANDING])
 
 
 @compiled
@@ -181,11 +187,9 @@ def fly_law(
     if outer:
         position_loop(law, control, estimate, setpoint, outer_s, standing)
     thrust, torque = attitude_loop(law, control, estimate, setpoint, inner_s, standing)
-    if standing:
-        torque = (0.0, 0.0, 0.0)
-    mix(law, thrust, torque, target)
-    if law.lead_s > 0.0:
-        lead(law, inner_s, led, target)
+    mix(law, thrust, chosen(standing, (0.0, 0.0, 0.0), torque), target)
+    if any_of(law.lead_s > 0.0):
+        lead(law, led, target)
 
 
 @compiled
@@ -224,16 +228,18 @@ def ask_rotors(world: World, memory: Memory, step: int, powered: bool, asked) ->
     """What reaches the rotors: the target of a while ago, less what the battery's voltage takes, into ``asked``."""
     plant, effects = world.plant, world.plant.effects
     copy(memory.target, memory.delay[step % HISTORY])
-    power = world.supply.avionics_w
-    if powered:
-        power += mechanical_power(memory.x, plant.rotors, plant.air_density) / world.supply.efficiency
+    idle = world.supply.avionics_w
+    drives = mechanical_power(memory.x, plant.rotors, plant.air_density) / world.supply.efficiency
+    power = select(powered, idle + drives, idle)
     ratio = drain(world.supply, memory.battery, power, world.dt)
     sag = 1.0
     if effects.battery_sag.on:
         sag = 1.0 - effects.battery_sag.strength * (1.0 - ratio)
-    delay_steps = round(effects.input_delay.delay_s / world.dt) if effects.input_delay.on else 0
     for i in range(len(asked)):
-        asked[i] = sag * memory.delay[(step - delay_steps) % HISTORY, i]
+        if effects.input_delay.on:
+            asked[i] = sag * past(memory.delay, step, effects.input_delay.delay_s / world.dt, i)
+        else:
+            asked[i] = sag * memory.target[i]
 
 
 @compiled
@@ -278,10 +284,9 @@ class Start(NamedTuple):
 
 
 @compiled
-def sample_imu(world: World, memory: Memory, stretch: Stretch, at: Start, i: int, row) -> None:
-    """IMU sample ``i`` of the stretch, within the step, into ``row`` and into the flight software's estimate."""
-    s, first, last = max(stretch.imu_s[i] - at.t, 0.0), at.first, at.last
-    share = s / world.dt
+def sample_imu(world: World, low_pass, estimate, at: Start, s, noise, row) -> None:
+    """IMU sample ``s`` after the step's start, into ``row`` and into the flight software's estimate."""
+    first, last, share = at.first, at.last, s / world.dt
     turn = (
         first[10] + share * (last[10] - first[10]),
         first[11] + share * (last[11] - first[11]),
@@ -295,18 +300,23 @@ def sample_imu(world: World, memory: Memory, stretch: Stretch, at: Start, i: int
     w = add(at.w, scale(s, (first[10], first[11], first[12])))
     q = multiply(at.q, exponential(scale(s, at.w)))
     felt = specific_force(push, turn, w, q, world.instruments.lever, world.plant.gravity)
-    measure_imu(world.instruments, memory.low_pass, w, felt, stretch.imu_noise[i], row)
-    predict(world.observer, memory.estimate, (row[0], row[1], row[2]), (row[3], row[4], row[5]))
+    measure_imu(world.instruments, low_pass, w, felt, noise, row)
+    predict(world.observer, estimate, (row[0], row[1], row[2]), (row[3], row[4], row[5]))
 
 
 @compiled
-def sample_pose(world: World, memory: Memory, stretch: Stretch, at: Start, i: int, row) -> None:
-    """Pose ``i`` of the stretch, seen within the step, into ``row`` and, unless it is lost, on its way."""
-    s, first = max(stretch.pose_s[i] - at.t, 0.0), at.first
+def sample_pose(world: World, last_pose, at: Start, s, frozen, noise, row) -> None:
+    """Pose seen ``s`` after the step's start, into ``row``."""
+    first = at.first
     seen = add(at.position, add(scale(s, at.velocity), scale(0.5 * s * s, (first[3], first[4], first[5]))))
     middle = add(at.w, scale(0.5 * s, (first[10], first[11], first[12])))
     q = multiply(at.q, exponential(scale(s, middle)))
-    measure_pose(world.instruments, memory.last_pose, seen, q, stretch.pose_frozen[i], stretch.pose_noise[i], row)
+    measure_pose(world.instruments, last_pose, seen, q, frozen, noise, row)
+
+
+@compiled
+def send_pose(world: World, memory: Memory, stretch: Stretch, i: int, row) -> None:
+    """Pose ``i`` of the stretch, unless it is lost, goes on its way to the flight software."""
     if stretch.pose_arrival_s[i] < np.inf:
         tail = memory.flags[PENDING_TAIL]
         memory.pending[tail, 0] = stretch.pose_s[i]
@@ -330,10 +340,15 @@ def sample(world: World, memory: Memory, stretch: Stretch, at: Start, out: Sampl
     """Every sample whose time lies in the step that has just been integrated."""
     taken, x, end = out.taken, memory.x, at.t + world.dt - 1e-9
     while taken[0] < len(stretch.imu_s) and stretch.imu_s[taken[0]] < end:
-        sample_imu(world, memory, stretch, at, taken[0], out.imu[taken[0]])
+        s = max(stretch.imu_s[taken[0]] - at.t, 0.0)
+        noise, row = stretch.imu_noise[taken[0]], out.imu[taken[0]]
+        sample_imu(world, memory.low_pass, memory.estimate, at, s, noise, row)
         taken[0] += 1
     while taken[1] < len(stretch.pose_s) and stretch.pose_s[taken[1]] < end:
-        sample_pose(world, memory, stretch, at, taken[1], out.poses[taken[1]])
+        i = taken[1]
+        s = max(stretch.pose_s[i] - at.t, 0.0)
+        sample_pose(world, memory.last_pose, at, s, stretch.pose_frozen[i], stretch.pose_noise[i], out.poses[i])
+        send_pose(world, memory, stretch, i, out.poses[i])
         taken[1] += 1
     while taken[2] < len(stretch.speed_s) and stretch.speed_s[taken[2]] < end:
         s = max(stretch.speed_s[taken[2]] - at.t, 0.0)
@@ -386,5 +401,5 @@ def run(world: World, memory: Memory, stretch: Stretch):
         q, w = (x[6], x[7], x[8], x[9]), (x[10], x[11], x[12])
         rk4_step(x, memory.work, asked, memory.thrust, plant, now, dt)
         sample(world, memory, stretch, Start(t, position, velocity, q, w, memory.work[0], memory.work[3]), out)
-        touch_floor(x, flags, world.ground_m)
+        touch_floor(x, flags, world.ground_m, step)
     return out.imu, out.poses, out.speeds, out.volts, commands, estimates, path

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from sim.algebra import Quaternion, Vector, add, conjugate, copy, exponential, multiply, normalise, to_body, to_world
 from sim.compiled import compiled
+from sim.lanes import any_of, negate, select
 
 
 class Instruments(NamedTuple):
@@ -56,14 +57,14 @@ def measure_imu(p: Instruments, state, w: Vector, felt: Vector, noise, out) -> N
 @compiled
 def measure_pose(p: Instruments, last, position: Vector, q: Quaternion, frozen: bool, noise, out) -> None:
     """One pose of the marker body, written into ``out``."""
-    if not frozen:
+    if any_of(negate(frozen)):
         seen = to_world(p.world_turn, add(position, to_world(q, p.point)))
         turn = multiply(multiply(p.world_turn, q), p.marker_turn)
         turn = normalise(multiply(turn, exponential((noise[3], noise[4], noise[5]))))
         for i in range(3):
-            last[i] = seen[i] + noise[i]
+            last[i] = select(frozen, last[i], seen[i] + noise[i])
         for i in range(4):
-            last[3 + i] = turn[i]
+            last[3 + i] = select(frozen, last[3 + i], turn[i])
     copy(last, out)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -61,12 +63,19 @@ class Ticker:
         self._phase = phase / self.rate_hz
         self._stamper = Stamper(self.clock, self.random)
 
+    @property
+    def _period(self) -> float:
+        return 1.0 / (self.rate_hz * (1.0 + 1e-6 * self.clock.drift_ppm))
+
+    def count_until(self, end_s: float) -> int:
+        """How many samples before ``end_s`` have not been given yet."""
+        # A hair of tolerance keeps instants on the step grid in the stretch they belong to.
+        return max(math.ceil((end_s - self._phase) / self._period - 1e-6) - self._next, 0)
+
     def until(self, end_s: float) -> tuple[Array, Array, Array]:
         """True times before ``end_s`` not given yet, the device's stamps of them, and arrivals at the host."""
-        period = 1.0 / (self.rate_hz * (1.0 + 1e-6 * self.clock.drift_ppm))
-        # A hair of tolerance keeps instants on the step grid in the stretch they belong to.
-        last = max(int(np.ceil((end_s - self._phase) / period - 1e-6)), self._next)
-        true = self._phase + period * np.arange(self._next, last, dtype=float)
+        last = self._next + self.count_until(end_s)
+        true = self._phase + self._period * np.arange(self._next, last, dtype=float)
         self._next = last
         return true, *self._stamper.stamp(true)
 
@@ -96,12 +105,21 @@ class BiasedNoise:
     def __post_init__(self) -> None:
         self._bias = self.start * self.random.standard_normal(len(self.start))
 
-    def draw(self, count: int) -> Array:
-        """The next ``count`` rows."""
-        normal = self.random.standard_normal((count, 2, len(self.white)))
-        bias = self._bias + np.cumsum(self.walk * normal[:, 1], axis=0)
-        if count:
-            self._bias = bias[-1]
+    def draw(self, counts: Sequence[int]) -> Array:
+        """The next rows, as many as the pieces have together.
+
+        The bias is summed up piece by piece, so that its last bits do not depend on how many pieces are drawn at once.
+        """
+        normal = self.random.standard_normal((sum(counts), 2, len(self.white)))
+        bias = self.walk * normal[:, 1]
+        begin = 0
+        for count in counts:
+            if count:
+                piece = bias[begin : begin + count]
+                np.cumsum(piece, axis=0, out=piece)
+                piece += self._bias
+                self._bias = piece[-1].copy()
+            begin += count
         return bias + self.white * normal[:, 0]
 
 
@@ -133,8 +151,11 @@ class Outages:
     def during(self, times_s: Array) -> NDArray[np.bool_]:
         """Which of the (increasing) times lie in an outage."""
         out = np.zeros(len(times_s), dtype=bool)
-        for i, t in enumerate(times_s):
-            while t >= self._end:
+        done = 0
+        while done < len(times_s):
+            while times_s[done] >= self._end:
                 self._draw()
-            out[i] = t >= self._start
+            here = slice(done, int(np.searchsorted(times_s, self._end)))
+            out[here] = times_s[here] >= self._start
+            done = here.stop
         return out

@@ -23,6 +23,7 @@ from sim.algebra import (
     Symmetric,
     Vector,
     add,
+    chosen,
     copy,
     cross,
     multiply,
@@ -33,13 +34,14 @@ from sim.algebra import (
     to_world,
 )
 from sim.compiled import compiled
-from sim.effects import Effects
+from sim.effects import Effects, bodily_wrench
 from sim.effects.actuation import motor_slope
-from sim.effects.airframe import angular_damping, body_drag
-from sim.effects.attachments import attachment_velocity, cable, tether
+from sim.effects.attachments import NOTHING, attachment_velocity, cable, tether
+from sim.effects.bodily import Moving
 from sim.effects.rotor_aerodynamics import ground_factor, hub_drag, hub_moment, inflow_factor
 from sim.effects.rotor_faults import loss_of, power_law
 from sim.effects.surroundings import constant_force, magnet, wall
+from sim.lanes import any_of, negate, select
 
 POSITION, VELOCITY, ATTITUDE, RATE, LOAD, LOAD_VELOCITY, ROTOR = 0, 3, 6, 10, 13, 16, 19
 """First index of: origin in the world (3), its velocity in the world (3), quaternion (4), body rate (3), slung load's
@@ -161,8 +163,10 @@ def rotor_wrench(
     for i in range(n):
         value = x[ROTOR + i]
         ideal = thrust_of(rotors, value)
-        speed = sqrt(max(ideal, 0.0) / rotors.speed_coefficient)
-        speed_ratio = speed / rotors.hover_speed
+        speed, speed_ratio = 0.0, 0.0
+        if effects.rotor_drag.on or effects.flapping_moment.on or effects.rotor_gyroscopic.on:
+            speed = sqrt(max(ideal, 0.0) / rotors.speed_coefficient)
+            speed_ratio = speed / rotors.hover_speed
         axis = (rotors.axis[i, 0], rotors.axis[i, 1], rotors.axis[i, 2])
         hub = (rotors.position[i, 0], rotors.position[i, 1], rotors.position[i, 2])
         thrust = power_law(effects.thrust_curve, ideal, rotors.hover_thrust)
@@ -172,12 +176,15 @@ def rotor_wrench(
             thrust *= effects.thrust_scale.density_ratio
         left = loss_of(effects.weak_rotor, effects.rotor_degradation, i, flight_s)
         reaction = -rotors.spin[i] * rotors.torque_ratio * thrust
-        if left != 1.0:
+        if any_of(left != 1.0):
             thrust *= left
             reaction *= left**1.25  # similarity of cut propellers: T ~ D^4, Q ~ D^5
         if effects.torque_scale.on:
             reaction *= effects.torque_scale.ratio
-        thrust *= inflow * ground_factor(effects.ground_effect, x[POSITION + 2] + to_world(q, hub)[2], rotors.radius)
+        near_floor = 1.0
+        if effects.ground_effect.on:
+            near_floor = ground_factor(effects.ground_effect, x[POSITION + 2] + to_world(q, hub)[2], rotors.radius)
+        thrust *= inflow * near_floor
         pull = scale(thrust, axis)
         if effects.rotor_drag.on:
             pull = add(pull, hub_drag(effects.rotor_drag, u, speed_ratio, rotors.hover_inflow, n))
@@ -189,10 +196,10 @@ def rotor_wrench(
         if effects.rotor_gyroscopic.on:
             spin_inertia = rotors.spin[i] * effects.rotor_gyroscopic.inertia_kg_m2
             momentum = add(momentum, scale(spin_inertia * speed, axis))
-            if ideal > 0.0:  # dOmega/dt = (dT/dx)(dx/dt) / (2 k Omega)
-                thrust_slope = (rotors.curve[1] + 2.0 * rotors.curve[2] * value) * slope[ROTOR + i]
-                faster = thrust_slope / (2.0 * rotors.speed_coefficient * speed)
-                momentum_slope = add(momentum_slope, scale(spin_inertia * faster, axis))
+            # dOmega/dt = (dT/dx)(dx/dt) / (2 k Omega)
+            thrust_slope = (rotors.curve[1] + 2.0 * rotors.curve[2] * value) * slope[ROTOR + i]
+            faster = select(ideal > 0.0, thrust_slope / (2.0 * rotors.speed_coefficient * speed), 0.0)
+            momentum_slope = add(momentum_slope, scale(spin_inertia * faster, axis))
     return force, torque, momentum, momentum_slope
 
 
@@ -236,6 +243,24 @@ def attached_wrench(x, slope, effects: Effects, wall_direction: Vector, gravity:
 
 
 @compiled
+def either(condition: bool, a: Symmetric, b: Symmetric) -> Symmetric:
+    """``a`` where the condition holds, else ``b``."""
+    x, y = chosen(condition, a[:3], b[:3]), chosen(condition, a[3:], b[3:])
+    return (x[0], x[1], x[2], y[0], y[1], y[2])
+
+
+@compiled
+def body_of(condition, a: Body, b: Body) -> Body:
+    """``a`` where the condition holds, else ``b``."""
+    return Body(
+        select(condition, a.mass, b.mass),
+        chosen(condition, a.com, b.com),
+        either(condition, a.inertia, b.inertia),
+        either(condition, a.inverse, b.inverse),
+    )
+
+
+@compiled
 def derivative(x, slope, target, memory, plant: Plant, now: Surroundings) -> None:
     """Time derivative of the state, written into ``slope``.
 
@@ -248,47 +273,52 @@ def derivative(x, slope, target, memory, plant: Plant, now: Surroundings) -> Non
         now: surroundings, held over the step.
     """
     rotors, effects = plant.rotors, plant.effects
-    slope.fill(0.0)
+    for i in range(LOAD, ROTOR):
+        slope[i] = 0.0
     for i in range(len(rotors.spin)):
         value = x[ROTOR + i]
-        lag = rotors.lag_up if target[i] >= value else rotors.lag_down
+        lag = select(target[i] >= value, rotors.lag_up, rotors.lag_down)
         if effects.motor_lag.on:
             slope[ROTOR + i] = motor_slope(effects.motor_lag, value, target[i], rotors.hover_value)
-        elif lag > 0.0:
-            slope[ROTOR + i] = (target[i] - value) / lag
+        else:
+            slope[ROTOR + i] = select(lag > 0.0, (target[i] - value) / lag, 0.0)
     q = (x[ATTITUDE], x[ATTITUDE + 1], x[ATTITUDE + 2], x[ATTITUDE + 3])
     w = (x[RATE], x[RATE + 1], x[RATE + 2])
-    u = to_body(q, subtract((x[VELOCITY], x[VELOCITY + 1], x[VELOCITY + 2]), now.wind))
+    velocity = (x[VELOCITY], x[VELOCITY + 1], x[VELOCITY + 2])
+    u = to_body(q, subtract(velocity, now.wind))
 
     force, torque = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     momentum, momentum_slope = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    if now.powered:
+    if any_of(now.powered):
         force, torque, momentum, momentum_slope = rotor_wrench(x, slope, memory, rotors, effects, now.flight_s, u)
-    if effects.body_drag.on:
-        force = add(force, body_drag(effects.body_drag, u, plant.air_density))
-    if effects.angular_damping.on:
-        torque = add(torque, angular_damping(effects.angular_damping, w))
+        force, torque = chosen(now.powered, force, NOTHING), chosen(now.powered, torque, NOTHING)
+        momentum, momentum_slope = (
+            chosen(now.powered, momentum, NOTHING),
+            chosen(now.powered, momentum_slope, NOTHING),
+        )
+    at = Moving((x[0], x[1], x[2]), velocity, q, w, u, plant.air_density, now.flight_s)
+    force, torque = bodily_wrench(effects, at, force, torque)
     room_force, room_torque = attached_wrench(x, slope, effects, plant.wall_direction, plant.gravity)
     force = add(force, to_body(q, add(room_force, now.force)))
     torque = add(torque, add(room_torque, now.torque))
 
-    body = plant.after if now.flight_s >= plant.change_s else plant.before
+    body = plant.after
+    if effects.payload_change.on:
+        body = body_of(now.flight_s >= plant.change_s, plant.after, plant.before)
     spin = add(times(body.inertia, w), momentum)
     moment = subtract(subtract(torque, cross(body.com, force)), cross(w, spin))
     turn = times(body.inverse, subtract(moment, momentum_slope))
     lever = add(cross(turn, body.com), cross(w, cross(w, body.com)))
     push = to_world(q, subtract(scale(1.0 / body.mass, force), lever))
     rise = push[2] - plant.gravity
-    if now.standing and (rise <= 0.0 or not now.powered):
-        return
+    held = now.standing & ((rise <= 0.0) | negate(now.powered))
     q_slope = multiply(q, (0.0, w[0], w[1], w[2]))
     for i in range(3):
-        slope[POSITION + i] = x[VELOCITY + i]
-        slope[VELOCITY + i] = push[i]
-        slope[RATE + i] = turn[i]
-    slope[VELOCITY + 2] = rise
+        slope[POSITION + i] = select(held, 0.0, x[VELOCITY + i])
+        slope[VELOCITY + i] = select(held, 0.0, push[i] if i < 2 else rise)
+        slope[RATE + i] = select(held, 0.0, turn[i])
     for i in range(4):
-        slope[ATTITUDE + i] = 0.5 * q_slope[i]
+        slope[ATTITUDE + i] = select(held, 0.0, 0.5 * q_slope[i])
 
 
 @compiled
@@ -305,9 +335,9 @@ def rk4_step(x, work, target, memory, plant: Plant, now: Surroundings, dt: float
         dt: step, s.
     """
     size = len(x)
-    if not (plant.effects.motor_lag.on or plant.rotors.lag_up > 0.0):
+    if not plant.effects.motor_lag.on:
         for i in range(len(plant.rotors.spin)):
-            x[ROTOR + i] = target[i]
+            x[ROTOR + i] = select(plant.rotors.lag_up > 0.0, x[ROTOR + i], target[i])
     copy(x, work[4])
     for stage in range(4):
         derivative(work[4], work[stage], target, memory, plant, now)

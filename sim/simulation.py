@@ -5,8 +5,10 @@ One seed gives one flight, however the time is cut into stretches: every source 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from math import cos, sin
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,7 @@ from sim.autopilot import (
 )
 from sim.build import STEP_S, build_world
 from sim.loop import (
+    CRASH_STEP,
     CRASHED,
     EXTERNAL,
     FLAG_COUNT,
@@ -51,6 +54,42 @@ c).
 
 SetpointSource = Callable[[Array], Array]
 """Setpoint rows, shape (k, 11), at true times; see :data:`sim.autopilot.SETPOINT_SIZE`."""
+
+
+class Prepared(NamedTuple):
+    """A stretch of time that is ready to run.
+
+    Attributes:
+        simulation: whose it is.
+        stretch: what the compiled loop needs.
+        times: by device; see :data:`Times`.
+        lost: which poses are.
+    """
+
+    simulation: Simulation
+    stretch: Stretch
+    times: dict[str, Times]
+    lost: Mask
+
+
+class Asked(NamedTuple):
+    """What a stretch is asked to do; see :class:`sim.loop.Stretch`."""
+
+    steps: int
+    mode: int
+    setpoints: Array
+    motors: Array | None
+
+
+class Recorded(NamedTuple):
+    """What the compiled loop leaves of a stretch; see :func:`sim.loop.run`."""
+
+    imu: Array
+    poses: Array
+    speeds: Array
+    volts: Array
+    commands: Array
+    estimates: Array
 
 
 class Simulation:
@@ -156,6 +195,11 @@ class Simulation:
         return bool(self.memory.flags[CRASHED])
 
     @property
+    def crashed_s(self) -> float:
+        """True time of the latest crash."""
+        return float(self.memory.flags[CRASH_STEP]) * STEP_S
+
+    @property
     def position_m(self) -> Array:
         """True position of the origin in the world."""
         return self.memory.x[:3].copy()
@@ -196,10 +240,14 @@ class Simulation:
 
     def idle(self, steps: int) -> dict[str, Samples]:
         """Run with the rotors off."""
+        return self.run(self.ready_to_idle(steps))
+
+    def ready_to_idle(self, steps: int) -> Prepared:
+        """What :meth:`idle` runs."""
         ticks = self.control_ticks(steps)
         held = np.zeros((len(ticks), SETPOINT_SIZE))
         held[:, :3] = self.scenario.start.position_m
-        return self._run(steps, IDLE, held, None)
+        return self._prepare([steps], IDLE, held, None)
 
     def fly(self, steps: int, setpoints: SetpointSource) -> dict[str, Samples]:
         """Run under the vehicle's own control law.
@@ -208,7 +256,14 @@ class Simulation:
             steps: of 1 ms.
             setpoints: where to be, at the true times of the control ticks.
         """
-        return self._run(steps, FLYING, setpoints(self.control_ticks(steps)), None)
+        return self.run(self.ready_to_fly(steps, setpoints))
+
+    def ready_to_fly(self, steps: int, setpoints: SetpointSource, pieces: int = 1) -> Prepared:
+        """What :meth:`fly` runs so many times; its last bits are the same as if it did."""
+        ticks = self.control_ticks(steps * pieces)
+        ends = np.searchsorted(ticks, (self.step + steps * np.arange(1, pieces)) * STEP_S - 1e-9)
+        rows = np.concatenate([setpoints(piece) for piece in np.split(ticks, ends)])
+        return self._prepare([steps] * pieces, FLYING, rows, None)
 
     def drive(self, steps: int, motors: Array, setpoints: Array | None = None) -> dict[str, Samples]:
         """Run with motor values from outside, as another autopilot gives them.
@@ -224,12 +279,18 @@ class Simulation:
             (ticks, self.declared.rotors.count)
         )  # a writable array: compiled code has no second form for others
         rows[:] = motors
-        return self._run(steps, EXTERNAL, np.zeros((ticks, SETPOINT_SIZE)) if setpoints is None else setpoints, rows)
+        held = np.zeros((ticks, SETPOINT_SIZE)) if setpoints is None else setpoints
+        return self.run(self._prepare([steps], EXTERNAL, held, rows))
 
-    def _stretch(
-        self, steps: int, mode: int, setpoints: Array, motors: Array | None, times: Mapping[str, Times], lost: Mask
-    ) -> Stretch:
-        """What the compiled loop needs of the next steps: sample times, noise, what is asked for."""
+    def _stretch(self, asked: Asked, times: Mapping[str, Times], lost: Mask, imu: Sequence[int]) -> Stretch:
+        """What the compiled loop needs of the next steps: sample times, noise, what is asked for.
+
+        Args:
+            asked: of the next steps.
+            times: by device.
+            lost: which poses are.
+            imu: samples of each piece of the stretch.
+        """
         pose_s, _, pose_arrival = times["pose"]
         frozen = self._frozen.during(pose_s)
         mocap = self.scenario.mocap
@@ -237,42 +298,58 @@ class Simulation:
         count = self.declared.rotors.count
         return Stretch(
             first=self.step,
-            steps=steps,
-            mode=mode,
+            steps=asked.steps,
+            mode=asked.mode,
             start_s=float(self.flight_start_s),
-            setpoints=np.ascontiguousarray(setpoints),
-            motors=np.zeros((len(setpoints), count)) if motors is None else motors,
+            setpoints=np.ascontiguousarray(asked.setpoints),
+            motors=np.zeros((len(asked.setpoints), count)) if asked.motors is None else asked.motors,
             imu_s=times["imu"][0],
-            imu_noise=self._imu_noise.draw(len(times["imu"][0])),
+            imu_noise=self._imu_noise.draw(imu),
             pose_s=pose_s,
             pose_arrival_s=np.where(lost, np.inf, pose_arrival),
             pose_frozen=frozen,
             pose_noise=pose_std * self._random["pose_noise"].standard_normal((len(pose_s), 6)),
             speed_s=times["speed"][0],
             battery_s=times["battery"][0],
-            drift_noise=self._random["drift"].standard_normal((steps, 6)),
-            gust_noise=self._random["gust"].standard_normal((steps, 3)),
+            drift_noise=self._random["drift"].standard_normal((asked.steps, 6)),
+            gust_noise=self._random["gust"].standard_normal((asked.steps if self.scenario.effects.wind.on else 0, 3)),
         )
 
-    def _run(self, steps: int, mode: int, setpoints: Array, motors: Array | None) -> dict[str, Samples]:
+    def _prepare(self, pieces: Sequence[int], mode: int, setpoints: Array, motors: Array | None) -> Prepared:
+        steps = sum(pieces)
+        ends = (self.step + np.cumsum(pieces)) * STEP_S
+        until = [self._tickers["imu"].count_until(float(end)) for end in ends]
+        imu = [b - a for a, b in pairwise([0, *until])]
         end = (self.step + steps) * STEP_S
         times = {key: ticker.until(end) for key, ticker in self._tickers.items()}
         ticks = self.control_ticks(steps)
         times["flight"] = (ticks, *self._flight.stamp(ticks))
-        _, pose_stamp, pose_arrival = times["pose"]
         lost = self._lost.during(times["pose"][0])
-        stretch = self._stretch(steps, mode, setpoints, motors, times, lost)
-        imu, poses, values, volts, commands, estimates, self.path = run(self.world, self.memory, stretch)
-        self.step += steps
+        return Prepared(self, self._stretch(Asked(steps, mode, setpoints, motors), times, lost, imu), times, lost)
+
+    def run(self, prepared: Prepared) -> dict[str, Samples]:
+        """Run a stretch; returns what the devices recorded, by stream."""
+        *arrays, self.path = run(self.world, self.memory, prepared.stretch)
+        return self.recorded(prepared, Recorded(*arrays))
+
+    def recorded(self, prepared: Prepared, found: Recorded) -> dict[str, Samples]:
+        """The streams of a stretch that has been run.
+
+        Raises:
+            FloatingPointError: the state is no longer finite.
+        """
+        times, lost, setpoints = prepared.times, prepared.lost, prepared.stretch.setpoints
+        _, pose_stamp, pose_arrival = times["pose"]
+        self.step += prepared.stretch.steps
         if not np.isfinite(self.memory.x).all():
             raise FloatingPointError(f"the simulated state is no longer finite {self.time_s:.3f} s after the start")
         return {
-            "imu": (*times["imu"][1:], imu),
-            "mocap": (pose_stamp[~lost], pose_arrival[~lost], poses[~lost]),
-            "motors": self._motors(times, values, commands),
-            "battery": (*times["battery"][1:], self._battery(volts)),
+            "imu": (*times["imu"][1:], found.imu),
+            "mocap": (pose_stamp[~lost], pose_arrival[~lost], found.poses[~lost]),
+            "motors": self._motors(times, found.speeds, found.commands),
+            "battery": (*times["battery"][1:], self._battery(found.volts)),
             "setpoint": self._thin(times["flight"], setpoints[:, [0, 1, 2, 9]], self.scenario.setpoint.rate_hz),
-            "state": self._thin(times["flight"], estimates, self.scenario.state.rate_hz),
+            "state": self._thin(times["flight"], found.estimates, self.scenario.state.rate_hz),
         }
 
     def _motors(self, times: dict[str, Samples], values: Array, commands: Array) -> Samples:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from math import exp
 
 import numpy as np
 import pytest
@@ -138,10 +139,11 @@ def test_the_lead_undoes_a_known_lag_but_for_its_share():
     law = build_law(vehicle, Scenario(truth=Truth(lag=RotorLag(up_s=0.1, down_s=0.1))))
     assert law.lead_s == pytest.approx(0.1)
     dt, low, high = 0.0005, 500.0, 505.0
+    law = law._replace(lead_share=1.0 - exp(-dt / (LEAD_RATIO * law.lead_s)))
     state, speed = np.full(4, low), low
     for _ in range(round(LEAD_RATIO * 0.1 / dt)):
         values = np.full(4, high)
-        lead(law, dt, state, values)
+        lead(law, state, values)
         speed += dt / 0.1 * (values[0] - speed)
     assert (speed - low) / (high - low) == pytest.approx(1.0 - np.exp(-1.0), abs=0.01)
 

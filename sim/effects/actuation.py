@@ -7,6 +7,7 @@ from typing import Annotated, NamedTuple
 from pydantic import Field
 
 from sim.compiled import compiled
+from sim.lanes import select
 
 NonNegative = Annotated[float, Field(ge=0.0)]
 
@@ -76,6 +77,4 @@ def motor_slope(p: MotorLag, value: float, target: float, hover_value: float) ->
     beta = 0.5 * p.propeller_share / (p.hover_s * hover_value)
     drive = (target - value) * electric + beta * (target * target - value * value)
     coast = -beta * value * value  # what the propeller's drag alone does
-    if drive < coast:
-        drive = coast + p.braking_share * (drive - coast)
-    return drive
+    return select(drive < coast, coast + p.braking_share * (drive - coast), drive)

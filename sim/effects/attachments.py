@@ -6,8 +6,9 @@ from typing import Annotated, NamedTuple
 
 from pydantic import Field
 
-from sim.algebra import Quaternion, Vector, add, cross, dot, norm, scale, subtract, to_world
+from sim.algebra import Quaternion, Vector, add, chosen, cross, dot, norm, scale, subtract, to_world
 from sim.compiled import compiled
+from sim.lanes import select
 
 NonNegative = Annotated[float, Field(ge=0.0)]
 
@@ -78,6 +79,7 @@ class Tether(NamedTuple):
 
 _CABLE_RAD_S = 60.0  # natural frequency of the load on its stretching cable: 2.7 mm of stretch under its own weight
 _CABLE_DAMPING = 0.3
+NOTHING: Vector = (0.0, 0.0, 0.0)
 
 
 @compiled
@@ -98,19 +100,23 @@ def cable(
     distance = norm(along)
     weight = (0.0, 0.0, -gravity)
     air = scale(-p.damping_1_s, load_velocity)
-    floor = (0.0, 0.0, 0.0)
-    if load_position[2] < 0.0:  # it lies on the floor: carried, and dragged along with friction
-        lift = -400.0 * load_position[2] - 20.0 * load_velocity[2]
-        floor = (-10.0 * load_velocity[0], -10.0 * load_velocity[1], max(lift, 0.0))
+    lies = load_position[2] < 0.0  # on the floor: carried, and dragged along with friction
+    lift = -400.0 * load_position[2] - 20.0 * load_velocity[2]
+    floor = (
+        select(lies, -10.0 * load_velocity[0], 0.0),
+        select(lies, -10.0 * load_velocity[1], 0.0),
+        select(lies, max(lift, 0.0), 0.0),
+    )
     free = add(add(weight, air), floor)
-    if distance <= p.length_m:
-        return (0.0, 0.0, 0.0), free
     unit = scale(1.0 / distance, along)
     stretch_rate = dot(subtract(load_velocity, velocity), unit)
     stretch = distance - p.length_m
     tension = p.mass_kg * (_CABLE_RAD_S**2 * stretch + 2.0 * _CABLE_DAMPING * _CABLE_RAD_S * stretch_rate)
     tension = max(tension, 0.0)
-    return scale(tension, unit), add(free, scale(-tension / p.mass_kg, unit))
+    slack = distance <= p.length_m
+    return chosen(slack, NOTHING, scale(tension, unit)), chosen(
+        slack, free, add(free, scale(-tension / p.mass_kg, unit))
+    )
 
 
 @compiled
@@ -118,10 +124,8 @@ def tether(p: Tether, position: Vector, q: Quaternion) -> Vector:
     """Force in the world on the attachment."""
     along = subtract(p.anchor_m, add(position, to_world(q, p.attachment_m)))
     distance = norm(along)
-    if distance < 1e-6:
-        return (0.0, 0.0, 0.0)
     pull = p.pull_n + p.stiffness_n_m * max(distance - p.length_m, 0.0)
-    return scale(pull / distance, along)
+    return chosen(distance < 1e-6, NOTHING, scale(pull / distance, along))
 
 
 @compiled

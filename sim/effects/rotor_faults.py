@@ -8,12 +8,13 @@ from typing import Annotated, NamedTuple
 from pydantic import Field
 
 from sim.compiled import compiled
+from sim.lanes import select
 
 RotorNumber = Annotated[int, Field(ge=1, le=16)]
 
 
 class WeakRotor(NamedTuple):
-    """A propeller cut shorter. By similarity thrust goes with D^4 and torque with D^5 (Leishman 2006, sec. 2.2).
+    """A propeller cut shorter. By similarity thrust is proportional to D^4 and torque to D^5 (Leishman 2006, sec. 2.2).
 
     Attributes:
         rotor: its number, from 1.
@@ -44,7 +45,7 @@ class RotorDegradation(NamedTuple):
 
 
 class ThrustScale(NamedTuple):
-    """Air of another density than the one the thrust constant was measured in (T and Q go with rho).
+    """Air of another density than the one the thrust constant was measured in (T and Q are proportional to rho).
 
     Attributes:
         density_ratio: density now over density then.
@@ -110,9 +111,9 @@ def loss_of(weak: WeakRotor, worn: RotorDegradation, rotor: int, flight_s: float
 @compiled
 def power_law(p: ThrustCurve, thrust: float, hover_thrust: float) -> float:
     """Thrust by the power law where the declared law gives ``thrust``."""
-    if not p.on or thrust <= 0.0:
+    if not p.on:
         return thrust
-    return hover_thrust * (thrust / hover_thrust) ** (0.5 * p.exponent)
+    return select(thrust <= 0.0, thrust, hover_thrust * (thrust / hover_thrust) ** (0.5 * p.exponent))
 
 
 @compiled

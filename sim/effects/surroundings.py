@@ -61,7 +61,8 @@ class Magnet(NamedTuple):
 def wall(p: AttractingWall, position: Vector, direction: Vector) -> Vector:
     """Force in the world; ``direction`` is the unit vector to the wall."""
     distance = max(p.distance_m - dot(position, direction), 0.0)
-    return scale(p.strength_n_m3 / (distance + 0.5) ** 3, direction)
+    away = distance + 0.5
+    return scale(p.strength_n_m3 / (away * (away * away)), direction)
 
 
 @compiled
@@ -70,9 +71,10 @@ def magnet(p: Magnet, position: Vector, q: Quaternion) -> tuple[Vector, Vector]:
     along = subtract(p.position_m, position)
     distance = max(norm(along), 0.2)
     unit = scale(1.0 / max(norm(along), 1e-9), along)
-    force = scale(p.strength_n_m4 / distance**4, unit)
-    # A dipole's field goes with 1/r^3: the torque on ours per force is a third of the distance.
-    field = scale(p.strength_n_m4 / (3.0 * distance**3), unit)
+    square = distance * distance
+    force = scale(p.strength_n_m4 / (square * square), unit)
+    # A dipole's field falls as 1/r^3: the torque on ours per force is a third of the distance.
+    field = scale(p.strength_n_m4 / (3.0 * (distance * square)), unit)
     return force, cross(p.moment_body, to_body(q, field))
 
 
