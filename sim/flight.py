@@ -22,7 +22,7 @@ EXCITATION = 3
 """Which part of :func:`groundstation.trajectory.flight_path` is the excitation."""
 
 _CHUNK = 500  # steps after which a flight is asked whether it is over
-_AT_ONCE = 8  # of these prepared together while it cannot be
+_AT_ONCE = 16  # of these prepared together while it cannot be
 _REMEMBERED = 400  # of these of which the setpoints are kept: three minutes, 10 MB
 _SINK_M_S = 0.3  # how fast the setpoint goes on down after the landing leg, until the floor is felt
 

@@ -124,7 +124,8 @@ class Lane:
         self.taken = self.taken + taken
         if self.left:
             return
-        whole = Recorded(*(np.concatenate(parts) for parts in zip(*self._found, strict=True)))
+        parts = self._found
+        whole = parts[0] if len(parts) == 1 else Recorded(*map(np.concatenate, zip(*parts, strict=True)))
         try:
             self._take(self._flight.send(self.simulation.recorded(self.prepared, whole)))
         except StopIteration as end:
