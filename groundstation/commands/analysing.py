@@ -171,6 +171,7 @@ def diagnose(given: Given, model: Path | None) -> Result:
     from groundstation.analysis.analyse import with_next_flight, write_identification
     from groundstation.analysis.documents import write_json
     from groundstation.diagnosis.published import published
+    from groundstation.identification.results import MASS_AND_TENSOR
     from groundstation.reporting.exports import read_model
 
     vehicle = loaded[0].vehicle
@@ -185,6 +186,7 @@ def diagnose(given: Given, model: Path | None) -> Result:
             base = api.identify(loaded, exclude=exclude, progress=line.fraction)
         except Refused as error:
             refused = [f"no model file: {error}"]
+            found = published(found, dict.fromkeys(MASS_AND_TENSOR, error.reason))
     folder = given.folder()
     if base is not None:
         found = published(found, base.not_identifiable)
@@ -203,7 +205,7 @@ def _diagnosis_lines(found: Diagnosis) -> list[str]:
     return [
         *first_of_all(found.to_dict()),
         f"verdict: {found.verdict}" + (f" ({readable(found.reason)})" if found.reason else ""),
-        *(f"{finding.effect} ({finding.confidence:.0%}): {finding.evidence}" for finding in found.findings),
+        *(f"{finding.effect} ({finding.confidence:.0%}): {finding.sentence}" for finding in found.findings),
         *(
             readable(
                 f"unexplained: {item.share:.0%} of {item.channel}, varies with "

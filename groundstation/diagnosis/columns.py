@@ -119,8 +119,8 @@ class Batch:
         """The same with instruments of their own, where there were none."""
         if self.planned:
             return self
-        twice = (np.concatenate([array, array], axis=1) for array in (self.white, self.energy))
-        return Batch(*twice, self.wrench_rms, self.known)
+        white, energy = (np.concatenate([array, array], axis=1) for array in (self.white, self.energy))
+        return Batch(white, energy, self.wrench_rms, self.known)
 
     @classmethod
     def joined(cls, parts: Sequence[Batch], suspects: int) -> Batch:

@@ -70,7 +70,7 @@ def with_plain(splits: Sequence[Split], evidence: Evidence, vehicle: Vehicle, pl
 
 
 def _base_estimates(
-    evidence: Evidence, vehicle: Vehicle, chosen: Chosen, left_open: Array | float = 0.0
+    evidence: Evidence, vehicle: Vehicle, chosen: Chosen, left_open: Array | None = None
 ) -> dict[str, Estimate]:
     """Mass and tensor of the linearised joint estimate with some effects, under the anchor."""
     estimates, constants = anchored(vehicle, RIGID_BODY, *_joint(evidence, chosen, left_open))
@@ -107,13 +107,14 @@ def flight_parameters(evidence: Evidence, chosen: Chosen) -> list[dict[str, Esti
 
 
 def _joint(
-    evidence: Evidence, chosen: Chosen, left_open: Array | float
+    evidence: Evidence, chosen: Chosen, left_open: Array | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mass and tensor with the effects put in, and their covariance with what these effects' formulas, and other
-    effects, leave open.
+    """Mass and tensor with the effects put in, and their covariance with what is left open; None: what these effects'
+    formulas leave.
     """
     solution = evidence.solve(chosen)
-    return _rigid_body(evidence, solution, form_covariance(evidence, chosen, solution) + left_open)
+    form = form_covariance(evidence, chosen, solution) if left_open is None else left_open
+    return _rigid_body(evidence, solution, form)
 
 
 def _rigid_body(
@@ -123,7 +124,7 @@ def _rigid_body(
     names = list(evidence.names)
     index = [names.index(n) for n in RIGID_BODY]
     values, jacobian = evidence.flights[0].rigid_body(solution)
-    covariance = solution.covariance[np.ix_(index, index)] + form
+    covariance = (solution.covariance + form)[np.ix_(index, index)]
     return values, jacobian @ covariance @ jacobian.T
 
 
@@ -138,7 +139,7 @@ def base_parameters(
     """Base parameters with the effects left out and put in. Left out means re-estimated without them, lag included.
 
     Args:
-        left_open: what explanations beside the chosen leave open in mass and tensor.
+        left_open: what the formulas of the chosen, and explanations beside them, leave open in their joint estimate.
     """
     after = _base_estimates(evidence, vehicle, chosen, left_open)
     if plain is not None:

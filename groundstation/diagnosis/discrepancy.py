@@ -30,7 +30,7 @@ class Discrepancy:
         self._evidence = evidence
         _, self._channels, _ = evidence.time_of_rows()
         self._base = evidence.table.of_base()
-        self._absorbing = np.linalg.inv(self._base.sum(axis=0) + evidence.prior)
+        self._absorbing: Array = np.linalg.inv(self._base.sum(axis=0) + evidence.prior)
         self._grams: dict[int, Array] = {}
 
     def _gram(self, columns: Columns) -> Array:

@@ -82,8 +82,12 @@ class Effect(EffectInfo):
     Attributes:
         wrench: (signals, vehicle, settings) -> body force and torque about the declared origin per unit of each
             parameter, shape (k, 6, len(parameters)); NaN where the signals it needs are unknown.
+        pointwise: the wrench at an instant follows from the signals at that instant and its neighbours, so that a long
+            flight may be gone through in parts.
         instrument: (signals, planned signals, vehicle, settings) -> the wrench's instruments; None for ``wrench`` of
             the planned ones. What a pendulum does follows from the motion there was; by a plan it is soon out of step.
+        straight: of an effect of one parameter that pushes in one direction all along: how hard, (k,), and the wrench
+            of one, (6,); ``wrench`` is their product (:func:`pushing`). Many settings are then worked out at once.
         alone: the wrench's columns of those parameters that change no setting, (k, 6, own); None where the others are
             no further work.
         sentence: one sentence a pilot understands, with places for parameters and settings as :mod:`.sentences` says.
@@ -108,7 +112,9 @@ class Effect(EffectInfo):
 
     wrench: Callable[[Signals, Vehicle, Settings], Array]
     sentence: str
+    pointwise: bool = False
     instrument: Callable[[Signals, Signals, Vehicle, Settings], Array] | None = None
+    straight: Callable[[Signals, Vehicle, Settings], tuple[Array, Array]] | None = None
     alone: Callable[[Signals, Vehicle, Settings], Array] | None = None
     variants: Callable[[Signals, Vehicle], Sequence[Settings]] = field(default=lambda signals, vehicle: ({},))
     searched: Callable[[Signals, NDArray[np.bool_], Vehicle], Sequence[Settings]] | None = None
@@ -242,11 +248,30 @@ def from_thrust(vehicle: Vehicle, thrust: Annotated[Array, "k n"]) -> Annotated[
     return np.asarray(thrust @ wrench_matrix(vehicle).T, dtype=float)
 
 
-def from_rotor(vehicle: Vehicle, rotor: int, thrust: Annotated[Array, "k"]) -> Annotated[Array, "k 6"]:
-    """Body wrench (k, 6) of the thrust of one rotor, by its number from zero."""
+def lift_of(vehicle: Vehicle, thrust: Annotated[Array, "k n"]) -> Annotated[Array, "k"]:
+    """Body force along z (k,) of rotor thrusts (k, n)."""
     from groundstation.model.rotors import wrench_matrix
 
-    return np.asarray(thrust[:, None] * wrench_matrix(vehicle)[:, rotor], dtype=float)
+    return np.asarray(thrust @ wrench_matrix(vehicle)[2], dtype=float)
+
+
+def rotor_wrench(vehicle: Vehicle, rotor: int) -> Annotated[Array, "6"]:
+    """Body wrench (6,) of one newton of a rotor's thrust, by its number from zero."""
+    from groundstation.model.rotors import wrench_matrix
+
+    return np.asarray(wrench_matrix(vehicle)[:, rotor], dtype=float)
+
+
+def pushing(
+    straight: Callable[[Signals, Vehicle, Settings], tuple[Array, Array]],
+) -> Callable[[Signals, Vehicle, Settings], Array]:
+    """The wrench (k, 6, 1) of an effect that pushes in one direction."""
+
+    def wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
+        how_hard, direction = straight(signals, vehicle, settings)
+        return (how_hard[:, None] * direction)[:, :, None]
+
+    return wrench
 
 
 def ramp(t_s: Annotated[Array, "k"], at_s: float, within_s: float) -> Annotated[Array, "k"]:

@@ -10,7 +10,7 @@ effect's evidence is its Wald statistic in the joint estimate. Without a plan Z 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from itertools import count, pairwise
 
@@ -27,7 +27,6 @@ from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.whitening import spanning
 from groundstation.identification.instrumental import lag_split_precision
 from groundstation.model.parameters import PriorContext, table
-from groundstation.model.signals import Signals
 
 Array = NDArray[np.float64]
 
@@ -176,26 +175,6 @@ class Evidence:
         ]
         return Batch.joined(parts, self.suspects)
 
-    def _joined(self, parts: Sequence[Columns]) -> Columns:
-        rms = np.sqrt(np.mean([part.wrench_rms**2 for part in parts[: self.suspects]], axis=0))
-        sensitivity, instrument = (
-            np.concatenate([getattr(p, n) for p in parts]) for n in ("sensitivity", "instrument")
-        )
-        return Columns.of(sensitivity, instrument, rms)
-
-    def along(self, function: Callable[[Signals], Array]) -> dict[int, Columns]:
-        """Columns of functions of the signals (k, p) as torque or force of each channel; empty where one is unknown."""
-        found: list[dict[int, Columns]] = []
-        for flight in self.flights[: self.suspects]:
-            basis, wished = function(flight.signals), None if flight.planned is None else function(flight.planned)
-            if not np.isfinite(basis).all() or (wished is not None and not np.isfinite(wished).all()):
-                return {}
-            found.append(flight.along(basis, wished))
-        count = next(iter(found[0].values())).sensitivity.shape[1]
-        blank = [np.zeros((len(flight.y), count)) for flight in self.flights[self.suspects :]]
-        rest = [Columns.of(nothing, nothing, np.zeros((6, count))) for nothing in blank]
-        return {channel: self._joined([*(each[channel] for each in found), *rest]) for channel in found[0]}
-
     def solve(self, chosen: Sequence[tuple[Candidate, Columns]], rows: NDArray[np.bool_] | None = None) -> Solution:
         """Joint instrumental estimate of base and chosen candidates (:func:`.estimated`).
 
@@ -284,14 +263,17 @@ class Evidence:
         Args:
             members: which of the columns' parameters the statistic is of; None for all.
         """
+        energy = self._energy(columns.instrument) if columns.energy is None else columns.energy
+        return self.threshold_of(energy if members is None else energy[:, members], chance)
+
+    def threshold_of(self, energy: Array, chance: float) -> float:
+        """The same by how the energy of each parameter's instrument lies over channels and bands, (bands, p)."""
         from scipy.special import betaincinv
 
-        energy = self._energy(columns.instrument) if columns.energy is None else columns.energy
-        share = energy.sum(axis=1) if members is None else energy[:, members].sum(axis=1)
+        share, count = energy.sum(axis=1), energy.shape[1]
         if not share.sum() > 0.0:
             return float("inf")  # the plan does none of it: no instrument tells it
         share = share / share.sum()
-        count = energy.shape[1] if members is None else len(members)
         freedom = 1.0 / np.sum(share**2 / self._freedom)
         left = float(betaincinv(0.5 * freedom, 0.5 * count, chance))  # nu / (nu + W), of a beta distribution
         return freedom * (1.0 - left) / left

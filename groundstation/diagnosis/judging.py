@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +23,13 @@ from groundstation.diagnosis.comparison import (
 )
 from groundstation.diagnosis.curve import with_exponent
 from groundstation.diagnosis.forecast import forecast
+from groundstation.diagnosis.form_error import form_covariance
 from groundstation.diagnosis.proposal import with_proposals
 from groundstation.diagnosis.results import Finding, Unexplained, Verdict
 from groundstation.diagnosis.scale import scale_findings
 from groundstation.diagnosis.screen import Dependence, unexplained
 from groundstation.diagnosis.selection import Progress, Selected
-from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.sentences import filled
 from groundstation.diagnosis.timing import lag_findings
 from groundstation.identification.results import Estimate
 
@@ -44,7 +45,8 @@ class Judged:
         unexplained: what is left, by channel.
         error: on data no estimate saw, by stage and channel or quantity.
         before, after: base parameters with the findings left out and put in.
-        left_open: covariance (7, 7) of mass and tensor that explanations beside the findings leave open.
+        left_open: covariance (p, p) that the findings' formulas, and explanations beside them, leave open in the joint
+            estimate.
         worse: the sentence that says what the findings predict worse; empty where they do not.
         residual: of the first flight over time, by channel.
     """
@@ -83,10 +85,12 @@ def judge(
         exponent_departure: of the thrust curve that all was estimated about from the declared one.
     """
     evidence, baseline, chosen = selected.evidence, selected.baseline, selected.chosen
-    lag = [] if case.healthy else lag_findings(evidence, selected.solution)
+    left_open = form_covariance(evidence, chosen, selected.solution) + selected.left_open()
+    spread = selected.solution.covariance + left_open
+    published = replace(selected.solution, covariance=spread)
+    lag = [] if case.healthy else lag_findings(evidence, selected.solution, spread)
     plain = as_declared(evidence, case.vehicle) if lag or exponent_departure else None
-    forces = with_exponent(force_findings(selected), exponent_departure, plain_gain(evidence, chosen, plain))
-    left_open = selected.left_open()
+    forces = with_exponent(force_findings(selected, published), exponent_departure, plain_gain(evidence, chosen, plain))
     before, after = base_parameters(evidence, case.vehicle, baseline, chosen, plain, left_open)
     findings = sorted([*lag, *forces, *kinematic, *scale_findings(case.vehicle, after)], key=lambda f: -f.gain)
     splits = splits_of(evidence, case.unseen)
@@ -112,12 +116,12 @@ def judge(
     )
 
 
-def force_findings(selected: Selected) -> list[Finding]:
-    """The named effects as findings, with the values of the joint estimate."""
+def force_findings(selected: Selected, published: Solution) -> list[Finding]:
+    """The named effects as findings, with the values of the joint estimate and the covariance that is published."""
     offset = sum(len(candidate.effect.parameters) for candidate, _ in selected.baseline)
     out: list[Finding] = []
     for item in selected.named:
-        out.append(item.measured or _finding(item, selected.solution, offset))
+        out.append(item.measured or _finding(item, published, offset))
         offset += len(item.candidate.effect.parameters)
     return out
 
@@ -139,7 +143,7 @@ def _finding(item: Named, solution: Solution, offset: int) -> Finding:
     return Finding(
         effect=effect.identifier,
         parameters=parameters,
-        evidence=told(effect.sentence, **known, rotor=str(rotor)),
+        sentence=filled(effect.sentence, **known, rotor=str(rotor)),
         confidence=item.confidence,
         alternatives=item.alternatives,
         rotor=rotor,

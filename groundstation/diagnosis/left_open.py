@@ -1,9 +1,9 @@
-r"""What explanations that nobody named leave open in mass and tensor: part of the interval that no noise tells.
+r"""What explanations that nobody named leave open in a joint estimate: part of the intervals that no noise tells.
 
 Beside the chosen effects others may beat chance and be named by nobody: they explain less than the formulas of what was
 named may miss (:mod:`.discrepancy`), or help on no data that was not fitted. And a formula may be wrong in a way of its
 own: with the speed, the height, the thrust or the rates. The strongest of these is estimated along, then the strongest
-beside it, and so on while one beats chance. On the way from what is named to what would explain everything the base
+beside it, and so on while one beats chance. On the way from what is named to what would explain everything the estimate
 moves by :math:`b_1, b_2, \dots`. How far along it the truth lies the data do not say; each stage counts by the evidence
 :math:`W_k` that it adds (the variance between models of Bayesian model averaging; Hoeting, Madigan, Raftery, Volinsky
 1999):
@@ -11,9 +11,13 @@ moves by :math:`b_1, b_2, \dots`. How far along it the truth lies the data do no
 .. math:: \Sigma_o = \sum_k W_k b_k b_k^T / \sum_k W_k
 
 A form of a named effect that does not beat chance may be there all the same, as far as the data allow: estimated along,
-with the spread ``form_share`` that such forms have before a flight, it moves the base by :math:`b` and adds
+with the spread ``form_share`` that such forms have before a flight, it moves the estimate by :math:`b` and adds
 :math:`\Delta` to its covariance. Forms are wrong independently of each other, so that :math:`b b^T + \Delta` is summed
 over them.
+
+A form has a part in the shape of its own effect: a drag with the square of the speed is, on one flight, mostly a drag
+with the speed, of another size. That part counts for the effect's own parameters, whose value is the size that the
+effect has on this flight.
 
 Nothing is left open where nothing is named and nothing beats chance: a clean flight's intervals stay as sharp as its
 noise allows.
@@ -22,7 +26,7 @@ noise allows.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +37,6 @@ from groundstation.diagnosis.effect import ParameterInfo, Settings
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.rivals import Entry, kind_of
 from groundstation.diagnosis.thresholds import THRESHOLDS
-from groundstation.model.parameters import RIGID_BODY
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
@@ -54,43 +57,73 @@ QUANTITIES: Mapping[str, Callable[[Signals], Array]] = {
 """What a formula may be wrong with: its power of each may be one more or one less."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Beside:
+    """What may be there beside the chosen.
+
+    Attributes:
+        shape: (p, count), what one of its parameters is in each of the joint estimate's: its part in the shape of its
+            own effect; zero for what is no form of a chosen effect.
+    """
+
+    entry: Entry
+    shape: Array
+
+
 def left_open(
     evidence: Evidence, chosen: Sequence[Entry], pool: Sequence[Entry], threshold: Callable[[Candidate, Columns], float]
 ) -> Array:
-    """Covariance (7, 7), in the order of RIGID_BODY, that explanations beside the chosen leave open.
+    """Covariance (p, p), in the order of the joint estimate with the chosen, that explanations beside them leave open.
 
     Args:
         chosen: everything of the joint estimate.
         pool: what else could be there.
         threshold: Wald statistic that chance passes too rarely to be it.
     """
-    index = [evidence.names.index(name) for name in RIGID_BODY]
     named = evidence.solve(chosen)
+    size = len(named.theta)
     forms = list(_misshapen(evidence, chosen, named))
-    along, total, spread = list(chosen), 0.0, np.zeros((len(index), len(index)))
-    choice = [*pool, *forms]
+    choice = [*(_Beside(entry, np.zeros((size, len(entry[0].effect.parameters)))) for entry in pool), *forms]
+    along: list[_Beside] = []
+    total, spread = 0.0, np.zeros((size, size))
     for _ in range(THRESHOLDS.effects_most):
-        margins = _margins(evidence, along, choice, threshold)
+        taken = [*chosen, *(each.entry for each in along)]
+        margins = _margins(evidence, taken, [each.entry for each in choice], threshold)
         best = int(np.argmax(margins)) if margins else -1
         if best < 0 or margins[best] <= 0.0:
             break
         along.append(choice[best])
-        moved = evidence.solve(along).theta[index] - named.theta[index]
+        moved = _seen_by(evidence, chosen, named, along)[0]
         total += margins[best]
         spread += margins[best] * np.outer(moved, moved)
-        choice = [entry for entry, margin in zip(choice, margins, strict=True) if margin > 0.0]
-    shown = {kind_of(entry) for entry in along}
-    unseen = [_unseen(evidence, chosen, named, form, index) for form in forms if kind_of(form) not in shown]
+        choice = [each for each, margin in zip(choice, margins, strict=True) if margin > 0.0]
+    shown = {kind_of(entry) for entry in (*chosen, *(each.entry for each in along))}
+    unseen = [_unseen(evidence, chosen, named, form) for form in forms if kind_of(form.entry) not in shown]
     return sum(unseen, spread / total if total > 0.0 else spread)
 
 
-def _unseen(evidence: Evidence, chosen: Sequence[Entry], named: Solution, form: Entry, index: list[int]) -> Array:
-    """What a form that the data do not show leaves open, (7, 7), as far as they allow it."""
-    found = evidence.solve([*chosen, form])
-    moved = found.theta[index] - named.theta[index]
-    more = found.covariance[np.ix_(index, index)] - named.covariance[np.ix_(index, index)]
-    values, axes = np.linalg.eigh(0.5 * (more + more.T))
-    return np.outer(moved, moved) + (axes * np.maximum(values, 0.0)) @ axes.T
+def _seen_by(
+    evidence: Evidence, chosen: Sequence[Entry], named: Solution, along: Sequence[_Beside]
+) -> tuple[Array, Array]:
+    """How far the joint estimate moves (p,) where others are estimated along, and its covariance (p, p) then."""
+    found = evidence.solve([*chosen, *(each.entry for each in along)])
+    parts = np.concatenate([np.eye(len(named.theta)), *(each.shape for each in along)], axis=1)
+    return parts @ found.theta - named.theta, parts @ found.covariance @ parts.T
+
+
+def _unseen(evidence: Evidence, chosen: Sequence[Entry], named: Solution, form: _Beside) -> Array:
+    """What a form that the data do not show leaves open, (p, p), as far as they allow it."""
+    moved, covariance = _seen_by(evidence, chosen, named, [form])
+    return np.outer(moved, moved) + _positive(covariance - named.covariance)
+
+
+def _positive(matrix: Array) -> Array:
+    """The part of a symmetric matrix that is a covariance, parameters in units of their own."""
+    scale = np.sqrt(np.abs(np.diag(matrix)))
+    scale[scale == 0.0] = 1.0
+    values, axes = np.linalg.eigh(0.5 * (matrix + matrix.T) / np.outer(scale, scale))
+    positive: Array = (axes * np.maximum(values, 0.0)) @ axes.T
+    return positive * np.outer(scale, scale)
 
 
 def _margins(
@@ -110,17 +143,29 @@ def _margins(
     return out
 
 
-def _misshapen(evidence: Evidence, chosen: Sequence[Entry], solution: Solution) -> Iterator[Entry]:
+def _misshapen(evidence: Evidence, chosen: Sequence[Entry], solution: Solution) -> Iterator[_Beside]:
     """Each chosen effect, by parameter, with one power more or less of each quantity; and on each of its axes alone."""
     first = 0
-    for candidate, _ in chosen:
+    for candidate, columns in chosen:
         count = len(candidate.effect.parameters)
         values = solution.part(first, count)[0]
+        own = slice(solution.base + first, solution.base + first + count)
         first += count
         forms_of = list(_forms(candidate, values))
         for forms, together in zip(forms_of, evidence.columns_of(forms_of), strict=True):
-            if together is not None:
-                yield from _one_by_one(evidence, forms, together)
+            if together is None:
+                continue
+            for entry in _one_by_one(evidence, forms, together):
+                shape = np.zeros((len(solution.theta), 1))
+                shape[own] = _in_shape(entry[1].sensitivity, columns.sensitivity)
+                yield _Beside(entry, shape)
+
+
+def _in_shape(form: Array, own: Array) -> Array:
+    """What a form (rows, 1) is of its effect's own columns (rows, count), in the least squares sense, (count, 1)."""
+    scale = np.linalg.norm(own, axis=0) + 1e-30
+    found: Array = np.linalg.lstsq(own / scale, form, rcond=1e-8)[0]
+    return found / scale[:, None]
 
 
 def _one_by_one(evidence: Evidence, forms: Candidate, together: Columns) -> Iterator[Entry]:
@@ -160,4 +205,6 @@ def _changed(candidate: Candidate, names: Sequence[str], change: Change) -> Cand
     def wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
         return change(signals, effect.wrench(signals, vehicle, settings))
 
-    return Candidate(replace(effect, parameters=shares, wrench=wrench, instrument=None), candidate.settings)
+    return Candidate(
+        replace(effect, parameters=shares, wrench=wrench, instrument=None, pointwise=False), candidate.settings
+    )

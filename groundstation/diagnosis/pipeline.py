@@ -14,6 +14,8 @@ from groundstation.diagnosis.comparison import base_covariance, flight_parameter
 from groundstation.diagnosis.effect import catalogue
 from groundstation.diagnosis.judging import Judged, judge
 from groundstation.diagnosis.next_flight import rival_entries
+from groundstation.diagnosis.possible import possible
+from groundstation.diagnosis.published import published
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
 from groundstation.diagnosis.screen import dependences
 from groundstation.diagnosis.selection import Progress, Selected, select_beside
@@ -21,7 +23,7 @@ from groundstation.diagnosis.swing import swing_of
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
-from groundstation.diagnosis.unplanned import Told, tell_unplanned
+from groundstation.diagnosis.unplanned import PastMotion, tell_unplanned
 from groundstation.diagnosis.weakness import weak_instruments
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
@@ -90,7 +92,9 @@ def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress:
     found = _diagnosis(name, case, selected, judged, air)
     if not (selected.chosen or augmented):
         found = _with_swing(found, case, base)
-    return _with_low_frequencies(found, case, base)
+    found = possible(_with_low_frequencies(found, case, base), case.vehicle)
+    hidden = unrevealed(base.fitted, case.suspects)
+    return published(found, hidden) if hidden else found
 
 
 def _with_swing(found: Diagnosis, case: Case, base: Base) -> Diagnosis:
@@ -103,7 +107,7 @@ def _with_swing(found: Diagnosis, case: Case, base: Base) -> Diagnosis:
     if swing is None:
         return found
     verdict = "unexplained" if found.verdict in ("clean", "explained") else found.verdict
-    return replace(found, verdict=verdict, reason=swing.told(), warnings=(swing.told(), *found.warnings))
+    return replace(found, verdict=verdict, reason=swing.sentence(), warnings=(swing.sentence(), *found.warnings))
 
 
 def _with_low_frequencies(found: Diagnosis, case: Case, base: Base) -> Diagnosis:
@@ -127,7 +131,7 @@ def _with_low_frequencies(found: Diagnosis, case: Case, base: Base) -> Diagnosis
     )
 
 
-def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged, air: Sequence[Told]) -> Diagnosis:
+def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged, air: Sequence[PastMotion]) -> Diagnosis:
     """All of it as the result that is written and shown."""
     reason = _reason(judged.verdict, judged.findings, judged.unexplained)
     return Diagnosis(

@@ -53,7 +53,7 @@ class _Held:
 
     white: Callable[[], Array]
     members: list[Member]
-    across: dict[int, Array] = field(default_factory=dict)
+    across: dict[int, Array] = field(default_factory=dict[int, Array])
 
 
 class Table:
@@ -124,10 +124,9 @@ class Table:
             members = [self._held[some[i].number][1] for i in index]
             batch = self._held[some[index[0]].number][0]
             self._cross(a, batch)
-            x, z = (
-                batch.across[a.number][:, np.concatenate([np.arange(s.start, s.stop) for s in slices])]
-                for slices in ([m.sensitivity for m in members], [m.instrument for m in members])
-            )
+            row = batch.across[a.number]
+            x = np.concatenate([row[:, member.sensitivity] for member in members], axis=1)
+            z = np.concatenate([row[:, member.instrument] for member in members], axis=1)
             places.append((index, x, z))
         width = len(some[0].wrench_rms[0])
         out = [np.empty((len(some), rows, width)) for rows in (n, n, len(places[0][1]) - n, len(places[0][1]) - n)]

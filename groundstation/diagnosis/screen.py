@@ -13,10 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.along import Along, Beside
 from groundstation.diagnosis.columns import Candidate, Columns
 from groundstation.diagnosis.comparison import residual_rms
 from groundstation.diagnosis.discrepancy import Discrepancy
-from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, from_thrust
+from groundstation.diagnosis.effect import from_thrust, weight
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import WRENCH_ROW, FlightEvidence
 from groundstation.diagnosis.results import Unexplained
@@ -24,7 +25,6 @@ from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import euler_from_quat
 from groundstation.identification.record_model import CHANNELS
 from groundstation.model.signals import Signals
-from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -63,25 +63,6 @@ class Dependence:
     share: float
 
 
-def _probe(name: str, channel: int, count: int) -> Effect:
-    """What the joint estimate has to know of ``count`` hat functions in a channel: their prior."""
-
-    def scale(vehicle: Vehicle) -> float:
-        weight = vehicle.mass_kg * vehicle.gravity_m_s2
-        return 0.2 * weight * (vehicle.arm_m() if channel < 3 else 1.0)
-
-    return Effect(
-        identifier=f"{name}>{CHANNELS[channel]}",
-        equation="hat functions",
-        source="screen",
-        parameters=tuple(ParameterInfo(f"h{j}", scale) for j in range(count)),
-        wrench=lambda signals, vehicle, settings: blank(signals, count),
-        sentence="",
-        confused_with=(),
-        manoeuvre="",
-    )
-
-
 def _hats(name: str, knots: Array) -> Callable[[Signals], Array]:
     """Hat functions of a variable over knots, but the first, (k, knots - 1)."""
 
@@ -95,7 +76,7 @@ def _hats(name: str, knots: Array) -> Callable[[Signals], Array]:
 
 def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]]) -> list[Dependence]:
     """Every pair of channel and variable that still shows beyond chance, strongest first."""
-    looked = _Looked.at(evidence, chosen)
+    looked, beside = _Looked.at(evidence, chosen), Beside(evidence, chosen)
     found: list[Dependence] = []
     for name, variable in VARIABLES.items():
         values = variable(looked.flight.signals)
@@ -104,12 +85,9 @@ def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]])
         knots = np.unique(np.quantile(values[looked.kept], np.linspace(0.0, 1.0, THRESHOLDS.dependence_knots)))
         if len(knots) < 4:
             continue
-        hats, count = _hats(name, knots), len(knots) - 1
-        by_channel = evidence.along(hats)
-        for channel in looked.channels:
-            if (columns := by_channel.get(channel)) is None:
-                continue
-            if (shown := looked.shown(name, channel, columns, hats(looked.flight.signals), count)) is not None:
+        hats = _hats(name, knots)
+        for channel, estimate in beside.along(hats, looked.channels, looked.prior).items():
+            if (shown := looked.shown(name, channel, estimate, hats)) is not None:
                 found.append(shown)
     return sorted(found, key=lambda d: -d.margin)
 
@@ -120,7 +98,6 @@ class _Looked:
 
     Attributes:
         flight: the first. kept: its samples in use, (k,).
-        offset: parameters before those of a probe.
         scales: of each channel, the least size that matters. channels: those that leave as much.
         energy: of form errors by channel, (6,). explained: wrenches of what is named already, (k, 6, p).
     """
@@ -129,7 +106,6 @@ class _Looked:
     chosen: Sequence[tuple[Candidate, Columns]]
     flight: FlightEvidence
     kept: NDArray[np.bool_]
-    offset: int
     scales: Mapping[int, float]
     channels: Sequence[int]
     energy: Array
@@ -140,10 +116,11 @@ class _Looked:
         """From the joint estimate of a selection."""
         first = evidence.flights[0]
         vehicle = first.prepared.record.vehicle
-        weight = vehicle.mass_kg * vehicle.gravity_m_s2
         discrepancy, solution = Discrepancy(evidence), evidence.solve(chosen)
         left = residual_rms(evidence, chosen, solution)
-        scales = {c: THRESHOLDS.material_share * weight * (vehicle.arm_m() if c < 3 else 1.0) for c in first.channels}
+        scales = {
+            c: THRESHOLDS.material_share * weight(vehicle) * (vehicle.arm_m() if c < 3 else 1.0) for c in first.channels
+        }
         lift = from_thrust(vehicle, first.signals.thrust_n)[:, :, None]
         known = [c.effect.wrench(first.signals, vehicle, c.settings) for c, _ in chosen]
         return cls(
@@ -151,27 +128,29 @@ class _Looked:
             chosen=chosen,
             flight=first,
             kept=first.prepared.record.keep,
-            offset=sum(len(c.effect.parameters) for c, _ in chosen),
             scales=scales,
             channels=[c for c in first.channels if left[c] >= scales[c]],  # nothing material can hide in less
             energy=discrepancy.energies(chosen, solution).sum(axis=0) + discrepancy.of_lag(solution),
             explained=np.concatenate([np.ones_like(lift), lift, *known], axis=2),
         )
 
-    def shown(self, name: str, channel: int, columns: Columns, hats: Array, count: int) -> Dependence | None:
+    def prior(self, channel: int) -> float:
+        """Precision of the height of a hat function: a fifth of the weight, or of weight times arm."""
+        vehicle = self.flight.prepared.record.vehicle
+        return 1.0 / (0.2 * weight(vehicle) * (vehicle.arm_m() if channel < 3 else 1.0)) ** 2
+
+    def shown(self, name: str, channel: int, estimate: Along, hats: Callable[[Signals], Array]) -> Dependence | None:
         """The dependence of a channel on a variable; None where chance, form errors or what is named make it."""
-        candidate = Candidate(_probe(name, channel, count), {})
-        solution = self.evidence.solve([*self.chosen, (candidate, columns)])
         pairs = len(VARIABLES) * len(self.flight.channels)
         margin = (
-            solution.wald(self.offset, range(count))
-            - self.evidence.threshold(columns, THRESHOLDS.dependence_chance / pairs)
+            estimate.wald()
+            - self.evidence.threshold_of(estimate.energy, THRESHOLDS.dependence_chance / pairs)
             - THRESHOLDS.form_error_share**2 * self.energy[channel]
         )
         if margin <= 0.0:
             return None
-        part, named = solution.part(self.offset, count), self.explained[:, WRENCH_ROW[channel], :]
-        size = _own_size(hats, *part, named, self.kept)
+        named = self.explained[:, WRENCH_ROW[channel], :]
+        size = _own_size(hats(self.flight.signals), estimate.values, estimate.covariance, named, self.kept)
         if size < self.scales[channel]:
             return None
         disturbance = disturbance_std(self.evidence, channel)

@@ -16,7 +16,7 @@ from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import posterior
-from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.sentences import filled
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.results import Estimate
 
@@ -26,29 +26,35 @@ NAMES = (*LAG.names()[:2], *DELAY.names())
 SLOPE = LAG.names()[2]
 
 
-def _estimated(first: FlightEvidence, solution: Solution) -> tuple[Array, Array, _Beside]:
-    """Lags up and down and dead time beyond the declared ones (3,), their covariance (3, 3), and what stands beside."""
+def _estimated(first: FlightEvidence, solution: Solution, published: Array) -> tuple[Array, Array, Array, _Beside]:
+    """Lags up and down and dead time beyond the declared ones (3,), their covariance (3, 3) by noise alone and as it is
+    published, and what stands beside.
+    """
     names, p, declared = list(first.names), first.parameters, first.prepared.record.vehicle.rotors.lag
     index = [names.index(n) for n in NAMES]
     values = np.array([p.lag_up_s, p.lag_down_s, p.delay_s]) + solution.theta[index]
     values -= [declared.up_s, declared.down_s, 0.0]
     at = names.index(SLOPE)
-    slope = Estimate.normal(float(p.lag_slope + solution.theta[at]), float(np.sqrt(solution.covariance[at, at])))
+    slope = Estimate.normal(float(p.lag_slope + solution.theta[at]), float(np.sqrt(published[at, at])))
     step_s = float(np.median(np.diff(first.prepared.flight.motors.t_s)))
     beside = _Beside(declared.up_s, declared.down_s, slope, step_s)
-    return values, solution.covariance[np.ix_(index, index)], beside
+    own = np.ix_(index, index)
+    return values, solution.covariance[own], published[own], beside
 
 
-def lag_findings(evidence: Evidence, solution: Solution) -> list[Finding]:
+def lag_findings(evidence: Evidence, solution: Solution, published: Array) -> list[Finding]:
     """From the joint estimate with the named effects; lag and dead time are rivals, or stand together.
 
     With W the Wald statistic of all three parameters, that of the delay alone is what a lag cannot explain, and the
     other way round: the two single explanations differ by it.
+
+    Args:
+        published: covariance (p, p) that the intervals are of: the joint estimate's and what is left open beside it.
     """
     first = evidence.flights[0]
     if not is_commanded(first.prepared.record.vehicle) or NAMES[0] not in first.names:
         return []
-    values, covariance, lags = _estimated(first, solution)
+    values, covariance, spread, lags = _estimated(first, solution, published)
 
     def wald(part: Sequence[int]) -> float:
         v, c = values[list(part)], covariance[np.ix_(part, part)]
@@ -61,10 +67,10 @@ def lag_findings(evidence: Evidence, solution: Solution) -> list[Finding]:
         return []
     if min(only_delay_explains, only_lag_explains) > THRESHOLDS.timing_wald and lag > LAG.least and delay > DELAY.least:
         return [
-            _lag(values, covariance, lags, only_lag_explains, (THRESHOLDS.timing_wald - only_lag_explains,)),
+            _lag(values, spread, lags, only_lag_explains, (THRESHOLDS.timing_wald - only_lag_explains,)),
             _delay(
                 delay,
-                covariance[2, 2],
+                spread[2, 2],
                 lags.step_s,
                 only_delay_explains,
                 (THRESHOLDS.timing_wald - only_delay_explains,),
@@ -72,16 +78,16 @@ def lag_findings(evidence: Evidence, solution: Solution) -> list[Finding]:
         ]
     lead = only_lag_explains - only_delay_explains
     if lead >= 0.0 or delay < DELAY.least:
-        alone = _conditional(values, covariance)
+        alone = _conditional(values, covariance, spread)
         return [_lag(*alone, lags, everything, (chance, -lead), lead < THRESHOLDS.inseparable)]
     close = -lead < THRESHOLDS.inseparable
-    return [_delay(lag + delay, covariance[2, 2], lags.step_s, everything, (chance, lead), close)]
+    return [_delay(lag + delay, spread[2, 2], lags.step_s, everything, (chance, lead), close)]
 
 
 @dataclass(frozen=True, slots=True)
 class _Beside:
-    """What stands beside the lags' departures: the declared lags, how the rate goes with the speed, the interval of the
-    commands.
+    """What is known beside the lags' departures: the declared lags, the rate's dependence on speed, the interval of
+    the commands.
     """
 
     up_s: float
@@ -110,7 +116,7 @@ def _lag(
             NAMES[1]: Estimate.time(down, float(std[1]), beside.step_s),
             SLOPE: beside.slope,
         },
-        evidence=told(LAG.sentence, **{NAMES[0]: up, NAMES[1]: down}),
+        sentence=filled(LAG.sentence, **{NAMES[0]: up, NAMES[1]: down}),
         confidence=posterior(rivals),
         alternatives=(DELAY.identifier,) if close else (),
         gain=gain,
@@ -123,14 +129,14 @@ def _delay(
     return Finding(
         effect=DELAY.identifier,
         parameters={NAMES[2]: Estimate.time(value, float(np.sqrt(variance)), step_s)},
-        evidence=told(DELAY.sentence, **{NAMES[2]: float(value)}),
+        sentence=filled(DELAY.sentence, **{NAMES[2]: float(value)}),
         confidence=posterior(rivals),
         alternatives=(LAG.identifier,) if close else (),
         gain=gain,
     )
 
 
-def _conditional(values: Array, covariance: Array) -> tuple[Array, Array]:
-    """Mean and covariance of the lags when there is no dead time."""
-    gain = covariance[:2, 2] / covariance[2, 2]
-    return values[:2] - gain * values[2], covariance[:2, :2] - np.outer(gain, covariance[2, :2])
+def _conditional(values: Array, covariance: Array, spread: Array) -> tuple[Array, Array]:
+    """The lags when there is no dead time, and their covariance as it is published."""
+    alone = np.column_stack([np.eye(2), -covariance[:2, 2] / covariance[2, 2]])
+    return alone @ values, alone @ spread @ alone.T

@@ -30,6 +30,7 @@ from groundstation.identification.record_model import RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, MethodResult, Revealed
 from groundstation.identification.seed import Regressions, seed_methods
 from groundstation.identification.seed_signals import Processing, process_flight
+from groundstation.identification.sudden import mass_step
 from groundstation.identification.unplanned import LOW, LOW_NOTE, LOW_REASON, by_low_frequencies
 from groundstation.identification.unplanned import applies as low_frequencies_apply
 from groundstation.model.parameters import FitOptions
@@ -91,6 +92,7 @@ def believed(fitted: DynamicFit, warnings: Sequence[str] = ()) -> Answer:
     else:
         hidden |= unsettled(fitted.instrumental, fitted.filter_error)
     partial = partial_answer(best, hidden, prepared)
+    step = mass_step(fitted.models, fitted.best, fitted.options)
     return Answer(
         fitted=fitted,
         best=best,
@@ -98,7 +100,7 @@ def believed(fitted: DynamicFit, warnings: Sequence[str] = ()) -> Answer:
         reason=_reason(fitted) if low is None else LOW_REASON,
         combinations=combinations,
         hidden=hidden,
-        warnings=(*warnings, *([] if partial is None else [partial])),
+        warnings=(*warnings, *([] if step is None else [step.told()]), *([] if partial is None else [partial])),
     )
 
 

@@ -56,21 +56,28 @@ def nearest_rigid_body(fitted: Fitted, extra_names: Sequence[str]) -> tuple[Fitt
     Args:
         extra_names: of the fit's extra wrench terms.
     """
+    index = [fitted.names.index(name) for name in MASS_AND_TENSOR]
+    measured, covariance = fitted.values[index], fitted.covariance[np.ix_(index, index)]
+    rigid, away = nearest_values(measured, covariance)
+    gain = fitted.covariance[:, index] @ np.linalg.inv(covariance)
+    values = fitted.values + gain @ (rigid - measured)
+    parameters = with_values(fitted.parameters, fitted.names, values, extra_names)
+    return replace(fitted, values=values, parameters=parameters), away
+
+
+def nearest_values(measured: Array, covariance: Array) -> tuple[Array, float]:
+    """Mass and tensor (7,) of the rigid body nearest to measured ones with covariance (7, 7), and how many standard
+    deviations away it is.
+    """
     from scipy.optimize import least_squares
 
-    index = [fitted.names.index(name) for name in MASS_AND_TENSOR]
-    measured = fitted.values[index]
-    precision = np.linalg.inv(fitted.covariance[np.ix_(index, index)])
-    whiten = np.linalg.cholesky(precision).T
+    whiten = np.linalg.cholesky(np.linalg.inv(covariance)).T
 
     def distance(logs: Array) -> Array:
         return whiten @ (_mass_and_tensor(logs) - measured)
 
     found = least_squares(distance, _logarithms(measured), x_scale="jac", ftol=1e-12, xtol=1e-12, gtol=1e-12)
-    gain = fitted.covariance[:, index] @ precision
-    values = fitted.values + gain @ (_mass_and_tensor(found.x) - measured)
-    rigid = replace(fitted, values=values, parameters=with_values(fitted.parameters, fitted.names, values, extra_names))
-    return rigid, float(np.linalg.norm(found.fun))
+    return _mass_and_tensor(found.x), float(np.linalg.norm(found.fun))
 
 
 def _symmetric(upper: Array) -> Array:

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, from_thrust, ramp, sharper
+from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, lift_of, pushing, ramp, sharper
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
@@ -14,13 +14,11 @@ MOST_KG = 10.0
 """The heaviest vehicle's own mass."""
 
 
-def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
+def _straight(signals: Signals, vehicle: Vehicle, settings: Settings) -> tuple[np.ndarray, np.ndarray]:
     carried = settings.get("carried_kg", 0.0)
     after = ramp(signals.t_s, settings["at_s"], settings["within_s"])
-    lift = from_thrust(vehicle, signals.thrust_n)[:, 2]
-    out = blank(signals)
-    out[:, 2, 0] = (float(carried > 0.0) - after) * lift / (vehicle.mass_kg + carried)
-    return out
+    up = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    return (float(carried > 0.0) - after) * lift_of(vehicle, signals.thrust_n) / (vehicle.mass_kg + carried), up
 
 
 def _variants(signals: Signals, vehicle: Vehicle) -> tuple[Settings, ...]:
@@ -39,7 +37,9 @@ EFFECT = Effect(
     "go at t_0",
     source="Newton's second law with a step in mass",
     parameters=(ParameterInfo("mass_change_kg", lambda v: 0.5 * v.mass_kg, (-MOST_KG, MOST_KG)),),
-    wrench=_wrench,
+    wrench=pushing(_straight),
+    pointwise=True,
+    straight=_straight,
     sentence="At {at_s:s} the vehicle became {mass_change_kg:g|heavier|lighter}.",
     confused_with=("battery_sag", "rotor_degradation"),
     manoeuvre="hover before and after, at the same voltage",

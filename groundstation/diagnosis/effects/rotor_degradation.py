@@ -10,19 +10,20 @@ from groundstation.diagnosis.effect import (
     Effect,
     ParameterInfo,
     Settings,
-    from_rotor,
     has_rotors,
+    pushing,
     ramp,
+    rotor_wrench,
     sharper,
 )
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
 
-def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> np.ndarray:
+def _straight(signals: Signals, vehicle: Vehicle, settings: Settings) -> tuple[np.ndarray, np.ndarray]:
     rotor = int(settings["rotor"]) - 1
     lost = -signals.thrust_n[:, rotor] * ramp(signals.t_s, settings["from_s"], settings["within_s"])
-    return from_rotor(vehicle, rotor, lost)[:, :, None]
+    return lost, rotor_wrench(vehicle, rotor)
 
 
 def _variants(signals: Signals, vehicle: Vehicle) -> tuple[Settings, ...]:
@@ -40,7 +41,9 @@ EFFECT = Effect(
     equation="T_i = (1 - loss H(t - t_0)) k_i Omega_i^2",
     source="Freddi, Lanzon, Longhi 2011 (abrupt loss of effectiveness)",
     parameters=(ParameterInfo("loss", lambda v: 0.5, (-0.5, 1.0)),),
-    wrench=_wrench,
+    wrench=pushing(_straight),
+    pointwise=True,
+    straight=_straight,
     sentence="From {from_s:s} on, rotor {rotor} gives {loss:%|less|more} thrust than before.",
     confused_with=("weak_rotor", "payload_change"),
     manoeuvre="repeat the same manoeuvre early and late",
