@@ -20,7 +20,7 @@ from groundstation.identification.reconstruction import Compatibility
 from groundstation.identification.record_model import DynamicRecord, PlannedMotion
 from groundstation.identification.results import Clock
 from groundstation.identification.streams import clean, flown_stretches
-from groundstation.identification.stretches import GAP_S, Stretch, gaps, runs_of, told, within
+from groundstation.identification.stretches import GAP_S, Stretch, gaps, runs_of, used_note, within
 from groundstation.model.rotors import (
     MotorInput,
     cumulative,
@@ -253,7 +253,7 @@ def _share_note(flight: FlightData, motors: Stream, record: DynamicRecord, lost:
     why = [f"{len(lost)} gaps of the motors' stream ({missing:.1f} s)"] if lost else []
     if flight.window_s is None:
         why.append("ground, and a second beside it")
-    return [told(used_s, recorded, len(runs_of(t, keep)), why if used_s < 0.98 * recorded else ())]
+    return [used_note(used_s, recorded, len(runs_of(t, keep)), why if used_s < 0.98 * recorded else ())]
 
 
 def _battery(flight: FlightData, t: Array) -> tuple[Array, Array]:
