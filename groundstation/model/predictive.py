@@ -261,7 +261,9 @@ class Windows:
     at: NDArray[np.int64]
     start_s: Array
     pose: Array
-    made: dict[tuple[bytes, float, int], tuple[Array, Array]] = field(default_factory=dict)
+    made: dict[tuple[bytes, float, int], tuple[Array, Array]] = field(
+        default_factory=dict[tuple[bytes, float, int], tuple[Array, Array]]
+    )
 
     def means(self, values: Array, step_s: float, steps: int) -> tuple[Array, Array]:
         """Mean rotor signals between the observer's stamps, and over each step of the windows."""

@@ -320,9 +320,7 @@ def _advance(s: Array, p: Array, tensor: Array, inverse: Array, g: float, h: flo
 
 
 @njit(cache=True)
-def simulated(
-    begin: tuple[Array, Array, Array], means: Array, p: Array, body: Body, h: float, marks: Index
-) -> Array:
+def simulated(begin: tuple[Array, Array, Array], means: Array, p: Array, body: Body, h: float, marks: Index) -> Array:
     """States (position, velocity, attitude, rates) after each number of steps of h in ``marks`` (ascending), (m, k,
     13).
 
