@@ -160,14 +160,12 @@ FLIGHTS: dict[str, Callable[[int, Random], FlightData]] = {
     "without poses, plan and setpoints": lambda s, r: replace(_flown(s), mocap=None, plan=None, setpoint=None),
     "a load let go": lambda s, r: _flown(s, {"payload_change": {"mass_kg": 0.25, "time_s": 20.0}}),
     "a load that swings": lambda s, r: _flown(s, {"slung_load": {"mass_kg": 0.2, "length_m": 0.5}}),
-    "a rotor that fails slowly": lambda s, r: _flown(
-        s, {"rotor_degradation": {"rotor": 2, "loss": 0.3, "start_s": 18.0}}
-    ),
+    "a rotor that fails": lambda s, r: _flown(s, {"rotor_degradation": {"rotor": 2, "loss": 0.3, "start_s": 18.0}}),
     "rattling": lambda s, r: _values(_flown(s), "imu", lambda v: v + r.normal(0.0, 1.0, v.shape) * [1, 1, 1, 8, 8, 8]),
     "a pilot": lambda s, r: _unplanned(s, "pilot", 1.0),
     "a pilot, slowly": lambda s, r: _unplanned(s, "pilot", 0.2),
     "figures, 8 s of them": lambda s, r: _part(_unplanned(s, "figures", 1.5), 0.4, 0.6),
-    "waypoints, in a third less voltage": lambda s, r: _values(
+    "waypoints, speeds a fifth too large": lambda s, r: _values(
         _unplanned(s, "waypoints", 1.0), "motors", lambda v: 1.2 * v
     ),
 }

@@ -7,12 +7,18 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from groundstation.diagnosis.attribution import candidates
+from groundstation.diagnosis.base import base_fit, for_evidence
+from groundstation.diagnosis.case import case_of
+from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.flightdata import FlightData
 from groundstation.identification import estimators, instruments, parts, record_model
 from groundstation.identification.declarations.signals import LONGEST_S, liveliest
 from groundstation.identification.parts import at_times, by_parts, running_integrals, running_sums
 from groundstation.identification.pipeline import identify
 from groundstation.identification.results import Identification
+from groundstation.identification.work import Work
+from groundstation.options import DEFAULT_OPTIONS
 from studies.study import draw
 
 SEED = 2001
@@ -60,6 +66,23 @@ def test_a_flight_in_parts_is_identified_as_the_whole_is(monkeypatch: pytest.Mon
             other = divided.methods[method].parameters[name]
             assert abs(other.value - estimate.value) < 0.02 * estimate.std, (method, name)
             assert other.std == pytest.approx(estimate.std, rel=0.02), (method, name)
+
+
+def test_columns_of_every_effect_in_parts_are_those_of_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    print("study seed", SEED)
+    work = Work()
+    case = case_of([flown(20.0)], DEFAULT_OPTIONS, work)
+    base, case = base_fit(case, work), case.map(for_evidence)
+    found: list[dict[str, np.ndarray]] = []
+    for size in (record_model.PART, 300):
+        monkeypatch.setattr(record_model, "PART", size)
+        flight = FlightEvidence(case.suspects[0], base.fitted, base.options)
+        pool = candidates(case.vehicle, flight.excited)
+        found.append({f"{number} {each.identifier}": flight.moved_by(each) for number, each in enumerate(pool)})
+    whole, divided = found
+    assert len(whole) > 10 and whole.keys() == divided.keys()
+    for name, moved in whole.items():
+        assert np.max(np.abs(divided[name] - moved)) <= 1e-9 * np.max(np.abs(moved)), name
 
 
 @pytest.mark.usefixtures("small_parts")

@@ -82,6 +82,8 @@ class Effect(EffectInfo):
     Attributes:
         wrench: (signals, vehicle, settings) -> body force and torque about the declared origin per unit of each
             parameter, shape (k, 6, len(parameters)); NaN where the signals it needs are unknown.
+        pointwise: the wrench at an instant follows from the signals at that instant and its neighbours, so that a long
+            flight may be gone through in parts.
         instrument: (signals, planned signals, vehicle, settings) -> the wrench's instruments; None for ``wrench`` of
             the planned ones. What a pendulum does follows from the motion there was; by a plan it is soon out of step.
         straight: of an effect of one parameter that pushes in one direction all along: how hard, (k,), and the wrench
@@ -110,6 +112,7 @@ class Effect(EffectInfo):
 
     wrench: Callable[[Signals, Vehicle, Settings], Array]
     sentence: str
+    pointwise: bool = False
     instrument: Callable[[Signals, Signals, Vehicle, Settings], Array] | None = None
     straight: Callable[[Signals, Vehicle, Settings], tuple[Array, Array]] | None = None
     alone: Callable[[Signals, Vehicle, Settings], Array] | None = None

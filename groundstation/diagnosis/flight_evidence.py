@@ -4,8 +4,8 @@ candidate.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +24,7 @@ from groundstation.identification.record_model import RecordModel
 from groundstation.identification.sensitivities import planned_parts
 from groundstation.identification.sudden import VERTICAL
 from groundstation.model.parameters import RIGID_BODY, FitOptions, table, values_of, with_values
+from groundstation.model.signals import Signals
 
 Array = NDArray[np.float64]
 
@@ -31,6 +32,26 @@ SAMPLES_AT_ONCE = 2**22
 """Of functions of time that are worked out side by side: 32 MB."""
 WRENCH_ROW = {0: 3, 1: 4, 2: 5, 3: 0, 4: 1, 5: 2}
 """Of each channel, where its force or torque stands in a wrench."""
+
+
+NEIGHBOURS = 2
+"""Samples before a part that its differences are made of."""
+EXCITED_MOST = 262144
+"""Samples by whose spread the settings of effects are chosen: four minutes at 1 kHz."""
+
+Wrenches = Callable[[Signals, Signals | None], list[Array]]
+"""From signals and planned signals to wrenches, (k, 6, p) each."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A part of a flight: of so many of its first blocks the part before has the numbers."""
+
+    model: RecordModel
+    signals: Signals
+    planned: Signals | None
+    share: Array
+    overlap: int
 
 
 class FlightEvidence:
@@ -67,7 +88,7 @@ class FlightEvidence:
         )
         self.model = RecordModel(record, (), None if prepared.planned is None else replace(prepared.planned, extra=()))
         self.signals = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
-        self.excited = self.signals.at(record.keep)
+        self.excited = self.signals.at(_some(record.keep))
         self._share = record.keep / np.sum(record.keep)
         self._inverse = np.linalg.inv(self.parameters.tensor)
         self.residual, self.sensitivity, self.names = self.model.evaluate(self.parameters, self.options)
@@ -144,9 +165,7 @@ class FlightEvidence:
 
     def _nuisance(self, generic: bool) -> list[Array]:
         """Columns (blocks, m) of each known channel that keep an effect's own residual out of the noise model."""
-        vehicle = self.prepared.record.vehicle
-        kept_out = (*self.known, *self.sudden)
-        known = [self.predicted(c.effect.wrench(self.signals, vehicle, c.settings)) for c in kept_out]
+        known = [self.moved_by(candidate) for candidate in (*self.known, *self.sudden)]
         parts: list[list[Array]] = [[_of_channel(self.sensitivity, c)] for c in self.channels]
         for columns in known:
             _add(parts, columns, self.channels)
@@ -161,24 +180,88 @@ class FlightEvidence:
 
         Without them a step or a trend would pass for a disturbance of long memory, and hide itself.
         """
-        signals = self.signals
-        elapsed = signals.t_s - signals.t_s[0]
-        knots = np.linspace(0.0, float(elapsed[-1]), int(np.clip(elapsed[-1] / THRESHOLDS.drift_knot_s, 3, 16)) + 1)
-        hats: list[Array] = [np.interp(elapsed, knots, peak) for peak in np.eye(len(knots))]
-        drift, mass = np.column_stack(hats), self.parameters.mass_kg
-        thrust: Array = signals.thrust_n.sum(axis=1)[:, None]
-        velocity = signals.velocity_body_m_s()
-        turning = [np.concatenate([drift, signals.rate_rad_s[:, i : i + 1], thrust], axis=1) for i in range(3)]
-        turned = [self.model.integrated(known) for known in map(_finite, turning)]
+        signals, mass = self.signals, self.parameters.mass_kg
+        length, known = float(signals.t_s[-1] - signals.t_s[0]), np.isfinite(signals.thrust_n).all()
+        knots = np.linspace(0.0, length, int(np.clip(length / THRESHOLDS.drift_knot_s, 3, 16)) + 1)
+
+        def beside(own: Callable[[Signals], Array]) -> Callable[[Signals], Array]:
+            def columns(now: Signals) -> Array:
+                elapsed = now.t_s - signals.t_s[0]
+                hats: list[Array] = [np.interp(elapsed, knots, peak) for peak in np.eye(len(knots))]
+                drift, shown = np.column_stack(hats), own(now)
+                thrust: Array = now.thrust_n.sum(axis=1)[:, None]
+                return np.concatenate([drift, shown, thrust] if known else [drift, shown], axis=1)
+
+            return columns
+
+        turned = [self._sums(beside(lambda now, i=axis: now.rate_rad_s[:, i : i + 1]))[0] for axis in range(3)]
         out: list[Array] = []
         for channel in self.channels:
             if channel < 3:
-                columns = [self._inverse[channel, axis] * turned[axis] for axis in range(3)]
+                columns = [self._inverse[channel, axis] * _finite(turned[axis]) for axis in range(3)]
                 out.append(_shown(np.concatenate(columns, axis=1)))
             else:
-                own = velocity[:, channel - 3 : channel - 2]
-                pushing = _finite(np.concatenate([drift, own, thrust], axis=1))
-                out.append(_shown(self.model.average(pushing) / mass))
+                pushing = self._sums(beside(lambda now, i=channel - 3: now.velocity_body_m_s()[:, i : i + 1]))[1]
+                out.append(_shown(_finite(pushing) / mass))
+        return out
+
+    @cached_property
+    def _parts(self) -> list[_Part]:
+        """The flight in parts, each with the last block of the one before."""
+        found, done = list[_Part](), 0
+        parts = self.model.parts()
+        if len(parts) == 1:
+            return [self._whole]
+        for blocks in parts:
+            overlap = 1 if found else 0
+            model = self.model.part(slice(blocks.start - overlap, blocks.stop), NEIGHBOURS * self.model.sample_s)
+            share = self._share[model.samples].copy()
+            share[: max(done - model.samples.start, 0)] = 0.0
+            done = model.samples.stop
+            planned = None if self.planned is None else self.planned.at(model.samples)
+            found.append(_Part(model, self.signals.at(model.samples), planned, share, overlap))
+        return found
+
+    @property
+    def _whole(self) -> _Part:
+        return _Part(self.model, self.signals, self.planned, self._share, 0)
+
+    def _sums(self, made: Callable[[Signals], Array]) -> tuple[Array, Array]:
+        """Block means of the running integral of functions of the signals (k, m), and of themselves, (blocks, m)."""
+        integrals, means = list[Array](), list[Array]()
+        for part in self._parts:
+            values = made(part.signals)
+            integral, mean = part.model.integrated(values), part.model.average(values)
+            if part.overlap:
+                integral += integrals[-1][-1] - integral[0]
+            integrals.append(integral[part.overlap :])
+            means.append(mean[part.overlap :])
+        return joined(integrals), joined(means)
+
+    def _moved_along(self, made: Wrenches, *, pointwise: bool) -> tuple[list[Array], Array] | None:
+        """Rates and specific forces (blocks, 6, p) that each of some wrenches adds, and the RMS of the first, (6, p);
+        None where a signal is unknown.
+        """
+        pieces, squares = list[list[Array]](), 0.0
+        for part in self._parts if pointwise else [self._whole]:
+            wrenches = made(part.signals, part.planned)
+            if not all(np.isfinite(wrench.sum()) for wrench in wrenches):  # nothing adds up to one without numbers
+                return None
+            flat = wrenches[0].reshape(len(wrenches[0]), -1)
+            squares = squares + np.einsum("k,kj,kj->j", part.share, flat, flat)
+            found = [self.predicted(wrench, part.model) for wrench in wrenches]
+            if part.overlap:
+                for now, before in zip(found, pieces[-1], strict=True):
+                    now[:, :3] += before[-1, :3] - now[0, :3]
+            pieces.append([each[part.overlap :] for each in found])
+        rms = np.sqrt(squares).reshape(6, -1)
+        return [joined(list(each)) for each in zip(*pieces, strict=True)], rms
+
+    def predicted(self, wrench: Array, model: RecordModel | None = None) -> Array:
+        """Rates and specific forces (blocks, 6, p) that a body wrench (k, 6, p) adds to a flight or a part of it."""
+        out = (model or self.model).of_wrench(wrench)
+        out[:, :3] = self._inverse @ out[:, :3]
+        out[:, 3:] /= self.parameters.mass_kg
         return out
 
     def _add_library(self, parts: list[list[Array]]) -> None:
@@ -187,16 +270,11 @@ class FlightEvidence:
         for effect in library().values():
             settings = effect.variants(self.excited, vehicle) if effect.applies(vehicle) else ()
             for chosen in settings[:: max(1, len(settings) // THRESHOLDS.variants_in_noise)]:
-                wrench = effect.unchanged(self.signals, vehicle, chosen)
-                if np.isfinite(wrench).all():
-                    _add(parts, self.predicted(wrench), self.channels)
-
-    def predicted(self, wrench: Array) -> Array:
-        """Rates and specific forces (blocks, 6, p) that a body wrench (k, 6, p) adds."""
-        out = self.model.of_wrench(wrench)
-        out[:, :3] = self._inverse @ out[:, :3]
-        out[:, 3:] /= self.parameters.mass_kg
-        return out
+                found = self._moved_along(
+                    lambda now, _, e=effect, c=chosen: [e.unchanged(now, vehicle, c)], pointwise=effect.pointwise
+                )
+                if found is not None:
+                    _add(parts, found[0][0], self.channels)
 
     def moved_by(self, candidate: Candidate) -> Array:
         """Rates and specific forces (blocks, 6, p) that a candidate adds per unit of its parameters; those asked for
@@ -205,7 +283,11 @@ class FlightEvidence:
         for known, moved in self._moved:
             if known is candidate:
                 return moved
-        moved = self.predicted(candidate.effect.wrench(self.signals, self.prepared.record.vehicle, candidate.settings))
+        vehicle, effect = self.prepared.record.vehicle, candidate.effect
+        found = self._moved_along(
+            lambda now, _: [effect.wrench(now, vehicle, candidate.settings)], pointwise=effect.pointwise
+        )
+        moved = np.full((len(self.model.t_s), 6, len(effect.parameters)), np.nan) if found is None else found[0][0]
         self._moved = [*self._moved[1 - THRESHOLDS.effects_most :], (candidate, moved)]
         return moved
 
@@ -231,14 +313,12 @@ class FlightEvidence:
         for index, (candidate, first, count) in enumerate(zip(candidates, firsts, counts, strict=True)):
             if candidate.effect.straight is not None:
                 continue
-            wrenches = self._wrenches(candidate)
-            known[index] = all(np.isfinite(wrench.sum()) for wrench in wrenches)  # nothing adds up to one without it
-            if known[index]:
-                flat = wrenches[0].reshape(len(wrenches[0]), -1)
-                squares = np.einsum("k,kj,kj->j", self._share, flat, flat)
-                rms[:, first : first + count] = np.sqrt(squares).reshape(6, count)
-                for start, wrench in zip((first, total + first), wrenches, strict=False):
-                    raw[:, :, start : start + count] = self.predicted(wrench)
+            found = self._moved_along(self._wrenches_of(candidate), pointwise=candidate.effect.pointwise)
+            known[index] = found is not None
+            if found is not None:
+                moved, rms[:, first : first + count] = found
+                for start, columns in zip((first, total + first), moved, strict=False):
+                    raw[:, :, start : start + count] = columns
         return Batch(*self.whitening.applied(raw), rms, tuple(known))
 
     def nothing(self, candidates: Sequence[Candidate]) -> Batch:
@@ -276,15 +356,19 @@ class FlightEvidence:
         out[:, :, np.tile(~known, len(both))] = 0.0
         return out, sizes, known.tolist()
 
-    def _wrenches(self, candidate: Candidate) -> list[Array]:
+    def _wrenches_of(self, candidate: Candidate) -> Wrenches:
         """What a candidate adds per unit of its parameters, (k, 6, p); with a plan, its instrument, too."""
-        vehicle, effect, planned = self.prepared.record.vehicle, candidate.effect, self.planned
-        seen = effect.wrench(self.signals, vehicle, candidate.settings)
-        if planned is None:
-            return [seen]
-        if effect.instrument is None:
-            return [seen, effect.wrench(planned, vehicle, candidate.settings)]
-        return [seen, effect.instrument(self.signals, planned, vehicle, candidate.settings)]
+        vehicle, effect, settings = self.prepared.record.vehicle, candidate.effect, candidate.settings
+
+        def wrenches(signals: Signals, planned: Signals | None) -> list[Array]:
+            seen = effect.wrench(signals, vehicle, settings)
+            if planned is None:
+                return [seen]
+            if effect.instrument is None:
+                return [seen, effect.wrench(planned, vehicle, settings)]
+            return [seen, effect.instrument(signals, planned, vehicle, settings)]
+
+        return wrenches
 
     def shares_of(self, channel: int) -> Array:
         """How much of a torque or force of each of the six channels shows in one, (6,); torques by the tensor's
@@ -301,6 +385,17 @@ def _channels_of(prepared: Prepared) -> tuple[int, ...]:
         return (0, 1, 2)
     sideways = prepared.source == "imu" or np.isfinite(prepared.velocity_m_s).all()
     return (0, 1, 2, 3, 4, 5) if sideways else (0, 1, 2, 5)
+
+
+def _some(keep: NDArray[np.bool_]) -> NDArray[np.bool_] | NDArray[np.intp]:
+    """Samples in use; of a long flight EXCITED_MOST of them, evenly."""
+    count = int(np.count_nonzero(keep))
+    return keep if count <= EXCITED_MOST else np.flatnonzero(keep)[:: -(-count // EXCITED_MOST)]
+
+
+def joined(parts: Sequence[Array]) -> Array:
+    """One after the other."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _shown(columns: Array) -> Array:

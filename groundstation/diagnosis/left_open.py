@@ -205,4 +205,6 @@ def _changed(candidate: Candidate, names: Sequence[str], change: Change) -> Cand
     def wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
         return change(signals, effect.wrench(signals, vehicle, settings))
 
-    return Candidate(replace(effect, parameters=shares, wrench=wrench, instrument=None), candidate.settings)
+    return Candidate(
+        replace(effect, parameters=shares, wrench=wrench, instrument=None, pointwise=False), candidate.settings
+    )

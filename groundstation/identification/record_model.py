@@ -210,13 +210,13 @@ class RecordModel:
         self.matrix = wrench_matrix(record.vehicle)
         self._members, self.restart = _blocks(record)
         self._step = np.concatenate([[0.0], np.diff(record.t_s)])
-        self.sample_s = float(np.median(np.diff(record.t_s)))
+        self.sample_s, self.samples = float(np.median(np.diff(record.t_s))), slice(0, len(record.t_s))
         self.t_s = self.average(record.t_s[:, None])[:, 0]
         nominal = self.sample_s * record.block
         self.dt = np.concatenate([[nominal], np.maximum(np.diff(self.t_s), 1e-4)])[: len(self.t_s)]
         self.rate = self.average(record.rate_rad_s)
         self.force = self.average(record.force_m_s2)
-        self._known = (True, True, True, *np.isfinite(self.force).all(axis=0).tolist())
+        self._known = [True] * 3 + [bool(np.isfinite(self.force[:, axis]).all()) for axis in range(3)]
         self.elapsed_s = self.t_s - record.t_s[0]
         self.gyroscopic = self.integrated_gyroscopic(record.rate_rad_s)
         self.extra_means = tuple(self.means_of(term, term.value) for term in self.extra)
@@ -247,8 +247,9 @@ class RecordModel:
         if blocks.start <= 0 and blocks.stop >= len(self.t_s):
             return self
         other, members = copy(self), self._members[blocks]
-        before = max(0, int(members[0, 0]) - round(before_s / self.sample_s) - 1)
-        samples = slice(before, int(members[-1, -1]) + 2)
+        margin = round(before_s / self.sample_s) + 1
+        before = 0 if blocks.start <= 0 else max(0, int(members[0, 0]) - margin)
+        samples = other.samples = slice(before, int(members[-1, -1]) + 2)
         record = self.record
         other.record = replace(
             record,

@@ -247,7 +247,7 @@ class Windows:
 
     Attributes:
         flown: the course.
-        t_s, rate, told: stamps that the observer takes, measured rates there, and what it needs of them
+        t_s, rate, inputs: stamps that the observer takes, measured rates there, and what it needs of them
             (:func:`.seen`).
         at: which of those the windows start from, (k,).
         start_s, pose: times of the starts, and positions, velocities and attitudes there, (k, 10).
@@ -257,7 +257,7 @@ class Windows:
     flown: Course
     t_s: Array
     rate: Array
-    told: Array
+    inputs: Array
     at: NDArray[np.int64]
     start_s: Array
     pose: Array
@@ -274,7 +274,7 @@ class Windows:
             delay = float(values[DELAY])
             rotor = (integrated(self.flown.rotor, GRID_S, values), self.flown.rotor_start_s, GRID_S)
             self.made[key] = (
-                observer_means(self.t_s, self.told, rotor, delay),
+                observer_means(self.t_s, self.inputs, rotor, delay),
                 window_means(self.start_s, rotor, delay, step_s, steps),
             )
         return self.made[key]
@@ -287,9 +287,9 @@ def windows(flown: Course, index: NDArray[np.int64]) -> Windows:
     taken = np.union1d(np.arange(0, len(c.t_s), every), index)
     pose = np.concatenate([c.position, c.velocity, c.quaternion], axis=1)
     body = (c.tensor, c.inverse, c.gravity_m_s2)
-    told = seen(c.t_s[taken], c.velocity[taken], c.quaternion[taken], c.rate[taken], body)
+    inputs = seen(c.t_s[taken], c.velocity[taken], c.quaternion[taken], c.rate[taken], body)
     at = np.searchsorted(taken, index)
-    return Windows(c, c.t_s[taken], c.rate[taken], told, at, c.t_s[index], np.ascontiguousarray(pose[index]))
+    return Windows(c, c.t_s[taken], c.rate[taken], inputs, at, c.t_s[index], np.ascontiguousarray(pose[index]))
 
 
 def run(values: Array, begun: Windows, horizons: Sequence[float], step_s: float = GRID_S) -> Array:
@@ -300,7 +300,7 @@ def run(values: Array, begun: Windows, horizons: Sequence[float], step_s: float 
         values[FLAPPING : FLAPPING + 2] = 0.0
     marks = np.array([max(1, round(h / step_s)) for h in horizons], dtype=np.int64)
     between, ahead = begun.means(values, step_s, int(marks[-1]))
-    rates, extras = observed(begun.rate, begun.told, between, values, c.pose)
+    rates, extras = observed(begun.rate, begun.inputs, between, values, c.pose)
     starts = (begun.pose, rates[begun.at], extras[begun.at])
     return simulated(starts, ahead, values, (c.tensor, c.inverse, c.gravity_m_s2), step_s, marks)
 

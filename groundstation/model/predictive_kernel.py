@@ -88,11 +88,11 @@ def _mean(rotor: Rotor, begin: float, end: float, out: Array, first: int) -> Non
 
 
 @njit(cache=True)
-def observer_means(t: Array, told: Array, rotor: Rotor, delay: float) -> Array:
+def observer_means(t: Array, inputs: Array, rotor: Rotor, delay: float) -> Array:
     """Mean rotor signals since the last stamp, (k, 6); zero where the observer does not go on."""
     out, one = np.zeros((len(t), 6)), np.empty(5 * LANES + 1)
     for k in range(len(t)):
-        if 0.0 < told[k, 0] <= LONGEST_S:
+        if 0.0 < inputs[k, 0] <= LONGEST_S:
             _mean(rotor, t[k - 1] - delay, t[k] - delay, one, 0)
             for c in range(6):
                 out[k, c] = one[c * LANES]
@@ -164,18 +164,18 @@ def _shares(p: Array, h: float, left: Array, new: Array) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def observed(w: Array, told: Array, means: Array, p: Array, pose: bool) -> tuple[Array, Array]:
+def observed(w: Array, inputs: Array, means: Array, p: Array, pose: bool) -> tuple[Array, Array]:
     """Rates (k, 3) and disturbances (k, 6) at each stamp from the past alone: an observer of constant gains.
 
     Args:
-        told: of :func:`seen`. means: of :func:`observer_means`.
+        inputs: of :func:`seen`. means: of :func:`observer_means`.
     """
     rates, extras = np.empty((len(w), 3)), np.zeros((len(w), 6))
     rate, extra = w[0].copy(), np.zeros(6)
     left, new, force = np.empty(3), np.empty(3), np.empty(3)
     usual = -1.0
     for k in range(len(w)):
-        h, u = told[k, 0], means[k]
+        h, u = inputs[k, 0], means[k]
         if h > LONGEST_S:  # nothing was seen for long: begin again
             rate[:] = w[k]
             extra[:] = 0.0
@@ -183,18 +183,18 @@ def observed(w: Array, told: Array, means: Array, p: Array, pose: bool) -> tuple
             if abs(h - usual) > 1e-4 * usual:
                 usual = h
                 _shares(p, h, left, new)
-            b0, b1, b2 = told[k, 1], told[k, 2], told[k, 3]
+            b0, b1, b2 = inputs[k, 1], inputs[k, 2], inputs[k, 3]
             force[0] = -p[DRAG] * b0 + p[THRUST] * u[4]
             force[1] = -p[DRAG + 1] * b1 + p[THRUST] * u[5]
             force[2] = -p[DRAG + 2] * b2 + p[THRUST] * u[0] * (1.0 + p[LIFT] * (b0 * b0 + b1 * b1))
             for i in range(3):
                 turning = p[TORQUE + i] * u[1 + i] - p[DAMPING + i] * w[k - 1, i] + p[TRIM + i]
-                turning += extra[3 + i] + told[k, 4 + i]
+                turning += extra[3 + i] + inputs[k, 4 + i]
                 if i == 0:
                     turning += p[FLAPPING] * b1
                 elif i == 1:
                     turning -= p[FLAPPING + 1] * b0
-                lacked = told[k, 7 + i] - force[i] - extra[i]
+                lacked = inputs[k, 7 + i] - force[i] - extra[i]
                 extra[i] *= left[0]
                 if pose and np.isfinite(lacked):
                     extra[i] += new[0] * lacked

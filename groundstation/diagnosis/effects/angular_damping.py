@@ -28,6 +28,7 @@ EFFECT = Effect(
         for i, axis in enumerate("xyz")
     ),
     wrench=_wrench,
+    pointwise=True,
     sentence=(
         "Damping resists turning with {damping_x_nms:N m} in roll, {damping_y_nms:N m} in pitch and {damping_z_nms:N "
         "m} in yaw, per rad/s."

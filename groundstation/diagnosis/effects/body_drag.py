@@ -26,6 +26,7 @@ EFFECT = Effect(
     "speed)",
     parameters=(ParameterInfo("c_kg_m", lambda v: v.mass_kg, (0.0, MOST_KG_M)),),
     wrench=_wrench,
+    pointwise=True,
     sentence="Air resistance of the frame is {c_kg_m:N} at 1 m/s and grows with the square of speed.",
     confused_with=("rotor_drag", "climb_inflow"),
     manoeuvre="fly straight at clearly different speeds: linear and square drag part at twice the speed",

@@ -37,6 +37,7 @@ EFFECT = Effect(
     "Theory, 1994",
     parameters=(ParameterInfo("k_kg_s", lambda v: v.mass_kg, (0.0, MOST_KG_S)),),
     wrench=_wrench,
+    pointwise=True,
     sentence="Climbing at 1 m/s, the rotors give {k_kg_s:N|less|more} thrust.",
     confused_with=("body_drag", "thrust_curve"),
     manoeuvre="climb and sink at several speeds, away from the floor",

@@ -35,6 +35,7 @@ EFFECT = Effect(
         ParameterInfo("com_offset_y_m", lambda v: v.arm_m(), (-MOST_M, MOST_M)),
     ),
     wrench=_wrench,
+    pointwise=True,
     sentence=(
         "The centre of mass lies {com_offset_x_m:mm|forward|back} and {com_offset_y_m:mm|to the left|to the right} "
         "of the declared origin."

@@ -35,6 +35,7 @@ EFFECT = Effect(
         ),
     ),
     wrench=_wrench,
+    pointwise=True,
     sentence=(
         "A steady force of {force_world_x_n:N|toward +x|toward −x} and {force_world_y_n:N|toward +y|toward −y} of the "
         "room pushes the vehicle. Steady torques of {torque_x_nm:N m|roll right|roll left}, {torque_y_nm:N m|nose "

@@ -26,6 +26,7 @@ EFFECT = Effect(
     source="Hoffmann et al. 2007, AIAA 2007-6461, sec. IV; Pounds et al. 2010",
     parameters=(ParameterInfo("k_nm_s_m", lambda v: 0.1 * weight(v) * v.arm_m(), (0.0, MOST_NM_S_M)),),
     wrench=_wrench,
+    pointwise=True,
     sentence="Flying forward at 1 m/s raises the nose with a torque of {k_nm_s_m:N m}.",
     confused_with=("com_offset", "angular_damping"),
     manoeuvre="long straight legs at constant speed in four directions",

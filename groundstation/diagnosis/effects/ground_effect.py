@@ -25,6 +25,7 @@ EFFECT = Effect(
     source="Sanchez-Cuevas, Heredia, Ollero 2017, eq. 4 (first term)",
     parameters=(ParameterInfo("strength", lambda v: 3.0, (0.0, MOST)),),
     wrench=_wrench,
+    pointwise=True,
     sentence="One rotor radius above the floor thrust is {strength:%} higher; the gain falls with the square of "
     "height.",
     confused_with=("battery_sag", "translational_lift", "tether"),

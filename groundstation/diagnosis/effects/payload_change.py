@@ -38,6 +38,7 @@ EFFECT = Effect(
     source="Newton's second law with a step in mass",
     parameters=(ParameterInfo("mass_change_kg", lambda v: 0.5 * v.mass_kg, (-MOST_KG, MOST_KG)),),
     wrench=pushing(_straight),
+    pointwise=True,
     straight=_straight,
     sentence="At {at_s:s} the vehicle became {mass_change_kg:g|heavier|lighter}.",
     confused_with=("battery_sag", "rotor_degradation"),

@@ -42,6 +42,7 @@ EFFECT = Effect(
     source="Freddi, Lanzon, Longhi 2011 (abrupt loss of effectiveness)",
     parameters=(ParameterInfo("loss", lambda v: 0.5, (-0.5, 1.0)),),
     wrench=pushing(_straight),
+    pointwise=True,
     straight=_straight,
     sentence="From {from_s:s} on, rotor {rotor} gives {loss:%|less|more} thrust than before.",
     confused_with=("weak_rotor", "payload_change"),

@@ -34,6 +34,7 @@ EFFECT = Effect(
         ParameterInfo("d_y_kg_s", lambda v: v.mass_kg, (0.0, MOST_KG_S)),
     ),
     wrench=_wrench,
+    pointwise=True,
     sentence="Rotors resist motion through the air with {d_x_kg_s:N} forward and {d_y_kg_s:N} sideways at 1 m/s.",
     variants=lambda signals, vehicle: ({}, {"isotropic": 1.0}),
     confused_with=("wind", "body_drag", "tether"),

@@ -31,6 +31,7 @@ EFFECT = Effect(
     source="Bouabdallah 2007, thesis EPFL 3727, eq. 2.13",
     parameters=(ParameterInfo("rotor_inertia_kg_m2", lambda v: 0.05 * float(v.inertia_tensor()[2, 2]), (0.0, np.inf)),),
     wrench=_wrench,
+    pointwise=True,
     sentence="The spin of the rotors shows: each has an inertia of {rotor_inertia_kg_m2:g cm²} about its axis.",
     confused_with=("motor_lag", "angular_damping"),
     manoeuvre="brisk yaw reversals: spin-up reaction leads the aerodynamic torque",

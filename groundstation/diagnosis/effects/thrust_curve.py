@@ -31,6 +31,7 @@ EFFECT = Effect(
     source="power law about hover; Bangura et al. 2016 measure such departures",
     parameters=(ParameterInfo("exponent_error", lambda v: 1.5, (-2.0, 2.0)),),
     wrench=_wrench,
+    pointwise=True,
     sentence="Near hover the exponent of the thrust curve is {exponent_error:|above|below} the declared one.",
     confused_with=("climb_inflow", "motor_lag"),
     manoeuvre="hard climbs and drops: thrust far from hover, with little speed",

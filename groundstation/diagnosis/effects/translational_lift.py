@@ -26,6 +26,7 @@ EFFECT = Effect(
     source="Svacha, Mohta and Kumar 2017 (thrust rises with the square of horizontal speed)",
     parameters=(ParameterInfo("lift_s2_m2", lambda v: 0.1, (0.0, MOST_S2_M2)),),
     wrench=_wrench,
+    pointwise=True,
     sentence="A horizontal speed of 1 m/s adds {lift_s2_m2:%} of thrust; the gain grows with the square of speed.",
     confused_with=("ground_effect", "body_drag"),
     manoeuvre="level legs at clearly different speeds, at one height",

@@ -21,6 +21,7 @@ EFFECT = Effect(
     source="Freddi, Lanzon, Longhi 2011, IFAC 44(1), sec. 2 (rotor effectiveness factor)",
     parameters=(ParameterInfo("loss", lambda v: 0.5, (-0.5, 1.0)),),
     wrench=pushing(_straight),
+    pointwise=True,
     straight=_straight,
     sentence="Rotor {rotor} gives {loss:%|less|more} thrust than declared.",
     confused_with=("com_offset", "constant_wrench"),

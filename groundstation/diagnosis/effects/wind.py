@@ -35,6 +35,7 @@ EFFECT = Effect(
         ParameterInfo("force_world_y_n", lambda v: 0.3 * weight(v), (-MOST_N, MOST_N)),
     ),
     wrench=_wrench,
+    pointwise=True,
     sentence=(
         "Wind pushes with {force_world_x_n:N|toward +x|toward −x} and {force_world_y_n:N|toward +y|toward −y} of the "
         "room, whichever way the vehicle points."
