@@ -46,7 +46,7 @@ def judged(name: str, found: Any) -> dict[str, Any]:
     else:
         outcome = "one of them" if named & rotors else "wrong rotor"
     confidence = max((f.confidence for f in found.findings), default=None)
-    told = [f.evidence for f in found.findings]
+    told = [f.sentence for f in found.findings]
     return {
         "outcome": outcome,
         "rotors": sorted(rotors),

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.mavlink.timesync import Timesync
-from drivers.mocap.health import told_clock
+from drivers.mocap.health import reported_clock
 from drivers.mocap.serverclock import ServerClock
 from drivers.mocap.source import FrameReader
 from drivers.samples import Pose
@@ -137,7 +137,7 @@ def driver_row(flight: FlightData, system: str) -> Row:
     """Figures of one driver, and what is identified with its poses."""
     assert flight.mocap is not None
     true, stamps, arrivals, told = served(flight, system)
-    clock = told_clock(told)
+    clock = reported_clock(told)
     error = stamps - true
     lookup = np.searchsorted(flight.mocap.t_s, true)
     stream = Stream(stamps, flight.mocap.values[lookup], MOCAP_COLUMNS, arrivals)
@@ -323,7 +323,7 @@ def table(kept: Mapping[str, Row]) -> str:
         "latency p50, ms",
         "p99, ms",
         "clock error, ms",
-        "told, ms",
+        "reported, ms",
         "how known",
         "after, ms",
         "mass, kg",

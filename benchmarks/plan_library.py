@@ -20,7 +20,7 @@ from groundstation.errors import BadInput
 from groundstation.paths import configs_dir
 from groundstation.planning.library import Solved, solved
 from groundstation.planning.limits import envelope
-from groundstation.planning.optimiser import best_of
+from groundstation.planning.optimiser import Budget, best_of
 from groundstation.planning.problem import Problem
 from studies.study import draw_vehicle
 
@@ -76,7 +76,7 @@ def main() -> None:
         except BadInput as error:
             print(f"room {room}: {error}")
             continue
-        found = best_of([task], seed=room, starts=options.starts)
+        found = best_of([task], Budget(room, starts=options.starts))
         print(f"room {room}: {task.criterion}, {task.harmonics} harmonics, {found.cost:.4g}", flush=True)
         plans.append(solved(found.series, task))
     document = {"schema": "groundstation.plan_library/1", "seed": options.seed, "starts": options.starts}

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.plan_library import draw_problem
 from groundstation.planning.limits import largest_violation
-from groundstation.planning.optimiser import best_of
+from groundstation.planning.optimiser import Budget, best_of
 from groundstation.planning.plan import solved_rooms
 
 SEED = 21
@@ -39,7 +39,7 @@ def main() -> None:
         ways = {"library, one start": (library, 1), "random starts": ((), options.starts)}
         for name, (known, starts) in ways.items():
             began = time.process_time()
-            found = best_of([task], library=known, seed=room, starts=starts)
+            found = best_of([task], Budget(room, starts=starts), library=known)
             row[name] = {
                 "starts": starts,
                 "cost": round(found.cost, 6),

@@ -18,7 +18,7 @@ import numpy as np
 
 from groundstation.planning import paper_problem
 from groundstation.planning.limits import envelope, largest_violation
-from groundstation.planning.optimiser import _Exchange, best_of, cost, random_start
+from groundstation.planning.optimiser import Budget, _Exchange, best_of, cost, random_start
 from groundstation.planning.problem import Problem
 
 BEST_KNOWN = 16.203
@@ -40,7 +40,7 @@ def ours(task: Problem, seed: int, budget_s: float) -> float:
     starts = 0
     while time.process_time() - began < budget_s:
         starts += 1
-        outcome = best_of([task], seed=seed * 1000 + starts, starts=1)
+        outcome = best_of([task], Budget(seed * 1000 + starts, starts=1))
         if outcome.cost <= WITHIN * BEST_KNOWN and outcome.violation <= VIOLATION:
             return time.process_time() - began
     return float("inf")
@@ -99,7 +99,7 @@ def main() -> None:
     parser.add_argument("--budget-s", type=float, default=120.0, help="CPU seconds for each run of SLSQP.")
     arguments = parser.parse_args()
     task = problem()
-    best_of([task], starts=1)  # compile what is compiled once
+    best_of([task], Budget(starts=1))  # compile what is compiled once
     planner = [ours(task, seed, arguments.budget_s) for seed in range(arguments.runs)]
     baseline = [finite_differences(task, seed, arguments.budget_s) for seed in range(arguments.runs)]
     for name, seconds in (("planner", planner), ("SLSQP, finite differences", baseline)):

@@ -181,7 +181,7 @@ def measure(fault: str, seconds: float) -> dict[str, object]:
 def table(document: dict) -> str:
     """The results as a table."""
     lines = [
-        "| fault | put before it | read back | lost | noticed after | longest hand-over | told |",
+        "| fault | put before it | read back | lost | noticed after | longest hand-over | reported |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for r in document["recordings"]:

@@ -114,7 +114,7 @@ class Rotors(_Section):
         if self.input == "wrench":
             return self
         if self.thrust_curve is not None:
-            raise ValueError('thrust_curve maps commands to thrust and goes with input = "command"')
+            raise ValueError('thrust_curve maps commands to thrust and needs input = "command"')
         if self.thrust_coefficient_n_s2 is None:
             raise ValueError("thrust_coefficient_n_s2 is missing (only a thrust_curve or a wrench input replaces it)")
         if self.input == "command" and self.speed_max_rad_s is None:

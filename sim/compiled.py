@@ -19,6 +19,9 @@ from numba.core import config
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+_COMPILES = (b"import compiled", b"numba.core.extending", b"numba.njit")
+"""What a source with compiled functions has in it."""
+
 
 @cache
 def _cache_folder() -> str:
@@ -26,7 +29,7 @@ def _cache_folder() -> str:
     digest = hashlib.sha256()
     for source in sorted([*package.glob("*.py"), *(package / "effects").glob("*.py")]):
         text = source.read_bytes()
-        digest.update(text if b"import compiled" in text or b"numba.core.extending" in text else b"")
+        digest.update(text if any(mark in text for mark in _COMPILES) else b"")
     name = f"kernel-{digest.hexdigest()[:16]}"
     if os.access(package, os.W_OK):
         return str(package / "__pycache__" / name)

@@ -34,10 +34,10 @@ from sim.algebra import (
     to_world,
 )
 from sim.compiled import compiled
-from sim.effects import Effects
+from sim.effects import Effects, bodily_wrench
 from sim.effects.actuation import motor_slope
-from sim.effects.airframe import angular_damping, body_drag
 from sim.effects.attachments import NOTHING, attachment_velocity, cable, tether
+from sim.effects.bodily import Moving
 from sim.effects.rotor_aerodynamics import ground_factor, hub_drag, hub_moment, inflow_factor
 from sim.effects.rotor_faults import loss_of, power_law
 from sim.effects.surroundings import constant_force, magnet, wall
@@ -284,7 +284,8 @@ def derivative(x, slope, target, memory, plant: Plant, now: Surroundings) -> Non
             slope[ROTOR + i] = select(lag > 0.0, (target[i] - value) / lag, 0.0)
     q = (x[ATTITUDE], x[ATTITUDE + 1], x[ATTITUDE + 2], x[ATTITUDE + 3])
     w = (x[RATE], x[RATE + 1], x[RATE + 2])
-    u = to_body(q, subtract((x[VELOCITY], x[VELOCITY + 1], x[VELOCITY + 2]), now.wind))
+    velocity = (x[VELOCITY], x[VELOCITY + 1], x[VELOCITY + 2])
+    u = to_body(q, subtract(velocity, now.wind))
 
     force, torque = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     momentum, momentum_slope = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -295,10 +296,8 @@ def derivative(x, slope, target, memory, plant: Plant, now: Surroundings) -> Non
             chosen(now.powered, momentum, NOTHING),
             chosen(now.powered, momentum_slope, NOTHING),
         )
-    if effects.body_drag.on:
-        force = add(force, body_drag(effects.body_drag, u, plant.air_density))
-    if effects.angular_damping.on:
-        torque = add(torque, angular_damping(effects.angular_damping, w))
+    at = Moving((x[0], x[1], x[2]), velocity, q, w, u, plant.air_density, now.flight_s)
+    force, torque = bodily_wrench(effects, at, force, torque)
     room_force, room_torque = attached_wrench(x, slope, effects, plant.wall_direction, plant.gravity)
     force = add(force, to_body(q, add(room_force, now.force)))
     torque = add(torque, add(room_torque, now.torque))

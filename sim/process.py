@@ -91,7 +91,7 @@ class DroneProcess:
         self._lock = threading.Lock()
         self._ending = threading.Event()
         self._sequence = 0
-        self._told: tuple[str, str, float] = ("", "", -1.0)
+        self._last_status: tuple[str, str, float] = ("", "", -1.0)
         self._samples = bus.Publisher(session, self.keys.samples, lossless=not self._real_time)
         self._status = bus.Publisher(session, self.keys.status, lossless=not self._real_time)
         self._served = [
@@ -162,9 +162,9 @@ class DroneProcess:
 
     def _publish_status(self) -> None:
         status = self.drone.status(self._offset_s)
-        phase, text, told_s = self._told
+        phase, text, told_s = self._last_status
         if (status.phase, status.text) != (phase, text) or status.host_s >= told_s + _STATUS_S - 1e-9:
-            self._told = (status.phase, status.text, status.host_s)
+            self._last_status = (status.phase, status.text, status.host_s)
             self._status.put(status)
 
 

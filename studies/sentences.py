@@ -12,7 +12,7 @@ import numpy as np
 
 from groundstation.diagnosis import trim
 from groundstation.diagnosis.effect import Effect, EffectInfo, FittedEffect, ParameterInfo, SensorEffect, catalogue
-from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.sentences import filled
 from groundstation.paths import find_config
 from groundstation.vehicle import load_vehicle
 
@@ -36,9 +36,9 @@ def sentences() -> dict[str, list[str]]:
     """By identifier, in the order of the catalogue; without those that never make a finding."""
     out = {name: _of(effect) for name, effect in catalogue().items()}
     out["comparison of trims"] = [
-        told(trim.LOADED, rotor="3", mass_change_kg=0.0123),
-        *(told(trim.WEAKER, rotor="2", asked=asked) for asked in (0.25, -0.25)),
-        told(trim.SHORTER, ratio=0.83, sure=0.97, kind="shorter"),
+        filled(trim.LOADED, rotor="3", mass_change_kg=0.0123),
+        *(filled(trim.WEAKER, rotor="2", asked=asked) for asked in (0.25, -0.25)),
+        filled(trim.SHORTER, ratio=0.83, sure=0.97, kind="shorter"),
     ]
     return {name: said for name, said in out.items() if said}
 
@@ -59,7 +59,7 @@ def _of(effect: EffectInfo) -> list[str]:
         ratio = effect.parameters[0].plausible[0] > 0.0  # about one
         size = {p.name: 4.0 * effect.least for p in effect.parameters}
         if ratio:
-            return [told(effect.sentence, **{n: 1.0 + 40.0 * s * v for n, v in size.items()}) for s in (1.0, -1.0)]
+            return [filled(effect.sentence, **{n: 1.0 + 40.0 * s * v for n, v in size.items()}) for s in (1.0, -1.0)]
         return _both(effect.sentence, effect.parameters, size, {})
     if isinstance(effect, SensorEffect):
         out = []
@@ -77,5 +77,5 @@ def _both(
     """With values above zero, and below it where that is plausible."""
     signed = ({n: s * v for n, v in size.items()} for s in (1.0, -1.0))
     low = {p.name: p.plausible[0] for p in parameters if not p.companion}
-    said = [told(sentence, **{n: max(v, low.get(n, v)) for n, v in values.items()}, **beside) for values in signed]
+    said = [filled(sentence, **{n: max(v, low.get(n, v)) for n, v in values.items()}, **beside) for values in signed]
     return list(dict.fromkeys(said if min(low.values()) < 0.0 else said[:1]))

@@ -316,7 +316,7 @@ def hostile(text: str) -> tuple[FlightData, Identification, Diagnosis]:
     finding = replace(
         found.findings[0],
         effect=text,
-        evidence=text,
+        sentence=text,
         alternatives=(text,),
         parameters={text: Estimate.normal(1.0, 0.1)},
     )

@@ -24,7 +24,7 @@ from groundstation.diagnosis.effect import (
     wrench_of,
 )
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
-from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.sentences import filled
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.errors import BadInput
 from groundstation.frames import quat_rotate
@@ -188,7 +188,7 @@ def test_every_effect_gives_a_finite_wrench_for_each_parameter_and_says_where_it
         assert np.isfinite(wrench).all()
         assert np.any(wrench != 0.0)
     values = {n: "1" for n in effect.names()} | {n: "1" for n in effect.variants(signals, VEHICLE)[0]}
-    assert "{" not in told(effect.sentence, **values)
+    assert "{" not in filled(effect.sentence, **values)
     assert all(0.0 < p.prior_std(VEHICLE) < np.inf for p in effect.parameters)
 
 

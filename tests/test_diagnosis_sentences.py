@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from groundstation.diagnosis.effect import Effect, FittedEffect, catalogue
-from groundstation.diagnosis.sentences import UNITS, quantity, told
+from groundstation.diagnosis.sentences import UNITS, filled, quantity
 from studies.sentences import PAGE, page, sentences
 
 ALL = [(name, text) for name, said in sentences().items() for text in said]
@@ -36,12 +36,12 @@ def test_every_effect_that_makes_findings_has_its_sentence_on_the_page():
 def test_both_signs_are_words():
     com = catalogue()["com_offset"]
     assert isinstance(com, Effect)
-    assert told(com.sentence, com_offset_x_m=0.006, com_offset_y_m=-0.0001) == (
+    assert filled(com.sentence, com_offset_x_m=0.006, com_offset_y_m=-0.0001) == (
         "The centre of mass lies 6.0 mm forward and 0.1 mm to the right of the declared origin."
     )
     weak = catalogue()["weak_rotor"]
     assert isinstance(weak, Effect)
-    assert told(weak.sentence, rotor="3", loss=-0.03) == "Rotor 3 gives 3.0 % more thrust than declared."
+    assert filled(weak.sentence, rotor="3", loss=-0.03) == "Rotor 3 gives 3.0 % more thrust than declared."
 
 
 def test_numbers_have_no_exponent_whatever_their_size():
@@ -58,4 +58,4 @@ def test_numbers_have_no_exponent_whatever_their_size():
 
 def test_an_unknown_unit_names_the_known_ones():
     with pytest.raises(ValueError, match=r"furlong.*mm"):
-        told("{x:furlong}", x=1.0)
+        filled("{x:furlong}", x=1.0)

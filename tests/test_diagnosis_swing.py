@@ -34,7 +34,7 @@ def test_a_swinging_load_is_told_with_its_size_and_its_cable_within_what_is_said
     assert found is not None
     assert LOAD_WITHIN[0] * found.load_kg < LOAD_KG < LOAD_WITHIN[1] * found.load_kg, found
     assert LENGTH_WITHIN[0] * found.length_m < LENGTH_M < LENGTH_WITHIN[1] * found.length_m, found
-    assert "swings as a load" in found.told()
+    assert "swings as a load" in found.sentence()
 
 
 def test_a_disturbance_of_the_laboratory_is_no_load():

@@ -76,7 +76,7 @@ def test_a_shorter_propeller_is_told_from_a_weak_motor_by_its_torque():
     assert (finding.effect, finding.rotor) == ("weak_rotor", 2)
     ratio = finding.parameters["torque_to_thrust_ratio"]
     assert abs(ratio.value - 0.83) < 0.05 and ratio.ci95[1] < 1.0
-    assert "shorter propeller" in finding.evidence and "shorter" not in _found(_weak(2, 0.2)).evidence
+    assert "shorter propeller" in finding.sentence and "shorter" not in _found(_weak(2, 0.2)).sentence
 
 
 def test_a_load_beside_a_rotor_moves_the_centre_and_leaves_yaw_alone():
@@ -92,7 +92,7 @@ def test_between_a_load_and_a_weak_rotor_both_are_named_and_neither_is_sure():
     own = MATRIX[:, 2] * HOVER[2]
     finding = _found(_more(0.08 * own * np.array([1.0, 1.0, 1.0, 0.6])))
     assert {finding.effect, *finding.alternatives} == {"weak_rotor", "com_offset"}
-    assert finding.rotor == 3 and finding.confidence < 0.9 and "cannot be excluded" in finding.evidence
+    assert finding.rotor == 3 and finding.confidence < 0.9 and "cannot be excluded" in finding.sentence
 
 
 def test_flights_that_scatter_as_the_healthy_ones_do_give_no_finding():
@@ -145,7 +145,7 @@ def test_two_weak_rotors_are_two_findings_with_one_posterior():
 def test_a_propeller_that_takes_more_torque_is_taped_or_chipped():
     finding = _found(_weak(3, 0.15, torque_ratio=1.2))
     assert (finding.effect, finding.rotor) == ("weak_rotor", 3)
-    assert "taped or chipped" in finding.evidence and finding.parameters["torque_to_thrust_ratio"].value > 1.05
+    assert "taped or chipped" in finding.sentence and finding.parameters["torque_to_thrust_ratio"].value > 1.05
 
 
 def test_references_of_another_individual_are_said_to_be_and_no_rotor_is_sure():

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from groundstation.diagnosis.unplanned import Told, tell_unplanned
+from groundstation.diagnosis.unplanned import PastMotion, tell_unplanned
 from groundstation.flightdata import FlightData, Stream
 from groundstation.identification.lagged_instruments import Equation, pooled, two_stage
 from groundstation.identification.preparation import Prepared, prepare
@@ -69,7 +69,7 @@ def flown(seed: int) -> tuple[tuple[Prepared, ...], Vehicle, dict[str, dict]]:
     return tuple(prepare(flight) for flight in flights), truth, hidden
 
 
-def told(seed: int) -> dict[str, Told]:
+def told(seed: int) -> dict[str, PastMotion]:
     prepared, truth, _ = flown(seed)
     base = replace(declared_parameters(prepared[0].record.vehicle, lag_s=0.0), mass_kg=truth.mass_kg)
     return {each.effect.identifier: each for each in tell_unplanned(prepared, base)}

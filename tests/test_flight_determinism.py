@@ -108,7 +108,7 @@ def test_a_word_that_overtakes_its_samples_waits_for_them():
     lock_step, real_time = pacing.Pace(lock_step=True), pacing.Pace(lock_step=False)
     word = DroneStatus("landed", False, 1.05, 1.05)
     for pace in (lock_step, real_time):
-        pace.told(word)
+        pace.heard(word)
     assert real_time.due() == [word] and real_time.due() == []
     assert lock_step.due() == []
     lock_step.recorded(Batch(1, (), (), 1.05))

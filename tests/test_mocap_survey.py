@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from drivers.mocap.discovery import Found
-from drivers.mocap.health import Summary, clock_text, told_clock
+from drivers.mocap.health import Summary, clock_text, reported_clock
 from drivers.mocap.serverclock import ServerTime
 from groundstation.flight.host_clock import chrony, ptp, timesyncd
 from groundstation.flight.mocap_judging import Track, faults, flips, upright
@@ -113,10 +113,10 @@ def test_nothing_on_the_network_is_no_failure(tmp_path):
 
 def test_what_a_driver_tells_of_its_clock_is_read_back():
     text = clock_text(ServerTime(12.5, 3.0, 2.5e-5, 1e-4, "two-way", 1), 3e-4, GOOD)
-    told = told_clock(text)
+    told = reported_clock(text)
     assert (told.error_s, told.method, told.steps) == (pytest.approx(3e-4), "two-way", 1)
     assert told.drift == pytest.approx(2.5e-5)
-    assert told_clock("mocap: anything else") is None
+    assert reported_clock("mocap: anything else") is None
 
 
 def test_chrony_ptp_and_timesyncd_are_read_and_anything_else_is_nothing():

@@ -14,8 +14,6 @@ from groundstation import frames
 from groundstation.identification.regressors import standard_regressor
 from groundstation.model.signals import Signals
 from sim.effects import (
-    AngularDamping,
-    BodyDrag,
     ClimbInflow,
     ComOffset,
     FlappingMoment,
@@ -24,6 +22,8 @@ from sim.effects import (
     TranslationalLift,
     WeakRotor,
 )
+from sim.effects.angular_damping import AngularDamping
+from sim.effects.body_drag import BodyDrag
 from sim.plant import ROTOR
 
 VEHICLE = vehicle_of()

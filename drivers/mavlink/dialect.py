@@ -7,7 +7,7 @@ imports pymavlink first can change what a frame means here.
 from __future__ import annotations
 
 import struct
-from typing import Any
+from typing import Any, ClassVar
 
 from pymavlink.dialects.v20 import all as mavlink
 from pymavlink.generator.mavcrc import x25crc
@@ -35,16 +35,16 @@ class EscStatus(mavlink.MAVLink_message):
 
     id = 291
     msgname = "ESC_STATUS"
-    fieldnames = ["index", "time_usec", "rpm", "voltage", "current"]  # noqa: RUF012
-    ordered_fieldnames = ["time_usec", "rpm", "voltage", "current", "index"]  # noqa: RUF012
-    fieldtypes = ["uint8_t", "uint64_t", "int32_t", "float", "float"]  # noqa: RUF012
-    fielddisplays_by_name: dict[str, str] = {}  # noqa: RUF012
-    fieldenums_by_name: dict[str, str] = {}  # noqa: RUF012
-    fieldunits_by_name: dict[str, str] = {}  # noqa: RUF012
+    fieldnames: ClassVar[list[str]] = ["index", "time_usec", "rpm", "voltage", "current"]
+    ordered_fieldnames: ClassVar[list[str]] = ["time_usec", "rpm", "voltage", "current", "index"]
+    fieldtypes: ClassVar[list[str]] = ["uint8_t", "uint64_t", "int32_t", "float", "float"]
+    fielddisplays_by_name: ClassVar[dict[str, str]] = {}
+    fieldenums_by_name: ClassVar[dict[str, str]] = {}
+    fieldunits_by_name: ClassVar[dict[str, str]] = {}
     native_format = bytearray(b"<QiffB")
-    orders = [4, 0, 1, 2, 3]  # noqa: RUF012
-    lengths = [1, 4, 4, 4, 1]  # noqa: RUF012
-    array_lengths = [0, 4, 4, 4, 0]  # noqa: RUF012
+    orders: ClassVar[list[int]] = [4, 0, 1, 2, 3]
+    lengths: ClassVar[list[int]] = [1, 4, 4, 4, 1]
+    array_lengths: ClassVar[list[int]] = [0, 4, 4, 4, 0]
     crc_extra = crc_extra(
         "ESC_STATUS",
         [("uint64_t", "time_usec", 0), ("int32_t", "rpm", 4), ("float", "voltage", 4), ("float", "current", 4),

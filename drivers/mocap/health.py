@@ -114,7 +114,7 @@ _TEXT = re.compile(r"mocap: stamps known to ([\d.]+) ms \(([a-z -]+)\), drift ([
 
 
 @dataclass(frozen=True, slots=True)
-class ToldClock:
+class ReportedClock:
     """What :func:`clock_text` and :func:`vehicle_clock_text` told; the vehicle's is None without TIMESYNC."""
 
     error_s: float
@@ -125,11 +125,11 @@ class ToldClock:
     vehicle_error_s: float = 0.0
 
 
-def told_clock(text: str) -> ToldClock | None:
+def reported_clock(text: str) -> ReportedClock | None:
     """Inverse of :func:`clock_text`; None of another text."""
     found = _TEXT.match(text)
     if found is None:
         return None
     vehicle = _VEHICLE.search(text)
     offset_s, error_s = (float(vehicle[1]), 1e-3 * float(vehicle[2])) if vehicle is not None else (None, 0.0)
-    return ToldClock(1e-3 * float(found[1]), found[2], 1e-6 * float(found[3]), int(found[4]), offset_s, error_s)
+    return ReportedClock(1e-3 * float(found[1]), found[2], 1e-6 * float(found[3]), int(found[4]), offset_s, error_s)

@@ -28,7 +28,6 @@ class Decision:
 
     plan: Plan
     why: str
-    separates: bool = False
 
 
 def first_plan(vehicle: Vehicle, *, seed: int, time_budget_s: float, **limits: float) -> Decision:
@@ -63,7 +62,7 @@ def next_plan(
         try:
             bounds: dict[str, Any] = {name: value for name, value in limits.items() if name != "frequency_max_hz"}
             found = plan_next(diagnosis, vehicle, seed=seed, **bounds)
-            return Decision(found.plan, f"to separate what is left open: {odds_sentence(found)}", separates=True)
+            return Decision(found.plan, f"to separate what is left open: {odds_sentence(found)}")
         except GroundStationError:
             pass  # no motion tells them apart; the flight then sharpens what can be
     known = as_estimated(vehicle, estimates)

@@ -205,7 +205,7 @@ def _diagnosis_lines(found: Diagnosis) -> list[str]:
     return [
         *first_of_all(found.to_dict()),
         f"verdict: {found.verdict}" + (f" ({readable(found.reason)})" if found.reason else ""),
-        *(f"{finding.effect} ({finding.confidence:.0%}): {finding.evidence}" for finding in found.findings),
+        *(f"{finding.effect} ({finding.confidence:.0%}): {finding.sentence}" for finding in found.findings),
         *(
             readable(
                 f"unexplained: {item.share:.0%} of {item.channel}, varies with "

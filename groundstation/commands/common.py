@@ -44,14 +44,16 @@ def example(line: str) -> str:
 
 
 def packed(kind: type[Any]) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
-    """A decorator of a command: options that a dataclass has fields for reach it as one object of that, its first."""
+    """A decorator of a command: options that a dataclass has fields for reach it as one object of that, its first
+    argument; objects of such decorators above it follow.
+    """
     names = {field.name for field in fields(kind)}
 
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
         @functools.wraps(function)
-        def command(**values: object) -> Result:
+        def command(*packs: object, **values: object) -> Result:
             own = {name: values.pop(name) for name in names & set(values)}
-            return function(kind(**own), **values)
+            return function(kind(**own), *packs, **values)
 
         return command
 

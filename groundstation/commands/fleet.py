@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from groundstation.commands.common import Choice, ProgressLine, Result, example, json_option, logs_option
+from groundstation.commands.common import Choice, ProgressLine, Result, example, json_option, logs_option, packed
 from groundstation.errors import BadInput
 from groundstation.json_types import Document
 
@@ -19,6 +20,48 @@ if TYPE_CHECKING:
 MOVED = 3.0
 """Combined standard deviations from which a change from flight to flight is worth a word."""
 SORTS = ("date", "flight", "vehicle", "state", "verdict", "mass")
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What ``flights`` is asked for, option by option."""
+
+    vehicle: str | None
+    since: str | None
+    finding: str | None
+    tag: str | None
+    sort: str
+    trend: bool
+    compare: tuple[str, str] | None
+    report: Path | None
+    sql: str | None
+    target: Path | None
+
+
+@dataclass(frozen=True, slots=True)
+class Notes:
+    """What ``flights`` writes beside the named flights."""
+
+    add_tag: tuple[str, ...]
+    remove_tag: tuple[str, ...]
+    note: str | None
+
+    def any(self) -> bool:
+        """Whether there is something to write."""
+        return bool(self.add_tag or self.remove_tag or self.note is not None)
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """What ``batch`` does, option by option."""
+
+    do: str
+    vehicle: str | None
+    workers: int | None
+    memory_gb: float | None
+    scheduler: str | None
+    output: str
+    table: Path | None
 
 
 @click.command(epilog=example("groundstation flights --vehicle x500 --since 2025-01-01 --trend"))
@@ -46,42 +89,40 @@ SORTS = ("date", "flight", "vehicle", "state", "verdict", "mass")
 @click.option("--rebuild", is_flag=True, help="Read every flight again.")
 @logs_option
 @json_option
-def flights(
-    chosen: tuple[str, ...], vehicle: str | None, since: str | None, finding: str | None, tag: str | None, sort: str,
-    trend: bool, compare: tuple[str, str] | None, report: Path | None, sql: str | None, target: Path | None,
-    add_tag: tuple[str, ...], remove_tag: tuple[str, ...], note: str | None, rebuild: bool, logs: Path,
-) -> Result:  # fmt: skip
+@packed(Notes)
+@packed(Shown)
+def flights(shown: Shown, notes: Notes, chosen: tuple[str, ...], rebuild: bool, logs: Path) -> Result:
     """List what lies in the logs, and how parameters moved from flight to flight.
 
     FLIGHT names a flight (its name or its folder in the logs); without one all are listed.
     """
     from groundstation.fleet.catalogue import Catalogue, Filter
 
-    _check_date(since)
-    if (add_tag or remove_tag or note is not None) and not chosen:
+    _check_date(shown.since)
+    if notes.any() and not chosen:
         raise BadInput(
             "name the flights to tag or note, e.g. `groundstation flights 2025-01-31T12-00-00-x500 --add-tag payload`."
         )
     catalogue = Catalogue(logs, rebuild=rebuild)
-    if add_tag or remove_tag or note is not None:
-        _annotate(catalogue, chosen, add_tag, remove_tag, note)
+    if notes.any():
+        _annotate(catalogue, chosen, notes)
         catalogue = Catalogue(logs)
     head = [catalogue.note] if catalogue.note else []
-    if sql is not None:
-        return _asked(catalogue, sql)
-    if target is not None:
-        catalogue.export(target)
-        return Result({"schema": "groundstation.flights/1", "written": str(target)}, f"written: {target}")
-    if trend or compare or report is not None:
-        return _fleet(catalogue, vehicle, trend, compare, report)
-    rows = catalogue.rows(Filter(vehicle, since, finding, tag))
+    if shown.sql is not None:
+        return _asked(catalogue, shown.sql)
+    if shown.target is not None:
+        catalogue.export(shown.target)
+        return Result({"schema": "groundstation.flights/1", "written": str(shown.target)}, f"written: {shown.target}")
+    if shown.trend or shown.compare or shown.report is not None:
+        return _fleet(catalogue, shown)
+    rows = catalogue.rows(Filter(shown.vehicle, shown.since, shown.finding, shown.tag))
     if chosen:
         _check_named(catalogue, chosen)
         rows = [row for row in rows if _is_named(row, chosen)]
     empty = f"no flights in {logs}; make one with `groundstation rehearse`"
     if not rows and (count := len(catalogue.rows())):
         empty = f"none of the {count} flights in {logs} is like that; `groundstation flights --logs {logs}` lists them"
-    key = {"mass": _mass}.get(sort, lambda row: str(row[sort] or ""))
+    key = {"mass": _mass}.get(shown.sort, lambda row: str(row[shown.sort] or ""))
     rows.sort(key=lambda row: (key(row), row["date"], row["flight"]))
     text = "\n".join([*head, *(_flight_line(row) for row in rows)] or [empty])
     return Result({"schema": "groundstation.flights/1", "flights": rows}, text)
@@ -112,15 +153,13 @@ def _mass(row: Document) -> str:
     return f"{mass['value']:020.9f}" if mass else ""
 
 
-def _annotate(
-    catalogue: Catalogue, chosen: tuple[str, ...], add: tuple[str, ...], remove: tuple[str, ...], note: str | None
-) -> None:
+def _annotate(catalogue: Catalogue, chosen: tuple[str, ...], notes: Notes) -> None:
     from groundstation.fleet.rows import set_notes
 
     _check_named(catalogue, chosen)
     for row in catalogue.rows():
         if _is_named(row, chosen):
-            set_notes(Path(row["folder"]), add=add, remove=remove, note=note)
+            set_notes(Path(row["folder"]), add=notes.add_tag, remove=notes.remove_tag, note=notes.note)
 
 
 def _asked(catalogue: Catalogue, sql: str) -> Result:
@@ -137,36 +176,34 @@ def _plain(value: Any) -> Any:
     return value if value is None or isinstance(value, (bool, int, float, str, list, dict)) else str(value)
 
 
-def _fleet(
-    catalogue: Catalogue, vehicle: str | None, trend: bool, pair: tuple[str, str] | None, report: Path | None
-) -> Result:
+def _fleet(catalogue: Catalogue, shown: Shown) -> Result:
     from groundstation.fleet.report import compare, comparison_lines, trend_document, trend_lines, write_fleet_report
 
-    vehicles = [vehicle] if vehicle else catalogue.vehicles()
+    vehicles, pair = [shown.vehicle] if shown.vehicle else catalogue.vehicles(), shown.compare
     lines: list[str] = []
     document: dict[str, Any] = {"schema": "groundstation.fleet/1"}
-    if trend:
+    if shown.trend:
         lines += [line for each in vehicles for line in trend_lines(catalogue, each)]
         document["vehicles"] = [trend_document(catalogue, each) for each in vehicles]
     if pair:
         found = compare(catalogue, *pair)
         lines += comparison_lines(found, *pair)
         document["difference"] = {n: {"size": d.size, "std": d.std, "p": p} for n, (d, p) in found.items()}
-    if report is not None:
-        write_fleet_report(report, catalogue, pair)
-        lines.append(f"written: {report}")
-        document["report"] = str(report)
+    if shown.report is not None:
+        write_fleet_report(shown.report, catalogue, pair)
+        lines.append(f"written: {shown.report}")
+        document["report"] = str(shown.report)
     return Result(document, "\n".join(lines))
 
 
 def _flight_line(row: Document) -> str:
     """One flight: when, what, how it ended, its mass, and what moved by more than chance allows."""
     mass = row["parameters"].get("mass_kg")
-    told = f"mass {mass['value']:.4g} kg" if mass else row["reason"]
+    said = f"mass {mass['value']:.4g} kg" if mass else row["reason"]
     moved = [f"{name} {change:+.1f}" for name, change in (row.get("moved") or {}).items() if abs(change) > MOVED]
     tail = f"; moved (in standard deviations): {', '.join(moved)}" if moved else ""
     tags = f" [{', '.join(row['tags'])}]" if row["tags"] else ""
-    return f"{row['date'][:19]}  {row['flight']:<36} {row['state']:<10} {row['verdict'] or '-':<12} {told}{tags}{tail}"
+    return f"{row['date'][:19]}  {row['flight']:<36} {row['state']:<10} {row['verdict'] or '-':<12} {said}{tags}{tail}"
 
 
 @click.command(epilog=example("groundstation batch 'logs/**' other/*.ulg --vehicle x500 --do identify,diagnose"))
@@ -190,10 +227,8 @@ def _flight_line(row: Document) -> str:
     "--table", type=click.Path(path_type=Path, dir_okay=False), help="Write all parameters as .parquet or .csv."
 )
 @json_option
-def batch(
-    patterns: tuple[str, ...], do: str, vehicle: str | None, workers: int | None, memory_gb: float | None,
-    scheduler: str | None, output: str, table: Path | None,
-) -> Result:  # fmt: skip
+@packed(Work)
+def batch(asked: Work, patterns: tuple[str, ...]) -> Result:
     """Identify, diagnose and report many RECORDINGS (paths, patterns with **, URLs), in parallel; run again to go on.
 
     What is done and unchanged is not done again. A recording that fails does not stop the others.
@@ -201,22 +236,22 @@ def batch(
     from groundstation.fleet import batch as work
     from groundstation.paths import find_config
 
-    steps = tuple(step.strip() for step in do.split(",") if step.strip())
+    steps = tuple(step.strip() for step in asked.do.split(",") if step.strip())
     if unknown := [step for step in steps if step not in work.STEPS] or ([] if steps else ["nothing"]):
         raise BadInput(f"--do: {unknown[0]} is no step; there are {', '.join(work.STEPS)}.")
     found = work.find(patterns)
-    declared = None if vehicle is None else find_config("vehicles", vehicle)
-    wanted = work.tasks(found, output, declared, steps)
-    count = workers or os.cpu_count() or 1
+    declared = None if asked.vehicle is None else find_config("vehicles", asked.vehicle)
+    wanted = work.tasks(found, asked.output, declared, steps)
+    count = asked.workers or os.cpu_count() or 1
     line = ProgressLine()
     done = []
-    memory = None if memory_gb is None else int(memory_gb * 1e9)
-    for result in work.results(wanted, workers=count, scheduler=scheduler, memory_bytes=memory):
+    memory = None if asked.memory_gb is None else int(asked.memory_gb * 1e9)
+    for result in work.results(wanted, workers=count, scheduler=asked.scheduler, memory_bytes=memory):
         done.append(result)
         line.fraction(len(done) / len(wanted), f"{len(done)} of {len(wanted)}: {result.source}")
     line.end()
-    if table is not None:
-        work.write_table(table, done)
+    if asked.table is not None:
+        work.write_table(asked.table, done)
     counts = {state: sum(r.state == state for r in done) for state in ("done", "refused", "bad", "failed")}
     before = sum(not r.fresh for r in done)
     lines = [f"{r.state}: {r.source}: {r.sentence}" for r in sorted(done, key=lambda r: r.source) if r.sentence]

@@ -111,7 +111,7 @@ def calibrate(link: str, vehicle: str, station: str, seconds: float, key_file: P
     Offset, rotation, the world's tilt and scale, and the delay of the stamps go into the station file. Every flight
     after uses them, and every preflight checks them again.
     """
-    from groundstation.flight.calibration import calibration_of, section, told, write_calibration
+    from groundstation.flight.calibration import calibration_of, result_text, section, write_calibration
     from groundstation.flight.link.collect import collect
     from groundstation.flight.station import load_station
     from groundstation.identification.handheld import calibrate_by_hand
@@ -131,7 +131,7 @@ def calibrate(link: str, vehicle: str, station: str, seconds: float, key_file: P
         line.end()
     found = calibrate_by_hand(both.imu, both.poses, expected_s=0.0, gravity_m_s2=declared.gravity_m_s2)
     calibration = calibration_of(found, loaded, both.clock_error_s)
-    text = told(found, calibration)
+    text = result_text(found, calibration)
     write = yes or (sys.stdin.isatty() and click.confirm(f"{text}\nWrite this to {path}?", default=False, err=True))
     if write:
         write_calibration(path, calibration)

@@ -182,7 +182,7 @@ def _share(_yes: bool, asked: Asked) -> Result:
     line, endpoint = ProgressLine(), asked.endpoint(GATE_PORT)
     if hasattr(os, "nice"):
         os.nice(GATE_NICE)
-    with _until_told() as stop:
+    with _until_stopped() as stop:
         share(asked.logs, endpoint, asked.address, stop, line.say)
     line.end()
     return Result({"schema": SCHEMA, "shared": endpoint}, "no longer shared; a flight goes on.")
@@ -203,7 +203,7 @@ def _poses(system: str, asked: Asked) -> Result:
         f'poses of {system} at {endpoint}; the station file: system = "zenoh", host = '
         f'"tls/{own[0].addresses[0]}:{POSES_PORT}"'
     )
-    with _until_told() as stop:
+    with _until_stopped() as stop:
         publish_poses(Cameras(system, asked.host), endpoint, own[0], stop, line.say)
     line.end()
     return Result({"schema": SCHEMA, "poses": endpoint}, "no more poses.")
@@ -215,7 +215,7 @@ def _watch(host: str, _asked: Asked) -> Result:
     from groundstation.flight.share import passes, remote
 
     line, status, said = ProgressLine(), None, False
-    with _reached(BadInput), _until_told() as stop, remote.connect(host, passes.pass_for(host)) as client:
+    with _reached(BadInput), _until_stopped() as stop, remote.connect(host, passes.pass_for(host)) as client:
         client.require_heard()
         while not stop.is_set():
             shared = client.shared(0.5)
@@ -277,7 +277,7 @@ def _reached(kind: type[GroundStationError]) -> Iterator[None]:
 
 
 @contextmanager
-def _until_told() -> Iterator[threading.Event]:
+def _until_stopped() -> Iterator[threading.Event]:
     """Set by Ctrl-C and SIGTERM; what runs ends by itself then."""
     stop = threading.Event()
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}

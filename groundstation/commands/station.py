@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from groundstation.commands.common import Choice, ProgressLine, Result, example, json_option, logs_option
+from groundstation.commands.common import Choice, ProgressLine, Result, example, json_option, logs_option, packed
 from groundstation.errors import BadInput
 
 if TYPE_CHECKING:
@@ -145,6 +145,15 @@ def _what_holds(vehicle: str, station: str) -> list[Setting]:
     ]
 
 
+@dataclass(frozen=True, slots=True)
+class Cameras:
+    """What ``doctor --mocap`` is asked."""
+
+    host: tuple[str, ...]
+    seconds: float
+    link: str | None
+
+
 @click.command(epilog=example("groundstation doctor --vehicle x500"))
 @click.option("--vehicle", default=None, help="Also print the settings that hold for this vehicle, and where from.")
 @click.option("--station", default="default", show_default=True, help="Station file for that, and for --mocap.")
@@ -162,14 +171,13 @@ def _what_holds(vehicle: str, station: str) -> list[Setting]:
 @click.option("--link", help="With --mocap and --vehicle: compare with its gyro and accelerometer; turn it meanwhile.")
 @logs_option
 @json_option
-def doctor(
-    vehicle: str | None, station: str, mocap: bool, host: tuple[str, ...], seconds: float, link: str | None, logs: Path
-) -> Result:
+@packed(Cameras)
+def doctor(cameras: Cameras, vehicle: str | None, station: str, mocap: bool, logs: Path) -> Result:
     """Say what is installed, reachable and wrong here, and what to do about it."""
     if mocap:
         from groundstation.commands.mocap import mocap_report
 
-        return mocap_report(station, host, seconds, link, vehicle)
+        return mocap_report(station, cameras.host, cameras.seconds, cameras.link, vehicle)
     settings = _what_holds(vehicle, station) if vehicle is not None else []
     looks: list[Callable[[], Check]] = [
         _python,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import library
 from groundstation.diagnosis.results import Finding
-from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.sentences import filled
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.results import Estimate
@@ -55,7 +55,7 @@ def exponent_error(prepared: Prepared) -> float:
 
 
 def with_thrust_exponent(prepared: Prepared, error: float) -> Prepared:
-    """The flight as one of a vehicle whose thrust goes with another exponent."""
+    """The flight as one of a vehicle whose thrust has another exponent."""
     if error == 0.0:
         return prepared
     return replace(
@@ -87,7 +87,7 @@ def with_exponent(findings: list[Finding], error: float, gain: float) -> list[Fi
     own = Finding(
         effect=NAME,
         parameters={"exponent_error": total},
-        evidence=told(library()[NAME].sentence, exponent_error=total.value),
+        sentence=filled(library()[NAME].sentence, exponent_error=total.value),
         confidence=1.0 if more is None else more.confidence,
         gain=gain,
     )

@@ -29,7 +29,7 @@ from groundstation.diagnosis.results import Finding, Unexplained, Verdict
 from groundstation.diagnosis.scale import scale_findings
 from groundstation.diagnosis.screen import Dependence, unexplained
 from groundstation.diagnosis.selection import Progress, Selected
-from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.sentences import filled
 from groundstation.diagnosis.timing import lag_findings
 from groundstation.identification.results import Estimate
 
@@ -143,7 +143,7 @@ def _finding(item: Named, solution: Solution, offset: int) -> Finding:
     return Finding(
         effect=effect.identifier,
         parameters=parameters,
-        evidence=told(effect.sentence, **known, rotor=str(rotor)),
+        sentence=filled(effect.sentence, **known, rotor=str(rotor)),
         confidence=item.confidence,
         alternatives=item.alternatives,
         rotor=rotor,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.effect import ROTATION, Reading, SensorEffect, catalogue
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import posterior
-from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.sentences import filled
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import quat_exp, quat_multiply, quat_rotate
 from groundstation.identification.preparation import Prepared
@@ -79,7 +79,7 @@ def _finding(effect: SensorEffect, reading: Reading, departure: _Departure, riva
     return Finding(
         effect=effect.identifier,
         parameters=departure.parameters,
-        evidence=told(reading.sentence, **values, size=float(np.linalg.norm(departure.size))),
+        sentence=filled(reading.sentence, **values, size=float(np.linalg.norm(departure.size))),
         confidence=posterior([THRESHOLDS.sensor_std**2 - departure.evidence, *(-d for d in rivals.values())]),
         alternatives=tuple(name for name, d in rivals.items() if d < THRESHOLDS.inseparable),
         gain=departure.evidence,

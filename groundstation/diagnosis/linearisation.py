@@ -1,11 +1,11 @@
 """The point that a flight's evidence is linear about.
 
-A torque that goes with what the body does bends the tensor of a base fit that lacks it, the rotors' angular momentum by
+A torque that depends on the motion biases the tensor of a base fit that lacks it, the rotors' angular momentum by
 half and more, and about such a tensor nothing linear finds it back. Where the flight is much likelier with such torques
 free, their fit is the better point. Nothing is named here: what is there, the evidence about that point says. Where
 speeds are commanded and not measured, lag and dead time are free, and a torque that leads the command is one of them to
 any such fit: there the base stays as it is, or is the prediction error estimate where what is lacking has led the
-instruments far astray.
+instruments far off.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from groundstation.diagnosis.swing import swing_of
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
-from groundstation.diagnosis.unplanned import Told, tell_unplanned
+from groundstation.diagnosis.unplanned import PastMotion, tell_unplanned
 from groundstation.diagnosis.weakness import weak_instruments
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
@@ -107,7 +107,7 @@ def _with_swing(found: Diagnosis, case: Case, base: Base) -> Diagnosis:
     if swing is None:
         return found
     verdict = "unexplained" if found.verdict in ("clean", "explained") else found.verdict
-    return replace(found, verdict=verdict, reason=swing.told(), warnings=(swing.told(), *found.warnings))
+    return replace(found, verdict=verdict, reason=swing.sentence(), warnings=(swing.sentence(), *found.warnings))
 
 
 def _with_low_frequencies(found: Diagnosis, case: Case, base: Base) -> Diagnosis:
@@ -131,7 +131,7 @@ def _with_low_frequencies(found: Diagnosis, case: Case, base: Base) -> Diagnosis
     )
 
 
-def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged, air: Sequence[Told]) -> Diagnosis:
+def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged, air: Sequence[PastMotion]) -> Diagnosis:
     """All of it as the result that is written and shown."""
     reason = _reason(judged.verdict, judged.findings, judged.unexplained)
     return Diagnosis(

@@ -18,7 +18,8 @@ Verdict = Literal["explained", "unexplained", "clean", "refused"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """An effect that the declared vehicle lacks (identifier of docs/diagnosis.md), with its parameters and evidence.
+    """An effect that the declared vehicle lacks (identifier of docs/diagnosis.md), with its parameters and a sentence
+    for people, which documents call "evidence".
 
     ``gain`` is how far the whitened squared error falls with it: on blocks no estimate saw for forces and torques, in
     the comparison of the sensors for clocks and frames. Findings stand in its order.
@@ -26,7 +27,7 @@ class Finding:
 
     effect: str
     parameters: Mapping[str, Estimate]
-    evidence: str
+    sentence: str
     confidence: float
     alternatives: tuple[str, ...] = ()
     rotor: int | None = None
@@ -37,7 +38,7 @@ class Finding:
         return {
             "effect": self.effect,
             "parameters": {name: estimate.to_dict() for name, estimate in self.parameters.items()},
-            "evidence": self.evidence,
+            "evidence": self.sentence,
             "confidence": self.confidence,
             "alternatives": list(self.alternatives),
             "rotor": self.rotor,

@@ -9,7 +9,7 @@ import numpy as np
 from groundstation.diagnosis.effects.thrust_scale import EFFECT
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import posterior
-from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.sentences import filled
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.results import Estimate
 from groundstation.vehicle import Vehicle
@@ -37,7 +37,7 @@ def scale_findings(vehicle: Vehicle, parameters: Mapping[str, Estimate]) -> list
         Finding(
             effect=EFFECT.identifier,
             parameters={EFFECT.names()[0]: Estimate.normal(ratio, std)},
-            evidence=told(EFFECT.sentence, **{EFFECT.names()[0]: ratio}),
+            sentence=filled(EFFECT.sentence, **{EFFECT.names()[0]: ratio}),
             confidence=posterior([THRESHOLDS.timing_wald - wald]),
             gain=wald,
         )

@@ -19,7 +19,7 @@ from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.left_open import left_open
 from groundstation.diagnosis.rivals import Entry
 from groundstation.diagnosis.thresholds import THRESHOLDS
-from groundstation.diagnosis.unplanned import Told
+from groundstation.diagnosis.unplanned import PastMotion
 from groundstation.model.parameters import BASIS, RIGID_BODY, values_of
 from groundstation.vehicle import Vehicle
 
@@ -107,7 +107,7 @@ def select(
 
 
 def select_beside(
-    air: Sequence[Told], case: Case, base: Base, augmented: tuple[Candidate, ...], progress: Progress
+    air: Sequence[PastMotion], case: Case, base: Base, augmented: tuple[Candidate, ...], progress: Progress
 ) -> Selected:
     """:func:`select` beside what flights without a plan tell by past motion.
 

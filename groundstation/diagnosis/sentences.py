@@ -57,7 +57,7 @@ Steps are a tenth of a millimetre, millisecond and percent, which no flight tell
 """
 
 
-def told(template: str, **values: float | str) -> str:
+def filled(template: str, **values: float | str) -> str:
     """A template with its values in words.
 
     Args:
@@ -105,7 +105,7 @@ def _places(value: float) -> int:
 
 
 class _Words(string.Formatter):
-    """Fills places as :func:`told` says; what is text already stands as it is."""
+    """Fills places as :func:`filled` says; what is text already stands as it is."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
         if isinstance(value, str):

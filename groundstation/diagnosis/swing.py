@@ -38,7 +38,7 @@ class Swing:
     load_kg: float
     length_m: float
 
-    def told(self) -> str:
+    def sentence(self) -> str:
         """As a warning."""
         low, high = (self.load_kg * factor for factor in LOAD_WITHIN)
         short, long = (self.length_m * factor for factor in LENGTH_WITHIN)

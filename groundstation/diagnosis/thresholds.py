@@ -104,7 +104,7 @@ class Thresholds:
         0.3,
         "Spread of the share in which a named effect may take another power of speed, height, thrust or rates, or act "
         "on one axis alone.",
-        source="drag goes with powers of the speed between one and two; judgement",
+        source="drag is proportional to a power of the speed between one and two; judgement",
         chosen_on="MuJoCo flights of seeds 7000 to 8200 (benchmarks.other_forms)",
     )
     pendulum_share: float = _entry(
@@ -130,7 +130,7 @@ class Thresholds:
     )
     swing_load: float = _entry(
         0.015,
-        "Least load that is told, as a share of the mass: eight flights without one gave half of it at most.",
+        "Least load that is reported, as a share of the mass: eight flights without one gave half of it at most.",
         source="judgement",
         chosen_on="12 flights of two simulators, 4 of them with loads",
     )
@@ -346,7 +346,7 @@ class Thresholds:
         0.7,
         "Shortest propeller that still flies, as a share of its diameter: it gives a quarter of the thrust at the same "
         "speed.",
-        source="thrust goes with the fourth power of the diameter",
+        source="thrust is proportional to the fourth power of the diameter",
         chosen_on=f"5a54091, {AFTER}",
     )
     trim_unexplained_share: float = _entry(

@@ -16,7 +16,7 @@ from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import posterior
-from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.sentences import filled
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.results import Estimate
 
@@ -86,8 +86,8 @@ def lag_findings(evidence: Evidence, solution: Solution, published: Array) -> li
 
 @dataclass(frozen=True, slots=True)
 class _Beside:
-    """What stands beside the lags' departures: the declared lags, how the rate goes with the speed, the interval of the
-    commands.
+    """What is known beside the lags' departures: the declared lags, the rate's dependence on speed, the interval of
+    the commands.
     """
 
     up_s: float
@@ -116,7 +116,7 @@ def _lag(
             NAMES[1]: Estimate.time(down, float(std[1]), beside.step_s),
             SLOPE: beside.slope,
         },
-        evidence=told(LAG.sentence, **{NAMES[0]: up, NAMES[1]: down}),
+        sentence=filled(LAG.sentence, **{NAMES[0]: up, NAMES[1]: down}),
         confidence=posterior(rivals),
         alternatives=(DELAY.identifier,) if close else (),
         gain=gain,
@@ -129,7 +129,7 @@ def _delay(
     return Finding(
         effect=DELAY.identifier,
         parameters={NAMES[2]: Estimate.time(value, float(np.sqrt(variance)), step_s)},
-        evidence=told(DELAY.sentence, **{NAMES[2]: float(value)}),
+        sentence=filled(DELAY.sentence, **{NAMES[2]: float(value)}),
         confidence=posterior(rivals),
         alternatives=(LAG.identifier,) if close else (),
         gain=gain,

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.results import Finding
-from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.sentences import filled
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.trim_hypotheses import (
     PAIR,
@@ -136,10 +136,10 @@ def _notes(
 ) -> list[str]:
     """That the references may be of another vehicle, and where nothing is found the least that would have been."""
     other = sum(share * each.strange for each, share in zip(ranked, shares, strict=True))
-    notes = [told(STRANGE, sure=other)] if other > STRANGE_SHARE else []
+    notes = [filled(STRANGE, sure=other)] if other > STRANGE_SHARE else []
     if ranked[0].effect == "none":
         loss, load = least_shown(vehicle, patterns, scatter)
-        notes.append(told(MISSED, loss=loss, load=load))
+        notes.append(filled(MISSED, loss=loss, load=load))
     return notes
 
 
@@ -206,7 +206,7 @@ def _findings(
                 for name, value in best.parameters.items()
                 if len(best.rotors) < 2 or name.endswith("/2") == (place == 1)
             },
-            evidence=f"{_sentence(best, place, rotor)}{limit}",
+            sentence=f"{_sentence(best, place, rotor)}{limit}",
             confidence=shares[0],
             alternatives=tuple(name for name in alternatives if name != best.effect),
             rotor=rotor,
@@ -227,14 +227,14 @@ def _said(explanation: Explanation) -> str:
 
 def _sentence(explanation: Explanation, place: int, rotor: int) -> str:
     if explanation.effect == "com_offset":
-        return told(LOADED, rotor=str(rotor), mass_change_kg=explanation.parameters["mass_change_kg"].value)
+        return filled(LOADED, rotor=str(rotor), mass_change_kg=explanation.parameters["mass_change_kg"].value)
     suffix = "/2" if place else ""
     loss = explanation.parameters[f"loss{suffix}"].value
     ratio = explanation.parameters[f"torque_to_thrust_ratio{suffix}"].value
-    text = told(WEAKER, rotor=str(rotor), asked=loss / (1.0 - loss))
+    text = filled(WEAKER, rotor=str(rotor), asked=loss / (1.0 - loss))
     sure = explanation.ratio_off[place]
     kind = "shorter" if ratio < 1.0 else "taped or chipped"
-    return f"{text} {told(SHORTER, ratio=ratio, sure=sure, kind=kind)}" if sure > 0.5 else text
+    return f"{text} {filled(SHORTER, ratio=ratio, sure=sure, kind=kind)}" if sure > 0.5 else text
 
 
 def _nearest_rotor(load: Explanation, vehicle: Vehicle) -> int:

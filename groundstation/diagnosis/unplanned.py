@@ -18,7 +18,7 @@ from groundstation.diagnosis.columns import Candidate
 from groundstation.diagnosis.effect import Effect, has_rotors, library
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import posterior
-from groundstation.diagnosis.sentences import told
+from groundstation.diagnosis.sentences import filled
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.lagged_instruments import Equation, PartEstimate, Parts, Pooled, pooled, two_stage
 from groundstation.identification.low_frequency import (
@@ -46,7 +46,7 @@ LIFT: Members = {"climb_inflow": ("k_kg_s",), "translational_lift": ("lift_s2_m2
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class PastMotion:
     """What these equations say of one effect.
 
     Attributes:
@@ -77,11 +77,11 @@ class Told:
         """
         form = 0.5 * THRESHOLDS.form_error_share
         values = {n: Estimate.normal(p.value, float(np.hypot(p.std, form * p.value))) for n, p in self.values.items()}
-        sentence = told(self.effect.sentence, **{name: p.value for name, p in self.values.items()})
+        sentence = filled(self.effect.sentence, **{name: p.value for name, p in self.values.items()})
         return Finding(
             effect=self.effect.identifier,
             parameters=values,
-            evidence=f"{sentence} No plan is recorded: past motion is the instrument, and parts of the flights check "
+            sentence=f"{sentence} No plan is recorded: past motion is the instrument, and parts of the flights check "
             "each other.",
             confidence=posterior([self.chance - self.wald]),
             gain=self.gain,
@@ -93,7 +93,7 @@ class Told:
         return f"{self.effect.identifier} is not shown; the least that these flights could have shown: {least}."
 
 
-def tell_unplanned(flights: Sequence[Prepared], p: Parameters) -> list[Told]:
+def tell_unplanned(flights: Sequence[Prepared], p: Parameters) -> list[PastMotion]:
     """What flights without a plan show of the air's effects; nothing where one has a plan, or rates or poses are
     missing.
 
@@ -109,7 +109,7 @@ def tell_unplanned(flights: Sequence[Prepared], p: Parameters) -> list[Told]:
         return []
     parts = [part for flight in flights for part in parts_of(slow(flight, p))]
     groups = ((TORQUE, torque_equations), (FORCE, force_equations), (LIFT, lift_equations))
-    found: list[Told] = []
+    found: list[PastMotion] = []
     for members, equations in groups:
         names = {name for parameters in members.values() for name in parameters}
         seen: dict[str, list[tuple[Equation, PartEstimate, int]]] = {name: [] for name in names}
@@ -125,7 +125,7 @@ def tell_unplanned(flights: Sequence[Prepared], p: Parameters) -> list[Told]:
     return found
 
 
-def _judged(identifier: str, seen: Mapping[str, Parts]) -> Told:
+def _judged(identifier: str, seen: Mapping[str, Parts]) -> PastMotion:
     from scipy.stats import f
 
     effect = library()[identifier]
@@ -141,7 +141,7 @@ def _judged(identifier: str, seen: Mapping[str, Parts]) -> Told:
     )
     share = max(_size(seen[name], pool.value) for name, pool in values.items())
     stands = wald > chance and plausible and gain > 0.0 and share > THRESHOLDS.material_share
-    return Told(effect, values, wald, chance, gain, share, stands)
+    return PastMotion(effect, values, wald, chance, gain, share, stands)
 
 
 def _size(parts: Parts, value: float) -> float:

@@ -79,7 +79,7 @@ def write_calibration(path: Path, calibration: MarkerCalibration) -> None:
         raise BadInput(f"{path}: cannot be written ({error.strerror}); give a station file of your own.") from None
 
 
-def told(found: HandCalibration, calibration: MarkerCalibration) -> str:
+def result_text(found: HandCalibration, calibration: MarkerCalibration) -> str:
     """For people: value, 95 % half width, and what to make of it."""
     lines = [
         f"measured over {found.seconds:.0f} s, carried {found.moved_m:.2f} m rms, turned by up to "

@@ -210,6 +210,3 @@ def _lift_columns(part: Slow) -> Array:
 
 def _equation(part: Slow, output: Array, columns: Array, known: Array, effects: int) -> Equation:
     return Equation(output, columns, known, part.used, part.step_s, effects)
-
-
-Equations = Callable[[Slow], Named]

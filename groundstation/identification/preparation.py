@@ -4,7 +4,7 @@ it is used.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from groundstation.identification.reconstruction import Compatibility
 from groundstation.identification.record_model import DynamicRecord, PlannedMotion
 from groundstation.identification.results import Clock
 from groundstation.identification.streams import clean, flown_stretches
-from groundstation.identification.stretches import GAP_S, Stretch, gaps, runs_of, told, within
+from groundstation.identification.stretches import GAP_S, Stretch, gaps, runs_of, used_note, within
 from groundstation.model.rotors import (
     MotorInput,
     cumulative,
@@ -218,13 +218,19 @@ def _kept(
     return keep
 
 
-def prepare_all(flights: Sequence[FlightData], exclude: Sequence[Stretch] = ()) -> list[Prepared]:
+def prepare_all(
+    flights: Sequence[FlightData], exclude: Sequence[Stretch] = (), before: Mapping[int, Prepared] | None = None
+) -> list[Prepared]:
     """:func:`prepare` each flight.
+
+    Args:
+        before: those that are prepared already, with these stretches left out, by the identity of the flight.
 
     Raises:
         BadInput: a stretch to leave out lies in none of the flights.
     """
-    prepared = [prepare(flight, exclude=exclude) for flight in flights]
+    known = before or {}
+    prepared = [known.get(id(flight)) or prepare(flight, exclude=exclude) for flight in flights]
     for first, last in exclude:
         if not any(np.any((p.record.t_s >= first) & (p.record.t_s <= last)) for p in prepared):
             spans = " and ".join(f"{p.record.t_s[0]:.2f} to {p.record.t_s[-1]:.2f} s" for p in prepared)
@@ -247,7 +253,7 @@ def _share_note(flight: FlightData, motors: Stream, record: DynamicRecord, lost:
     why = [f"{len(lost)} gaps of the motors' stream ({missing:.1f} s)"] if lost else []
     if flight.window_s is None:
         why.append("ground, and a second beside it")
-    return [told(used_s, recorded, len(runs_of(t, keep)), why if used_s < 0.98 * recorded else ())]
+    return [used_note(used_s, recorded, len(runs_of(t, keep)), why if used_s < 0.98 * recorded else ())]
 
 
 def _battery(flight: FlightData, t: Array) -> tuple[Array, Array]:

@@ -87,7 +87,7 @@ def runs_of(t_s: Array, keep: Mask) -> tuple[Stretch, ...]:
     return tuple((float(t[a]), float(t[b])) for a, b in zip(starts, ends, strict=True))
 
 
-def told(used_s: float, recorded_s: float, pieces: int, left_out: Sequence[str]) -> str:
+def used_note(used_s: float, recorded_s: float, pieces: int, left_out: Sequence[str]) -> str:
     """What share of a recording is used, in one sentence."""
     where = "" if pieces == 1 else f", in {pieces} stretches"
     why = "" if not left_out else f"; left out: {', '.join(left_out)}"

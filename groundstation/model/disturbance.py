@@ -151,7 +151,7 @@ def pooled(parts: Sequence[TurningDisturbance]) -> TurningDisturbance:
     correlation times.
     """
 
-    def told(name: str, power: float) -> tuple[float, float, float]:
+    def of_axes(name: str, power: float) -> tuple[float, float, float]:
         values = np.array([getattr(part, name) for part in parts], dtype=float)
         telling = np.array([part.acceleration_rad_s2 for part in parts]) > 0.0
         out: list[float] = [
@@ -162,7 +162,7 @@ def pooled(parts: Sequence[TurningDisturbance]) -> TurningDisturbance:
 
     squares = ("acceleration_rad_s2", "process_rad_s_rs", "sensor_rad_rs", "turning_rad_s")
     times = ("correlation_s", "turning_correlation_s")
-    return TurningDisturbance(**{n: told(n, 2.0) for n in squares}, **{n: told(n, 1.0) for n in times})
+    return TurningDisturbance(**{n: of_axes(n, 2.0) for n in squares}, **{n: of_axes(n, 1.0) for n in times})
 
 
 def _densities(noise: TurningDisturbance, axis: int) -> tuple[float, float, float, float]:

@@ -131,10 +131,6 @@ class Free:
     held: float | None = None
     offset: bool = False
 
-    def clipped(self, value: float) -> float:
-        """The nearest plausible value."""
-        return float(np.clip(value, *self.plausible))
-
 
 def _trace(context: PriorContext) -> float:
     return float(np.trace(context.about.tensor))

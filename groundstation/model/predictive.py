@@ -235,7 +235,7 @@ class Windows:
 
     Attributes:
         flown: the course.
-        t_s, rate, told: stamps that the observer takes, measured rates there, and what it needs of them
+        t_s, rate, inputs: stamps that the observer takes, measured rates there, and what it needs of them
             (:func:`.seen`).
         at: which of those the windows start from, (k,).
         start_s, pose: times of the starts, and positions, velocities and attitudes there, (k, 10).
@@ -244,7 +244,7 @@ class Windows:
     flown: Course
     t_s: Array
     rate: Array
-    told: Array
+    inputs: Array
     at: NDArray[np.int64]
     start_s: Array
     pose: Array
@@ -257,9 +257,9 @@ def windows(flown: Course, index: NDArray[np.int64]) -> Windows:
     taken = np.union1d(np.arange(0, len(c.t_s), every), index)
     pose = np.concatenate([c.position, c.velocity, c.quaternion], axis=1)
     body = (c.tensor, c.inverse, c.gravity_m_s2)
-    told = seen(c.t_s[taken], c.velocity[taken], c.quaternion[taken], c.rate[taken], body)
+    inputs = seen(c.t_s[taken], c.velocity[taken], c.quaternion[taken], c.rate[taken], body)
     at = np.searchsorted(taken, index)
-    return Windows(c, c.t_s[taken], c.rate[taken], told, at, c.t_s[index], np.ascontiguousarray(pose[index]))
+    return Windows(c, c.t_s[taken], c.rate[taken], inputs, at, c.t_s[index], np.ascontiguousarray(pose[index]))
 
 
 def run(values: Array, begun: Windows, horizons: Sequence[float], step_s: float = GRID_S) -> Array:
@@ -269,7 +269,7 @@ def run(values: Array, begun: Windows, horizons: Sequence[float], step_s: float 
         values = values.copy()
         values[FLAPPING : FLAPPING + 2] = 0.0
     rotor = (integrated(c.rotor, GRID_S, values), c.rotor_start_s, GRID_S)
-    rates, extras = observed(begun.t_s, begun.rate, begun.told, rotor, values, c.pose)
+    rates, extras = observed(begun.t_s, begun.rate, begun.inputs, rotor, values, c.pose)
     marks = np.array([max(1, round(h / step_s)) for h in horizons], dtype=np.int64)
     starts = (begun.start_s, begun.pose, rates[begun.at], extras[begun.at])
     return simulated(starts, rotor, values, (c.tensor, c.inverse, c.gravity_m_s2), step_s, marks)

@@ -131,18 +131,18 @@ def _shares(p: Array, h: float, left: Array, new: Array) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def observed(t: Array, w: Array, told: Array, rotor: Rotor, p: Array, pose: bool) -> tuple[Array, Array]:
+def observed(t: Array, w: Array, inputs: Array, rotor: Rotor, p: Array, pose: bool) -> tuple[Array, Array]:
     """Rates (k, 3) and disturbances (k, 6) at each stamp from the past alone: an observer of constant gains.
 
     Args:
-        told: of :func:`seen`.
+        inputs: of :func:`seen`.
     """
     rates, extras = np.empty((len(t), 3)), np.zeros((len(t), 6))
     rate, extra = w[0].copy(), np.zeros(6)
     u, left, new, force = np.empty(5 * LANES + 1), np.empty(3), np.empty(3), np.empty(3)
     usual = -1.0
     for k in range(len(t)):
-        h = told[k, 0]
+        h = inputs[k, 0]
         if h > 0.5:  # nothing was seen for long: begin again
             rate[:] = w[k]
             extra[:] = 0.0
@@ -151,18 +151,18 @@ def observed(t: Array, w: Array, told: Array, rotor: Rotor, p: Array, pose: bool
             if abs(h - usual) > 1e-4 * usual:
                 usual = h
                 _shares(p, h, left, new)
-            b0, b1, b2 = told[k, 1], told[k, 2], told[k, 3]
+            b0, b1, b2 = inputs[k, 1], inputs[k, 2], inputs[k, 3]
             force[0] = -p[DRAG] * b0 + p[THRUST] * u[4 * LANES]
             force[1] = -p[DRAG + 1] * b1 + p[THRUST] * u[5 * LANES]
             force[2] = -p[DRAG + 2] * b2 + p[THRUST] * u[0] * (1.0 + p[LIFT] * (b0 * b0 + b1 * b1))
             for i in range(3):
                 turning = p[TORQUE + i] * u[(1 + i) * LANES] - p[DAMPING + i] * w[k - 1, i] + p[TRIM + i]
-                turning += extra[3 + i] + told[k, 4 + i]
+                turning += extra[3 + i] + inputs[k, 4 + i]
                 if i == 0:
                     turning += p[FLAPPING] * b1
                 elif i == 1:
                     turning -= p[FLAPPING + 1] * b0
-                lacked = told[k, 7 + i] - force[i] - extra[i]
+                lacked = inputs[k, 7 + i] - force[i] - extra[i]
                 extra[i] *= left[0]
                 if pose and np.isfinite(lacked):
                     extra[i] += new[0] * lacked

@@ -154,7 +154,7 @@ def _designed(family: Family, problem: Problem) -> Entry:
     except BadInput as refusal:
         return Entry(family.name, str(refusal))
     flown = replace(series, periods=float(round(problem.duration_s / series.period_s)))
-    plan = describe(flown, vehicle, problem.envelopes, criterion=family.name, noise=noise)
+    plan = describe(flown, replace(problem, criterion=family.name))
     return _entry(family.name, family.text, plan, vehicle, noise)
 
 
@@ -163,7 +163,7 @@ def _published(problem: Problem) -> Entry:
     vehicle, noise = problem.vehicles[0], problem.noise
     published = paper_plan().series()
     flown = replace(published, periods=max(problem.duration_s / published.period_s, 1.0))
-    plan = describe(flown, vehicle, problem.envelopes, criterion="condition", noise=noise)
+    plan = describe(flown, replace(problem, criterion="condition"))
     text = "published in Table 2 of the seed paper"
     if plan.largest_violation:
         text += f"; exceeds a limit by {plan.largest_violation:.2g}"

@@ -203,7 +203,7 @@ def plan_discrimination(
     found = _pairs(candidates, best, vehicle, noise)
     hardest = min(found, key=lambda pair: found[pair][0])
     total, channels = found[hardest]
-    plan = describe(best, vehicle, (bounds,), criterion="T", noise=noise, note=f"tells {' from '.join(hardest)}")
+    plan = describe(best, replace(one, criterion="T"), note=f"tells {' from '.join(hardest)}")
     shares: dict[str, float] = dict(zip(CHANNELS, (channels / max(total, 1e-300)).tolist(), strict=True))
     return Separation(plan, {pair: odds for pair, (odds, _) in found.items()}, shares)
 

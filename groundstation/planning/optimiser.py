@@ -232,13 +232,26 @@ def _polish(problem: Problem, exchange: _Exchange, unknowns: Array, watch: Calla
     return repair_about_start(problem.series(unknowns), problem)
 
 
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """How long to search.
+
+    Attributes:
+        seed: of the random starting points.
+        time_budget_s: for more starts; no new one is begun that would probably end later. None: each problem once.
+        starts: number of starts instead.
+    """
+
+    seed: int = 3
+    time_budget_s: float | None = None
+    starts: int | None = None
+
+
 def best_of(
     problems: Sequence[Problem],
+    budget: Budget,
     *,
     library: Sequence[Solved] = (),
-    seed: int = 3,
-    time_budget_s: float | None = None,
-    starts: int | None = None,
     progress: Progress = lambda fraction, text: None,
     watch: Watch = lambda series: None,
     clock: Callable[[], float] = time.monotonic,
@@ -247,15 +260,14 @@ def best_of(
 
     Args:
         problems: the same task at different base frequencies; each is tried once, then starts go to the best one.
+        budget: of starts or time.
         library: plans solved before; the nearest to each problem is its first start.
-        seed: of the random starting points.
-        time_budget_s: for more starts; no new one is begun that would probably end later. None: each problem once.
-        starts: number of starts instead.
         progress: called with the share of the work that is done and a line of text.
         watch: called with each iterate of the solver; KeyboardInterrupt raised in it ends the search.
         clock: seconds, monotonic.
     """
-    began, rng = clock(), np.random.default_rng(seed)
+    began, rng = clock(), np.random.default_rng(budget.seed)
+    time_budget_s, starts = budget.time_budget_s, budget.starts
     longest, tried = 0.0, 0
     first = len(problems) if time_budget_s is None and starts is None else starts
     with threadpool_limits(limits=1):  # the matrices are small: threads would only wait for each other

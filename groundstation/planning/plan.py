@@ -105,7 +105,7 @@ def plan_excitation(
     Raises:
         BadInput: an argument is impossible, or limits exclude even hovering; names the limit and how far off it is.
     """
-    from groundstation.planning.optimiser import best_of
+    from groundstation.planning.optimiser import Budget, best_of
     from groundstation.planning.problem import Problem
 
     vehicles = (vehicle,) if isinstance(vehicle, Vehicle) else tuple(vehicle)
@@ -116,12 +116,10 @@ def plan_excitation(
     _check(criterion, harmonics, time_budget_s)
     base = Problem(vehicles, envelopes, criterion, 1, 1.0, 1.0, start, noise, tuple(effects))
     problems = _at_each_frequency(base, harmonics, base_frequency_rad_s, duration_s, frequency_max_hz)
-    found = best_of(
-        problems, library=solved_rooms(), seed=seed, time_budget_s=time_budget_s, starts=starts, progress=progress,
-        watch=watch,
-    )  # fmt: skip
+    budget = Budget(seed, time_budget_s, starts)
+    found = best_of(problems, budget, library=solved_rooms(), progress=progress, watch=watch)
     series = replace(found.series, periods=float(round(problems[0].duration_s / found.series.period_s)))
-    plan = describe(series, vehicles[0], envelopes, criterion=criterion, noise=noise, effects=effects)
+    plan = describe(series, base)
     if not math.isfinite(found.sampled_bound):
         return plan
     said = f"criterion {found.cost:.5g}; with limits held at sampled instants only, the search reached"
@@ -158,26 +156,20 @@ def solved_rooms() -> list[Solved]:
     return [Solved.from_dict(each) for each in document["plans"]]
 
 
-def describe(
-    series: FourierSeries,
-    vehicle: Vehicle,
-    envelopes: Sequence[Envelope],
-    *,
-    criterion: str,
-    noise: Noise = DEFAULT_NOISE,
-    effects: Sequence[str] = (),
-    note: str = "",
-) -> Plan:
-    """A trajectory as a plan: its condition number, what it should reveal, and by how much it exceeds a limit."""
-    std = predicted_std(series, vehicle, noise, effects)
+def describe(series: FourierSeries, problem: Problem, note: str = "") -> Plan:
+    """A trajectory as the plan that solves a problem: its condition number, what it should reveal to the first of the
+    vehicles, and by how much it exceeds a limit.
+    """
+    vehicle, envelopes = problem.vehicles[0], problem.envelopes
+    std = predicted_std(series, vehicle, problem.noise, problem.effects)
     return Plan(
         vehicle=vehicle.name,
         base_frequency_rad_s=series.base_frequency_rad_s,
         periods=series.periods,
         coefficients=coefficients_from_arrays(series.a, series.b, series.c),
-        criterion=criterion,
+        criterion=problem.criterion,
         condition_number=condition_number(replace(series, periods=1.0), vehicle.gravity_m_s2),
-        largest_violation=largest_violation(series, tuple(envelopes)),
+        largest_violation=largest_violation(series, envelopes),
         limits=envelopes[0].stated(),
         predicted_std={name: value for name, value in std.items() if math.isfinite(value)},
         note=note or _note(series, vehicle, envelopes, std),

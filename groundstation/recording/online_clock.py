@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.mocap.health import told_clock
+from drivers.mocap.health import reported_clock
 from groundstation.flightdata import OnlineClock
 from groundstation.recording.recorded import Texts
 
@@ -19,7 +19,7 @@ def online_clock(events: Texts | None) -> OnlineClock | None:
         return None
     rows, steps = [], 0
     for t_s, row in zip(events.t_s.tolist(), events.rows, strict=True):
-        told = told_clock(row[1]) if row[0] == "clock" else None
+        told = reported_clock(row[1]) if row[0] == "clock" else None
         if told is not None and told.host_minus_vehicle_s is not None:
             rows.append((t_s, told.host_minus_vehicle_s, told.error_s + told.vehicle_error_s))
             steps = max(steps, told.steps)

@@ -36,6 +36,7 @@ class Identified:
         climb_damping_kg_s: thrust lost per climb speed, at hover.
         delay_s: pure delay from command to thrust.
         effects: every effect that was found, with its parameters.
+        model: the other parameters of the base fit that were identified.
         std: standard deviation of each identified parameter; what is not in here was declared.
         adjusted: what was changed so that a reader takes it, as a sentence for the file's head.
     """
@@ -51,6 +52,7 @@ class Identified:
     climb_damping_kg_s: float
     delay_s: float
     effects: Mapping[str, Mapping[str, float]]
+    model: Mapping[str, float]
     std: Mapping[str, float]
     adjusted: str = ""
 
@@ -137,6 +139,7 @@ def identified_from_document(document: Document) -> Identified:
         climb_damping_kg_s=effects.get("climb_inflow", {}).get("k_kg_s", value.get("damping_climb_kg_s", 0.0)),
         delay_s=max(0.0, value.get("input_delay_s", 0.0)),
         effects=effects,
+        model={name: value[name] for name in document.get("model", {}) if name in value},
         std={name: pair[1] for name, pair in flat.items()},
     )
 

@@ -196,7 +196,7 @@ def _mocap_tilt(v: Values, model: Identified) -> Held:
 
 
 def _motor_lag(v: Values, model: Identified) -> Held | None:
-    """A lag whose rate goes with the speed is a motor's with its propeller; else ``truth.lag`` holds it.
+    """A lag whose rate depends on the speed is a motor's with its propeller; else ``truth.lag`` holds it.
 
     About hover the motor's rate rises by ``propeller_share`` of it per share of speed, and what brakes is that share
     and as much of the rest as the controller uses: tau_up / tau_down = share + braking (1 - share).
@@ -211,7 +211,7 @@ def _motor_lag(v: Values, model: Identified) -> Held | None:
         "propeller_share": share,
         "braking_share": min(max(braking, 0.1), 1.0),
     }
-    return Held("motor_lag", table, "its rate by the command alone: the simulator's goes with the speed, too")
+    return Held("motor_lag", table, "its rate by the command alone: the simulator's depends on the speed, too")
 
 
 def _nothing(v: Values, model: Identified) -> None:

@@ -71,6 +71,7 @@ def to_csv(model: Identified) -> str:
     values |= {f"d_{a}_kg_s": v for a, v in zip("xy", model.rotor_drag_kg_s, strict=True)}
     values |= {f"damping_{a}_nms": v for a, v in zip("xyz", model.damping_nms, strict=True)}
     values["input_delay_s"] = model.delay_s
+    values |= {name: value for name, value in model.model.items() if name not in values}
     for name, value in values.items():
         std = model.std.get(name)
         source = "identified" if std is not None else "declared"

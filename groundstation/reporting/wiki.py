@@ -75,7 +75,7 @@ def _results(flight: FlightData, identification: Identification, diagnosis: Diag
         for finding in diagnosis.findings:
             where = f", rotor {finding.rotor}" if finding.rotor is not None else ""
             head = f"{finding.effect.replace('_', ' ')}{where} ({significant(100 * finding.confidence)} %)"
-            yield f"- **{cell(head)}**: {cell(readable(finding.evidence))}"
+            yield f"- **{cell(head)}**: {cell(readable(finding.sentence))}"
     warnings = dict.fromkeys([*identification.warnings, *(diagnosis.warnings if diagnosis else ())])
     if warnings:
         yield from ("", "## Warnings", "")

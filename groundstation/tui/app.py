@@ -144,7 +144,8 @@ class GroundStation(App[int]):
 
     def _find_flight(self) -> None:
         """On a thread: a flight begun by another client is followed."""
-        for folder, endpoint in running_cores(self.logs, told=lambda text: self.call_from_thread(self._fail, text))[:1]:
+        running = running_cores(self.logs, report=lambda text: self.call_from_thread(self._fail, text))
+        for folder, endpoint in running[:1]:
             self.call_from_thread(self.follow, CoreWatch(endpoint, folder))
 
     @property

@@ -153,16 +153,16 @@ class Announcer:
     """Says once when a limit is approached, and again only after it was well away from it in between."""
 
     def __init__(self) -> None:
-        self._told: dict[str, Level] = {}
+        self._reported: dict[str, Level] = {}
 
     def news(self, found: Sequence[Margin]) -> list[str]:
         """Sentences for limits that came nearer since the last call; each is worth a bell."""
         said = []
         for margin in found:
             if margin.used < AGAIN:
-                self._told[margin.name] = Level.FAR
-            if margin.level > self._told.get(margin.name, Level.FAR):
-                self._told[margin.name] = margin.level
+                self._reported[margin.name] = Level.FAR
+            if margin.level > self._reported.get(margin.name, Level.FAR):
+                self._reported[margin.name] = margin.level
                 said.append(_sentence(margin))
         return said
 

@@ -1,4 +1,4 @@
-"""What the air does to the frame itself, and the air's own motion."""
+"""The air's own motion."""
 
 from __future__ import annotations
 
@@ -10,31 +10,6 @@ from pydantic import Field
 from sim.algebra import Vector, norm
 from sim.compiled import compiled
 from sim.lanes import select
-
-
-class BodyDrag(NamedTuple):
-    """Pressure drag of the frame as flat plates: F = -rho/2 |u| (A_x u_x, A_y u_y, A_z u_z) (Hoerner 1965).
-
-    Attributes:
-        area_m2: drag coefficient times area of each face.
-    """
-
-    area_m2: tuple[float, float, float] = (0.03, 0.03, 0.06)
-    on: bool = True
-
-
-class AngularDamping(NamedTuple):
-    """Moment against the body rate: linear from the rotors' inflow when their hubs rise and fall, quadratic from the
-    arms.
-
-    Attributes:
-        damping_nms: about body x, y, z.
-        quadratic_nm_s2: about body x, y, z.
-    """
-
-    damping_nms: tuple[float, float, float] = (0.01, 0.01, 0.005)
-    quadratic_nm_s2: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    on: bool = True
 
 
 class Wind(NamedTuple):
@@ -50,24 +25,6 @@ class Wind(NamedTuple):
     gust_m_s: Annotated[float, Field(ge=0.0)] = 0.3
     scale_m: Annotated[float, Field(gt=0.0)] = 3.0
     on: bool = True
-
-
-@compiled
-def body_drag(p: BodyDrag, u: Vector, density: float) -> Vector:
-    """Force in the body at air velocity u."""
-    q = -0.5 * density * norm(u)
-    return (q * p.area_m2[0] * u[0], q * p.area_m2[1] * u[1], q * p.area_m2[2] * u[2])
-
-
-@compiled
-def angular_damping(p: AngularDamping, w: Vector) -> Vector:
-    """Moment in the body."""
-    a, b = p.damping_nms, p.quadratic_nm_s2
-    return (
-        -(a[0] + b[0] * abs(w[0])) * w[0],
-        -(a[1] + b[1] * abs(w[1])) * w[1],
-        -(a[2] + b[2] * abs(w[2])) * w[2],
-    )
 
 
 @compiled

@@ -38,7 +38,7 @@ class RotorDrag(NamedTuple):
 class FlappingMoment(NamedTuple):
     """Blades flap back by an angle proportional to the advance ratio; the hub's spring turns it into a moment, nose up.
 
-    M = -k_beta a_1(mu) with a_1 proportional to mu = V/(Omega R) (Prouty 1990, ch. 7), so the moment goes with V/Omega.
+    M = -k_beta a_1(mu) with a_1 proportional to mu = V/(Omega R) (Prouty 1990, ch. 7), hence to V/Omega.
 
     Attributes:
         k_nm_s_m: moment per air speed of the whole vehicle in hover, N m per m/s.

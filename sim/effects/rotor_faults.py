@@ -14,7 +14,7 @@ RotorNumber = Annotated[int, Field(ge=1, le=16)]
 
 
 class WeakRotor(NamedTuple):
-    """A propeller cut shorter. By similarity thrust goes with D^4 and torque with D^5 (Leishman 2006, sec. 2.2).
+    """A propeller cut shorter. By similarity thrust is proportional to D^4 and torque to D^5 (Leishman 2006, sec. 2.2).
 
     Attributes:
         rotor: its number, from 1.
@@ -45,7 +45,7 @@ class RotorDegradation(NamedTuple):
 
 
 class ThrustScale(NamedTuple):
-    """Air of another density than the one the thrust constant was measured in (T and Q go with rho).
+    """Air of another density than the one the thrust constant was measured in (T and Q are proportional to rho).
 
     Attributes:
         density_ratio: density now over density then.

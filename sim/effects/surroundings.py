@@ -73,7 +73,7 @@ def magnet(p: Magnet, position: Vector, q: Quaternion) -> tuple[Vector, Vector]:
     unit = scale(1.0 / max(norm(along), 1e-9), along)
     square = distance * distance
     force = scale(p.strength_n_m4 / (square * square), unit)
-    # A dipole's field goes with 1/r^3: the torque on ours per force is a third of the distance.
+    # A dipole's field falls as 1/r^3: the torque on ours per force is a third of the distance.
     field = scale(p.strength_n_m4 / (3.0 * (distance * square)), unit)
     return force, cross(p.moment_body, to_body(q, field))
 

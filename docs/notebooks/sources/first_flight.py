@@ -38,7 +38,7 @@ api.plot(flight)
 diagnosis = api.diagnose(flight)
 print(diagnosis.verdict)
 for finding in diagnosis.findings:
-    print(f"{finding.confidence:.0%}  {finding.evidence}")
+    print(f"{finding.confidence:.0%}  {finding.sentence}")
 
 # %%
 api.plot(diagnosis)

@@ -64,4 +64,4 @@ api.plot(after)
 
 # %% [markdown]
 # The simulator's strength was 3.0 N m³. To keep an effect, put the same definition into a file of
-# `groundstation/diagnosis/effects/` with the name `EFFECT`.
+# `groundstation/diagnosis/effects/` with the name `EFFECT`; docs/extending.md shows it together with the simulator's side.

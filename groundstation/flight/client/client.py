@@ -68,10 +68,6 @@ class CoreClient:
         request = Lease(self.name, take=True, force=force, sequence=self._next())
         return bus.ask(self._session, bus.CORE_LEASE, request, LeaseAnswer)
 
-    def give_lease(self) -> LeaseAnswer:
-        """Stop being the operator."""
-        return bus.ask(self._session, bus.CORE_LEASE, Lease(self.name, take=False, sequence=self._next()), LeaseAnswer)
-
     def _next(self) -> int:
         """The number of the next order: of the clock, so that it grows when a client of this name is started again."""
         self._sequence = max(self._sequence + 1, time.time_ns())
@@ -156,10 +152,10 @@ def start_core(
 
 
 def running_cores(
-    logs: Path, timeout_s: float = 1.0, told: Callable[[str], None] = lambda sentence: None
+    logs: Path, timeout_s: float = 1.0, report: Callable[[str], None] = lambda sentence: None
 ) -> list[tuple[Path, Access]]:
-    """Flights in ``logs`` whose core answers now: (folder, access), newest first; ``told`` hears of files that are not
-    ours.
+    """Flights in ``logs`` whose core answers now: (folder, access), newest first; ``report`` gets a sentence on each
+    file that is not ours.
     """
     found = []
     for file in sorted(logs.glob(f"*/{ENDPOINT_FILE}"), reverse=True):
@@ -168,7 +164,7 @@ def running_cores(
             with bus.open_session(connect=[access.endpoint], connect_timeout_s=timeout_s, login=access.login):
                 found.append((file.parent, access))
         except BadInput as error:
-            told(str(error))
+            report(str(error))
         except ConnectionError:
             continue
     return found

@@ -60,7 +60,7 @@ class Pace:
         self._down = any(event.text.partition(":")[0] in _AT_REST for event in events)
         return True
 
-    def told(self, status: DroneStatus) -> None:
+    def heard(self, status: DroneStatus) -> None:
         """The vehicle said how it is: on the bus, a word may overtake the samples that came before it."""
         self._early.append(status)
 

@@ -223,7 +223,7 @@ class FlightCore:
 
     def _on_word(self, word: bus.DroneStatus) -> None:
         self._process.heard()
-        self.pace.told(word)
+        self.pace.heard(word)
         for status in self.pace.due():
             self._on_status(status)
 

@@ -43,7 +43,6 @@ class FlyUntil:
         self._waiting, self._looked_s = False, -math.inf
         self._preview_s = -math.inf
         self._newest: Look | None = None
-        self._moment_s = 0.0
 
     def follow(self, status: DroneStatus) -> None:
         """The excitation's start on the host's clock."""
@@ -68,7 +67,6 @@ class FlyUntil:
         """Everything up to a moment is known: the order that leaves now, and the sentence for the log; both empty
         between looks.
         """
-        self._moment_s = host_s
         if self._waiting or self._start_s is None:
             return "", ""
         if host_s + (batch_s if self._lock_step else 0.0) <= self._look_s():
@@ -99,7 +97,7 @@ class FlyUntil:
         if look is None:
             return None
         rows = {
-            n: KnownStatus(*(_told(v) for v in (p.spent, p.at_any_time, p.seconds))) for n, p in look.progress.items()
+            n: KnownStatus(*(_finite(v) for v in (p.spent, p.at_any_time, p.seconds))) for n, p in look.progress.items()
         }
         proposal = (
             ""
@@ -112,5 +110,5 @@ class FlyUntil:
         return UntilStatus(rows, look.sentence, proposal, known.length * period_s, known.goal.at_most * period_s)
 
 
-def _told(value: float) -> float | None:
+def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None

@@ -81,6 +81,6 @@ class CapturedPoses:
         self._sent_s = received_s
         return list(view.profile.external_pose(pose, pose.device_s, mocap.std_m, mocap.std_rad, 0))
 
-    def told(self, event: Event) -> None:
+    def heard(self, event: Event) -> None:
         """The motion capture's client says how it is."""
         self.said = "" if event.kind == "clock" else event.text

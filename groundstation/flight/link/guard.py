@@ -155,7 +155,7 @@ def _late(seen: Observations) -> str:
     if seen.clock_rate is None or seen.clock_rate > _SLOW_CLOCK:
         return ""
     return (
-        f"; its clock ran at {seen.clock_rate:.2f} of ours: a simulation behind real time rather than a vehicle astray"
+        f"; its clock ran at {seen.clock_rate:.2f} of ours: a simulation behind real time, not a vehicle off its path"
     )
 
 

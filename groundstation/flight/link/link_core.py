@@ -171,12 +171,12 @@ class LinkCore:
             self._send(message, received_s, out)
         return out
 
-    def mocap_told(self, event: Event, received_s: float) -> None:
+    def mocap_event(self, event: Event, received_s: float) -> None:
         """The motion capture's client says how it is."""
         fit, text = self.clock.fit(), event.text
         if event.kind == "clock" and fit is not None:
             text += vehicle_clock_text(received_s - fit.device(received_s), fit.error_s(received_s))
-        self._captured.told(event)
+        self._captured.heard(event)
         self.note(received_s, event.kind, text)
 
     def _watch_marker(self, sample: Imu | Pose, host_s: float) -> None:

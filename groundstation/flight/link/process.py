@@ -228,7 +228,7 @@ class LinkProcess:
             if isinstance(sample, Pose):
                 self._emit(self.core.pose(sample, received_s))
             else:
-                self.core.mocap_told(sample, received_s)
+                self.core.mocap_event(sample, received_s)
         self._emit(self.core.step(now, self.transport.read()))
         if self.core.peer is not None:
             self.transport.answer(self.core.peer)

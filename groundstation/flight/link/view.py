@@ -50,7 +50,7 @@ class VehicleView:
 
     Attributes:
         profile: how to read it.
-        mode, intended_mode: by name; PX4 keeps intending OFFBOARD after it was lost.
+        mode: by name.
         armed: as the heartbeat says; None before the first.
         on_ground: as EXTENDED_SYS_STATE says; None where it never came.
         serial: the autopilot's own number; empty where it tells none.
@@ -70,7 +70,6 @@ class VehicleView:
 
     profile: Profile
     mode: str = ""
-    intended_mode: str = ""
     armed: bool | None = None
     on_ground: bool | None = None
     checks_pass: bool | None = None
@@ -118,7 +117,6 @@ class VehicleView:
                 self._heartbeat(m, received.frame.component, now_s)
             case "CURRENT_MODE":
                 self.mode = self.profile.mode_name(m.custom_mode)
-                self.intended_mode = self.profile.mode_name(m.intended_custom_mode)
             case "EXTENDED_SYS_STATE":
                 if m.landed_state != mavlink.MAV_LANDED_STATE_UNDEFINED:
                     self.on_ground = m.landed_state == _ON_GROUND

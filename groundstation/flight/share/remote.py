@@ -80,10 +80,6 @@ class RemoteClient:
         """Become the operator, if nobody else is."""
         return self._lease(Lease(self.name, take=True, force=force, sequence=self._next()))
 
-    def give_lease(self) -> LeaseAnswer:
-        """Stop being the operator."""
-        return self._lease(Lease(self.name, take=False, sequence=self._next()))
-
     def file(self, request: FileRequest) -> FilePart:
         """A part of a file of the flight."""
         return self._ask(self._keys.file, request, FilePart)

@@ -113,7 +113,7 @@ class Poses:
     """
 
     def __init__(self, put: Callable[[str, Batch], None]):
-        self._put, self._sequence, self._told = put, 0, False
+        self._put, self._sequence, self._announced = put, 0, False
 
     def read(self, cameras: Cameras, stop: threading.Event, say: Say) -> None:
         """One connection, to its end.
@@ -129,8 +129,8 @@ class Poses:
                         self._give(body.name, Pose(arrived.stamp_s, body.position_m, body.quaternion))
                     for name in arrived.frame.lost:
                         self._give(name, Pose(arrived.stamp_s, *UNSEEN))
-                if not self._told and session.reader.names:
-                    self._told = True
+                if not self._announced and session.reader.names:
+                    self._announced = True
                     say(f"{cameras.system} at {cameras.host}: {', '.join(session.reader.names[:20])}")
         finally:
             session.close()

@@ -173,7 +173,7 @@ def _findings(diagnosis: Diagnosis) -> Markup | None:
             element(
                 "li",
                 element("h3", effect_name(finding.effect), where),
-                element("p", readable(finding.evidence, _identifiers(diagnosis))),
+                element("p", readable(finding.sentence, _identifiers(diagnosis))),
                 tags,
                 doubt,
             )

@@ -110,14 +110,14 @@ report. `groundstation campaign` does the same on the command line, and either g
             try:
                 job()
             except (GroundStationError, OSError) as error:
-                self._told(str(error))
+                self._report(str(error))
             finally:
                 self._busy = False
                 self.station.call_from_thread(self.on_screen_resume)
 
         self.run_worker(guarded, thread=True, group="campaign")
 
-    def _told(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         self.station.call_from_thread(self.say, "#campaign-said", text)
 
     def _begin(self) -> None:
@@ -127,7 +127,7 @@ report. `groundstation campaign` does the same on the command line, and either g
         setup = self.station.setup
         self._back = 0
         stand = begin(self.station.logs, setup.vehicle, DEFAULT, seed=setup.seed)
-        self._told(f"begun: {DEFAULT} within {stand.at_most} flights; n plans the first")
+        self._report(f"begun: {DEFAULT} within {stand.at_most} flights; n plans the first")
 
     def _next(self) -> None:
         from groundstation.campaign.campaign import advance, autopilot_limits, was_flown
@@ -137,12 +137,12 @@ report. `groundstation campaign` does the same on the command line, and either g
         stand, setup = self._stand, self.station.setup
         assert stand is not None  # noqa: S101 - offered only then
         limits = {} if setup.simulated else autopilot_limits(stand.vehicle)
-        stand = advance(stand, was_flown, say=self._told, limits=limits)
+        stand = advance(stand, was_flown, say=self._report, limits=limits)
         write_campaign_report(stand.folder / "report.html", stand)
         if stand.outcome:
-            self._told(stand.sentence)
+            self._report(stand.sentence)
             return
-        self._told(f"next: {stand.pending['why']}")
+        self._report(f"next: {stand.pending['why']}")
         mine = replace(setup, vehicle=str(stand.folder / "vehicle.toml"), seed=setup.seed + len(stand.rounds))
         plan = load_plan(Path(stand.pending["plan"]))
 
