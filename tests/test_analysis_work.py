@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from groundstation.diagnosis import diagnose
-from groundstation.diagnosis.columns import Columns, Recent
+from groundstation.diagnosis.columns import Recent
 from groundstation.identification import instruments
 from groundstation.identification.noise import NoiseModel, innovation_products, innovations
 from groundstation.identification.pipeline import identify
@@ -64,21 +64,19 @@ def test_a_planned_motion_in_parts_is_that_of_the_whole_and_takes_less_room(monk
     assert most[1] < 0.7 * most[0]
 
 
-def test_columns_that_find_no_room_are_made_anew() -> None:
+def test_batches_that_find_no_room_are_made_anew() -> None:
     recent, made = Recent(3000), []
 
-    def columns(value: float) -> Columns:
-        def anew() -> Columns:
-            made.append(value)
-            return Columns.of(np.full((100, 1), value), np.full((100, 1), -value), np.ones((6, 1)))
+    def batch(number: int) -> np.ndarray:
+        def anew() -> np.ndarray:
+            made.append(number)
+            return np.full((100, 2), float(number))
 
-        return anew().recent(recent, anew)
+        return recent.batch(number, anew)
 
-    one, two = columns(1.0), columns(2.0)
-    assert made == [1.0, 2.0]
-    assert one.sensitivity[0, 0] == 1.0 and two.instrument[0, 0] == -2.0
-    assert made == [1.0, 2.0, 1.0, 2.0]
-    assert two.sensitivity[5, 0] == 2.0 and made == [1.0, 2.0, 1.0, 2.0]
+    assert batch(1)[0, 0] == 1.0 and batch(1)[5, 1] == 1.0 and made == [1]
+    assert batch(2)[0, 0] == 2.0 and made == [1, 2]
+    assert batch(1)[0, 0] == 1.0 and made == [1, 2, 1]
 
 
 @pytest.mark.parametrize("name", ["qball2", "x500"])

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from groundstation.campaign.deciding import Decision, first_plan, flights_needed, next_plan
 from groundstation.campaign.judging import Errors, at_floor, prediction_errors, without_effects
@@ -28,6 +28,9 @@ from groundstation.targets import parse_targets, reached
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
 from groundstation.writing import write_whole
+
+if TYPE_CHECKING:  # analyses are heavy to import
+    from groundstation.campaign.kept import Kept
 
 SCHEMA = "groundstation.campaign/1"
 FILE = "campaign.json"
@@ -167,8 +170,11 @@ def run(campaign: Campaign, flyer: Flyer, *, say: Say = lambda text: None, **lim
     Args:
         flyer: flies a plan; what it raises leaves the campaign as it was before that flight.
     """
+    from groundstation.campaign.kept import Kept
+
+    kept = Kept()
     while True:
-        campaign = advance(campaign, flyer.was_flown, say=say, limits=limits)
+        campaign = advance(campaign, flyer.was_flown, say=say, limits=limits, kept=kept)
         if campaign.outcome:
             return campaign
         folder = flyer.place()
@@ -177,18 +183,23 @@ def run(campaign: Campaign, flyer: Flyer, *, say: Say = lambda text: None, **lim
 
 
 def advance(
-    campaign: Campaign, flown: Callable[[Path], bool], *, say: Say = lambda text: None, limits: Mapping[str, float]
+    campaign: Campaign,
+    flown: Callable[[Path], bool],
+    *,
+    say: Say = lambda text: None,
+    limits: Mapping[str, float],
+    kept: Kept | None = None,
 ) -> Campaign:
     """Up to the next flight: what was flown is taken in, and the next is decided; or the campaign's end. Each step is
     written down.
 
     Args:
         flown: whether the flight in a folder ended as planned.
-        limits: of plans.
+        limits: of plans. kept: what earlier rounds left.
     """
     folder = campaign.pending.get("folder")
     if folder and not campaign.outcome and flown(Path(folder)):
-        campaign = take_in(campaign, Path(folder), campaign.pending["why"], say=say)
+        campaign = take_in(campaign, Path(folder), campaign.pending["why"], say=say, kept=kept)
         campaign = replace(campaign, pending={}).save()
     if campaign.pending or campaign.outcome:
         return campaign
@@ -246,28 +257,31 @@ def _decision(campaign: Campaign, limits: Mapping[str, float]) -> Decision:
     return next_plan(campaign.vehicle, diagnosis, last.estimates, last.reached, **options)
 
 
-def take_in(campaign: Campaign, folder: Path, why: str, *, say: Say = lambda text: None) -> Campaign:
+def take_in(
+    campaign: Campaign, folder: Path, why: str, *, say: Say = lambda text: None, kept: Kept | None = None
+) -> Campaign:
     """Judge the model on a flight, then put the flight in.
+
+    Args:
+        kept: what earlier rounds left, and this one leaves.
 
     Raises:
         BadInput: the flight cannot be read.
     """
     from groundstation.analysis.documents import write_json
+    from groundstation.campaign.kept import Kept
     from groundstation.diagnosis import diagnose
     from groundstation.identification.pipeline import identify
-    from groundstation.identification.work import Work
-    from groundstation.recording import load_flight
     from groundstation.reporting.exports import model_document, write_model
 
-    number = len(campaign.rounds) + 1
-    flight = load_flight(folder, vehicle=campaign.vehicle)
+    number, kept = len(campaign.rounds) + 1, kept or Kept()
+    flight = kept.flight(folder, campaign.vehicle)
     judged = _judge(campaign, flight, say)
-    flights = [*(load_flight(Path(r.folder), vehicle=campaign.vehicle) for r in campaign.rounds), flight]
+    flights = [*(kept.flight(Path(r.folder), campaign.vehicle) for r in campaign.rounds), flight]
     say(f"flight {number}: identifying and diagnosing {number} flight{'s' if number > 1 else ''} together")
     try:
-        work = Work()
-        found = identify(flights, work=work)
-        diagnosis = diagnose(flights, work=work)
+        found = identify(flights, work=kept.work)
+        diagnosis = diagnose(flights, work=kept.work)
     except Refused as error:
         return _next(campaign, Round(str(folder), why, _seconds(flight), judged, not_settled=(str(error),)))
     model = model_document(found, campaign.vehicle, diagnosis)

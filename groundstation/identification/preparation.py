@@ -4,7 +4,7 @@ it is used.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -218,13 +218,19 @@ def _kept(
     return keep
 
 
-def prepare_all(flights: Sequence[FlightData], exclude: Sequence[Stretch] = ()) -> list[Prepared]:
+def prepare_all(
+    flights: Sequence[FlightData], exclude: Sequence[Stretch] = (), before: Mapping[int, Prepared] | None = None
+) -> list[Prepared]:
     """:func:`prepare` each flight.
+
+    Args:
+        before: those that are prepared already, with these stretches left out, by the identity of the flight.
 
     Raises:
         BadInput: a stretch to leave out lies in none of the flights.
     """
-    prepared = [prepare(flight, exclude=exclude) for flight in flights]
+    known = before or {}
+    prepared = [known.get(id(flight)) or prepare(flight, exclude=exclude) for flight in flights]
     for first, last in exclude:
         if not any(np.any((p.record.t_s >= first) & (p.record.t_s <= last)) for p in prepared):
             spans = " and ".join(f"{p.record.t_s[0]:.2f} to {p.record.t_s[-1]:.2f} s" for p in prepared)

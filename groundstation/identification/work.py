@@ -31,10 +31,14 @@ class Work:
         return self._checks[1]
 
     def prepared(self, flights: Sequence[FlightData], exclude: Stretches) -> list[Prepared]:
-        """:func:`.preparation.prepare_all`."""
+        """:func:`.preparation.prepare_all`; a flight that was among the last ones is not prepared again."""
         known = self._flights
-        if known is None or not _same(known[0], flights) or known[1] != list(exclude):
-            known = self._flights = list(flights), list(exclude), prepare_all(flights, exclude)
+        if known is None or known[1] != list(exclude):
+            known = [], list(exclude), []
+        if not _same(known[0], flights):
+            before = {id(flight): prepared for flight, prepared in zip(known[0], known[2], strict=True)}
+            known = list(flights), list(exclude), prepare_all(flights, exclude, before)
+        self._flights = known
         return known[2]
 
     def fitted(self, prepared: Sequence[Prepared], progress: Progress = lambda fraction, text: None) -> DynamicFit:
