@@ -18,7 +18,7 @@ from typing import Any
 
 from groundstation import api
 from groundstation.diagnosis.trim import compare_trims
-from groundstation.errors import Refused
+from groundstation.errors import GroundStationError
 from groundstation.identification.preparation import Prepared, prepare
 
 HEALTHY = "normal_flight"
@@ -65,10 +65,9 @@ def prepared_sets(folder: Path) -> dict[tuple[str, str], list[Prepared]]:
     out: dict[tuple[str, str], list[Prepared]] = {}
     for path in sorted(folder.glob("*/*")):
         if re.fullmatch(r"E\d+_log\d+", path.name):
-            flight = api.load_flight(path, vehicle=vehicle)
             try:
-                prepared = prepare(flight)
-            except Refused as refusal:
+                prepared = prepare(api.load_flight(path, vehicle=vehicle))
+            except GroundStationError as refusal:
                 print(f"left out: {path.parent.name}/{path.name}: {refusal}", flush=True)
                 continue
             out.setdefault((path.parent.name, path.name.partition("_")[0]), []).append(prepared)

@@ -1,4 +1,4 @@
-"""The simulator alone, many flights at once on one core and on two, and RotorPy: steps a second, all sensors on.
+"""The simulator alone, many flights at once on one core and on two, RotorPy, crazyflow: steps a second.
 
 All fly the paper's published trajectory with the QBall 2's mass, inertia and rotors; the ground-truth loop of RotorPy
 is its own (Multirotor with the SE3 controller and its IMU), stepped at the same rate over a part of the flight, because
@@ -11,7 +11,10 @@ Run with ``python -m benchmarks.simulator``; ``--flights 1024`` is the study of 
 from __future__ import annotations
 
 import argparse
+import os
 import statistics
+import subprocess
+import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -29,8 +32,10 @@ from sim.build import STEP_S
 from sim.flight import SimulatedFlight, simulate
 from sim.many import Job, simulate_many
 from sim.scenario import load_scenario
+from studies.timing import seconds
 
 RUNS = 3
+WORLDS, WORLD_STEPS = 1024, 200
 WARM = 8
 ROTORPY_S = 4.0
 
@@ -148,6 +153,37 @@ def rotorpy(vehicle: Vehicle, plan: Plan) -> float:
     return steps / (time.process_time() - began)
 
 
+def crazyflow() -> float | None:
+    """Steps a processor second of all worlds of crazyflow together; none where it is not installed.
+
+    In a process of its own, for it wants SciPy's settings before SciPy.
+    """
+    code = "from benchmarks.simulator import crazyflow_here; print(crazyflow_here())"
+    settings = {**os.environ, "SCIPY_ARRAY_API": "1"}
+    done = subprocess.run([sys.executable, "-c", code], env=settings, capture_output=True, text=True, check=False)
+    return None if done.returncode else float(done.stdout.split()[-1])
+
+
+def crazyflow_here() -> float:
+    """Steps a processor second, median of several runs."""
+    from crazyflow.control import Control
+    from crazyflow.dynamics import Dynamics
+    from crazyflow.sim import Sim
+
+    worlds = Sim(n_worlds=WORLDS, dynamics=Dynamics.first_principles, control=Control.attitude, freq=500)
+    worlds.reset()
+    command = np.zeros((WORLDS, 1, 4), dtype=np.float32)
+    command[..., 3] = 0.3
+
+    def fly() -> None:
+        worlds.attitude_control(command)
+        worlds.step(WORLD_STEPS)
+        np.asarray(worlds.data.states.pos)  # waits until it is done
+
+    fly()  # compiles
+    return WORLDS * WORLD_STEPS / statistics.median(seconds(fly) for _ in range(RUNS))
+
+
 def main() -> None:
     """Print all of them."""
     parser = argparse.ArgumentParser(description="Steps a second of the simulator, and of RotorPy.")
@@ -170,6 +206,10 @@ def main() -> None:
     print(
         f"RotorPy:   {theirs:9.0f} steps/s of {1e3 * STEP_S:g} ms, plant, controller and IMU; ratio {rate / theirs:.0f}"
     )
+    if (worlds := crazyflow()) is not None:
+        print(
+            f"crazyflow: {worlds:9.0f} steps/s of a processor second, {WORLDS} worlds, body, motors and attitude loop"
+        )
 
 
 if __name__ == "__main__":

@@ -6,15 +6,13 @@ The packages are the optional extra ``peers``; a tool that is not installed has 
 from __future__ import annotations
 
 import importlib.util
-import os
 import statistics
-import subprocess
-import sys
 from collections.abc import Callable
 
 import numpy as np
 
 from benchmarks import planner, simulator
+from benchmarks.simulator import WORLDS
 from benchmarks.speed import Row
 from groundstation.paths import find_config
 from groundstation.planning import paper_plan
@@ -32,8 +30,8 @@ same row's task.
 | ours, regressor | thrust and torque rows for mass and six inertias, Gram matrix, solution | centre of mass |
 | FIGAROH 1.0, regressor | six wrench rows for the ten parameters of a body by Pinocchio, sample by sample; Gram \
 matrix, solution | noise, lag, clocks, intervals |
-| ours, simulator | rigid body, rotors, battery, PID, estimator, IMU, poses, clocks, disturbance; Runge-Kutta at 1 ms \
-| |
+| ours, simulator | rigid body, rotors, battery, PID, estimator, IMU, poses, clocks, disturbance; Runge-Kutta at 1 ms; \
+many at once are eight in lockstep | |
 | RotorPy | rigid body, rotors, SE3 controller, IMU; SciPy's integrator | pose sensor, clocks, battery, estimator |
 | MuJoCo | one free body with four rotor forces; Runge-Kutta at 1 ms | controller, sensors, motors, everything else |
 | crazyflow | 1024 worlds at once: rigid body, first-order motors, attitude controller, compiled by JAX for the \
@@ -46,7 +44,6 @@ SAMPLES = 30_000
 """A minute at 500 Hz."""
 RUNS = 3
 WRENCH = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
-WORLDS, WORLD_STEPS = 1024, 200
 MUJOCO_STEPS = 20_000
 BUDGET_S = 4.0
 """Processor seconds that SLSQP gets."""
@@ -120,40 +117,14 @@ def _simulators() -> list[Row]:
 
     rate_mujoco = MUJOCO_STEPS / _median(fly)
     rows.append(Row("a free body with four forces: MuJoCo", rate_mujoco, "steps/s", ratio=rate_mujoco / rate))
-    if importlib.util.find_spec("crazyflow"):
-        rows += _crazyflow(rate)
+    together = simulator.many(WORLDS)
+    rows.append(
+        Row(f"{WORLDS} flights at once, per processor second: ours", together, "steps/s", ratio=together / rate)
+    )
+    if (theirs := simulator.crazyflow()) is not None:
+        what = f"{WORLDS} worlds at once, per processor second: crazyflow"
+        rows.append(Row(what, theirs, "steps/s", ratio=theirs / rate))
     return rows
-
-
-def crazyflow() -> float:
-    """Steps a processor second of all worlds together; in a process of its own, for it wants SciPy's settings before
-    SciPy.
-    """
-    from crazyflow.control import Control
-    from crazyflow.dynamics import Dynamics
-    from crazyflow.sim import Sim
-
-    worlds = Sim(n_worlds=WORLDS, dynamics=Dynamics.first_principles, control=Control.attitude, freq=500)
-    worlds.reset()
-    command = np.zeros((WORLDS, 1, 4), dtype=np.float32)
-    command[..., 3] = 0.3
-
-    def fly() -> None:
-        worlds.attitude_control(command)
-        worlds.step(WORLD_STEPS)
-        np.asarray(worlds.data.states.pos)  # waits until it is done
-
-    return WORLDS * WORLD_STEPS / _median(fly)
-
-
-def _crazyflow(rate: float) -> list[Row]:
-    code = "from benchmarks.speed_peers import crazyflow; print(crazyflow())"
-    settings = {**os.environ, "SCIPY_ARRAY_API": "1"}
-    done = subprocess.run([sys.executable, "-c", code], env=settings, capture_output=True, text=True, check=False)
-    if done.returncode:
-        return []
-    found = float(done.stdout.split()[-1])
-    return [Row(f"{WORLDS} worlds at once, per processor second: crazyflow", found, "steps/s", ratio=found / rate)]
 
 
 def _planners() -> list[Row]:

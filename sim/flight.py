@@ -22,7 +22,7 @@ EXCITATION = 3
 """Which part of :func:`groundstation.trajectory.flight_path` is the excitation."""
 
 _CHUNK = 500  # steps after which a flight is asked whether it is over
-_AT_ONCE = 8  # of these prepared together while it cannot be
+_AT_ONCE = 16  # of these prepared together while it cannot be
 _REMEMBERED = 400  # of these of which the setpoints are kept: three minutes, 10 MB
 _SINK_M_S = 0.3  # how fast the setpoint goes on down after the landing leg, until the floor is felt
 
@@ -124,7 +124,7 @@ class LastRows:
 
 
 def flown(
-    simulation: Simulation, plan: Plan, rest_s: float, sources: dict[Hashable, SetpointSource]
+    simulation: Simulation, plan: Plan, rest_s: float, sources: dict[Hashable, SetpointSource], *, ahead: bool = False
 ) -> Generator[Prepared, dict[str, Samples], SimulatedFlight]:
     """A flight as stretches to run, each answered by what was recorded on it; returns the whole.
 
@@ -133,6 +133,7 @@ def flown(
         plan: what to fly.
         rest_s: seconds on the floor before and after.
         sources: setpoints of flights side by side, by plan and start; added to.
+        ahead: whether a stretch may be told to be shorter than it was prepared, where the vehicle lands on it.
 
     Raises:
         FlightAborted: the vehicle hit the floor or did not come down.
@@ -148,8 +149,12 @@ def flown(
     give_up = simulation.time_s + path.duration_s + 20.0
     while not (simulation.standing and simulation.time_s > end):
         sure = int((end - simulation.time_s) / (_CHUNK * STEP_S))  # pieces after which it cannot have landed
-        pieces = min(max(sure, 1), _AT_ONCE)
-        chunks.append((yield simulation.ready_to_fly(_CHUNK, source, pieces)))
+        if sure > 0 or not ahead:
+            ready = simulation.ready_to_fly(_CHUNK, source, min(max(sure, 1), _AT_ONCE))
+        else:
+            last = int((give_up - simulation.time_s) / (_CHUNK * STEP_S)) + 1
+            ready = simulation.ready_to_fly(_CHUNK, source, min(max(last, 1), _AT_ONCE), may_land_s=end)
+        chunks.append((yield ready))
         _refuse_what_cannot_be_flown(simulation, vehicle.name, give_up)
     chunks.append((yield simulation.ready_to_idle(round(rest_s / STEP_S))))
     joined = {name: tuple(np.concatenate([chunk[name][i] for chunk in chunks]) for i in range(3)) for name in chunks[0]}

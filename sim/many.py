@@ -18,7 +18,7 @@ from groundstation.errors import GroundStationError
 from groundstation.trajectory import Plan
 from groundstation.vehicle import Vehicle
 from sim.autopilot import CONTROL_SIZE, ESTIMATE_SIZE
-from sim.build import build_world
+from sim.build import STEP_S, build_world
 from sim.flight import SimulatedFlight, flown, simulate
 from sim.lanes import WIDTH, Lanes
 from sim.lockstep import Inputs, Outputs, Scratch, run_lanes
@@ -116,21 +116,47 @@ class Lane:
         """Steps of its stretch that are still to be run."""
         return self.prepared.stretch.steps - self.steps
 
+    @property
+    def until_look(self) -> int:
+        """Steps until somebody has to look at it: at its stretch's end, or a piece's where it may land."""
+        piece = self.prepared.pieces[0]
+        return self.left if np.isinf(self.prepared.may_land_s) else piece - self.steps % piece
+
+    @property
+    def _landed(self) -> bool:
+        time_s = (self.simulation.step + self.steps) * STEP_S
+        at_end = self.steps % self.prepared.pieces[0] == 0
+        return at_end and time_s > self.prepared.may_land_s and self.simulation.standing
+
     def advance(self, steps: int, found: Recorded, taken: NDArray[np.int_]) -> None:
         """Take what a run of so many steps left; at the end of its stretch the flight says what comes next."""
         self._found.append(found)
         self.steps += steps
         self.ticks += len(found.commands)
         self.taken = self.taken + taken
-        if self.left:
+        if self.left and not self._landed:
             return
-        whole = Recorded(*(np.concatenate(parts) for parts in zip(*self._found, strict=True)))
+        parts = self._found
+        whole = parts[0] if len(parts) == 1 else Recorded(*map(np.concatenate, zip(*parts, strict=True)))
+        if self.left:
+            whole = self._shortened(whole)
         try:
             self._take(self._flight.send(self.simulation.recorded(self.prepared, whole)))
         except StopIteration as end:
             self.outcome = end.value
         except (GroundStationError, FloatingPointError) as error:
             self.outcome = error
+
+    def _shortened(self, found: Recorded) -> Recorded:
+        """It landed: its stretch ends here. A sample within a nanosecond of the end belongs to the next one."""
+        self.prepared = self.simulation.shortened(self.prepared, self.steps // self.prepared.pieces[0])
+        stretch = self.prepared.stretch
+        return found._replace(
+            imu=found.imu[: len(stretch.imu_s)],
+            poses=found.poses[: len(stretch.pose_s)],
+            speeds=found.speeds[: len(stretch.speed_s)],
+            volts=found.volts[: len(stretch.battery_s)],
+        )
 
 
 def _in_lockstep(
@@ -148,7 +174,7 @@ def _in_lockstep(
     lanes = []
     for j, (simulation, n) in enumerate(zip(simulations, numbers, strict=True)):
         simulation.memory = Memory(*(array[..., j] for array in memory))
-        lanes.append(Lane(simulation, flown(simulation, jobs[n].plan, jobs[n].rest_s, sources)))
+        lanes.append(Lane(simulation, flown(simulation, jobs[n].plan, jobs[n].rest_s, sources, ahead=True)))
     rows = cast(Sequence[Array], [Rows(array) for array in memory])
     group = Group(world, Memory(*rows), _scratch(simulations[0].declared.rotors.count), lanes)
     while any(lane.outcome is None for lane in lanes):
@@ -232,7 +258,7 @@ class Group:
 
     def run(self) -> None:
         """Advance to the next end of a stretch."""
-        steps = min(lane.left for lane in self.lanes if lane.outcome is None)
+        steps = min(lane.until_look for lane in self.lanes if lane.outcome is None)
         every = self._world.control_every
         ticks = (self._step + steps - 1) // every - (self._step - 1) // every
         inputs = _inputs(self.lanes, self._step, steps, ticks)

@@ -111,7 +111,9 @@ class BiasedNoise:
         The bias is summed up piece by piece, so that its last bits do not depend on how many pieces are drawn at once.
         """
         normal = self.random.standard_normal((sum(counts), 2, len(self.white)))
-        bias = self.walk * normal[:, 1]
+        white, bias = normal[:, 0], normal[:, 1]
+        white *= self.white
+        bias *= self.walk
         begin = 0
         for count in counts:
             if count:
@@ -120,7 +122,7 @@ class BiasedNoise:
                 piece += self._bias
                 self._bias = piece[-1].copy()
             begin += count
-        return bias + self.white * normal[:, 0]
+        return bias + white
 
 
 @dataclass

@@ -5,6 +5,7 @@ One seed gives one flight, however the time is cut into stretches: every source 
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from math import cos, sin
@@ -56,6 +57,10 @@ SetpointSource = Callable[[Array], Array]
 """Setpoint rows, shape (k, 11), at true times; see :data:`sim.autopilot.SETPOINT_SIZE`."""
 
 
+Sources = tuple[dict[str, np.random.Generator], dict[str, Ticker], Stamper, BiasedNoise, Outages, Outages]
+"""All noise and clocks of a simulation: generators, tickers, flight controller, IMU, lost and frozen poses."""
+
+
 class Prepared(NamedTuple):
     """A stretch of time that is ready to run.
 
@@ -64,12 +69,18 @@ class Prepared(NamedTuple):
         stretch: what the compiled loop needs.
         times: by device; see :data:`Times`.
         lost: which poses are.
+        pieces: steps of each piece.
+        may_land_s: where it may end at the first piece's end after this time that finds the vehicle standing.
+        before: all noise and clocks before it was prepared, where it may.
     """
 
     simulation: Simulation
     stretch: Stretch
     times: dict[str, Times]
     lost: Mask
+    pieces: Sequence[int]
+    may_land_s: float = np.inf
+    before: Sources | None = None
 
 
 class Asked(NamedTuple):
@@ -258,12 +269,37 @@ class Simulation:
         """
         return self.run(self.ready_to_fly(steps, setpoints))
 
-    def ready_to_fly(self, steps: int, setpoints: SetpointSource, pieces: int = 1) -> Prepared:
-        """What :meth:`fly` runs so many times; its last bits are the same as if it did."""
+    def ready_to_fly(
+        self, steps: int, setpoints: SetpointSource, pieces: int = 1, may_land_s: float = np.inf
+    ) -> Prepared:
+        """What :meth:`fly` runs so many times; its last bits are the same as if it did.
+
+        Args:
+            steps: of 1 ms, of each piece.
+            setpoints: where to be, at the true times of the control ticks.
+            pieces: how many.
+            may_land_s: see :class:`Prepared`.
+        """
+        before = self._sources() if may_land_s < np.inf else None
         ticks = self.control_ticks(steps * pieces)
         ends = np.searchsorted(ticks, (self.step + steps * np.arange(1, pieces)) * STEP_S - 1e-9)
         rows = np.concatenate([setpoints(piece) for piece in np.split(ticks, ends)])
-        return self._prepare([steps] * pieces, FLYING, rows, None)
+        prepared = self._prepare([steps] * pieces, FLYING, rows, None)
+        return prepared._replace(may_land_s=may_land_s, before=before)
+
+    def shortened(self, prepared: Prepared, pieces: int) -> Prepared:
+        """The same stretch with its first pieces alone, as if no more had ever been prepared."""
+        if prepared.before is None:
+            raise ValueError("this stretch was prepared to be run whole")
+        self._random, self._tickers, self._flight, self._imu_noise, self._lost, self._frozen = prepared.before
+        steps = prepared.pieces[:pieces]
+        setpoints = prepared.stretch.setpoints[: len(self.control_ticks(sum(steps)))]
+        return self._prepare(steps, prepared.stretch.mode, setpoints, None)
+
+    def _sources(self) -> Sources:
+        """A copy of all noise and clocks as they are now."""
+        now = (self._random, self._tickers, self._flight, self._imu_noise, self._lost, self._frozen)
+        return copy.deepcopy(now)
 
     def drive(self, steps: int, motors: Array, setpoints: Array | None = None) -> dict[str, Samples]:
         """Run with motor values from outside, as another autopilot gives them.
@@ -325,7 +361,8 @@ class Simulation:
         ticks = self.control_ticks(steps)
         times["flight"] = (ticks, *self._flight.stamp(ticks))
         lost = self._lost.during(times["pose"][0])
-        return Prepared(self, self._stretch(Asked(steps, mode, setpoints, motors), times, lost, imu), times, lost)
+        stretch = self._stretch(Asked(steps, mode, setpoints, motors), times, lost, imu)
+        return Prepared(self, stretch, times, lost, pieces)
 
     def run(self, prepared: Prepared) -> dict[str, Samples]:
         """Run a stretch; returns what the devices recorded, by stream."""

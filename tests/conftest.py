@@ -23,7 +23,6 @@ FAST = {
     "test_recording_computed_speeds",
     "test_recording_crazyflie",
     "test_recording_golden",
-    "test_recording_logs",
     "test_recording_mcap",
     "test_recording_merge",
     "test_recording_repair",

@@ -7,6 +7,7 @@ import time
 import numpy as np
 import pytest
 from flights import rest_to_rest_plan
+from sim_states import vehicle_of
 
 from groundstation.errors import FlightAborted
 from groundstation.paths import find_config
@@ -83,6 +84,13 @@ def _heavier(factor: float) -> Scenario:
 
 def _of(name: str) -> Vehicle:
     return load_vehicle(find_config("vehicles", name))
+
+
+def test_commands_of_a_wrench_vehicle_are_recorded_as_its_wrench():
+    jobs = [Job(vehicle_of(input="wrench"), SHORT, _heavier(1.0 + 0.01 * i), 60 + i) for i in range(3)]
+    found = dict(simulate_many(jobs))
+    for number, job in enumerate(jobs):
+        _assert_equal(job, found[number])
 
 
 def test_vehicles_of_several_kinds_fly_in_groups_of_their_kind():

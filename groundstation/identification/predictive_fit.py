@@ -238,23 +238,25 @@ def judged(shots: Sequence[Shooting], physical: VehicleModel, base: VehicleModel
     """
     norms: dict[str, list[Array]] = {}
     where: list[tuple[int, Index]] = []
+    unfitted = {"constant_velocity": None, "declared": declared_model(shots[0].states.vehicle), "physical": physical}
+    known = [{name: _sizes(model, shot) for name, model in unfitted.items()} for shot in shots]
     for fold in _folds(shots):
         training = [s.only(_unseen(s, j)) for s, j in zip(shots, fold, strict=True)]
         training = [s for s in training if len(s.index) >= 20]
-        testing = [s.only(j) for s, j in zip(shots, fold, strict=True) if j.any()]
+        testing = [(s, sizes, j) for s, sizes, j in zip(shots, known, fold, strict=True) if j.any()]
         if not training or not testing:
             continue
-        models: dict[str, PredictiveModel | VehicleModel | None] = {
-            "constant_velocity": None,
-            "declared": declared_model(shots[0].states.vehicle),
-            "physical": physical,
+        models = {
             "without_torque": _fit(training, base, torque=False),
             "fitted": _fit(training, base, torque=True),
         }
-        for shot in testing:
-            where.append((shot.flight, shot.block))
+        for shot, sizes, chosen in testing:
+            seen = shot.only(chosen)
+            where.append((seen.flight, seen.block))
+            for name in unfitted:
+                norms.setdefault(name, []).append(sizes[name][:, chosen])
             for name, model in models.items():
-                norms.setdefault(name, []).append(_sizes(model, shot))
+                norms.setdefault(name, []).append(_sizes(model, seen))
     return _chosen(norms, where, shots, base)
 
 

@@ -18,7 +18,7 @@ fades with a time of its own. A window starts from the observer's rates, less or
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,17 @@ from numpy.typing import NDArray
 from groundstation.errors import BadInput
 from groundstation.json_types import Document, JsonObject
 from groundstation.model.flight_states import FlightStates
-from groundstation.model.predictive_kernel import FLAPPING, integrated, observed, seen, simulated
+from groundstation.model.predictive_kernel import (
+    DELAY,
+    FLAPPING,
+    SLOW_TIME,
+    integrated,
+    observed,
+    observer_means,
+    seen,
+    simulated,
+    window_means,
+)
 from groundstation.model.rotors import declared_thrust, wrench_matrix
 from groundstation.model.vehicle_model import VehicleModel
 
@@ -34,6 +44,8 @@ Array = NDArray[np.float64]
 
 GRID_S = 0.005
 """Grid of the rotor signals: well below the time in which a rotor answers."""
+KEPT_MEANS = 6
+"""Sets of the numbers that rotor signals depend on whose means are kept: a point, and its differences by each."""
 OBSERVED_S = 0.008
 """Between two stamps that the observer takes: of denser ones it takes each n-th, and where a window starts.
 
@@ -239,6 +251,7 @@ class Windows:
             (:func:`.seen`).
         at: which of those the windows start from, (k,).
         start_s, pose: times of the starts, and positions, velocities and attitudes there, (k, 10).
+        made: means of the rotor signals by the numbers that they depend on; most of a fit's trials leave those alone.
     """
 
     flown: Course
@@ -248,6 +261,23 @@ class Windows:
     at: NDArray[np.int64]
     start_s: Array
     pose: Array
+    made: dict[tuple[bytes, float, int], tuple[Array, Array]] = field(
+        default_factory=dict[tuple[bytes, float, int], tuple[Array, Array]]
+    )
+
+    def means(self, values: Array, step_s: float, steps: int) -> tuple[Array, Array]:
+        """Mean rotor signals between the observer's stamps, and over each step of the windows."""
+        key = values[DELAY : SLOW_TIME + 1].tobytes(), step_s, steps
+        if key not in self.made:
+            if len(self.made) >= KEPT_MEANS:
+                self.made.pop(next(iter(self.made)))
+            delay = float(values[DELAY])
+            rotor = (integrated(self.flown.rotor, GRID_S, values), self.flown.rotor_start_s, GRID_S)
+            self.made[key] = (
+                observer_means(self.t_s, self.inputs, rotor, delay),
+                window_means(self.start_s, rotor, delay, step_s, steps),
+            )
+        return self.made[key]
 
 
 def windows(flown: Course, index: NDArray[np.int64]) -> Windows:
@@ -268,11 +298,11 @@ def run(values: Array, begun: Windows, horizons: Sequence[float], step_s: float 
     if not c.pose:  # velocities are unknown, and what depends on them is left out
         values = values.copy()
         values[FLAPPING : FLAPPING + 2] = 0.0
-    rotor = (integrated(c.rotor, GRID_S, values), c.rotor_start_s, GRID_S)
-    rates, extras = observed(begun.t_s, begun.rate, begun.inputs, rotor, values, c.pose)
     marks = np.array([max(1, round(h / step_s)) for h in horizons], dtype=np.int64)
-    starts = (begun.start_s, begun.pose, rates[begun.at], extras[begun.at])
-    return simulated(starts, rotor, values, (c.tensor, c.inverse, c.gravity_m_s2), step_s, marks)
+    between, ahead = begun.means(values, step_s, int(marks[-1]))
+    rates, extras = observed(begun.rate, begun.inputs, between, values, c.pose)
+    starts = (begun.pose, rates[begun.at], extras[begun.at])
+    return simulated(starts, ahead, values, (c.tensor, c.inverse, c.gravity_m_s2), step_s, marks)
 
 
 def simulate(

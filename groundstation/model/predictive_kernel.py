@@ -35,6 +35,8 @@ DELAY, LEAD, SLOW_SHARE, SLOW_TIME, OBSERVER, MEASURED, FORCE_BANDWIDTH, FORCE_T
 
 The observer has bandwidth, gain and time of roll and pitch, then of yaw.
 """
+LONGEST_S = 0.5
+"""Between two stamps; beyond it the observer begins again."""
 LANES = 8
 """Windows side by side: the doubles of the widest vector registers."""
 POSITION, VELOCITY, ATTITUDE, RATE, PUSH, ROTOR, ROWS = (LANES * first for first in (0, 3, 6, 10, 13, 19, 25))
@@ -85,6 +87,37 @@ def _mean(rotor: Rotor, begin: float, end: float, out: Array, first: int) -> Non
         out[first + c * LANES] = (high - low) * scale
 
 
+@njit(cache=True)
+def observer_means(t: Array, inputs: Array, rotor: Rotor, delay: float) -> Array:
+    """Mean rotor signals since the last stamp, (k, 6); zero where the observer does not go on."""
+    out, one = np.zeros((len(t), 6)), np.empty(5 * LANES + 1)
+    for k in range(len(t)):
+        if 0.0 < inputs[k, 0] <= LONGEST_S:
+            _mean(rotor, t[k - 1] - delay, t[k] - delay, one, 0)
+            for c in range(6):
+                out[k, c] = one[c * LANES]
+    return out
+
+
+@njit(cache=True)
+def window_means(start: Array, rotor: Rotor, delay: float, h: float, steps: int) -> Array:
+    """Mean rotor signals over each step of windows, (groups, steps, 6 LANES); the last window in the lanes beyond."""
+    groups = (len(start) + LANES - 1) // LANES
+    out = np.empty((groups, steps, 6 * LANES))
+    for group in range(groups):
+        first = group * LANES
+        count = min(LANES, len(start) - first)
+        for step in range(steps):
+            row = out[group, step]
+            for n in range(count):
+                now = start[first + n] + step * h - delay
+                _mean(rotor, now, now + h, row, n)
+            for n in range(count, LANES):
+                for c in range(6):
+                    row[c * LANES + n] = row[c * LANES + count - 1]
+    return out
+
+
 @njit(cache=True, error_model="numpy")
 def seen(t: Array, v: Array, q: Array, w: Array, body: Body) -> Array:
     """What the observer needs of each stamp, whatever the numbers are, (k, 10).
@@ -131,32 +164,31 @@ def _shares(p: Array, h: float, left: Array, new: Array) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def observed(t: Array, w: Array, inputs: Array, rotor: Rotor, p: Array, pose: bool) -> tuple[Array, Array]:
+def observed(w: Array, inputs: Array, means: Array, p: Array, pose: bool) -> tuple[Array, Array]:
     """Rates (k, 3) and disturbances (k, 6) at each stamp from the past alone: an observer of constant gains.
 
     Args:
-        inputs: of :func:`seen`.
+        inputs: of :func:`seen`. means: of :func:`observer_means`.
     """
-    rates, extras = np.empty((len(t), 3)), np.zeros((len(t), 6))
+    rates, extras = np.empty((len(w), 3)), np.zeros((len(w), 6))
     rate, extra = w[0].copy(), np.zeros(6)
-    u, left, new, force = np.empty(5 * LANES + 1), np.empty(3), np.empty(3), np.empty(3)
+    left, new, force = np.empty(3), np.empty(3), np.empty(3)
     usual = -1.0
-    for k in range(len(t)):
-        h = inputs[k, 0]
-        if h > 0.5:  # nothing was seen for long: begin again
+    for k in range(len(w)):
+        h, u = inputs[k, 0], means[k]
+        if h > LONGEST_S:  # nothing was seen for long: begin again
             rate[:] = w[k]
             extra[:] = 0.0
         elif h > 0.0:
-            _mean(rotor, t[k - 1] - p[DELAY], t[k] - p[DELAY], u, 0)
             if abs(h - usual) > 1e-4 * usual:
                 usual = h
                 _shares(p, h, left, new)
             b0, b1, b2 = inputs[k, 1], inputs[k, 2], inputs[k, 3]
-            force[0] = -p[DRAG] * b0 + p[THRUST] * u[4 * LANES]
-            force[1] = -p[DRAG + 1] * b1 + p[THRUST] * u[5 * LANES]
+            force[0] = -p[DRAG] * b0 + p[THRUST] * u[4]
+            force[1] = -p[DRAG + 1] * b1 + p[THRUST] * u[5]
             force[2] = -p[DRAG + 2] * b2 + p[THRUST] * u[0] * (1.0 + p[LIFT] * (b0 * b0 + b1 * b1))
             for i in range(3):
-                turning = p[TORQUE + i] * u[(1 + i) * LANES] - p[DAMPING + i] * w[k - 1, i] + p[TRIM + i]
+                turning = p[TORQUE + i] * u[1 + i] - p[DAMPING + i] * w[k - 1, i] + p[TRIM + i]
                 turning += extra[3 + i] + inputs[k, 4 + i]
                 if i == 0:
                     turning += p[FLAPPING] * b1
@@ -288,21 +320,20 @@ def _advance(s: Array, p: Array, tensor: Array, inverse: Array, g: float, h: flo
 
 
 @njit(cache=True)
-def simulated(
-    begin: tuple[Array, Array, Array, Array], rotor: Rotor, p: Array, body: Body, h: float, marks: Index
-) -> Array:
+def simulated(begin: tuple[Array, Array, Array], means: Array, p: Array, body: Body, h: float, marks: Index) -> Array:
     """States (position, velocity, attitude, rates) after each number of steps of h in ``marks`` (ascending), (m, k,
     13).
 
     Args:
-        begin: of the windows' starts, times (k,), positions, velocities and attitudes (k, 10), rates (k, 3) and
-            disturbances (k, 6).
+        begin: of the windows' starts, positions, velocities and attitudes (k, 10), rates (k, 3) and disturbances
+            (k, 6).
+        means: of :func:`window_means`.
     """
-    (start, pose, rates, extras), (tensor, inverse, g) = begin, body
-    out = np.empty((len(marks), len(start), 13))
+    (pose, rates, extras), (tensor, inverse, g) = begin, body
+    out = np.empty((len(marks), len(pose), 13))
     s = np.empty(ROWS)
-    for first in range(0, len(start), LANES):
-        count = min(LANES, len(start) - first)
+    for first in range(0, len(pose), LANES):
+        count = min(LANES, len(pose) - first)
         for n in range(LANES):
             k = first + min(n, count - 1)
             for c in range(10):
@@ -313,12 +344,7 @@ def simulated(
                 s[PUSH + c * LANES + n] = extras[k, c]
         m = 0
         for step in range(marks[-1]):
-            for n in range(count):
-                now = start[first + n] + step * h - p[DELAY]
-                _mean(rotor, now, now + h, s, ROTOR + n)
-            for n in range(count, LANES):
-                for c in range(6):
-                    s[ROTOR + c * LANES + n] = s[ROTOR + c * LANES + count - 1]
+            s[ROTOR:ROWS] = means[first // LANES, step]
             _advance(s, p, tensor, inverse, g, h)
             if step + 1 == marks[m]:
                 for n in range(count):

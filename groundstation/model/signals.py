@@ -56,10 +56,6 @@ class Signals:
         unit = np.broadcast_to(np.eye(3)[axis], (len(self.t_s), 3))
         return self._once(f"axis {axis}", lambda: quat_rotate_inverse(self.quaternion, unit))
 
-    def up_body(self) -> Annotated[Array, "k 3"]:
-        """World vertical in body axes, (k, 3)."""
-        return self.axis_body(2)
-
     def at(self, rows: slice | NDArray[np.bool_] | NDArray[np.int64]) -> Signals:
         """Some of the instants."""
         return Signals(*(getattr(self, each.name)[rows] for each in fields(self)))
