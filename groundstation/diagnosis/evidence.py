@@ -276,8 +276,9 @@ class Evidence:
         share: Array = energy.sum(axis=1) / total
         spread: Array = share * share / self._freedom
         freedom = 1.0 / float(spread.sum())
-        left = float(betaincinv(0.5 * freedom, 0.5 * count, chance))  # nu / (nu + W), of a beta distribution
-        return freedom * (1.0 - left) / left
+        ends = np.array([0.5 * freedom, 0.5 * count])
+        left: Array = np.array(betaincinv(*ends, [chance]), dtype=float)  # nu / (nu + W), of a beta distribution
+        return freedom * (1.0 / float(left[0]) - 1.0)
 
     def _energy(self, instrument: Array) -> Array:
         """How that of each instrument lies over the channels and bands of the flights, (bands, p)."""
