@@ -146,3 +146,29 @@ def test_gaps_of_a_px4_log_are_left_out_of_the_fit(tmp_path, made, known):
     best = found.methods[found.best].parameters
     for name in ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2"):
         assert abs(best[name].value - known[name].value) < 2.0 * np.hypot(best[name].std, known[name].std), name
+
+
+@pytest.mark.parametrize(
+    "lost",
+    [
+        {"imu": [(2.0, 2.5), (6.0, 6.4)]},
+        {"imu": [(2.0, 2.3), (4.5, 5.3), (8.0, 8.55)]},
+        {"imu": [(2.0, 2.5), (6.0, 6.4)], "motors": [(2.4, 2.9), (7.0, 7.6)], "mocap": [(4.0, 4.6)]},
+    ],
+)
+def test_what_the_imu_did_not_see_is_not_integrated(tmp_path, made, known, lost):
+    """Gaps of one stream alone, or of each at its own times: the biases that poses show are those of the whole flight.
+
+    Integrated across its gaps, the IMU had an accelerometer bias of 1 m/s^2: mass 5 %, inertias 2 % off, 13 sigma.
+    """
+    start = made.motors.t_s[0]
+    cut = {}
+    for name, gaps in lost.items():
+        stream = made.streams()[name]
+        inside = np.any([(stream.t_s > start + a) & (stream.t_s < start + b) for a, b in gaps], axis=0)
+        cut[name] = stream.select(~inside)
+    ulog(tmp_path / "a.ulg", replace(made, **cut), (2, 0, 3, 1))
+    found = api.identify([load_flight(tmp_path / "a.ulg", vehicle=made.vehicle)])
+    assert any(f"{len(lost['imu'])} gaps of the motion's stream" in note for note in found.quality)
+    for name in ("mass_kg", "ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2"):
+        assert found.methods["OE"].parameters[name].value == pytest.approx(known[name].value, rel=0.005), name

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,7 @@ from groundstation.frames import matrix_from_quat, quat_conjugate, quat_exp, qua
 from groundstation.identification.noise import NoiseModel, fit_noise_model, innovations
 from groundstation.identification.parts import at_times, by_parts, running_sums, weighted_products
 from groundstation.identification.smoothing import integrate_rates, local_level
+from groundstation.identification.stretches import gaps, parts_of, within
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -59,6 +62,32 @@ class Recording:
     def dt_imu(self) -> Array:
         """Before each IMU sample, (k,)."""
         return np.concatenate([[0.0], np.diff(self.t_imu)])
+
+
+_UNKNOWN_S = 1e12
+"""Between poses on both sides of a gap of the IMU: how far the vehicle turned there is not known."""
+
+
+def beside_gaps(recording: Recording, tk: Array) -> list[tuple[slice, slice]]:
+    """The IMU's samples between one gap and the next, and the poses at these stamps that lie among them.
+
+    What the IMU did not see is no part of its integrals: each part has a beginning of its own.
+    """
+    parts = parts_of(recording.t_imu)
+    edges = [0, *np.searchsorted(tk, recording.t_imu[[part.start for part in parts[1:]]]).tolist(), len(tk)]
+    found = [(part, slice(first, last)) for part, (first, last) in zip(parts, pairwise(edges), strict=True)]
+    return found if len(found) == 1 else _with_poses(found)
+
+
+def _with_poses(parts: Sequence[tuple[slice, slice]]) -> list[tuple[slice, slice]]:
+    """Parts without poses joined to the one before, or to the one after the first."""
+    joined: list[tuple[slice, slice]] = []
+    for samples, poses in parts:
+        if joined and (poses.start == poses.stop or joined[-1][1].start == joined[-1][1].stop):
+            before = joined.pop()
+            samples, poses = slice(before[0].start, samples.stop), slice(before[1].start, poses.stop)
+        joined.append((samples, poses))
+    return joined
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,9 +203,13 @@ def _compared_attitudes(
     body = quat_multiply(recording.quaternion[kept], quat_conjugate(marker))
     rates = (recording.gyro - errors.gyro_bias) / (1.0 + errors.gyro_scale)
     rough = integrate_rates(np.array([1.0, 0.0, 0.0, 0.0]), recording.dt_imu, rates)
-    at_first = slerp(tk[:1], t_imu, rough)[0]
-    turn = quat_multiply(body[0], quat_conjugate(at_first))
-    attitude = by_parts(lambda part: quat_multiply(turn, rough[part]), len(rough))
+    turned: list[Array] = []
+    for samples, poses in beside_gaps(recording, tk):
+        at_first = slerp(tk[poses][:1], t_imu, rough)[0]
+        turn = quat_multiply(body[poses.start], quat_conjugate(at_first))
+        own = rough[samples]
+        turned.append(by_parts(lambda part, turn=turn, own=own: quat_multiply(turn, own[part]), len(own)))
+    attitude = turned[0] if len(turned) == 1 else np.concatenate(turned)
     error = quat_log(quat_multiply(body, quat_conjugate(slerp(tk, t_imu, attitude))))
     return attitude, error, _attitude_columns(recording, errors, tk, attitude, rates)
 
@@ -190,8 +223,9 @@ def _attitude_step(
     dt = np.concatenate([[0.0], np.diff(tk)])
     count = len(tk)
     stacked = np.concatenate([error.T.reshape(-1, 1), columns.transpose(1, 0, 2).reshape(3 * count, -1)], axis=1)
-    restart = np.zeros(3 * count, dtype=bool)
-    restart[::count] = True
+    fresh = np.zeros(count, dtype=bool)
+    fresh[[poses.start for _, poses in beside_gaps(recording, tk)]] = True
+    restart = np.tile(fresh, 3)
     dts = np.tile(dt, 3)
     if colour is None:
         colour = fit_noise_model(stacked[:, 0], dts, restart, integrated=True)
@@ -202,29 +236,36 @@ def _attitude_step(
     kept = kept.copy()
     kept[np.flatnonzero(kept)[bad]] = False
     good = ~bad
-    dt_good = np.concatenate([[0.0], np.diff(tk[good])])
+    dt_good, beside = np.concatenate([[0.0], np.diff(tk[good])]), beside_gaps(recording, tk[good])
+    dt_good[[poses.start for _, poses in beside[1:]]] = _UNKNOWN_S
     filtered, smoothed = local_level(remainder.reshape(3, count).T[good], dt_good, colour.process, colour.sensor)
     found = AttitudeFit(
         errors=errors.changed(fit.values),
         covariance=fit.covariance,
         kept=kept,
         colour=fit_noise_model(remainder, dts, restart, integrated=True, start=colour),
-        filtered=_turned(recording.t_imu, tk[good], filtered, attitude),
-        smoothed=_turned(recording.t_imu, tk[good], smoothed, attitude),
+        filtered=_turned(recording.t_imu, tk[good], filtered, attitude, beside),
+        smoothed=_turned(recording.t_imu, tk[good], smoothed, attitude, beside),
         stamp_jitter_s=_stamp_jitter(e[:, 0] - e[:, 1:] @ fit.values, e[:, 1], s, fit.outlier),
     )
     return found, bool(np.all(np.abs(fit.values) < 0.05 * np.sqrt(np.diag(fit.covariance))))
 
 
-def _turned(t_imu: Array, tk: Array, by: Array, attitude: Array) -> Array:
+def _turned(t_imu: Array, tk: Array, by: Array, attitude: Array, beside: Sequence[tuple[slice, slice]]) -> Array:
     """Attitudes (k, 4) turned by rotation vectors (n, 3) that are known at the poses' stamps."""
-    return by_parts(lambda part: quat_multiply(quat_exp(resampled(t_imu[part], tk, by)), attitude[part]), len(attitude))
+
+    def of(samples: slice, poses: slice) -> Array:
+        t, own, at, turn = t_imu[samples], attitude[samples], tk[poses], by[poses]
+        return by_parts(lambda part: quat_multiply(quat_exp(resampled(t[part], at, turn)), own[part]), len(own))
+
+    found = [of(samples, poses) for samples, poses in beside]
+    return found[0] if len(found) == 1 else np.concatenate(found)
 
 
 def align_attitude(recording: Recording, offset_s: float) -> AttitudeFit:
     """Clock, gyro and rotation of the tracked frame from attitudes and rates; up to five Gauss-Newton steps."""
     shifted, t_imu = recording.t_pose - offset_s, recording.t_imu
-    kept = (shifted > t_imu[0] + 0.05) & (shifted < t_imu[-1] - 0.05)
+    kept = (shifted > t_imu[0] + 0.05) & (shifted < t_imu[-1] - 0.05) & ~within(shifted, gaps(t_imu), (0.05, 0.05))
     errors = AttitudeErrors(offset_s, 0.0, np.zeros(3), np.zeros(3), np.zeros(3))
     found, done = _attitude_step(recording, errors, kept, None)
     for _ in range(4):

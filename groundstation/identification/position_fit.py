@@ -4,7 +4,7 @@ capture.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from groundstation.flightdata import resampled
 from groundstation.frames import matrix_from_quat, slerp
-from groundstation.identification.attitude_fit import AttitudeFit, Recording, whitened_fit
+from groundstation.identification.attitude_fit import AttitudeFit, Recording, beside_gaps, whitened_fit
 from groundstation.identification.newton import DIFFERENCE, minimum
 from groundstation.identification.noise_kernel import LANES
 from groundstation.identification.parts import at_times, by_parts, running_integrals
@@ -103,21 +103,50 @@ def _scale_columns(recording: Recording, tk: Array, place: Array, force: Array) 
     return np.stack([place - place.mean(axis=0), -felt], axis=2)
 
 
-def _fitted_position(error: Array, columns: Array, dt: Array, noise: Array) -> tuple[Array, Array, Array, Array]:
+Filtered = tuple[Array, Array, Array, Array, Array]
+
+
+def _filtered(series: Array, dt: Array, noise: Array, held: bool, parts: Sequence[slice]) -> Filtered:
+    """:func:`~.smoothing.position_filter` of each part from a beginning of its own."""
+    if len(parts) == 1:
+        return position_filter(series, dt, noise, held)
+    found = [position_filter(np.ascontiguousarray(series[part]), dt[part], noise, held) for part in parts]
+    e, s, states, pf, pp = (np.concatenate(pieces) for pieces in zip(*found, strict=True))
+    return e, s, states, pf, pp
+
+
+def _smoothed(dt: Array, filtered: Filtered, parts: Sequence[slice]) -> Array:
+    _, _, states, pf, pp = filtered
+    found = [position_smoother(dt[part], states[part], pf[part], pp[part]) for part in parts]
+    return found[0] if len(found) == 1 else np.concatenate(found)
+
+
+def _slope(values: Array, t_s: Array, parts: Sequence[slice]) -> Array:
+    """Derivative of what is known at some stamps, each part for itself, shape (n, 3)."""
+    out = np.zeros_like(values)
+    for part in parts:
+        if part.stop - part.start > 2:
+            out[part] = np.gradient(values[part], t_s[part], axis=0)
+    return out
+
+
+def _fitted_position(
+    error: Array, columns: Array, dt: Array, noise: Array, parts: Sequence[slice]
+) -> tuple[Array, Array, Array, Array]:
     """Values, covariance, residual (n, 3) and noise after three rounds of fit and noise model."""
     count = columns.shape[2]
     prior = np.concatenate([POSITION_PRIOR, SCALE_PRIOR])[:count]
     values, covariance, residual = np.zeros(count), np.eye(count), error
     for _ in range(3):
-        noise = _position_noise(residual, dt, noise)
+        noise = _position_noise(residual, dt, noise, parts)
         tight = noise.copy()
         tight[3] = 1e-3  # a constant acceleration is named (bias, tilt), not absorbed
-        parts = [
-            position_filter(np.concatenate([error[:, i : i + 1], columns[:, i, :]], axis=1), dt, tight, False)[:2]
+        axes = [
+            _filtered(np.concatenate([error[:, i : i + 1], columns[:, i, :]], axis=1), dt, tight, False, parts)[:2]
             for i in range(3)
         ]
-        e = np.concatenate([p[0] for p in parts])
-        s = np.concatenate([p[1] for p in parts])
+        e = np.concatenate([axis[0] for axis in axes])
+        s = np.concatenate([axis[1] for axis in axes])
         fit = whitened_fit(e[:, 0], e[:, 1:], s, prior)
         values, covariance = fit.values, fit.covariance
         residual = error - columns @ values
@@ -147,8 +176,10 @@ def align_position(
     )
     speed, path = _integrals(lambda part: force[part] - np.array([0.0, 0.0, gravity_m_s2]), recording.dt_imu)
     error = recording.position[attitude.kept] - resampled(tk, t_imu, path)
-    noise = _position_noise(error, dt)
-    _, _, states, _, _ = position_filter(error, dt, noise, True)
+    beside = beside_gaps(recording, tk)
+    parts = [poses for _, poses in beside]
+    noise = _position_noise(error, dt, None, parts)
+    _, _, states, _, _ = _filtered(error, dt, noise, True, parts)
     # from the past alone: a velocity or place that knows this pose's noise would pull clock and scale towards it
     expected = states[:-1, 1, :] + dt[1:, None] * states[:-1, 2, :]
     velocity = resampled(tk, t_imu, speed) + np.concatenate([states[:1, 1, :], expected])
@@ -157,22 +188,25 @@ def align_position(
         ahead = states[:-1, 0, :] + dt[1:, None] * states[:-1, 1, :] + 0.5 * dt[1:, None] ** 2 * states[:-1, 2, :]
         place = resampled(tk, t_imu, path) + np.concatenate([states[:1, 0, :], ahead])
         columns = np.concatenate([columns, _scale_columns(recording, tk, place, force)], axis=2)
-    values, covariance, residual, noise = _fitted_position(error, columns, dt, noise)
-    _, _, states, pf, pp = position_filter(residual, dt, noise, True)
-    smooth = position_smoother(dt, states, pf, pp)
+    values, covariance, residual, noise = _fitted_position(error, columns, dt, noise, parts)
+    filtered = _filtered(residual, dt, noise, True, parts)
     shift = _of_the_vehicle(columns) @ values
-    slope = np.gradient(shift, tk, axis=0) if len(tk) > 2 else np.zeros_like(shift)
+    slope = _slope(shift, tk, parts)
+
+    def at_samples(known: Array) -> Array:
+        found = [resampled(t_imu[samples], tk[poses], known[poses]) for samples, poses in beside]
+        return found[0] if len(found) == 1 else np.concatenate(found)
 
     def motion(found: Array) -> tuple[Array, Array]:
-        return (
-            resampled(t_imu, tk, found[:, 0, :] + shift) + path,
-            resampled(t_imu, tk, found[:, 1, :] + slope) + speed,
-        )
+        return at_samples(found[:, 0, :] + shift) + path, at_samples(found[:, 1, :] + slope) + speed
 
-    return PositionFit(values, covariance, noise, causal=motion(states), smoothed=motion(smooth))
+    smooth = _smoothed(dt, filtered, parts)
+    return PositionFit(values, covariance, noise, causal=motion(filtered[2]), smoothed=motion(smooth))
 
 
-def _position_noise(error: Array, dt: Array, start: Array | None = None) -> Array:
+def _position_noise(
+    error: Array, dt: Array, start: Array | None = None, parts: Sequence[slice] = (slice(None),)
+) -> Array:
     """Most likely (pose noise, white acceleration, acceleration walk, initial acceleration) of position errors."""
     if start is None:
         third = np.diff(error, 3, axis=0)
@@ -182,8 +216,10 @@ def _position_noise(error: Array, dt: Array, start: Array | None = None) -> Arra
 
     def costs(points: Array) -> Array:
         noises = np.column_stack([np.exp(points), np.full(len(points), _INITIAL_M_S2)])
-        parts = [position_costs(series, dt, noises[i : i + LANES]) for i in range(0, len(noises), LANES)]
-        return np.concatenate(parts)
+        lanes = [noises[i : i + LANES] for i in range(0, len(noises), LANES)]
+        return np.concatenate(
+            [np.sum([position_costs(series[p], dt[p], some) for p in parts], axis=0) for some in lanes]
+        )
 
     floor, ceiling = np.log(_FINEST), np.log(_COARSEST)
     found, cost = minimum(costs, np.log(start[:3]), floor, ceiling, _STEPS)

@@ -204,10 +204,9 @@ def _kept(
     settled = 0.0 if inputs.measured else SETTLING_S
     keep = within(on_motors, stretches) & ~within(on_motors, lost, (0.0, settled))
     keep &= (t >= inputs.start_s + SETTLING_S) & (t < inputs.t_s[-1] - 0.1)
-    if motion.source != "imu":
-        # Differences across a gap, and those of their differences, tell nothing of the motion beside it.
-        step = float(np.median(np.diff(t)))
-        keep &= ~within(t, gaps(t), (2.5 * step, 2.5 * step))
+    # Differences across a gap, and those of their differences, tell nothing of the motion beside it.
+    step = float(np.median(np.diff(t)))
+    keep &= ~within(t, gaps(t), (2.5 * step, 2.5 * step))
     for first, last in exclude:
         keep &= (t < first) | (t > last)
     if keep.sum() < LEAST_S * motion.rate_hz:
@@ -243,14 +242,18 @@ def prepare_all(
 
 def _share_note(flight: FlightData, motors: Stream, record: DynamicRecord, lost: Sequence[Stretch]) -> list[str]:
     """The share of the recording that is used, where that is not all of a known excitation."""
-    if flight.window_s is not None and not lost:
+    unseen = gaps(record.t_s)
+    if flight.window_s is not None and not lost and not unseen:
         return []
     recorded = float(motors.t_s[-1] - motors.t_s[0])
     t, keep = record.t_s, record.keep
     step = np.diff(t, append=t[-1])
     used_s = float(np.sum(step[keep & (step < GAP_S)]))
-    missing = sum(end - start for start, end in lost)
-    why = [f"{len(lost)} gaps of the motors' stream ({missing:.1f} s)"] if lost else []
+    why = [
+        f"{len(found)} gaps of the {whose} stream ({sum(end - start for start, end in found):.1f} s)"
+        for whose, found in (("motors'", lost), ("motion's", unseen))
+        if found
+    ]
     if flight.window_s is None:
         why.append("ground, and a second beside it")
     return [used_note(used_s, recorded, len(runs_of(t, keep)), why if used_s < 0.98 * recorded else ())]

@@ -6,6 +6,7 @@ Thrust by the declared constants decides, relative to the flight's own, so that 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +68,13 @@ def gaps(t_s: Array) -> tuple[Stretch, ...]:
     step = np.diff(t_s)
     wide = np.flatnonzero(step > max(GAP_S, GAP_STEPS * float(np.median(step))))
     return tuple((float(t_s[i]), float(t_s[i + 1])) for i in wide)
+
+
+def parts_of(t_s: Array) -> list[slice]:
+    """The samples between one gap and the next; one slice where there are none."""
+    lost = gaps(t_s)
+    edges = [0, *np.searchsorted(t_s, [end for _, end in lost]).tolist(), len(t_s)]
+    return [slice(first, last) for first, last in pairwise(edges)]
 
 
 def within(t_s: Array, stretches: Sequence[Stretch], margin_s: tuple[float, float] = (0.0, 0.0)) -> Mask:
