@@ -270,13 +270,15 @@ class Evidence:
         """The same by how the energy of each parameter's instrument lies over channels and bands, (bands, p)."""
         from scipy.special import betaincinv
 
-        share, count = energy.sum(axis=1), energy.shape[1]
-        if not share.sum() > 0.0:
+        total, count = float(energy.sum()), energy.shape[1]
+        if not total > 0.0:
             return float("inf")  # the plan does none of it: no instrument tells it
-        share = share / share.sum()
-        freedom = 1.0 / np.sum(share**2 / self._freedom)
-        left = float(betaincinv(0.5 * freedom, 0.5 * count, chance))  # nu / (nu + W), of a beta distribution
-        return freedom * (1.0 - left) / left
+        share: Array = energy.sum(axis=1) / total
+        spread: Array = share * share / self._freedom
+        freedom = 1.0 / float(spread.sum())
+        ends = np.array([0.5 * freedom, 0.5 * count])
+        left: Array = np.array(betaincinv(*ends, [chance]), dtype=float)  # nu / (nu + W), of a beta distribution
+        return freedom * (1.0 / float(left[0]) - 1.0)
 
     def _energy(self, instrument: Array) -> Array:
         """How that of each instrument lies over the channels and bands of the flights, (bands, p)."""

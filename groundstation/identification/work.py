@@ -34,7 +34,7 @@ class Work:
         """:func:`.preparation.prepare_all`; a flight that was among the last ones is not prepared again."""
         known = self._flights
         if known is None or known[1] != list(exclude):
-            known = [], list(exclude), []
+            known = list[FlightData](), list(exclude), list[Prepared]()
         if not _same(known[0], flights):
             before = {id(flight): prepared for flight, prepared in zip(known[0], known[2], strict=True)}
             known = list(flights), list(exclude), prepare_all(flights, exclude, before)
