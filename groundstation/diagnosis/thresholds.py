@@ -112,14 +112,14 @@ class Thresholds:
         "Least share of the sideways residual force's power that a pendulum explains before it is tried. A disturbance "
         "as large as the load's pull leaves it 0.30; of flights without a load each gave 0.09 or less.",
         source="judgement",
-        chosen_on="22 flights of two simulators, 14 of them with loads (benchmarks.slung_load, seeds 100 to 211)",
+        chosen_on="21 flights of two simulators, 13 of them with loads (benchmarks.slung_load, seeds 100 to 211)",
     )
     pendulum_uneven: float = _entry(
         0.3,
         "How far the load of each fourth of a swing may lie from that of the whole, as a share. Of those in step it "
         "was 0.17 at most, of those out of step and of flights without a load 0.39 at least.",
         source="judgement",
-        chosen_on="22 flights of two simulators, 14 of them with loads (benchmarks.slung_load, seeds 100 to 211)",
+        chosen_on="21 flights of two simulators, 13 of them with loads (benchmarks.slung_load, seeds 100 to 211)",
     )
     swing_share: float = _entry(
         0.005,
