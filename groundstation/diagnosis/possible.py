@@ -15,7 +15,7 @@ from groundstation.identification.physical_limits import outside
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate
 from groundstation.vehicle import Vehicle
 
-LEAST = 1e-4
+NARROWEST = 1e-4
 """Spread of a number that is given and not estimated, as a share of mass or trace, for the distance to a rigid body."""
 
 
@@ -57,7 +57,7 @@ def _of_a_rigid_body(found: Diagnosis) -> Diagnosis:
         return found
     measured = np.array([found.parameters_after[name].value for name in MASS_AND_TENSOR])
     trace = float(np.abs(measured[[1, 4, 6]]).sum())
-    fixed = LEAST * np.array([abs(measured[0]), *[trace] * 6])  # a mass that was weighed has no spread
+    fixed = NARROWEST * np.array([abs(measured[0]), *[trace] * 6])  # a mass that was weighed has no spread
     values, away = nearest_values(measured, found.covariance_after + np.diag(fixed**2))
     nearest = {
         name: Estimate.normal(float(value), found.parameters_after[name].std)
