@@ -5,6 +5,7 @@ killed.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ from groundstation.campaign.judging import at_floor
 from groundstation.campaign.report import lines, write_campaign_report
 from groundstation.errors import BadInput
 from groundstation.paths import find_config
-from groundstation.recording import write_mcap
+from groundstation.recording import load_flight, write_mcap
 from groundstation.targets import parse_targets, reached
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
@@ -106,6 +107,34 @@ def test_a_campaign_settles_by_itself_and_goes_on_after_it_was_killed(tmp_path, 
     assert any("Settled after" in line for line in lines(done))
     page = write_campaign_report(tmp_path / "report.html", done).read_text()
     assert "Error on flights that no estimate had seen" in page
+
+
+class HallWithABadFlight(Hall):
+    """The second flight's excitation is cut off after 0.4 s."""
+
+    def fly(self, plan: Path, folder: Path) -> None:
+        super().fly(plan, folder)
+        if self.flown == 2:
+            flight = load_flight(folder)
+            assert flight.window_s is not None
+            (folder / "flight.mcap").unlink()
+            begin = flight.window_s[0]
+            write_mcap(replace(flight, window_s=(begin, begin + 0.4)), folder / "flight.mcap")
+
+
+def test_a_refused_flight_is_left_out_and_the_campaign_goes_on(tmp_path, monkeypatch):
+    monkeypatch.setattr(deciding, "DURATION_S", 20.0)
+    monkeypatch.setattr(module, "PLAN_S", 1.5)
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    begun = Campaign(tmp_path / "campaign", vehicle, parse_targets("mass:1%,ixx,iyy:8%"), at_most=3, seed=3).save()
+    done = run(begun, HallWithABadFlight(tmp_path / "logs", vehicle))
+    _, refused, last = done.rounds
+    assert not refused.estimates
+    assert "too short" in refused.not_settled[0]
+    assert last.judged, "the first flight's model is judged on the third"
+    assert len(last.levels["mass_kg"]["flights"]) == 2, "estimates are made without the refused flight"
+    assert "refused" in "\n".join(lines(done))
+    assert write_campaign_report(tmp_path / "report.html", done).is_file()
 
 
 def test_a_damaged_campaign_is_a_sentence(tmp_path):

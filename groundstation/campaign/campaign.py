@@ -113,6 +113,10 @@ class Campaign:
     outcome: str = ""
     sentence: str = ""
 
+    def model_round(self) -> int:
+        """Number of the last round that left a model, from 1; 0: none did. A refused flight leaves none."""
+        return max((n for n, r in enumerate(self.rounds, 1) if r.estimates), default=0)
+
     def save(self) -> Campaign:
         """Write it down; returns itself."""
         document = {
@@ -250,10 +254,11 @@ def _decide(campaign: Campaign, say: Say, limits: Mapping[str, float]) -> Campai
 
 def _decision(campaign: Campaign, limits: Mapping[str, float]) -> Decision:
     options: dict[str, Any] = {"seed": campaign.seed + len(campaign.rounds), "time_budget_s": PLAN_S, **limits}
-    if not campaign.rounds:
+    number = campaign.model_round()
+    if not number:
         return first_plan(campaign.vehicle, **options)
-    last = campaign.rounds[-1]
-    diagnosis = read_diagnosis(campaign.folder / f"diagnosis-{len(campaign.rounds)}.json")
+    last = campaign.rounds[number - 1]
+    diagnosis = read_diagnosis(campaign.folder / f"diagnosis-{number}.json")
     return next_plan(campaign.vehicle, diagnosis, last.estimates, last.reached, **options)
 
 
@@ -261,6 +266,9 @@ def take_in(
     campaign: Campaign, folder: Path, why: str, *, say: Say = lambda text: None, kept: Kept | None = None
 ) -> Campaign:
     """Judge the model on a flight, then put the flight in.
+
+    A flight with which the estimate is refused counts as flown and leaves the model of the flights before as it is;
+    later estimates are made without it.
 
     Args:
         kept: what earlier rounds left, and this one leaves.
@@ -276,13 +284,17 @@ def take_in(
 
     number, kept = len(campaign.rounds) + 1, kept or Kept()
     flight = kept.flight(folder, campaign.vehicle)
-    judged = _judge(campaign, flight, say)
-    flights = [*(kept.flight(Path(r.folder), campaign.vehicle) for r in campaign.rounds), flight]
-    say(f"flight {number}: identifying and diagnosing {number} flight{'s' if number > 1 else ''} together")
+    judged: Mapping[str, Errors] = {}
+    folders = [*(Path(r.folder) for r in campaign.rounds if r.estimates), folder]
+    flights = [*(kept.flight(each, campaign.vehicle) for each in folders[:-1]), flight]
     try:
+        judged = _judge(campaign, flight, say)
+        together = f"{len(flights)} flights together" if len(flights) > 1 else "it"
+        say(f"flight {number}: identifying and diagnosing {together}")
         found = identify(flights, work=kept.work)
         diagnosis = diagnose(flights, work=kept.work)
     except Refused as error:
+        say(f"flight {number}: refused, and left out of later estimates: {error}")
         return _next(campaign, Round(str(folder), why, _seconds(flight), judged, not_settled=(str(error),)))
     model = model_document(found, campaign.vehicle, diagnosis)
     rigid = without_effects(model, {n: e.to_dict() for n, e in diagnosis.parameters_before.items()})
@@ -290,7 +302,6 @@ def take_in(
     write_model(campaign.folder / f"rigid-{number}.toml", rigid)
     write_json(campaign.folder / f"diagnosis-{number}.json", diagnosis.to_dict())
     seen = _mean([prediction_errors(model, each) for each in flights])
-    folders = [*(Path(r.folder) for r in campaign.rounds), folder]
     by_level = pooled(diagnosis.by_flight, [day_of(each.name) for each in folders])
     estimates = widened({**model["model"], **model["parameters"]}, by_level, diagnosis.by_flight)
     done = Round(
@@ -305,12 +316,14 @@ def _judge(campaign: Campaign, flight: FlightData, say: Say) -> dict[str, Errors
     """Errors on a flight that the campaign's model has not seen."""
     from groundstation.reporting.exports import read_model
 
-    number = len(campaign.rounds)
-    model = campaign.folder / f"model-{number}.toml"
-    if not model.is_file():
+    number = campaign.model_round()
+    if not number:
         return {}
-    say(f"flight {number + 1}: judging the model of {number} flight{'s' if number > 1 else ''} on it")
-    after, before = read_model(model), read_model(campaign.folder / f"rigid-{number}.toml")
+    say(f"flight {len(campaign.rounds) + 1}: judging the model after flight {number} on it")
+    after, before = (
+        read_model(campaign.folder / f"model-{number}.toml"),
+        read_model(campaign.folder / f"rigid-{number}.toml"),
+    )
     declared = {**without_effects(after, {}), "parameters": _declared(campaign.vehicle), "model": {}}
     declared.pop("disturbance", None)
     documents = {"declared": declared, "before": before, "after": after}
@@ -335,9 +348,10 @@ def _open(campaign: Campaign, done: Round) -> list[str]:
     if not done.judged:
         out.append("no flight has judged the model yet")
         return out
-    if done.names() != campaign.rounds[-1].names() and set(done.names()) != set(campaign.rounds[-1].names()):
+    before = campaign.rounds[campaign.model_round() - 1]
+    if set(done.names()) != set(before.names()):
         out.append("this flight changed what is found, so the new model is not judged yet")
-    elif not at_floor(done.judged["after"], campaign.rounds[-1].seen):
+    elif not at_floor(done.judged["after"], before.seen):
         out.append("on the unseen flight the model's error was above that on its own flights")
     return out
 
@@ -367,7 +381,7 @@ def _exhausted(campaign: Campaign, done: Round) -> str:
         plan = load_plan(Path(done.folder) / "plan.toml")
     except BadInput:
         return text
-    needed = flights_needed(campaign.vehicle, done.estimates, campaign.targets, plan)
+    needed = flights_needed(campaign.vehicle, done.estimates, campaign.targets, plan) if done.estimates else {}
     far = {name: count for name, count in needed.items() if count > 0.0}
     if far:
         text += (

@@ -165,7 +165,11 @@ def _cost_section(page: Page, campaign: Campaign) -> None:
             return  # a given flight without a plan: what it told cannot be predicted
         plans.append(plan.as_flown(done.seconds))
     seconds = sum(r.seconds for r in campaign.rounds)
-    repeated = paper_seconds(campaign.vehicle, campaign.rounds[-1].estimates, plans, list(campaign.targets))
+    number = campaign.model_round()
+    if not number:
+        return
+    estimates = campaign.rounds[number - 1].estimates
+    repeated = paper_seconds(campaign.vehicle, estimates, plans, list(campaign.targets))
     if not repeated:
         return
     rows = [(label(n), f"{seconds:.0f} s", f"{value:.0f} s", f"{value / seconds:.1f}") for n, value in repeated.items()]

@@ -276,8 +276,9 @@ class Evidence:
         share: Array = energy.sum(axis=1) / total
         spread: Array = share * share / self._freedom
         freedom = 1.0 / float(spread.sum())
-        ends = np.array([0.5 * freedom, 0.5 * count])
-        left: Array = np.array(betaincinv(*ends, [chance]), dtype=float)  # nu / (nu + W), of a beta distribution
+        left = np.asarray(
+            betaincinv(0.5 * freedom, 0.5 * count, [chance]), dtype=np.float64
+        )  # nu / (nu + W): beta distributed
         return freedom * (1.0 / float(left[0]) - 1.0)
 
     def _energy(self, instrument: Array) -> Array:

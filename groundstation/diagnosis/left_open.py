@@ -164,7 +164,7 @@ def _misshapen(evidence: Evidence, chosen: Sequence[Entry], solution: Solution) 
 def _in_shape(form: Array, own: Array) -> Array:
     """What a form (rows, 1) is of its effect's own columns (rows, count), in the least squares sense, (count, 1)."""
     scale = np.linalg.norm(own, axis=0) + 1e-30
-    found: Array = np.linalg.lstsq(own / scale, form, rcond=1e-8)[0]
+    found = np.asarray(np.linalg.lstsq(own / scale, form, rcond=1e-8)[0], dtype=np.float64)
     return found / scale[:, None]
 
 
