@@ -16,6 +16,7 @@ from groundstation.diagnosis.columns import Candidate, Solution
 from groundstation.diagnosis.effect import library, shared_by_healthy
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import FlightEvidence
+from groundstation.diagnosis.form_error import form_covariance
 from groundstation.diagnosis.left_open import left_open
 from groundstation.diagnosis.rivals import Entry
 from groundstation.diagnosis.thresholds import THRESHOLDS
@@ -72,6 +73,29 @@ class Selected:
         """Covariance (p, p) that explanations beside the chosen leave open in the joint estimate."""
         return left_open(self.evidence, self.chosen, self.selection.pool, self.selection.threshold)
 
+    def established(self) -> Selected:
+        """Without members that sets without them explain as well, and whose size is not told from zero.
+
+        Confidence below a half says the first. The second is said by the interval that holds what formulas and
+        explanations beside the findings leave open, too: such a number makes up for what another's formula misses.
+        """
+        doubted = [n.confidence < 0.5 and not n.alternatives for n in self.named]
+        if not any(doubted):
+            return self
+        solution = self.solution
+        spread = solution.covariance + form_covariance(self.evidence, self.chosen, solution) + self.left_open()
+        first = solution.base + sum(len(candidate.effect.parameters) for candidate, _ in self.baseline)
+        kept: list[Entry] = []
+        for item, doubt in zip(self.named, doubted, strict=True):
+            own = slice(first, first + len(item.candidate.effect.parameters))
+            first = own.stop
+            if not doubt or np.any(np.abs(solution.theta[own]) > 1.96 * np.sqrt(np.diag(spread)[own])):
+                kept.append((item.candidate, item.columns))
+        if len(kept) == len(self.named):
+            return self
+        named, solution = self.selection.named(kept)
+        return replace(self, named=named, solution=solution)
+
 
 def select(
     case: Case,
@@ -103,7 +127,7 @@ def select(
         found = _select(case, base, augmented, known, progress, settled)
         if not found.is_bent():
             break
-    return found
+    return found.established()
 
 
 def select_beside(
