@@ -96,7 +96,7 @@ async def follow(
     assert watch is not None
     await until(
         pilot,
-        lambda: watch.newest is not None and watch.newest.phase == phase and app._shown is watch.newest,
+        lambda: watch.newest is not None and watch.newest.phase == phase and app.station.seen is watch.newest,
         lambda: core.say(phase, **changes),
     )
     return watch

@@ -398,10 +398,10 @@ async def test_the_screens_follow_another_station_and_abort_its_flight(place: Pl
         return "".join(str(widget.content) for widget in app.screen.query("#flight-line").results(Static))
 
     async with app.run_test(size=(120, 40)) as pilot:
-        await until(lambda: watch.flight == "flight" and app.limits.room and "ready to start" in line())
+        await until(lambda: watch.flight == "flight" and app.station.limits.room and "ready to start" in line())
         assert wall.station in line() and watch.folder == tmp_path / "kept" / wall.station / "flight"
-        app.prepare_flight()
-        assert not app.preparing and not app.may_take_lease
+        app.station.prepare_flight()
+        assert not app.station.preparing and not app.station.may_take_lease
         assert "may watch and abort" in watch.order("start")
         await pilot.press("ctrl+g")
         await until(lambda: place.core.events)

@@ -145,7 +145,7 @@ async def test_text_of_vehicles_and_logs_is_text(core: ScriptedCore, tmp_path: P
                 await pilot.press(key)
                 await follow(pilot, core, phase, **hostile)
                 await until(pilot, lambda: HOSTILE in screen_text(app))
-        app._fail(HOSTILE)
+        app.station.fail(HOSTILE)
         await until(pilot, lambda: HOSTILE in text_of(app, "#flight-line"))
 
 

@@ -64,8 +64,8 @@ def short_plan() -> Plan:
 
 def station(logs: Path, *, real_time: bool, analyse: bool = False) -> GroundStation:
     app = GroundStation(logs, analyse=analyse)
-    app.setup = Setup(scenario="clean", real_time=real_time)
-    app.plan = short_plan()
+    app.station.setup = Setup(scenario="clean", real_time=real_time)
+    app.station.plan = short_plan()
     return app
 
 

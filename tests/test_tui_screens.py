@@ -30,7 +30,7 @@ async def test_a_plan_never_takes_the_place_of_another(tmp_path: Path) -> None:
     folder = tmp_path / "logs" / "plans"
     async with app.run_test(size=(80, 24)) as pilot:
         await pilot.press("2")
-        app.plan = load_plan(find_config("plans", "qball2"))
+        app.station.plan = load_plan(find_config("plans", "qball2"))
         await pilot.press("w", "w")
         (folder / "qball2-2.toml").write_text("mine")
         (folder / "qball2-1.toml").unlink()
@@ -98,7 +98,7 @@ async def test_the_plan_before_comes_back(tmp_path: Path) -> None:
         assert isinstance(screen, Planner)
         first = load_plan(find_config("plans", "qball2"))
         second = first.model_copy(update={"note": "another"})
-        app.plan = first
+        app.station.plan = first
         screen._found(second)
         await pilot.press("u")
         assert app.plan is first and "another" not in text_of(app, "#plan-text")
@@ -109,9 +109,9 @@ async def test_the_plan_before_comes_back(tmp_path: Path) -> None:
 async def test_the_campaign_screen_shows_rounds_and_one_key_prepares_the_next_flight(tmp_path: Path) -> None:
     app = station(tmp_path)
     vehicle = load_vehicle(find_config("vehicles", "qball2"))
-    folder = app.logs / "campaign-2026-01-31T12-00-00-qball2"
+    folder = app.station.logs / "campaign-2026-01-31T12-00-00-qball2"
     done = Round(
-        str(app.logs / "flight-1"),
+        str(app.station.logs / "flight-1"),
         "first flight",
         40.0,
         {},
@@ -128,7 +128,7 @@ async def test_the_campaign_screen_shows_rounds_and_one_key_prepares_the_next_fl
     ).save()
     (folder / "vehicle.toml").write_bytes(find_config("vehicles", "qball2").read_bytes())
     prepared: list[tuple[object, ...]] = []
-    app.prepare_this = lambda *what: prepared.append(what)  # type: ignore[method-assign, assignment]
+    app.station.prepare_this = lambda *what: prepared.append(what)  # type: ignore[method-assign, assignment]
     async with app.run_test(size=(120, 40)) as pilot:
         await pilot.press("7")
         await until(pilot, lambda: "rotor drag" in screen_text(app) and "next: to sharpen mass" in screen_text(app))
@@ -137,6 +137,6 @@ async def test_the_campaign_screen_shows_rounds_and_one_key_prepares_the_next_fl
         setup, flown, begun = prepared[0]
         assert isinstance(setup, Setup) and setup.vehicle == str(folder / "vehicle.toml")
         assert isinstance(flown, Plan) and flown.vehicle == "qball2"
-        begun(app.logs / "flight-2")  # type: ignore[operator]
-        assert load_campaign(folder).pending["folder"] == str(app.logs / "flight-2")
+        begun(app.station.logs / "flight-2")  # type: ignore[operator]
+        assert load_campaign(folder).pending["folder"] == str(app.station.logs / "flight-2")
         assert load_campaign(folder).rounds == stand.rounds

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, ClassVar, cast
+from typing import ClassVar
 
 from rich.text import Text
 from textual.app import ComposeResult
@@ -15,10 +15,8 @@ from textual.widgets import DataTable, Footer, Static
 
 from groundstation.flight.messages import CoreStatus
 from groundstation.texts import shown
+from groundstation.tui.model import Station, owner
 from groundstation.tui.widgets.bars import FlightBar, Tabs
-
-if TYPE_CHECKING:
-    from groundstation.tui.app import GroundStation
 
 WIDE = 120
 """Columns from which things stand side by side."""
@@ -40,9 +38,9 @@ class StationScreen(Screen[None]):
     ]
 
     @property
-    def station(self) -> GroundStation:
-        """The application."""
-        return cast("GroundStation", self.app)
+    def station(self) -> Station:
+        """What is chosen and what flies; the application owns it."""
+        return owner(self.app).station
 
     def compose(self) -> ComposeResult:
         """Bars, body, footer."""

@@ -72,9 +72,9 @@ report. `groundstation campaign` does the same on the command line, and either g
         try:
             stand = load_campaign(folders[self._back % len(folders)]) if folders else None
         except BadInput as error:
-            self.station.call_from_thread(self.say, "#campaign-said", str(error))
+            self.app.call_from_thread(self.say, "#campaign-said", str(error))
             return
-        self.station.call_from_thread(self._show, stand)
+        self.app.call_from_thread(self._show, stand)
 
     def _show(self, stand: Stand | None) -> None:
         self._stand = stand
@@ -113,12 +113,12 @@ report. `groundstation campaign` does the same on the command line, and either g
                 self._report(str(error))
             finally:
                 self._busy = False
-                self.station.call_from_thread(self.on_screen_resume)
+                self.app.call_from_thread(self.on_screen_resume)
 
         self.run_worker(guarded, thread=True, group="campaign")
 
     def _report(self, text: str) -> None:
-        self.station.call_from_thread(self.say, "#campaign-said", text)
+        self.app.call_from_thread(self.say, "#campaign-said", text)
 
     def _begin(self) -> None:
         from groundstation.campaign.campaign import begin
@@ -149,4 +149,4 @@ report. `groundstation campaign` does the same on the command line, and either g
         def begun(folder: Path) -> None:
             replace(stand, pending={**stand.pending, "folder": str(folder)}).save()
 
-        self.station.call_from_thread(self.station.prepare_this, mine, plan, begun)
+        self.app.call_from_thread(self.station.prepare_this, mine, plan, begun)

@@ -9,6 +9,7 @@ from textual.binding import Binding
 from textual.widgets import DataTable, Static
 
 from groundstation.tui.documents import error_rows, finding_text, suspect_rows
+from groundstation.tui.model import owner
 from groundstation.tui.results import FlightResults
 from groundstation.tui.screens.base import StationScreen, fill
 
@@ -61,7 +62,7 @@ the findings. The suspects are the effects that were tried, with the evidence fo
 
     def action_next_flight(self) -> None:
         """Plan a flight of the same vehicle."""
-        self.station.plan_next()
+        owner(self.app).plan_next()
 
     def action_report(self) -> None:
         """Open the report."""

@@ -86,7 +86,7 @@ does identification, diagnosis and report of every recording here that has no re
         from groundstation.fleet.catalogue import Catalogue
 
         rows = Catalogue(self.station.logs).rows()
-        self.station.call_from_thread(self._fill, rows)
+        self.app.call_from_thread(self._fill, rows)
 
     def _fill(self, rows: list[JsonObject]) -> None:
         self._rows = rows
@@ -160,7 +160,7 @@ does identification, diagnosis and report of every recording here that has no re
         from groundstation.fleet.report import trend_lines
 
         lines = trend_lines(Catalogue(self.station.logs), vehicle)
-        self.station.call_from_thread(self.say, "#flights-text", "\n".join(lines))
+        self.app.call_from_thread(self.say, "#flights-text", "\n".join(lines))
 
     def action_analyse(self, steps: str) -> None:
         """Identify, diagnose or report the recording under the cursor, in a process of its own."""
@@ -184,7 +184,7 @@ does identification, diagnosis and report of every recording here that has no re
             told = f"written: {write_comparison(self.station.logs / 'compare.html', self._compared)}"
         except BadInput as error:
             told = str(error)
-        self.station.call_from_thread(self.say, "#flights-text", told)
+        self.app.call_from_thread(self.say, "#flights-text", told)
 
     def action_batch(self) -> None:
         """Identify, diagnose and report what has no results yet, in processes of their own."""
@@ -197,7 +197,7 @@ does identification, diagnosis and report of every recording here that has no re
         if sources:
             self._work(sources, batch.STEPS)
         else:
-            self.station.call_from_thread(self.say, "#flights-text", "every recording here has results")
+            self.app.call_from_thread(self.say, "#flights-text", "every recording here has results")
 
     def _work(self, sources: list[str], steps: Sequence[str]) -> None:
         """On a thread: these recordings through these steps, told as it goes."""
@@ -205,7 +205,7 @@ does identification, diagnosis and report of every recording here that has no re
         from groundstation.fleet import batch
 
         def say(text: str) -> None:
-            self.station.call_from_thread(self.say, "#flights-text", text)
+            self.app.call_from_thread(self.say, "#flights-text", text)
 
         wanted = batch.tasks(sources, str(self.station.logs), None, steps)
         say(f"{', '.join(steps)}: {len(wanted)} recording{'s' if len(wanted) > 1 else ''} …")
@@ -216,13 +216,13 @@ does identification, diagnosis and report of every recording here that has no re
                 say("\n".join([f"analysed {number} of {len(wanted)}", *bad]))
         except BadInput as error:
             say(str(error))
-        self.station.call_from_thread(self.on_screen_resume)
+        self.app.call_from_thread(self.on_screen_resume)
 
     def on_data_table_row_selected(self) -> None:
         """Show the flight on Identify."""
         if row := self._current():
             self.station.show_flight(Path(row["folder"]))
-            self.station.switch_mode("identify")
+            self.app.switch_mode("identify")
 
     def action_sort(self) -> None:
         """By the next column."""

@@ -101,8 +101,7 @@ room, the path close up, and all of the guard's box. c chooses signals for the c
         if action == "operate":
             return station.may_take_lease
         if action == "agree":
-            status = station.core.newest if station.core else None
-            return status is not None and status.until is not None and bool(status.until.proposal)
+            return station.may_agree
         return True
 
     def show_status(self, status: CoreStatus) -> None:

@@ -202,7 +202,7 @@ one. w writes the plan to a file in the folder of the flights; the Fly screen fl
     def _search(self, problem: dict) -> None:
         """On a thread: the optimiser gives its best so far when it is interrupted."""
         worker = get_current_worker()
-        station = self.station
+        station, app = self.station, self.app
 
         def watch(series: FourierSeries) -> None:
             if self._enough.is_set() or worker.is_cancelled:
@@ -217,15 +217,15 @@ one. w writes the plan to a file in the folder of the flights; the Fly screen fl
         except GroundStationError as error:
             self._tell(0.0, str(error))
         else:
-            station.call_from_thread(self._found, plan)
+            app.call_from_thread(self._found, plan)
         finally:
             self._trial = None
             station.plan_worker_running = False
-            station.call_from_thread(self.refresh_bindings)
+            app.call_from_thread(self.refresh_bindings)
 
     def _tell(self, fraction: float, text: str) -> None:
         """From the thread."""
-        self.station.call_from_thread(self._progress, fraction, text)
+        self.app.call_from_thread(self._progress, fraction, text)
 
     def _progress(self, fraction: float, text: str) -> None:
         bar = self.query_one(ProgressBar)

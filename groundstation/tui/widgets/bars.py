@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
-
 from textual.app import ComposeResult
 from textual.containers import Horizontal
 from textual.widgets import Button, Static
@@ -11,10 +9,8 @@ from textual.widgets import Button, Static
 from groundstation.flight.messages import CoreStatus
 from groundstation.flight.sequence import IN_FLIGHT
 from groundstation.texts import shown
+from groundstation.tui.model import owner
 from groundstation.tui.text import PHASES
-
-if TYPE_CHECKING:
-    from groundstation.tui.app import GroundStation
 
 REFRESH_S = 1.0 / 6.0
 SCREENS = {
@@ -79,7 +75,7 @@ class FlightBar(Horizontal):
 
     def _refresh_line(self) -> None:
         """As of the newest status."""
-        station = cast("GroundStation", self.app)
+        station = owner(self.app).station
         watch = station.core
         status = watch.newest if watch else None
         text = flight_line(
