@@ -88,6 +88,8 @@ def test_a_flight_is_started_aborted_and_killed_without_a_terminal(desk: Desk, c
     assert desk.opened == ["fly"]
     assert station.flying and not station.may_prepare
     station.start_flight()
+    station.seen = None
+    hear(station, core, Phase.UPLOADED)
     assert orders(core) == [], "not before everything is checked"
     hear(station, core, Phase.CHECKED)
     hear(station, core, Phase.EXCITING)
