@@ -32,7 +32,7 @@ from groundstation.model.predictive import (
     windows,
 )
 from groundstation.model.rotors import motor_input
-from groundstation.model.vehicle_model import VehicleModel, declared_model
+from groundstation.model.vehicle_model import VehicleModel, declared_model, model_from_document
 from groundstation.vehicle import Vehicle, vehicle_from_dict
 
 SEED = 20261129
@@ -191,6 +191,19 @@ def test_a_physical_model_that_is_right_stays() -> None:
     score = {name: value for name, (value, _) in found.score.items()}
     assert score[found.kind] <= score["physical"]
     assert score[found.kind] < 0.5 * score["constant_velocity"]
+
+
+@pytest.mark.filterwarnings("ignore:overflow encountered", "ignore:invalid value encountered")
+def test_a_physical_model_that_runs_away_is_never_chosen() -> None:
+    declared = declared_model(small())
+    states = flown(plain(declared), still(small(), 30.0, size=0.3), noise_rad_s=0.01)
+    shot = shooting(states, 0, np.ones(len(states.t_s), bool), 250)
+    assert shot is not None
+    explosive = model_from_document({"model": {"damping_x_nms": {"value": -1.0}}}, small())
+    found = judged([shot], explosive, declared)
+    assert found.kind != "physical"
+    assert found.score["physical"][0] > 100.0
+    assert predict(chosen_predictor({"prediction": section(found)}, explosive), states, horizon_s=0.5).windows > 0
 
 
 def test_a_model_that_loses_to_constant_velocity_says_so_in_its_first_line() -> None:

@@ -43,7 +43,8 @@ class Beside:
 
     def plausible(self) -> NDArray[np.bool_]:
         """:func:`.rivals.plausible` of each, (several,)."""
-        std = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        variances = np.diagonal(self.covariance, axis1=1, axis2=2)
+        std = np.sqrt(np.where(variances >= 0.0, variances, np.nan))  # of one below zero nothing is plausible
         ranges = np.array([[p.plausible for p in candidate.effect.parameters] for candidate, _ in self.entries])
         margin = THRESHOLDS.plausible_margin_std * std
         inside = (ranges[:, :, 0] - margin <= self.values) & (self.values <= ranges[:, :, 1] + margin)

@@ -104,7 +104,8 @@ def _fitted(prepared: Sequence[Prepared], progress: Progress) -> DynamicFit:
     models = _models_of(prepared)
     if any(len(model.t_s) < 50 for model in models):
         raise NotIdentifiable(
-            "a flight holds less than a second of usable data.", "Leave out less of it, or fly longer."
+            "a flight holds less than a second of data without gaps.",
+            "Leave out less of it, lose fewer samples, or fly longer.",
         )
     progress(0.4, "prediction error with the flight's own disturbance")
     filter_error = fit_from_declared(models, prepared[0].record.vehicle, options)

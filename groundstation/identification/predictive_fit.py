@@ -261,16 +261,19 @@ def judged(shots: Sequence[Shooting], physical: VehicleModel, base: VehicleModel
 
 
 def _sizes(model: PredictiveModel | VehicleModel | None, shot: Shooting) -> Array:
-    """Errors of each window, (horizons judged, k, 4)."""
+    """Errors of each window, (horizons judged, k, 4): infinite where a model runs away, NaN of a pose not known."""
     if isinstance(model, VehicleModel):
-        found = error_norms(model, shot.states, shot.index, list(HORIZONS_S))
-        return np.stack([np.stack([found[h][q] for q in QUANTITIES], axis=-1) for h in HORIZONS_S])
-    path = (
-        _constant(shot.states, shot.index, HORIZONS_S)
-        if model is None
-        else run(model.values, windows(course(model.base, shot.states), shot.index), HORIZONS_S)
-    )
-    return np.linalg.norm(_differences(path, shot.truth), axis=-1)
+        norms = error_norms(model, shot.states, shot.index, list(HORIZONS_S))
+        found = np.stack([np.stack([norms[h][q] for q in QUANTITIES], axis=-1) for h in HORIZONS_S])
+    else:
+        path = (
+            _constant(shot.states, shot.index, HORIZONS_S)
+            if model is None
+            else run(model.values, windows(course(model.base, shot.states), shot.index), HORIZONS_S)
+        )
+        found = np.linalg.norm(_differences(path, shot.truth), axis=-1)
+    ran_away = np.isnan(found[..., 3:])  # the rate, which is always known
+    return np.where(ran_away & np.isnan(found), np.inf, found)
 
 
 def _blocks(sizes: Sequence[Array], where: Sequence[tuple[int, Index]], scale: Mapping[int, Array]) -> Array:
@@ -317,9 +320,11 @@ def _chosen(
 
 
 def _lost(errors: Mapping[str, Mapping[str, Mapping[str, float]]], kind: str) -> tuple[tuple[str, str], ...]:
-    """Horizons and quantities in which a candidate misses more than constant velocity, by more than rounding."""
-    still = errors["constant_velocity"]
-    return tuple((h, q) for h, by in errors[kind].items() for q, size in by.items() if size > 1.02 * still[h][q])
+    """Horizons and quantities in which a candidate misses more than constant velocity, by more than rounding, or runs
+    away.
+    """
+    still, own = errors["constant_velocity"], errors[kind]
+    return tuple((h, q) for h, by in still.items() for q, size in by.items() if own[h].get(q, np.inf) > 1.02 * size)
 
 
 def _simplest_of_the_best(blocks: Mapping[str, Array], lost: Mapping[str, Sequence[tuple[str, str]]]) -> str:

@@ -97,9 +97,10 @@ def check_gyro(imu: Stream, attitude: Stream | None, motors: Stream, vehicle: Ve
             f"imu: gyro_x_rad_s, gyro_y_rad_s, gyro_z_rad_s cannot be in rad/s: they reach {lasting:.0f}, beyond any "
             "gyro's range; are they in degrees per second? Divide by 57.29578."
         )
-    ratio = _ratio_to_poses(t_s, gyro, attitude) if attitude is not None else None
-    if ratio is None and vehicle.rotors.input != "wrench":
-        ratio = _ratio_to_rotors(t_s, gyro, motors, vehicle)
+    if attitude is not None:
+        ratio = _ratio_to_poses(t_s, gyro, attitude)
+    else:
+        ratio = _ratio_to_rotors(t_s, gyro, motors, vehicle) if vehicle.rotors.input != "wrench" else None
     if ratio is not None and ratio > _SUSPICIOUS:
         raise BadInput(
             f"imu: gyro_x_rad_s, gyro_y_rad_s, gyro_z_rad_s cannot be in rad/s: they are {ratio:.0f} times what the "
