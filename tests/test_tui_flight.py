@@ -32,7 +32,7 @@ from groundstation.tui.widgets.dialogs import Question
 from tests.one_answer import disagreements
 from tests.scripted_core import screen_text
 
-PATIENCE_S = 90.0
+PATIENCE_S = 180.0
 
 
 async def until(pilot: Pilot, condition: Callable[[], object]) -> None:
