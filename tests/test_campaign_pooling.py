@@ -97,7 +97,8 @@ def test_three_flights_are_held_out_one_by_one_and_two_by_blocks_of_time():
     def evidence(suspects: int, flights: int):
         times = np.tile(np.arange(0.0, 60.0, 0.5), flights)
         numbers = np.repeat(np.arange(flights), 120)
-        return SimpleNamespace(suspects=suspects, time_of_rows=lambda: (times, numbers * 0, numbers))
+        rows = {"time_of_rows": lambda: (times, numbers * 0, numbers)}
+        return SimpleNamespace(suspects=suspects, flights=range(flights), folds={}, **rows)
 
     whole = held_out(evidence(3, 4))  # type: ignore[arg-type]
     numbers = np.repeat(np.arange(4), 120)

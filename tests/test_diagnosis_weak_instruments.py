@@ -15,6 +15,7 @@ from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.joint import Products, estimated, strengths
 from groundstation.diagnosis.linearisation import linearisation
+from groundstation.diagnosis.products import Table
 from groundstation.diagnosis.weakness import weak_instruments
 from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
@@ -131,7 +132,8 @@ def evidence() -> Evidence:
     weak = backwards / np.linalg.norm(backwards) + 0.003 * own / np.linalg.norm(own)
     found.z = found.z.copy()
     found.z[:, [roll]] = weak * np.linalg.norm(own) / root
-    found._base = Columns.of(found.x, found.z, np.zeros(6))
+    found.base = Columns.of(found.x, found.z, np.zeros(6))
+    found.table = Table(found.base, found.output, found.weight, found.time_of_rows()[1])
     return found
 
 

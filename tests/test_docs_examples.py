@@ -13,8 +13,9 @@ import matplotlib as mpl
 import pytest
 from test_cli_words import DOCUMENTS, ROOT
 
-ELSEWHERE = {"fleet.md": "dask_jobqueue"}
-"""Documents with a block that needs another machine, and what it needs: such a block is only parsed."""
+ELSEWHERE = {"fleet.md": "dask_jobqueue", "extending.md": "sim.algebra"}
+"""Documents with a block that needs another machine or a file of its own, and what it needs: such a block is only
+parsed. `tests/test_extending.py` runs those of extending.md in their files."""
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
