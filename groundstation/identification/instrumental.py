@@ -24,6 +24,12 @@ ROUNDS = 3
 """How often the noise model is refitted to the residual."""
 STEPS = 10
 """Steps under one noise model, at most."""
+RESIDUAL_GROWTH, HALVINGS = 5.0, 8
+"""A step is halved while some channel's residual exceeds that of the prediction error estimate so many times, and not
+taken if so many halvings are not enough. The two estimates differ by what feedback does; where the plan hardly tells
+lag from dead time, a whole step leaves the flight behind and does not come back (20 to 600 times the residual, where
+steps that come back have up to three).
+"""
 SPECTRA = 4
 """Columns whose spectrum is held at a time, of a flight in several parts."""
 
@@ -198,7 +204,7 @@ def _step(
     step = np.asarray(np.linalg.solve(zx, ze), dtype=float)
     inverse = np.linalg.inv(zx)
     covariance = inverse @ zz @ inverse.T
-    after = problem.at(_bounded_move(problem, point, step))
+    after = _beside_the_flight(problem, point, step, RESIDUAL_GROWTH * start.residual_rms)
     change = problem.values(after) - problem.values(point)
     small = bool(np.all(np.abs(change) < 0.02 * np.sqrt(np.diag(covariance))))
     return _Solution(after, covariance, zx, 1), small
@@ -291,6 +297,18 @@ def lag_split_precision(names: Sequence[str]) -> Array:
         row[names.index("rotor_lag_up_s")], row[names.index("rotor_lag_down_s")] = 1.0, -1.0
         precision += np.outer(row, row) / 0.005**2
     return precision
+
+
+def _beside_the_flight(problem: Problem, point: Point, step: Array, most: Array) -> Point:
+    """The point after the step, its half, its quarter ..., the first whose residual is at most so large in each
+    channel; where it began if none is.
+    """
+    for _ in range(HALVINGS):
+        after = problem.at(_bounded_move(problem, point, step))
+        if not np.any(after.rms() > most):
+            return after
+        step = 0.5 * step
+    return point
 
 
 def _bounded_move(problem: Problem, point: Point, step: Array) -> Parameters:
