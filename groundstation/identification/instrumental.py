@@ -30,6 +30,8 @@ taken if so many halvings are not enough. The two estimates differ by what feedb
 lag from dead time, a whole step leaves the flight behind and does not come back (20 to 600 times the residual, where
 steps that come back have up to three).
 """
+RESIDUAL_LEAST = 0.1
+"""rad/s^2 and m/s^2: a residual below it (a flight without noise) is counted as this much."""
 SPECTRA = 4
 """Columns whose spectrum is held at a time, of a flight in several parts."""
 
@@ -204,7 +206,8 @@ def _step(
     step = np.asarray(np.linalg.solve(zx, ze), dtype=float)
     inverse = np.linalg.inv(zx)
     covariance = inverse @ zz @ inverse.T
-    after = _beside_the_flight(problem, point, step, RESIDUAL_GROWTH * start.residual_rms)
+    most = RESIDUAL_GROWTH * np.maximum(start.residual_rms, RESIDUAL_LEAST)
+    after = _beside_the_flight(problem, point, step, most)
     change = problem.values(after) - problem.values(point)
     small = bool(np.all(np.abs(change) < 0.02 * np.sqrt(np.diag(covariance))))
     return _Solution(after, covariance, zx, 1), small
