@@ -12,7 +12,8 @@ from flights import laboratory
 
 from groundstation.diagnosis.pipeline import _with_swing
 from groundstation.diagnosis.results import Diagnosis
-from groundstation.diagnosis.swing import FORM, Swing, cable, swing_of
+from groundstation.diagnosis.swing import Swing, cable, swing_of
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.preparation import Prepared, prepare
 from groundstation.identification.results import Estimate
 from groundstation.model.parameters import Parameters, declared_parameters
@@ -46,8 +47,8 @@ def _swing(load_kg: float, length_m: float) -> tuple[Swing | None, float]:
 def test_a_swinging_load_is_told_with_its_size_and_its_cable_within_what_is_said(load_kg: float, length_m: float):
     found, mass_kg = _swing(load_kg, length_m)
     assert found is not None
-    assert found.load_kg == pytest.approx(load_kg, rel=3.0 * FORM), found
-    assert found.length_m == pytest.approx(length_m, rel=3.0 * FORM), found
+    assert found.load_kg == pytest.approx(load_kg, rel=3.0 * THRESHOLDS.swing_form), found
+    assert found.length_m == pytest.approx(length_m, rel=3.0 * THRESHOLDS.swing_form), found
     assert found.body_kg == pytest.approx(mass_kg, rel=0.01), found
     assert "swings as a load" in found.sentence()
 

@@ -141,6 +141,13 @@ class Thresholds:
         source="judgement",
         chosen_on="12 flights of two simulators; looked at again on 28 with loads and 10 without (decision 47)",
     )
+    swing_form: float = _entry(
+        0.05,
+        "Share by which a load that is told by its force, and its cable's length, lie off, as a standard deviation: 3 "
+        "to 5 % in 27 of 28.",
+        source="judgement",
+        chosen_on="28 flights of two simulators with loads (decision 47)",
+    )
     held_out_blocks: int = _entry(
         6,
         "Blocks of time that a flight is divided into; each is judged by the parameters of the others.",

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, from_thrust
 from groundstation.diagnosis.pendulum_search import SCANNED, likely_pendulums
-from groundstation.diagnosis.swing import FORM, SHARES, cable, swing_of
+from groundstation.diagnosis.swing import DRAG_STD, SHARES, cable, swing_of
+from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.flightdata import resampled
 from groundstation.frames import quat_rotate, quat_rotate_inverse
 from groundstation.model.signals import Signals
@@ -35,8 +36,8 @@ MOST_KG = 10.0
 TYPICAL_SHARE = 0.05
 """Of the vehicle's mass that a load has: the scale on which changes of its settings are shrunk."""
 LENGTH_M, AIR_1_S, DEPTH_M = "length_m", "air_1_s", "depth_m"
-BODY_KG = "body_kg"
-"""The vehicle without the load, where the cable is seen and not followed."""
+BODY_KG, SEEN_DRAG_KG_S = "body_kg", "seen_drag_kg_s"
+"""The vehicle without the load, and its drag, by which the cable is seen where it is not followed."""
 SEEN_HZ = 4.0
 """Below which it is seen: a load on some decimetres turns over twice a second."""
 STEPS = {LENGTH_M: 0.01, AIR_1_S: 0.02, DEPTH_M: 0.002}
@@ -124,7 +125,8 @@ def _states(signals: Signals, at: Index, vehicle: Vehicle, several: Sequence[Set
         pendulums = np.array([_pendulum(settings) for settings in several])
         return pulls_per_mass(t_s, (origin, deeper), gravity, pendulums, True)[1]
     force = np.gradient(origin, t_s, axis=0) + np.array([0.0, 0.0, gravity])
-    along = cable(_slow(body_kg * force - _lift(signals, at, vehicle), t_s))
+    drag = several[0].get(SEEN_DRAG_KG_S, 0.0) * origin * np.array([1.0, 1.0, 0.0])
+    along = cable(_slow(body_kg * force - _lift(signals, at, vehicle) + drag, t_s))
     return np.repeat(np.column_stack([along, np.gradient(along, t_s, axis=0)])[:, :, None], len(several), axis=2)
 
 
@@ -273,7 +275,8 @@ def _searched(signals: Signals, keep: NDArray[np.bool_], vehicle: Vehicle) -> tu
     if swing is None:
         return ()
     air = float(np.clip(swing.air_1_s, *AIR_RANGE_1_S))
-    return ({LENGTH_M: swing.length_m, AIR_1_S: air, DEPTH_M: 0.0, BODY_KG: swing.body_kg},)
+    seen = {BODY_KG: swing.body_kg, SEEN_DRAG_KG_S: swing.drag_kg_s}
+    return ({LENGTH_M: swing.length_m, AIR_1_S: air, DEPTH_M: 0.0, **seen},)
 
 
 def _change(name: str, setting: str, spread: float, form: float) -> ParameterInfo:
@@ -327,7 +330,12 @@ def _seen_begun(signals: Signals, vehicle: Vehicle, settings: Settings, index: I
 def _seen_spread(settings: Settings, load_kg: float) -> dict[str, float]:
     """What the search's values are off by."""
     length, air = settings[LENGTH_M], settings[AIR_1_S]
-    return {BODY_KG: FORM * load_kg, LENGTH_M: FORM * length, AIR_1_S: float(np.hypot(SEEN_AIR_1_S, 0.4 * air))}
+    return {
+        BODY_KG: THRESHOLDS.swing_form * load_kg,
+        LENGTH_M: THRESHOLDS.swing_form * length,
+        AIR_1_S: float(np.hypot(SEEN_AIR_1_S, 0.4 * air)),
+        SEEN_DRAG_KG_S: DRAG_STD * settings[BODY_KG],
+    }
 
 
 def _no_finer(settings: Settings) -> tuple[Settings, ...]:
@@ -340,7 +348,7 @@ def _seen_settled(settings: Settings, values: Array) -> Settings:
 
 SEEN = replace(
     EFFECT,
-    parameters=(replace(PARAMETERS[0], form=FORM), PARAMETERS[3]),
+    parameters=(replace(PARAMETERS[0], form=THRESHOLDS.swing_form), PARAMETERS[3]),
     wrench=_seen_wrench,
     instrument=_seen_instrument,
     settled=_seen_settled,
