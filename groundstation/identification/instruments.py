@@ -20,6 +20,7 @@ from groundstation.frames import euler_from_quat, quat_continuous, quat_from_eul
 from groundstation.identification.parts import kept, parts_of
 from groundstation.identification.record_model import PlannedMotion
 from groundstation.identification.streams import clean
+from groundstation.linear_filters import both_ways, low_pass
 from groundstation.trajectory import FlatState, RigidMotion, rigid_motion
 
 Array = NDArray[np.float64]
@@ -219,10 +220,8 @@ def _body_filters(shifts: _Shifted, motion: FlownMotion, used: NDArray[np.int64]
 
     A fast manoeuvre couples the axes and saturates loops, which a filter of position and yaw does not tell.
     """
-    from scipy.signal import butter, sosfiltfilt
-
-    sos = butter(2, min(BAND_HZ, 0.4 * motion.rate_hz), fs=motion.rate_hz, output="sos")
-    flown = np.gradient(np.asarray(sosfiltfilt(sos, motion.rate, axis=0))[used], motion.t_s[used], axis=0)
+    sections = low_pass(2, min(BAND_HZ, 0.4 * motion.rate_hz), motion.rate_hz)
+    flown = np.gradient(both_ways(sections, motion.rate)[used], motion.t_s[used], axis=0)
     independent = 2.0 * BAND_HZ * float(motion.t_s[used[-1]] - motion.t_s[used[0]])
     found: list[_BodyFilter | None] = []
     for axis in range(3):

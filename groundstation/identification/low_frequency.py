@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from groundstation.identification.lagged_instruments import Equation
 from groundstation.identification.preparation import Prepared
+from groundstation.linear_filters import both_ways, low_pass
 from groundstation.model.parameters import Parameters
 from groundstation.model.rotors import wrench_matrix
 from groundstation.model.signals import hover_share
@@ -78,14 +79,12 @@ def without_plan(prepared: Prepared) -> bool:
 
 def _low_pass(edge_hz: float, rate_hz: float, stretches: Sequence[slice]) -> Callable[[Array], Array]:
     """What keeps columns below the edge, each stretch by itself: what stands in a gap is of no flight."""
-    from scipy.signal import butter, sosfiltfilt
-
-    sos = butter(2, edge_hz, fs=rate_hz, output="sos")
+    sections = low_pass(2, edge_hz, rate_hz)
 
     def low(values: Array) -> Array:
         out = np.zeros(values.shape)
         for stretch in stretches:
-            out[stretch] = sosfiltfilt(sos, np.nan_to_num(values[stretch]), axis=0)
+            out[stretch] = both_ways(sections, np.nan_to_num(values[stretch]))
         return out
 
     return low

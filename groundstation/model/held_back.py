@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from groundstation.flightdata import resampled
 from groundstation.frames import quat_conjugate, quat_exp, quat_log, quat_multiply, quat_normalise
+from groundstation.linear_filters import first_order
 from groundstation.model.flight_states import FlightStates
 
 Array = NDArray[np.float64]
@@ -89,12 +90,10 @@ def _share(apart: Array, missed: Array, ended: NDArray[np.int64], step_s: float,
     """The weight k of the model in each window, (k,): of those that ended before it starts, and of one that is normal
     about 1 before any has (ridge regression: Hoerl and Kennard 1970). Windows that overlap tell the same.
     """
-    from scipy.signal import lfilter
-
     parts = [np.sum(a * b, axis=1) for a, b in ((apart, missed), (apart, apart), (missed, missed))]
     told = np.isfinite(parts).all(axis=0)
     rows = np.stack([*(np.where(told, part, 0.0) for part in parts), told.astype(float)], axis=1)
-    sums = lfilter([1.0], [1.0, -np.exp(-step_s / MEMORY_S)], rows, axis=0)
+    sums = first_order((1.0, 0.0), -float(np.exp(-step_s / MEMORY_S)), rows)
     crossed, squared, all_missed, count = np.concatenate([sums, np.zeros((1, 4))])[ended].T  # nothing ended at -1
     best = np.divide(crossed, squared, out=np.ones(len(ended)), where=squared > 0.0)
     left = np.maximum(all_missed - best * crossed, 0.0) / np.maximum(count, 1.0)

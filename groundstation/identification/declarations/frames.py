@@ -20,6 +20,7 @@ from groundstation.identification.declarations.signals import (
     passed,
     signed_permutations,
 )
+from groundstation.linear_filters import correlation
 
 Array = NDArray[np.float64]
 
@@ -71,13 +72,11 @@ def _rates(pose: Stream, quaternion: Array, grid: Array) -> Array:
 
 def _best_shift(first: Array, second: Array) -> int:
     """By how many steps the second comes after the first, by the size of each, which no naming of axes changes."""
-    from scipy.signal import correlate
-
     sizes = [np.linalg.norm(x, axis=1) for x in (first, second)]
     a: Array
     b: Array
     a, b = (size - size.mean() for size in sizes)
-    return int(np.argmax(correlate(b, a, method="fft"))) - (len(a) - 1)
+    return int(np.argmax(correlation(b, a))) - (len(a) - 1)
 
 
 def _overlap(first: Array, second: Array, shift: int) -> tuple[Array, Array]:
