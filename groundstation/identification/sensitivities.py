@@ -297,9 +297,9 @@ def planned_parts(model: RecordModel, p: Parameters, options: FitOptions) -> Ite
 
 
 def stacked(found: dict[str, Pair]) -> Array:
-    """Columns (rate, force) of each parameter side by side, (blocks, 6, P)."""
+    """Columns (rate, force) of each parameter side by side, (blocks, 6, P); each column's samples lie together."""
     first = next(iter(found.values()))[0]
-    out = np.empty((len(first), 6, len(found)))
+    out = np.empty((6, len(found), len(first)))
     for column, (rate, force) in enumerate(found.values()):
-        out[:, :3, column], out[:, 3:, column] = rate, force
-    return out
+        out[:3, column], out[3:, column] = rate.T, force.T
+    return out.transpose(2, 0, 1)

@@ -96,7 +96,7 @@ def _similarities(imu: Stream, pose: Stream, mounting: Array) -> dict[Naming, fl
     grid = np.arange(imu.t_s[0], imu.t_s[-1], STEP_S)
     when = np.arange(pose.t_s[0], pose.t_s[-1], STEP_S)
     gyro = passed(resampled(grid, imu.t_s, imu.values[:, :3]), (0.3, 4.0))
-    names = signed_permutations()
+    names = np.stack(signed_permutations()).reshape(-1, 9)
     results: dict[Naming, float] = {}
     for reading in READINGS:
         quaternion = quat_multiply(read_as(pose.values[:, 3:7], reading), quat_conjugate(mounting))
@@ -108,8 +108,8 @@ def _similarities(imu: Stream, pose: Stream, mounting: Array) -> dict[Naming, fl
                 continue
             size = float(np.sqrt(np.sum(a**2) * np.sum(b**2))) + 1e-12
             cross = b.T @ a / size
-            for number, matrix in enumerate(names):
-                results[reading, number, shift] = float(np.sum(cross * matrix))
+            alike = (names @ cross.ravel()).tolist()
+            results.update(((reading, number, shift), value) for number, value in enumerate(alike))
     return results
 
 
