@@ -337,38 +337,35 @@ def fit_noise_model(
     return NoiseModel.from_logarithms(_likeliest(series, search, starts, far))
 
 
-EARLY, FIRST = 15, 40
-"""Steps of a search that stops early, from a previous fit and without one."""
-EARLY_DIFFERENCE = 1e-3
+GUESSED = 1.0
+"""How far the first guess of :func:`drifting_noise_model` may be off, in logarithms: by a factor of three."""
 
 
-def early_noise_model(residual: Array, dt: Array, restart: Restarts, *, start: NoiseModel | None = None) -> NoiseModel:
-    """Noise of an integrated channel by a search that stops after a few steps, near where it began.
+def drifting_noise_model(
+    residual: Array, dt: Array, restart: Restarts, *, start: NoiseModel | None = None
+) -> NoiseModel:
+    """Noise of an integrated channel with a slow drift unless the residual tells against it: most probable beside a
+    first guess that holds one.
 
     Of attitudes against integrated rates: what these differ by is more than a gyro's white noise (scale, alignment,
-    interpolation), and at the minimum, which leaves a slow drift out, the gyro's biases lay up to twice as far from the
-    truth as their standard deviations say. The first guess holds a drift.
-    """
-    from scipy.optimize import minimize
+    interpolation), too slow for its size to be told. The likeliest noise has none of it, and with that the gyro's
+    biases lay up to twice as far from the truth as their standard deviations say.
 
+    Args:
+        start: a previous one to begin from.
+    """
     step = float(np.median(dt[1:]))
     search = _search(residual, step, float(np.sum(dt[1:])), integrated=True)
-    floor, ceiling, series = search.floor, search.ceiling, np.ascontiguousarray(residual)
+    series = _Series(np.ascontiguousarray(residual), dt, restart, step, integrated=True)
+    guess = search.starts[0].logarithms()
 
-    def cost_and_slope(vector: Array) -> tuple[float, Array]:
-        step_of = np.where(vector + EARLY_DIFFERENCE > ceiling, -EARLY_DIFFERENCE, EARLY_DIFFERENCE)
-        points = np.clip(np.concatenate([vector[None, :], vector + np.diag(step_of)]), floor, ceiling)
-        cost = integrated_costs(series, (dt, restart, step), np.exp(points), False)
-        return float(cost[0]), (cost[1:] - cost[0]) / step_of
+    def expanded(point: Array) -> Expansion:
+        told, away = series.expanded(point), (point - guess) / GUESSED**2
+        cost = told.cost + 0.5 * float(away @ (point - guess))
+        return Expansion(cost, told.gradient + away, told.curvature + np.eye(NUMBERS) / GUESSED**2)
 
-    best, lowest = search.starts[0].logarithms(), np.inf
-    for colour in search.starts if start is None else [start]:
-        first, most = np.clip(colour.logarithms(), floor + 0.1, ceiling - 0.1), FIRST if start is None else EARLY
-        bounds, options = list(zip(floor, ceiling, strict=True)), {"maxiter": most, "ftol": 1e-7}
-        found = minimize(cost_and_slope, first, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-        if found.fun < lowest:
-            best, lowest = found.x, found.fun
-    return NoiseModel.from_logarithms(np.clip(best, floor, ceiling))
+    begin = guess if start is None else start.logarithms()
+    return NoiseModel.from_logarithms(scored(expanded, begin, search.floor, search.ceiling)[0])
 
 
 def _likeliest(
