@@ -22,9 +22,9 @@ def low_pass(order: int, cutoff_hz: float, rate_hz: float) -> Annotated[Array, "
     Discrete-Time Signal Processing, 3rd ed., section 7.3). Each row is b0, b1, b2, 1, a1, a2.
     """
     warped = _prewarped(cutoff_hz, rate_hz)
-    poles = warped * _prototype(order)
+    poles = np.asarray(warped * _prototype(order), dtype=complex)
     digital = (4.0 + poles) / (4.0 - poles)
-    gain = 1.0 * warped**order * np.real(1.0 / np.prod(4.0 - poles))
+    gain = warped**order * np.real(1.0 / np.prod(4.0 - poles))
     return _sections(digital, -np.ones(order), float(gain))
 
 

@@ -192,7 +192,7 @@ class _Asked:
         out: Array | None = None
         for part in self._parts(t_s):
             begin, end = float(t_s[part.start]), float(t_s[part.stop - 1])
-            first = float(t_s[0]) + step_s * (np.floor((begin - t_s[0]) / step_s) - 2.0)  # one grid in all parts
+            first = float(t_s[0] + step_s * (np.floor((begin - t_s[0]) / step_s) - 2.0))  # one grid in all parts
             count = int((end - first) / step_s) + 4
             shifted = _Shifted(self.reference, self.gravity, first - self.delay_s, step_s, count)
             found = cubic(columns(shifted), first, step_s, t_s[part])

@@ -170,7 +170,7 @@ def _damped(here: Expansion, curvature: Array, box: tuple[Array, Array], damping
     curvature = curvature + np.diag(damping * np.diag(curvature) + FLAT)
     if not np.isfinite(here.gradient).all():
         return np.zeros_like(here.gradient), 0.0
-    step = -np.linalg.solve(curvature, here.gradient)
+    step: Array = -np.asarray(np.linalg.solve(curvature, here.gradient), dtype=float)
     if np.any((step < box[0]) | (step > box[1])):
         step = _within(curvature, here.gradient, box)
     return step, -float(here.gradient @ step + 0.5 * step @ curvature @ step) * (1.0 + damping)

@@ -327,14 +327,13 @@ def fit_noise_model(
     series = _Series(np.ascontiguousarray(residual), dt, restart, step, integrated)
     long = len(residual) > LONG
 
-    def look(starts: Sequence[Array]) -> Array:
+    def look(*starts: Array) -> Array:
         return _likeliest(series.thinned(), search, starts)
 
     starts = [colour.logarithms() for colour in (search.starts if start is None else [start])]
     if start is None and long:
-        starts = [look(starts)]
-    far = (lambda x: look([x])) if long else None
-    return NoiseModel.from_logarithms(_likeliest(series, search, starts, far))
+        starts = [look(*starts)]
+    return NoiseModel.from_logarithms(_likeliest(series, search, starts, look if long else None))
 
 
 GUESSED = 1.0

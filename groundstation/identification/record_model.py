@@ -369,7 +369,7 @@ class RecordModel:
         """Rates and forces that a wrench and its integral make."""
         entries = np.array([p.tensor[i, j] for i, j in PAIRS])
         entries = np.array([p.tensor[i, j] for i, j in PAIRS])
-        body = entries, np.linalg.inv(p.tensor), np.array(p.com_m, dtype=float)
+        body = entries, np.asarray(np.linalg.inv(p.tensor), dtype=float), np.array(p.com_m, dtype=float)
         dense = [means.dense() for means in self.extra_means]
         whole = impulse
         for coefficient, (integral, _) in zip(p.extra, dense, strict=True):
