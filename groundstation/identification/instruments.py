@@ -156,7 +156,9 @@ class _Shifted:
     def __init__(self, reference: Reference, gravity: float, first_s: float, step_s: float, count: int):
         self._step_s, self._count, self._margin = step_s, count, round(float(LONG_S[-1]) / step_s)
         self.gravity = gravity
-        self._wide = reference(first_s + step_s * np.arange(-self._margin, count + self._margin))
+        self._wide = reference(
+            np.asarray(first_s + step_s * np.arange(-self._margin, count + self._margin), dtype=float)
+        )
         self._rigid: RigidMotion | None = None
 
     def _part(self, shift: float) -> slice:

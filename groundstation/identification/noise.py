@@ -358,13 +358,20 @@ def drifting_noise_model(
     series = _Series(np.ascontiguousarray(residual), dt, restart, step, integrated=True)
     guess = search.starts[0].logarithms()
 
-    def expanded(point: Array) -> Expansion:
-        told, away = series.expanded(point), (point - guess) / GUESSED**2
-        cost = told.cost + 0.5 * float(away @ (point - guess))
-        return Expansion(cost, told.gradient + away, told.curvature + np.eye(NUMBERS) / GUESSED**2)
+    def found(series: _Series, begin: Array, far: Callable[[Array], Array] | None = None) -> Array:
+        def expanded(point: Array) -> Expansion:
+            told, away = series.expanded(point), (point - guess) / GUESSED**2
+            cost = told.cost + 0.5 * float(away @ (point - guess))
+            return Expansion(cost, told.gradient + away, told.curvature + np.eye(NUMBERS) / GUESSED**2)
+
+        return scored(expanded, begin, search.floor, search.ceiling, far)[0]
 
     begin = guess if start is None else start.logarithms()
-    return NoiseModel.from_logarithms(scored(expanded, begin, search.floor, search.ceiling)[0])
+
+    def look(point: Array) -> Array:
+        return found(series.thinned(), point)
+
+    return NoiseModel.from_logarithms(found(series, begin, look if len(residual) > LONG else None))
 
 
 def _likeliest(

@@ -320,7 +320,8 @@ def coarser(model: RecordModel) -> RecordModel:
     every = replace(motors, step_s=2.0 * motors.step_s, value=np.ascontiguousarray(motors.value[::2]))
     coarse = replace(record, motors=every, block=COARSER * record.block)
     terms = [replace(term, value=term.value[model.samples]) for term in model.extra]
-    return RecordModel(coarse, terms, model.planned, model.silent)
+    found = RecordModel(coarse, terms, model.planned, model.silent)
+    return found if 2 * COARSER * len(found.t_s) > len(model.t_s) else model  # short stretches would be lost
 
 
 FAST_S, SLOW_S = 0.02, 0.08
@@ -382,20 +383,26 @@ def _first_look(models: Sequence[RecordModel], vehicle: Vehicle, options: FitOpt
 DIVISIONS = 3
 """Of the total into lag and dead time that are followed to their minimum, at most."""
 DIVISION_S = 0.002
-"""Between dead times that are tried."""
+"""Between dead times that are tried: every other one, and those beside the best."""
 
 
 def divided_anew(models: Sequence[RecordModel], found: Fitted, options: FitOptions) -> Parameters:
     """The parameters found, or those whose dead time and lags, of the same sum, suit the residual better."""
     p, noise = found.parameters, noise_of(found, models, options)
     problem = Problem(tuple(models), options, p)
-    shifts = DIVISION_S * np.arange(
-        -np.floor(max(p.delay_s, 0.0) / DIVISION_S), min(p.lag_up_s, p.lag_down_s) / DIVISION_S
-    )
-    tried = [p] + [
-        replace(p, lag_up_s=p.lag_up_s - s, lag_down_s=p.lag_down_s - s, delay_s=p.delay_s + s) for s in shifts if s
-    ]
-    return tried[int(np.argmin(problem.misfits(tried, noise)))]
+    lowest = -np.floor(max(p.delay_s, 0.0) / DIVISION_S)
+    steps = np.arange(lowest, min(p.lag_up_s, p.lag_down_s) / DIVISION_S)
+
+    def moved(step: float) -> Parameters:
+        s = DIVISION_S * step
+        return replace(p, lag_up_s=p.lag_up_s - s, lag_down_s=p.lag_down_s - s, delay_s=p.delay_s + s) if s else p
+
+    tried = {step: moved(step) for step in steps[steps % 2 == 0.0].tolist()}
+    costs = dict(zip(tried, problem.misfits(list(tried.values()), noise), strict=True))
+    best = min(costs, key=lambda step: costs[step])
+    beside = {step: moved(step) for step in (best - 1.0, best + 1.0) if step in steps}
+    costs |= zip(beside, problem.misfits(list(beside.values()), noise), strict=True)
+    return (tried | beside)[min(costs, key=lambda step: costs[step])]
 
 
 SHOOTING_S = 2.0
@@ -413,7 +420,7 @@ def output_error(
     """
     white: list[FlightNoise] = []
     shooting: list[RecordModel] = []
-    for model in models:
+    for model in map(coarser, models):
         every = max(2, round(SHOOTING_S / float(np.median(model.dt))))
         restart = model.restart.copy()
         restart[::every] = True
@@ -427,4 +434,6 @@ def output_error(
         colours = tuple(NoiseModel(1e-9 * s, 1.0, 1e-9 * s, s) for s in spread)
         white.append(FlightNoise(chosen, colours, (PLAIN,) * len(chosen)))
     begin = start if begin is None else begin
-    return fit(shooting, begin, replace(options, colour_rounds=0, autoregression=0), white, fixed=True)
+    found = fit(shooting, begin, replace(options, colour_rounds=0, autoregression=0), white, fixed=True)
+    rms = Problem(tuple(models), options, begin).at(found.parameters).rms()
+    return replace(found, residual_rms=rms, samples=sum(len(model.t_s) for model in models))
