@@ -277,8 +277,6 @@ def _search(residual: Array, step: float, length: float, *, integrated: bool) ->
     unit = scale / step if integrated else spread
     floor = np.log([1e-5 * unit, 2.0 * step, 1e-5 * unit * np.sqrt(step), 1e-4 * scale])
     ceiling = np.log([1e3 * unit, max(length / 4.0, 4.0 * step), 1e2 * unit * np.sqrt(step), 1e2 * scale])
-    if not integrated:
-        ceiling[2] = floor[2]  # blocks are equally long: noise of a density and of a size are one there
     return _Search(starts, floor, ceiling)
 
 
@@ -324,6 +322,8 @@ def fit_noise_model(
     """
     step = float(np.median(dt[1:]))
     search = _search(residual, step, float(np.sum(dt[1:])), integrated=integrated)
+    if not integrated:
+        search.ceiling[2] = search.floor[2]  # blocks are equally long: noise of a density and of a size are one there
     series = _Series(np.ascontiguousarray(residual), dt, restart, step, integrated)
     long = len(residual) > LONG
 
@@ -334,6 +334,48 @@ def fit_noise_model(
     if start is None and long:
         starts = [look(*starts)]
     return NoiseModel.from_logarithms(_likeliest(series, search, starts, look if long else None))
+
+
+EARLY, FIRST = 15, 40
+"""Steps of a search that stops early, from a previous fit and without one."""
+EARLY_DIFFERENCE = 1e-3
+"""Step in the logarithm of a noise by which its slope is taken."""
+
+
+def early_noise_model(
+    residual: Array, dt: Array, restart: Restarts, *, integrated: bool, start: NoiseModel | None = None
+) -> NoiseModel:
+    """Noise of a channel by a search that stops after a few steps, near where it began; else :func:`fit_noise_model`.
+
+    Of what a diagnosis leaves: generic columns have taken much of it, and effects that nobody has named yet are in it.
+    """
+    from scipy.optimize import minimize
+
+    step = float(np.median(dt[1:]))
+    search = _search(residual, step, float(np.sum(dt[1:])), integrated=integrated)
+    floor, ceiling, series = search.floor, search.ceiling, np.ascontiguousarray(residual)
+    kernel = integrated_costs if integrated else direct_costs
+
+    def cost_and_slope(vector: Array) -> tuple[float, Array]:
+        """Cost, and its slope by a difference in each logarithm, inwards at the ceiling."""
+        step_of = np.where(vector + EARLY_DIFFERENCE > ceiling, -EARLY_DIFFERENCE, EARLY_DIFFERENCE)
+        points = np.concatenate([vector[None, :], vector + np.diag(step_of)])
+        cost = kernel(series, (dt, restart, step), np.exp(np.clip(points, floor, ceiling)), False)
+        return float(cost[0]), (cost[1:] - cost[0]) / step_of
+
+    best, lowest = search.starts[0].logarithms(), np.inf
+    for colour in search.starts if start is None else [start]:
+        found = minimize(
+            cost_and_slope,
+            np.clip(colour.logarithms(), floor + 0.1, ceiling - 0.1),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=list(zip(floor, ceiling, strict=True)),
+            options={"maxiter": FIRST if start is None else EARLY, "ftol": 1e-7},
+        )
+        if found.fun < lowest:
+            best, lowest = found.x, found.fun
+    return NoiseModel.from_logarithms(np.clip(best, floor, ceiling))
 
 
 GUESSED = 1.0

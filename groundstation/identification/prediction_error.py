@@ -383,26 +383,20 @@ def _first_look(models: Sequence[RecordModel], vehicle: Vehicle, options: FitOpt
 DIVISIONS = 3
 """Of the total into lag and dead time that are followed to their minimum, at most."""
 DIVISION_S = 0.002
-"""Between dead times that are tried: every other one, and those beside the best."""
+"""Between dead times that are tried: minima lie ten milliseconds apart, and are four wide."""
 
 
 def divided_anew(models: Sequence[RecordModel], found: Fitted, options: FitOptions) -> Parameters:
     """The parameters found, or those whose dead time and lags, of the same sum, suit the residual better."""
     p, noise = found.parameters, noise_of(found, models, options)
     problem = Problem(tuple(models), options, p)
-    lowest = -np.floor(max(p.delay_s, 0.0) / DIVISION_S)
-    steps = np.arange(lowest, min(p.lag_up_s, p.lag_down_s) / DIVISION_S)
-
-    def moved(step: float) -> Parameters:
-        s = DIVISION_S * step
-        return replace(p, lag_up_s=p.lag_up_s - s, lag_down_s=p.lag_down_s - s, delay_s=p.delay_s + s) if s else p
-
-    tried = {step: moved(step) for step in steps[steps % 2 == 0.0].tolist()}
-    costs = dict(zip(tried, problem.misfits(list(tried.values()), noise), strict=True))
-    best = min(costs, key=lambda step: costs[step])
-    beside = {step: moved(step) for step in (best - 1.0, best + 1.0) if step in steps}
-    costs |= zip(beside, problem.misfits(list(beside.values()), noise), strict=True)
-    return (tried | beside)[min(costs, key=lambda step: costs[step])]
+    shifts = DIVISION_S * np.arange(
+        -np.floor(max(p.delay_s, 0.0) / DIVISION_S), min(p.lag_up_s, p.lag_down_s) / DIVISION_S
+    )
+    tried = [p] + [
+        replace(p, lag_up_s=p.lag_up_s - s, lag_down_s=p.lag_down_s - s, delay_s=p.delay_s + s) for s in shifts if s
+    ]
+    return tried[int(np.argmin(problem.misfits(tried, noise)))]
 
 
 SHOOTING_S = 2.0
@@ -420,7 +414,7 @@ def output_error(
     """
     white: list[FlightNoise] = []
     shooting: list[RecordModel] = []
-    for model in map(coarser, models):
+    for model in models:
         every = max(2, round(SHOOTING_S / float(np.median(model.dt))))
         restart = model.restart.copy()
         restart[::every] = True
@@ -434,6 +428,11 @@ def output_error(
         colours = tuple(NoiseModel(1e-9 * s, 1.0, 1e-9 * s, s) for s in spread)
         white.append(FlightNoise(chosen, colours, (PLAIN,) * len(chosen)))
     begin = start if begin is None else begin
-    found = fit(shooting, begin, replace(options, colour_rounds=0, autoregression=0), white, fixed=True)
-    rms = Problem(tuple(models), options, begin).at(found.parameters).rms()
-    return replace(found, residual_rms=rms, samples=sum(len(model.t_s) for model in models))
+    return fit(shooting, begin, replace(options, colour_rounds=0, autoregression=0), white, fixed=True)
+
+
+def coarse_output_error(models: Sequence[RecordModel], start: Parameters, options: FitOptions) -> Fitted:
+    """:func:`output_error` from means of COARSER blocks, with the residual that it leaves of all."""
+    found = output_error([coarser(model) for model in models], start, options)
+    point = Problem(tuple(models), options, start).at(found.parameters)
+    return replace(found, residual_rms=point.rms(), samples=sum(len(model.t_s) for model in models))
