@@ -108,9 +108,15 @@ def simulate(vehicle: Vehicle, plan: Plan, scenario: Scenario, seed: int, *, res
 
 @dataclass(slots=True)
 class LastRows:
-    """Setpoint rows that are worked out once where several flights in a row ask for the same ones."""
+    """Setpoint rows of whole stretches, worked out once where several flights in a row ask for the same ones.
+
+    Attributes:
+        source: of the rows; asked piece by piece, so that their last bits do not depend on how many a stretch has.
+        start_s: true time at which the first piece begins.
+    """
 
     source: SetpointSource
+    start_s: float
     _latest: dict[tuple[float, int], Array] = field(default_factory=dict)
 
     def __call__(self, times_s: Array) -> Array:
@@ -119,7 +125,9 @@ class LastRows:
         if key not in self._latest:
             if len(self._latest) >= _REMEMBERED:
                 del self._latest[next(iter(self._latest))]
-            self._latest[key] = self.source(times_s)
+            piece = np.floor((times_s - self.start_s + 1e-9) / (_CHUNK * STEP_S))
+            parts = np.split(times_s, np.flatnonzero(np.diff(piece)) + 1)
+            self._latest[key] = np.concatenate([self.source(part) for part in parts])
         return self._latest[key]
 
 
@@ -144,7 +152,7 @@ def flown(
     path = flight_path(plan, np.array([*start.position_m, start.yaw_rad]))
     simulation.take_off_now()
     key = (id(plan), start.position_m, start.yaw_rad, simulation.time_s)
-    source = sources.setdefault(key, LastRows(path_setpoints(path, simulation.time_s)))
+    source = sources.setdefault(key, LastRows(path_setpoints(path, simulation.time_s), simulation.time_s))
     begin, end = excitation_window(path, simulation.time_s)
     give_up = simulation.time_s + path.duration_s + 20.0
     while not (simulation.standing and simulation.time_s > end):

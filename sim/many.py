@@ -51,20 +51,23 @@ def simulate_many(jobs: Sequence[Job]) -> Iterator[tuple[int, Outcome]]:
         BadInput: a scenario does not fit its vehicle.
     """
     kinds: dict[Hashable, list[int]] = {}
-    known: dict[tuple[int, int], Hashable] = {}
+    worlds: dict[tuple[int, int], tuple[World, Hashable]] = {}
     for number, job in enumerate(jobs):
         pair = (id(job.vehicle), id(job.scenario))
-        if pair not in known:
-            known[pair] = kind(build_world(job.vehicle, job.scenario))
-        kinds.setdefault((known[pair], job.rest_s), []).append(number)
+        if pair not in worlds:
+            world = build_world(job.vehicle, job.scenario)
+            worlds[pair] = world, kind(world)
+        kinds.setdefault((worlds[pair][1], job.rest_s), []).append(number)
     sources: dict[Hashable, SetpointSource] = {}
     for numbers in kinds.values():
+        kernel = Kernel()
         for first in range(0, len(numbers), WIDTH):
             group = numbers[first : first + WIDTH]
             if len(group) < LEAST:
                 yield from ((n, _alone(jobs[n])) for n in group)
                 continue
-            yield from _in_lockstep(jobs, group, sources)
+            members = [(jobs[n], worlds[id(jobs[n].vehicle), id(jobs[n].scenario)][0]) for n in group]
+            yield from zip(group, _in_lockstep(members, sources, kernel), strict=True)
             for other in list(sources)[:-WIDTH]:  # a study flies one plan, or each flight its own
                 del sources[other]
 
@@ -159,11 +162,23 @@ class Lane:
         )
 
 
+class Kernel:
+    """The loop compiled for one kind of flights; a plain call would look at the types of all constants each time."""
+
+    def __init__(self) -> None:
+        self._code: Callable[..., None] | None = None
+
+    def __call__(self, *arguments: object) -> None:
+        if self._code is None:
+            self._code = cast(Dispatcher, run_lanes).compile(tuple(map(typeof, arguments)))
+        cast(Callable[..., None], self._code)(*arguments)
+
+
 def _in_lockstep(
-    jobs: Sequence[Job], numbers: Sequence[int], sources: dict[Hashable, SetpointSource]
-) -> Iterator[tuple[int, Outcome]]:
+    members: Sequence[tuple[Job, World]], sources: dict[Hashable, SetpointSource], kernel: Kernel
+) -> list[Outcome]:
     """Fly up to eight flights of one kind; empty lanes repeat the first one's world."""
-    simulations = [Simulation(job.vehicle, job.scenario, job.seed) for job in (jobs[n] for n in numbers)]
+    simulations = [Simulation(job.vehicle, job.scenario, job.seed, world) for job, world in members]
     spare = [simulations[0]] * (WIDTH - len(simulations))
     shared = simulations[0].world
     constants = cast(World, _stacked([s.world for s in (*simulations, *spare)]))
@@ -172,14 +187,14 @@ def _in_lockstep(
         np.stack(parts, axis=-1, dtype=float) for parts in zip(*(s.memory for s in (*simulations, *spare)), strict=True)
     ]
     lanes = []
-    for j, (simulation, n) in enumerate(zip(simulations, numbers, strict=True)):
+    for j, (simulation, (job, _)) in enumerate(zip(simulations, members, strict=True)):
         simulation.memory = Memory(*(array[..., j] for array in memory))
-        lanes.append(Lane(simulation, flown(simulation, jobs[n].plan, jobs[n].rest_s, sources, ahead=True)))
+        lanes.append(Lane(simulation, flown(simulation, job.plan, job.rest_s, sources, ahead=True)))
     rows = cast(Sequence[Array], [Rows(array) for array in memory])
-    group = Group(world, Memory(*rows), _scratch(simulations[0].declared.rotors.count), lanes)
+    group = Group(world, Memory(*rows), _scratch(simulations[0].declared.rotors.count), lanes, kernel)
     while any(lane.outcome is None for lane in lanes):
         group.run()
-    yield from ((n, lane.outcome) for n, lane in zip(numbers, lanes, strict=True) if lane.outcome is not None)
+    return [lane.outcome for lane in lanes if lane.outcome is not None]
 
 
 def _scratch(rotors: int) -> Scratch:
@@ -243,18 +258,12 @@ def _inputs(lanes: Sequence[Lane], first: int, steps: int, ticks: int) -> Inputs
     )
 
 
-def _machine_code(arguments: tuple[object, ...]) -> Callable[..., None]:
-    """The loop compiled for these types; a plain call would look at the types of all constants each time."""
-    return cast(Dispatcher, run_lanes).compile(tuple(map(typeof, arguments)))
-
-
 class Group:
     """Eight lanes at the same step."""
 
-    def __init__(self, world: World, memory: Memory, scratch: Scratch, lanes: Sequence[Lane]):
-        self.lanes, self._world, self._memory, self._scratch = lanes, world, memory, scratch
+    def __init__(self, world: World, memory: Memory, scratch: Scratch, lanes: Sequence[Lane], kernel: Kernel):
+        self.lanes, self._world, self._memory, self._scratch, self._kernel = lanes, world, memory, scratch, kernel
         self._step = 0
-        self._kernel: Callable[..., None] | None = None
 
     def run(self) -> None:
         """Advance to the next end of a stretch."""
@@ -263,10 +272,7 @@ class Group:
         ticks = (self._step + steps - 1) // every - (self._step - 1) // every
         inputs = _inputs(self.lanes, self._step, steps, ticks)
         out = _outputs(inputs, ticks, len(self._scratch.asked.values))
-        arguments = (self._world, self._memory, inputs, self._scratch, out)
-        if self._kernel is None:
-            self._kernel = _machine_code(arguments)
-        self._kernel(*arguments)
+        self._kernel(self._world, self._memory, inputs, self._scratch, out)
         self._step += steps
         for j, lane in enumerate(self.lanes):
             if lane.outcome is None:

@@ -5,11 +5,10 @@ One seed gives one flight, however the time is cut into stretches: every source 
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from math import cos, sin
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +39,7 @@ from sim.loop import (
     World,
     run,
 )
-from sim.noise import BiasedNoise, Outages, Stamper, Ticker
+from sim.noise import BiasedNoise, Outages, Stamper, Ticker, noisy_speeds, normal
 from sim.plant import ATTITUDE, LOAD, ROTOR
 from sim.scenario import Scenario, true_vehicle
 
@@ -57,8 +56,8 @@ SetpointSource = Callable[[Array], Array]
 """Setpoint rows, shape (k, 11), at true times; see :data:`sim.autopilot.SETPOINT_SIZE`."""
 
 
-Sources = tuple[dict[str, np.random.Generator], dict[str, Ticker], Stamper, BiasedNoise, Outages, Outages]
-"""All noise and clocks of a simulation: generators, tickers, flight controller, IMU, lost and frozen poses."""
+Noises = tuple[list[dict[str, object]], list[Mapping[str, object]]]
+"""What noise and clocks of a simulation remember, and the states of their generators."""
 
 
 class Prepared(NamedTuple):
@@ -80,7 +79,7 @@ class Prepared(NamedTuple):
     lost: Mask
     pieces: Sequence[int]
     may_land_s: float = np.inf
-    before: Sources | None = None
+    before: Noises | None = None
 
 
 class Asked(NamedTuple):
@@ -110,16 +109,17 @@ class Simulation:
         declared: the vehicle as declared.
         scenario: the world.
         seed: of all noise.
+        world: what :func:`sim.build.build_world` makes of the two, where somebody has it already.
 
     Raises:
         BadInput: the scenario does not fit the vehicle.
     """
 
-    def __init__(self, declared: Vehicle, scenario: Scenario, seed: int):
+    def __init__(self, declared: Vehicle, scenario: Scenario, seed: int, world: World | None = None):
         self.declared = declared
         self.scenario = scenario
         self.truth = true_vehicle(declared, scenario)
-        self.world: World = build_world(declared, scenario)
+        self.world: World = build_world(declared, scenario) if world is None else world
         self.step = 0
         self.flight_start_s = np.inf
         keys = ("imu", "imu_noise", "pose", "pose_noise", "lost", "frozen", "speed", "speed_noise", "battery")
@@ -272,18 +272,16 @@ class Simulation:
     def ready_to_fly(
         self, steps: int, setpoints: SetpointSource, pieces: int = 1, may_land_s: float = np.inf
     ) -> Prepared:
-        """What :meth:`fly` runs so many times; its last bits are the same as if it did.
+        """What :meth:`fly` runs so many times; its noise is the same to the last bit as if it did.
 
         Args:
             steps: of 1 ms, of each piece.
-            setpoints: where to be, at the true times of the control ticks.
+            setpoints: where to be, at the true times of the control ticks of all pieces.
             pieces: how many.
             may_land_s: see :class:`Prepared`.
         """
-        before = self._sources() if may_land_s < np.inf else None
-        ticks = self.control_ticks(steps * pieces)
-        ends = np.searchsorted(ticks, (self.step + steps * np.arange(1, pieces)) * STEP_S - 1e-9)
-        rows = np.concatenate([setpoints(piece) for piece in np.split(ticks, ends)])
+        before = self._remembered() if may_land_s < np.inf else None
+        rows = setpoints(self.control_ticks(steps * pieces))
         prepared = self._prepare([steps] * pieces, FLYING, rows, None)
         return prepared._replace(may_land_s=may_land_s, before=before)
 
@@ -291,15 +289,23 @@ class Simulation:
         """The same stretch with its first pieces alone, as if no more had ever been prepared."""
         if prepared.before is None:
             raise ValueError("this stretch was prepared to be run whole")
-        self._random, self._tickers, self._flight, self._imu_noise, self._lost, self._frozen = prepared.before
+        numbers, states = prepared.before
+        for source, remembered in zip(self._noises(), numbers, strict=True):
+            vars(source).update(remembered)
+        for random, state in zip(self._random.values(), states, strict=True):
+            random.bit_generator.state = state
         steps = prepared.pieces[:pieces]
         setpoints = prepared.stretch.setpoints[: len(self.control_ticks(sum(steps)))]
         return self._prepare(steps, prepared.stretch.mode, setpoints, None)
 
-    def _sources(self) -> Sources:
-        """A copy of all noise and clocks as they are now."""
-        now = (self._random, self._tickers, self._flight, self._imu_noise, self._lost, self._frozen)
-        return copy.deepcopy(now)
+    def _noises(self) -> list[object]:
+        """All noise and clocks; what they remember is in their attributes, and no array of these is ever changed."""
+        tickers = self._tickers.values()
+        return [*tickers, *(t.stamper for t in tickers), self._flight, self._imu_noise, self._lost, self._frozen]
+
+    def _remembered(self) -> Noises:
+        states = [cast(Mapping[str, object], random.bit_generator.state) for random in self._random.values()]
+        return [dict(vars(noise)) for noise in self._noises()], states
 
     def drive(self, steps: int, motors: Array, setpoints: Array | None = None) -> dict[str, Samples]:
         """Run with motor values from outside, as another autopilot gives them.
@@ -344,11 +350,11 @@ class Simulation:
             pose_s=pose_s,
             pose_arrival_s=np.where(lost, np.inf, pose_arrival),
             pose_frozen=frozen,
-            pose_noise=pose_std * self._random["pose_noise"].standard_normal((len(pose_s), 6)),
+            pose_noise=pose_std * normal(self._random["pose_noise"], (len(pose_s), 6)),
             speed_s=times["speed"][0],
             battery_s=times["battery"][0],
-            drift_noise=self._random["drift"].standard_normal((asked.steps, 6)),
-            gust_noise=self._random["gust"].standard_normal((asked.steps if self.scenario.effects.wind.on else 0, 3)),
+            drift_noise=normal(self._random["drift"], (asked.steps, 6)),
+            gust_noise=normal(self._random["gust"], (asked.steps if self.scenario.effects.wind.on else 0, 3)),
         )
 
     def _prepare(self, pieces: Sequence[int], mode: int, setpoints: Array, motors: Array | None) -> Prepared:
@@ -392,10 +398,9 @@ class Simulation:
     def _motors(self, times: dict[str, Samples], values: Array, commands: Array) -> Samples:
         """Measured rotor speeds with noise, or the commands as they were given; a wrench vehicle's as its wrench."""
         rotors = self.declared.rotors
-        scale = self.scenario.motors.noise_share * self.world.plant.rotors.hover_value
-        noise = scale * self._random["speed_noise"].standard_normal(values.shape)
         if rotors.measured:
-            return *times["speed"][1:], np.where(values > 0.0, values + noise, 0.0)
+            std = self.scenario.motors.noise_share * self.world.plant.rotors.hover_value
+            return *times["speed"][1:], noisy_speeds(self._random["speed_noise"], std, values)
         if rotors.input == "wrench":
             commands = commands @ self.declared.allocation().T
         _, stamps, arrival = times["flight"]

@@ -49,6 +49,14 @@ FILTER_GRID_S = 0.02
 """The same where filters are fitted, to samples at 50 Hz below BAND_HZ."""
 GAP_S = 1.0
 """Between two samples: beyond it a new grid begins."""
+TURNED_RAD = 0.1
+"""Heading between a plan and its flight from which the plan is taken to be flown in a frame of its own; below it an
+instrument loses half a percent of its strength, and a steady yaw torque leaves about as much.
+"""
+STEADY = 0.95
+"""Mean length of the unit vectors of that heading from which there is one: a vehicle that follows another yaw than the
+plan's, or none, has none.
+"""
 SHORT_S: Array = np.linspace(-0.2, 0.2, 3)
 LONG_S: Array = np.linspace(-0.4, 0.4, 9)
 """Taps of the tracking filters, about the vehicle's mean delay."""
@@ -92,6 +100,7 @@ def planned_motion(
     if coherence < COHERENT:
         return None
     used = np.flatnonzero(keep)[:: max(1, round(motion.rate_hz / 50.0))]
+    reference = _as_placed(reference, motion, used, delay_s)
     asked = _Asked(reference, delay_s, gravity)
     tracking = _Tracking(_path_filters(asked, motion, used), _body_filters(asked, motion, used))
     found = asked.at(motion.t_s, GRID_S, tracking.on)
@@ -137,6 +146,29 @@ def _delay(reference: Reference, motion: FlownMotion, keep: Mask, gravity: float
     best = int(np.argmax(scores))
     size = np.sqrt(np.sum(planned[best : best + len(grid)] ** 2) * np.sum(actual**2)) + 1e-12
     return step * (pad - best), scores[best] / size
+
+
+def _as_placed(reference: Reference, motion: FlownMotion, used: NDArray[np.int64], delay_s: float) -> Reference:
+    """The reference turned about the vertical as the flight's world is: a link flies a plan along the heading that the
+    vehicle had on the ground, and from flight to flight that is another one.
+
+    Its path is compared with the flown one axis by axis; turned by a right angle, x is compared with y.
+    """
+    yaw = euler_from_quat(motion.smooth[0][used])[:, 2]
+    if not np.isfinite(yaw).all():
+        return reference
+    apart = np.mean(np.exp(1j * (yaw - reference(motion.t_s[used] - delay_s).yaw[0])))
+    turn = float(np.angle(apart))
+    if abs(apart) < STEADY or abs(turn) < TURNED_RAD:
+        return reference
+    cos, sin = np.cos(turn), np.sin(turn)
+    rotation = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+    def turned(query: Array) -> FlatState:
+        flat = reference(query)
+        return FlatState(flat.position @ rotation, flat.yaw + np.array([turn, 0.0, 0.0])[:, None])
+
+    return turned
 
 
 @dataclass(frozen=True, slots=True)
