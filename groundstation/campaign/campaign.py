@@ -389,8 +389,8 @@ def _exhausted(campaign: Campaign, done: Round) -> str:
     stuck = [name for name, count in needed.items() if 0.0 < count < 1.0]
     if stuck:
         text += (
-            f" More flights like the last do not sharpen {', '.join(stuck)}: the interval holds what the formulas of the "
-            "findings leave open, or how far flights differ beyond their own intervals, and no longer noise."
+            f" More flights like the last do not sharpen {', '.join(stuck)}: the interval holds what the formulas of "
+            "the findings leave open, or how far flights differ beyond their own intervals, and no longer noise."
         )
     if far:
         text += (
