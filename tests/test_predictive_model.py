@@ -12,6 +12,7 @@ import pytest
 from groundstation.errors import BadInput
 from groundstation.identification.predictive_choice import chosen_predictor, section
 from groundstation.identification.predictive_fit import (
+    Squares,
     _simplest_of_the_best,
     fitted,
     free_numbers,
@@ -151,9 +152,8 @@ def test_an_untrustworthy_torque_and_a_damping_are_found_from_what_lies_ahead() 
     shot = shooting(states, 0, np.ones(len(states.t_s), bool), 300)
     assert shot is not None
     start = starting(declared_model(small()))
-    found = fitted(
-        [shot], [windows(course(start.base, states), shot.index)], start, free_numbers(pose=True, torque=True)
-    )
+    begun = windows(course(start.base, states), shot.index)
+    found = fitted(Squares((shot,), (begun,), start, free_numbers(pose=True, torque=True))).model
     for name, tolerance in (
         ("torque_gain_x", 0.06),
         ("torque_gain_z", 0.08),

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from groundstation.flightdata import resampled
 from groundstation.frames import quat_conjugate, quat_exp, quat_log, quat_multiply, quat_normalise
+from groundstation.linear_filters import first_order
 from groundstation.model.flight_states import FlightStates
 
 Array = NDArray[np.float64]
@@ -110,9 +111,7 @@ def _share(apart: Array, missed: Array, ended: NDArray[np.int64], step_s: float,
 
 def _forgetting(rows: Array, step_s: float) -> Array:
     """Sums of rows that forget with MEMORY_S."""
-    from scipy.signal import lfilter
-
-    return np.asarray(lfilter([1.0], [1.0, -np.exp(-step_s / MEMORY_S)], rows, axis=0))
+    return first_order((1.0, 0.0), -float(np.exp(-step_s / MEMORY_S)), rows)
 
 
 def _ridge(sums: Array, ended: NDArray[np.int64], overlap: float) -> tuple[Array, Array]:

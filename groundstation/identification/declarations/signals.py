@@ -12,6 +12,7 @@ from groundstation.flightdata import FlightData, Stream, resampled
 from groundstation.identification.streams import clean, flown_stretches
 from groundstation.identification.stretches import within
 from groundstation.identification.wrench import voltage_ratio
+from groundstation.linear_filters import band_pass, both_ways
 
 Array = NDArray[np.float64]
 
@@ -44,10 +45,7 @@ def in_words(matrix: Array) -> str:
 
 def passed(values: Array, band_hz: tuple[float, float] = BAND_HZ) -> Array:
     """Columns in the band of manoeuvres, shape kept."""
-    from scipy.signal import butter, sosfiltfilt
-
-    sos = butter(2, band_hz, btype="band", fs=1.0 / STEP_S, output="sos")
-    return np.asarray(sosfiltfilt(sos, values, axis=0), dtype=float)
+    return both_ways(band_pass(2, band_hz, 1.0 / STEP_S), values)
 
 
 def long_enough(stream: Stream | None) -> Stream | None:
