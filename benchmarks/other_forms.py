@@ -166,7 +166,9 @@ def fly(vehicle: Vehicle, plan: Plan, hidden: Hidden, body: Body, random: Random
     gone = SETTLE_S + hidden.get("gone_s", 0.0)
     for i in range(count):
         carried = hidden.get("load_kg", 0.0) if t[i] < gone else 0.0
-        model.body_mass[1] = body.mass_kg + carried
+        if model.body_mass[1] != body.mass_kg + carried:
+            model.body_mass[1] = body.mass_kg + carried
+            mujoco.mj_setConst(model, mujoco.MjData(model))  # or it would weigh more and be no harder to move
         x, v, w = data.qpos[:3].copy(), data.qvel[:3].copy(), data.qvel[3:6].copy()
         q = np.roll(data.qpos[3:7], -1)
         wanted = dict(zip(("x", "x_dot", "x_ddot", "x_dddot", "x_ddddot"), flat.position[:, i], strict=False))

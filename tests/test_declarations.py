@@ -58,6 +58,23 @@ def test_rotors_that_are_recorded_as_standing_still_in_flight_are_contradicted()
     assert found.says.startswith("The recorded rotor values make no thrust in flight")
 
 
+def test_thrust_in_fast_flight_is_no_word_about_the_declared_mass() -> None:
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    vehicle = vehicle.model_copy(
+        update={"identification": vehicle.identification.model_copy(update={"anchor": "thrust"})}
+    )
+    t_s = np.arange(0.0, 20.0, 0.01)
+    force = np.tile([0.0, 0.0, 9.81], (len(t_s), 1))
+    thrust = np.full((len(t_s), 4), 0.25 * 9.81 * vehicle.mass_kg)
+
+    def found(factor: float, speed_m_s: float | None) -> str:
+        flown = Flown(t_s, np.ones(len(t_s), dtype=bool), 0.0 * force, force, factor * thrust, speed_m_s)
+        return scale_checks(flown, vehicle)[0].verdict
+
+    assert [found(0.8, speed) for speed in (None, 1.0, 6.0)] == ["doubtful", "doubtful", "cannot tell"]
+    assert [found(0.5, speed) for speed in (1.0, 6.0)] == ["contradicted", "contradicted"]
+
+
 def test_the_line_to_write_puts_the_rotors_right(right: FlightData) -> None:
     order = [2, 0, 3, 1]
     swapped = replace(right, motors=replace(right.motors, values=right.motors.values[:, order]))

@@ -104,6 +104,23 @@ def test_values_lie_within_three_standard_deviations_of_the_truth():
         assert values[name].std < 0.6 * size, name
 
 
+def test_drag_of_a_frame_is_not_counted_twice_as_drag_of_rotors_and_inflow():
+    prepared, truth, hidden = flown(4002)
+    assert "rotor_drag" not in hidden
+    drag_kg_m = 0.04 * truth.mass_kg
+    dragged = []
+    for each in prepared:
+        signals = each.signals(0.0, 0.0, 0.0, 0.0)
+        velocity = signals.velocity_body_m_s()
+        push = -drag_kg_m / truth.mass_kg * np.linalg.norm(velocity, axis=1, keepdims=True) * velocity
+        dragged.append(replace(each, record=replace(each.record, force_m_s2=each.record.force_m_s2 + push)))
+    base = replace(declared_parameters(prepared[0].record.vehicle, lag_s=0.0), mass_kg=truth.mass_kg)
+    found = {each.effect.identifier: each for each in tell_unplanned(dragged, base) if each.stands}
+    assert set(found) == {"body_drag", *hidden}
+    value = found["body_drag"].values["c_kg_m"]
+    assert abs(value.value - drag_kg_m) < 3.0 * value.std and value.std < 0.3 * drag_kg_m
+
+
 def test_what_is_missed_says_the_least_that_would_have_been_seen():
     missed = told(4002)["flapping_moment"]
     assert "the least that these flights could have shown: k_nm_s_m" in missed.missed()

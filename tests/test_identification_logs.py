@@ -116,7 +116,7 @@ def test_px4_lacks_a_lag_and_the_air_and_nothing_else(start_s: float, end_s: flo
         ("rotor_drag", ["d_x_kg_s", "d_y_kg_s"], 1.0),
     ):
         for estimate in (found[effect][name] for name in names):
-            assert estimate.std < 0.25 * truth, "an interval that says something"
+            assert estimate.std < 0.5 * truth, "an interval that says something"
             assert abs(estimate.value - truth) < 3.0 * estimate.std, (effect, estimate)
     lag = found["motor_lag"]
     assert [lag[f"rotor_lag_{way}_s"].value for way in ("up", "down")] == pytest.approx([0.05, 0.05], rel=0.12)

@@ -62,7 +62,7 @@ def test_deviations_are_no_smaller_than_what_is_not_resolved_and_correlations_st
 
 
 def test_a_flight_without_noise_has_its_mass_within_its_interval(monkeypatch):
-    """A laboratory without noise: the fit alone would state 4 parts in a million."""
+    """A laboratory without noise: the fit alone states less than what the streams resolve."""
     alone = []
     monkeypatch.setattr(dynamic_fit, "no_finer", lambda fit, share: alone.append(fit) or no_finer(fit, share))
     vehicle = load_vehicle(find_config("vehicles", "tricopter"))
@@ -70,6 +70,6 @@ def test_a_flight_without_noise_has_its_mass_within_its_interval(monkeypatch):
     flight = flight_data(simulate(vehicle, rest_to_rest_plan("tricopter"), scenario, 1))
     found = identify([flight])
     mass, truth = found.methods[found.best].parameters["mass_kg"], flight.truth.mass_kg
-    assert alone[0].std("mass_kg") < 1e-5 * truth
+    assert alone[0].std("mass_kg") < 0.9 * mass.std, (alone[0].std("mass_kg"), mass.std)
     assert abs(mass.value - truth) < 1.96 * mass.std
     assert 2e-5 * truth < mass.std < 1e-4 * truth

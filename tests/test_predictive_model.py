@@ -12,6 +12,7 @@ import pytest
 from groundstation.errors import BadInput
 from groundstation.identification.predictive_choice import chosen_predictor, section
 from groundstation.identification.predictive_fit import (
+    Squares,
     _simplest_of_the_best,
     fitted,
     free_numbers,
@@ -19,7 +20,7 @@ from groundstation.identification.predictive_fit import (
     shooting,
 )
 from groundstation.model.flight_states import FlightStates
-from groundstation.model.prediction import predict
+from groundstation.model.prediction import _how_far, predict
 from groundstation.model.predictive import (
     NAMES,
     NUMBERS,
@@ -151,9 +152,8 @@ def test_an_untrustworthy_torque_and_a_damping_are_found_from_what_lies_ahead() 
     shot = shooting(states, 0, np.ones(len(states.t_s), bool), 300)
     assert shot is not None
     start = starting(declared_model(small()))
-    found = fitted(
-        [shot], [windows(course(start.base, states), shot.index)], start, free_numbers(pose=True, torque=True)
-    )
+    begun = windows(course(start.base, states), shot.index)
+    found = fitted(Squares((shot,), (begun,), start, free_numbers(pose=True, torque=True))).model
     for name, tolerance in (
         ("torque_gain_x", 0.06),
         ("torque_gain_z", 0.08),
@@ -228,6 +228,18 @@ def test_a_model_that_predicts_well_is_hardly_held_back() -> None:
     for horizon, quantities in plainly.items():
         for quantity, sizes in quantities.items():
             assert held[horizon][quantity]["mean_norm"] < 1.02 * sizes["mean_norm"], (horizon, quantity)
+
+
+def test_a_gain_that_is_too_small_for_a_lively_flight_is_made_up_for() -> None:
+    gains = ("torque_gain_x", "torque_gain_y", "torque_gain_z")
+    true = bad_telemetry()
+    states = flown(true, still(small(), 20.0, size=25.0), noise_rad_s=0.01)
+    shy = true.with_values(gains, 0.6 * true.values[[NAMES.index(name) for name in gains]])
+    size = [predict(shy, states, hold_back=back).error["model"]["0.5"] for back in (False, True)]
+    for quantity in ("attitude_rad", "body_rate_rad_s"):
+        assert size[1][quantity]["mean_norm"] < 0.9 * size[0][quantity]["mean_norm"], quantity
+    told = _how_far({"position": 1.0, "velocity": 0.9, "quaternion": 1.05, "rate": 1.3})
+    assert told == " (carried on beyond the model, which moves too little here: body_rate_rad_s by 130% of the model)"
 
 
 def test_what_holds_a_model_back_is_known_when_a_window_starts() -> None:

@@ -73,7 +73,7 @@ def searched(flight: FlightEvidence) -> list[Candidate]:
     """Effects in the settings that a search of the flight gives."""
     record, vehicle = flight.prepared.record, flight.prepared.record.vehicle
     return [
-        Candidate(effect, settings)
+        Candidate(effect if effect.among is None else effect.among(settings), settings)
         for effect in library().values()
         if effect.searched is not None and effect.applies(vehicle)
         for settings in effect.searched(flight.signals, record.keep, vehicle)

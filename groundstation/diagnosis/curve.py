@@ -18,6 +18,7 @@ from groundstation.diagnosis.sentences import filled
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.results import Estimate
+from groundstation.linear_filters import both_ways, low_pass
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -30,13 +31,11 @@ def exponent_error(prepared: Prepared) -> float:
     """Difference of the exponent from the declared one; 0 where the declared curve serves or the flight does not
     tell.
     """
-    from scipy.signal import butter, sosfiltfilt
-
     record, rotors = prepared.record, prepared.record.vehicle.rotors
     if rotors.input != "command" or rotors.thrust_curve is None or not np.isfinite(record.force_m_s2).all():
         return 0.0
     rate = 1.0 / float(np.median(np.diff(record.t_s)))
-    low_pass = butter(2, THRESHOLDS.curve_low_pass_hz, fs=rate, output="sos")
+    sections = low_pass(2, THRESHOLDS.curve_low_pass_hz, rate)
     commands = prepared.signals(0.0, 0.0, 0.0).motor
     climb = prepared.velocity_m_s[:, 2] if np.isfinite(prepared.velocity_m_s).all() else np.zeros(len(commands))
 
@@ -45,7 +44,7 @@ def exponent_error(prepared: Prepared) -> float:
         columns = np.column_stack([total, np.gradient(total, record.t_s), climb * total])
         x: Array
         y: Array
-        x, y = (sosfiltfilt(low_pass, v, axis=0)[record.keep] for v in (columns, record.force_m_s2[:, 2]))
+        x, y = (both_ways(sections, v)[record.keep] for v in (columns, record.force_m_s2[:, 2]))
         x = x / (np.linalg.norm(x, axis=0) + 1e-30)
         return float(np.sum((y - x @ np.linalg.lstsq(x, y, rcond=1e-8)[0]) ** 2))
 

@@ -96,6 +96,8 @@ class Effect(EffectInfo):
             of ``variants``; ``scanned`` is of how many it is the outcome.
         finer: settings around one that was found, to look closer.
         settled: settings as they follow from the values that were found (a load that was let go was on board before).
+        among: what is estimated of it in settings that a search gives; None for itself.
+        spread: (settings, first parameter) -> standard deviations of settings; others are given without one.
         applies: whether this vehicle's inputs can show it at all.
         instants: settings that are instants of the flight, s; a replay at another length keeps them inside it.
         of_one_rotor: its settings name a rotor, and a finding of it does.
@@ -119,8 +121,10 @@ class Effect(EffectInfo):
     variants: Callable[[Signals, Vehicle], Sequence[Settings]] = field(default=lambda signals, vehicle: ({},))
     searched: Callable[[Signals, NDArray[np.bool_], Vehicle], Sequence[Settings]] | None = None
     scanned: int = 1
+    among: Callable[[Settings], Effect] | None = None
     finer: Callable[[Settings], Sequence[Settings]] = field(default=lambda settings: ())
     settled: Callable[[Settings, Array], Settings] = field(default=lambda settings, values: settings)
+    spread: Callable[[Settings, float], Mapping[str, float]] = field(default=lambda settings, value: {})
     applies: Callable[[Vehicle], bool] = field(default=lambda vehicle: True)
     begun: Callable[[Signals, Vehicle, Settings, NDArray[np.int64]], Callable[[Signals], Array]] | None = None
     rests_on: tuple[str, ...] = ()

@@ -130,6 +130,10 @@ class FlightEvidence:
         """Standard deviation of a parameter of the base fit."""
         return self._fitted.std(name)
 
+    def against_all(self, known: Sequence[Candidate]) -> FlightEvidence:
+        """The same with a noise of all that the base and these candidates leave."""
+        return FlightEvidence(self.prepared, self._fitted, self._given, known, generic=False)
+
     def of(self, other: Prepared) -> FlightEvidence:
         """Another flight about the same base fit."""
         return FlightEvidence(other, self._fitted, self._given, self.known)

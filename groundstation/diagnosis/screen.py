@@ -17,14 +17,16 @@ from groundstation.diagnosis.along import Along, Beside
 from groundstation.diagnosis.columns import Candidate, Columns
 from groundstation.diagnosis.comparison import residual_rms
 from groundstation.diagnosis.discrepancy import Discrepancy
-from groundstation.diagnosis.effect import from_thrust, weight
+from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, from_thrust, weight
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import WRENCH_ROW, FlightEvidence
 from groundstation.diagnosis.results import Unexplained
+from groundstation.diagnosis.rivals import Entry
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import euler_from_quat
 from groundstation.identification.record_model import CHANNELS
 from groundstation.model.signals import Signals
+from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -74,19 +76,77 @@ def _hats(name: str, knots: Array) -> Callable[[Signals], Array]:
     return hats
 
 
-def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]]) -> list[Dependence]:
-    """Every pair of channel and variable that still shows beyond chance, strongest first."""
+def dependences(evidence: Evidence, chosen: Sequence[Entry], shared: int = 0) -> list[Dependence]:
+    """Every pair of channel and variable that still shows beyond chance, strongest first.
+
+    As an effect has to (:func:`.selection.select`), the strongest of each channel stands against the noise with nothing
+    but it and the chosen kept out, too. Whatever else is kept out takes noise along, most of it slow: on a flight of a
+    quarter of a minute more than is left.
+
+    Args:
+        chosen: effects of the joint estimate; the first ``shared`` of them act on all flights.
+    """
+    found = _shown(evidence, chosen, None)
+    if not found:
+        return found
+    strongest = {d.channel: d for d in reversed(found)}
+    kept_out = (*(candidate for candidate, _ in chosen), *(_candidate(evidence, d) for d in strongest.values()))
+    suspects = [flight.against_all(kept_out) for flight in evidence.flights[: evidence.suspects]]
+    anew = Evidence(suspects, evidence.flights[evidence.suspects :])
+    entries = ((c, anew.columns(c, everywhere=number < shared)) for number, (c, _) in enumerate(chosen))
+    again = _shown(anew, [(c, columns) for c, columns in entries if columns is not None], found)
+    standing = {(d.channel, d.variable) for d in again}
+    return [d for d in found if (d.channel, d.variable) in standing]
+
+
+def _candidate(evidence: Evidence, dependence: Dependence) -> Candidate:
+    """A dependence as an effect: the force or torque of its channel as a function of its variable."""
+    flight = evidence.flights[0]
+    hats = _hats_of(dependence.variable, flight, flight.prepared.record.keep)
+    row, name = WRENCH_ROW[CHANNELS.index(dependence.channel)], f"{dependence.channel} by {dependence.variable}"
+
+    def wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
+        values = np.zeros((0, 0)) if hats is None else hats(signals)
+        out = np.zeros((len(values), 6, values.shape[1]))
+        out[:, row] = values
+        return out
+
+    parameters = tuple(ParameterInfo(f"{name}, {knot}") for knot in range(1, THRESHOLDS.dependence_knots))
+    return Candidate(
+        Effect(
+            identifier=name,
+            equation="",
+            source="",
+            parameters=parameters,
+            confused_with=(),
+            manoeuvre="",
+            wrench=wrench,
+            sentence="",
+        ),
+        {},
+    )
+
+
+def _hats_of(name: str, flight: FlightEvidence, kept: NDArray[np.bool_]) -> Callable[[Signals], Array] | None:
+    """Hat functions over the quantiles of a variable on a flight; None where it is unknown or hardly varies."""
+    values = VARIABLES[name](flight.signals)
+    if not np.isfinite(values).all() or np.ptp(values[kept]) < 1e-9:
+        return None
+    knots = np.unique(np.quantile(values[kept], np.linspace(0.0, 1.0, THRESHOLDS.dependence_knots)))
+    return None if len(knots) < 4 else _hats(name, knots)
+
+
+def _shown(evidence: Evidence, chosen: Sequence[Entry], among: Sequence[Dependence] | None) -> list[Dependence]:
+    """Pairs of channel and variable that show beyond chance in an evidence, strongest first; of some or of all."""
     looked, beside = _Looked.at(evidence, chosen), Beside(evidence, chosen)
+    wanted = None if among is None else {(d.channel, d.variable) for d in among}
     found: list[Dependence] = []
-    for name, variable in VARIABLES.items():
-        values = variable(looked.flight.signals)
-        if not np.isfinite(values).all() or np.ptp(values[looked.kept]) < 1e-9:
+    for name in VARIABLES:
+        channels = [c for c in looked.channels if wanted is None or (CHANNELS[c], name) in wanted]
+        hats = _hats_of(name, looked.flight, looked.kept) if channels else None
+        if hats is None:
             continue
-        knots = np.unique(np.quantile(values[looked.kept], np.linspace(0.0, 1.0, THRESHOLDS.dependence_knots)))
-        if len(knots) < 4:
-            continue
-        hats = _hats(name, knots)
-        for channel, estimate in beside.along(hats, looked.channels, looked.prior).items():
+        for channel, estimate in beside.along(hats, channels, looked.prior).items():
             if (shown := looked.shown(name, channel, estimate, hats)) is not None:
                 found.append(shown)
     return sorted(found, key=lambda d: -d.margin)

@@ -140,14 +140,17 @@ def select_beside(
     """
     standing = [told for told in air if told.stands and not is_among(told.candidate, augmented)]
     known = (*augmented, *(told.candidate for told in standing))
-    found = select(case, base, known, progress, frozenset(told.effect.identifier for told in air))
+    found = select(
+        case, base, known, progress, frozenset(name for told in air for name in (told.effect.identifier, *told.rivals))
+    )
     own = {id(told.candidate.effect): told for told in standing}
     baseline = [entry for entry in found.baseline if id(entry[0].effect) not in own]
     ours = [entry for entry in found.baseline if id(entry[0].effect) in own]
     named = [
-        Named(candidate, columns, told.wald - told.chance, told.gain, (), told.finding().confidence, told.finding())
+        Named(candidate, columns, told.wald - told.chance, told.gain, told.alternatives, finding.confidence, finding)
         for candidate, columns in ours
         for told in [own[id(candidate.effect)]]
+        for finding in [told.finding()]
     ]
     return replace(found, baseline=baseline, named=[*named, *found.named])
 

@@ -8,8 +8,8 @@ instruments, in parts of the flights that check each other (:mod:`groundstation.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +22,12 @@ from groundstation.diagnosis.sentences import filled
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.lagged_instruments import Equation, PartEstimate, Parts, Pooled, pooled, two_stage
 from groundstation.identification.low_frequency import (
-    force_equations,
+    Named,
+    Slow,
+    body_drag_equations,
     lift_equations,
     parts_of,
+    rotor_drag_equations,
     slow,
     torque_equations,
     without_plan,
@@ -40,7 +43,8 @@ TORQUE: Members = {
     "angular_damping": ("damping_x_nms", "damping_y_nms", "damping_z_nms"),
     "flapping_moment": ("k_nm_s_m",),
 }
-FORCE: Members = {"rotor_drag": ("d_x_kg_s", "d_y_kg_s")}
+ROTOR_DRAG: Members = {"rotor_drag": ("d_x_kg_s", "d_y_kg_s")}
+BODY_DRAG: Members = {"body_drag": ("c_kg_m",)}
 LIFT: Members = {"climb_inflow": ("k_kg_s",), "translational_lift": ("lift_s2_m2",)}
 """Effects of each equation and their parameters, as the library names them."""
 
@@ -56,6 +60,7 @@ class PastMotion:
         gain: fall of the squared error of each part with the values of the others.
         share: RMS of what it does, as a share of weight (forces) or weight times arm (torques).
         stands: beats chance, is of a plausible sign, matters, and holds on parts that did not choose it.
+        rivals: effects that do what it does, and by how much less of the squared error falls with them.
     """
 
     effect: Effect
@@ -65,6 +70,7 @@ class PastMotion:
     gain: float
     share: float
     stands: bool
+    rivals: Mapping[str, float] = field(default_factory=dict[str, float])
 
     @property
     def candidate(self) -> Candidate:
@@ -83,9 +89,15 @@ class PastMotion:
             parameters=values,
             sentence=f"{sentence} No plan is recorded: past motion is the instrument, and parts of the flights check "
             "each other.",
-            confidence=posterior([self.chance - self.wald]),
+            confidence=posterior([self.chance - self.wald, *(-lead for lead in self.rivals.values())]),
+            alternatives=self.alternatives,
             gain=self.gain,
         )
+
+    @property
+    def alternatives(self) -> tuple[str, ...]:
+        """Rivals that explain alike."""
+        return tuple(name for name, lead in self.rivals.items() if lead < THRESHOLDS.inseparable)
 
     def missed(self) -> str:
         """What is said of it where it does not stand: the least that would have been seen."""
@@ -108,21 +120,37 @@ def tell_unplanned(flights: Sequence[Prepared], p: Parameters) -> list[PastMotio
     if not fit or not has_rotors(vehicle):
         return []
     parts = [part for flight in flights for part in parts_of(slow(flight, p))]
-    groups = ((TORQUE, torque_equations), (FORCE, force_equations), (LIFT, lift_equations))
-    found: list[PastMotion] = []
-    for members, equations in groups:
-        names = {name for parameters in members.values() for name in parameters}
-        seen: dict[str, list[tuple[Equation, PartEstimate, int]]] = {name: [] for name in names}
-        for part in parts:
-            for equation, own in equations(part):
-                estimate = two_stage(equation)
-                if estimate is not None:
-                    for index, name in enumerate(own):
-                        seen[name].append((equation, estimate, index))
-        for identifier, parameters in members.items():
-            if all(len(seen[name]) > 1 for name in parameters):
-                found.append(_judged(identifier, {name: seen[name] for name in parameters}))
-    return found
+    drag = _likelier([*_told(parts, ROTOR_DRAG, rotor_drag_equations), *_told(parts, BODY_DRAG, body_drag_equations)])
+    frame = sum(told.values["c_kg_m"].value for told in drag if told.stands and "c_kg_m" in told.values)
+    lift = _told(parts, LIFT, lambda part: lift_equations(part, frame))
+    return [*_told(parts, TORQUE, torque_equations), *drag, *lift]
+
+
+def _told(parts: Sequence[Slow], members: Members, equations: Callable[[Slow], Named]) -> list[PastMotion]:
+    """What equations say of their effects, over all parts."""
+    names = {name for parameters in members.values() for name in parameters}
+    seen: dict[str, list[tuple[Equation, PartEstimate, int]]] = {name: [] for name in names}
+    for part in parts:
+        for equation, own in equations(part):
+            estimate = two_stage(equation)
+            if estimate is not None:
+                for index, name in enumerate(own):
+                    seen[name].append((equation, estimate, index))
+    return [
+        _judged(identifier, {name: seen[name] for name in parameters})
+        for identifier, parameters in members.items()
+        if all(len(seen[name]) > 1 for name in parameters)
+    ]
+
+
+def _likelier(drags: Sequence[PastMotion]) -> list[PastMotion]:
+    """Of drags that both stand the one with which more of the squared error falls, with the other as its rival: at one
+    speed they are the same, and together they would count it twice.
+    """
+    if not all(told.stands for told in drags) or len(drags) < 2:
+        return list(drags)
+    best, other = sorted(drags, key=lambda told: -told.gain)
+    return [replace(best, rivals={other.effect.identifier: best.gain - other.gain})]
 
 
 def _judged(identifier: str, seen: Mapping[str, Parts]) -> PastMotion:

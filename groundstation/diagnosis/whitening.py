@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.noise import (
     NoiseModel,
-    fit_noise_model,
+    early_noise_model,
     innovation_products,
     innovations,
     minus_log_likelihood,
@@ -138,7 +138,7 @@ class Whitening:
         products = innovation_products(z, columns, self._dt, self._restart, colour, integrated=integrated)
         left = z - columns @ coefficients(products[1:, 1:], products[1:, 0], random)
         start = None if random is None else colour
-        found = fit_noise_model(left, self._dt, self._restart, integrated=integrated, start=start)
+        found = early_noise_model(left, self._dt, self._restart, integrated=integrated, start=start)
         return found, minus_log_likelihood(left, self._dt, self._restart, found, integrated)
 
     def _fitted_gains(self, residual: Array, nuisance: Sequence[Array]) -> Array:

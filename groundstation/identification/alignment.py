@@ -16,6 +16,7 @@ from groundstation.flightdata import FlightData, Stream, resampled
 from groundstation.frames import quat_rotate, slerp
 from groundstation.identification.instruments import FlownMotion
 from groundstation.identification.parts import by_parts
+from groundstation.linear_filters import band_pass, both_ways, correlation
 from groundstation.model.rotors import MotorInput, declared_thrust, interpolate_columns, wrench_matrix
 from groundstation.vehicle import Vehicle
 
@@ -90,10 +91,8 @@ def lag_between(
     """By how much the columns of ``second`` come after those of ``first``, shapes (k, d), mean of the columns'
     correlations.
     """
-    from scipy.signal import correlate
-
     first, second = (x / (np.std(x, axis=0) + 1e-12) for x in (first, second))
-    parts = [correlate(second[:, i], first[:, i], method="fft") for i in range(first.shape[1])]
+    parts = [correlation(second[:, i], first[:, i]) for i in range(first.shape[1])]
     score = np.mean(np.asarray(parts), axis=0) / len(first)
     lags = (np.arange(2 * len(first) - 1) - (len(first) - 1)) * step_s
     reach = np.abs(lags) < min(reach_s, 0.5 * len(first) * step_s)
@@ -173,16 +172,14 @@ def _turning_and_force(
     """Measured and predicted angular acceleration (roll, pitch) and specific force z in one band, (k, 2) and (k, 1)
     each.
     """
-    from scipy.signal import butter, sosfiltfilt
-
     vehicle = flight.vehicle
     grid = np.arange(motion.t_s[0], motion.t_s[-1], STEP_S)
     lag_s = 0.0 if inputs.measured or vehicle.rotors.input == "wrench" else TYPICAL_LAG_S
     lagged, at_s = inputs.lagged(lag_s, lag_s), grid + centre
-    low_pass = butter(2, BAND_HZ, btype="band", fs=1.0 / STEP_S, output="sos")
+    band = band_pass(2, BAND_HZ, 1.0 / STEP_S)
 
     def passed(values: Array) -> Array:
-        return np.asarray(sosfiltfilt(low_pass, values, axis=0), dtype=float)
+        return both_ways(band, values)
 
     rate = resampled(grid, motion.t_s, motion.rate)
     made = by_parts(lambda part: _wrench_at(at_s, part, (inputs, lagged), vehicle), len(grid))
@@ -236,18 +233,16 @@ def _lateness(
     pose: Stream, attitude_offset_s: float, t_imu: Array, accel: Array, gravity_m_s2: float
 ) -> tuple[float, float, float]:
     """By how much positions are later than attitudes, its standard deviation and the correlation; 0 if too short."""
-    from scipy.signal import butter, sosfiltfilt
-
     when = pose.t_s - attitude_offset_s
     grid = np.arange(max(when[0], t_imu[0]), min(when[-1], t_imu[-1]), STEP_S)
     if len(grid) * STEP_S < 5.0:
         return 0.0, 0.0, 0.0
     step = float(np.median(np.diff(pose.t_s)))
     top = min(LATE_BAND_HZ[1], 0.2 / step)
-    band = butter(2, (LATE_BAND_HZ[0], top), btype="band", fs=1.0 / STEP_S, output="sos")
+    band = band_pass(2, (LATE_BAND_HZ[0], top), 1.0 / STEP_S)
 
     def passed(values: Array) -> Array:
-        return np.asarray(sosfiltfilt(band, values, axis=0), dtype=float)
+        return both_ways(band, values)
 
     position = resampled(grid, when, pose.values[:, :3])
     seen = np.gradient(np.gradient(passed(position), STEP_S, axis=0), STEP_S, axis=0)

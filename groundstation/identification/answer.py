@@ -24,7 +24,7 @@ from groundstation.identification.identifiability import (
     unsettled,
 )
 from groundstation.identification.physical_limits import outside
-from groundstation.identification.prediction_error import Fitted, output_error
+from groundstation.identification.prediction_error import Fitted, coarse_output_error
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Estimate, MethodResult, Revealed
@@ -110,7 +110,10 @@ def with_methods(answer: Answer, exclude: Sequence[tuple[float, float]], progres
     progress(0.75, "the seed's four methods")
     regressions, methods = _seed_methods(fitted.prepared[0], exclude)
     progress(0.85, "output error")
-    found = {"OE": output_error(fitted.models, answer.best.parameters, fitted.options), "FE": fitted.filter_error}
+    found = {
+        "OE": coarse_output_error(fitted.models, answer.best.parameters, fitted.options),
+        "FE": fitted.filter_error,
+    }
     if fitted.instrumental is not None:
         found["IV"] = fitted.instrumental
     methods |= {name: _result(fitted, fit, answer.hidden, METHOD_NOTES[name]) for name, fit in found.items()}

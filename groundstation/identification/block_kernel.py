@@ -1,4 +1,6 @@
-"""Block means of samples' running integrals, in one pass over the samples and without arrays of their length."""
+"""Block means of samples' running integrals, in one pass over the samples and without arrays of their length; a body's
+outputs; and columns between the points of a grid.
+"""
 
 from __future__ import annotations
 
@@ -59,4 +61,50 @@ def wrench_means(wrench: Array, step: Array, members: NDArray[np.int64]) -> Arra
                 mean[half + j] += now[j]
         for j in range(2 * half):
             mean[j] /= size
+    return out
+
+
+@njit(cache=True)
+def outputs(
+    wrench: Array, impulse: Array, gyroscopic: Array, body: tuple[Array, Array, Array], trim: Array
+) -> tuple[Array, Array]:
+    """Rates J^-1 H and forces of a body, (blocks, 3) each.
+
+    Args:
+        wrench, impulse: of the rotors and its running integral, (blocks, 6). gyroscopic: integral of omega x J omega
+            per entry of the tensor, (blocks, 3, 6).
+        body: the tensor's entries (6,), its inverse (3, 3), and c (3,), whose c x F is taken from the torque.
+        trim: impulse about z that grows with time, (blocks,).
+    """
+    entries, inverse, c = body
+    rate, force = np.empty((len(wrench), 3)), np.empty((len(wrench), 3))
+    for b in range(len(wrench)):
+        fx, fy, fz = impulse[b, 0], impulse[b, 1], impulse[b, 2]
+        x, y, z = impulse[b, 3], impulse[b, 4], impulse[b, 5] + trim[b]
+        for e in range(6):
+            x -= gyroscopic[b, 0, e] * entries[e]
+            y -= gyroscopic[b, 1, e] * entries[e]
+            z -= gyroscopic[b, 2, e] * entries[e]
+        x -= c[1] * fz - c[2] * fy
+        y -= c[2] * fx - c[0] * fz
+        z -= c[0] * fy - c[1] * fx
+        for i in range(3):
+            rate[b, i] = inverse[i, 0] * x + inverse[i, 1] * y + inverse[i, 2] * z
+            force[b, i] = wrench[b, i]
+    return rate, force
+
+
+@njit(cache=True)
+def cubic(values: Array, start_s: float, step_s: float, at_s: Array) -> Array:
+    """Columns (k, n) of a uniform grid at other times inside it, by the cubic through the four points about each."""
+    count, columns = values.shape
+    out = np.empty((len(at_s), columns))
+    for k in range(len(at_s)):
+        position = (at_s[k] - start_s) / step_s
+        i = min(max(int(position), 1), count - 3)
+        u = position - i
+        a, b = -u * (u - 1.0) * (u - 2.0) / 6.0, (u + 1.0) * (u - 1.0) * (u - 2.0) / 2.0
+        c, d = -(u + 1.0) * u * (u - 2.0) / 2.0, (u + 1.0) * u * (u - 1.0) / 6.0
+        for j in range(columns):
+            out[k, j] = a * values[i - 1, j] + b * values[i, j] + c * values[i + 1, j] + d * values[i + 2, j]
     return out

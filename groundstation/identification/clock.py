@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from groundstation.errors import Refused
 from groundstation.flightdata import resampled
 from groundstation.frames import quat_conjugate, quat_exp, quat_log, quat_multiply, quat_rotate
+from groundstation.linear_filters import both_ways, correlation, low_pass
 
 Array = NDArray[np.float64]
 
@@ -91,12 +92,10 @@ def _on_grid(t: Array, rate: Array) -> Array:
 
 def _smooth_rates(grid: Array, t: Array, rate: Array) -> Array:
     """Rates on a grid, clipped where they stray, low-passed without phase and without their mean."""
-    from scipy.signal import butter, sosfiltfilt
-
     on_grid = resampled(grid, t, rate)
     limit = 8.0 * np.median(np.abs(on_grid), axis=0) + 0.5
-    low_pass = butter(4, SMOOTHING_HZ, fs=GRID_HZ, output="sos")
-    smooth = sosfiltfilt(low_pass, np.clip(on_grid, -limit, limit), axis=0)
+    sections = low_pass(4, SMOOTHING_HZ, GRID_HZ)
+    smooth = both_ways(sections, np.clip(on_grid, -limit, limit))
     return smooth - smooth.mean(axis=0)
 
 
@@ -104,19 +103,14 @@ def _correlation(a: Array, b: Array) -> tuple[Array, Array]:
     """Correlation of b with a at every lag, and its coefficient; -1 where less than half of the shorter one
     overlaps.
     """
-    from scipy.signal import correlate
-
-    total = np.asarray(sum(correlate(b[:, i], a[:, i], method="fft") for i in range(a.shape[1])))
+    total = np.asarray(sum(correlation(b[:, i], a[:, i]) for i in range(a.shape[1])))
     # The energies are those of the overlapping parts, so that the length of an overlap counts neither for nor against
     # it.
     ones_a, ones_b = np.ones(len(a)), np.ones(len(b))
     power_a: Array = (a**2).sum(axis=1)
     power_b: Array = (b**2).sum(axis=1)
-    energy = np.sqrt(
-        np.maximum(correlate(power_b, ones_a, method="fft"), 0.0)
-        * np.maximum(correlate(ones_b, power_a, method="fft"), 0.0)
-    )
-    overlap = correlate(ones_b, ones_a, method="fft")
+    energy = np.sqrt(np.maximum(correlation(power_b, ones_a), 0.0) * np.maximum(correlation(ones_b, power_a), 0.0))
+    overlap = correlation(ones_b, ones_a)
     enough = overlap > 0.5 * min(len(a), len(b))
     return total, np.where(enough, total / np.maximum(energy, 1e-9 * energy.max() + 1e-30), -1.0)
 

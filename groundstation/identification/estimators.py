@@ -106,13 +106,16 @@ def _cumulated(
     regressor: Array | Assembled, output: Array, rows: NDArray[np.intp], stops: NDArray[np.int64]
 ) -> tuple[Array, Array]:
     """Gamma^T Gamma (n, p, p) and Gamma^T Upsilon (n, p) of the rows up to each stop."""
+    from groundstation.identification.kernels import add_products
+
     count = regressor.shape[2]
-    normals, moments = np.empty((len(stops), count, count)), np.empty((len(stops), count))
-    for index, (first, last) in enumerate(zip(np.append(0, stops[:-1]), stops, strict=True)):
-        part = regressor[rows[first:last]].reshape(-1, count)
-        normals[index] = part.T @ part
-        moments[index] = output[rows[first:last]].reshape(-1) @ part
-    return np.cumsum(normals, axis=0), np.cumsum(moments, axis=0)
+    total, noted = np.zeros((count + 1, count)), list[Array]()
+    for part in parts_of(len(rows), STRETCH):
+        gamma, upsilon = np.ascontiguousarray(regressor[rows[part]]), np.ascontiguousarray(output[rows[part]])
+        inside = stops[(stops > part.start) & (stops <= part.stop)] - part.start
+        noted.append(add_products(gamma, upsilon, inside, total))
+    both = np.concatenate(noted)
+    return both[:, :count], both[:, count]
 
 
 def _determined(correlation: Array) -> NDArray[np.bool_]:

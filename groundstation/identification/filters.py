@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from groundstation.linear_filters import both_ways, first_order, low_pass
+
 Array = NDArray[np.float64]
 
 
@@ -50,13 +52,11 @@ class FilterPair:
         return FilterPair(low_pass, derivative, (1.0, -(pole**steps)), steps * self.period_s)
 
     def _run(self, numerator: tuple[float, float], signal: ArrayLike) -> Array:
-        from scipy.signal import lfilter
-
         x = np.asarray(signal, dtype=float)
         gain = sum(numerator) / sum(self.denominator)
         # Direct form II transposed: y = b0 x + s, s <- b1 x - a1 y; in steady state s = (gain - b0) x.
         state = (gain - numerator[0] / self.denominator[0]) * x[:1]
-        return lfilter(numerator, self.denominator, x, axis=0, zi=state)[0]
+        return first_order((numerator[0], numerator[1]), self.denominator[1], x, state)
 
     def gain_ratio(self) -> float:
         """Low-frequency gain of g/(s f): 1 for a matched pair."""
@@ -94,14 +94,12 @@ def zero_phase_low_pass(signal: ArrayLike, cutoff_hz: float, period_s: float, or
     Both passes together have the gain 1/(1 + (f/f_c)^(2 order)); at a tenth of the cut-off that is 1e-4 below one.
     The ends are continued by point reflection, which keeps value and slope. Short signals get the padding they allow.
     """
-    from scipy.signal import butter, sosfiltfilt
-
     x = np.asarray(signal, dtype=float)
     normalised = 2.0 * cutoff_hz * period_s
     if normalised >= 1.0 or len(x) < 8:
         return x.copy()
     padding = min(len(x) - 1, int(np.ceil(3.0 / normalised)) * order)
-    return sosfiltfilt(butter(order, normalised, output="sos"), x, axis=0, padlen=padding)
+    return both_ways(low_pass(order, normalised, 2.0), x, padding)
 
 
 def central_difference(signal: ArrayLike, period_s: float) -> Array:

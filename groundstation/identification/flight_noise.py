@@ -4,7 +4,7 @@ leaves.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,15 +25,45 @@ PLAIN: Array = np.array([1.0])
 
 
 @dataclass(frozen=True, slots=True)
+class Columns:
+    """Columns of which those that are zero all along are not held.
+
+    Attributes:
+        shown: the numbers of those that are. values: those, (n, shown).
+    """
+
+    shown: NDArray[np.intp]
+    values: Array
+
+    @property
+    def pairs(self) -> tuple[NDArray[np.intp], ...]:
+        """Where products of the columns stand among those of all."""
+        return np.ix_(self.shown, self.shown)
+
+    def held(self) -> Columns:
+        """Without those that turned out to be zero."""
+        some = np.any(self.values != 0.0, axis=0)
+        return Columns(self.shown[some], self.values[:, some])
+
+    def of(self, shown: NDArray[np.intp]) -> Array:
+        """The columns of these numbers, zeros where one is not held, (n, len(shown))."""
+        if np.array_equal(shown, self.shown):
+            return self.values
+        out = np.zeros((len(self.values), len(shown)))
+        out[:, np.searchsorted(shown, self.shown)] = self.values
+        return out
+
+
+@dataclass(frozen=True, slots=True)
 class Whitened:
-    """Normalised innovations by channel: of the residual (n,) and of the sensitivities (n, P).
+    """Normalised innovations by channel: of the residual (n,) and of the sensitivities.
 
     Attributes:
         log_deviation: half the sum of the logarithms of the innovations' variances, a part of the cost.
     """
 
     residual: tuple[Array, ...]
-    sensitivity: tuple[Array, ...]
+    sensitivity: tuple[Columns, ...]
     log_deviation: float
 
 
@@ -48,14 +78,18 @@ class WhitenedParts:
     def __call__(self, blocks: slice, residual: Array, sensitivity: Array) -> Whitened:
         """The next part's residuals (n, 6) and sensitivities (n, 6, P) as innovations of unit variance."""
         dt, restart = self.model.dt[blocks], self.model.restart[blocks]
+        whole = len(dt) == len(self.model.dt)
         ys: list[Array] = []
-        xs: list[Array] = []
+        xs: list[Columns] = []
         logs = 0.0
         for channel, passed in zip(self.channels, self.filters, strict=True):
-            both = np.concatenate([residual[:, channel : channel + 1], sensitivity[:, channel, :]], axis=1)
-            e, deviation = passed(both, dt, restart)
-            ys.append(e[:, 0])
-            xs.append(e[:, 1:])
+            rows = sensitivity[:, channel, :].T
+            shown = np.array([n for n, row in enumerate(rows) if not whole or row.any()], dtype=np.intp)
+            stacked = np.empty((1 + len(shown), len(residual)))
+            stacked[0], stacked[1:] = residual[:, channel], rows[shown]
+            white, deviation = passed(stacked, dt, restart)
+            ys.append(white[:, 0].copy())
+            xs.append(Columns(shown, white[:, 1:]))
             logs += deviation
         return Whitened(tuple(ys), tuple(xs), logs)
 
@@ -73,15 +107,28 @@ class FlightNoise:
     colours: tuple[NoiseModel, ...]
     whiteners: tuple[Array, ...]
 
-    def passing(self, model: RecordModel, columns: int) -> WhitenedParts:
-        """The filters of all channels, for a residual and as many columns of sensitivities."""
-        kinds = zip(self.channels, self.colours, self.whiteners, strict=True)
-        filters = tuple(Passing(colour, rest, 1 + columns, integrated=c < 3) for c, colour, rest in kinds)
-        return WhitenedParts(model, self.channels, filters)
+    def passing(self, model: RecordModel) -> WhitenedParts:
+        """The filters of all channels, for a residual and columns of sensitivities."""
+        return WhitenedParts(model, self.channels, tuple(self._filters(model)))
+
+    def _filters(self, model: RecordModel) -> Iterator[Passing]:
+        steps, whole = (model.dt, model.restart), len(model.parts()) == 1
+        for channel, colour, rest in zip(self.channels, self.colours, self.whiteners, strict=True):
+            gains = model.gains.of(colour, steps, integrated=channel < 3) if whole else None
+            yield Passing(colour, rest, integrated=channel < 3, gains=gains)
 
     def whitened_residual(self, model: RecordModel, residual: Array) -> Whitened:
         """Residuals (blocks, 6) as innovations of unit variance."""
-        return self.passing(model, 0)(slice(0, len(residual)), residual, np.zeros((*residual.shape, 0)))
+        return self.passing(model)(slice(0, len(residual)), residual, np.zeros((*residual.shape, 0)))
+
+    def whitened_residuals(self, model: RecordModel, residuals: Array) -> tuple[tuple[Array, ...], float]:
+        """Several residuals (trials, blocks, 6) at once: by channel (blocks, trials), and the logarithms."""
+        whites, logs = list[Array](), 0.0
+        for channel, passed in zip(self.channels, self._filters(model), strict=True):
+            white, half = passed(residuals[:, :, channel].copy(), model.dt, model.restart)
+            whites.append(white)
+            logs += half
+        return tuple(whites), logs
 
 
 def fitted_noise(

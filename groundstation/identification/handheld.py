@@ -24,6 +24,7 @@ from groundstation.frames import matrix_from_quat, quat_exp, quat_from_matrix, q
 from groundstation.identification.attitude_fit import Recording
 from groundstation.identification.clock import coarse_offset_by_size, rates_from_attitude
 from groundstation.identification.reconstruction import Compatibility, reconstruct
+from groundstation.linear_filters import both_ways, low_pass
 
 Array = NDArray[np.float64]
 
@@ -176,10 +177,8 @@ def up_axis(t_imu: Array, accel: Array, t_pose: Array, quaternion: Array, marker
 
 def _smoothed(t: Array, values: Array) -> Array:
     """Below 5 Hz, where hands move and differences of attitudes are not all noise."""
-    from scipy.signal import butter, sosfiltfilt
-
     rate_hz = 1.0 / float(np.median(np.diff(t)))
-    return np.asarray(sosfiltfilt(butter(2, min(5.0, 0.2 * rate_hz), fs=rate_hz, output="sos"), values, axis=0))
+    return both_ways(low_pass(2, min(5.0, 0.2 * rate_hz), rate_hz), values)
 
 
 def _result(found: Compatibility, marker: Array, position: Array, quaternion: Array, seconds: float) -> HandCalibration:

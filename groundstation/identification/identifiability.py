@@ -15,6 +15,7 @@ from groundstation.identification.prediction_error import Fitted
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import RecordModel
 from groundstation.identification.results import MASS_AND_TENSOR, Revealed
+from groundstation.linear_filters import both_ways, low_pass
 from groundstation.model.parameters import FitOptions, Parameters, declared_parameters
 from groundstation.vehicle import Vehicle
 
@@ -49,12 +50,10 @@ REMEDY = {
 
 def angular_acceleration(prepared: Prepared) -> Array:
     """RMS of the angular acceleration below 5 Hz, rad/s^2, (3,)."""
-    from scipy.signal import butter, sosfiltfilt
-
     record = prepared.record
     rate_hz = 1.0 / float(np.median(np.diff(record.t_s)))
-    low_pass = butter(2, min(5.0, 0.4 * rate_hz), fs=rate_hz, output="sos")
-    slow = np.asarray(sosfiltfilt(low_pass, record.rate_rad_s, axis=0))
+    sections = low_pass(2, min(5.0, 0.4 * rate_hz), rate_hz)
+    slow = both_ways(sections, record.rate_rad_s)
     return np.std(np.gradient(slow, record.t_s, axis=0)[record.keep], axis=0)
 
 

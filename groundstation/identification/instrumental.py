@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.identification.flight_noise import FlightNoise
-from groundstation.identification.prediction_error import Fitted, Point, Problem, huber, inverted, noise_of
+from groundstation.identification.flight_noise import Columns, FlightNoise
+from groundstation.identification.prediction_error import SETTLED, Fitted, Point, Problem, huber, inverted, noise_of
 from groundstation.identification.record_model import RecordModel
 from groundstation.identification.sensitivities import planned_parts
 from groundstation.model.parameters import FitOptions, Parameters, table
@@ -32,43 +32,6 @@ steps that come back have up to three).
 """
 RESIDUAL_LEAST = 0.1
 """rad/s^2 and m/s^2: a residual below it (a flight without noise) is counted as this much."""
-SPECTRA = 4
-"""Columns whose spectrum is held at a time, of a flight in several parts."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Sparse:
-    """Columns (n, width) of which those that are zero all along are not held."""
-
-    width: int
-    shown: NDArray[np.intp]
-    values: Array
-
-    @classmethod
-    def of(cls, columns: Array) -> _Sparse:
-        """Hold them."""
-        shown = np.flatnonzero(np.any(columns != 0.0, axis=0))
-        return cls(columns.shape[1], shown, columns[:, shown])
-
-    def all(self) -> Array:
-        """All columns."""
-        out = np.zeros((len(self.values), self.width))
-        out[:, self.shown] = self.values
-        return out
-
-
-@dataclass(frozen=True, slots=True)
-class _Dense:
-    """Columns (n, width) as they are."""
-
-    values: Array
-
-    def all(self) -> Array:
-        """All columns."""
-        return self.values
-
-
-_Held = _Sparse | _Dense
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +46,7 @@ class _Instruments:
         split: precision of what is held near the first estimate, (P, P).
     """
 
-    columns: tuple[tuple[tuple[_Held, ...], ...], ...]
+    columns: tuple[tuple[tuple[Columns, ...], ...], ...]
     spent: tuple[tuple[float, ...], ...]
     precision: Array
     information: Array
@@ -121,10 +84,13 @@ def instrumental(models: Sequence[RecordModel], start: Fitted, options: FitOptio
     instruments = _instruments(problem, point, noise, split)
     found = _solve(problem, point, noise, instruments, start)
     for _ in range(ROUNDS - 1):
+        before = problem.values(found.point)
         noise = problem.noise(found.point, noise, autoregression=options.autoregression)
         del instruments  # a quarter of a gigabyte for an hour of flight
         instruments = _instruments(problem, found.point, noise, split)
         found = _solve(problem, found.point, noise, instruments, start, found.iterations)
+        if _settled(problem.values(found.point) - before, found.covariance):
+            break
     covariance = found.covariance
     for index in held:
         covariance = _with_uncertain(covariance, found.crossed, index, float(start.covariance[index, index]))
@@ -153,17 +119,17 @@ def _held_near_start(names: Sequence[str]) -> tuple[Array, list[int]]:
 
 def _instruments(problem: Problem, point: Point, noise: Sequence[FlightNoise], split: Array) -> _Instruments:
     """The planned motion's sensitivities at a point under given noise models."""
-    columns: list[tuple[tuple[_Held, ...], ...]] = []
+    columns: list[tuple[tuple[Columns, ...], ...]] = []
     mean, std = problem.prior(point.names)
     precision = np.diag(1.0 / std**2) + split
     products = np.zeros_like(precision)
     for model, residual, each in zip(problem.models, point.residuals, noise, strict=True):
-        passing, parts = each.passing(model, len(point.names)), list[tuple[_Held, ...]]()
+        passing, parts = each.passing(model), list[tuple[Columns, ...]]()
         for blocks, planned in planned_parts(model, point.parameters, problem.options):
             white = passing(blocks, residual[blocks], planned).sensitivity
             for z in white:
-                products += z.T @ z
-            parts.append(tuple(map(_Dense if len(model.parts()) == 1 else _Sparse.of, white)))
+                products[z.pairs] += z.values.T @ z.values
+            parts.append(white if len(model.parts()) == 1 else tuple(z.held() for z in white))
         columns.append(tuple(parts))
     information = precision + products
     root = _root_of_inverse(information)
@@ -187,14 +153,15 @@ def _equations(
     zx, zz = instruments.precision.copy(), instruments.precision.copy()
     ze = (mean - theta) / variance + instruments.split @ (start.values - theta)
     for index, (model, each) in enumerate(zip(problem.models, noise, strict=True)):
-        passing, spent = each.passing(model, len(point.names)), instruments.spent[index]
+        passing, spent = each.passing(model), instruments.spent[index]
         for part, columns in zip(point.parts(index), instruments.columns[index], strict=True):
             found = passing(*part)
-            for y, x, held, factor in zip(found.residual, found.sensitivity, columns, spent, strict=True):
-                w, z = huber(y)[:, None], held.all()
-                zx += z.T @ (x * w)
-                zz += factor * z.T @ (z * w)
-                ze += z.T @ (w[:, 0] * y)
+            for y, x, z, factor in zip(found.residual, found.sensitivity, columns, spent, strict=True):
+                w = huber(y)
+                weighted = z.values * w[:, None]
+                zx[np.ix_(z.shown, x.shown)] += weighted.T @ x.values
+                zz[z.pairs] += factor * weighted.T @ z.values
+                ze[z.shown] += weighted.T @ y
     return zx, zz, ze
 
 
@@ -209,8 +176,11 @@ def _step(
     most = RESIDUAL_GROWTH * np.maximum(start.residual_rms, RESIDUAL_LEAST)
     after = _beside_the_flight(problem, point, step, most)
     change = problem.values(after) - problem.values(point)
-    small = bool(np.all(np.abs(change) < 0.02 * np.sqrt(np.diag(covariance))))
-    return _Solution(after, covariance, zx, 1), small
+    return _Solution(after, covariance, zx, 1), _settled(change, covariance)
+
+
+def _settled(change: Array, covariance: Array) -> bool:
+    return bool(np.all(np.abs(change) < SETTLED * np.sqrt(np.diag(covariance))))
 
 
 def _solve(
@@ -257,7 +227,7 @@ def _root_of_inverse(information: Array) -> Array:
     return unit[:, None] * vectors[:, told] / np.sqrt(eigenvalues[told])
 
 
-def _spent_freedom(parts: Sequence[_Held], root: Array) -> float:
+def _spent_freedom(parts: Sequence[Columns], root: Array) -> float:
     """By how much the variance of an estimate exceeds what its residual says: n / (n - p - 2).
 
     A flight has few independent values n in the band an estimate uses (two at each frequency, up to the 95 % point of
@@ -266,18 +236,14 @@ def _spent_freedom(parts: Sequence[_Held], root: Array) -> float:
     - p - 2). p is this channel's leverage, trace(I^-1 Z^T Z).
 
     Args:
-        parts: whitened instruments of one channel, (n, P) each.
+        parts: whitened instruments of one channel, the same of them shown in each.
         root: what brings them to units of the whole fit's standard deviations, (P, r).
     """
-    parameters, power = 0.0, np.zeros(0)
-    together = root.shape[1] if len(parts) == 1 else SPECTRA
-    for first in range(0, root.shape[1], together):
-        some = root[:, first : first + together]
-        products = [part.all() @ some for part in parts]
-        z = products[0] if len(products) == 1 else np.concatenate(products)
-        parameters += float(np.sum(z**2))
-        own = np.sum(np.abs(np.fft.rfft(z, axis=0)) ** 2, axis=1)
-        power = own if first == 0 else power + own
+    shown = np.unique(np.concatenate([part.shown for part in parts]))
+    whole, own = np.concatenate([part.of(shown) for part in parts]), root[shown]
+    parameters = float(np.sum((whole.T @ whole) * (own @ own.T)))
+    spectra = np.fft.rfft(whole, axis=0)
+    power = np.asarray(sum(np.abs(spectra @ direction) ** 2 for direction in own.T))
     count = 2.0 * (1.0 + int(np.searchsorted(np.cumsum(power), 0.95 * float(np.sum(power)))))
     return count / max(count - parameters - 2.0, 0.3 * count)
 

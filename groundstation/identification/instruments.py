@@ -9,17 +9,26 @@ Gautier 2014 simulate the closed loop for the same purpose; here its law is unkn
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.flightdata import FlightData, Stream, resampled
-from groundstation.frames import euler_from_quat, quat_continuous, quat_from_euler, quat_rotate_inverse
-from groundstation.identification.parts import kept, parts_of
+from groundstation.frames import (
+    euler_from_quat,
+    quat_continuous,
+    quat_from_euler,
+    quat_normalise,
+    quat_rotate_inverse,
+)
+from groundstation.identification.block_kernel import cubic
+from groundstation.identification.parts import double, kept, parts_of
 from groundstation.identification.record_model import PlannedMotion
 from groundstation.identification.streams import clean
+from groundstation.linear_filters import both_ways, low_pass
 from groundstation.trajectory import FlatState, RigidMotion, rigid_motion
 
 Array = NDArray[np.float64]
@@ -34,6 +43,20 @@ BAND_HZ = 5.0
 """Manoeuvres are slower than this; the filters are fitted below it."""
 PART = 16384
 """Samples for which the shifted motions are held at a time."""
+GRID_S = 0.005
+"""Grid on which the plan is worked out: a hundredth of a manoeuvre's period."""
+FILTER_GRID_S = 0.02
+"""The same where filters are fitted, to samples at 50 Hz below BAND_HZ."""
+GAP_S = 1.0
+"""Between two samples: beyond it a new grid begins."""
+TURNED_RAD = 0.1
+"""Heading between a plan and its flight from which the plan is taken to be flown in a frame of its own; below it an
+instrument loses half a percent of its strength, and a steady yaw torque leaves about as much.
+"""
+STEADY = 0.95
+"""Mean length of the unit vectors of that heading from which there is one: a vehicle that follows another yaw than the
+plan's, or none, has none.
+"""
 SHORT_S: Array = np.linspace(-0.2, 0.2, 3)
 LONG_S: Array = np.linspace(-0.4, 0.4, 9)
 """Taps of the tracking filters, about the vehicle's mean delay."""
@@ -77,24 +100,13 @@ def planned_motion(
     if coherence < COHERENT:
         return None
     used = np.flatnonzero(keep)[:: max(1, round(motion.rate_hz / 50.0))]
-    shifts = _Shifted(reference, delay_s, gravity, motion.t_s[used])
-    tracking = _Tracking(_path_filters(shifts, motion, used), _body_filters(shifts, motion, used))
-    found = _followed(tracking, lambda part: _Shifted(reference, delay_s, gravity, motion.t_s[part]), len(motion.t_s))
-    rate, acceleration, thrust, velocity, position, attitude = found
-    return PlannedMotion(rate, acceleration, thrust, velocity, position, kept(quat_continuous(attitude)))
-
-
-def _followed(tracking: _Tracking, shifted: Callable[[slice], _Shifted], count: int) -> list[Array]:
-    """What :meth:`_Tracking.at` gives of all samples, part by part; all but the attitude as it is kept."""
-    out = list[Array]()
-    for part in parts_of(count, PART):
-        found = tracking.at(shifted(part))
-        if not out:
-            out = [kept(np.empty((count, *values.shape[1:]))) for values in found[:-1]]
-            out.append(np.empty((count, *found[-1].shape[1:])))
-        for whole, values in zip(out, found, strict=True):
-            whole[part] = values
-    return out
+    reference = _as_placed(reference, motion, used, delay_s)
+    asked = _Asked(reference, delay_s, gravity)
+    tracking = _Tracking(_path_filters(asked, motion, used), _body_filters(asked, motion, used))
+    found = asked.at(motion.t_s, GRID_S, tracking.on)
+    rate, acceleration, thrust, velocity, position, attitude = np.split(found, [3, 6, 7, 10, 13], axis=1)
+    quaternion = kept(quat_continuous(quat_normalise(double(attitude))))
+    return PlannedMotion(rate, acceleration, thrust[:, 0], velocity, position, quaternion)
 
 
 def _reference(flight: FlightData, motion: FlownMotion, keep: Mask, start_s: float, stand_in: bool) -> Reference | None:
@@ -136,6 +148,29 @@ def _delay(reference: Reference, motion: FlownMotion, keep: Mask, gravity: float
     return step * (pad - best), scores[best] / size
 
 
+def _as_placed(reference: Reference, motion: FlownMotion, used: NDArray[np.int64], delay_s: float) -> Reference:
+    """The reference turned about the vertical as the flight's world is: a link flies a plan along the heading that the
+    vehicle had on the ground, and from flight to flight that is another one.
+
+    Its path is compared with the flown one axis by axis; turned by a right angle, x is compared with y.
+    """
+    yaw = euler_from_quat(motion.smooth[0][used])[:, 2]
+    if not np.isfinite(yaw).all():
+        return reference
+    apart = np.mean(np.exp(1j * (yaw - reference(motion.t_s[used] - delay_s).yaw[0])))
+    turn = float(np.angle(apart))
+    if abs(apart) < STEADY or abs(turn) < TURNED_RAD:
+        return reference
+    cos, sin = np.cos(turn), np.sin(turn)
+    rotation = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+    def turned(query: Array) -> FlatState:
+        flat = reference(query)
+        return FlatState(flat.position @ rotation, flat.yaw + np.array([turn, 0.0, 0.0])[:, None])
+
+    return turned
+
+
 @dataclass(frozen=True, slots=True)
 class _BodyFilter:
     """Of an axis of the body: taps, whose axes' rates pass them, and the weights of all, axis by axis."""
@@ -146,26 +181,66 @@ class _BodyFilter:
 
 
 class _Shifted:
-    """The reference at given times, and at those times less a shift of the tracking filters; each worked out once."""
+    """The reference on a uniform grid, and later or earlier by the shifts of the tracking filters, each a whole number
+    of the grid's steps: worked out once for all of them.
+    """
 
-    def __init__(self, reference: Reference, delay_s: float, gravity: float, t_s: Array):
-        self._reference, self._delay_s, self.gravity, self.t_s = reference, delay_s, gravity, t_s
-        self._flat: dict[float, FlatState] = {}
-        self._rigid: dict[float, RigidMotion] = {}
+    def __init__(self, reference: Reference, gravity: float, first_s: float, step_s: float, count: int):
+        self._step_s, self._count, self._margin = step_s, count, round(float(LONG_S[-1]) / step_s)
+        self.gravity = gravity
+        self._wide = reference(
+            np.asarray(first_s + step_s * np.arange(-self._margin, count + self._margin), dtype=float)
+        )
+        self._rigid: RigidMotion | None = None
+
+    def _part(self, shift: float) -> slice:
+        first = self._margin - round(shift / self._step_s)
+        return slice(first, first + self._count)
 
     def flat(self, shift: float) -> FlatState:
         """Later by a shift."""
-        if shift not in self._flat:
-            self._flat[shift] = self._reference(self.t_s - self._delay_s - shift)
-        return self._flat[shift]
+        part = self._part(shift)
+        return FlatState(self._wide.position[:, part], self._wide.yaw[:, part])
 
     def columns(self, chosen: _BodyFilter, name: str) -> Array:
         """What a filter of the body weighs, of one quantity of rigid motion, (k, taps)."""
-        for shift in map(float, chosen.shifts):
-            if shift not in self._rigid:
-                self._rigid[shift] = rigid_motion(self.flat(shift), self.gravity)
-        parts = [getattr(self._rigid[float(s)], name)[:, axis] for axis in chosen.axes for s in chosen.shifts]
-        return np.column_stack(parts)
+        if self._rigid is None:
+            self._rigid = rigid_motion(self._wide, self.gravity)
+        values: Array = getattr(self._rigid, name)
+        return np.column_stack([values[self._part(float(s)), axis] for axis in chosen.axes for s in chosen.shifts])
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """The reference as it reaches the vehicle, late by the delay."""
+
+    reference: Reference
+    delay_s: float
+    gravity: float
+
+    def at(self, t_s: Array, step_s: float, columns: Callable[[_Shifted], Array]) -> Array:
+        """Columns that are worked out on a grid, at other times, (k, n): cubic between the grid's points.
+
+        References are slow beside the grid. A part of the flight at a time is held, none across a gap.
+        """
+        out: Array | None = None
+        for part in self._parts(t_s):
+            begin, end = float(t_s[part.start]), float(t_s[part.stop - 1])
+            first = float(t_s[0] + step_s * (np.floor((begin - t_s[0]) / step_s) - 2.0))  # one grid in all parts
+            count = int((end - first) / step_s) + 4
+            shifted = _Shifted(self.reference, self.gravity, first - self.delay_s, step_s, count)
+            found = cubic(columns(shifted), first, step_s, t_s[part])
+            out = kept(np.empty((len(t_s), found.shape[1]))) if out is None else out
+            out[part] = found
+        return np.zeros((0, 0)) if out is None else out
+
+    def _parts(self, t_s: Array) -> Iterator[slice]:
+        """Times without a gap, at most PART of them each."""
+        bounds = [0, *(np.flatnonzero(np.diff(t_s) > GAP_S) + 1).tolist(), len(t_s)]
+        for start, stop in pairwise(bounds):
+            for part in parts_of(stop - start, PART):
+                if part.stop > part.start:
+                    yield slice(start + part.start, start + part.stop)
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,14 +252,14 @@ class _Tracking:
     path: Sequence[Array | None]
     body: Sequence[_BodyFilter | None]
 
-    def at(self, shifts: _Shifted) -> tuple[Array, ...]:
-        """Rates, their derivatives, specific thrust, velocity in the body, position, attitude."""
+    def on(self, shifts: _Shifted) -> Array:
+        """Rates, their derivatives, specific thrust, velocity in the body, position, attitude, (k, 17)."""
         middle = shifts.flat(float(SHORT_S[len(SHORT_S) // 2]))
         position, yaw = middle.position.copy(), middle.yaw.copy()
+        moved = [shifts.flat(float(shift)) for shift in SHORT_S]
         for axis, weights in enumerate(self.path):
             if weights is None:
                 continue
-            moved = [shifts.flat(float(shift)) for shift in SHORT_S]
             parts = [m.position[:, :, axis] if axis < 3 else m.yaw for m in moved]
             target = position[:, :, axis] if axis < 3 else yaw
             target[:] = sum(w * part for w, part in zip(weights, parts, strict=True))
@@ -194,41 +269,49 @@ class _Tracking:
             if chosen is not None:
                 rate[:, axis] = shifts.columns(chosen, "angular_velocity_body_rad_s") @ chosen.weights
                 acceleration[:, axis] = shifts.columns(chosen, "angular_acceleration_body_rad_s2") @ chosen.weights
-        attitude = quat_from_euler(*path.euler_rad.T)
+        attitude = quat_continuous(quat_from_euler(*path.euler_rad.T))
         velocity = quat_rotate_inverse(attitude, path.velocity_world_m_s)
-        return rate, acceleration, path.specific_thrust_m_s2, velocity, path.position_m, attitude
+        return np.column_stack([rate, acceleration, path.specific_thrust_m_s2, velocity, path.position_m, attitude])
 
 
-def _path_filters(shifts: _Shifted, motion: FlownMotion, used: NDArray[np.int64]) -> list[Array | None]:
+def _path_filters(asked: _Asked, motion: FlownMotion, used: NDArray[np.int64]) -> list[Array | None]:
     """Weights of x, y, z and yaw, fitted to acceleration and yaw rate."""
     if not np.isfinite(motion.smooth[2]).all():
         return [None] * 4
     yaw = np.unwrap(euler_from_quat(motion.smooth[0][used])[:, 2])
     flown = np.gradient(np.column_stack([motion.smooth[2][used], yaw]), motion.t_s[used], axis=0)
-    moved, found = [shifts.flat(float(shift)) for shift in SHORT_S], list[Array | None]()
+
+    def accelerations(shifts: _Shifted) -> Array:
+        moved = [shifts.flat(float(shift)) for shift in SHORT_S]
+        return np.concatenate([np.column_stack([m.position[2], m.yaw[1]]) for m in moved], axis=1)
+
+    asked_for, found = asked.at(motion.t_s[used], FILTER_GRID_S, accelerations), list[Array | None]()
     for axis in range(4):
-        columns = np.column_stack([m.position[2, :, axis] if axis < 3 else m.yaw[1] for m in moved])
+        columns = asked_for[:, axis::4]
         still = np.std(columns) < 1e-4
         weights = None if still else np.linalg.lstsq(columns, flown[:, axis], rcond=1e-3)[0]
         found.append(None if weights is None else np.asarray(weights, dtype=float))
     return found
 
 
-def _body_filters(shifts: _Shifted, motion: FlownMotion, used: NDArray[np.int64]) -> list[_BodyFilter | None]:
+def _body_filters(asked: _Asked, motion: FlownMotion, used: NDArray[np.int64]) -> list[_BodyFilter | None]:
     """Rates as flown: each is a filtered plan of its own, of all three axes' rates where that pays (BIC).
 
     A fast manoeuvre couples the axes and saturates loops, which a filter of position and yaw does not tell.
     """
-    from scipy.signal import butter, sosfiltfilt
-
-    sos = butter(2, min(BAND_HZ, 0.4 * motion.rate_hz), fs=motion.rate_hz, output="sos")
-    flown = np.gradient(np.asarray(sosfiltfilt(sos, motion.rate, axis=0))[used], motion.t_s[used], axis=0)
+    sections = low_pass(2, min(BAND_HZ, 0.4 * motion.rate_hz), motion.rate_hz)
+    flown = np.gradient(both_ways(sections, motion.rate)[used], motion.t_s[used], axis=0)
     independent = 2.0 * BAND_HZ * float(motion.t_s[used[-1]] - motion.t_s[used[0]])
+    every = _BodyFilter(LONG_S, (0, 1, 2), np.zeros(0))
+    all_axes = asked.at(
+        motion.t_s[used], FILTER_GRID_S, lambda shifts: shifts.columns(every, "angular_acceleration_body_rad_s2")
+    )
     found: list[_BodyFilter | None] = []
     for axis in range(3):
         sets: list[tuple[Array, Sequence[int]]] = [(SHORT_S, (axis,)), (LONG_S, (axis,)), (LONG_S, (0, 1, 2))]
         choices = [_BodyFilter(taps, axes, np.zeros(len(taps) * len(axes))) for taps, axes in sets]
-        columns = [shifts.columns(choice, "angular_acceleration_body_rad_s2") for choice in choices]
+        own = all_axes[:, axis * len(LONG_S) : (axis + 1) * len(LONG_S)]
+        columns = [own[:, np.searchsorted(LONG_S, SHORT_S - 1e-9)], own, all_axes]
         index, weights = _most_probable(columns, flown[:, axis], independent)
         found.append(None if index is None else _BodyFilter(choices[index].shifts, choices[index].axes, weights))
     return found

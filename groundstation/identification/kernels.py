@@ -42,6 +42,34 @@ def descend(gamma: Array, upsilon: Array, gain: Array, stops: NDArray[np.int64],
 
 
 @njit(cache=True)
+def add_products(gamma: Array, upsilon: Array, stops: NDArray[np.int64], total: Array) -> Array:
+    """Running sums of Gamma^T Gamma (p, p), and of Gamma^T Upsilon (p,) in a row below, after each number of samples.
+
+    Args:
+        gamma: shape (n, outputs, p). upsilon: (n, outputs). stops: numbers of samples, ascending.
+        total: the sums before, (p + 1, p); then those of all.
+
+    Returns:
+        Shape (len(stops), p + 1, p).
+    """
+    samples, outputs, p = gamma.shape
+    noted = np.empty((len(stops), p + 1, p))
+    at = 0
+    for k in range(samples):
+        for row in range(outputs):
+            for i in range(p):
+                value = gamma[k, row, i]
+                if value != 0.0:
+                    for j in range(p):
+                        total[i, j] += value * gamma[k, row, j]
+                    total[p, i] += value * upsilon[k, row]
+        while at < len(stops) and stops[at] == k + 1:
+            noted[at] = total
+            at += 1
+    return noted
+
+
+@njit(cache=True)
 def descent_influence(gamma: Array, gain: Array, later: Array) -> Array:
     """H_k of the final estimate of :func:`descend`, (n, p, outputs).
 

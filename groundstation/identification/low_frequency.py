@@ -2,6 +2,7 @@ r"""Inverse dynamics, in the band where rotor telemetry that is filtered and lat
 
     torque   tau(T) = J w' - (lag) J w'' + D w + k (-v_y, v_x, 0) + trim + T offset    roll, pitch, yaw
     force    m f_xy = -d v_xy s + m bias               the accelerometer is the force: it needs no rotor
+             m f_xy = -c |v| v_xy + m bias             the same, of a frame instead of rotors
     lift     m f_z  = a T + b (T - mean)^2 + (lag) T' - k_w v_z s + l T |v_xy|^2 + m bias
 
 with T the thrust, f the specific force, v the velocity in the body, w the body rates, s the rotors' speed over that at
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from groundstation.identification.lagged_instruments import Equation
 from groundstation.identification.preparation import Prepared
+from groundstation.linear_filters import both_ways, low_pass
 from groundstation.model.parameters import Parameters
 from groundstation.model.rotors import wrench_matrix
 from groundstation.model.signals import hover_share
@@ -48,7 +50,8 @@ class Slow:
         used: which samples count, (k,). step_s: of the samples.
         torque, thrust: by the declared constants, under the anchor, (k, 3) and (k,).
         rate, turning, jerk: body rates and their derivatives, (k, 3).
-        velocity: in the body, (k, 3). speed2: |v_xy|^2, (k,). share: the rotors' speed over that at hover, (k,).
+        velocity: in the body, (k, 3). drag: |v| v, (k, 3). speed2: |v_xy|^2, (k,).
+        share: the rotors' speed over that at hover, (k,).
         force: specific force, (k, 3).
         tensor, mass_kg: declared, and of the base fit under the anchor. scale_n, arm_m: weight and arm, the scales of
             the equations.
@@ -62,6 +65,7 @@ class Slow:
     turning: Array
     jerk: Array
     velocity: Array
+    drag: Array
     speed2: Array
     share: Array
     force: Array
@@ -78,14 +82,12 @@ def without_plan(prepared: Prepared) -> bool:
 
 def _low_pass(edge_hz: float, rate_hz: float, stretches: Sequence[slice]) -> Callable[[Array], Array]:
     """What keeps columns below the edge, each stretch by itself: what stands in a gap is of no flight."""
-    from scipy.signal import butter, sosfiltfilt
-
-    sos = butter(2, edge_hz, fs=rate_hz, output="sos")
+    sections = low_pass(2, edge_hz, rate_hz)
 
     def low(values: Array) -> Array:
         out = np.zeros(values.shape)
         for stretch in stretches:
-            out[stretch] = sosfiltfilt(sos, np.nan_to_num(values[stretch]), axis=0)
+            out[stretch] = both_ways(sections, np.nan_to_num(values[stretch]))
         return out
 
     return low
@@ -119,6 +121,7 @@ def slow(prepared: Prepared, p: Parameters) -> Slow:
         turning=turning[cut],
         jerk=np.gradient(turning, record.t_s, axis=0)[cut],
         velocity=low(velocity)[cut],
+        drag=low(np.linalg.norm(velocity, axis=1, keepdims=True) * velocity)[cut],
         speed2=low((velocity[:, :2] ** 2).sum(axis=1))[cut],
         share=low(hover_share(signals, vehicle))[cut],
         force=(low(record.force_m_s2) - sideways)[cut],
@@ -162,23 +165,29 @@ def torque_equations(part: Slow) -> Named:
     return out
 
 
-def force_equations(part: Slow) -> Named:
-    """Forward and sideways, in shares of the weight: drag."""
+def rotor_drag_equations(part: Slow) -> Named:
+    """Forward and sideways, in shares of the weight: drag of the rotors."""
+    against = -part.velocity * part.share[:, None]
+    return [(_sideways(part, against, axis), (f"d_{name}_kg_s",)) for axis, name in enumerate("xy")]
+
+
+def body_drag_equations(part: Slow) -> Named:
+    """Forward and sideways, in shares of the weight: drag of the frame."""
+    return [(_sideways(part, -part.drag, axis), ("c_kg_m",)) for axis in (0, 1)]
+
+
+def _sideways(part: Slow, against: Array, axis: int) -> Equation:
     ones = np.ones((len(part.thrust), 1))
-    out: Named = []
-    for axis, name in enumerate("xy"):
-        columns = np.column_stack([-part.velocity[:, axis] * part.share]) / part.scale_n
-        output = part.mass_kg * part.force[:, axis] / part.scale_n
-        out.append((_equation(part, output, columns, ones, 1), (f"d_{name}_kg_s",)))
-    return out
+    output = part.mass_kg * part.force[:, axis] / part.scale_n
+    return _equation(part, output, against[:, axis, None] / part.scale_n, ones, 1)
 
 
-def lift_equations(part: Slow) -> Named:
+def lift_equations(part: Slow, body_drag_kg_m: float = 0.0) -> Named:
     """Along the thrust, in shares of the weight: inflow and translational lift, then thrust constant, curve and
-    lateness.
+    lateness; the drag of a frame is known.
     """
     ones = np.ones((len(part.thrust), 1))
-    output = part.mass_kg * part.force[:, 2] / part.scale_n
+    output = (part.mass_kg * part.force[:, 2] + body_drag_kg_m * part.drag[:, 2]) / part.scale_n
     return [(_equation(part, output, _lift_columns(part), ones, 2), ("k_kg_s", "lift_s2_m2"))]
 
 

@@ -29,6 +29,7 @@ from groundstation.identification.instruments import FlownMotion
 from groundstation.identification.reconstruction import Compatibility, body_motion, reconstruct
 from groundstation.identification.results import Clock
 from groundstation.identification.streams import clean, origin_poses
+from groundstation.linear_filters import both_ways, low_pass
 
 Array = NDArray[np.float64]
 Path = tuple[Array, Array, Array]
@@ -198,10 +199,8 @@ def _felt_beside(t: Array, rate: Array, lever: Array) -> Array:
     """What an accelerometer beside the origin feels, rates low-passed at 20 Hz before they are differenced, shape (k,
     3).
     """
-    from scipy.signal import butter, sosfiltfilt
-
     sample_hz = 1.0 / float(np.median(np.diff(t)))
-    smooth = sosfiltfilt(butter(2, min(20.0, 0.4 * sample_hz), fs=sample_hz, output="sos"), rate, axis=0)
+    smooth = both_ways(low_pass(2, min(20.0, 0.4 * sample_hz), sample_hz), rate)
     return lever_arm(smooth, np.gradient(smooth, t, axis=0), lever)
 
 

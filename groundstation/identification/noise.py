@@ -9,19 +9,33 @@ one-step innovations. A prediction error estimate from those is consistent in cl
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from groundstation.identification.noise_kernel import direct_costs, integrated_costs
+from groundstation.identification.newton import Expansion, scored
+from groundstation.identification.noise_kernel import NUMBERS, direct_costs, integrated_costs
+from groundstation.identification.whitening_kernel import (
+    LANES,
+    TAPS,
+    burg,
+    direct_gains,
+    integrated_gains,
+    white_columns,
+)
 
 Array = NDArray[np.float64]
 Restarts = NDArray[np.bool_]
 
-DIFFERENCE = 1e-3
-"""Step in the logarithm of a noise by which the likelihood's slope is taken."""
+DIFFERENCE = 1e-4
+"""Step in the logarithm of a noise by which derivatives are taken."""
+THINNED = 4
+"""Samples of which a first look at a long channel takes one."""
+LONG = 2000
+"""Samples beyond which there is a first look: it leaves five hundred."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,33 +175,55 @@ def innovations(z: Array, dt: Array, restart: Restarts, colour: NoiseModel, *, i
     return kernel(np.ascontiguousarray(z), dt, restart, colour.vector(), state, True)
 
 
+Gains = tuple[Array, float]
+"""Of a channel's filter at each sample (see :mod:`.whitening_kernel`), and half the logarithms of its variances."""
+Steps = tuple[Array, Restarts]
+"""Time before each sample, and where segments begin, (k,) each."""
+
+
+class KeptGains:
+    """Gains of the filters of one record's channels; those of the last noise models are kept."""
+
+    MOST = 12
+    """Six channels, now and before."""
+
+    def __init__(self) -> None:
+        self._made: dict[tuple[NoiseModel, bool], Gains] = {}
+
+    def of(self, colour: NoiseModel, steps: Steps, *, integrated: bool) -> Gains:
+        """Along the whole record."""
+        key = colour, integrated
+        if key not in self._made:
+            if len(self._made) >= self.MOST:
+                self._made.pop(next(iter(self._made)))
+            made = integrated_gains if integrated else direct_gains
+            self._made[key] = made(*steps, colour.vector(), np.zeros(4))
+        return self._made[key]
+
+
 class Passing:
     """The whitening of one channel, which a long series passes part by part.
 
     Args:
         colour: its noise. integrated: as in :func:`innovations`.
         polynomial: the autoregression that whitens the rest.
-        width: columns that pass.
+        gains: those of the whole series, where it passes at once.
     """
 
-    def __init__(self, colour: NoiseModel, polynomial: Array, width: int, *, integrated: bool):
-        self._kernel = _integrated_innovations if integrated else _direct_innovations
-        self._noise, self._polynomial = colour.vector(), polynomial
-        self._state = np.zeros((2, width)), np.zeros(3)
-        self._tail = np.zeros((len(polynomial) - 1, width))
-        self._fresh = True
+    def __init__(self, colour: NoiseModel, polynomial: Array, *, integrated: bool, gains: Gains | None = None):
+        self._made = integrated_gains if integrated else direct_gains
+        self._noise, self._spread, self._gains = colour.vector(), np.zeros(4), gains
+        self._polynomial = np.concatenate([polynomial, np.zeros(-(len(polynomial) - 1) % TAPS)])
+        self._state: Array | None = None
 
-    def __call__(self, z: Array, dt: Array, restart: Restarts) -> tuple[Array, float]:
-        """Normalised innovations of the next part (k, width), and half the sum of the logarithms of their variances."""
-        from scipy.signal import lfilter
-
-        e, s = self._kernel(np.ascontiguousarray(z), dt, restart, self._noise, self._state, self._fresh)
-        self._fresh = False
-        good = np.isfinite(s)
-        e = np.where(good[:, None], e / np.sqrt(np.where(good, s, 1.0))[:, None], 0.0)
-        if len(self._polynomial) > 1:
-            e, self._tail = lfilter(self._polynomial, [1.0], e, axis=0, zi=self._tail)
-        return np.asarray(e), 0.5 * float(np.sum(np.log(s[good])))
+    def __call__(self, rows: Array, dt: Array, restart: Restarts) -> Gains:
+        """Normalised innovations (k, width) of the next part of columns, each in a row (width, k), and half the sum of
+        the logarithms of their variances.
+        """
+        gains, half = self._gains or self._made(dt, restart, self._noise, self._spread)
+        if self._state is None:
+            self._state = np.zeros((-(-len(rows) // LANES), (1 + len(self._polynomial)) * LANES))
+        return white_columns(rows, gains, self._polynomial, self._state), half
 
 
 PART = 4096
@@ -215,8 +251,8 @@ def minus_log_likelihood(residual: Array, dt: Array, restart: Restarts, colour: 
     dropped.
     """
     kernel = integrated_costs if integrated else direct_costs
-    noises = colour.vector()[None, :]
-    return float(kernel(np.ascontiguousarray(residual), dt, restart, noises, float(np.median(dt)))[0])
+    steps, noises = (dt, restart, float(np.median(dt))), colour.vector()[None, :]
+    return float(kernel(np.ascontiguousarray(residual), steps, noises, False)[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,44 +280,148 @@ def _search(residual: Array, step: float, length: float, *, integrated: bool) ->
     return _Search(starts, floor, ceiling)
 
 
+@dataclass(frozen=True, slots=True)
+class _Series:
+    """A channel's residual (k,), the time before each sample (k,), where segments begin (k,), and the usual time."""
+
+    residual: Array
+    dt: Array
+    restart: Restarts
+    usual_s: float
+    integrated: bool
+
+    def expanded(self, point: Array) -> Expansion:
+        """Cost, slope and information of a noise by differences in each logarithm."""
+        kernel = integrated_costs if self.integrated else direct_costs
+        points = np.vstack([point, point + DIFFERENCE * np.eye(NUMBERS)])
+        told = kernel(self.residual, (self.dt, self.restart, self.usual_s), np.exp(points), True)
+        cost, products = told[: 1 + NUMBERS], told[1 + NUMBERS :].reshape(NUMBERS, LANES)
+        information = products[:, 1 : 1 + NUMBERS] / DIFFERENCE**2
+        return Expansion(float(cost[0]), (cost[1:] - cost[0]) / DIFFERENCE, information)
+
+    def thinned(self) -> _Series:
+        """Every THINNED-th sample of each segment: these have the same noise as all of them."""
+        index = np.arange(len(self.dt))
+        since = index - np.maximum.accumulate(np.where(self.restart, index, 0))
+        kept = index[since % THINNED == 0]
+        dt = np.diff(np.cumsum(self.dt)[kept], prepend=0.0)
+        return _Series(self.residual[kept], dt, self.restart[kept], THINNED * self.usual_s, self.integrated)
+
+
 def fit_noise_model(
     residual: Array, dt: Array, restart: Restarts, *, integrated: bool, start: NoiseModel | None = None
 ) -> NoiseModel:
     """Most likely noise of a channel from its residual, within wide physical bounds.
 
+    The search ends at a minimum, and does not show where it began. Without a previous fit the channel's own spread
+    gives two first guesses. Where there is far to go, every fourth sample of a long series says at first whither.
+
     Args:
         residual: z of the module's docstring, shape (k,).
         start: a previous fit to begin from.
+    """
+    step = float(np.median(dt[1:]))
+    search = _search(residual, step, float(np.sum(dt[1:])), integrated=integrated)
+    if not integrated:
+        search.ceiling[2] = search.floor[2]  # blocks are equally long: noise of a density and of a size are one there
+    series = _Series(np.ascontiguousarray(residual), dt, restart, step, integrated)
+    long = len(residual) > LONG
+
+    def look(*starts: Array) -> Array:
+        return _likeliest(series.thinned(), search, starts)
+
+    starts = [colour.logarithms() for colour in (search.starts if start is None else [start])]
+    if start is None and long:
+        starts = [look(*starts)]
+    return NoiseModel.from_logarithms(_likeliest(series, search, starts, look if long else None))
+
+
+EARLY, FIRST = 15, 40
+"""Steps of a search that stops early, from a previous fit and without one."""
+EARLY_DIFFERENCE = 1e-3
+"""Step in the logarithm of a noise by which its slope is taken."""
+
+
+def early_noise_model(
+    residual: Array, dt: Array, restart: Restarts, *, integrated: bool, start: NoiseModel | None = None
+) -> NoiseModel:
+    """Noise of a channel by a search that stops after a few steps, near where it began; else :func:`fit_noise_model`.
+
+    Of what a diagnosis leaves: generic columns have taken much of it, and effects that nobody has named yet are in it.
     """
     from scipy.optimize import minimize
 
     step = float(np.median(dt[1:]))
     search = _search(residual, step, float(np.sum(dt[1:])), integrated=integrated)
-    starts = search.starts if start is None else [start]
-    floor, ceiling = search.floor, search.ceiling
-    series, kernel = np.ascontiguousarray(residual), integrated_costs if integrated else direct_costs
+    floor, ceiling, series = search.floor, search.ceiling, np.ascontiguousarray(residual)
+    kernel = integrated_costs if integrated else direct_costs
 
     def cost_and_slope(vector: Array) -> tuple[float, Array]:
         """Cost, and its slope by a difference in each logarithm, inwards at the ceiling."""
-        step_of = np.where(vector + DIFFERENCE > ceiling, -DIFFERENCE, DIFFERENCE)
+        step_of = np.where(vector + EARLY_DIFFERENCE > ceiling, -EARLY_DIFFERENCE, EARLY_DIFFERENCE)
         points = np.concatenate([vector[None, :], vector + np.diag(step_of)])
-        cost = kernel(series, dt, restart, np.exp(np.clip(points, floor, ceiling)), step)
+        cost = kernel(series, (dt, restart, step), np.exp(np.clip(points, floor, ceiling)), False)
         return float(cost[0]), (cost[1:] - cost[0]) / step_of
 
-    best, lowest = starts[0].logarithms(), np.inf
-    for colour in starts:
-        first = np.clip(colour.logarithms(), floor + 0.1, ceiling - 0.1)
+    best, lowest = search.starts[0].logarithms(), np.inf
+    for colour in search.starts if start is None else [start]:
         found = minimize(
             cost_and_slope,
-            first,
+            np.clip(colour.logarithms(), floor + 0.1, ceiling - 0.1),
             jac=True,
             method="L-BFGS-B",
             bounds=list(zip(floor, ceiling, strict=True)),
-            options={"maxiter": 40 if start is None else 15, "ftol": 1e-7},
+            options={"maxiter": FIRST if start is None else EARLY, "ftol": 1e-7},
         )
         if found.fun < lowest:
             best, lowest = found.x, found.fun
     return NoiseModel.from_logarithms(np.clip(best, floor, ceiling))
+
+
+GUESSED = 1.0
+"""How far the first guess of :func:`drifting_noise_model` may be off, in logarithms: by a factor of three."""
+
+
+def drifting_noise_model(
+    residual: Array, dt: Array, restart: Restarts, *, start: NoiseModel | None = None
+) -> NoiseModel:
+    """Noise of an integrated channel with a slow drift unless the residual tells against it: most probable beside a
+    first guess that holds one.
+
+    Of attitudes against integrated rates: what these differ by is more than a gyro's white noise (scale, alignment,
+    interpolation), too slow for its size to be told. The likeliest noise has none of it, and with that the gyro's
+    biases lay up to twice as far from the truth as their standard deviations say.
+
+    Args:
+        start: a previous one to begin from.
+    """
+    step = float(np.median(dt[1:]))
+    search = _search(residual, step, float(np.sum(dt[1:])), integrated=True)
+    series = _Series(np.ascontiguousarray(residual), dt, restart, step, integrated=True)
+    guess = search.starts[0].logarithms()
+
+    def found(series: _Series, begin: Array, far: Callable[[Array], Array] | None = None) -> Array:
+        def expanded(point: Array) -> Expansion:
+            told, away = series.expanded(point), (point - guess) / GUESSED**2
+            cost = told.cost + 0.5 * float(away @ (point - guess))
+            return Expansion(cost, told.gradient + away, told.curvature + np.eye(NUMBERS) / GUESSED**2)
+
+        return scored(expanded, begin, search.floor, search.ceiling, far)[0]
+
+    begin = guess if start is None else start.logarithms()
+
+    def look(point: Array) -> Array:
+        return found(series.thinned(), point)
+
+    return NoiseModel.from_logarithms(found(series, begin, look if len(residual) > LONG else None))
+
+
+def _likeliest(
+    series: _Series, search: _Search, starts: Sequence[Array], far: Callable[[Array], Array] | None = None
+) -> Array:
+    """Logarithms of the likeliest noise that a search from one of several starts finds."""
+    found = [scored(series.expanded, each, search.floor, search.ceiling, far) for each in starts]
+    return min(found, key=lambda each: each[1])[0]
 
 
 def whitening_polynomial(innovation: Array, restart: Restarts, highest: int = 24) -> Array:
@@ -290,23 +430,4 @@ def whitening_polynomial(innovation: Array, restart: Restarts, highest: int = 24
     Burg's recursion on normalised innovations; order 0 (just [1.0]) when nothing is gained. Outliers are clipped at 5
     sigma so that a spike does not shape the filter.
     """
-    x = np.clip(innovation, -5.0, 5.0)
-    k = len(x)
-    forward, backward = x.copy(), x.copy()
-    polynomial = np.array([1.0])
-    error = float(np.mean(x**2))
-    best_cost, best = k * np.log(error), polynomial
-    for order in range(1, min(highest, k // 20) + 1):
-        f, b = forward[1:], backward[:-1]
-        ok = ~restart[order:]
-        denominator = float(np.sum((f**2 + b**2)[ok[-len(f) :]]))
-        if denominator <= 0.0:
-            break
-        reflection = -2.0 * float(np.sum((f * b)[ok[-len(f) :]])) / denominator
-        forward, backward = f + reflection * b, b + reflection * f
-        polynomial = np.concatenate([polynomial, [0.0]]) + reflection * np.concatenate([[0.0], polynomial[::-1]])
-        error *= 1.0 - reflection**2
-        cost = k * np.log(error) + order * np.log(k)
-        if cost < best_cost:
-            best_cost, best = cost, polynomial
-    return best
+    return burg(np.clip(innovation, -5.0, 5.0), restart, highest)

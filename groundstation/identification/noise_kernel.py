@@ -1,4 +1,12 @@
-"""The likelihood of a channel under eight noise models at once, one in each lane of a vector register.
+r"""The likelihood of a channel under eight noise models at once, one in each lane of a vector register.
+
+Lanes that differ from the first one by a little in one number each tell the derivatives of innovations e and variances
+s by that number, and with them the information of a Gaussian innovation (Ljung 1999, System Identification, 2nd ed.,
+section 7.4, with the variances' part of Whittle 1953),
+
+    F = sum of w de de^T / s + ds ds^T / (2 s^2),
+
+with the weight w that the robust cost gives the innovation. It is never indefinite: its step always leads down.
 
 All that the filters keep and all that they are told lies in one array, a row of LANES for each quantity: rows lie a
 constant distance apart, so the compiler knows that lanes do not touch each other.
@@ -11,18 +19,23 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Steps = tuple[Array, NDArray[np.bool_], float]
 
 LANES = 8
 """The doubles of the widest vector registers."""
 LOGARITHM_EVERY = 8
 """Variances are multiplied before their logarithm is taken, few enough that the product stays within a double's range.
 """
-LEVEL, SLOPE, P00, P01, P11, COST, PRODUCT, SQUARE, TIME, WHITE, SENSOR, KEPT, USUAL, ROWS = (
-    LANES * row for row in range(14)
+LEVEL, SLOPE, P00, P01, P11, COST, PRODUCT, SQUARE, TIME, WHITE, SENSOR, KEPT, USUAL, ERROR, SPREAD, INFORMATION = (
+    LANES * row for row in range(16)
 )
 """Where the rows begin: states, covariances, cost and product of variances; squares and time of the noise; share kept
-over a step.
+over a step; the last innovation and its variance; sums of products of differences between each of the next NUMBERS
+lanes and all.
 """
+NUMBERS = 4
+"""Of a noise model."""
+ROWS = INFORMATION + NUMBERS * LANES
 
 
 @njit(cache=True, error_model="numpy")
@@ -82,11 +95,45 @@ def _integrated_step(s: Array, y: float, h: float, beyond: float, near: bool) ->
         s[P00 + n], s[P01 + n], s[P11 + n] = n00 - k0 * n00, n01 - k0 * n01, n11 - k1 * n01
         s[COST + n] += 16.0 * (np.sqrt(1.0 + e * e * inverse / 16.0) - 1.0)
         s[PRODUCT + n] *= spread
+        s[ERROR + n], s[SPREAD + n] = e, spread
 
 
 @njit(cache=True, error_model="numpy")
-def integrated_costs(z: Array, dt: Array, restart: NDArray[np.bool_], noises: Array, usual: float) -> Array:
-    """Of an integrated channel z (k,) under each of at most LANES noises (n, 4), shape (n,)."""
+def _inform_row(s: Array, row: int, lane: int, first: float, second: float) -> None:
+    by_error, by_spread = first * (s[ERROR + lane] - s[ERROR]), second * (s[SPREAD + lane] - s[SPREAD])
+    error, spread = s[ERROR], s[SPREAD]
+    for n in range(LANES):
+        s[row + n] += by_error * (s[ERROR + n] - error) + by_spread * (s[SPREAD + n] - spread)
+
+
+@njit(cache=True, error_model="numpy")
+def _inform(s: Array) -> None:
+    """Add a step's part of F."""
+    inverse, error = 1.0 / s[SPREAD], s[ERROR]
+    first = inverse / np.sqrt(1.0 + error * error * inverse / 16.0)
+    second = 0.5 * inverse * inverse
+    _inform_row(s, INFORMATION, 1, first, second)  # by name: the compiler has to know where each lies
+    _inform_row(s, INFORMATION + LANES, 2, first, second)
+    _inform_row(s, INFORMATION + 2 * LANES, 3, first, second)
+    _inform_row(s, INFORMATION + 3 * LANES, 4, first, second)
+
+
+@njit(cache=True, error_model="numpy")
+def _told(s: Array, noises: int, informed: bool) -> Array:
+    if not informed:
+        return s[COST : COST + noises]
+    return np.concatenate((s[COST : COST + noises], s[INFORMATION:]))
+
+
+@njit(cache=True, error_model="numpy")
+def integrated_costs(z: Array, step: Steps, noises: Array, informed: bool) -> Array:
+    """Of an integrated channel z (k,) under each of at most LANES noises (n, 4), shape (n,).
+
+    Args:
+        step: time before each sample (k,), where segments begin (k,), and the usual time.
+        informed: the sums for F come behind the costs, (NUMBERS * LANES,).
+    """
+    dt, restart, usual = step
     s, shortest = _prepared(noises, usual), np.min(noises[:, 1])
     for i in range(len(z)):
         if i % LOGARITHM_EVERY == 0:
@@ -98,8 +145,10 @@ def integrated_costs(z: Array, dt: Array, restart: NDArray[np.bool_], noises: Ar
             continue
         near = _near(s, dt[i], usual, shortest)
         _integrated_step(s, z[i], dt[i], dt[i] - usual, near)
+        if informed:
+            _inform(s)
     _logarithms(s)
-    return s[COST : COST + len(noises)]
+    return _told(s, len(noises), informed)
 
 
 @njit(cache=True, error_model="numpy")
@@ -115,11 +164,13 @@ def _direct_step(s: Array, y: float, h: float, beyond: float, near: bool) -> Non
         s[P00 + n] = spread - spread * inverse * spread
         s[COST + n] += 16.0 * (np.sqrt(1.0 + e * e * inverse / 16.0) - 1.0)
         s[PRODUCT + n] *= total
+        s[ERROR + n], s[SPREAD + n] = e, total
 
 
 @njit(cache=True, error_model="numpy")
-def direct_costs(z: Array, dt: Array, restart: NDArray[np.bool_], noises: Array, usual: float) -> Array:
+def direct_costs(z: Array, step: Steps, noises: Array, informed: bool) -> Array:
     """The same for z = d + white."""
+    dt, restart, usual = step
     s, shortest = _prepared(noises, usual), np.min(noises[:, 1])
     for i in range(len(z)):
         if i % LOGARITHM_EVERY == 0:
@@ -130,5 +181,7 @@ def direct_costs(z: Array, dt: Array, restart: NDArray[np.bool_], noises: Array,
         else:
             near = _near(s, dt[i], usual, shortest)
             _direct_step(s, z[i], dt[i], dt[i] - usual, near)
+        if informed:
+            _inform(s)
     _logarithms(s)
-    return s[COST : COST + len(noises)]
+    return _told(s, len(noises), informed)

@@ -39,6 +39,10 @@ Mask = NDArray[np.bool_]
 
 STEPS = 8
 """Gauss-Newton steps under one noise model, at most."""
+SETTLED = 0.05
+"""Standard deviations that a step has to move by: less is a thousandth of a nat, and lost in the roundings of lags'
+differences.
+"""
 HUBER = 3.0
 """Standard deviations of an innovation from which its weight falls."""
 
@@ -161,25 +165,19 @@ class Problem:
             )
         )
 
-    def misfit(self, p: Parameters, noise: Sequence[FlightNoise]) -> float:
-        """Half the robust squared innovations and the logarithms of their deviations, at ``p`` under given noise
-        models.
-        """
-        pairs = zip(self.models, noise, strict=True)
-        return sum(_innovation_cost(model, model.residual(p), each) for model, each in pairs)
-
     def misfits(self, trials: Sequence[Parameters], noise: Sequence[FlightNoise]) -> Array:
-        """:meth:`misfit` at many points that differ in lags and dead time, (trials,), for less."""
+        """Half the robust squared innovations and the logarithms of their deviations under given noise models, at
+        points that differ in lags and dead time, (trials,).
+        """
         costs = np.zeros(len(trials))
         for model, each in zip(self.models, noise, strict=True):
-            costs += [_innovation_cost(model, residual, each) for residual in model.residuals(trials)]
+            done = 0
+            for residuals in model.residuals(trials):
+                whites, logs = each.whitened_residuals(model, residuals)
+                part = slice(done, done + len(residuals))
+                costs[part] += logs + sum(huber_costs(white) for white in whites)
+                done += len(residuals)
         return costs
-
-
-def _innovation_cost(model: RecordModel, residual: Array, noise: FlightNoise) -> float:
-    """Half the robust squared innovations of one flight's residual, and the logarithms of their deviations."""
-    found = noise.whitened_residual(model, residual)
-    return found.log_deviation + sum(huber_cost(y) for y in found.residual)
 
 
 def huber(y: Array, limit: float = HUBER) -> Array:
@@ -187,9 +185,11 @@ def huber(y: Array, limit: float = HUBER) -> Array:
     return np.minimum(1.0, limit / np.maximum(np.abs(y), 1e-12))
 
 
-def huber_cost(y: Array, limit: float = HUBER) -> float:
-    """Half the square within the limit, linear beyond, summed."""
-    return float(np.sum(np.where(huber(y, limit) < 1.0, limit * np.abs(y) - 0.5 * limit**2, 0.5 * y**2)))
+def huber_costs(y: Array, limit: float = HUBER) -> Array:
+    """Half the square within the limit, linear beyond, summed over the rows of (n, trials)."""
+    size = np.abs(y)
+    within = np.minimum(size, limit)
+    return np.sum(within * (size - 0.5 * within), axis=0)
 
 
 def inverted(information: Array) -> Array:
@@ -207,20 +207,15 @@ class _Local:
     (P,).
     """
 
+    point: Point
     theta: Array
     normal: Array
     gradient: Array
     cost: float
 
-
-@dataclass(frozen=True, slots=True)
-class _Descent:
-    """Where steps under one noise model have led; covariance and cost are those of the last step's start."""
-
-    point: Point
-    covariance: Array
-    cost: float
-    iterations: int
+    def far(self, step: Array) -> bool:
+        """Whether a step of the values is more than a small share of the deviations: the square is twice the nats."""
+        return bool(step @ self.normal @ step > SETTLED**2)
 
 
 def _linearised(problem: Problem, point: Point, noise: Sequence[FlightNoise]) -> _Local:
@@ -231,56 +226,42 @@ def _linearised(problem: Problem, point: Point, noise: Sequence[FlightNoise]) ->
     gradient = (mean - theta) / std**2
     cost = 0.5 * float(np.sum(((theta - mean) / std) ** 2))
     for flight, (model, each) in enumerate(zip(problem.models, noise, strict=True)):
-        passing = each.passing(model, len(point.names))
+        passing = each.passing(model)
         for part in point.parts(flight):
             found = passing(*part)
             cost += found.log_deviation
             for y, x in zip(found.residual, found.sensitivity, strict=True):
                 w = huber(y)
-                normal = normal + x.T @ (x * w[:, None])
-                gradient = gradient + x.T @ (w * y)
-                cost += huber_cost(y)
-    return _Local(theta, normal, gradient, cost)
+                normal[x.pairs] += x.values.T @ (x.values * w[:, None])
+                gradient[x.shown] += x.values.T @ (w * y)
+                cost += float(huber_costs(y))
+    return _Local(point, theta, normal, gradient, cost)
 
 
-def _line_search(
-    problem: Problem, point: Point, local: _Local, step: Array, noise: Sequence[FlightNoise]
-) -> tuple[Parameters, float]:
-    """Halve the step until the cost falls; keep the tensor positive definite and the mass positive."""
-    mean, std = problem.prior(point.names)
-    p, fraction = point.parameters, 1.0
-    for _ in range(10):
-        trial = problem.moved(point, local.theta + fraction * step)
-        if trial.mass_kg > 0.0 and np.linalg.eigvalsh(trial.tensor)[0] > 0.02 * np.linalg.eigvalsh(p.tensor)[0]:
-            values = values_of(trial, point.names, problem.extra_names)
-            total = 0.5 * float(np.sum(((values - mean) / std) ** 2))
-            total += problem.misfit(trial, noise)
-            if total <= local.cost + 1e-9 * abs(local.cost):
-                return trial, fraction
-        fraction *= 0.5
-    return p, 0.0
-
-
-def _step(problem: Problem, point: Point, noise: Sequence[FlightNoise], taken_before: int) -> tuple[_Descent, bool]:
-    """One Gauss-Newton step, and whether it is the last: it did not lower the cost, or moved little beside the
-    deviations.
+def _step(problem: Problem, local: _Local, noise: Sequence[FlightNoise]) -> _Local | None:
+    """One Gauss-Newton step, halved until the cost falls; None where it would be small beside the deviations, or none
+    lowers the cost. It keeps the tensor positive definite and the mass positive.
     """
-    local = _linearised(problem, point, noise)
+    p = local.point.parameters
     step = np.asarray(np.linalg.solve(local.normal, local.gradient), dtype=float)
-    moved, taken = _line_search(problem, point, local, step, noise)
-    covariance = inverted(local.normal)
-    variance = np.maximum(np.diag(covariance), 0.0)  # of what a flight does not show, rounding may make it negative
-    last = taken == 0.0 or bool(np.all(np.abs(taken * step) < 0.02 * np.sqrt(variance)))
-    after = problem.at(moved) if taken > 0.0 else point
-    return _Descent(after, covariance, local.cost, taken_before + 1), last
+    for _ in range(10):
+        if not local.far(step):
+            return None
+        trial = problem.moved(local.point, local.theta + step)
+        if trial.mass_kg > 0.0 and np.linalg.eigvalsh(trial.tensor)[0] > 0.02 * np.linalg.eigvalsh(p.tensor)[0]:
+            there = _linearised(problem, problem.at(trial), noise)
+            if there.cost < local.cost:
+                return there
+        step = 0.5 * step
+    return None
 
 
-def _descend(problem: Problem, point: Point, noise: Sequence[FlightNoise], taken_before: int = 0) -> _Descent:
-    """Gauss-Newton steps under given noise models."""
-    found, last = _step(problem, point, noise, taken_before)
-    while not last and found.iterations - taken_before < STEPS:
-        found, last = _step(problem, found.point, noise, found.iterations)
-    return found
+def _descend(problem: Problem, start: _Local, noise: Sequence[FlightNoise]) -> tuple[_Local, int]:
+    """Gauss-Newton steps under given noise models, and how many."""
+    local, count = start, 0
+    while count < STEPS and (there := _step(problem, local, noise)) is not None:
+        local, count = there, count + 1
+    return local, count
 
 
 def fit(
@@ -291,7 +272,8 @@ def fit(
     *,
     fixed: bool = False,
 ) -> Fitted:
-    """Gauss-Newton on the innovations, alternating with the noise model; several flights of one vehicle are pooled.
+    """Gauss-Newton on the innovations, alternating with the noise model until neither moves the other; several flights
+    of one vehicle are pooled.
 
     Args:
         models: one per flight, with the same extra terms; biases and noise models are each flight's own.
@@ -300,25 +282,50 @@ def fit(
         fixed: take ``noise`` as it is.
     """
     problem = Problem(tuple(models), options, start)
-    point = problem.at(start)
-    used = tuple(noise) if fixed and noise is not None else problem.noise(point, noise)
-    found = _descend(problem, point, used)
+    point, order = problem.at(start), 0 if noise is None else options.autoregression
+    used = tuple(noise) if fixed and noise is not None else problem.noise(point, noise, autoregression=order)
+    local, iterations = _descend(problem, _linearised(problem, point, used), used)
     for _ in range(0 if fixed else options.colour_rounds):
-        used = problem.noise(found.point, used, autoregression=options.autoregression)
-        found = _descend(problem, found.point, used, found.iterations)
+        used = problem.noise(local.point, used, autoregression=options.autoregression)
+        before = local.theta
+        local, count = _descend(problem, _linearised(problem, local.point, used), used)
+        iterations += count
+        if not local.far(local.theta - before):
+            break
+    covariance = inverted(local.normal)
     return Fitted(
-        parameters=found.point.parameters,
-        names=found.point.names,
-        values=problem.values(found.point),
-        covariance=found.covariance,
-        bound=found.covariance,
+        parameters=local.point.parameters,
+        names=local.point.names,
+        values=local.theta,
+        covariance=covariance,
+        bound=covariance,
         colours=tuple(colour for each in used for colour in each.colours),
         whiteners=tuple(whitener for each in used for whitener in each.whiteners),
-        cost=found.cost,
-        residual_rms=found.point.rms(),
+        cost=local.cost,
+        residual_rms=local.point.rms(),
         samples=sum(len(model.t_s) for model in models),
-        iterations=found.iterations,
+        iterations=iterations,
     )
+
+
+COARSER = 3
+"""Blocks in one of a first look."""
+
+
+def coarser(model: RecordModel) -> RecordModel:
+    """The same record for a first look: means over COARSER times as many samples, rotors on every other point of their
+    grid.
+    """
+    record, motors = model.record, model.record.motors
+    every = replace(motors, step_s=2.0 * motors.step_s, value=np.ascontiguousarray(motors.value[::2]))
+    coarse = replace(record, motors=every, block=COARSER * record.block)
+    terms = [replace(term, value=term.value[model.samples]) for term in model.extra]
+    found = RecordModel(coarse, terms, model.planned, model.silent)
+    return found if 2 * COARSER * len(found.t_s) > len(model.t_s) else model  # short stretches would be lost
+
+
+FAST_S, SLOW_S = 0.02, 0.08
+"""Lags that a fit begins from: a small vehicle's and a large one's."""
 
 
 def fit_from_declared(models: Sequence[RecordModel], vehicle: Vehicle, options: FitOptions) -> Fitted:
@@ -336,21 +343,24 @@ def _searched(models: Sequence[RecordModel], vehicle: Vehicle, options: FitOptio
     """Prediction error estimate from the declared vehicle: first one lag and no dead time from two starts, then all.
 
     What divides the total into lag and dead time are the commands' highest frequencies, a narrow band: each of its
-    periods has a minimum. So the division is looked for over all of the total before the last fit, and once more after
-    it.
+    periods has a minimum. So the division is looked for over all of the total after the fit, until another one is no
+    likelier.
     """
     extra = len(models[0].extra)
     if not options.lag:
         return fit(models, declared_parameters(vehicle, lag_s=0.0, extra=extra), options)
     first = replace(options, symmetric_lag=True, delay=False, colour_rounds=1, autoregression=0)
-    tried = [fit(models, declared_parameters(vehicle, lag_s=lag, extra=extra), first) for lag in (0.02, 0.08)]
-    best = min(tried, key=lambda found: found.cost)
-    best = fit(models, divided_anew(models, best, options), options, noise_of(best, models, options))
-    start = divided_anew(models, best, options)
-    if start is best.parameters:
-        return best
-    again = fit(models, start, options, noise_of(best, models, options))
-    return min(best, again, key=lambda found: found.cost)
+    look = _first_look([coarser(model) for model in models], vehicle, first)
+    best = fit(models, look.parameters, options, noise_of(look, models, options))
+    for _ in range(DIVISIONS):
+        start = divided_anew(models, best, options)
+        if start is best.parameters:
+            break
+        again = fit(models, start, options, noise_of(best, models, options))
+        if again.cost >= best.cost:
+            break
+        best = again
+    return best
 
 
 def noise_of(fitted: Fitted, models: Sequence[RecordModel], options: FitOptions) -> list[FlightNoise]:
@@ -358,8 +368,22 @@ def noise_of(fitted: Fitted, models: Sequence[RecordModel], options: FitOptions)
     return per_flight(fitted.colours, fitted.whiteners, [model.channels(options) for model in models])
 
 
+def _first_look(models: Sequence[RecordModel], vehicle: Vehicle, options: FitOptions) -> Fitted:
+    """From a short lag and from a long one; the second is followed to its end where it leads elsewhere."""
+    extra = len(models[0].extra)
+    best = fit(models, declared_parameters(vehicle, lag_s=FAST_S, extra=extra), options)
+    slow = declared_parameters(vehicle, lag_s=SLOW_S, extra=extra)
+    noise = noise_of(best, models, options)
+    other = fit(models, slow, options, noise, fixed=True)
+    if np.any(np.abs(other.values - best.values) > np.sqrt(np.diag(best.covariance))):
+        best = min(best, fit(models, other.parameters, options, noise), key=lambda found: found.cost)
+    return best
+
+
+DIVISIONS = 3
+"""Of the total into lag and dead time that are followed to their minimum, at most."""
 DIVISION_S = 0.002
-"""Between dead times that are tried."""
+"""Between dead times that are tried: minima lie ten milliseconds apart, and are four wide."""
 
 
 def divided_anew(models: Sequence[RecordModel], found: Fitted, options: FitOptions) -> Parameters:
@@ -405,3 +429,10 @@ def output_error(
         white.append(FlightNoise(chosen, colours, (PLAIN,) * len(chosen)))
     begin = start if begin is None else begin
     return fit(shooting, begin, replace(options, colour_rounds=0, autoregression=0), white, fixed=True)
+
+
+def coarse_output_error(models: Sequence[RecordModel], start: Parameters, options: FitOptions) -> Fitted:
+    """:func:`output_error` from means of COARSER blocks, with the residual that it leaves of all."""
+    found = output_error([coarser(model) for model in models], start, options)
+    point = Problem(tuple(models), options, start).at(found.parameters)
+    return replace(found, residual_rms=point.rms(), samples=sum(len(model.t_s) for model in models))

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from groundstation.flightdata import resampled
 from groundstation.frames import quat_conjugate, quat_exp, quat_log, quat_multiply, quat_normalise
+from groundstation.identification.newton import Expansion, scored
 from groundstation.model.flight_states import FlightStates
 from groundstation.model.prediction import QUANTITIES, error_norms
 from groundstation.model.predictive import (
@@ -53,7 +54,10 @@ SHRINK = 0.02
 """Cost of one spread away from a number's start; the errors themselves cost about 5 together, one prediction of
 constant velocity 11.
 """
-EVALUATIONS = 14
+DIFFERENCE = 1e-3
+"""Of a number, in its spreads, by which rows' slopes are taken."""
+FEWEST = 20
+"""Windows of a flight that a fit takes."""
 BLOCK_S = 4.0
 """Blocks of a judgement: several times as long as a horizon, and many in a minute."""
 GUARD_S = 0.6
@@ -159,40 +163,121 @@ def _differences(found: Array, truth: Array) -> Array:
     return np.stack([*(np.nan_to_num(x) for x in parts), found[..., 10:] - truth[..., 10:]], axis=-2)
 
 
-def fitted(
-    shots: Sequence[Shooting], begun: Sequence[Windows], start: PredictiveModel, free: Sequence[str]
-) -> PredictiveModel:
-    """The numbers ``free`` of the model by least squares over all windows, shrunk towards the start.
+@dataclass(frozen=True, slots=True)
+class Squares:
+    """What a fit minimises: the rows of the windows of each flight, and a pull towards where the numbers started.
 
-    Args:
+    Attributes:
         shots, begun: of each flight; windows are of the start's base.
+        start: the model before the fit. free: its numbers that are fitted.
     """
-    from scipy.optimize import least_squares
 
-    at = np.array([NAMES.index(name) for name in free])
-    numbers = [NUMBERS[NAMES.index(name)] for name in free]
-    spread = np.array([number.spread for number in numbers])
-    low, high = np.array([n.low for n in numbers]) / spread, np.array([n.high for n in numbers]) / spread
-    origin = start.values[at] / spread
-    share = 1.0 / np.sqrt(len(shots))
+    shots: tuple[Shooting, ...]
+    begun: tuple[Windows, ...]
+    start: PredictiveModel
+    free: tuple[str, ...]
 
-    def residual(x: Array) -> Array:
-        values = start.values.copy()
-        values[at] = x * spread
-        rows = [_weighted(shot, flown, values) * share for shot, flown in zip(shots, begun, strict=True)]
-        return np.concatenate([*rows, np.sqrt(SHRINK) * (x - origin)])
+    def model(self, x: Array) -> PredictiveModel:
+        """With numbers in units of their spreads."""
+        return self.start.with_values(self.free, x * self._spread)
 
-    begin = np.clip(origin, low + 1e-6, high - 1e-6)
-    step = np.full(len(at), 1e-3)
-    found = least_squares(residual, begin, bounds=(low, high), max_nfev=EVALUATIONS, diff_step=step, ftol=1e-4)
-    return start.with_values(free, found.x * spread)
+    @property
+    def _spread(self) -> Array:
+        return np.array([NUMBERS[NAMES.index(name)].spread for name in self.free])
+
+    @property
+    def origin(self) -> Array:
+        """Where the numbers started, in these units, (P,)."""
+        return self.start.values[[NAMES.index(name) for name in self.free]] / self._spread
+
+    def box(self) -> tuple[Array, Array]:
+        """Bounds of the numbers in these units, (P,) each."""
+        numbers = [NUMBERS[NAMES.index(name)] for name in self.free]
+        return np.array([n.low for n in numbers]) / self._spread, np.array([n.high for n in numbers]) / self._spread
+
+    def rows(self, x: Array) -> list[Array]:
+        """Of each flight's windows, (k, rows of one): their squares add up to twice the cost, in units of constant
+        velocity's.
+        """
+        values, share = self.model(x).values, 1.0 / np.sqrt(len(self.shots))
+        return [share * _weighted(shot, flown, values) for shot, flown in zip(self.shots, self.begun, strict=True)]
+
+    def slopes(self, x: Array, rows: Sequence[Array]) -> list[Array]:
+        """How the rows at ``x`` answer to each number, (P, k, rows of one) for each flight."""
+        high, out = self.box()[1], [np.empty((len(x), *own.shape)) for own in rows]
+        for number, by in enumerate(np.where(x + DIFFERENCE > high, -DIFFERENCE, DIFFERENCE)):
+            there = x.copy()
+            there[number] += by
+            for own, after, before in zip(out, self.rows(there), rows, strict=True):
+                own[number] = (after - before) / by
+        return out
+
+    def expansion(self, x: Array, rows: Sequence[Array], slopes: Sequence[Array]) -> Expansion:
+        """The cost about a point by Gauss and Newton."""
+        away = x - self.origin
+        r = np.concatenate([own.ravel() for own in rows])
+        j = np.concatenate([own.reshape(len(x), -1) for own in slopes], axis=1)
+        cost = 0.5 * float(r @ r) + 0.5 * SHRINK * float(away @ away)
+        return Expansion(cost, j @ r + SHRINK * away, j @ j.T + SHRINK * np.eye(len(x)))
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """The numbers that a fit of all windows found, (P,), and how the rows answer to them there."""
+
+    squares: Squares
+    x: Array
+    slopes: tuple[Array, ...]
+
+    @property
+    def model(self) -> PredictiveModel:
+        """With these numbers."""
+        return self.squares.model(self.x)
+
+    def only(self, chosen: Sequence[NDArray[np.bool_]]) -> PredictiveModel:
+        """What a fit of some of the windows finds: steps from here by the slopes that are known.
+
+        The rows are those windows' own, so that it ends where they are best, however far that is from here.
+        """
+        some = [n for n, own in enumerate(chosen) if own.sum() >= FEWEST]
+        squares = Squares(
+            tuple(self.squares.shots[n].only(chosen[n]) for n in some),
+            tuple(self.squares.begun[n].only(chosen[n]) for n in some),
+            self.squares.start,
+            self.squares.free,
+        )
+        slopes: list[Array] = []
+        for n in some:
+            fewer = len(chosen) * len(chosen[n]) / (len(some) * int(chosen[n].sum()))
+            slopes.append(self.slopes[n][:, chosen[n]] * np.sqrt(fewer))
+        found, _ = scored(lambda x: squares.expansion(x, squares.rows(x), slopes), self.x, *squares.box())
+        return squares.model(found)
+
+
+def fitted(squares: Squares) -> Fitted:
+    """The numbers by least squares over all windows, shrunk towards the start."""
+    best: list[tuple[float, list[Array]]] = []
+
+    def expanded(x: Array) -> Expansion:
+        rows = squares.rows(x)
+        slopes = squares.slopes(x, rows)
+        told = squares.expansion(x, rows, slopes)
+        if not best or told.cost < best[0][0]:
+            best[:] = [(told.cost, slopes)]
+        return told
+
+    found, _ = scored(expanded, squares.origin, *squares.box())
+    return Fitted(squares, found, tuple(best[0][1]))
 
 
 def _weighted(shot: Shooting, begun: Windows, values: Array) -> Array:
-    """Rows whose squares add up to the sizes of the errors, in units of constant velocity's."""
+    """Rows of each window, (k, rows): their squares add up to the sizes of the errors, in units of constant
+    velocity's.
+    """
     found = run(values, begun, HORIZONS_S, FIT_STEP_S)
     weight = np.sqrt(np.array(WEIGHTS) / len(shot.index))
-    return missed(found, shot.truth, shot.scale, weight, WIDEST).ravel()
+    rows = missed(found, shot.truth, shot.scale, weight, WIDEST)
+    return rows.transpose(1, 0, 2, 3).reshape(rows.shape[1], -1)
 
 
 def free_numbers(pose: bool, torque: bool) -> tuple[str, ...]:
@@ -200,12 +285,12 @@ def free_numbers(pose: bool, torque: bool) -> tuple[str, ...]:
     return tuple(n.name for n in NUMBERS if (pose or not n.pose) and (torque or n.name not in WITHOUT_TORQUE))
 
 
-def _fit(shots: Sequence[Shooting], model: VehicleModel, torque: bool) -> PredictiveModel:
+def _fit(shots: Sequence[Shooting], model: VehicleModel, torque: bool) -> Fitted:
     start = starting(model)
     if not torque:
         start = start.with_values(WITHOUT_TORQUE[:3], np.zeros(3))
-    begun = [windows(course(start.base, shot.states), shot.index) for shot in shots]
-    return fitted(shots, begun, start, free_numbers(all(each.flown.pose for each in begun), torque))
+    begun = tuple(windows(course(start.base, shot.states), shot.index) for shot in shots)
+    return fitted(Squares(tuple(shots), begun, start, free_numbers(all(b.flown.pose for b in begun), torque)))
 
 
 def _folds(shots: Sequence[Shooting]) -> list[list[NDArray[np.bool_]]]:
@@ -240,16 +325,13 @@ def judged(shots: Sequence[Shooting], physical: VehicleModel, base: VehicleModel
     where: list[tuple[int, Index]] = []
     unfitted = {"constant_velocity": None, "declared": declared_model(shots[0].states.vehicle), "physical": physical}
     known = [{name: _sizes(model, shot) for name, model in unfitted.items()} for shot in shots]
+    fits = {"without_torque": _fit(shots, base, torque=False), "fitted": _fit(shots, base, torque=True)}
     for fold in _folds(shots):
-        training = [s.only(_unseen(s, j)) for s, j in zip(shots, fold, strict=True)]
-        training = [s for s in training if len(s.index) >= 20]
+        training = [_unseen(s, j) for s, j in zip(shots, fold, strict=True)]
         testing = [(s, sizes, j) for s, sizes, j in zip(shots, known, fold, strict=True) if j.any()]
-        if not training or not testing:
+        if not any(own.sum() >= FEWEST for own in training) or not testing:
             continue
-        models = {
-            "without_torque": _fit(training, base, torque=False),
-            "fitted": _fit(training, base, torque=True),
-        }
+        models = {name: fit.only(training) for name, fit in fits.items()}
         for shot, sizes, chosen in testing:
             seen = shot.only(chosen)
             where.append((seen.flight, seen.block))
@@ -257,7 +339,7 @@ def judged(shots: Sequence[Shooting], physical: VehicleModel, base: VehicleModel
                 norms.setdefault(name, []).append(sizes[name][:, chosen])
             for name, model in models.items():
                 norms.setdefault(name, []).append(_sizes(model, seen))
-    return _chosen(norms, where, shots, base)
+    return _chosen(norms, where, shots, fits)
 
 
 def _sizes(model: PredictiveModel | VehicleModel | None, shot: Shooting) -> Array:
@@ -297,7 +379,7 @@ def _chosen(
     norms: Mapping[str, Sequence[Array]],
     where: Sequence[tuple[int, Index]],
     shots: Sequence[Shooting],
-    base: VehicleModel,
+    fits: Mapping[str, Fitted],
 ) -> Judgement:
     scale = {s.flight: s.scale for s in shots}
     blocks = {name: _blocks(sizes, where, scale) for name, sizes in norms.items()}
@@ -307,9 +389,7 @@ def _chosen(
     }
     errors = {name: _means(sizes) for name, sizes in norms.items()}
     kind = _simplest_of_the_best(blocks, {name: _lost(errors, name) for name in errors})
-    model = None
-    if kind in ("without_torque", "fitted"):
-        model = _fit(shots, base, torque=kind == "fitted")
+    model = fits[kind].model if kind in fits else None
     loses = _lost(errors, kind)
     text = ", ".join(f"{name} {score[name][0]:.2f}" for name in sorted(score, key=lambda n: score[n][0]))
     reason = (

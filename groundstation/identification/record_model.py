@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.frames import skew
-from groundstation.identification.block_kernel import integral_means, wrench_means
+from groundstation.identification.block_kernel import integral_means, outputs, wrench_means
+from groundstation.identification.noise import KeptGains
 from groundstation.identification.parts import double
 from groundstation.identification.sensitivities import (
     Measured,
@@ -223,6 +224,7 @@ class RecordModel:
         self._last: tuple[Parameters, Predicted] | None = None
         self._made: tuple[list[tuple[Lag, float]], tuple[Array, Array]] | None = None
         self._asked = FitOptions(lag=False, delay=False)
+        self.gains = KeptGains()
 
     def channels(self, options: FitOptions) -> tuple[int, ...]:
         """Outputs of this record that a fit uses: those asked for, measured, and not silent."""
@@ -231,7 +233,7 @@ class RecordModel:
     def restarted(self, restart: Mask) -> RecordModel:
         """The same record with other segment starts."""
         other = copy(self)
-        other.restart = restart
+        other.restart, other.gains = restart, KeptGains()
         return other
 
     def parts(self) -> list[slice]:
@@ -264,7 +266,7 @@ class RecordModel:
         start_s = motors.start_s + rows.start * motors.step_s
         other.record = replace(other.record, motors=replace(motors, start_s=start_s, value=motors.value[rows]))
         other.planned = None if self.planned is None else self.planned.part(samples)
-        other._members, other._step = members - before, self._step[samples]
+        other._members, other._step, other.gains = members - before, self._step[samples], KeptGains()
         for name in ("restart", "t_s", "dt", "rate", "force", "elapsed_s", "gyroscopic"):
             setattr(other, name, getattr(self, name)[blocks])
         other.extra_means = tuple(means.part(blocks) for means in self.extra_means)
@@ -366,29 +368,32 @@ class RecordModel:
     ) -> Predicted:
         """Rates and forces that a wrench and its integral make."""
         entries = np.array([p.tensor[i, j] for i, j in PAIRS])
-        arm = skew(p.com_m).T
-        torque = impulse[:, 3:] - (self.gyroscopic.reshape(-1, len(PAIRS)) @ entries).reshape(-1, 3)
-        torque -= impulse[:, :3] @ arm
-        torque[:, 2] += p.yaw_trim_nm * self.elapsed_s
-        force = wrench[:, :3].copy()
-        for coefficient, means in zip(p.extra, self.extra_means, strict=True):
-            integral, push = means.dense()
-            torque += coefficient * (integral[:, 3:] - integral[:, :3] @ arm)
+        entries = np.array([p.tensor[i, j] for i, j in PAIRS])
+        body = entries, np.asarray(np.linalg.inv(p.tensor), dtype=float), np.array(p.com_m, dtype=float)
+        dense = [means.dense() for means in self.extra_means]
+        whole = impulse
+        for coefficient, (integral, _) in zip(p.extra, dense, strict=True):
+            whole = whole + coefficient * integral
+        rate, force = outputs(wrench, whole, self.gyroscopic, body, p.yaw_trim_nm * self.elapsed_s)
+        for coefficient, (_, push) in zip(p.extra, dense, strict=True):
             force += coefficient * push
-        return self._with_linear(p, Predicted(moved, wrench, impulse, torque @ np.linalg.inv(p.tensor).T, force))
+        return self._with_linear(p, Predicted(moved, wrench, impulse, rate, force))
 
     def forget(self) -> None:
         """Let go of the last prediction."""
         self._last = self._made = None
 
     def residuals(self, trials: Sequence[Parameters]) -> Iterator[Array]:
-        """:meth:`residual` at many points that differ in lags and dead time, for less."""
+        """:meth:`residual` at many points that differ in lags and dead time, for less: a few at a time, (few, blocks,
+        6).
+        """
         together = max(1, LANES // self.record.motors.value.shape[1])
         for first in range(0, len(trials), together):
             some = trials[first : first + together]
             found = self.thrusts([(lag_of(p), p.delay_s) for p in some])
-            for p, thrusts in zip(some, found, strict=True):
-                yield self.residual_of(p, self._outputs(p, {}, *thrusts))
+            yield np.stack(
+                [self.residual_of(p, self._outputs(p, {}, *each)) for p, each in zip(some, found, strict=True)]
+            )
 
     def _with_linear(self, p: Parameters, prediction: Predicted) -> Predicted:
         """With what parameters without physics of their own add: value times sensitivity."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import thrust_constants
-from groundstation.identification.estimators import LinearEstimate, gradient_descent, least_squares
+from groundstation.identification.estimators import STRETCH, LinearEstimate, gradient_descent, least_squares
 from groundstation.identification.filters import FilterPair, seed_pair
 from groundstation.identification.parts import parts_of
 from groundstation.identification.regressors import Assembled, rate_products, transport_and_gravity
@@ -144,8 +144,9 @@ def seed_methods(regressions: Regressions, vehicle: Vehicle, *, refuse: bool = T
     results: dict[str, MethodResult] = {}
     for regression, names in ((regressions.standard, ("LS", "GD")), (regressions.filtered, ("FMLS", "FMGD"))):
         doubtful = noisy_parameters(regression, signals.rate_derivative_noise) if refuse else {}
+        rows = regression.rows if len(regression.t_s) > STRETCH else regression.rows[:]
         for name, estimator in zip(names, (least_squares, gradient_descent), strict=True):
-            estimate = estimator(regression.rows, regression.output, regression.t_s, regression.used)
+            estimate = estimator(rows, regression.output, regression.t_s, regression.used)
             results[name] = _result(estimate, vehicle, doubtful, refuse, (*signals.notes, regression.note))
     if not any(result.parameters for result in results.values()):
         reasons = next(iter(results.values())).note

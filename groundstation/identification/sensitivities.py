@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.frames import skew
+from groundstation.linear_filters import first_order
 from groundstation.model.parameters import BASIS, TENSOR, FitOptions, Parameters, free_entries
 from groundstation.model.rotors import Lag, thrusts_for
 
@@ -179,12 +180,10 @@ class Planned(Point):
 
     def behind_lag(self, values: Array, lag_s: float) -> Array:
         """Columns at the IMU's stamps through a first-order lag, shape kept."""
-        from scipy.signal import lfilter
-
         if lag_s < 1e-4:
             return values
-        keep = np.exp(-self.model.sample_s / lag_s)
-        return np.asarray(lfilter([1.0 - keep], [1.0, -keep], values, axis=0), dtype=float)
+        keep = float(np.exp(-self.model.sample_s / lag_s))
+        return first_order((1.0 - keep, 0.0), -keep, values)
 
 
 def _measured_entry(index: int) -> Callable[[Measured], Pair]:
@@ -298,9 +297,9 @@ def planned_parts(model: RecordModel, p: Parameters, options: FitOptions) -> Ite
 
 
 def stacked(found: dict[str, Pair]) -> Array:
-    """Columns (rate, force) of each parameter side by side, (blocks, 6, P)."""
+    """Columns (rate, force) of each parameter side by side, (blocks, 6, P); each column's samples lie together."""
     first = next(iter(found.values()))[0]
-    out = np.empty((len(first), 6, len(found)))
+    out = np.empty((6, len(found), len(first)))
     for column, (rate, force) in enumerate(found.values()):
-        out[:, :3, column], out[:, 3:, column] = rate, force
-    return out
+        out[:3, column], out[3:, column] = rate.T, force.T
+    return out.transpose(2, 0, 1)

@@ -14,6 +14,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.linear_filters import fast_length, moving_mean
+
 Array = NDArray[np.float64]
 
 SMOOTHING_HZ = 0.25
@@ -35,11 +37,9 @@ def coloured_covariance(
     Returns:
         Shape (n_parameters, n_parameters), in the parameters' units.
     """
-    from scipy.fft import next_fast_len
-
     k, parameters, outputs = influence.shape
     # Padded by the memory that the smoothing leaves to R, so that the correlations below are linear, not circular.
-    length = 2 * next_fast_len((k + int(1.0 / (SMOOTHING_HZ * period_s))) // 2 + 1)
+    length = 2 * fast_length((k + int(1.0 / (SMOOTHING_HZ * period_s))) // 2 + 1)
     spectrum = _cross_spectrum(residual, period_s, length)
     weight = np.full(length // 2 + 1, 2.0)
     weight[[0, -1]] = 1.0
@@ -56,8 +56,6 @@ def _cross_spectrum(residual: Array, period_s: float, length: int) -> Array:
 
     Normalised so that white noise of variance s^2 has the value s^2; shape (length // 2 + 1, n_outputs, n_outputs).
     """
-    from scipy.ndimage import uniform_filter1d
-
     used = np.count_nonzero(np.abs(residual).max(axis=1) > 0.0)
     transform = np.fft.rfft(residual, length, axis=0)
     bins = max(3, 2 * int(SMOOTHING_HZ * length * period_s) + 1)
@@ -66,9 +64,7 @@ def _cross_spectrum(residual: Array, period_s: float, length: int) -> Array:
     for i in range(outputs):
         for j in range(i, outputs):
             raw = transform[:, i] * transform[:, j].conj() / max(used, 1)
-            smooth = uniform_filter1d(raw.real, bins, mode="reflect") + 1j * uniform_filter1d(
-                raw.imag, bins, mode="reflect"
-            )
+            smooth = moving_mean(raw.real, bins) + 1j * moving_mean(raw.imag, bins)
             out[:, i, j] = smooth
             out[:, j, i] = smooth.conj()
     return out

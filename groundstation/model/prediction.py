@@ -124,7 +124,7 @@ def predict(
         states: of the flight.
         horizon_s: how far.
         predictor: what the model is called.
-        hold_back: towards constant velocity as far as the model has missed of late (:mod:`.held_back`).
+        hold_back: weigh the model against constant velocity by what both have missed of late (:mod:`.held_back`).
         progress: told the fraction done.
 
     Raises:
@@ -177,10 +177,16 @@ def _without_runaways(path: Paths, states: FlightStates, index: Index, horizons:
 
 
 def _how_far(shares: Mapping[str, float]) -> str:
-    """What to say where the model has less than half of the weight."""
-    held = {q: shares[n] for q, n in zip(QUANTITIES, NAMES, strict=True) if shares[n] < 0.5}
-    told = ", ".join(f"{quantity} by {share:.0%} of the model" for quantity, share in held.items())
-    return f" (held back towards constant velocity, which missed less: {told})" if told else ""
+    """What to say where the model has less than half of the weight, or far more than all of it."""
+    weights = {q: shares[n] for q, n in zip(QUANTITIES, NAMES, strict=True)}
+    said = ""
+    for what, chosen in (
+        ("held back towards constant velocity, which missed less", {q: k for q, k in weights.items() if k < 0.5}),
+        ("carried on beyond the model, which moves too little here", {q: k for q, k in weights.items() if k > 1.1}),
+    ):
+        told = ", ".join(f"{quantity} by {share:.0%} of the model" for quantity, share in chosen.items())
+        said += f" ({what}: {told})" if told else ""
+    return said
 
 
 def _refuse_what_ran_away(

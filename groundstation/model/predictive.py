@@ -279,6 +279,12 @@ class Windows:
             )
         return self.made[key]
 
+    def only(self, chosen: NDArray[np.bool_]) -> Windows:
+        """Some of the starts, behind the same observer."""
+        return Windows(
+            self.flown, self.t_s, self.rate, self.inputs, self.at[chosen], self.start_s[chosen], self.pose[chosen]
+        )
+
 
 def windows(flown: Course, index: NDArray[np.int64]) -> Windows:
     """The windows that start from stamps ``index`` of a course."""

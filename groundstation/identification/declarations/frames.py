@@ -20,6 +20,7 @@ from groundstation.identification.declarations.signals import (
     passed,
     signed_permutations,
 )
+from groundstation.linear_filters import correlation
 
 Array = NDArray[np.float64]
 
@@ -71,13 +72,11 @@ def _rates(pose: Stream, quaternion: Array, grid: Array) -> Array:
 
 def _best_shift(first: Array, second: Array) -> int:
     """By how many steps the second comes after the first, by the size of each, which no naming of axes changes."""
-    from scipy.signal import correlate
-
     sizes = [np.linalg.norm(x, axis=1) for x in (first, second)]
     a: Array
     b: Array
     a, b = (size - size.mean() for size in sizes)
-    return int(np.argmax(correlate(b, a, method="fft"))) - (len(a) - 1)
+    return int(np.argmax(correlation(b, a))) - (len(a) - 1)
 
 
 def _overlap(first: Array, second: Array, shift: int) -> tuple[Array, Array]:
@@ -97,7 +96,7 @@ def _similarities(imu: Stream, pose: Stream, mounting: Array) -> dict[Naming, fl
     grid = np.arange(imu.t_s[0], imu.t_s[-1], STEP_S)
     when = np.arange(pose.t_s[0], pose.t_s[-1], STEP_S)
     gyro = passed(resampled(grid, imu.t_s, imu.values[:, :3]), (0.3, 4.0))
-    names = signed_permutations()
+    names = np.stack(signed_permutations()).reshape(-1, 9)
     results: dict[Naming, float] = {}
     for reading in READINGS:
         quaternion = quat_multiply(read_as(pose.values[:, 3:7], reading), quat_conjugate(mounting))
@@ -109,8 +108,8 @@ def _similarities(imu: Stream, pose: Stream, mounting: Array) -> dict[Naming, fl
                 continue
             size = float(np.sqrt(np.sum(a**2) * np.sum(b**2))) + 1e-12
             cross = b.T @ a / size
-            for number, matrix in enumerate(names):
-                results[reading, number, shift] = float(np.sum(cross * matrix))
+            alike = (names @ cross.ravel()).tolist()
+            results.update(((reading, number, shift), value) for number, value in enumerate(alike))
     return results
 
 

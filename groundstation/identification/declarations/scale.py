@@ -19,6 +19,11 @@ anything else.
 """
 WRONG = 1.5
 """No battery, payload or wear comes near: it is another vehicle, another constant or another unit."""
+FAST_M_S = 4.0
+"""About the speed of the air through hovering rotors: a rotor that moves as fast has a tenth to a third more thrust at
+the same speed of turning (Leishman 2006, Principles of Helicopter Aerodynamics, 2.14), and constants from a bench no
+longer tell the mass.
+"""
 
 
 def scale_checks(flown: Flown, vehicle: Vehicle) -> list[Check]:
@@ -47,6 +52,9 @@ def scale_checks(flown: Flown, vehicle: Vehicle) -> list[Check]:
     free = off < (DOUBTFUL if vehicle.identification.anchor == "thrust" else WRONG)
     if free or abs(ratio - 1.0) < 3.0 * spread:
         return [Check("thrust", tested, evidence, "agrees")]
+    if off <= WRONG and (flown.speed_m_s or 0.0) > FAST_M_S:
+        evidence += f" where it flies slowly; half of this flight is faster than {flown.speed_m_s:.1f} m/s"
+        return [Check("thrust", tested, evidence, "cannot tell")]
     mass = vehicle.mass_kg * ratio
     line = [f"mass_kg = {mass:.4g}"]
     if vehicle.rotors.thrust_curve is not None:

@@ -12,6 +12,7 @@ from groundstation.flightdata import FlightData, Stream, resampled
 from groundstation.identification.streams import clean, flown_stretches
 from groundstation.identification.stretches import within
 from groundstation.identification.wrench import voltage_ratio
+from groundstation.linear_filters import band_pass, both_ways
 
 Array = NDArray[np.float64]
 
@@ -44,10 +45,7 @@ def in_words(matrix: Array) -> str:
 
 def passed(values: Array, band_hz: tuple[float, float] = BAND_HZ) -> Array:
     """Columns in the band of manoeuvres, shape kept."""
-    from scipy.signal import butter, sosfiltfilt
-
-    sos = butter(2, band_hz, btype="band", fs=1.0 / STEP_S, output="sos")
-    return np.asarray(sosfiltfilt(sos, values, axis=0), dtype=float)
+    return both_ways(band_pass(2, band_hz, 1.0 / STEP_S), values)
 
 
 def long_enough(stream: Stream | None) -> Stream | None:
@@ -101,6 +99,7 @@ class Flown:
     Attributes:
         t_s: (k,). used: in the air, (k,). rate, force: of the IMU, (k, 3); None without one.
         thrust: of each rotor by the declared constants, (k, n); None for a wrench.
+        speed_m_s: half of the poses are faster; None without poses.
     """
 
     t_s: Array
@@ -108,6 +107,7 @@ class Flown:
     rate: Array | None
     force: Array | None
     thrust: Array | None
+    speed_m_s: float | None = None
 
 
 def liveliest(flight: FlightData) -> FlightData:
@@ -177,7 +177,18 @@ def flown(flight: FlightData) -> Flown:
         if flight.vehicle.rotors.input == "command":
             values = values * voltage_ratio(flight.vehicle, flight.battery, motors.t_s)[:, None]
         thrust = resampled(grid, motors.t_s, flight.vehicle.thrust(values))
-    return Flown(grid, within(grid, stretches), rate, force, thrust)
+    return Flown(grid, within(grid, stretches), rate, force, thrust, _speed(flight))
+
+
+def _speed(flight: FlightData) -> float | None:
+    """Median speed over tenths of a second of a flight's poses, or of its own positions."""
+    poses = long_enough(flight.mocap) or long_enough(flight.state)
+    if poses is None:
+        return None
+    at = np.arange(poses.t_s[0], poses.t_s[-1], 0.1)
+    return (
+        float(np.median(np.linalg.norm(np.diff(resampled(at, poses.t_s, poses.values[:, :3]), axis=0), axis=1))) / 0.1
+    )
 
 
 def _rates_of(flight: FlightData) -> Stream | None:
