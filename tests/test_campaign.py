@@ -157,5 +157,7 @@ def test_an_interval_that_holds_more_than_noise_is_no_matter_of_further_flights(
     stuck = module._exhausted(campaign, module.Round(str(tmp_path), "", 40.0, estimates=estimates))
     assert "do not sharpen mass_kg, ixx_kg_m2" in stuck and "still take" not in stuck
     sharp = parse_targets("mass:0.0005%,ixx:0.002%")
-    far = module._exhausted(replace(campaign, targets=sharp), module.Round(str(tmp_path), "", 40.0, estimates=estimates))
+    far = module._exhausted(
+        replace(campaign, targets=sharp), module.Round(str(tmp_path), "", 40.0, estimates=estimates)
+    )
     assert "still take: mass_kg" in far and "sharpen" not in far
