@@ -252,6 +252,20 @@ def from_thrust(vehicle: Vehicle, thrust: Annotated[Array, "k n"]) -> Annotated[
     return np.asarray(thrust @ wrench_matrix(vehicle).T, dtype=float)
 
 
+def from_inflow(vehicle: Vehicle, thrust: Annotated[Array, "k n"]) -> Annotated[Array, "k 6"]:
+    """Body wrench (k, 6) of thrusts (k, n) that rotors gain or lose by the air through them, at the speed they turn.
+
+    Their reaction torque stays. By blade element theory C_Q = lambda C_T + sigma C_d0 / 8 and dC_T / dlambda = -g C_T /
+    lambda, so that dC_Q / dlambda = (1 - g) C_T: with g of 0.5 to 1 between a third of what the thrust loses, the other
+    way, and nothing (Leishman 2006, sec. 2.14 and 3.3).
+    """
+    if not has_rotors(vehicle):
+        return from_thrust(vehicle, thrust) * [1.0, 1.0, 1.0, 1.0, 1.0, 0.0]
+    axes = vehicle.rotors.axes()
+    arms = np.cross(np.asarray(vehicle.rotors.position_m, dtype=float), axes)
+    return np.asarray(thrust @ np.concatenate([axes, arms], axis=1), dtype=float)
+
+
 def lift_of(vehicle: Vehicle, thrust: Annotated[Array, "k n"]) -> Annotated[Array, "k"]:
     """Body force along z (k,) of rotor thrusts (k, n)."""
     from groundstation.model.rotors import wrench_matrix
