@@ -7,6 +7,7 @@ running integrals go on from part to part. A flight of a minute is one part.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -68,7 +69,8 @@ class Course:
     """
 
     def __init__(self, model: RecordModel, signals: Signals, planned: Signals | None, parameters: Parameters):
-        self.model, self.signals, self.planned = model, signals, planned
+        self.model, self.signals, self.planned = copy(model), signals, planned
+        self.model.planned = None  # a part of it would be made with each part of the flight
         self.vehicle: Vehicle = model.record.vehicle
         self.inverse = np.linalg.inv(parameters.tensor)
         self.mass_kg = parameters.mass_kg
