@@ -168,7 +168,7 @@ def power_spectrum(signal: Array, rate_hz: float, length: int) -> tuple[Array, A
     power[0] *= 0.5
     if length % 2 == 0:
         power[-1] *= 0.5
-    return np.arange(length // 2 + 1) * rate_hz / length, power
+    return np.fft.rfftfreq(length, 1.0 / rate_hz), power
 
 
 def fast_length(least: int) -> int:
