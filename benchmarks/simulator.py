@@ -4,6 +4,7 @@ All fly the paper's published trajectory with the QBall 2's mass, inertia and ro
 is its own (Multirotor with the SE3 controller and its IMU), stepped at the same rate over a part of the flight, because
 it is slow. Flights at once share the plan and differ in seeds, masses and tensors. Rates are per second of processor
 time of one core; of two processes at once also per second on the clock, which counts what else the machine does.
+Processes take blocks of flights, ever smaller ones towards the end, and give back only what is asked of a flight.
 
 Run with ``python -m benchmarks.simulator``; ``--flights 1024`` is the study of 1024.
 """
@@ -16,8 +17,10 @@ import statistics
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
+from multiprocessing.synchronize import Barrier
 
 import numpy as np
 from rotorpy.controllers.quadrotor_control import SE3Control
@@ -30,6 +33,7 @@ from groundstation.trajectory import Plan, flight_path
 from groundstation.vehicle import Vehicle, load_vehicle
 from sim.build import STEP_S
 from sim.flight import SimulatedFlight, simulate
+from sim.lanes import WIDTH
 from sim.many import Job, simulate_many
 from sim.scenario import load_scenario
 from studies.timing import seconds
@@ -37,6 +41,7 @@ from studies.timing import seconds
 RUNS = 3
 WORLDS, WORLD_STEPS = 1024, 200
 WARM = 8
+PROCESSES = 2
 ROTORPY_S = 4.0
 
 
@@ -92,13 +97,31 @@ def many(flights: int) -> float:
     return steps / took
 
 
+def blocks(flights: int) -> Iterator[tuple[int, int]]:
+    """First and number of flights of each block: a share of what is left, whole groups, so that both end together."""
+    done = 0
+    while done < flights:
+        share = max((flights - done) // (2 * PROCESSES) // WIDTH, 1) * WIDTH
+        yield done, min(share, flights - done)
+        done += share
+
+
+def _warm(ready: Barrier) -> None:
+    _many(0, WARM)
+    ready.wait()
+
+
 def many_on_two(flights: int) -> tuple[float, float]:
-    """Steps per processor second and core, and per second on the clock, of flights at once in two processes."""
-    half = flights // 2
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        list(pool.map(_many, (0, 0), (WARM, WARM)))
+    """Steps per second of processor time of one core, and per second on the clock, of flights in two processes."""
+    context = get_context("spawn")
+    ready = context.Barrier(PROCESSES + 1)
+    with ProcessPoolExecutor(PROCESSES, context, initializer=_warm, initargs=(ready,)) as pool:
+        waiting = [pool.submit(os.getpid) for _ in range(PROCESSES)]  # starts the processes
+        ready.wait()
+        for each in waiting:
+            each.result()
         began = time.perf_counter()
-        done = list(pool.map(_many, (1, 1 + half), (half, half)))
+        done = list(pool.map(_many, *zip(*((1 + first, count) for first, count in blocks(flights)), strict=True)))
         clock = time.perf_counter() - began
     steps = sum(s for s, _ in done)
     return steps / sum(took for _, took in done), steps / clock

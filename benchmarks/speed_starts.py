@@ -22,7 +22,8 @@ RUNS = 3
 def _process_s(*arguments: str) -> float:
     def once() -> float:
         before = os.times()
-        subprocess.run([sys.executable, "-P", *arguments], capture_output=True, check=True)
+        command = [sys.executable, "-P", *arguments]
+        subprocess.run(command, capture_output=True, check=True, env=startup.environment())
         return startup.children_s(before)
 
     once()

@@ -154,13 +154,14 @@ def flown(
     key = (id(plan), start.position_m, start.yaw_rad, simulation.time_s)
     source = sources.setdefault(key, LastRows(path_setpoints(path, simulation.time_s), simulation.time_s))
     begin, end = excitation_window(path, simulation.time_s)
-    give_up = simulation.time_s + path.duration_s + 20.0
+    lands = simulation.time_s + path.duration_s
+    give_up = lands + 20.0
     while not (simulation.standing and simulation.time_s > end):
         sure = int((end - simulation.time_s) / (_CHUNK * STEP_S))  # pieces after which it cannot have landed
         if sure > 0 or not ahead:
             ready = simulation.ready_to_fly(_CHUNK, source, min(max(sure, 1), _AT_ONCE))
         else:
-            last = int((give_up - simulation.time_s) / (_CHUNK * STEP_S)) + 1
+            last = int((lands - simulation.time_s) / (_CHUNK * STEP_S)) + 2  # the floor is felt about then
             ready = simulation.ready_to_fly(_CHUNK, source, min(max(last, 1), _AT_ONCE), may_land_s=end)
         chunks.append((yield ready))
         _refuse_what_cannot_be_flown(simulation, vehicle.name, give_up)

@@ -7,6 +7,7 @@ not: rotor counts, control rates, or which effects are on. So a study of one lab
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
+from functools import lru_cache
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -50,7 +51,7 @@ def simulate_many(jobs: Sequence[Job]) -> Iterator[tuple[int, Outcome]]:
     Raises:
         BadInput: a scenario does not fit its vehicle.
     """
-    kinds: dict[Hashable, list[int]] = {}
+    kinds: dict[tuple[Hashable, float], list[int]] = {}
     worlds: dict[tuple[int, int], tuple[World, Hashable]] = {}
     for number, job in enumerate(jobs):
         pair = (id(job.vehicle), id(job.scenario))
@@ -59,8 +60,8 @@ def simulate_many(jobs: Sequence[Job]) -> Iterator[tuple[int, Outcome]]:
             worlds[pair] = world, kind(world)
         kinds.setdefault((worlds[pair][1], job.rest_s), []).append(number)
     sources: dict[Hashable, SetpointSource] = {}
-    for numbers in kinds.values():
-        kernel = Kernel()
+    for (shape, _), numbers in kinds.items():
+        kernel = _kernel_of(shape)
         for first in range(0, len(numbers), WIDTH):
             group = numbers[first : first + WIDTH]
             if len(group) < LEAST:
@@ -172,6 +173,12 @@ class Kernel:
         if self._code is None:
             self._code = cast(Dispatcher, run_lanes).compile(tuple(map(typeof, arguments)))
         cast(Callable[..., None], self._code)(*arguments)
+
+
+@lru_cache(maxsize=64)
+def _kernel_of(shape: Hashable) -> Kernel:
+    """The same for all flights of a :func:`kind` in this process."""
+    return Kernel()
 
 
 def _in_lockstep(

@@ -6,7 +6,6 @@ the time. The exponential and the logarithm stay NumPy's, whose last bits are no
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -129,14 +128,15 @@ class Ticker:
     def _period(self) -> float:
         return 1.0 / (self.rate_hz * (1.0 + 1e-6 * self.clock.drift_ppm))
 
-    def count_until(self, end_s: float) -> int:
-        """How many samples before ``end_s`` have not been given yet."""
+    def counts_until(self, ends_s: Array) -> NDArray[np.int64]:
+        """How many samples before each time have not been given yet."""
         # A hair of tolerance keeps instants on the step grid in the stretch they belong to.
-        return max(math.ceil((end_s - self._phase) / self._period - 1e-6) - self._next, 0)
+        number = np.ceil((ends_s - self._phase) / self._period - 1e-6).astype(np.int64)
+        return np.maximum(number - self._next, 0)
 
     def until(self, end_s: float) -> tuple[Array, Array, Array]:
         """True times before ``end_s`` not given yet, the device's stamps of them, and arrivals at the host."""
-        last = self._next + self.count_until(end_s)
+        last = self._next + int(self.counts_until(np.array([end_s]))[0])
         true = self._phase + self._period * np.arange(self._next, last, dtype=float)
         self._next = last
         return true, *self.stamper.stamp(true)
@@ -179,7 +179,7 @@ class BiasedNoise:
     def __post_init__(self) -> None:
         self._bias = self.start * self.random.standard_normal(len(self.start))
 
-    def draw(self, counts: Sequence[int]) -> Array:
+    def draw(self, counts: Sequence[int] | NDArray[np.int64]) -> Array:
         """The next rows, as many as the pieces have together.
 
         The bias is summed up piece by piece, so that its last bits do not depend on how many pieces are drawn at once.

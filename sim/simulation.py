@@ -6,7 +6,6 @@ One seed gives one flight, however the time is cut into stretches: every source 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import pairwise
 from math import cos, sin
 from typing import NamedTuple, cast
 
@@ -324,7 +323,7 @@ class Simulation:
         held = np.zeros((ticks, SETPOINT_SIZE)) if setpoints is None else setpoints
         return self.run(self._prepare([steps], EXTERNAL, held, rows))
 
-    def _stretch(self, asked: Asked, times: Mapping[str, Times], lost: Mask, imu: Sequence[int]) -> Stretch:
+    def _stretch(self, asked: Asked, times: Mapping[str, Times], lost: Mask, imu: NDArray[np.int64]) -> Stretch:
         """What the compiled loop needs of the next steps: sample times, noise, what is asked for.
 
         Args:
@@ -360,8 +359,7 @@ class Simulation:
     def _prepare(self, pieces: Sequence[int], mode: int, setpoints: Array, motors: Array | None) -> Prepared:
         steps = sum(pieces)
         ends = (self.step + np.cumsum(pieces)) * STEP_S
-        until = [self._tickers["imu"].count_until(float(end)) for end in ends]
-        imu = [b - a for a, b in pairwise([0, *until])]
+        imu = np.diff(self._tickers["imu"].counts_until(ends), prepend=0)
         end = (self.step + steps) * STEP_S
         times = {key: ticker.until(end) for key, ticker in self._tickers.items()}
         ticks = self.control_ticks(steps)

@@ -88,3 +88,26 @@ def test_a_form_in_its_effects_own_shape_is_the_same_effect_of_another_size(evid
         moved, _ = module._seen_by(evidence, chosen, solution, [form])
         std = np.sqrt(np.diag(solution.covariance))
         assert np.abs(moved[solution.base :] / std[solution.base :]).max() < 0.05, form.entry[0].identifier
+
+
+def test_an_effect_that_pushes_in_one_direction_has_forms_of_its_own(evidence):
+    """A weak rotor's torque may lose another share than its thrust."""
+    candidate = Candidate(library()["weak_rotor"], {"rotor": 1.0})
+    columns = evidence.columns(candidate)
+    assert columns is not None
+    chosen = [(candidate, columns)]
+    forms = {
+        form.entry[0].identifier: form.entry[1] for form in module._misshapen(evidence, chosen, evidence.solve(chosen))
+    }
+    assert {"weak_rotor, loss by thrust", "weak_rotor, row 2", "weak_rotor, row 5"} <= set(forms)
+    own, twisted = columns.sensitivity[:, 0], forms["weak_rotor, row 5"].sensitivity[:, 0]
+    assert abs(own @ twisted) < 0.99 * np.linalg.norm(own) * np.linalg.norm(twisted)
+
+
+def test_a_form_over_a_speed_is_that_of_the_power_below_without_a_constant(evidence):
+    """A lift with v in the place of v^2: short by a constant, it would move the mass."""
+    speed = np.linspace(0.6, 3.0, 50)
+    over = module._scaled(lambda signals: speed, np.ones(1), over=True)
+    wrench = np.repeat(speed[:, None, None] ** 2, 6, axis=1)
+    slope, constant = np.polyfit(speed, over(None, wrench)[:, 2, 0], 1)
+    assert abs(constant) < 0.05 * slope * float(np.sqrt(np.mean(speed**2)))

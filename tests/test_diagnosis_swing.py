@@ -1,15 +1,22 @@
-"""A load that swings below the vehicle is told by its resonance, and a disturbance is no load."""
+"""A load that swings below the vehicle is told by the force it pulls with, and a disturbance is no load."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
+import numpy as np
+import pytest
 from flights import laboratory
 
-from groundstation.diagnosis.swing import LENGTH_WITHIN, LOAD_WITHIN, Swing, swing_of
-from groundstation.identification.preparation import prepare
-from groundstation.model.parameters import declared_parameters
+from groundstation.diagnosis.pipeline import _with_swing
+from groundstation.diagnosis.results import Diagnosis
+from groundstation.diagnosis.swing import Swing, cable, swing_of
+from groundstation.diagnosis.thresholds import THRESHOLDS
+from groundstation.identification.preparation import Prepared, prepare
+from groundstation.identification.results import Estimate
+from groundstation.model.parameters import Parameters, declared_parameters
 from groundstation.paths import find_config
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import load_vehicle
@@ -17,25 +24,66 @@ from sim.flight import simulate
 from studies.flown import flight_data
 
 SEED = 3
-LOAD_KG, LENGTH_M = 0.1, 0.9
+VEHICLE = load_vehicle(find_config("vehicles", "qball2"))
+PARAMETERS: Parameters = declared_parameters(VEHICLE, lag_s=0.0)
 
 
-def _swing(**effects: dict[str, Any]) -> Swing | None:
-    """What is said of a short flight, by the mass that its thrusts carry."""
-    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+@cache
+def _flown(load_kg: float, length_m: float) -> tuple[Prepared, float]:
+    """A short flight, and the vehicle's own mass."""
     plan = load_plan(find_config("plans", "qball2")).model_copy(update={"periods": 3.0})
-    flown = simulate(vehicle, plan, laboratory(**effects), SEED)
-    carried = flown.truth.mass_kg + (LOAD_KG if effects else 0.0)
-    return swing_of(prepare(flight_data(flown)), replace(declared_parameters(vehicle, lag_s=0.0), mass_kg=carried))
+    load: dict[str, Any] = {"mass_kg": load_kg, "length_m": length_m, "attachment_m": (0.0, 0.0, -0.05)}
+    flown = simulate(VEHICLE, plan, laboratory(**({"slung_load": load} if load_kg else {})), SEED)
+    return prepare(flight_data(flown)), flown.truth.mass_kg
 
 
-def test_a_swinging_load_is_told_with_its_size_and_its_cable_within_what_is_said():
-    found = _swing(slung_load={"mass_kg": LOAD_KG, "length_m": LENGTH_M, "attachment_m": (0.0, 0.0, -0.05)})
+def _swing(load_kg: float, length_m: float) -> tuple[Swing | None, float]:
+    prepared, mass_kg = _flown(load_kg, length_m)
+    signals = prepared.signals(0.0, 0.0, 0.0, 0.0)
+    return swing_of(signals, prepared.record.keep, VEHICLE), mass_kg
+
+
+@pytest.mark.parametrize(("load_kg", "length_m"), [(0.1, 0.6), (0.14, 0.36)])
+def test_a_swinging_load_is_told_with_its_size_and_its_cable_within_what_is_said(load_kg: float, length_m: float):
+    found, mass_kg = _swing(load_kg, length_m)
     assert found is not None
-    assert LOAD_WITHIN[0] * found.load_kg < LOAD_KG < LOAD_WITHIN[1] * found.load_kg, found
-    assert LENGTH_WITHIN[0] * found.length_m < LENGTH_M < LENGTH_WITHIN[1] * found.length_m, found
+    assert found.load_kg == pytest.approx(load_kg, rel=3.0 * THRESHOLDS.swing_form), found
+    assert found.length_m == pytest.approx(length_m, rel=3.0 * THRESHOLDS.swing_form), found
+    assert found.body_kg == pytest.approx(mass_kg, rel=0.01), found
     assert "swings as a load" in found.sentence()
 
 
 def test_a_disturbance_of_the_laboratory_is_no_load():
-    assert _swing() is None
+    assert _swing(0.0, 1.0)[0] is None
+
+
+def test_a_mass_that_holds_an_unnamed_load_is_published_with_an_interval_that_holds_the_vehicles_own():
+    prepared, mass_kg = _flown(0.14, 0.36)
+    wrong = Estimate.normal(mass_kg + 0.14, 0.005)
+    before = Diagnosis("a", "b", "clean", parameters_after={"mass_kg": wrong}, covariance_after=np.diag([2.5e-5] * 7))
+    found = _with_swing(before, prepared, PARAMETERS)
+    low, high = found.parameters_after["mass_kg"].ci95
+    assert low < mass_kg < wrong.value < high
+    assert found.covariance_after is not None and found.covariance_after[0, 0] > 0.13**2
+    assert found.verdict == "unexplained" and found.warnings == (found.reason,)
+
+
+def test_without_a_load_a_diagnosis_stays_as_it_is():
+    prepared, _ = _flown(0.0, 1.0)
+    before = Diagnosis("a", "b", "clean", parameters_after={"mass_kg": Estimate.normal(1.8, 0.005)})
+    assert _with_swing(before, prepared, PARAMETERS) is before
+
+
+def test_a_slack_cable_points_between_where_it_did_and_will():
+    pull = np.array([[0.0, 0.0, -1.0], [0.1, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    found = cable(pull)
+    assert found[1] == pytest.approx([np.sqrt(0.5), 0.0, -np.sqrt(0.5)])
+
+
+def test_flights_that_are_too_short_say_nothing_of_a_load():
+    prepared, _ = _flown(0.14, 0.36)
+    signals = prepared.signals(0.0, 0.0, 0.0, 0.0)
+    short = prepared.record.keep & (signals.t_s < signals.t_s[prepared.record.keep][0] + 5.0)
+    assert swing_of(signals, short, VEHICLE) is None
+    unknown = replace(signals, velocity_world_m_s=np.full_like(signals.velocity_world_m_s, np.nan))
+    assert swing_of(unknown, prepared.record.keep, VEHICLE) is None

@@ -134,7 +134,8 @@ def _finding(item: Named, solution: Solution, offset: int) -> Finding:
     rotor = int(settings.pop("rotor")) if effect.of_one_rotor else None
     own = list(zip(effect.parameters, values, std, strict=True))
     parameters = {p.name: Estimate.normal(v, float(np.hypot(s, p.form * v))) for p, v, s in own if not p.changes}
-    parameters |= {n: Estimate(v, 0.0, (v, v)) for n, v in settings.items()}
+    spread = effect.spread(settings, float(values[0]))
+    parameters |= {n: Estimate.normal(v, spread.get(n, 0.0)) for n, v in settings.items()}
     for p, v, s in own:
         if p.changes:
             value = settings[p.changes] + v / values[0]

@@ -11,7 +11,8 @@ moves by :math:`b_1, b_2, \dots`. How far along it the truth lies the data do no
 .. math:: \Sigma_o = \sum_k W_k b_k b_k^T / \sum_k W_k
 
 A form of a named effect that does not beat chance may be there all the same, as far as the data allow: estimated along,
-with the spread ``form_share`` that such forms have before a flight, it moves the estimate by :math:`b` and adds
+with the spread ``form_share`` that such forms have before a flight (or the effect's own, where its law is better known:
+:attr:`.ParameterInfo.form`), it moves the estimate by :math:`b` and adds
 :math:`\Delta` to its covariance. Forms are wrong independently of each other, so that :math:`b b^T + \Delta` is summed
 over them.
 
@@ -33,7 +34,7 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.beside import beside
 from groundstation.diagnosis.columns import Candidate, Columns, Solution
-from groundstation.diagnosis.effect import ParameterInfo, Settings
+from groundstation.diagnosis.effect import Effect, Followed, ParameterInfo, Settings
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.rivals import Entry, kind_of
 from groundstation.diagnosis.thresholds import THRESHOLDS
@@ -43,18 +44,23 @@ from groundstation.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 
-Change = Callable[[Signals, Array], Array]
-"""From the signals and a wrench (k, 6, p) to another one."""
+Change = Callable[[Signals], Callable[[Signals, Array], Array]]
+"""From the signals of a flight to what makes of those of a part and of a wrench (k, 6, p) there another one."""
 
 SOFT = 0.2
-"""Of its RMS, below which a quantity that an effect is divided by counts as no smaller."""
+"""Of its RMS, below which a quantity that an effect is divided by counts as no smaller. Far above it the quotient is
+that of the quantity itself: one by a sum with SOFT would be short by a constant, which is what moves a mass.
+"""
 QUANTITIES: Mapping[str, Callable[[Signals], Array]] = {
     "speed": lambda s: np.linalg.norm(s.velocity_world_m_s, axis=1),
+    "level speed": lambda s: np.linalg.norm(s.velocity_body_m_s()[:, :2], axis=1),
     "height": lambda s: np.abs(s.position_m[:, 2]),
     "thrust": lambda s: s.thrust_n.sum(axis=1),
     "rates": lambda s: np.linalg.norm(s.rate_rad_s, axis=1),
 }
-"""What a formula may be wrong with: its power of each may be one more or one less."""
+"""What a formula may be wrong with: its power of each may be one more or one less. A body feels its speed, a rotor the
+part of it in the rotor's plane.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,27 +190,61 @@ def _forms(candidate: Candidate, values: Array) -> Iterator[Candidate]:
         yield _changed(candidate, [f"{n} by {name}" for n in names], _scaled(quantity, values, over=False))
         yield _changed(candidate, [f"{n} over {name}" for n in names], _scaled(quantity, values, over=True))
     rows = [f"row {row}" for row in range(6)]
-    yield _changed(candidate, rows, lambda signals, wrench: (wrench @ values)[:, :, None] * np.eye(6))
+    yield _changed(candidate, rows, lambda whole: lambda signals, wrench: (wrench @ values)[:, :, None] * np.eye(6))
 
 
 def _scaled(quantity: Callable[[Signals], Array], values: Array, *, over: bool) -> Change:
-    def change(signals: Signals, wrench: Array) -> Array:
-        size = quantity(signals)
-        size = size / (float(np.sqrt(np.mean(size**2))) or 1.0)
-        return wrench * values * (1.0 / (SOFT + size) if over else size)[:, None, None]
+    def change(whole: Signals) -> Callable[[Signals, Array], Array]:
+        typical = float(np.sqrt(np.mean(quantity(whole) ** 2, dtype=float))) or 1.0
+
+        def changed(signals: Signals, wrench: Array) -> Array:
+            size = quantity(signals) / typical
+            return wrench * values * (1.0 / np.hypot(SOFT, size) if over else size)[:, None, None]
+
+        return changed
 
     return change
 
 
 def _changed(candidate: Candidate, names: Sequence[str], change: Change) -> Candidate:
     effect = candidate.effect
-    shares = tuple(
-        ParameterInfo(f"{effect.identifier}, {name}", lambda vehicle: THRESHOLDS.form_share) for name in names
-    )
+    spread = effect.parameters[0].form or THRESHOLDS.form_share
+    shares = tuple(ParameterInfo(f"{effect.identifier}, {name}", lambda vehicle: spread) for name in names)
 
     def wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
-        return change(signals, effect.wrench(signals, vehicle, settings))
+        return change(signals)(signals, effect.wrench(signals, vehicle, settings))
 
-    return Candidate(
-        replace(effect, parameters=shares, wrench=wrench, instrument=None, pointwise=False), candidate.settings
+    form = replace(
+        effect,
+        parameters=shares,
+        wrench=wrench,
+        straight=None,
+        instrument=None,
+        pointwise=False,
+        followed=_followed(effect, change),
     )
+    return Candidate(form, candidate.settings)
+
+
+def _followed(
+    effect: Effect, change: Change
+) -> Callable[[Signals, Signals | None, Vehicle, Sequence[Settings], bool], Followed] | None:
+    """A changed effect in a part of a flight; None where the effect itself needs the whole."""
+    if not effect.pointwise and effect.followed is None:
+        return None
+
+    def along(whole: Signals, vehicle: Vehicle, settings: Settings) -> Callable[[Signals], Array]:
+        changed = change(whole)
+        if effect.followed is None:
+            return lambda now: changed(now, effect.wrench(now, vehicle, settings))
+        own = effect.followed(whole, None, vehicle, [settings], False)
+        return lambda now: changed(now, own(now, None)[0])
+
+    def followed(
+        signals: Signals, planned: Signals | None, vehicle: Vehicle, several: Sequence[Settings], alone: bool
+    ) -> Followed:
+        seen = along(signals, vehicle, several[0])
+        asked = None if planned is None else along(planned, vehicle, several[0])
+        return lambda now, ahead: [seen(now), *([] if asked is None or ahead is None else [asked(ahead)])]
+
+    return followed

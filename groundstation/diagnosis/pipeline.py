@@ -7,6 +7,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from groundstation.diagnosis.augmented import known_candidates
 from groundstation.diagnosis.base import Base, base_fit, for_evidence
 from groundstation.diagnosis.case import Case, case_of, sensors, thrust_exponent
@@ -32,11 +34,12 @@ from groundstation.identification.declarations import said_first
 from groundstation.identification.identifiability import unrevealed
 from groundstation.identification.low_frequency import without_plan
 from groundstation.identification.preparation import Prepared
-from groundstation.identification.results import MASS_AND_TENSOR
+from groundstation.identification.results import MASS_AND_TENSOR, Estimate
 from groundstation.identification.unplanned import applies as low_frequencies_apply
 from groundstation.identification.unplanned import by_low_frequencies
 from groundstation.identification.work import Work
 from groundstation.json_types import JsonObject
+from groundstation.model.parameters import Parameters
 from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
 
 
@@ -55,7 +58,7 @@ def diagnose(
         progress: told the fraction done and what is being done.
         work: of another analysis of the same flights, or to be kept for one.
     """
-    work = Work() if work is None else work
+    work = Work(once=True) if work is None else work
     checks = work.checked(flights[0])
     found = _diagnose(flights, options, progress, work)
     return replace(
@@ -81,7 +84,7 @@ def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress:
         case = case.map(for_evidence)
         selected = select_beside(air, case, base, augmented, progress)
         progress(0.9, "what is left")
-        left = dependences(selected.evidence, selected.chosen)
+        left = dependences(selected.evidence, selected.chosen, len(selected.baseline))
     except Refused as refusal:
         vehicle = flights[0].vehicle.name
         return Diagnosis(
@@ -90,24 +93,37 @@ def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress:
     judged = judge(case, selected, kinematic, departure, left, progress)
     progress(1.0, "done")
     found = _diagnosis(name, case, selected, judged, air)
-    if not (selected.chosen or augmented):
-        found = _with_swing(found, case, base)
+    if not case.healthy and all(c.identifier != "slung_load" for c, _ in selected.chosen):
+        found = _with_swing(found, case.suspects[0], base.fitted.parameters)
     found = possible(_with_low_frequencies(found, case, base), case.vehicle)
     hidden = unrevealed(base.fitted, case.suspects)
     return published(found, hidden) if hidden else found
 
 
-def _with_swing(found: Diagnosis, case: Case, base: Base) -> Diagnosis:
-    """Not clean, and with a warning, where what the base fit leaves swings as a load below the vehicle does. Beside a
-    named effect what is left is not that: drag, too, follows the vehicle's acceleration by a quarter of a period.
+def _with_swing(found: Diagnosis, flight: Prepared, p: Parameters) -> Diagnosis:
+    """Not clean, with a warning, and with a mass whose interval holds the load, where the force that is left is that of
+    a load below the vehicle and no finding says so.
     """
-    if case.healthy:
-        return found
-    swing = swing_of(case.suspects[0], base.fitted.parameters)
+    flight = flight.liveliest()
+    signals = flight.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
+    swing = swing_of(signals, flight.record.keep, flight.record.vehicle)
     if swing is None:
         return found
-    verdict = "unexplained" if found.verdict in ("clean", "explained") else found.verdict
-    return replace(found, verdict=verdict, reason=swing.sentence(), warnings=(swing.sentence(), *found.warnings))
+    after, covariance = dict(found.parameters_after), found.covariance_after
+    mass = after.get("mass_kg")
+    if mass is not None and mass.std > 0.0:
+        away = mass.value - swing.body_kg
+        after["mass_kg"] = Estimate.normal(mass.value, float(np.hypot(mass.std, away)))
+        if covariance is not None:
+            covariance = covariance + np.diag([away**2, *[0.0] * (len(covariance) - 1)])
+    return replace(
+        found,
+        verdict="unexplained" if found.verdict in ("clean", "explained") else found.verdict,
+        reason=swing.sentence(),
+        warnings=(swing.sentence(), *found.warnings),
+        parameters_after=after,
+        covariance_after=covariance,
+    )
 
 
 def _with_low_frequencies(found: Diagnosis, case: Case, base: Base) -> Diagnosis:

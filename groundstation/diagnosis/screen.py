@@ -16,15 +16,19 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.along import Along, Beside
 from groundstation.diagnosis.columns import Candidate, Columns
 from groundstation.diagnosis.comparison import residual_rms
+from groundstation.diagnosis.course import joined
 from groundstation.diagnosis.discrepancy import Discrepancy
-from groundstation.diagnosis.effect import from_thrust, weight
+from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, from_thrust, weight
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import WRENCH_ROW, FlightEvidence
 from groundstation.diagnosis.results import Unexplained
+from groundstation.diagnosis.rivals import Entry
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import euler_from_quat
+from groundstation.identification.parts import parts_of
 from groundstation.identification.record_model import CHANNELS
 from groundstation.model.signals import Signals
+from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -53,6 +57,10 @@ VARIABLES: dict[str, Callable[[Signals], Array]] = {
 }
 
 
+UNWRAPPED = frozenset({"yaw_rad"})
+"""Which of them goes on from turn to turn, so that a part of a flight tells it but for whole turns."""
+
+
 @dataclass(frozen=True, slots=True)
 class Dependence:
     """A dependence of one channel on one variable that chance does not make."""
@@ -74,19 +82,79 @@ def _hats(name: str, knots: Array) -> Callable[[Signals], Array]:
     return hats
 
 
-def dependences(evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]]) -> list[Dependence]:
-    """Every pair of channel and variable that still shows beyond chance, strongest first."""
+def dependences(evidence: Evidence, chosen: Sequence[Entry], shared: int = 0) -> list[Dependence]:
+    """Every pair of channel and variable that still shows beyond chance, strongest first.
+
+    As an effect has to (:func:`.selection.select`), the strongest of each channel stands against the noise with nothing
+    but it and the chosen kept out, too. Whatever else is kept out takes noise along, most of it slow: on a flight of a
+    quarter of a minute more than is left.
+
+    Args:
+        chosen: effects of the joint estimate; the first ``shared`` of them act on all flights.
+    """
+    found = _shown(evidence, chosen, None)
+    if not found:
+        return found
+    strongest = {d.channel: d for d in reversed(found)}
+    kept_out = (*(candidate for candidate, _ in chosen), *(_candidate(evidence, d) for d in strongest.values()))
+    suspects = [flight.beside(kept_out, generic=False) for flight in evidence.flights[: evidence.suspects]]
+    anew = Evidence(suspects, evidence.flights[evidence.suspects :])
+    entries = ((c, anew.columns(c, everywhere=number < shared)) for number, (c, _) in enumerate(chosen))
+    again = _shown(anew, [(c, columns) for c, columns in entries if columns is not None], found)
+    standing = {(d.channel, d.variable) for d in again}
+    return [d for d in found if (d.channel, d.variable) in standing]
+
+
+def _candidate(evidence: Evidence, dependence: Dependence) -> Candidate:
+    """A dependence as an effect: the force or torque of its channel as a function of its variable."""
+    flight = evidence.flights[0]
+    hats = _hats_of(dependence.variable, flight, flight.prepared.record.keep)
+    row, name = WRENCH_ROW[CHANNELS.index(dependence.channel)], f"{dependence.channel} by {dependence.variable}"
+
+    def wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
+        values = np.zeros((0, 0)) if hats is None else hats(signals)
+        out = np.zeros((len(values), 6, values.shape[1]))
+        out[:, row] = values
+        return out
+
+    parameters = tuple(ParameterInfo(f"{name}, {knot}") for knot in range(1, THRESHOLDS.dependence_knots))
+    return Candidate(
+        Effect(
+            identifier=name,
+            equation="",
+            source="",
+            parameters=parameters,
+            confused_with=(),
+            manoeuvre="",
+            wrench=wrench,
+            pointwise=dependence.variable not in UNWRAPPED,
+            sentence="",
+        ),
+        {},
+    )
+
+
+def _hats_of(name: str, flight: FlightEvidence, kept: NDArray[np.bool_]) -> Callable[[Signals], Array] | None:
+    """Hat functions over the quantiles of a variable on a flight; None where it is unknown or hardly varies."""
+    values = VARIABLES[name](flight.signals)
+    if not np.isfinite(values).all() or np.ptp(values[kept]) < 1e-9:
+        return None
+    knots = np.unique(np.quantile(values[kept], np.linspace(0.0, 1.0, THRESHOLDS.dependence_knots)))
+    return None if len(knots) < 4 else _hats(name, knots)
+
+
+def _shown(evidence: Evidence, chosen: Sequence[Entry], among: Sequence[Dependence] | None) -> list[Dependence]:
+    """Pairs of channel and variable that show beyond chance in an evidence, strongest first; of some or of all."""
     looked, beside = _Looked.at(evidence, chosen), Beside(evidence, chosen)
+    wanted = None if among is None else {(d.channel, d.variable) for d in among}
     found: list[Dependence] = []
-    for name, variable in VARIABLES.items():
-        values = variable(looked.flight.signals)
-        if not np.isfinite(values).all() or np.ptp(values[looked.kept]) < 1e-9:
+    for name in VARIABLES:
+        channels = [c for c in looked.channels if wanted is None or (CHANNELS[c], name) in wanted]
+        hats = _hats_of(name, looked.flight, looked.kept) if channels else None
+        if hats is None:
             continue
-        knots = np.unique(np.quantile(values[looked.kept], np.linspace(0.0, 1.0, THRESHOLDS.dependence_knots)))
-        if len(knots) < 4:
-            continue
-        hats = _hats(name, knots)
-        for channel, estimate in beside.along(hats, looked.channels, looked.prior).items():
+        told = beside.along(hats, channels, looked.prior, pointwise=name not in UNWRAPPED)
+        for channel, estimate in told.items():
             if (shown := looked.shown(name, channel, estimate, hats)) is not None:
                 found.append(shown)
     return sorted(found, key=lambda d: -d.margin)
@@ -99,7 +167,7 @@ class _Looked:
     Attributes:
         flight: the first. kept: its samples in use, (k,).
         scales: of each channel, the least size that matters. channels: those that leave as much.
-        energy: of form errors by channel, (6,). explained: wrenches of what is named already, (k, 6, p).
+        energy: of form errors by channel, (6,).
     """
 
     evidence: Evidence
@@ -109,7 +177,6 @@ class _Looked:
     scales: Mapping[int, float]
     channels: Sequence[int]
     energy: Array
-    explained: Array
 
     @classmethod
     def at(cls, evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]]) -> _Looked:
@@ -121,8 +188,6 @@ class _Looked:
         scales = {
             c: THRESHOLDS.material_share * weight(vehicle) * (vehicle.arm_m() if c < 3 else 1.0) for c in first.channels
         }
-        lift = from_thrust(vehicle, first.signals.thrust_n)[:, :, None]
-        known = [c.effect.wrench(first.signals, vehicle, c.settings) for c, _ in chosen]
         return cls(
             evidence=evidence,
             chosen=chosen,
@@ -131,13 +196,27 @@ class _Looked:
             scales=scales,
             channels=[c for c in first.channels if left[c] >= scales[c]],  # nothing material can hide in less
             energy=discrepancy.energies(chosen, solution).sum(axis=0) + discrepancy.of_lag(solution),
-            explained=np.concatenate([np.ones_like(lift), lift, *known], axis=2),
         )
 
     def prior(self, channel: int) -> float:
         """Precision of the height of a hat function: a fifth of the weight, or of weight times arm."""
         vehicle = self.flight.prepared.record.vehicle
         return 1.0 / (0.2 * weight(vehicle) * (vehicle.arm_m() if channel < 3 else 1.0)) ** 2
+
+    def _named(self, row: int) -> Array:
+        """Of the wrench of a constant, thrust and what is named already, a row, (k, p)."""
+        course, pieces = self.flight.course, list[Array]()
+        known = [course.seen_wrench_of(candidate) for candidate, _ in self.chosen]
+        whole = [None if way.pointwise else way.made(course.signals, None)[0][:, row] for way in known]
+        for part in parts_of(len(course.signals.t_s)):
+            now = course.signals.at(part)
+            lift = from_thrust(course.vehicle, now.thrust_n)[:, row, None]
+            own = [
+                way.made(now, None)[0][:, row] if other is None else other[part]
+                for way, other in zip(known, whole, strict=True)
+            ]
+            pieces.append(np.concatenate([np.ones_like(lift), lift, *own], axis=1))
+        return joined(pieces)
 
     def shown(self, name: str, channel: int, estimate: Along, hats: Callable[[Signals], Array]) -> Dependence | None:
         """The dependence of a channel on a variable; None where chance, form errors or what is named make it."""
@@ -149,7 +228,7 @@ class _Looked:
         )
         if margin <= 0.0:
             return None
-        named = self.explained[:, WRENCH_ROW[channel], :]
+        named = self._named(WRENCH_ROW[channel])
         size = _own_size(hats(self.flight.signals), estimate.values, estimate.covariance, named, self.kept)
         if size < self.scales[channel]:
             return None

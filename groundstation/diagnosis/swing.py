@@ -1,88 +1,204 @@
-r"""Does what is left of the sideways force swing as a load below does? Told where no model of it could be fitted.
+r"""Does the force that thrust and weight leave pull as a load below does, however far it swings? A search in one
+unknown, without following the load through the flight.
 
-A fit without a load carries it as mass, so that the residual force is :math:`R = -m \ddot r`, m the load and r its
-place beside the hook: twice integrated it is the place itself. A pendulum obeys
-:math:`\ddot r = -\lambda r - c \dot r - a`, so that
+With m the vehicle's own mass, f its specific force, T the thrust and k its drag, the cable pulls with :math:`P = m f -
+T + k v`, and so points along :math:`s = P / |P|`. Newton's law for the load, of mass :math:`m_l` on a cable of length
+L in air that resists it by c times its velocity, added to that for the vehicle, is
 
-.. math:: R = m a + \lambda Q + c \dot Q, \qquad Q = - \iint R
+.. math:: T = (m + m_l) f + m_l L (\ddot s + c \dot s) + (m_l c + k) v
 
-holds at each instant, however far the load has swung before (an equation error; Ljung 1999, ch. 7), with
-:math:`\lambda = g / l`. A disturbance has no part m in proportion to the vehicle's own acceleration.
+at each instant and any swing (Goldstein, Poole, Safko 2002, ch. 1: constraint forces). All of it but m and k is linear
+(variable projection: Golub and Pereyra 1973). Equation errors (Ljung 1999, ch. 7) forget nothing of where a load
+began, which one that goes over the top does within half a second. Where the cable is slack its direction is
+interpolated.
+
+The equation is taken once integrated, in a band: below it drifts and a steady wind, above it the noise of directions.
+That noise is a regressor's, so that the coefficient of :math:`\ddot s` is short by the share of the power that it
+makes, which is what the equation leaves (the reliability ratio; Fuller 1987, Measurement Error Models, ch. 1).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.effect import from_thrust
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import quat_rotate
-from groundstation.identification.preparation import Prepared
-from groundstation.model.parameters import Parameters
+from groundstation.model.signals import Signals
+from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
-BAND_HZ = (0.3, 2.0)
-"""Where loads on cables of some decimetres to three metres swing."""
+BAND_HZ = (0.3, 3.0)
+"""Where loads on cables of some decimetres to three metres swing and turn over."""
 LENGTHS_M = (0.1, 5.0)
-LOAD_WITHIN, LENGTH_WITHIN = (0.7, 1.5), (0.55, 1.8)
-"""Of the regression's values, where the true ones lay on flights of two simulators: angles were small in none."""
+RATE_HZ = 50.0
+"""At which it is looked at."""
+LEAST_S, EDGE_S = 8.0, 1.0
+"""Of a flight that is looked at, and left out at its ends: the band's filter goes round there."""
+SLACK = 0.3
+"""Of the median pull, below which it does not say where the cable points."""
+SHARES = np.linspace(0.01, 0.3, 30)
+"""Of the whole mass, that a load is tried with at first."""
+STEPS, ROUNDS = np.array([2e-3, 1e-2]), 8
+"""Differences of the mass, as a share, and of the drag, 1/s times the mass; steps of Gauss and Newton."""
+
+DRAG_STD = 0.02
+"""Of the drag, 1/s times the mass: where there was none, 0.03 kg/s of 1.8 kg was found."""
 
 
 @dataclass(frozen=True, slots=True)
 class Swing:
-    """A load, roughly: by small angles."""
+    """A load, roughly.
+
+    Attributes:
+        air_1_s: by which the air damps it.
+        body_kg: the vehicle without it. drag_kg_s: of the vehicle, level.
+        left: share of the squared force that it leaves.
+    """
 
     load_kg: float
     length_m: float
+    air_1_s: float
+    body_kg: float
+    drag_kg_s: float
+    left: float
 
     def sentence(self) -> str:
         """As a warning."""
-        low, high = (self.load_kg * factor for factor in LOAD_WITHIN)
-        short, long = (self.length_m * factor for factor in LENGTH_WITHIN)
+        low, high = (self.load_kg * (1.0 + side * 1.96 * THRESHOLDS.swing_form) for side in (-1.0, 1.0))
         return (
-            f"What is left of the sideways force swings as a load of {1e3 * low:.2g} to {1e3 * high:.2g} g does on "
-            f"{short:.2g} to {long:.2g} m below the vehicle. The mass and its interval take it for part of the "
-            "vehicle: take it off, or weigh."
+            f"What is left of the force swings as a load of {1e3 * low:.3g} to {1e3 * high:.3g} g does on "
+            f"{self.length_m:.2g} m below the vehicle. It is not told from the mass, whose interval holds it: take it "
+            "off, or weigh."
         )
 
 
-def swing_of(prepared: Prepared, p: Parameters) -> Swing | None:
-    """A load that swings below the vehicle; None where nothing does, or where accelerations or thrusts are unknown."""
-    record = prepared.record
-    signals = prepared.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
-    force = quat_rotate(signals.quaternion, record.force_m_s2)
-    up = quat_rotate(signals.quaternion, np.array([0.0, 0.0, 1.0]))
-    thrust = signals.thrust_n.sum(axis=1)
-    if len(force) < 1000 or not (np.isfinite(force).all() and np.isfinite(thrust).all()):
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """Evenly sampled: specific force, thrust and velocity in the world, (n, 3), and which instants count, (n,)."""
+
+    step_s: float
+    force: Array
+    thrust: Array
+    velocity: Array
+    used: Mask
+
+    @property
+    def whole_kg(self) -> float:
+        """What the mean thrust holds up."""
+        return float(self.thrust[:, 2].mean() / self.force[:, 2].mean())
+
+    def band(self, values: Array, power: int) -> Array:
+        """The part within the band, differentiated so many times, of the instants that count, (3 used,)."""
+        frequency = np.fft.rfftfreq(len(values), self.step_s)
+        inside = (frequency > BAND_HZ[0]) & (frequency < BAND_HZ[1])
+        gain = np.zeros(len(frequency), dtype=complex)
+        gain[inside] = (2j * np.pi * frequency[inside]) ** power
+        spectrum = np.fft.rfft(values - values.mean(axis=0), axis=0)
+        return np.fft.irfft(spectrum * gain[:, None], len(values), axis=0)[self.used].ravel()
+
+
+def swing_of(signals: Signals, keep: Mask, vehicle: Vehicle) -> Swing | None:
+    """A load that swings below the vehicle; None where nothing does, or where velocities or thrusts are unknown.
+
+    Args:
+        keep: samples in use, (k,).
+    """
+    seen = _seen(signals, keep, vehicle)
+    if seen is None:
         return None
-    residual = (p.mass_kg * force - up * thrust[:, None])[:, :2]
-    step, kept = float(np.median(np.diff(record.t_s))), record.keep
-    left = _band(residual, step, 0)[kept].T.ravel()
-    columns = (_band(force[:, :2], step, 0), -_band(residual, step, 2), -_band(residual, step, 1))
-    return _judged(left, np.stack([c[kept].T.ravel() for c in columns], axis=1), prepared, p.mass_kg)
+    whole, level = seen.whole_kg, seen.velocity * [1.0, 1.0, 0.0]
+    thrust = seen.band(seen.thrust, -1)
+    known = [seen.band(values, -1) for values in (seen.force, level, seen.velocity - level)]
 
+    def fitted(x: Array) -> tuple[Array, Array]:
+        """What mass and drag, as shares, leave of the thrust, and the coefficients of all that is linear."""
+        along = cable(x[0] * whole * seen.force - seen.thrust + x[1] * whole * level)
+        columns = np.column_stack([*known, seen.band(along, 1), seen.band(along, 0)])
+        coefficients = np.asarray(np.linalg.lstsq(columns, thrust, rcond=1e-9)[0], dtype=np.float64)
+        rest: Array = thrust - columns @ coefficients
+        return rest, coefficients
 
-def _judged(left: Array, columns: Array, prepared: Prepared, mass_kg: float) -> Swing | None:
-    gravity = prepared.record.vehicle.gravity_m_s2
-    (load, square, _), *_ = np.linalg.lstsq(columns, left, rcond=None)
-    rest = float(np.mean((left - columns @ np.linalg.lstsq(columns, left, rcond=None)[0]) ** 2))
-    power = float(np.mean(left**2))
-    swings = (
-        np.sqrt(power) > THRESHOLDS.swing_share * mass_kg * gravity
-        and rest < THRESHOLDS.swing_left * power
-        and load > THRESHOLDS.swing_load * mass_kg
-        and gravity / LENGTHS_M[1] < square < gravity / LENGTHS_M[0]
+    best = _searched(lambda x: fitted(x)[0])
+    rest, coefficients = fitted(best)
+    alone: Array = np.column_stack(known)
+    without: Array = thrust - alone @ np.asarray(np.linalg.lstsq(alone, thrust, rcond=1e-9)[0], dtype=np.float64)
+    left = float(rest @ rest) / float(without @ without)
+    load, turned = whole * (1.0 - float(best[0])), float(coefficients[3]) / max(1.0 - left, 0.1)
+    found = Swing(
+        load, turned / load, float(coefficients[4] / coefficients[3]), whole - load, float(best[1]) * whole, left
     )
-    return Swing(float(load), float(gravity / square)) if swings else None
+    sideways: Array = (found.body_kg * seen.force - seen.thrust)[seen.used, :2]
+    size = float(np.sqrt(np.mean(sideways**2) * 2.0))
+    swings = (
+        size > THRESHOLDS.swing_share * whole * vehicle.gravity_m_s2
+        and found.left < THRESHOLDS.swing_left
+        and load > THRESHOLDS.swing_load * whole
+        and LENGTHS_M[0] < found.length_m < LENGTHS_M[1]
+    )
+    return found if swings else None
 
 
-def _band(values: Array, step_s: float, integrals: int) -> Array:
-    """The part within the band, integrated so many times, (k, p)."""
-    frequency = np.fft.rfftfreq(len(values), step_s)
-    inside = (frequency > BAND_HZ[0]) & (frequency < BAND_HZ[1])
-    gain = np.zeros(len(frequency), dtype=complex)
-    gain[inside] = (2j * np.pi * frequency[inside]) ** -integrals
-    return np.fft.irfft(np.fft.rfft(values - values.mean(axis=0), axis=0) * gain[:, None], len(values), axis=0)
+def cable(pull: Array) -> Array:
+    """Unit vectors along a pull, (n, 3); where it is weak, between those beside it."""
+    size: Array = np.linalg.norm(pull, axis=1)
+    taut = np.flatnonzero(size > SLACK * float(np.median(size)))
+    if not len(taut):
+        return np.tile([0.0, 0.0, -1.0], (len(pull), 1))
+    between = np.arange(len(pull))
+    along = np.column_stack([np.interp(between, taut, pull[taut, i] / size[taut]) for i in range(3)])
+    length: Array = np.maximum(np.linalg.norm(along, axis=1), 1e-9)
+    return along / length[:, None]
+
+
+def _searched(left: Callable[[Array], Array]) -> Array:
+    """Mass and drag as shares of the whole mass, (2,), that leave least: a scan, then Gauss and Newton."""
+    starts = [np.array([1.0 - share, 0.0]) for share in SHARES]
+    x: Array = min(starts, key=lambda start: float(np.sum(left(start) ** 2)))
+    rest = left(x)
+    for _ in range(ROUNDS):
+        slopes = np.column_stack([(left(x + step) - rest) / step.sum() for step in np.diag(STEPS)])
+        step = np.clip(-np.linalg.lstsq(slopes, rest, rcond=1e-9)[0], [-0.05, -0.2], [0.05, 0.2])
+        trials = [np.clip(x + share * step, [0.6, -0.2], [1.0 - 0.5 * SHARES[0], 2.0]) for share in (1.0, 0.5, 0.25)]
+        before = float(rest @ rest)
+        better = next((each for each in trials if float(np.sum(left(each) ** 2)) < before), None)
+        if better is None:
+            break
+        x, rest = better, left(better)
+        if float(rest @ rest) > (1.0 - 1e-4) * before:
+            break
+    return x
+
+
+def _seen(signals: Signals, keep: Mask, vehicle: Vehicle) -> _Seen | None:
+    used = np.flatnonzero(keep)
+    if not len(used):
+        return None
+    rows = slice(int(used[0]), int(used[-1]) + 1)
+    now = signals.at(rows)
+    t_s, velocity = now.t_s, now.velocity_world_m_s
+    step = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 1.0
+    every = max(1, round(1.0 / (RATE_HZ * step)))
+    count = len(t_s) // every
+    if count * every * step < LEAST_S or not np.isfinite(velocity).all():
+        return None
+    thrust = quat_rotate(now.quaternion, from_thrust(vehicle, now.thrust_n)[:, :3])
+    if not np.isfinite(thrust).all() or thrust[:, 2].mean() <= 0.0:
+        return None
+
+    def thinned(values: Array) -> Array:
+        return values[: count * every].reshape(count, every, -1).mean(axis=1)
+
+    force = np.gradient(velocity, t_s, axis=0) + np.array([0.0, 0.0, vehicle.gravity_m_s2])
+    inside = thinned(keep[rows].astype(float))[:, 0] > 1.0 - 1e-9
+    edge = round(EDGE_S * RATE_HZ)
+    inside[:edge], inside[-edge:] = False, False
+    if inside.sum() < 0.5 * LEAST_S * RATE_HZ:
+        return None
+    return _Seen(step * every, thinned(force), thinned(thrust), thinned(velocity), inside)

@@ -38,6 +38,7 @@ class SampleFunction:
     """
 
     def __init__(self, flat: ca.SX, value: ca.SX) -> None:
+        value = ca.cse(value)  # what occurs twice is worked out, and differentiated, once
         weight = ca.SX.sym("weight", value.numel())
         jacobian = ca.jacobian(value, flat)
         self.size = value.numel()

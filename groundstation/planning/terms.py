@@ -107,7 +107,7 @@ class Information:
     def _evaluate(self, unknowns: Array) -> None:
         if self._point is not None and np.array_equal(self._point, unknowns):
             return
-        self._point, self._gradients = unknowns.copy(), None
+        self._point, self._gradients, self._gradient = unknowns.copy(), None, None
         self._samples = self._matrix @ unknowns + self._constant
         signals = self._function.value(self._samples).T
         self._x = [_columns(blocks, signals) for blocks in self._channels]
@@ -137,6 +137,12 @@ class Information:
 
     def gradient(self, unknowns: Array) -> Array:
         """Derivative of M, shape (p, p, n)."""
+        self._evaluate(unknowns)
+        if self._gradient is None:
+            self._gradient = self._summed_gradient(unknowns)
+        return self._gradient
+
+    def _summed_gradient(self, unknowns: Array) -> Array:
         total = np.zeros((self.size, self.size, self._matrix.shape[2]))
         for blocks, z, x in zip(self._channels, self._column_gradients(unknowns), self._x, strict=True):
             part = np.einsum("mp,qmx->pqx", x, z, optimize=True)
