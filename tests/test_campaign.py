@@ -144,3 +144,20 @@ def test_a_damaged_campaign_is_a_sentence(tmp_path):
         (tmp_path / module.FILE).write_text(text)
         with pytest.raises(BadInput):
             load_campaign(tmp_path)
+
+
+def test_an_interval_that_holds_more_than_noise_is_no_matter_of_further_flights(tmp_path):
+    """A campaign of five flights said that it would still take 0.0 of them."""
+    (tmp_path / "plan.toml").write_bytes(find_config("plans", "qball2").read_bytes())
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    campaign = Campaign(tmp_path, vehicle, parse_targets("mass:0.5%,ixx:2%"), 5, 1)
+    goal = {"mass_kg": 0.005 * vehicle.mass_kg / 1.96, "ixx_kg_m2": 0.02 * vehicle.inertia_kg_m2.xx / 1.96}
+    truth = vehicle.parameters()
+    estimates = {name: {"value": truth[name], "std": 1.5 * std} for name, std in goal.items()}
+    stuck = module._exhausted(campaign, module.Round(str(tmp_path), "", 40.0, estimates=estimates))
+    assert "do not sharpen mass_kg, ixx_kg_m2" in stuck and "still take" not in stuck
+    sharp = parse_targets("mass:0.0005%,ixx:0.002%")
+    far = module._exhausted(
+        replace(campaign, targets=sharp), module.Round(str(tmp_path), "", 40.0, estimates=estimates)
+    )
+    assert "still take: mass_kg" in far and "sharpen" not in far

@@ -203,6 +203,18 @@ def test_air_resists_motion_in_every_attitude_and_gives_it_no_energy():
     assert np.all(drag[:, 2] == 0.0), "rotors drag in their plane"
 
 
+@pytest.mark.parametrize("name", ["climb_inflow", "translational_lift", "ground_effect"])
+def test_air_through_rotors_changes_their_thrust_and_not_the_torque_that_turns_them(name):
+    """Five flights of a vehicle that climbs told a yaw torque of 0.1 % of the weight by turning speed, and no cause."""
+    thrust = np.tile(HOVER_N * np.array([1.3, 0.9, 1.2, 0.7]), (200, 1))
+    signals = _signals(velocity_world_m_s=np.tile([0.5, 0.3, 1.0], (200, 1)), thrust_n=thrust)
+    wrench = _wrench(name, signals)[:, :, 0]
+    declared = thrust @ VEHICLE.six_row_allocation().T
+    assert np.all(np.abs(declared[:, 3:]) > 0.001), "these thrusts roll, pitch and yaw"
+    assert np.all(wrench[:, 2:5] != 0.0)
+    assert wrench[:, 5] == pytest.approx(0.0, abs=1e-12)
+
+
 def test_rotor_drag_is_linear_in_speed_and_body_drag_quadratic():
     slow, fast = (_signals(velocity_world_m_s=np.tile([v, 0.0, 0.0], (200, 1))) for v in (1.0, 2.0))
     assert _wrench("rotor_drag", slow)[0, 0, 0] == pytest.approx(-1.0)

@@ -25,11 +25,12 @@ def _flown(turn_rad: float) -> tuple[FlightData, FlownMotion]:
     motion = rigid_motion(series.sample(t_s))
     euler = motion.euler_rad + np.array([0.0, 0.0, turn_rad])
     about = quat_from_euler(*np.array([[0.0, 0.0, turn_rad]]).T)[0]
-    path = [quat_rotate(np.tile(about, (len(t_s), 1)), each) for each in (motion.position_m, motion.velocity_world_m_s)]
+    every = np.tile(about, (len(t_s), 1))
+    path, velocity = quat_rotate(every, motion.position_m), quat_rotate(every, motion.velocity_world_m_s)
     force = np.zeros((len(t_s), 3))
     force[:, 2] = motion.specific_thrust_m_s2
     flown = FlownMotion(
-        t_s, motion.angular_velocity_body_rad_s, force, (quat_from_euler(*euler.T), *path), "imu", RATE_HZ
+        t_s, motion.angular_velocity_body_rad_s, force, (quat_from_euler(*euler.T), path, velocity), "imu", RATE_HZ
     )
     motors = Stream(t_s, np.ones((len(t_s), 4)), ("m1", "m2", "m3", "m4"))
     return FlightData("placed", load_vehicle(find_config("vehicles", "qball2")), motors, plan=plan), flown
@@ -55,7 +56,7 @@ def test_a_heading_that_comes_and_goes_turns_no_plan():
     flight, flown = _flown(0.0)
     yaw = np.linspace(0.0, 20.0, len(flown.t_s))
     turning = quat_from_euler(0.0 * yaw, 0.0 * yaw, yaw)
-    other = replace(flown, smooth=(turning, *flown.smooth[1:]))
+    other = replace(flown, smooth=(turning, flown.smooth[1], flown.smooth[2]))
     keep = np.ones(len(flown.t_s), dtype=bool)
     planned = planned_motion(flight, other, keep, 0.0, stand_in=False)
     assert planned is not None

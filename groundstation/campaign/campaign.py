@@ -375,14 +375,23 @@ def _settled(rounds: Sequence[Round]) -> str:
 
 
 def _exhausted(campaign: Campaign, done: Round) -> str:
-    """What was not reached, and how many flights it would still take by the last plan."""
+    """What was not reached, and how many flights it would still take by the last plan.
+
+    Where less than one would do although one was just flown, the interval is not one of noise.
+    """
     text = f"Not settled after {len(campaign.rounds) + 1} flights: {'; '.join(done.not_settled)}."
     try:
         plan = load_plan(Path(done.folder) / "plan.toml")
     except BadInput:
         return text
     needed = flights_needed(campaign.vehicle, done.estimates, campaign.targets, plan) if done.estimates else {}
-    far = {name: count for name, count in needed.items() if count > 0.0}
+    far = {name: count for name, count in needed.items() if count >= 1.0}
+    stuck = [name for name, count in needed.items() if 0.0 < count < 1.0]
+    if stuck:
+        text += (
+            f" More flights like the last do not sharpen {', '.join(stuck)}: the interval holds what the formulas of "
+            "the findings leave open, or how far flights differ beyond their own intervals, and no longer noise."
+        )
     if far:
         text += (
             " Flights like the last that it would still take: "

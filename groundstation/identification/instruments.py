@@ -26,7 +26,7 @@ from groundstation.frames import (
 )
 from groundstation.identification.block_kernel import cubic
 from groundstation.identification.parts import double, kept, parts_of
-from groundstation.identification.record_model import PlannedMotion
+from groundstation.identification.record import PlannedMotion
 from groundstation.identification.streams import clean
 from groundstation.linear_filters import both_ways, low_pass
 from groundstation.trajectory import FlatState, RigidMotion, rigid_motion
@@ -157,9 +157,10 @@ def _as_placed(reference: Reference, motion: FlownMotion, used: NDArray[np.int64
     yaw = euler_from_quat(motion.smooth[0][used])[:, 2]
     if not np.isfinite(yaw).all():
         return reference
-    apart = np.mean(np.exp(1j * (yaw - reference(motion.t_s[used] - delay_s).yaw[0])))
-    turn = float(np.angle(apart))
-    if abs(apart) < STEADY or abs(turn) < TURNED_RAD:
+    apart: Array = yaw - reference(motion.t_s[used] - delay_s).yaw[0]
+    x, y = float(np.mean(np.cos(apart))), float(np.mean(np.sin(apart)))
+    turn = float(np.arctan2(y, x))
+    if np.hypot(x, y) < STEADY or abs(turn) < TURNED_RAD:
         return reference
     cos, sin = np.cos(turn), np.sin(turn)
     rotation = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, from_thrust
+from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, from_inflow
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
@@ -15,7 +15,7 @@ MOST = 10.0
 def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
     height = np.maximum(signals.position_m[:, 2:3], 0.5 * vehicle.rotors.radius_m)
     out = blank(signals)
-    out[:, :, 0] = from_thrust(vehicle, signals.thrust_n * (vehicle.rotors.radius_m / height) ** 2)
+    out[:, :, 0] = from_inflow(vehicle, signals.thrust_n * (vehicle.rotors.radius_m / height) ** 2)
     return out
 
 

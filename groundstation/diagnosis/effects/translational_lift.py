@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, from_thrust, has_rotors
+from groundstation.diagnosis.effect import Effect, ParameterInfo, blank, from_inflow, has_rotors
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
@@ -16,7 +16,7 @@ def _wrench(signals: Signals, vehicle: Vehicle, settings: object) -> np.ndarray:
     velocity = signals.velocity_body_m_s()
     speed2 = (velocity[:, :2] ** 2).sum(axis=1, keepdims=True)
     out = blank(signals)
-    out[:, :, 0] = from_thrust(vehicle, signals.thrust_n * speed2)
+    out[:, :, 0] = from_inflow(vehicle, signals.thrust_n * speed2)
     return out
 
 
