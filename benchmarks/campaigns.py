@@ -234,7 +234,9 @@ def main() -> None:
         "--seed", type=int, default=None, help="master seed (default: that of the file, else a fresh one, printed)"
     )
     parser.add_argument("--json", type=Path, default=None, help="outcomes are kept here; a run that was ended goes on")
-    parser.add_argument("--keep", type=Path, default=None, help="folders of campaigns that miss or do not settle are kept here")
+    parser.add_argument(
+        "--keep", type=Path, default=None, help="folders of campaigns that miss or do not settle are kept here"
+    )
     many.add_options(parser)
     arguments = parser.parse_args()
     before, found, lost = kept_before(arguments.json)
