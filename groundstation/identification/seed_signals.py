@@ -77,6 +77,21 @@ class SeedSignals:
     window_s: tuple[float, float]
     notes: tuple[str, ...]
 
+    def without_series(self) -> SeedSignals:
+        """The numbers alone, where the regressions hold what is as long as the flight."""
+        none = self.rate[:0]
+        return replace(
+            self,
+            t_s=self.t_s[:0],
+            used=self.used[:0],
+            wrench=self.wrench[:0],
+            rate=none,
+            rate_derivative=none,
+            specific_force=None,
+            velocity_body=None,
+            gravity_body=None,
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class _Pose:
