@@ -33,6 +33,7 @@ from groundstation.identification.filters import central_difference, zero_phase_
 from groundstation.identification.streams import Segments, clean, flown_stretches, origin_poses
 from groundstation.identification.stretches import SHORTEST_S, gaps, within
 from groundstation.identification.wrench import declared_wrench
+from groundstation.linear_filters import power_spectrum
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -365,11 +366,9 @@ def default_cutoff_hz(flight: FlightData, imu: Stream | None, t_s: Array) -> flo
     if flight.plan is not None:
         top = len(flight.plan.coefficients.x.a) * flight.plan.base_frequency_rad_s / (2.0 * np.pi)
     elif imu is not None:
-        from scipy.signal import welch
-
         gyro = interpolate(t_s, imu.t_s, imu.values[:, :3])
         step = float(t_s[1] - t_s[0])
-        frequency, power = welch(gyro, 1.0 / step, nperseg=min(len(t_s), int(8.0 / step)), axis=0)
+        frequency, power = power_spectrum(gyro, 1.0 / step, min(len(t_s), int(8.0 / step)))
         below = np.cumsum(power.sum(axis=1))
         top = float(frequency[np.searchsorted(below, 0.5 * below[-1])])
     else:
