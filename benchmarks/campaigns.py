@@ -5,7 +5,7 @@ else?
 
 Every campaign draws its vehicle, effects, true mass and inertia, disturbance and seeds from a master seed that is new
 each run and printed, and kept with the outcomes: the same command goes on where it was ended. It may fly five times.
-With ``--keep`` the folders of those that miss are kept, to be looked at.
+With ``--keep`` the folders of those that miss or do not settle are kept, to be looked at.
 Beside it stand its first flight alone, and the seconds that the paper's trajectory, repeated, would take to the same
 worst interval: one 40 s flight of it is flown and identified, and variances are scaled by the number of flights. Sizes
 are those parameters of findings that a scenario states one to one (studies/effect_sizes.py).
@@ -117,11 +117,11 @@ def campaign(item: tuple[int, str, tuple[str, ...]], keep: Path | None = None) -
     """Hide, fly until it ends, count.
 
     Args:
-        keep: where its folder is kept if it misses.
+        keep: where its folder is kept if it misses or does not settle.
     """
     with tempfile.TemporaryDirectory() as folder:
         outcome = _flown(item, Path(folder))
-        if keep is not None and not all(is_right(outcome)):
+        if keep is not None and not (all(is_right(outcome)) and outcome.outcome == "settled"):
             shutil.copytree(folder, keep / str(item[0]), dirs_exist_ok=True)
     return outcome
 
@@ -234,7 +234,9 @@ def main() -> None:
         "--seed", type=int, default=None, help="master seed (default: that of the file, else a fresh one, printed)"
     )
     parser.add_argument("--json", type=Path, default=None, help="outcomes are kept here; a run that was ended goes on")
-    parser.add_argument("--keep", type=Path, default=None, help="folders of campaigns that miss are kept here")
+    parser.add_argument(
+        "--keep", type=Path, default=None, help="folders of campaigns that miss or do not settle are kept here"
+    )
     many.add_options(parser)
     arguments = parser.parse_args()
     before, found, lost = kept_before(arguments.json)

@@ -41,7 +41,7 @@ class Row:
     Attributes:
         what: in words; it names the row, so that before and after meet.
         value, unit: as measured.
-        goal: most that it should be; None where there is none.
+        goal: most that it should be (of a rate, least); None where there is none.
         ratio: to the yardstick of the section, measured in the same process; None where there is none.
     """
 

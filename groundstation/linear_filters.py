@@ -13,6 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Poles = NDArray[np.complex128]
 
 
 def low_pass(order: int, cutoff_hz: float, rate_hz: float) -> Annotated[Array, "sections 6"]:
@@ -22,8 +23,8 @@ def low_pass(order: int, cutoff_hz: float, rate_hz: float) -> Annotated[Array, "
     Discrete-Time Signal Processing, 3rd ed., section 7.3). Each row is b0, b1, b2, 1, a1, a2.
     """
     warped = _prewarped(cutoff_hz, rate_hz)
-    poles = np.asarray(warped * _prototype(order), dtype=complex)
-    digital = (4.0 + poles) / (4.0 - poles)
+    poles: Poles = warped * _prototype(order)
+    digital: Poles = (4.0 + poles) / (4.0 - poles)
     gain = warped**order * np.real(1.0 / np.prod(4.0 - poles))
     return _sections(digital, -np.ones(order), float(gain))
 
@@ -34,13 +35,13 @@ def band_pass(order: int, band_hz: tuple[float, float], rate_hz: float) -> Annot
     width, centre = high - low, np.sqrt(low * high)
     half = _prototype(order) * width / 2.0
     apart = np.sqrt(half**2 - centre**2)
-    poles = np.concatenate([half + apart, half - apart])
-    digital = (4.0 + poles) / (4.0 - poles)
+    poles: Poles = np.concatenate([half + apart, half - apart])
+    digital: Poles = (4.0 + poles) / (4.0 - poles)
     gain = width**order * np.real(np.prod(np.full(order, 4.0)) / np.prod(4.0 - poles))
     return _sections(digital, np.concatenate([np.ones(order), -np.ones(order)]), float(gain))
 
 
-def _prototype(order: int) -> NDArray[np.complex128]:
+def _prototype(order: int) -> Poles:
     """Poles of the analogue low-pass of one rad/s, (order,)."""
     m = np.arange(-order + 1, order, 2, dtype=float)
     return -np.exp(1j * np.pi * m / (2 * order))
@@ -54,7 +55,7 @@ def _prewarped(frequency_hz: float, rate_hz: float) -> float:
     return float(4.0 * np.tan(np.pi * share / 2.0))
 
 
-def _sections(poles: NDArray[np.complex128], zeros: Array, gain: float) -> Array:
+def _sections(poles: Poles, zeros: Array, gain: float) -> Array:
     """Sections of conjugate poles, each with the two zeros nearest to it, those nearest to the unit circle last."""
     upper = poles[poles.imag > 0.0]
     out, left = np.zeros((len(upper), 6)), zeros
@@ -149,6 +150,25 @@ def correlation(later: Array, earlier: Array) -> Array:
     length = fast_length(count)
     product = np.fft.rfft(later, length) * np.fft.rfft(earlier[::-1], length)
     return np.fft.irfft(product, length)[:count]
+
+
+def power_spectrum(signal: Array, rate_hz: float, length: int) -> tuple[Array, Array]:
+    """Frequencies (n,) and the power spectral density there of columns (k, d), (n, d), by Welch's method (1967).
+
+    Means of the periodograms of stretches of ``length`` samples that overlap by half, each less its mean and under
+    Hann's window.
+    """
+    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(length) / length)
+    starts = range(0, len(signal) - length + 1, length - length // 2)
+    power = np.zeros((length // 2 + 1, signal.shape[1]))
+    for start in starts:
+        stretch = signal[start : start + length]
+        power += np.abs(np.fft.rfft((stretch - stretch.mean(axis=0)) * window[:, None], axis=0)) ** 2
+    power *= 2.0 / (len(starts) * rate_hz * float(np.sum(window**2)))
+    power[0] *= 0.5
+    if length % 2 == 0:
+        power[-1] *= 0.5
+    return np.fft.rfftfreq(length, 1.0 / rate_hz), power
 
 
 def fast_length(least: int) -> int:

@@ -17,6 +17,7 @@ from groundstation.linear_filters import (
     first_order,
     low_pass,
     moving_mean,
+    power_spectrum,
 )
 
 SEED = 20261130
@@ -62,6 +63,15 @@ def test_recursions_correlations_and_means_are_scipys() -> None:
         assert moving_mean(x[:, 2], width) == pytest.approx(
             ndimage.uniform_filter1d(x[:, 2], width, mode="reflect"), rel=1e-11, abs=1e-11
         )
+
+
+@pytest.mark.parametrize(("count", "length"), [(700, 128), (701, 127), (90, 90)])
+def test_a_power_spectrum_is_scipys(count: int, length: int) -> None:
+    x = walk(count, 2)
+    for ours, theirs in zip(
+        power_spectrum(x, 50.0, length), signal.welch(x, 50.0, nperseg=length, axis=0), strict=True
+    ):
+        assert ours == pytest.approx(theirs, rel=1e-9, abs=1e-12)
 
 
 def test_a_fast_length_is_the_next_one_of_twos_threes_and_fives() -> None:

@@ -10,6 +10,8 @@ import pytest
 from groundstation.diagnosis.attribution import candidates
 from groundstation.diagnosis.base import base_fit, for_evidence
 from groundstation.diagnosis.case import case_of
+from groundstation.diagnosis.columns import Candidate
+from groundstation.diagnosis.effect import library
 from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.flightdata import FlightData
 from groundstation.identification import estimators, instruments, parts, record_model
@@ -22,6 +24,7 @@ from groundstation.options import DEFAULT_OPTIONS
 from studies.study import draw
 
 SEED = 2001
+SWINGING = {"length_m": 1.0, "air_1_s": 0.2, "depth_m": 0.05}
 RATE_HZ = 250.0
 PLAN_S = 40.0
 KEPT = 330.0
@@ -83,6 +86,24 @@ def test_columns_of_every_effect_in_parts_are_those_of_the_whole(monkeypatch: py
     assert len(whole) > 10 and whole.keys() == divided.keys()
     for name, moved in whole.items():
         assert np.max(np.abs(divided[name] - moved)) <= 1e-9 * np.max(np.abs(moved)), name
+
+
+def test_evidence_in_parts_in_single_precision_is_that_of_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    print("study seed", SEED)
+    work = Work()
+    case = case_of([flown(20.0)], DEFAULT_OPTIONS, work)
+    base, case = base_fit(case, work), case.map(for_evidence)
+    found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    for size, long in ((record_model.PART, parts.LONG), (300, 1000)):
+        monkeypatch.setattr(record_model, "PART", size)
+        monkeypatch.setattr(parts, "LONG", long)
+        flight = FlightEvidence(case.suspects[0], base.fitted, base.options)
+        batch = flight.batch([*candidates(case.vehicle, flight.excited), Candidate(library()["slung_load"], SWINGING)])
+        found.append((flight.y, batch.white, batch.wrench_rms))
+        assert (flight.signals.thrust_n.dtype == np.float32) == (long == 1000)
+    for whole, divided in zip(*found, strict=True):
+        assert np.max(np.abs(divided - whole), axis=0) == pytest.approx(0.0, abs=1e-3 * float(np.abs(whole).max()))
+        assert np.all(np.sum((divided - whole) ** 2, axis=0) <= 1e-6 * np.sum(whole**2, axis=0))
 
 
 @pytest.mark.usefixtures("small_parts")

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.columns import Candidate, Columns
+from groundstation.diagnosis.course import Part
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.joint import Products, estimated
@@ -50,17 +51,30 @@ class Beside:
     def __init__(self, evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]]):
         self._evidence, self._before = evidence, evidence.products(chosen)
         members = [evidence.base, *(columns for _, columns in chosen)]
-        rows = [columns.instrument for columns in members] + [columns.sensitivity for columns in members]
-        left = np.concatenate([*rows, evidence.y[:, None]], axis=1) * evidence.weight[:, None]
-        self._left = np.ascontiguousarray(left.T)
+        self._beside = [columns.instrument for columns in members] + [columns.sensitivity for columns in members]
 
-    def along(self, function: Function, channels: Sequence[int], prior: Callable[[int], float]) -> dict[int, Along]:
+    def _left(self, rows: slice) -> Array:
+        """Weighted instruments, sensitivities and output of some rows, (beside, rows)."""
+        y = self._evidence.y[rows, None]
+        left = np.concatenate([*(columns[rows] for columns in self._beside), y], axis=1)
+        return np.ascontiguousarray((left * self._evidence.weight[rows, None]).T)
+
+    def along(
+        self,
+        function: Function,
+        channels: Sequence[int],
+        prior: Callable[[int], float],
+        *,
+        pointwise: bool = True,
+    ) -> dict[int, Along]:
         """Functions (k, p) of the signals in each of some channels; empty where one is unknown.
 
         Args:
             prior: precision of each coefficient in a channel.
+            pointwise: they follow from the signals at an instant and its neighbours, so that a long flight may be gone
+                through in parts.
         """
-        found = self._parts(function)
+        found = self._parts(function, pointwise)
         if found is None or not channels:
             return {}
         shares, crossed, squares, energy = found
@@ -76,7 +90,7 @@ class Beside:
             for n, channel in enumerate(channels)
         }
 
-    def _parts(self, function: Function) -> tuple[Array, Array, Array, list[Array]] | None:
+    def _parts(self, function: Function, pointwise: bool) -> tuple[Array, Array, Array, list[Array]] | None:
         """Of each channel of each flight: its share in a torque or force of any channel, (parts, 6); products with what
         is beside, (parts, beside, 2 p), and with itself, (parts, 2 p, 2 p); energy of instruments by band.
         """
@@ -90,14 +104,14 @@ class Beside:
             if number >= self._evidence.suspects:
                 energy += [np.zeros((len(flight.whitening.bands), 1)) for _ in flight.channels]
                 continue
-            whitened = _whitened(flight, function)
+            whitened = _whitened(flight, function, pointwise)
             if whitened is None:
                 return None
             for channel, (white, spread) in zip(flight.channels, whitened, strict=True):
                 rows = slice(first, first + size)
                 first += size
                 shares.append(flight.shares_of(channel))
-                crossed.append(self._left[:, rows] @ white)
+                crossed.append(self._left(rows) @ white)
                 squares.append((white * self._evidence.weight[rows, None]).T @ white)
                 energy.append(spread[:, white.shape[1] // 2 :])
         return np.array(shares), np.array(crossed), np.array(squares), energy
@@ -139,13 +153,21 @@ class Beside:
         return np.concatenate(out)
 
 
-def _whitened(flight: FlightEvidence, function: Function) -> list[tuple[Array, Array]] | None:
+def _whitened(flight: FlightEvidence, function: Function, pointwise: bool) -> list[tuple[Array, Array]] | None:
     """Functions along the measured, then the planned motion, whitened as each channel of a flight would show them, and
     their energies by band; None where one is unknown.
     """
-    basis = function(flight.signals)
-    both = np.concatenate([basis, basis if flight.planned is None else function(flight.planned)], axis=1)
-    if not np.isfinite(both).all():
+    finite = True
+
+    def both(part: Part) -> Array:
+        nonlocal finite
+        basis = function(part.signals)
+        found = np.concatenate([basis, basis if part.planned is None else function(part.planned)], axis=1)
+        finite = finite and bool(np.isfinite(found).all())
+        return found
+
+    turning, pushing = flight.course.sums(both, None if pointwise else [flight.course.whole])
+    if not finite:
         return None
-    turning, pushing = flight.model.integrated(both), flight.model.average(both) / flight.parameters.mass_kg
+    pushing /= flight.parameters.mass_kg
     return [flight.whitening.channel(n, turning if c < 3 else pushing) for n, c in enumerate(flight.channels)]

@@ -71,12 +71,18 @@ def candidates(vehicle: Vehicle, signals: Signals, effects: Iterable[Effect] | N
 
 def searched(flight: FlightEvidence) -> list[Candidate]:
     """Effects in the settings that a search of the flight gives."""
-    record, vehicle = flight.prepared.record, flight.prepared.record.vehicle
+    record, p = flight.prepared.record, flight.parameters
+    effects = [each for each in library().values() if each.searched is not None and each.applies(record.vehicle)]
+    if not effects:
+        return []
+    some = flight.prepared.liveliest()
+    whole = some is flight.prepared
+    signals = flight.signals if whole else some.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
     return [
         Candidate(effect if effect.among is None else effect.among(settings), settings)
-        for effect in library().values()
-        if effect.searched is not None and effect.applies(vehicle)
-        for settings in effect.searched(flight.signals, record.keep, vehicle)
+        for effect in effects
+        if effect.searched is not None
+        for settings in effect.searched(signals, some.record.keep, record.vehicle)
     ]
 
 
@@ -100,11 +106,7 @@ class Selection:
         self.baseline = list(baseline)
         self.pool: list[Entry] = []
         for candidate, columns in zip(pool, evidence.columns_of(pool), strict=True):
-            if (
-                columns is not None
-                and np.any(columns.wrench_rms > 0.0)
-                and np.all(np.any(columns.sensitivity != 0.0, axis=0))
-            ):
+            if columns is not None and np.any(columns.wrench_rms > 0.0) and columns.shown:
                 self.pool.append((candidate, columns))
         progress(1.0)
         self.discrepancy = Discrepancy(evidence)

@@ -70,12 +70,14 @@ class Columns:
     Attributes:
         energy: how that of each instrument lies over the channels and bands of the flights, (bands, p); None where it
             is still to be worked out.
+        shown: whether each of the sensitivities is seen at all.
         number: tells one from another where products of pairs are remembered.
     """
 
     pair: Callable[[], Pair]
     wrench_rms: Array
     energy: Array | None = None
+    shown: bool = True
     number: int = field(default_factory=_NUMBERS.__next__)
 
     @classmethod

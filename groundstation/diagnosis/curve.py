@@ -31,6 +31,7 @@ def exponent_error(prepared: Prepared) -> float:
     """Difference of the exponent from the declared one; 0 where the declared curve serves or the flight does not
     tell.
     """
+    prepared = prepared.liveliest()
     record, rotors = prepared.record, prepared.record.vehicle.rotors
     if rotors.input != "command" or rotors.thrust_curve is None or not np.isfinite(record.force_m_s2).all():
         return 0.0

@@ -17,6 +17,7 @@ from groundstation.diagnosis.beside import Beside
 from groundstation.diagnosis.columns import Candidate, Columns, Solution
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.thresholds import THRESHOLDS
+from groundstation.identification.parts import by_parts, coefficients, sizes
 from groundstation.identification.record_model import CHANNELS
 from groundstation.model.parameters import FREE
 
@@ -62,12 +63,17 @@ class Discrepancy:
         found = [e.get(first.parameters) - e.declared(vehicle) for e in timing.values() if e.declared is not None]
         kept = [i for i in range(len(names)) if i not in index]
         values = np.array(found) + solution.theta[index]
-        moved: Array = self._evidence.z[:, index] @ values
-        root = np.sqrt(self._evidence.weight)
-        rest = self._evidence.z[:, kept] * root[:, None]
-        scale: Array = np.linalg.norm(rest, axis=0) + 1e-30
-        absorbed = np.linalg.lstsq(rest / scale, moved * root, rcond=1e-8)[0]
-        own = moved * root - rest / scale @ absorbed
+        z, root = self._evidence.z, np.sqrt(self._evidence.weight)
+        moved: Array = z[:, index] @ values
+
+        def rest(rows: slice) -> Array:
+            return z[rows][:, kept] * root[rows, None]
+
+        scale = sizes(rest, len(z)) + 1e-30
+        shown = coefficients(
+            lambda rows: np.column_stack([rest(rows) / scale, moved[rows] * root[rows]]), len(z), rcond=1e-8
+        )
+        own = by_parts(lambda rows: moved[rows] * root[rows] - rest(rows) / scale @ shown, len(z))
         return np.array([float(np.sum(own[self._channels == channel] ** 2)) for channel in range(len(CHANNELS))])
 
     def energies(self, chosen: Sequence[tuple[Candidate, Columns]], solution: Solution, first: int = 0) -> Array:

@@ -75,6 +75,10 @@ class EffectInfo:
         return np.array([values.get(p.name, 0.0) if p.changes else values[p.name] for p in self.parameters])
 
 
+Followed = Callable[[Signals, Signals | None], list[Array]]
+"""From signals and planned signals of a part of a flight to wrenches there, (k, 6, p) each."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect(EffectInfo):
     """A force or torque that a rigid body with known thrusts leaves out, linear in its parameters.
@@ -84,6 +88,9 @@ class Effect(EffectInfo):
             parameter, shape (k, 6, len(parameters)); NaN where the signals it needs are unknown.
         pointwise: the wrench at an instant follows from the signals at that instant and its neighbours, so that a long
             flight may be gone through in parts.
+        followed: (signals and planned signals of a whole flight, vehicle, several settings, whether ``alone``) -> what
+            gives the wrenches of these settings in any part of the flight, and behind them their instruments where
+            planned signals are given; None where the instant tells all, or nothing less than the whole.
         instrument: (signals, planned signals, vehicle, settings) -> the wrench's instruments; None for ``wrench`` of
             the planned ones. What a pendulum does follows from the motion there was; by a plan it is soon out of step.
         straight: of an effect of one parameter that pushes in one direction all along: how hard, (k,), and the wrench
@@ -115,6 +122,7 @@ class Effect(EffectInfo):
     wrench: Callable[[Signals, Vehicle, Settings], Array]
     sentence: str
     pointwise: bool = False
+    followed: Callable[[Signals, Signals | None, Vehicle, Sequence[Settings], bool], Followed] | None = None
     instrument: Callable[[Signals, Signals, Vehicle, Settings], Array] | None = None
     straight: Callable[[Signals, Vehicle, Settings], tuple[Array, Array]] | None = None
     alone: Callable[[Signals, Vehicle, Settings], Array] | None = None

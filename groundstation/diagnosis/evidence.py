@@ -21,11 +21,12 @@ from groundstation.diagnosis.columns import Batch, Candidate, Columns, Contest, 
 from groundstation.diagnosis.effect import weight
 from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.joint import Products, estimated, strengths
-from groundstation.diagnosis.products import Member, Table, product
+from groundstation.diagnosis.products import FEW_ROWS, Member, Table, product
 from groundstation.diagnosis.products import Pair as Crossed
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.whitening import spanning
 from groundstation.identification.instrumental import lag_split_precision
+from groundstation.identification.parts import by_parts, coefficients, sizes
 from groundstation.model.parameters import PriorContext, table
 
 Array = NDArray[np.float64]
@@ -34,8 +35,8 @@ FLIGHTS_OWN = ("accel_bias_x_m_s2", "accel_bias_y_m_s2", "accel_bias_z_m_s2")
 """Base parameters that flights of one vehicle do not share."""
 
 
-COLUMNS_BYTES = 400 * 2**20
-"""Of candidates' columns that are held: those of six minutes of flight, all candidates together."""
+COLUMNS_BYTES = 192 * 2**20
+"""Of candidates' columns that are held: those of three minutes of flight, all candidates together."""
 BATCH_BYTES = 64 * 2**20
 """Of those that stand side by side."""
 
@@ -55,12 +56,8 @@ class Evidence:
         self.names = flights[0].names
         self.y = np.concatenate([f.y for f in flights])
         own = self.of_each_flight()
-        self.x = np.concatenate(
-            [np.concatenate([f.x for f in flights]), self._each_its_own([f.x[:, own] for f in flights])], axis=1
-        )
-        self.z = np.concatenate(
-            [np.concatenate([f.z for f in flights]), self._each_its_own([f.z[:, own] for f in flights])], axis=1
-        )
+        self.x = self._over([f.x for f in flights], own)
+        self.z = self._over([f.z for f in flights], own)
         shared = np.diag(_joint_precision(flights[0])) + lag_split_precision(self.names)
         repeated = np.tile(np.diag(shared)[own], len(flights) - 1)
         self.prior = np.block(
@@ -71,7 +68,7 @@ class Evidence:
         )
         self.base = Columns.of(self.x, self.z, np.zeros(6))
         self.output = Columns.of(self.y[:, None], np.zeros((len(self.y), 0)), np.zeros(6))
-        self._recent, self._batches = Recent(COLUMNS_BYTES), count()
+        self._recent, self._batches = Recent(BATCH_BYTES if len(self.y) > FEW_ROWS else COLUMNS_BYTES), count()
         self._beside: tuple[tuple[int, ...], Products] | None = None
         self.folds: dict[tuple[int, float], list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]] = {}
         self._priors: dict[str, Array] = {}
@@ -87,6 +84,14 @@ class Evidence:
         """
         return [index for index, name in enumerate(self.names) if name in FLIGHTS_OWN]
 
+    def _over(self, columns: Sequence[Array], own: Sequence[int]) -> Array:
+        """Columns of all flights, below each other, with those of a flight's ``own`` behind; of a single one its
+        own array.
+        """
+        if len(columns) == 1:
+            return columns[0]
+        return np.concatenate([np.concatenate(columns), self._each_its_own([c[:, own] for c in columns])], axis=1)
+
     @staticmethod
     def _each_its_own(columns: Sequence[Array]) -> Array:
         """Columns by which each flight behind the first departs from it: its own in its own rows, zero elsewhere."""
@@ -101,10 +106,14 @@ class Evidence:
     def _plain_remainder(self) -> Array:
         """What base and known effects leave in the least squares sense: an effect's own rows are not outliers."""
         known = self._over_flights(self.flights[0].known, everywhere=False)
-        a = np.concatenate([self.x, known.white[:, : known.wrench_rms.shape[1]]], axis=1)
-        scale: Array = np.linalg.norm(a, axis=0) + 1e-30
-        fitted = np.linalg.lstsq(a / scale, self.y, rcond=1e-8)[0] / scale
-        return self.y - a @ fitted
+        seen = known.white[:, : known.wrench_rms.shape[1]]
+
+        def a(rows: slice) -> Array:
+            return np.concatenate([self.x[rows], seen[rows]], axis=1)
+
+        scale = sizes(a, len(self.y)) + 1e-30
+        found = coefficients(lambda rows: np.column_stack([a(rows) / scale, self.y[rows]]), len(self.y), rcond=1e-8)
+        return by_parts(lambda rows: self.y[rows] - a(rows) @ (found / scale), len(self.y))
 
     def columns(self, candidate: Candidate, *, everywhere: bool = False) -> Columns | None:
         """A candidate's columns over all flights, zero on the references unless ``everywhere``; None where its signals
@@ -114,17 +123,17 @@ class Evidence:
 
     def columns_of(self, candidates: Sequence[Candidate], *, everywhere: bool = False) -> list[Columns | None]:
         """Those of many, whitened and kept side by side."""
-        out: list[Columns | None] = []
         bytes_each = 2 * 8 * len(self.y)
-        some, width = list[Candidate](), 0
+        batches, width = list[list[Candidate]](), 0
         for candidate in candidates:
             more = len(candidate.effect.parameters)
-            if some and (width + more) * bytes_each > BATCH_BYTES:
-                out += self._held(tuple(some), everywhere)
-                some, width = [], 0
-            some.append(candidate)
+            if not batches or (width + more) * bytes_each > BATCH_BYTES:
+                batches.append([])
+                width = 0
+            batches[-1].append(candidate)
             width += more
-        return out + (self._held(tuple(some), everywhere) if some else [])
+        several = len(batches) > 1
+        return [each for some in batches for each in self._held(tuple(some), everywhere, at_once=several)]
 
     def part(self, columns: Columns, own: slice) -> Columns:
         """Of some of the parameters."""
@@ -138,8 +147,10 @@ class Evidence:
         self.table.add_part(columns.number, found.number, own)
         return found
 
-    def _held(self, candidates: Sequence[Candidate], everywhere: bool) -> list[Columns | None]:
-        """Those of a batch, held for as long as there is room, and else made anew."""
+    def _held(self, candidates: Sequence[Candidate], everywhere: bool, *, at_once: bool) -> list[Columns | None]:
+        """Those of a batch, held for as long as there is room, and else made anew; ``at_once`` with their products,
+        lest all of a long flight's batches be made a second time for them.
+        """
         number, batch = next(self._batches), self._over_flights(candidates, everywhere)
         self._recent.hold(number, batch.white)
 
@@ -162,10 +173,13 @@ class Evidence:
                 found = white()
                 return found[:, own], found[:, wished]
 
-            columns = Columns(pair, batch.wrench_rms[:, own], batch.energy[:, wished])
+            shown = bool(batch.energy[:, own].any(axis=0).all())
+            columns = Columns(pair, batch.wrench_rms[:, own], batch.energy[:, wished], shown)
             members.append(Member(columns.number, own, wished))
             out.append(columns)
         self.table.add(white, members)
+        if at_once and members:
+            self.table.fill(members[0])
         return out
 
     def _over_flights(self, candidates: Sequence[Candidate], everywhere: bool) -> Batch:

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.beside import beside
 from groundstation.diagnosis.columns import Candidate, Columns, Solution
-from groundstation.diagnosis.effect import ParameterInfo, Settings
+from groundstation.diagnosis.effect import Effect, Followed, ParameterInfo, Settings
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.rivals import Entry, kind_of
 from groundstation.diagnosis.thresholds import THRESHOLDS
@@ -44,8 +44,8 @@ from groundstation.vehicle import Vehicle
 Array = NDArray[np.float64]
 
 
-Change = Callable[[Signals, Array], Array]
-"""From the signals and a wrench (k, 6, p) to another one."""
+Change = Callable[[Signals], Callable[[Signals, Array], Array]]
+"""From the signals of a flight to what makes of those of a part and of a wrench (k, 6, p) there another one."""
 
 SOFT = 0.2
 """Of its RMS, below which a quantity that an effect is divided by counts as no smaller. Far above it the quotient is
@@ -190,14 +190,18 @@ def _forms(candidate: Candidate, values: Array) -> Iterator[Candidate]:
         yield _changed(candidate, [f"{n} by {name}" for n in names], _scaled(quantity, values, over=False))
         yield _changed(candidate, [f"{n} over {name}" for n in names], _scaled(quantity, values, over=True))
     rows = [f"row {row}" for row in range(6)]
-    yield _changed(candidate, rows, lambda signals, wrench: (wrench @ values)[:, :, None] * np.eye(6))
+    yield _changed(candidate, rows, lambda whole: lambda signals, wrench: (wrench @ values)[:, :, None] * np.eye(6))
 
 
 def _scaled(quantity: Callable[[Signals], Array], values: Array, *, over: bool) -> Change:
-    def change(signals: Signals, wrench: Array) -> Array:
-        size = quantity(signals)
-        size = size / (float(np.sqrt(np.mean(size**2))) or 1.0)
-        return wrench * values * (1.0 / np.hypot(SOFT, size) if over else size)[:, None, None]
+    def change(whole: Signals) -> Callable[[Signals, Array], Array]:
+        typical = float(np.sqrt(np.mean(quantity(whole) ** 2, dtype=float))) or 1.0
+
+        def changed(signals: Signals, wrench: Array) -> Array:
+            size = quantity(signals) / typical
+            return wrench * values * (1.0 / np.hypot(SOFT, size) if over else size)[:, None, None]
+
+        return changed
 
     return change
 
@@ -208,7 +212,39 @@ def _changed(candidate: Candidate, names: Sequence[str], change: Change) -> Cand
     shares = tuple(ParameterInfo(f"{effect.identifier}, {name}", lambda vehicle: spread) for name in names)
 
     def wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
-        return change(signals, effect.wrench(signals, vehicle, settings))
+        return change(signals)(signals, effect.wrench(signals, vehicle, settings))
 
-    form = replace(effect, parameters=shares, wrench=wrench, straight=None, instrument=None, pointwise=False)
+    form = replace(
+        effect,
+        parameters=shares,
+        wrench=wrench,
+        straight=None,
+        instrument=None,
+        pointwise=False,
+        followed=_followed(effect, change),
+    )
     return Candidate(form, candidate.settings)
+
+
+def _followed(
+    effect: Effect, change: Change
+) -> Callable[[Signals, Signals | None, Vehicle, Sequence[Settings], bool], Followed] | None:
+    """A changed effect in a part of a flight; None where the effect itself needs the whole."""
+    if not effect.pointwise and effect.followed is None:
+        return None
+
+    def along(whole: Signals, vehicle: Vehicle, settings: Settings) -> Callable[[Signals], Array]:
+        changed = change(whole)
+        if effect.followed is None:
+            return lambda now: changed(now, effect.wrench(now, vehicle, settings))
+        own = effect.followed(whole, None, vehicle, [settings], False)
+        return lambda now: changed(now, own(now, None)[0])
+
+    def followed(
+        signals: Signals, planned: Signals | None, vehicle: Vehicle, several: Sequence[Settings], alone: bool
+    ) -> Followed:
+        seen = along(signals, vehicle, several[0])
+        asked = None if planned is None else along(planned, vehicle, several[0])
+        return lambda now, ahead: [seen(now), *([] if asked is None or ahead is None else [asked(ahead)])]
+
+    return followed

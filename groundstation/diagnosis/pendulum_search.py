@@ -104,14 +104,15 @@ def _residual(
     """Sideways force in the world that all that hangs on the thrust, taken as one mass, leaves, (2 n,); an orthonormal
     basis of what is none of a load (its mass, drag, a tilt); and the blocks in use.
     """
-    t_s = signals.t_s[at]
-    if len(t_s) < 200 or not np.isfinite(signals.velocity_world_m_s[at]).all():
+    some = signals.at(at)
+    t_s = some.t_s
+    if len(t_s) < 200 or not np.isfinite(some.velocity_world_m_s).all():
         return None
-    force = np.gradient(signals.velocity_world_m_s[at], t_s, axis=0)
+    force = np.gradient(some.velocity_world_m_s, t_s, axis=0)
     force[:, 2] += vehicle.gravity_m_s2
-    lift = quat_rotate(signals.quaternion[at], from_thrust(vehicle, signals.thrust_n[at])[:, :3])
+    lift = quat_rotate(some.quaternion, from_thrust(vehicle, some.thrust_n)[:, :3])
     used = _blocks(keep[at].astype(float)[:, None])[:, 0] == 1.0
-    force, lift, velocity = (_blocks(x)[used] for x in (force, lift, signals.velocity_world_m_s[at]))
+    force, lift, velocity = (_blocks(x)[used] for x in (force, lift, some.velocity_world_m_s))
     if used.sum() < 100 or not np.isfinite(lift).all():
         return None
     mass = float(lift[:, 2].sum() / force[:, 2].sum())

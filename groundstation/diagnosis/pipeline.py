@@ -58,7 +58,7 @@ def diagnose(
         progress: told the fraction done and what is being done.
         work: of another analysis of the same flights, or to be kept for one.
     """
-    work = Work() if work is None else work
+    work = Work(once=True) if work is None else work
     checks = work.checked(flights[0])
     found = _diagnose(flights, options, progress, work)
     return replace(
@@ -104,6 +104,7 @@ def _with_swing(found: Diagnosis, flight: Prepared, p: Parameters) -> Diagnosis:
     """Not clean, with a warning, and with a mass whose interval holds the load, where the force that is left is that of
     a load below the vehicle and no finding says so.
     """
+    flight = flight.liveliest()
     signals = flight.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
     swing = swing_of(signals, flight.record.keep, flight.record.vehicle)
     if swing is None:

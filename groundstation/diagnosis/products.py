@@ -19,6 +19,10 @@ from groundstation.identification.record_model import CHANNELS
 Array = NDArray[np.float64]
 
 
+FEW_ROWS = 2**18
+"""Of all channels: a quarter of an hour at the evidence's rate."""
+
+
 @dataclass(frozen=True, slots=True)
 class Pair:
     """Z_a^T W X_b, Z_a^T W Z_b, X_a^T W X_b and X_a^T W Z_b of two members."""
@@ -66,14 +70,18 @@ class Table:
 
     def __init__(self, base: Columns, output: Columns, weight: Array, channels: NDArray[np.int64]):
         self._base, self._output, self._weight = base, output, weight
-        x, z = base.pair()
-        self._count = z.shape[1]
-        self._left = np.ascontiguousarray((np.concatenate([z, x, output.sensitivity], axis=1) * weight[:, None]).T)
+        self._count = base.instrument.shape[1]
         edges = np.r_[0, np.flatnonzero(np.diff(channels)) + 1, len(channels)]
         self._stretches = [(int(channels[a]), slice(a, b)) for a, b in pairwise(edges)]
         self._pairs: dict[tuple[int, int], Pair] = {}
         self._inside: dict[int, tuple[Array, Array]] = {}
         self._held: dict[int, tuple[_Held, Member]] = {}
+
+    def _left(self, rows: slice) -> Array:
+        """Weighted instruments and sensitivities of the base and the output, (2 base + 1, rows)."""
+        x, z = self._base.pair()
+        left = np.concatenate([z[rows], x[rows], self._output.sensitivity[rows]], axis=1)
+        return np.ascontiguousarray((left * self._weight[rows, None]).T)
 
     def add(self, white: Callable[[], Array], members: Sequence[Member]) -> None:
         """A batch."""
@@ -149,28 +157,51 @@ class Table:
             self._fill(self._held[columns.number][0])
         if columns.number not in self._inside:
             own = columns.instrument
-            self._inside[columns.number] = self._of_channels(self._left[: self._count], own), self._squares(own)
+            across = self._of_channels(lambda rows: self._left(rows)[: self._count], own)
+            self._inside[columns.number] = across, self._squares(own)
         return self._inside[columns.number]
 
     def of_base(self) -> Array:
         """Products of the base's instruments with themselves over the rows of each channel, (6, base, base)."""
-        return self._of_channels(self._left[: self._count], self._base.instrument)
+        return self._of_channels(lambda rows: self._left(rows)[: self._count], self._base.instrument)
 
-    def _of_channels(self, left: Array, right: Array) -> Array:
-        out = np.zeros((len(CHANNELS), len(left), right.shape[1]))
+    def _with_base(self, right: Array) -> Array:
+        """Of the base's instruments, its sensitivities and the output with columns, (6, 2 base + 1, p): of many rows
+        the columns are weighted, which are fewer.
+        """
+        if len(right) <= FEW_ROWS:
+            return self._of_channels(self._left, right)
+        x, z = self._base.pair()
+        out = np.zeros((len(CHANNELS), 2 * self._count + 1, right.shape[1]))
         for channel, rows in self._stretches:
-            out[channel] += left[:, rows] @ right[rows]
+            weighted = right[rows] * self._weight[rows, None]
+            members = (z, x, self._output.sensitivity)
+            out[channel] += np.concatenate([member[rows].T @ weighted for member in members])
+        return out
+
+    def _of_channels(self, left: Callable[[slice], Array], right: Array) -> Array:
+        found = [(channel, left(rows) @ right[rows]) for channel, rows in self._stretches]
+        out = np.zeros((len(CHANNELS), *found[0][1].shape))
+        for channel, products in found:
+            out[channel] += products
         return out
 
     def _squares(self, own: Array) -> Array:
-        return self._of_channels(np.ascontiguousarray((own * self._weight[:, None]).T), own)
+        def left(rows: slice) -> Array:
+            return np.ascontiguousarray((own[rows] * self._weight[rows, None]).T)
+
+        return self._of_channels(left, own)
+
+    def fill(self, member: Member) -> None:
+        """Work out the products of the batch that a member stands in with base, output and each of its members."""
+        self._fill(self._held[member.number][0])
 
     def _fill(self, held: _Held) -> None:
         """Products of a batch with base and output, and of each of its members with itself."""
         if self._base.number in held.across:
             return
         white, n = held.white(), self._count
-        parts = self._of_channels(self._left, white)
+        parts = self._with_base(white)
         total = parts.sum(axis=0)
         held.across[self._base.number], held.across[self._output.number] = total[:-1], total[-1:]
         for member in held.members:

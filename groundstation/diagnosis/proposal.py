@@ -17,8 +17,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.diagnosis.beside import beside
 from groundstation.diagnosis.columns import Candidate, Columns
-from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, weight
+from groundstation.diagnosis.effect import Effect, Followed, ParameterInfo, Settings, blank, weight
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.held_out import held_out
 from groundstation.diagnosis.results import Unexplained
@@ -33,16 +34,18 @@ Chosen = Sequence[tuple[Candidate, Columns]]
 HeldOut = Callable[[Chosen], Mapping[str, Mapping[str, float]]]
 
 Shape = Callable[[Signals, Vehicle], Array]
+About = Callable[[Signals], Shape]
+"""From the signals of a flight to what gives a shape in any part of it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """A dimensionless group: how it is written, its values, and the powers that are offered ("odd" ones keep the
-    sign).
+    """A dimensionless group: how it is written, its values in a flight, and the powers that are offered ("odd" ones
+    keep the sign).
     """
 
     text: str
-    values: Shape
+    about: About
     powers: tuple[str, ...] = ("{}", "{}^2", "{}^3")
 
 
@@ -52,14 +55,19 @@ def induced_velocity(vehicle: Vehicle) -> float:
     return float(np.sqrt(weight(vehicle) / (2.0 * vehicle.identification.air_density_kg_m3 * area)))
 
 
+def _at_once(values: Shape) -> About:
+    """Values that the instant tells."""
+    return lambda whole: values
+
+
 def _position(axis: int) -> Group:
-    return Group(f"({'xyz'[axis]}/arm)", lambda s, v: s.position_m[:, axis] / v.arm_m())
+    return Group(f"({'xyz'[axis]}/arm)", _at_once(lambda s, v: s.position_m[:, axis] / v.arm_m()))
 
 
 def _velocity(axis: int) -> Group:
     return Group(
         f"(v_{'xyz'[axis]}/v_h)",
-        lambda s, v: s.velocity_body_m_s()[:, axis] / induced_velocity(v),
+        _at_once(lambda s, v: s.velocity_body_m_s()[:, axis] / induced_velocity(v)),
         ("{}", "{}^2", "|{}|{}"),
     )
 
@@ -67,27 +75,38 @@ def _velocity(axis: int) -> Group:
 def _rate(axis: int) -> Group:
     return Group(
         f"(omega_{'xyz'[axis]} arm/v_h)",
-        lambda s, v: s.rate_rad_s[:, axis] * v.arm_m() / induced_velocity(v),
+        _at_once(lambda s, v: s.rate_rad_s[:, axis] * v.arm_m() / induced_velocity(v)),
         ("{}", "{}^2", "|{}|{}"),
     )
 
 
 def _angle(axis: int) -> Group:
     name = ("roll", "pitch", "yaw")[axis]
-    return Group(f"sin({name})", lambda s, v: np.sin(euler_from_quat(s.quaternion)[:, axis]), ("{}", "{}^2"))
+    about = _at_once(lambda s, v: np.sin(euler_from_quat(s.quaternion)[:, axis]))
+    return Group(f"sin({name})", about, ("{}", "{}^2"))
 
 
 def _thrust(signals: Signals, vehicle: Vehicle) -> Array:
     return signals.thrust_n.sum(axis=1) / weight(vehicle) - 1.0
 
 
-def _thrust_trend(signals: Signals, vehicle: Vehicle) -> Array:
-    slope = np.gradient(signals.thrust_n.sum(axis=1), signals.t_s)
-    return np.tanh(slope / max(float(np.std(slope)), 1e-12))
+def _trend(signals: Signals) -> Array:
+    return np.gradient(signals.thrust_n.sum(axis=1), signals.t_s)
 
 
-def _elapsed(signals: Signals, vehicle: Vehicle) -> Array:
-    return (signals.t_s - signals.t_s[0]) / max(float(signals.t_s[-1] - signals.t_s[0]), 1e-9)
+def _thrust_trend(whole: Signals) -> Shape:
+    typical = max(float(np.std(_trend(whole), dtype=float)), 1e-12)
+    return lambda signals, vehicle: np.tanh(_trend(signals) / typical)
+
+
+def _fallen(whole: Signals) -> Shape:
+    start_v = whole.voltage_v[0]
+    return lambda signals, vehicle: 1.0 - signals.voltage_v / start_v
+
+
+def _elapsed(whole: Signals) -> Shape:
+    begin_s, length_s = whole.t_s[0], max(float(whole.t_s[-1] - whole.t_s[0]), 1e-9)
+    return lambda signals, vehicle: (signals.t_s - begin_s) / length_s
 
 
 GROUPS: Mapping[str, tuple[Group, ...]] = {
@@ -95,29 +114,41 @@ GROUPS: Mapping[str, tuple[Group, ...]] = {
     **{f"velocity_{'xyz'[i]}_m_s": (_velocity(i),) for i in range(3)},
     **{f"rate_{'xyz'[i]}_rad_s": (_rate(i),) for i in range(3)},
     **{name: (_angle(i),) for i, name in enumerate(("roll_rad", "pitch_rad", "yaw_rad"))},
-    "thrust_n": (Group("(T/W - 1)", _thrust),),
+    "thrust_n": (Group("(T/W - 1)", _at_once(_thrust)),),
     "thrust_rate": (Group("sign(dT/dt)", _thrust_trend, ("{}",)),),
-    "voltage_v": (Group("(1 - V/V_start)", lambda s, v: 1.0 - s.voltage_v / s.voltage_v[0], ("{}",)),),
+    "voltage_v": (Group("(1 - V/V_start)", _fallen, ("{}",)),),
     "time_s": (Group("(t/duration)", _elapsed, ("{}", "{}^2")),),
 }
 """By variable of the screen."""
 
 
-def _raised(group: Group, power: str) -> Shape:
-    def shape(signals: Signals, vehicle: Vehicle) -> Array:
-        u = group.values(signals, vehicle)
-        return np.abs(u) * u if power == "|{}|{}" else u ** float(power.partition("^")[2] or 1)
+def _raised(group: Group, power: str) -> About:
+    def about(whole: Signals) -> Shape:
+        values = group.about(whole)
 
-    return shape
+        def shape(signals: Signals, vehicle: Vehicle) -> Array:
+            u = values(signals, vehicle)
+            return np.abs(u) * u if power == "|{}|{}" else u ** float(power.partition("^")[2] or 1)
+
+        return shape
+
+    return about
 
 
-def _shapes(variables: Sequence[str]) -> list[tuple[str, Shape]]:
+def _product(one: Group, other: Group) -> About:
+    def about(whole: Signals) -> Shape:
+        a, b = one.about(whole), other.about(whole)
+        return lambda signals, vehicle: a(signals, vehicle) * b(signals, vehicle)
+
+    return about
+
+
+def _shapes(variables: Sequence[str]) -> list[tuple[str, About]]:
     """Powers of each variable's groups, and products of two variables."""
     groups = [group for name in variables for group in GROUPS.get(name, ())]
     out = [(p.replace("{}", g.text), _raised(g, p)) for g in groups for p in g.powers]
     for i, one in enumerate(groups):
-        for other in groups[i + 1 :]:
-            out.append((f"{one.text} {other.text}", lambda s, v, a=one, b=other: a.values(s, v) * b.values(s, v)))
+        out += [(f"{one.text} {other.text}", _product(one, other)) for other in groups[i + 1 :]]
     return out
 
 
@@ -136,10 +167,10 @@ def _where(frame: str, row: int) -> str:
     return f"{'force' if row < 3 else 'torque'} along {frame} {'xyz'[row % 3]}"
 
 
-def _term(text: str, shape: Shape, frame: str, row: int) -> Candidate:
+def _term(text: str, about: About, frame: str, row: int) -> Candidate:
     """One entry of the dictionary, as an effect with one dimensionless coefficient."""
 
-    def wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
+    def pushed(shape: Shape, signals: Signals, vehicle: Vehicle) -> Array:
         out = blank(signals)
         values = shape(signals, vehicle) * weight(vehicle) * (vehicle.arm_m() if row >= 3 else 1.0)
         if frame == "world":
@@ -148,12 +179,24 @@ def _term(text: str, shape: Shape, frame: str, row: int) -> Candidate:
             out[:, row, 0] = values
         return out
 
+    def wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
+        return pushed(about(signals), signals, vehicle)
+
+    def followed(
+        signals: Signals, planned: Signals | None, vehicle: Vehicle, several: Sequence[Settings], alone: bool
+    ) -> Followed:
+        shapes = [about(whole) for whole in (signals, planned) if whole is not None]
+        return lambda now, ahead: [
+            pushed(shape, some, vehicle) for shape, some in zip(shapes, (now, ahead), strict=False) if some is not None
+        ]
+
     effect = Effect(
         identifier=f"{_where(frame, row)}: {text}",
         equation=text,
         source="dictionary of the sparse proposal",
         parameters=(ParameterInfo("coefficient", lambda vehicle: 1.0),),
         wrench=wrench,
+        followed=followed,
         sentence="",
         confused_with=(),
         manoeuvre="",
@@ -165,9 +208,9 @@ def dictionary(remaining: Sequence[Unexplained]) -> list[Candidate]:
     """Every term that the unexplained channels and what they depend on give reason for."""
     found: dict[str, Candidate] = {}
     for item in remaining:
-        for text, shape in _shapes(item.depends_on):
+        for text, about in _shapes(item.depends_on):
             for frame, row in _targets(item.channel):
-                term = _term(text, shape, frame, row)
+                term = _term(text, about, frame, row)
                 found.setdefault(term.identifier, term)
     return list(found.values())
 
@@ -176,8 +219,8 @@ def select(evidence: Evidence, chosen: Chosen, terms: Sequence[Candidate]) -> li
     """Forward regression over the dictionary; a term that later ones make needless is dropped again."""
     from scipy.stats import chi2
 
-    pool = [(term, columns) for term in terms if (columns := evidence.columns(term)) is not None]
-    pool = [(term, columns) for term, columns in pool if np.any(columns.sensitivity != 0.0)]
+    found = zip(terms, evidence.columns_of(terms), strict=True)
+    pool = [(term, columns) for term, columns in found if columns is not None and columns.shown]
     least = float(chi2.isf(THRESHOLDS.term_chance / max(len(pool), 1), 1))
     offset = sum(len(c.effect.parameters) for c, _ in chosen)
     taken: list[tuple[Candidate, Columns]] = []
@@ -188,8 +231,10 @@ def select(evidence: Evidence, chosen: Chosen, terms: Sequence[Candidate]) -> li
 
     while len(taken) < THRESHOLDS.terms_most:
         open_ones = [entry for entry in pool if not any(_alike(entry, t) for t in taken)]
-        scores = [walds([*taken, entry])[-1] for entry in open_ones]
-        if not scores or max(scores) <= least:
+        scores = np.zeros(len(open_ones))
+        for some in beside(evidence, [*chosen, *taken], open_ones):
+            scores[list(some.index)] = some.walds()
+        if not open_ones or scores.max() <= least:
             break
         entry = open_ones[int(np.argmax(scores))]
         if _held_out_gain(evidence, [*chosen, *taken], entry) <= 0.0:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.along import Along, Beside
 from groundstation.diagnosis.columns import Candidate, Columns
 from groundstation.diagnosis.comparison import residual_rms
+from groundstation.diagnosis.course import joined
 from groundstation.diagnosis.discrepancy import Discrepancy
 from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, from_thrust, weight
 from groundstation.diagnosis.evidence import Evidence
@@ -24,6 +25,7 @@ from groundstation.diagnosis.results import Unexplained
 from groundstation.diagnosis.rivals import Entry
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import euler_from_quat
+from groundstation.identification.parts import parts_of
 from groundstation.identification.record_model import CHANNELS
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
@@ -53,6 +55,10 @@ VARIABLES: dict[str, Callable[[Signals], Array]] = {
     "voltage_v": lambda s: s.voltage_v,
     "time_s": lambda s: s.t_s,
 }
+
+
+UNWRAPPED = frozenset({"yaw_rad"})
+"""Which of them goes on from turn to turn, so that a part of a flight tells it but for whole turns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +97,7 @@ def dependences(evidence: Evidence, chosen: Sequence[Entry], shared: int = 0) ->
         return found
     strongest = {d.channel: d for d in reversed(found)}
     kept_out = (*(candidate for candidate, _ in chosen), *(_candidate(evidence, d) for d in strongest.values()))
-    suspects = [flight.against_all(kept_out) for flight in evidence.flights[: evidence.suspects]]
+    suspects = [flight.beside(kept_out, generic=False) for flight in evidence.flights[: evidence.suspects]]
     anew = Evidence(suspects, evidence.flights[evidence.suspects :])
     entries = ((c, anew.columns(c, everywhere=number < shared)) for number, (c, _) in enumerate(chosen))
     again = _shown(anew, [(c, columns) for c, columns in entries if columns is not None], found)
@@ -121,6 +127,7 @@ def _candidate(evidence: Evidence, dependence: Dependence) -> Candidate:
             confused_with=(),
             manoeuvre="",
             wrench=wrench,
+            pointwise=dependence.variable not in UNWRAPPED,
             sentence="",
         ),
         {},
@@ -146,7 +153,8 @@ def _shown(evidence: Evidence, chosen: Sequence[Entry], among: Sequence[Dependen
         hats = _hats_of(name, looked.flight, looked.kept) if channels else None
         if hats is None:
             continue
-        for channel, estimate in beside.along(hats, channels, looked.prior).items():
+        told = beside.along(hats, channels, looked.prior, pointwise=name not in UNWRAPPED)
+        for channel, estimate in told.items():
             if (shown := looked.shown(name, channel, estimate, hats)) is not None:
                 found.append(shown)
     return sorted(found, key=lambda d: -d.margin)
@@ -159,7 +167,7 @@ class _Looked:
     Attributes:
         flight: the first. kept: its samples in use, (k,).
         scales: of each channel, the least size that matters. channels: those that leave as much.
-        energy: of form errors by channel, (6,). explained: wrenches of what is named already, (k, 6, p).
+        energy: of form errors by channel, (6,).
     """
 
     evidence: Evidence
@@ -169,7 +177,6 @@ class _Looked:
     scales: Mapping[int, float]
     channels: Sequence[int]
     energy: Array
-    explained: Array
 
     @classmethod
     def at(cls, evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]]) -> _Looked:
@@ -181,8 +188,6 @@ class _Looked:
         scales = {
             c: THRESHOLDS.material_share * weight(vehicle) * (vehicle.arm_m() if c < 3 else 1.0) for c in first.channels
         }
-        lift = from_thrust(vehicle, first.signals.thrust_n)[:, :, None]
-        known = [c.effect.wrench(first.signals, vehicle, c.settings) for c, _ in chosen]
         return cls(
             evidence=evidence,
             chosen=chosen,
@@ -191,13 +196,27 @@ class _Looked:
             scales=scales,
             channels=[c for c in first.channels if left[c] >= scales[c]],  # nothing material can hide in less
             energy=discrepancy.energies(chosen, solution).sum(axis=0) + discrepancy.of_lag(solution),
-            explained=np.concatenate([np.ones_like(lift), lift, *known], axis=2),
         )
 
     def prior(self, channel: int) -> float:
         """Precision of the height of a hat function: a fifth of the weight, or of weight times arm."""
         vehicle = self.flight.prepared.record.vehicle
         return 1.0 / (0.2 * weight(vehicle) * (vehicle.arm_m() if channel < 3 else 1.0)) ** 2
+
+    def _named(self, row: int) -> Array:
+        """Of the wrench of a constant, thrust and what is named already, a row, (k, p)."""
+        course, pieces = self.flight.course, list[Array]()
+        known = [course.seen_wrench_of(candidate) for candidate, _ in self.chosen]
+        whole = [None if way.pointwise else way.made(course.signals, None)[0][:, row] for way in known]
+        for part in parts_of(len(course.signals.t_s)):
+            now = course.signals.at(part)
+            lift = from_thrust(course.vehicle, now.thrust_n)[:, row, None]
+            own = [
+                way.made(now, None)[0][:, row] if other is None else other[part]
+                for way, other in zip(known, whole, strict=True)
+            ]
+            pieces.append(np.concatenate([np.ones_like(lift), lift, *own], axis=1))
+        return joined(pieces)
 
     def shown(self, name: str, channel: int, estimate: Along, hats: Callable[[Signals], Array]) -> Dependence | None:
         """The dependence of a channel on a variable; None where chance, form errors or what is named make it."""
@@ -209,7 +228,7 @@ class _Looked:
         )
         if margin <= 0.0:
             return None
-        named = self.explained[:, WRENCH_ROW[channel], :]
+        named = self._named(WRENCH_ROW[channel])
         size = _own_size(hats(self.flight.signals), estimate.values, estimate.covariance, named, self.kept)
         if size < self.scales[channel]:
             return None

@@ -21,6 +21,7 @@ from groundstation.diagnosis.left_open import left_open
 from groundstation.diagnosis.rivals import Entry
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.unplanned import PastMotion
+from groundstation.identification.memory import released
 from groundstation.model.parameters import BASIS, RIGID_BODY, values_of
 from groundstation.vehicle import Vehicle
 
@@ -169,6 +170,7 @@ def _select(
         [FlightEvidence(flight, base.fitted, base.options, (*augmented, *known)) for flight in case.suspects],
         [FlightEvidence(flight, base.fitted, base.options) for flight in case.healthy],
     )
+    released(case.suspects)
     vehicle, references = case.suspects[0].record.vehicle, bool(case.healthy)
     pool = [
         c
@@ -177,14 +179,13 @@ def _select(
     ]
     baseline = _baseline(evidence, vehicle, augmented, references=references)
     selection = Selection(evidence, pool, baseline, lambda f: progress(0.55 + 0.25 * f, "effects one by one"))
+    released(case.suspects)
     progress(0.8, "selecting")
-    chosen = _confirmed(selection, selection.choose(), case, base, augmented)
+    chosen = _confirmed(selection, selection.choose(), case, augmented)
     return Selected(evidence, baseline, *selection.named(chosen), selection)
 
 
-def _confirmed(
-    selection: Selection, chosen: list[Entry], case: Case, base: Base, augmented: tuple[Candidate, ...]
-) -> list[Entry]:
+def _confirmed(selection: Selection, chosen: list[Entry], case: Case, augmented: tuple[Candidate, ...]) -> list[Entry]:
     """Those of the chosen that stand against the noise as it is with nothing but them kept out, too.
 
     What is kept out of the noise lest effects hide in it takes noise along, most at the lowest frequencies.
@@ -193,9 +194,10 @@ def _confirmed(
         return chosen
     shared = tuple(candidate for candidate, _ in selection.baseline)
     own = (*shared, *(candidate for candidate, _ in chosen))
+    flights, suspects = selection.evidence.flights, selection.evidence.suspects
     evidence = Evidence(
-        [FlightEvidence(flight, base.fitted, base.options, own, generic=False) for flight in case.suspects],
-        [FlightEvidence(flight, base.fitted, base.options, shared, generic=False) for flight in case.healthy],
+        [flight.beside(own, generic=False) for flight in flights[:suspects]],
+        [flight.beside(shared, generic=False) for flight in flights[suspects:]],
     )
     vehicle = case.suspects[0].record.vehicle
     baseline = _baseline(evidence, vehicle, augmented, references=bool(case.healthy))

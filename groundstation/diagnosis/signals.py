@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import quat_normalise, quat_rotate
-from groundstation.identification.parts import by_parts, parts_of
+from groundstation.identification.parts import by_parts, kept, parts_of
 from groundstation.identification.preparation import Prepared
 from groundstation.model.parameters import Parameters
 from groundstation.model.rotors import thrusts_for
 from groundstation.model.signals import Signals
 
 Array = NDArray[np.float64]
+
+
+SERIES = ("position_m", "velocity_world_m_s", "quaternion", "rate_rad_s", "motor", "lagged", "lagged_rate", "thrust_n")
+"""Signals of several columns."""
 
 
 def planned_signals(prepared: Prepared, p: Parameters) -> Signals | None:
@@ -46,6 +52,11 @@ def planned_signals(prepared: Prepared, p: Parameters) -> Signals | None:
         voltage_v=_slow(prepared.record.t_s, prepared.voltage_v),
         charge_as=prepared.charge_as,
     )
+
+
+def held(signals: Signals) -> Signals:
+    """Signals to hold: of a long flight all but the times in single precision; :meth:`.Signals.at` gives doubles."""
+    return replace(signals, **{name: kept(getattr(signals, name)) for name in SERIES})
 
 
 def _slow(t_s: Array, values: Array) -> Array:

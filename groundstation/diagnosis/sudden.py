@@ -40,8 +40,10 @@ def sudden(
     steps = Steps.of(model.t_s, residual, columns)
 
     def share(effect: Effect, settings: Settings) -> float:
-        wrench = effect.wrench(signals, vehicle, settings)
-        return steps.explained(model.average(wrench[:, UPWARDS, 0]))[0]
+        if effect.straight is None:
+            return steps.explained(model.average(effect.wrench(signals, vehicle, settings)[:, UPWARDS, 0]))[0]
+        how_hard, direction = effect.straight(signals, vehicle, settings)
+        return steps.explained(model.average(how_hard * direction[UPWARDS]))[0]
 
     found: list[Candidate] = []
     for effect in library().values():

@@ -181,13 +181,14 @@ def _seen(signals: Signals, keep: Mask, vehicle: Vehicle) -> _Seen | None:
     if not len(used):
         return None
     rows = slice(int(used[0]), int(used[-1]) + 1)
-    t_s, velocity = signals.t_s[rows], signals.velocity_world_m_s[rows]
+    now = signals.at(rows)
+    t_s, velocity = now.t_s, now.velocity_world_m_s
     step = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 1.0
     every = max(1, round(1.0 / (RATE_HZ * step)))
     count = len(t_s) // every
     if count * every * step < LEAST_S or not np.isfinite(velocity).all():
         return None
-    thrust = quat_rotate(signals.quaternion[rows], from_thrust(vehicle, signals.thrust_n[rows])[:, :3])
+    thrust = quat_rotate(now.quaternion, from_thrust(vehicle, now.thrust_n)[:, :3])
     if not np.isfinite(thrust).all() or thrust[:, 2].mean() <= 0.0:
         return None
 

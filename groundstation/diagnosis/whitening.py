@@ -7,7 +7,7 @@ what these take of the noise put back.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,7 @@ class Whitening:
     Args:
         channels: which of the six (torques as rates, forces as specific forces) are known.
         dt: time since the previous block, (blocks,). restart: True where a new segment begins, (blocks,).
-        residual: (blocks, 6). nuisance: generic columns of each known channel, (blocks, m) each.
+        residual: (blocks, 6). nuisance: generic columns of one known channel after the other, (blocks, m) each.
     """
 
     def __init__(
@@ -44,14 +44,16 @@ class Whitening:
         dt: Array,
         restart: NDArray[np.bool_],
         residual: Array,
-        nuisance: Sequence[Array],
+        nuisance: Iterable[Array],
     ):
         self.channels = tuple(channels)
         self._dt, self._restart = dt, restart
-        self.colours = self._fitted_colours(residual, nuisance)
         self.bands = bands_of(len(dt) // 2 + 1)
-        self._gains = np.ones((len(self.channels), len(dt) // 2 + 1))
-        self._gains = self._fitted_gains(residual, nuisance)
+        self.colours, self._gains = list[NoiseModel](), np.ones((len(self.channels), len(dt) // 2 + 1))
+        draws = [np.random.default_rng(SEED) for _ in range(2)]  # of colours and of gains, from channel to channel
+        for number, (channel, columns) in enumerate(zip(self.channels, nuisance, strict=True)):
+            self.colours.append(self._fitted_colour(residual[:, channel], columns, channel, draws[0]))
+            self._gains[number] = self._fitted_gain(residual[:, channel], columns, number, draws[1])
 
     def apply(self, columns: Array) -> Array:
         """Stack the whitened channels of (blocks, 6, m) below each other, (channels * blocks, m)."""
@@ -102,29 +104,24 @@ class Whitening:
             part[:] = q @ (q.T @ c)
         return out
 
-    def _fitted_colours(self, residual: Array, nuisance: Sequence[Array]) -> list[NoiseModel]:
-        """Noise of each channel from what generic columns leave of the residual.
+    def _fitted_colour(self, z: Array, columns: Array, channel: int, random: np.random.Generator) -> NoiseModel:
+        """Noise of a channel from what generic columns leave of the residual.
 
         Whitened at first by a disturbance of 0.3 s, so that slow effects go into the columns and not into the noise, or
         by none to speak of, as where sensors are noisier than the air; the likelier goes on.
         """
-        random = np.random.default_rng(SEED)
-        found: list[NoiseModel] = []
-        for channel, columns in zip(self.channels, nuisance, strict=True):
-            z = residual[:, channel]
-            step = float(np.median(self._dt)) if channel < 3 else 1.0
-            size = float(np.std(np.diff(z))) + 1e-9
-            rough = size / step
-            starts = (
-                NoiseModel(rough, 0.3, 1e-3 * rough, 0.1 * size),
-                NoiseModel(1e-2 * rough, 0.3, 1e-3 * rough, size / np.sqrt(2.0)),
-            )
-            tried = [self._recoloured(z, columns, start, channel) for start in starts]
-            colour = min(tried, key=lambda item: item[1])[0]
-            for _ in range(THRESHOLDS.noise_refills):
-                colour = self._recoloured(z, columns, colour, channel, random)[0]
-            found.append(colour)
-        return found
+        step = float(np.median(self._dt)) if channel < 3 else 1.0
+        size = float(np.std(np.diff(z))) + 1e-9
+        rough = size / step
+        starts = (
+            NoiseModel(rough, 0.3, 1e-3 * rough, 0.1 * size),
+            NoiseModel(1e-2 * rough, 0.3, 1e-3 * rough, size / np.sqrt(2.0)),
+        )
+        tried = [self._recoloured(z, columns, start, channel) for start in starts]
+        colour = min(tried, key=lambda item: item[1])[0]
+        for _ in range(THRESHOLDS.noise_refills):
+            colour = self._recoloured(z, columns, colour, channel, random)[0]
+        return colour
 
     def _recoloured(
         self, z: Array, columns: Array, colour: NoiseModel, channel: int, random: np.random.Generator | None = None
@@ -141,22 +138,19 @@ class Whitening:
         found = early_noise_model(left, self._dt, self._restart, integrated=integrated, start=start)
         return found, minus_log_likelihood(left, self._dt, self._restart, found, integrated)
 
-    def _fitted_gains(self, residual: Array, nuisance: Sequence[Array]) -> Array:
-        """What is left of each channel's colour behind its noise model: a filter (channels, frequencies) that whitens
-        the rest.
+    def _fitted_gain(self, z: Array, columns: Array, number: int, random: np.random.Generator) -> Array:
+        """What is left of a channel's colour behind its noise model: a filter (frequencies,) that whitens the rest.
 
         A disturbance need not be of first order. The periodogram of what generic columns leave, with what they took put
         back, is averaged over bands.
         """
-        random = np.random.default_rng(SEED)
-        out = np.ones_like(self._gains)
-        for number, (channel, columns) in enumerate(zip(self.channels, nuisance, strict=True)):
-            z, colour, integrated = residual[:, channel], self.colours[number], channel < 3
-            products = innovation_products(z, columns, self._dt, self._restart, colour, integrated=integrated)
-            left = z - columns @ coefficients(products[1:, 1:], products[1:, 0], random)
-            power = self.channel(number, left[:, None])[1][:, 0] / len(z)
-            for band, total in zip(self.bands, power, strict=True):
-                out[number, band] = 1.0 / np.sqrt(total / (band.stop - band.start) + 1e-12)
+        colour, integrated = self.colours[number], self.channels[number] < 3
+        products = innovation_products(z, columns, self._dt, self._restart, colour, integrated=integrated)
+        left = z - columns @ coefficients(products[1:, 1:], products[1:, 0], random)
+        power = self.channel(number, left[:, None])[1][:, 0] / len(z)
+        out = np.ones(self._gains.shape[1])
+        for band, total in zip(self.bands, power, strict=True):
+            out[band] = 1.0 / np.sqrt(total / (band.stop - band.start) + 1e-12)
         return out
 
 

@@ -23,6 +23,7 @@ from groundstation.identification.identifiability import (
     unrevealed,
     unsettled,
 )
+from groundstation.identification.memory import released
 from groundstation.identification.physical_limits import outside
 from groundstation.identification.prediction_error import Fitted, coarse_output_error
 from groundstation.identification.preparation import Prepared
@@ -107,19 +108,22 @@ def believed(fitted: DynamicFit, warnings: Sequence[str] = ()) -> Answer:
 def with_methods(answer: Answer, exclude: Sequence[tuple[float, float]], progress: Progress) -> Answer:
     """With the seed's four methods, output error and the fits that the answer rests on."""
     fitted = answer.fitted
-    progress(0.75, "the seed's four methods")
-    regressions, methods = _seed_methods(fitted.prepared[0], exclude)
-    progress(0.85, "output error")
+    progress(0.75, "output error")
     found = {
         "OE": coarse_output_error(fitted.models, answer.best.parameters, fitted.options),
         "FE": fitted.filter_error,
     }
     if fitted.instrumental is not None:
         found["IV"] = fitted.instrumental
-    methods |= {name: _result(fitted, fit, answer.hidden, METHOD_NOTES[name]) for name, fit in found.items()}
+    results = {name: _result(fitted, fit, answer.hidden, METHOD_NOTES[name]) for name, fit in found.items()}
     if answer.name == LOW:
-        methods[LOW] = _result(fitted, answer.best, answer.hidden, LOW_NOTE)
-    return replace(answer, methods=methods, regressions=regressions)
+        results[LOW] = _result(fitted, answer.best, answer.hidden, LOW_NOTE)
+    for model in fitted.models:
+        model.forget()  # what the seed's methods regress is as large
+    released(fitted.prepared)
+    progress(0.85, "the seed's four methods")
+    regressions, methods = _seed_methods(fitted.prepared[0], exclude)
+    return replace(answer, methods={**methods, **results}, regressions=regressions)
 
 
 def as_rigid_body(answer: Answer) -> Answer:
@@ -253,9 +257,10 @@ def _of_sensors(prepared: Prepared) -> dict[str, Estimate]:
 
 def _torque_rms(models: Sequence[RecordModel], fit: Fitted, options: FitOptions) -> list[float]:
     """RMS of the torque residual at up to 10 Hz, from differences of the rate residual over 0.1 s."""
+    untimed = replace(options, lag=False, delay=False)  # without what no residual needs
     rows: list[Array] = []
     for model in models:
-        residual = model.residual_of(fit.parameters, model.predicted(fit.parameters, options))[:, :3]
+        residual = model.residual_of(fit.parameters, model.predicted(fit.parameters, untimed))[:, :3]
         lag = max(1, round(0.1 / float(np.median(model.dt))))
         if len(residual) > lag:
             rows.append(

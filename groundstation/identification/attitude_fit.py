@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -173,13 +173,13 @@ def _attitude_columns(recording: Recording, errors: AttitudeErrors, tk: Array, a
     """What each error changes of the attitude at the poses' stamps, (n, 3, 11)."""
     t_imu, dt_imu, count = recording.t_imu, recording.dt_imu[:, None, None], len(attitude)
 
-    def drifting(part: slice) -> Array:
-        return (matrix_from_quat(attitude[part]) * dt_imu[part]).reshape(-1, 9)
+    def grown(part: slice) -> Array:
+        """By drift and by scale, (n, 18)."""
+        matrix = matrix_from_quat(attitude[part])
+        both = matrix * dt_imu[part], matrix * rates[part, None, :] * dt_imu[part]
+        return np.concatenate([each.reshape(-1, 9) for each in both], axis=1)
 
-    def scaling(part: slice) -> Array:
-        return (matrix_from_quat(attitude[part]) * rates[part, None, :] * dt_imu[part]).reshape(-1, 9)
-
-    drifted, scaled = (at_times(running_sums(made, count), t_imu, tk) for made in (drifting, scaling))
+    drifted, scaled = np.hsplit(at_times(running_sums(grown, count), t_imu, tk), 2)
     r_poses = matrix_from_quat(slerp(tk, t_imu, attitude))
     rate_world = np.einsum("nij,nj->ni", r_poses, resampled(tk, t_imu, rates))
     return np.concatenate(
@@ -214,9 +214,28 @@ def _compared_attitudes(
     return attitude, error, _attitude_columns(recording, errors, tk, attitude, rates)
 
 
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """A step of the fit: as :class:`AttitudeFit`, whose paths are worked out where they are asked for."""
+
+    errors: AttitudeErrors
+    covariance: Array
+    kept: Mask
+    colour: NoiseModel
+    stamp_jitter_s: tuple[float, float]
+    paths: Callable[[], tuple[Array, Array]]
+
+    def fit(self) -> AttitudeFit:
+        """With its paths."""
+        filtered, smoothed = self.paths()
+        return AttitudeFit(
+            self.errors, self.covariance, self.kept, self.colour, filtered, smoothed, self.stamp_jitter_s
+        )
+
+
 def _attitude_step(
     recording: Recording, errors: AttitudeErrors, kept: Mask, colour: NoiseModel | None
-) -> tuple[AttitudeFit, bool]:
+) -> tuple[_Step, bool]:
     """One Gauss-Newton step, and whether it was within a twentieth of the standard deviations."""
     tk = errors.stamps(recording, kept)
     attitude, error, columns = _compared_attitudes(recording, errors, kept, tk)
@@ -235,18 +254,22 @@ def _attitude_step(
     remainder = stacked[:, 0] - stacked[:, 1:] @ fit.values
     kept = kept.copy()
     kept[np.flatnonzero(kept)[bad]] = False
-    good = ~bad
-    dt_good, beside = np.concatenate([[0.0], np.diff(tk[good])]), beside_gaps(recording, tk[good])
-    dt_good[[poses.start for _, poses in beside[1:]]] = _UNKNOWN_S
-    filtered, smoothed = local_level(remainder.reshape(3, count).T[good], dt_good, colour.process, colour.sensor)
-    found = AttitudeFit(
+
+    def paths() -> tuple[Array, Array]:
+        good = ~bad
+        dt_good, beside = np.concatenate([[0.0], np.diff(tk[good])]), beside_gaps(recording, tk[good])
+        dt_good[[poses.start for _, poses in beside[1:]]] = _UNKNOWN_S
+        levels = local_level(remainder.reshape(3, count).T[good], dt_good, colour.process, colour.sensor)
+        filtered, smoothed = (_turned(recording.t_imu, tk[good], level, attitude, beside) for level in levels)
+        return filtered, smoothed
+
+    found = _Step(
         errors=errors.changed(fit.values),
         covariance=fit.covariance,
         kept=kept,
         colour=drifting_noise_model(remainder, dts, restart, start=colour),
-        filtered=_turned(recording.t_imu, tk[good], filtered, attitude, beside),
-        smoothed=_turned(recording.t_imu, tk[good], smoothed, attitude, beside),
         stamp_jitter_s=_stamp_jitter(e[:, 0] - e[:, 1:] @ fit.values, e[:, 1], s, fit.outlier),
+        paths=paths,
     )
     return found, bool(np.all(np.abs(fit.values) < 0.05 * np.sqrt(np.diag(fit.covariance))))
 
@@ -272,7 +295,7 @@ def align_attitude(recording: Recording, offset_s: float) -> AttitudeFit:
         if done:
             break
         found, done = _attitude_step(recording, found.errors, found.kept, found.colour)
-    return found
+    return found.fit()
 
 
 def _stamp_jitter(residual: Array, turning: Array, variance: Array, outlier: Mask) -> tuple[float, float]:

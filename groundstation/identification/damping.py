@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from groundstation.frames import quat_rotate_inverse
 from groundstation.identification.parts import by_parts
 from groundstation.identification.preparation import Prepared
-from groundstation.identification.record_model import BodyWrench, PlannedMotion
+from groundstation.identification.record import PlannedMotion
+from groundstation.identification.record_model import BodyWrench
 
 Array = NDArray[np.float64]
 

@@ -14,6 +14,7 @@ from groundstation.errors import NotIdentifiable
 from groundstation.identification.damping import damping_terms
 from groundstation.identification.identifiability import angular_acceleration
 from groundstation.identification.instrumental import instrumental
+from groundstation.identification.memory import released
 from groundstation.identification.prediction_error import Fitted, fit, fit_from_declared
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.record_model import BodyWrench, RecordModel
@@ -94,6 +95,7 @@ def fit_dynamics(prepared: Sequence[Prepared], progress: Progress = lambda fract
     shares = [unresolved_share(item, model, p) for item, model in zip(found.prepared, found.models, strict=True)]
     for model in found.models:
         model.forget()
+    released(prepared)
     share = np.mean(shares, axis=0)
     refined = None if found.instrumental is None else no_finer(found.instrumental, share)
     return replace(found, filter_error=no_finer(found.filter_error, share), instrumental=refined)
@@ -107,6 +109,7 @@ def _fitted(prepared: Sequence[Prepared], progress: Progress) -> DynamicFit:
             "a flight holds less than a second of data without gaps.",
             "Leave out less of it, lose fewer samples, or fly longer.",
         )
+    released(prepared)
     progress(0.4, "prediction error with the flight's own disturbance")
     filter_error = fit_from_declared(models, prepared[0].record.vehicle, options)
     if any(item.planned is None for item in prepared) and filter_error.parameters.extra.min(initial=0.0) < 0.0:
@@ -118,6 +121,7 @@ def _fitted(prepared: Sequence[Prepared], progress: Progress) -> DynamicFit:
     refined = None
     if all(item.planned is not None for item in prepared):
         progress(0.7, "instrumental variables from the plan")
+        released(prepared)
         refined = instrumental(models, filter_error, options)
     return DynamicFit(tuple(prepared), models, options, filter_error, refined)
 

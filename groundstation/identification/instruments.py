@@ -26,7 +26,7 @@ from groundstation.frames import (
 )
 from groundstation.identification.block_kernel import cubic
 from groundstation.identification.parts import double, kept, parts_of
-from groundstation.identification.record_model import PlannedMotion
+from groundstation.identification.record import PlannedMotion
 from groundstation.identification.streams import clean
 from groundstation.linear_filters import both_ways, low_pass
 from groundstation.trajectory import FlatState, RigidMotion, rigid_motion

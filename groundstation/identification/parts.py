@@ -22,8 +22,8 @@ PART = 65536
 """Samples that are held at a time: a minute at 1 kHz."""
 
 
-LONG = 1_000_000
-"""Samples from which what is only kept for later is kept in single precision: half an hour at 500 Hz."""
+LONG = 2**19
+"""Samples from which what is only kept for later is kept in single precision: a quarter of an hour at 500 Hz."""
 
 
 def kept(values: Array) -> Array:
@@ -123,3 +123,20 @@ def at_times(parts: Iterator[tuple[slice, Array]], stamps_s: Array, at_s: Array)
         out[done:stop] = resampled(at_s[done:stop], stamps_s[samples], values)
         done = max(done, stop)
     return out
+
+
+def coefficients(made: Rows, count: int, rcond: float) -> Array:
+    """Least-squares coefficients of the last column of rows (n, p + 1) by those before it, columns of size one; those
+    of many rows from triangular factors of the parts.
+    """
+    parts = parts_of(count, 4 * PART)
+    rows = made(parts[0])
+    if len(parts) > 1:
+        factors = [np.linalg.qr(rows if part is parts[0] else made(part), mode="r") for part in parts]
+        rows = np.asarray(np.linalg.qr(np.concatenate(factors), mode="r"), dtype=float)
+    return np.asarray(np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=rcond)[0], dtype=float)
+
+
+def sizes(made: Rows, count: int) -> Array:
+    """Norm of each column of rows (n, p), (p,)."""
+    return np.sqrt(sum(np.sum(made(part) ** 2, axis=0) for part in parts_of(count, 4 * PART)))

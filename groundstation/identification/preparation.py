@@ -17,7 +17,7 @@ from groundstation.identification.instruments import planned_motion
 from groundstation.identification.motion import Motion, motion_of
 from groundstation.identification.parts import kept
 from groundstation.identification.reconstruction import Compatibility
-from groundstation.identification.record_model import DynamicRecord, PlannedMotion
+from groundstation.identification.record import DynamicRecord, PlannedMotion
 from groundstation.identification.results import Clock
 from groundstation.identification.streams import clean, flown_stretches
 from groundstation.identification.stretches import GAP_S, Stretch, gaps, runs_of, used_note, within
@@ -36,6 +36,8 @@ Mask = NDArray[np.bool_]
 
 FIT_RATE_HZ = 150.0
 MEASURED_RATE_HZ = 30.0
+SEARCHED_S = 300.0
+"""Of a flight, in which searches look."""
 LEAST_S = 4.0
 """Of flight that a dynamic fit needs."""
 SETTLING_S = 0.3
@@ -113,6 +115,28 @@ class Prepared:
             stretches=runs_of(record.t_s, record.keep),
             excluded_s=excluded_s,
         )
+
+    def liveliest(self) -> Prepared:
+        """The SEARCHED_S in a row in which the vehicle turns most, for what is searched for and not estimated; a
+        shorter flight as it is.
+        """
+        record = self.record
+        count = round(SEARCHED_S / float(np.median(np.diff(record.t_s))))
+        if len(record.t_s) <= count:
+            return self
+        steps = np.diff(record.rate_rad_s, axis=0, prepend=record.rate_rad_s[:1])
+        turned = np.cumsum(np.where(record.keep, np.sum(np.nan_to_num(steps) ** 2, axis=1), 0.0))
+        first = int(np.argmax(turned[count:] - turned[:-count]))
+        return self._part(slice(first, first + count))
+
+    def _part(self, samples: slice) -> Prepared:
+        """Some of the samples: views."""
+        record = self.record.part(samples)
+        along = ("quaternion", "position_m", "velocity_m_s", "voltage_v", "charge_as")
+        causal = ("causal_quaternion", "causal_position_m", "causal_velocity_m_s")
+        cut: dict[str, Array] = {name: getattr(self, name)[samples] for name in (*along, *causal)}
+        planned = None if self.planned is None else self.planned.part(samples)
+        return replace(self, record=record, planned=planned, stretches=runs_of(record.t_s, record.keep), **cut)
 
     def signals(self, up_s: float, down_s: float, delay_s: float, slope: float = 0.0) -> Signals:
         """What forces can depend on, at the record's stamps, for a given lag and delay."""

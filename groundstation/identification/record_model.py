@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,8 @@ from numpy.typing import NDArray
 from groundstation.frames import skew
 from groundstation.identification.block_kernel import integral_means, outputs, wrench_means
 from groundstation.identification.noise import KeptGains
-from groundstation.identification.parts import double
+from groundstation.identification.parts import double, kept
+from groundstation.identification.record import LATEST_S, DynamicRecord, PlannedMotion
 from groundstation.identification.sensitivities import (
     Measured,
     lag_of,
@@ -32,7 +32,7 @@ from groundstation.identification.sensitivities import (
 )
 from groundstation.model.parameters import BASIS, PAIRS, FitOptions, Parameters, free_entries
 from groundstation.model.rotor_kernel import LANES
-from groundstation.model.rotors import Lag, MotorInput, mean_thrusts, wrench_matrix
+from groundstation.model.rotors import Lag, mean_thrusts, wrench_matrix
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -44,8 +44,6 @@ LIVELIEST = 45000
 """Blocks in which lags, dead time and noise are searched for: five minutes, which tell them to a few parts of a
 thousand, so that a fit of all from there takes few steps.
 """
-LATEST_S = 1.0
-"""By which commands come before what they do, at most."""
 
 CHANNELS = ("torque_x_nm", "torque_y_nm", "torque_z_nm", "force_x_n", "force_y_n", "force_z_n")
 
@@ -62,66 +60,6 @@ def _turning() -> Array:
 
 
 TURNING = _turning()
-
-
-@dataclass(frozen=True, slots=True)
-class DynamicRecord:
-    """One flight's data for the dynamic fit, at the IMU's stamps (the IMU's clock).
-
-    Attributes:
-        t_s: stamps, (k,). keep: samples inside the window and outside exclusions, (k,).
-        rate_rad_s: rates less their bias, (k, 3).
-        force_m_s2: specific force of the declared origin less bias and lever arm, (k, 3); NaN when there is no
-            accelerometer.
-        force_bias_std: what is left unknown of the bias, (3,).
-        motors: on the motors' clock.
-        block: samples averaged into one for the fit, the same on both sides of the equation.
-    """
-
-    vehicle: Vehicle
-    t_s: Annotated[Array, "k"]
-    keep: Annotated[Mask, "k"]
-    rate_rad_s: Annotated[Array, "k 3"]
-    force_m_s2: Annotated[Array, "k 3"]
-    force_bias_std: Annotated[Array, "3"]
-    motors: MotorInput
-    block: int = 1
-
-
-@dataclass(frozen=True, slots=True)
-class PlannedMotion:
-    """The motion that was asked for, at the IMU's stamps: it owes nothing to this flight's disturbances. Of a long
-    flight it is in single precision, and :meth:`part` in double.
-
-    Attributes:
-        rate_rad_s: body rates, (k, 3).
-        angular_acceleration_rad_s2: (k, 3).
-        specific_thrust_m_s2: thrust over mass, (k,).
-        velocity_body_m_s: (k, 3).
-        position_m: (k, 3).
-        quaternion: (k, 4), continuous in sign.
-        extra: planned values of each BodyWrench term, as :attr:`BodyWrench.value`.
-    """
-
-    rate_rad_s: Annotated[Array, "k 3"]
-    angular_acceleration_rad_s2: Annotated[Array, "k 3"]
-    specific_thrust_m_s2: Annotated[Array, "k"]
-    velocity_body_m_s: Annotated[Array, "k 3"]
-    position_m: Annotated[Array, "k 3"]
-    quaternion: Annotated[Array, "k 4"]
-    extra: tuple[Array, ...] = ()
-
-    def part(self, samples: slice) -> PlannedMotion:
-        """Some of the instants."""
-        return PlannedMotion(
-            double(self.rate_rad_s[samples]),
-            double(self.angular_acceleration_rad_s2[samples]),
-            double(self.specific_thrust_m_s2[samples]),
-            double(self.velocity_body_m_s[samples]),
-            double(self.position_m[samples]),
-            double(self.quaternion[samples]),
-            tuple(double(values[samples]) for values in self.extra),
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +118,9 @@ class Predicted:
 
     def part(self, blocks: slice) -> Predicted:
         """Of some of the blocks."""
-        moved = {name: (wrench[blocks], impulse[blocks]) for name, (wrench, impulse) in self.moved.items()}
+        moved = {
+            name: (double(wrench[blocks]), double(impulse[blocks])) for name, (wrench, impulse) in self.moved.items()
+        }
         return Predicted(moved, *(each[blocks] for each in (self.wrench, self.impulse, self.rate, self.force)))
 
 
@@ -252,19 +192,7 @@ class RecordModel:
         margin = round(before_s / self.sample_s) + 1
         before = 0 if blocks.start <= 0 else max(0, int(members[0, 0]) - margin)
         samples = other.samples = slice(before, int(members[-1, -1]) + 2)
-        record = self.record
-        other.record = replace(
-            record,
-            t_s=record.t_s[samples],
-            keep=record.keep[samples],
-            rate_rad_s=record.rate_rad_s[samples],
-            force_m_s2=record.force_m_s2[samples],
-        )
-        motors = record.motors
-        times = np.array([record.t_s[before] - LATEST_S, other.record.t_s[-1] + LATEST_S])
-        rows = slice(*np.clip(((times - motors.start_s) / motors.step_s).astype(int), 0, len(motors.value)).tolist())
-        start_s = motors.start_s + rows.start * motors.step_s
-        other.record = replace(other.record, motors=replace(motors, start_s=start_s, value=motors.value[rows]))
+        other.record = self.record.part(samples)
         other.planned = None if self.planned is None else self.planned.part(samples)
         other._members, other._step, other.gains = members - before, self._step[samples], KeptGains()
         for name in ("restart", "t_s", "dt", "rate", "force", "elapsed_s", "gyroscopic"):
@@ -356,7 +284,7 @@ class RecordModel:
         made = self.thrusts([(lag_of(p), p.delay_s), *((step.lag, step.delay_s) for step in steps.values())])
         here = next(made)
         moved = {
-            name: ((wrench[:, :3] - here[0][:, :3]) / step.size, (impulse - here[1]) / step.size)
+            name: (kept((wrench[:, :3] - here[0][:, :3]) / step.size), kept((impulse - here[1]) / step.size))
             for (name, step), (wrench, impulse) in zip(steps.items(), made, strict=True)
         }
         prediction = self._outputs(p, moved, *here)

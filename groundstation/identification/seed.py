@@ -63,7 +63,7 @@ class Regression:
 def standard_regression(signals: SeedSignals) -> Regression:
     """The standard model (34): accelerations from differentiated signals."""
     rate, derivative = signals.rate, signals.rate_derivative
-    first = np.zeros(len(rate)) if signals.specific_force is None else signals.specific_force[:, 2]
+    first = np.zeros(len(rate)) if signals.specific_force is None else signals.specific_force[:, 2].copy()
     return Regression(Assembled(first, derivative, rate_products(rate)), signals.wrench, signals.t_s, signals.used)
 
 
@@ -113,7 +113,8 @@ class Regressions:
     @classmethod
     def of(cls, signals: SeedSignals, *, filter_period_s: float | None = None) -> Regressions:
         """Of processed signals; ``filter_period_s`` as in :func:`filtered_regression`."""
-        return cls(signals, standard_regression(signals), filtered_regression(signals, period_s=filter_period_s))
+        standard, filtered = standard_regression(signals), filtered_regression(signals, period_s=filter_period_s)
+        return cls(signals.without_series(), standard, filtered)
 
 
 def identify_seed(

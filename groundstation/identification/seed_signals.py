@@ -33,6 +33,7 @@ from groundstation.identification.filters import central_difference, zero_phase_
 from groundstation.identification.streams import Segments, clean, flown_stretches, origin_poses
 from groundstation.identification.stretches import SHORTEST_S, gaps, within
 from groundstation.identification.wrench import declared_wrench
+from groundstation.linear_filters import power_spectrum
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -76,6 +77,21 @@ class SeedSignals:
     specific_force_source: str
     window_s: tuple[float, float]
     notes: tuple[str, ...]
+
+    def without_series(self) -> SeedSignals:
+        """The numbers alone, where the regressions hold what is as long as the flight."""
+        none = self.rate[:0]
+        return replace(
+            self,
+            t_s=self.t_s[:0],
+            used=self.used[:0],
+            wrench=self.wrench[:0],
+            rate=none,
+            rate_derivative=none,
+            specific_force=None,
+            velocity_body=None,
+            gravity_body=None,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -350,11 +366,9 @@ def default_cutoff_hz(flight: FlightData, imu: Stream | None, t_s: Array) -> flo
     if flight.plan is not None:
         top = len(flight.plan.coefficients.x.a) * flight.plan.base_frequency_rad_s / (2.0 * np.pi)
     elif imu is not None:
-        from scipy.signal import welch
-
         gyro = interpolate(t_s, imu.t_s, imu.values[:, :3])
         step = float(t_s[1] - t_s[0])
-        frequency, power = welch(gyro, 1.0 / step, nperseg=min(len(t_s), int(8.0 / step)), axis=0)
+        frequency, power = power_spectrum(gyro, 1.0 / step, min(len(t_s), int(8.0 / step)))
         below = np.cumsum(power.sum(axis=1))
         top = float(frequency[np.searchsorted(below, 0.5 * below[-1])])
     else:

@@ -101,14 +101,16 @@ def mass_step(models: Sequence[RecordModel], best: Fitted, options: FitOptions) 
 
 
 def _of_flight(model: RecordModel, best: Fitted, options: FitOptions) -> MassStep | None:
-    residual, sensitivity, names = model.evaluate(best.parameters, options)
-    if VERTICAL not in options.channels or "mass_kg" not in names or not len(residual):
+    p, names = best.parameters, model.names(options)
+    if VERTICAL not in options.channels or "mass_kg" not in names or not len(model.t_s):
         return None
+    residual = model.residual_of(p, model.predicted(p, options))[:, VERTICAL]
+    sensitivity = np.concatenate([model.sensitivities(p, options, part)[:, VERTICAL] for part in model.parts()])
     first, last = float(model.t_s[0]) + EITHER_SIDE_S, float(model.t_s[-1]) - EITHER_SIDE_S
     if first >= last:
         return None
-    by_mass = sensitivity[:, VERTICAL, names.index("mass_kg")]
-    steps = Steps.of(model.t_s, residual[:, VERTICAL], sensitivity[:, VERTICAL])
+    by_mass = sensitivity[:, names.index("mass_kg")]
+    steps = Steps.of(model.t_s, residual, sensitivity)
     instants = np.linspace(first, last, INSTANTS)
     spacing = float(instants[1] - instants[0])
     share = size = at_s = 0.0

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.identification.prediction_error import Fitted, noise_of
-from groundstation.identification.record_model import DynamicRecord, RecordModel
+from groundstation.identification.record import DynamicRecord
+from groundstation.identification.record_model import RecordModel
 from groundstation.model.disturbance import TurningDisturbance, pooled, three, turning
 from groundstation.model.parameters import FitOptions
 

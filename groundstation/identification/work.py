@@ -18,8 +18,12 @@ class Work:
     """Flights brought onto one clock, and fitted; the last of each. It is as large as the flights themselves.
 
     Flights are told apart by which objects they are: nothing is compared.
+
+    Attributes:
+        once: no other analysis follows, and fits are not kept.
     """
 
+    once: bool = False
     _flights: tuple[list[FlightData], list[tuple[float, float]], list[Prepared]] | None = field(default=None)
     _fit: tuple[list[Prepared], DynamicFit] | None = field(default=None)
     _checks: tuple[FlightData, tuple[Check, ...]] | None = field(default=None)
@@ -43,6 +47,8 @@ class Work:
 
     def fitted(self, prepared: Sequence[Prepared], progress: Progress = lambda fraction, text: None) -> DynamicFit:
         """:func:`.dynamic_fit.fit_dynamics`."""
+        if self.once:
+            return fit_dynamics(prepared, progress)
         known = self._fit
         if known is None or not _same(known[0], prepared):
             known = self._fit = list(prepared), fit_dynamics(prepared, progress)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,22 +45,21 @@ def constant_velocity(states: FlightStates, index: Index, horizons: Sequence[flo
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """What the rotors of a model do over the flight, on the motors' grid: thrusts, their running integral, lagged
-    values, their slope.
-    """
+    """What the rotors of a model do over the flight, on the motors' grid: thrusts and their running integral."""
 
     thrust: Array
     impulse: Array
-    lagged: Array
-    slope: Array
 
     @classmethod
     def of(cls, model: VehicleModel, motors: MotorInput) -> Inputs:
-        lagged = motors.lagged(model.lag_up_s, model.lag_down_s, model.lag_slope)
-        thrust = declared_thrust(model.vehicle, lagged) * model.thrust_scale
+        thrust = declared_thrust(model.vehicle, _lagged(model, motors)) * model.thrust_scale
         held = not motors.measured and model.lag_up_s <= 1e-6 and model.lag_down_s <= 1e-6
-        impulse = cumulative(thrust, motors.step_s, held=held)
-        return cls(thrust, impulse, lagged, np.gradient(lagged, motors.step_s, axis=0))
+        return cls(thrust, cumulative(thrust, motors.step_s, held=held))
+
+
+def _lagged(model: VehicleModel, motors: MotorInput) -> Array:
+    """Motor values behind a model's lag, on their grid."""
+    return motors.lagged(model.lag_up_s, model.lag_down_s, model.lag_slope)
 
 
 class Motion:
@@ -72,6 +72,12 @@ class Motion:
         self._inverse = np.asarray(np.linalg.inv(model.tensor), dtype=float)
         self._wrench = model.wrench
         self._com, self._damping = np.asarray(model.com_m), np.asarray(model.damping_nms)
+
+    @cached_property
+    def _rotors(self) -> tuple[Array, Array]:
+        """Lagged motor values and their slope, on the motors' grid: forces may depend on them."""
+        lagged = _lagged(self.model, self._motors)
+        return lagged, np.gradient(lagged, self._motors.step_s, axis=0)
 
     def at(self, values: Array, when: Array) -> Array:
         """Columns of the motors' grid at times of the flight."""
@@ -110,8 +116,8 @@ class Motion:
             quaternion=q,
             rate_rad_s=w,
             motor=self.at(self._motors.value, when),
-            lagged=self.at(self.inputs.lagged, when),
-            lagged_rate=self.at(self.inputs.slope, when),
+            lagged=self.at(self._rotors[0], when),
+            lagged_rate=self.at(self._rotors[1], when),
             thrust_n=rotors,
             voltage_v=voltage,
             charge_as=np.full(len(when), np.nan),

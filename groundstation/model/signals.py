@@ -57,8 +57,8 @@ class Signals:
         return self._once(f"axis {axis}", lambda: quat_rotate_inverse(self.quaternion, unit))
 
     def at(self, rows: slice | NDArray[np.bool_] | NDArray[np.int64]) -> Signals:
-        """Some of the instants."""
-        return Signals(*(getattr(self, each.name)[rows] for each in fields(self)))
+        """Some of the instants, in double precision."""
+        return Signals(*(np.asarray(getattr(self, each.name)[rows], dtype=float) for each in fields(self)))
 
     @cached_property
     def _known(self) -> dict[str, Array]:

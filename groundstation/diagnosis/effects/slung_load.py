@@ -13,14 +13,14 @@ pull along it follows from how it turns. That takes the vehicle's own mass as a 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.effect import Effect, ParameterInfo, Settings, blank, from_thrust
-from groundstation.diagnosis.pendulum_search import SCANNED, likely_pendulums
+from groundstation.diagnosis.effect import Effect, Followed, ParameterInfo, Settings, blank, from_thrust
+from groundstation.diagnosis.pendulum_search import LANES, SCANNED, likely_pendulums
 from groundstation.diagnosis.swing import DRAG_STD, SHARES, cable, swing_of
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.flightdata import resampled
@@ -64,8 +64,9 @@ Moving = tuple[Array, Array]
 
 def _moving(signals: Signals, at: Index | slice) -> Moving:
     """At some of the instants."""
-    down = np.cross(signals.rate_rad_s[at], [0.0, 0.0, -1.0])
-    return np.ascontiguousarray(signals.velocity_world_m_s[at]), quat_rotate(signals.quaternion[at], down)
+    some = signals.at(at)
+    down = np.cross(some.rate_rad_s, [0.0, 0.0, -1.0])
+    return np.ascontiguousarray(some.velocity_world_m_s), quat_rotate(some.quaternion, down)
 
 
 def _pendulum(settings: Settings) -> Array:
@@ -86,30 +87,54 @@ def _on_body(quaternion: Array, pull: Array, depth_m: float) -> Array:
     return np.concatenate([force, arm], axis=1)
 
 
-def _pulled(
-    signals: Signals, vehicle: Vehicle, several: Sequence[Settings], planned: Signals | None
-) -> Annotated[Array, "k 6 n"]:
-    """Body wrench of one kilogram for each of several settings, (k, 6, n); along a plan, where there is one, of a load
-    that hangs as it did.
+@dataclass(frozen=True, slots=True)
+class _Swinging:
+    """Pulls per kilogram of several loads along a flight.
+
+    Attributes:
+        t_s: instants, (k,). depths_m: of the hooks. pulls: in the world at the instants, (k, 3) of each load, along the
+            motion there was, and along a plan of loads that hang as they did; None where the motion is not known.
     """
-    at, pendulums = _grid(signals.t_s), np.array([_pendulum(settings) for settings in several])
-    t_s, moving, gravity = signals.t_s[at], _moving(signals, at), float(vehicle.gravity_m_s2)
-    out = np.full((len(signals.t_s), 6, len(several)), np.nan)
-    if not (np.isfinite(moving[0]).all() and np.isfinite(moving[1]).all()):
+
+    t_s: Array
+    depths_m: Sequence[float]
+    pulls: Sequence[Sequence[Array]] | None
+
+    @classmethod
+    def along(
+        cls, signals: Signals, vehicle: Vehicle, several: Sequence[Settings], ways: Sequence[Signals | None]
+    ) -> _Swinging:
+        """Of several settings, by the thrust there was (None) or by a plan."""
+        at, pendulums = _grid(signals.t_s), np.array([_pendulum(settings) for settings in several])
+        t_s, moving, gravity = signals.t_s[at], _moving(signals, at), float(vehicle.gravity_m_s2)
+        depths: list[float] = pendulums[:, 2].tolist()
+        if not (np.isfinite(moving[0]).all() and np.isfinite(moving[1]).all()):
+            return cls(t_s, depths, None)
+        states = _states(signals, at, vehicle, several)
+        found = list[list[Array]]()
+        for planned in ways:
+            going, own = None if planned is None else _moving(planned, at), list[Array]()
+            for number, depth_m in enumerate(depths):
+                velocity = moving[0] + depth_m * moving[1]
+                if going is not None:
+                    acceleration = np.gradient(going[0] + depth_m * going[1], t_s, axis=0)
+                elif BODY_KG in several[number]:
+                    seen = states[:, :, number], velocity, several[number]
+                    acceleration = _beside_load(signals, at, vehicle, seen)
+                else:
+                    acceleration = _lifted(signals, at, vehicle)
+                constants = (gravity, *pendulums[number, :2].tolist())
+                own.append(_pull(states[:, :, number], velocity, acceleration, constants))
+            found.append(own)
+        return cls(t_s, depths, found)
+
+    def wrench(self, signals: Signals, way: int) -> Annotated[Array, "k 6 n"]:
+        """Body wrenches in a part of the flight, of signals as they were or as a plan made them."""
+        out = np.full((len(signals.t_s), 6, len(self.depths_m)), np.nan)
+        for number, pull in enumerate(() if self.pulls is None else self.pulls[way]):
+            at_samples = resampled(signals.t_s, self.t_s, pull)
+            out[:, :, number] = _on_body(signals.quaternion, at_samples, self.depths_m[number])
         return out
-    states = _states(signals, at, vehicle, several)
-    going = None if planned is None else _moving(planned, at)
-    for number, (_, _, depth_m) in enumerate(pendulums):
-        velocity = moving[0] + depth_m * moving[1]
-        if going is None or planned is None:
-            seen, quaternion = (states[:, :, number], velocity, several[number]), signals.quaternion
-            by_load = BODY_KG in several[number]
-            acceleration = _beside_load(signals, at, vehicle, seen) if by_load else _lifted(signals, at, vehicle)
-        else:
-            acceleration, quaternion = np.gradient(going[0] + depth_m * going[1], t_s, axis=0), planned.quaternion
-        pull = _pull(states[:, :, number], velocity, acceleration, (gravity, *pendulums[number, :2]))
-        out[:, :, number] = _on_body(quaternion, resampled(signals.t_s, t_s, pull), float(depth_m))
-    return out
 
 
 def _states(signals: Signals, at: Index, vehicle: Vehicle, several: Sequence[Settings]) -> Array:
@@ -142,7 +167,8 @@ def _slow(values: Array, t_s: Array) -> Array:
 
 def _lift(signals: Signals, at: Index, vehicle: Vehicle) -> Array:
     """Thrust in the world, (k, 3)."""
-    return quat_rotate(signals.quaternion[at], from_thrust(vehicle, signals.thrust_n[at])[:, :3])
+    some = signals.at(at)
+    return quat_rotate(some.quaternion, from_thrust(vehicle, some.thrust_n)[:, :3])
 
 
 def _held_n(lift: Array) -> float:
@@ -187,27 +213,51 @@ def _pull(states: Array, velocity: Array, acceleration: Array, constants: tuple[
 
 
 def _wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
-    return _columns(signals, vehicle, settings, None)
+    """Of the load and of the changes of its settings, (k, 6, 4)."""
+    return _followed(signals, None, vehicle, [settings], False)(signals, None)[0]
 
 
 def _alone(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
     """Of the load, (k, 6, 1)."""
-    return _pulled(signals, vehicle, [_full(settings)], None)
-
-
-def _columns(signals: Signals, vehicle: Vehicle, settings: Settings, planned: Signals | None) -> Array:
-    """Of the load and of the changes of its settings, (k, 6, 4)."""
-    full = _full(settings)
-    sizes = {name: step * full[name] if name == LENGTH_M else step for name, step in STEPS.items()}
-    moved = [{**full, name: full[name] + size} for name, size in sizes.items()]
-    out = _pulled(signals, vehicle, [full, *moved], planned)
-    out[:, :, 1:] = (out[:, :, 1:] - out[:, :, :1]) / np.array(list(sizes.values()))
-    return out
+    return _followed(signals, None, vehicle, [settings], True)(signals, None)[0]
 
 
 def _instrument(signals: Signals, planned: Signals, vehicle: Vehicle, settings: Settings) -> Array:
     """Where the load hangs follows from the motion of the last seconds; how hard it pulls, from the plan."""
-    return _columns(signals, vehicle, settings, planned)
+    return _followed(signals, planned, vehicle, [settings], False)(signals, planned)[1]
+
+
+def _followed(
+    signals: Signals, planned: Signals | None, vehicle: Vehicle, several: Sequence[Settings], alone: bool
+) -> Followed:
+    """As :attr:`.Effect.followed` has it: loads that are asked for alone swing side by side, LANES at a time."""
+    ways: list[Signals | None] = [None] if planned is None else [None, planned]
+    if alone:
+        full = [_full(settings) for settings in several]
+        swinging = [_Swinging.along(signals, vehicle, full[i : i + LANES], ways) for i in range(0, len(full), LANES)]
+        return lambda now, ahead: [
+            found.wrench(now, 0)[:, :, number : number + 1]
+            for found in swinging
+            for number in range(len(found.depths_m))
+        ]
+    (settings,) = several
+    changed, sizes = _changed(settings)
+    swing = _Swinging.along(signals, vehicle, changed, ways)
+
+    def wrenches(now: Signals, ahead: Signals | None) -> list[Array]:
+        out = [swing.wrench(now, 0)] + ([] if ahead is None else [swing.wrench(ahead, 1)])
+        for own in out:
+            own[:, :, 1:] = (own[:, :, 1:] - own[:, :, :1]) / sizes
+        return out
+
+    return wrenches
+
+
+def _changed(settings: Settings) -> tuple[list[Settings], Array]:
+    """A load's settings, and those with each moved by a step; the steps, (3,)."""
+    full = _full(settings)
+    sizes = {name: step * full[name] if name == LENGTH_M else step for name, step in STEPS.items()}
+    return [full, *({**full, name: full[name] + size} for name, size in sizes.items())], np.array(list(sizes.values()))
 
 
 def _begun(signals: Signals, vehicle: Vehicle, settings: Settings, index: Index) -> Callable[[Signals], Array]:
@@ -301,6 +351,7 @@ EFFECT = Effect(
     wrench=_wrench,
     instrument=_instrument,
     alone=_alone,
+    followed=_followed,
     sentence="A load of {load_kg:g} swings {length_m:m} below the vehicle.",
     confused_with=("wind", "payload_change"),
     manoeuvre="a brisk sideways stop, then hover still for ten seconds and watch the swing ring down",
@@ -314,17 +365,28 @@ EFFECT = Effect(
 )
 
 
+SEEN_COLUMNS = [0, 3]
+"""Of the columns, the load and the depth of its hook."""
+
+
 def _seen_wrench(signals: Signals, vehicle: Vehicle, settings: Settings) -> Array:
-    return _columns(signals, vehicle, settings, None)[:, :, [0, 3]]
+    return _wrench(signals, vehicle, settings)[:, :, SEEN_COLUMNS]
 
 
 def _seen_instrument(signals: Signals, planned: Signals, vehicle: Vehicle, settings: Settings) -> Array:
-    return _columns(signals, vehicle, settings, planned)[:, :, [0, 3]]
+    return _instrument(signals, planned, vehicle, settings)[:, :, SEEN_COLUMNS]
+
+
+def _seen_followed(
+    signals: Signals, planned: Signals | None, vehicle: Vehicle, several: Sequence[Settings], alone: bool
+) -> Followed:
+    followed = _followed(signals, planned, vehicle, several, False)
+    return lambda now, ahead: [columns[:, :, SEEN_COLUMNS] for columns in followed(now, ahead)]
 
 
 def _seen_begun(signals: Signals, vehicle: Vehicle, settings: Settings, index: Index) -> Callable[[Signals], Array]:
     swinging = _begun(signals, vehicle, settings, index)
-    return lambda now: swinging(now)[:, :, [0, 3]]
+    return lambda now: swinging(now)[:, :, SEEN_COLUMNS]
 
 
 def _seen_spread(settings: Settings, load_kg: float) -> dict[str, float]:
@@ -351,6 +413,7 @@ SEEN = replace(
     parameters=(replace(PARAMETERS[0], form=THRESHOLDS.swing_form), PARAMETERS[3]),
     wrench=_seen_wrench,
     instrument=_seen_instrument,
+    followed=_seen_followed,
     settled=_seen_settled,
     begun=_seen_begun,
     finer=_no_finer,
