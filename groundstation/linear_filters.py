@@ -168,7 +168,7 @@ def power_spectrum(signal: Array, rate_hz: float, length: int) -> tuple[Array, A
     power[0] *= 0.5
     if length % 2 == 0:
         power[-1] *= 0.5
-    return np.fft.rfftfreq(length, 1.0 / rate_hz), power
+    return np.asarray(np.fft.rfftfreq(length, 1.0 / rate_hz), dtype=np.float64), power
 
 
 def fast_length(least: int) -> int:

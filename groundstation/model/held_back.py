@@ -95,7 +95,8 @@ def _share(apart: Array, missed: Array, ended: NDArray[np.int64], step_s: float,
     about 1 before any has (ridge regression: Hoerl and Kennard 1970). Windows that overlap tell the same.
 
     A model that moves too much is weighed by sizes of errors, not by their squares: a few wild moments, in which it is
-    right, say nothing about the many quiet ones.
+    right, say nothing about the many quiet ones. The less it is worth, the more of its standard error is taken off:
+    constant velocity is the simpler guess.
     """
     products = [np.sum(a * b, axis=1) for a, b in ((apart, missed), (apart, apart), (missed, missed))]
     told = np.isfinite(products).all(axis=0)
@@ -105,7 +106,8 @@ def _share(apart: Array, missed: Array, ended: NDArray[np.int64], step_s: float,
     by_size = rows / np.sqrt(1.0 + rows[:, 2] / usual)[:, None]
     overlap = max(horizon_s / step_s, 1.0)
     share, std = _ridge(sums, ended, overlap)
-    modest, _ = _ridge(_forgetting(by_size, step_s), ended, overlap)
+    modest, unsure = _ridge(_forgetting(by_size, step_s), ended, overlap)
+    modest = modest - unsure * np.clip(1.0 - modest, 0.0, 1.0)
     return np.clip(np.where(share > 1.0, np.maximum(share - std, 1.0), np.minimum(modest, 1.0)), 0.0, MOST)
 
 
