@@ -19,6 +19,8 @@ from groundstation.identification.sensitivities import planned_parts
 from groundstation.model.parameters import FitOptions, Parameters, table
 
 Array = NDArray[np.float64]
+Equations = tuple[Array, Array, Array]
+"""Z^T W X, Z^T W Z (P, P) and Z^T W e (P,) at a point."""
 
 ROUNDS = 3
 """How often the noise model is refitted to the residual."""
@@ -146,8 +148,8 @@ def _instruments(problem: Problem, point: Point, noise: Sequence[FlightNoise], s
 
 def _equations(
     problem: Problem, point: Point, noise: Sequence[FlightNoise], instruments: _Instruments, start: Fitted
-) -> tuple[Array, Array, Array]:
-    """Z^T W X, Z^T W Z (P, P) and Z^T W e (P,) over all flights and channels, with priors."""
+) -> Equations:
+    """Over all flights and channels, with priors."""
     theta = problem.values(point)
     mean, variance = instruments.pull
     zx, zz = instruments.precision.copy(), instruments.precision.copy()
@@ -165,18 +167,40 @@ def _equations(
     return zx, zz, ze
 
 
+def _merit(equations: Equations) -> float:
+    """How far Z^T W e is from zero, in units of its own deviations, squared."""
+    _, zz, ze = equations
+    return float(ze @ np.linalg.solve(zz, ze))
+
+
 def _step(
-    problem: Problem, point: Point, noise: Sequence[FlightNoise], instruments: _Instruments, start: Fitted
-) -> tuple[_Solution, bool]:
-    """One step towards Z^T W e = 0, and whether it was small beside the standard deviations."""
-    zx, zz, ze = _equations(problem, point, noise, instruments, start)
+    problem: Problem,
+    point: Point,
+    equations: Equations,
+    noise: Sequence[FlightNoise],
+    instruments: _Instruments,
+    start: Fitted,
+) -> tuple[_Solution, Equations, bool]:
+    """One of Newton's steps towards Z^T W e = 0, the equations where it led, and whether it was small beside the
+    standard deviations.
+
+    A step that leads away from zero is halved until it does not: the direction is right where the step is small
+    (globalised Newton's method: Nocedal and Wright 2006, Numerical Optimization, 11.2).
+    """
+    zx, zz, ze = equations
     step = np.asarray(np.linalg.solve(zx, ze), dtype=float)
     inverse = np.linalg.inv(zx)
-    covariance = inverse @ zz @ inverse.T
-    most = RESIDUAL_GROWTH * np.maximum(start.residual_rms, RESIDUAL_LEAST)
-    after = _beside_the_flight(problem, point, step, most)
-    change = problem.values(after) - problem.values(point)
-    return _Solution(after, covariance, zx, 1), _settled(change, covariance)
+    found = _Solution(point, inverse @ zz @ inverse.T, zx, 1)
+    most, before = RESIDUAL_GROWTH * np.maximum(start.residual_rms, RESIDUAL_LEAST), _merit(equations)
+    for _ in range(HALVINGS):
+        found = replace(found, point=_beside_the_flight(problem, point, step, most))
+        if _settled(problem.values(found.point) - problem.values(point), found.covariance):
+            return found, equations, True
+        equations = _equations(problem, found.point, noise, instruments, start)
+        if _merit(equations) < before:
+            break
+        step = 0.5 * step
+    return found, equations, False
 
 
 def _settled(change: Array, covariance: Array) -> bool:
@@ -192,10 +216,11 @@ def _solve(
     taken_before: int = 0,
 ) -> _Solution:
     """Steps under one noise model until they are small."""
-    found, small = _step(problem, point, noise, instruments, start)
+    equations = _equations(problem, point, noise, instruments, start)
+    found, equations, small = _step(problem, point, equations, noise, instruments, start)
     iterations = 1
     while not small and iterations < STEPS:
-        found, small = _step(problem, found.point, noise, instruments, start)
+        found, equations, small = _step(problem, found.point, equations, noise, instruments, start)
         iterations += 1
     return replace(found, iterations=taken_before + iterations)
 
