@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from groundstation.flightdata import resampled
 from groundstation.frames import matrix_from_quat, quat_conjugate, quat_exp, quat_log, quat_multiply, slerp
-from groundstation.identification.noise import NoiseModel, drifting_noise_model, innovations
+from groundstation.identification.noise import NoiseModel, early_noise_model, innovations
 from groundstation.identification.parts import at_times, by_parts, running_sums, weighted_products
 from groundstation.identification.smoothing import integrate_rates, local_level
 from groundstation.identification.stretches import gaps, parts_of, within
@@ -247,7 +247,7 @@ def _attitude_step(
     restart = np.tile(fresh, 3)
     dts = np.tile(dt, 3)
     if colour is None:
-        colour = drifting_noise_model(stacked[:, 0], dts, restart)
+        colour = early_noise_model(stacked[:, 0], dts, restart, integrated=True)
     e, s = innovations(stacked, dts, restart, colour, integrated=True)
     fit = whitened_fit(e[:, 0], e[:, 1:], s, ATTITUDE_PRIOR)
     bad = fit.outlier.reshape(3, count).any(axis=0)
@@ -267,7 +267,7 @@ def _attitude_step(
         errors=errors.changed(fit.values),
         covariance=fit.covariance,
         kept=kept,
-        colour=drifting_noise_model(remainder, dts, restart, start=colour),
+        colour=early_noise_model(remainder, dts, restart, integrated=True, start=colour),
         stamp_jitter_s=_stamp_jitter(e[:, 0] - e[:, 1:] @ fit.values, e[:, 1], s, fit.outlier),
         paths=paths,
     )

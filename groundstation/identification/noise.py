@@ -348,6 +348,8 @@ def early_noise_model(
     """Noise of a channel by a search that stops after a few steps, near where it began; else :func:`fit_noise_model`.
 
     Of what a diagnosis leaves: generic columns have taken much of it, and effects that nobody has named yet are in it.
+    And of attitudes against integrated rates: what these differ by is more than a gyro's white noise (scale, alignment,
+    interpolation), too slow for its size to be told. The likeliest noise has none of it; the first guess holds it.
     """
     from scipy.optimize import minimize
 
@@ -376,44 +378,6 @@ def early_noise_model(
         if found.fun < lowest:
             best, lowest = found.x, found.fun
     return NoiseModel.from_logarithms(np.clip(best, floor, ceiling))
-
-
-GUESSED = 1.0
-"""How far the first guess of :func:`drifting_noise_model` may be off, in logarithms: by a factor of three."""
-
-
-def drifting_noise_model(
-    residual: Array, dt: Array, restart: Restarts, *, start: NoiseModel | None = None
-) -> NoiseModel:
-    """Noise of an integrated channel with a slow drift unless the residual tells against it: most probable beside a
-    first guess that holds one.
-
-    Of attitudes against integrated rates: what these differ by is more than a gyro's white noise (scale, alignment,
-    interpolation), too slow for its size to be told. The likeliest noise has none of it, and with that the gyro's
-    biases lay up to twice as far from the truth as their standard deviations say.
-
-    Args:
-        start: a previous one to begin from.
-    """
-    step = float(np.median(dt[1:]))
-    search = _search(residual, step, float(np.sum(dt[1:])), integrated=True)
-    series = _Series(np.ascontiguousarray(residual), dt, restart, step, integrated=True)
-    guess = search.starts[0].logarithms()
-
-    def found(series: _Series, begin: Array, far: Callable[[Array], Array] | None = None) -> Array:
-        def expanded(point: Array) -> Expansion:
-            told, away = series.expanded(point), (point - guess) / GUESSED**2
-            cost = told.cost + 0.5 * float(away @ (point - guess))
-            return Expansion(cost, told.gradient + away, told.curvature + np.eye(NUMBERS) / GUESSED**2)
-
-        return scored(expanded, begin, search.floor, search.ceiling, far)[0]
-
-    begin = guess if start is None else start.logarithms()
-
-    def look(point: Array) -> Array:
-        return found(series.thinned(), point)
-
-    return NoiseModel.from_logarithms(found(series, begin, look if len(residual) > LONG else None))
 
 
 def _likeliest(
