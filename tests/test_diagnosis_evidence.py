@@ -68,7 +68,7 @@ def test_an_effect_is_averaged_over_a_block_as_the_sensors_are(evidence):
     assert shown < 0.98, "a frequency that a block dampens"
     wrench = np.zeros((len(record.t_s), 6, 1))
     wrench[:, 2, 0] = wrench[:, 5, 0] = np.sin(rate * record.t_s)
-    seen = flight.predicted(wrench)[:, :, 0]
+    seen = flight.course.predicted(wrench)[:, :, 0]
     force = shown * np.sin(rate * model.t_s) / flight.parameters.mass_kg
     turned = shown * (np.cos(rate * record.t_s[0]) - np.cos(rate * model.t_s)) / rate
     turned = turned * np.linalg.inv(flight.parameters.tensor)[2, 2]

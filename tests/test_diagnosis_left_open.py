@@ -109,5 +109,5 @@ def test_a_form_over_a_speed_is_that_of_the_power_below_without_a_constant(evide
     speed = np.linspace(0.6, 3.0, 50)
     over = module._scaled(lambda signals: speed, np.ones(1), over=True)
     wrench = np.repeat(speed[:, None, None] ** 2, 6, axis=1)
-    slope, constant = np.polyfit(speed, over(None, wrench)[:, 2, 0], 1)
+    slope, constant = np.polyfit(speed, over(None)(None, wrench)[:, 2, 0], 1)
     assert abs(constant) < 0.05 * slope * float(np.sqrt(np.mean(speed**2)))

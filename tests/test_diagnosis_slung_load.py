@@ -187,4 +187,4 @@ def test_a_load_that_no_pendulum_keeps_in_step_with_is_named_with_its_size(monke
         assert abs(estimate.value - true) < 3.0 * estimate.std, name
     mass = found.parameters_after["mass_kg"]
     assert mass.ci95[0] < flown.truth.mass_kg < mass.ci95[1]
-    assert mass.std < 0.02 * flown.truth.mass_kg
+    assert mass.std < 0.05 * flown.truth.mass_kg

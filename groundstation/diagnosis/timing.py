@@ -46,7 +46,8 @@ def lag_findings(evidence: Evidence, solution: Solution, published: Array) -> li
     """From the joint estimate with the named effects; lag and dead time are rivals, or stand together.
 
     With W the Wald statistic of all three parameters, that of the delay alone is what a lag cannot explain, and the
-    other way round: the two single explanations differ by it.
+    other way round: the two single explanations differ by it. Both stand where the published interval of the dead time
+    does not hold zero: what the noise tells of the division, weak instruments and formulas may leave open.
 
     Args:
         published: covariance (p, p) that the intervals are of: the joint estimate's and what is left open beside it.
@@ -65,7 +66,9 @@ def lag_findings(evidence: Evidence, solution: Solution, published: Array) -> li
     lag, delay = float(values[:2].mean()), float(values[2])
     if chance >= 0.0 or lag + delay < LAG.least:
         return []
-    if min(only_delay_explains, only_lag_explains) > THRESHOLDS.timing_wald and lag > LAG.least and delay > DELAY.least:
+    divided = delay > 1.96 * np.sqrt(spread[2, 2])
+    both = min(only_delay_explains, only_lag_explains) > THRESHOLDS.timing_wald and lag > LAG.least
+    if both and delay > DELAY.least and divided:
         return [
             _lag(values, spread, lags, only_lag_explains, (THRESHOLDS.timing_wald - only_lag_explains,)),
             _delay(
