@@ -75,8 +75,10 @@ def until(done: Callable[[], bool], process: subprocess.Popen[bytes]) -> None:
     """Wait for it while the process runs."""
     end = time.monotonic() + PATIENCE_S
     while not done():
-        if process.poll() is not None or time.monotonic() > end:
+        if process.poll() is not None:
             raise SystemExit(f"the campaign ended before it could be killed (status {process.poll()})")
+        if time.monotonic() > end:
+            raise SystemExit(f"the campaign did not come to where it is killed within {PATIENCE_S:.0f} s")
         time.sleep(0.2)
 
 
