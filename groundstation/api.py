@@ -253,7 +253,7 @@ def identify(
         name carries; ``model`` has lag, delay and thrust constants; what the flight does not reveal is in
         ``not_identifiable``.
     """
-    from groundstation.identification.pipeline import identify
+    from groundstation.diagnosis.hanging import identify
     from groundstation.options import AnalysisOptions
 
     return identify(_listed(flights), AnalysisOptions(exclude=tuple(exclude)), predictive=predictive, progress=progress)

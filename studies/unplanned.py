@@ -13,7 +13,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from groundstation.diagnosis.unplanned import tell_unplanned
 from groundstation.errors import GroundStationError
 from groundstation.flightdata import FlightData, Stream, resampled
 from groundstation.identification.dynamic_fit import fit_dynamics
+from groundstation.identification.pipeline import identify
 from groundstation.identification.preparation import Prepared, prepare
 from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.model.parameters import declared_parameters
@@ -163,22 +164,28 @@ def as_recorded(flight: FlightData, filter_s: float, late_s: float) -> FlightDat
     return replace(flight, plan=None, setpoint=None, window_s=None, truth=None, motors=late)
 
 
-def flights_of(seed: int) -> tuple[list[FlightData], Vehicle, dict[str, dict[str, Any]], dict[str, Any]]:
+def flights_of(
+    seed: int, source: Literal["telemetry", "command"] = "telemetry"
+) -> tuple[list[FlightData], Vehicle, dict[str, dict[str, Any]], dict[str, Any]]:
     """Two flights of a vehicle, the true vehicle, what acts on it, and what else was drawn.
+
+    Args:
+        source: of the recorded rotor speeds; commands are neither filtered nor late.
 
     Raises:
         FlightAborted: what was drawn cannot be flown.
     """
     random = np.random.default_rng([14, seed])
     document = vehicle_to_dict(draw_vehicle(random))
-    document["rotors"]["speed_source"] = "telemetry"
+    document["rotors"]["speed_source"] = source
     vehicle = vehicle_from_dict(document)
     scenario, hidden = world(random, vehicle)
     speed = float(random.uniform(0.8, 2.5))
     names = [str(n) for n in random.choice(list(PLANNERS), 2)]
     filter_s, late_s = float(random.uniform(0.005, 0.03)), float(random.uniform(0.0, 0.02))
     flown = [simulate(vehicle, PLANNERS[n](random, speed), scenario, seed + 7 * i) for i, n in enumerate(names)]  # type: ignore[arg-type]
-    flights = [as_recorded(flight_data(f, f"unplanned {seed} {i}"), filter_s, late_s) for i, f in enumerate(flown)]
+    late = (filter_s, late_s) if source == "telemetry" else (1e-6, 0.0)
+    flights = [as_recorded(flight_data(f, f"unplanned {seed} {i}"), *late) for i, f in enumerate(flown)]
     drawn = {"planners": names, "speed_m_s": speed, "filter_s": filter_s, "late_s": late_s}
     return flights, flown[0].truth, hidden, drawn
 
@@ -220,6 +227,44 @@ def air(seed: int) -> dict[str, Any]:
         "two": _air(prepared, mass_kg, hidden, truth.mass_kg),
     }
     return {"seed": seed, "hidden": sorted(hidden), **drawn, "air": told}
+
+
+FEWER = {"poses": ("imu", "state"), "IMU": ("mocap", "state"), "state": ("imu", "mocap"), "IMU and poses": ("state",)}
+"""What of a flight is there beside the rotors, and the streams that are taken away."""
+
+
+def fewer(seed: int) -> dict[str, Any]:
+    """Fly, and identify the first flight as logs with fewer streams would have it: a row."""
+    row: dict[str, Any] = {"seed": seed, "away": {}}
+    for source in ("telemetry", "command"):
+        flights, truth, hidden, drawn = flights_of(seed, source)  # type: ignore[arg-type]
+        row |= {"hidden": sorted(hidden), **drawn}
+        true = truth.parameters()
+        for name, lacking in FEWER.items():
+            try:
+                found = identify([replace(flights[0], **dict.fromkeys(lacking))])
+            except GroundStationError as refusal:
+                row["away"][f"{source}, {name}"] = str(refusal)
+                continue
+            published = found.methods[found.best].parameters
+            row["away"][f"{source}, {name}"] = {
+                n: (e.value - true[n]) / e.std for n, e in published.items() if n in MASS_AND_TENSOR
+            }
+    return row
+
+
+def fewer_summary(rows: Sequence[dict[str, Any]]) -> str:
+    """The table of :func:`fewer`."""
+    lines = ["| there is | refused | revealed | inside their 95 % interval | farthest, standard deviations |"]
+    lines.append("|---|---|---|---|---|")
+    for name in rows[0]["away"]:
+        told = [row["away"][name] for row in rows if isinstance(row["away"][name], dict)]
+        away = [abs(value) for each in told for value in each.values()]
+        lines.append(
+            f"| {name} | {len(rows) - len(told)} | {len(away)} of {7 * len(rows)} | "
+            f"{sum(value < 1.96 for value in away)} | {max(away, default=0.0):.1f} |"
+        )
+    return "\n".join(lines)
 
 
 def one(seed: int, diagnosed: bool) -> dict[str, Any]:

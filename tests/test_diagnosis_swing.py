@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from flights import laboratory
 
+from groundstation.diagnosis.hanging import identify
 from groundstation.diagnosis.pipeline import _with_swing
 from groundstation.diagnosis.results import Diagnosis
 from groundstation.diagnosis.swing import Swing, cable, swing_of
@@ -68,6 +69,14 @@ def test_a_mass_that_holds_an_unnamed_load_is_published_with_an_interval_that_ho
     assert found.verdict == "unexplained" and found.warnings == (found.reason,)
 
 
+def test_an_identification_alone_says_that_its_mass_may_hold_a_load():
+    prepared, mass_kg = _flown(0.14, 0.36)
+    found = identify([prepared.flight])
+    low, high = found.methods[found.best].parameters["mass_kg"].ci95
+    assert "swings as a load" in found.warnings[0]
+    assert low < mass_kg < high
+
+
 def test_without_a_load_a_diagnosis_stays_as_it_is():
     prepared, _ = _flown(0.0, 1.0)
     before = Diagnosis("a", "b", "clean", parameters_after={"mass_kg": Estimate.normal(1.8, 0.005)})
@@ -87,3 +96,18 @@ def test_flights_that_are_too_short_say_nothing_of_a_load():
     assert swing_of(signals, short, VEHICLE) is None
     unknown = replace(signals, velocity_world_m_s=np.full_like(signals.velocity_world_m_s, np.nan))
     assert swing_of(unknown, prepared.record.keep, VEHICLE) is None
+
+
+@pytest.mark.parametrize(
+    "none",
+    [
+        {"load_kg": 0.8, "body_kg": 1.2},  # the heaviest that is tried: the search ended there
+        {"length_m": 4.3},  # swings slower than what was looked at
+        {"length_m": 0.05},
+        {"air_1_s": -1.4},  # driven by the air
+    ],
+)
+def test_what_a_search_found_at_its_edge_or_against_nature_is_no_load(none: dict[str, float]):
+    load = Swing(load_kg=0.1, length_m=0.5, air_1_s=-0.1, body_kg=1.7, drag_kg_s=0.0, left=0.1)
+    assert load.hangs(9.81)
+    assert not replace(load, **none).hangs(9.81)

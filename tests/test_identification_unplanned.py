@@ -29,6 +29,33 @@ def test_what_is_published_lies_in_its_interval_where_lift_and_late_telemetry_be
     assert {"ixy_kg_m2", "ixz_kg_m2", "iyz_kg_m2"} <= set(found.not_identifiable)
 
 
+@pytest.mark.parametrize("lacking", [("imu", "state"), ("mocap", "state"), ("mocap", "imu")])
+def test_what_is_published_of_a_flight_that_lacks_streams_lies_in_its_interval(lacking: tuple[str, ...]):
+    """The fit to the rates gave this vehicle 1.3 times its mass and 2.7 to 4.4 times its moments."""
+    print("seed", 7711)
+    (flight, _), truth, *_ = flights_of(7711)
+    found = identify([replace(flight, **dict.fromkeys(lacking))])
+    published, true = found.methods[found.best].parameters, truth.parameters()
+    assert found.best == "LF" and "mass_kg" in published
+    for name, estimate in published.items():
+        assert abs(estimate.value - true[name]) < 2.5 * estimate.std, name
+
+
+def test_a_moment_that_feedback_blows_up_is_not_told_for_being_large():
+    """The residual of a moment is as large as it is; by the declared one it is nothing that the flight shows."""
+    print("seed", 4008)
+    (flight, _), *_ = flights_of(4008)
+    names = [n for n in MOMENTS if n in identify([flight]).methods["LF"].parameters]
+    assert names
+    small = flight.vehicle.model_copy(
+        update={"inertia_kg_m2": flight.vehicle.inertia_kg_m2.model_copy(
+            update={n[1:3]: 0.02 * getattr(flight.vehicle.inertia_kg_m2, n[1:3]) for n in MOMENTS}
+        )}
+    )  # fmt: skip
+    hidden = identify([replace(flight, vehicle=small)]).not_identifiable
+    assert set(names) <= set(hidden)
+
+
 def test_moments_that_a_slow_figure_of_eight_does_not_show_are_not_told():
     print("seed", 4009)
     (flight, _), *_ = flights_of(4009)

@@ -14,6 +14,7 @@ from groundstation.diagnosis.base import Base, base_fit, for_evidence
 from groundstation.diagnosis.case import Case, case_of, sensors, thrust_exponent
 from groundstation.diagnosis.comparison import base_covariance, flight_parameters
 from groundstation.diagnosis.effect import catalogue
+from groundstation.diagnosis.hanging import hanging, holding
 from groundstation.diagnosis.judging import Judged, judge
 from groundstation.diagnosis.next_flight import rival_entries
 from groundstation.diagnosis.possible import possible
@@ -21,7 +22,6 @@ from groundstation.diagnosis.published import published
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
 from groundstation.diagnosis.screen import dependences
 from groundstation.diagnosis.selection import Progress, Selected, select_beside
-from groundstation.diagnosis.swing import swing_of
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
@@ -34,7 +34,7 @@ from groundstation.identification.declarations import said_first
 from groundstation.identification.identifiability import unrevealed
 from groundstation.identification.low_frequency import without_plan
 from groundstation.identification.preparation import Prepared
-from groundstation.identification.results import MASS_AND_TENSOR, Estimate
+from groundstation.identification.results import MASS_AND_TENSOR
 from groundstation.identification.unplanned import applies as low_frequencies_apply
 from groundstation.identification.unplanned import by_low_frequencies
 from groundstation.identification.work import Work
@@ -104,16 +104,14 @@ def _with_swing(found: Diagnosis, flight: Prepared, p: Parameters) -> Diagnosis:
     """Not clean, with a warning, and with a mass whose interval holds the load, where the force that is left is that of
     a load below the vehicle and no finding says so.
     """
-    flight = flight.liveliest()
-    signals = flight.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
-    swing = swing_of(signals, flight.record.keep, flight.record.vehicle)
+    swing = hanging(flight, p)
     if swing is None:
         return found
     after, covariance = dict(found.parameters_after), found.covariance_after
     mass = after.get("mass_kg")
     if mass is not None and mass.std > 0.0:
         away = mass.value - swing.body_kg
-        after["mass_kg"] = Estimate.normal(mass.value, float(np.hypot(mass.std, away)))
+        after["mass_kg"] = holding(mass, swing)
         if covariance is not None:
             covariance = covariance + np.diag([away**2, *[0.0] * (len(covariance) - 1)])
     return replace(
@@ -127,14 +125,10 @@ def _with_swing(found: Diagnosis, flight: Prepared, p: Parameters) -> Diagnosis:
 
 
 def _with_low_frequencies(found: Diagnosis, case: Case, base: Base) -> Diagnosis:
-    """Mass and moments as an identification of the same flights tells them, where telemetry without a plan loses the
-    fast torque.
-    """
+    """Mass and moments as an identification of the same flights tells them, where there is no plan."""
     if not low_frequencies_apply(case.suspects):
         return found
     low = by_low_frequencies(case.suspects, base.fitted)
-    if low is None:
-        return found
     hidden = unrevealed(low, case.suspects)
     estimates, constants = anchored(case.vehicle, low.names, low.values, low.covariance)
     own = {name: value for name, value in estimates.items() if name not in hidden}

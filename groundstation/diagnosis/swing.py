@@ -36,7 +36,7 @@ Mask = NDArray[np.bool_]
 
 BAND_HZ = (0.3, 3.0)
 """Where loads on cables of some decimetres to three metres swing and turn over."""
-LENGTHS_M = (0.1, 5.0)
+SHORTEST_M = 0.1
 RATE_HZ = 50.0
 """At which it is looked at."""
 LEAST_S, EDGE_S = 8.0, 1.0
@@ -45,6 +45,8 @@ SLACK = 0.3
 """Of the median pull, below which it does not say where the cable points."""
 SHARES = np.linspace(0.01, 0.3, 30)
 """Of the whole mass, that a load is tried with at first."""
+SEARCHED = np.array([0.6, -0.2]), np.array([1.0 - 0.5 * SHARES[0], 2.0])
+"""Least and most of the vehicle's own share of the whole mass, and of its drag over the mass, 1/s."""
 STEPS, ROUNDS = np.array([2e-3, 1e-2]), 8
 """Differences of the mass, as a share, and of the drag, 1/s times the mass; steps of Gauss and Newton."""
 
@@ -68,6 +70,18 @@ class Swing:
     body_kg: float
     drag_kg_s: float
     left: float
+
+    def hangs(self, gravity_m_s2: float) -> bool:
+        """Whether it is a load at all: lighter than the heaviest that was tried, swinging within the band, in air that
+        does not drive it.
+
+        A search that ends at its edge, or beside what the equation was looked at in, has found no minimum.
+        """
+        if self.length_m < SHORTEST_M or self.load_kg >= (1.0 - SEARCHED[0][0] - 1e-6) * (self.load_kg + self.body_kg):
+            return False
+        swing_hz = float(np.sqrt(gravity_m_s2 * (1.0 + self.load_kg / self.body_kg) / self.length_m)) / (2.0 * np.pi)
+        driven = self.air_1_s < -THRESHOLDS.swing_driven * 2.0 * np.pi * swing_hz
+        return BAND_HZ[0] < swing_hz < BAND_HZ[1] and not driven
 
     def sentence(self) -> str:
         """As a warning."""
@@ -140,7 +154,7 @@ def swing_of(signals: Signals, keep: Mask, vehicle: Vehicle) -> Swing | None:
         size > THRESHOLDS.swing_share * whole * vehicle.gravity_m_s2
         and found.left < THRESHOLDS.swing_left
         and load > THRESHOLDS.swing_load * whole
-        and LENGTHS_M[0] < found.length_m < LENGTHS_M[1]
+        and found.hangs(vehicle.gravity_m_s2)
     )
     return found if swings else None
 
@@ -165,7 +179,7 @@ def _searched(left: Callable[[Array], Array]) -> Array:
     for _ in range(ROUNDS):
         slopes = np.column_stack([(left(x + step) - rest) / step.sum() for step in np.diag(STEPS)])
         step = np.clip(-np.linalg.lstsq(slopes, rest, rcond=1e-9)[0], [-0.05, -0.2], [0.05, 0.2])
-        trials = [np.clip(x + share * step, [0.6, -0.2], [1.0 - 0.5 * SHARES[0], 2.0]) for share in (1.0, 0.5, 0.25)]
+        trials = [np.clip(x + share * step, *SEARCHED) for share in (1.0, 0.5, 0.25)]
         before = float(rest @ rest)
         better = next((each for each in trials if float(np.sum(left(each) ** 2)) < before), None)
         if better is None:

@@ -141,6 +141,13 @@ class Thresholds:
         source="judgement",
         chosen_on="12 flights of two simulators; looked at again on 28 with loads and 10 without (decision 47)",
     )
+    swing_driven: float = _entry(
+        0.1,
+        "Rate at which air may seem to drive a swinging load, as a share of its angular frequency: air takes energy, "
+        "and what it seems to give is an error of the search.",
+        source="judgement",
+        chosen_on="the measured flights of shared/data, none of which carries a load (-0.22 and less in three)",
+    )
     swing_form: float = _entry(
         0.05,
         "Share by which a load that is told by its force, and its cable's length, lie off, as a standard deviation: 3 "

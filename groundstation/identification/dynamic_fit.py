@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from groundstation.errors import NotIdentifiable
 from groundstation.identification.damping import damping_terms
-from groundstation.identification.identifiability import angular_acceleration
+from groundstation.identification.identifiability import quiet_axes
 from groundstation.identification.instrumental import instrumental
 from groundstation.identification.memory import released
 from groundstation.identification.prediction_error import Fitted, fit, fit_from_declared
@@ -24,11 +24,6 @@ from groundstation.model.rotors import wrench_matrix
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
-
-QUIET = 0.2
-"""Share of the angular acceleration of the liveliest flight below which a flight without a plan only answers its
-disturbance.
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,10 +60,8 @@ def options_for(prepared: Prepared) -> FitOptions:
 
 def _models_of(prepared: Sequence[Prepared]) -> tuple[RecordModel, ...]:
     """One model a flight. Flights without a plan leave an axis to those of the others that turn about it much more."""
-    strength = np.array([angular_acceleration(item) for item in prepared])
-    quiet = strength < QUIET * strength.max(axis=0)
     models: list[RecordModel] = []
-    for item, axes in zip(prepared, quiet, strict=True):
+    for item, axes in zip(prepared, quiet_axes(prepared), strict=True):
         terms, planned = damping_terms(item)
         silent: frozenset[int] = frozenset(np.flatnonzero(axes).tolist() if planned is None else ())
         models.append(RecordModel(item.record, terms, planned, silent))

@@ -31,6 +31,11 @@ UNREVEALED_PRODUCT = 0.05
 STILL_RAD_S = 0.03
 """An axis that turns by less (RMS) only answers the disturbance: noise in the rotor speeds then passes for inertia."""
 
+QUIET = 0.2
+"""Share of the angular acceleration of the liveliest flight below which a flight without a plan only answers its
+disturbance.
+"""
+
 NOTHING = 1e-5
 """Share of weight (times arm) below which what a change of all of a parameter makes is numerical."""
 SPACING_S = 0.1
@@ -55,6 +60,12 @@ def angular_acceleration(prepared: Prepared) -> Array:
     sections = low_pass(2, min(5.0, 0.4 * rate_hz), rate_hz)
     slow = both_ways(sections, record.rate_rad_s)
     return np.std(np.gradient(slow, record.t_s, axis=0)[record.keep], axis=0)
+
+
+def quiet_axes(prepared: Sequence[Prepared]) -> NDArray[np.bool_]:
+    """Axes about which a flight turns so much less than the liveliest one that it leaves them to that, (flights, 3)."""
+    strength = np.array([angular_acceleration(item) for item in prepared])
+    return strength < QUIET * strength.max(axis=0)
 
 
 def revealed(models: Sequence[RecordModel], vehicle: Vehicle, options: FitOptions) -> list[Revealed]:

@@ -1,12 +1,14 @@
-r"""Mass and moments of flights without a plan whose rotor speeds are telemetry: by the equations turned round, below
-1.5 Hz.
+r"""Mass and moments of flights without a plan: by the equations turned round, below 1.5 Hz.
 
-There the fits to the rates give moments that are wrong by any factor at intervals that deny it: what is filtered or
-late has lost the torque, and drag, flapping and damping pass for inertia. What is left is feedback: the controller
-answers the disturbance, so motion and disturbance are correlated by some :math:`\rho`, and a regression is off by
-:math:`\rho \sigma_e / \sigma_x`, with :math:`\sigma_e` what is left of the output and :math:`\sigma_x` of the regressor
-beside the others. No data of one flight tell :math:`\rho`; a bound on it goes into the interval (plausibly exogenous
-regressors: Conley, Hansen and Rossi 2012).
+There the fits to the rates give moments that are wrong by any factor at intervals that deny it: telemetry that is
+filtered or late has lost the torque, a lag that is fitted takes the phase of feedback, and drag, flapping and damping
+pass for inertia. What is left is feedback: the controller answers the disturbance, so motion and disturbance are
+correlated by some :math:`\rho`, and a regression is off by :math:`\rho \sigma_e / \sigma_x`, with :math:`\sigma_e`
+what is left of the output and :math:`\sigma_x` of the regressor beside the others. No data of one flight tell
+:math:`\rho`; a bound on it goes into the interval (plausibly exogenous regressors: Conley, Hansen and Rossi 2012).
+
+Without velocities the columns of flapping, inflow and lift are empty: what these do stays in :math:`\sigma_e`, and so
+in the interval.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.identification.identifiability import UNREVEALED, quiet_axes
 from groundstation.identification.lagged_instruments import Equation
 from groundstation.identification.low_frequency import (
     lightness_equation,
@@ -47,8 +50,9 @@ LOW_NOTE = (
     "intervals."
 )
 LOW_REASON = (
-    "LF: neither plan nor setpoints are recorded and rotor speeds are telemetry, which loses the fast torque; below "
-    "1.5 Hz it is right. Feedback from disturbances is in the intervals. Products of inertia are not told."
+    "LF: neither plan nor setpoints are recorded, and a fit to the fast motion takes what the air does, feedback and "
+    "late rotor values for mass and inertia; below 1.5 Hz it is right. Feedback from disturbances is in the intervals. "
+    "Products of inertia are not told."
 )
 
 
@@ -62,38 +66,32 @@ class _Told:
 
 
 def applies(prepared: Sequence[Prepared]) -> bool:
-    """Neither plan nor setpoints, speeds that are telemetry, rates by an IMU, and poses."""
-    return all(
-        without_plan(item)
-        and item.record.motors.measured
-        and item.source == "imu"
-        and np.isfinite(item.velocity_m_s[item.record.keep]).all()
-        and np.isfinite(item.record.force_m_s2).all()
-        for item in prepared
-    )
+    """Neither plan nor setpoints are recorded of any of them."""
+    return all(without_plan(item) for item in prepared)
 
 
-def by_low_frequencies(prepared: Sequence[Prepared], fitted: Fitted) -> Fitted | None:
-    """The fit with mass and moments by low frequencies, products of inertia unknown; None where no stretch is long
-    enough for that.
+def by_low_frequencies(prepared: Sequence[Prepared], fitted: Fitted) -> Fitted:
+    """The fit with mass and moments by low frequencies, products of inertia unknown.
 
     Args:
         prepared: the flights.
         fitted: of them, by the declared constants.
     """
-    parts = [part for item in prepared for part in parts_of(slow(_by_thrust(item), fitted.parameters))]
+    by_flight = [parts_of(slow(_by_thrust(item), fitted.parameters)) for item in prepared]
+    parts = [part for each in by_flight for part in each]
+    quiet = np.repeat(quiet_axes(prepared), [len(each) for each in by_flight], axis=0)
     trace = float(np.trace(parts[0].tensor))
     found = dict.fromkeys(MASS_AND_TENSOR, (0.0, trace))
-    mass = _mass([lightness_equation(part) for part in parts], prepared)
-    if mass is None:
-        return None
-    found["mass_kg"] = mass
+    found["mass_kg"] = _mass([lightness_equation(part) for part in parts], prepared)
     equations = [moment_equations(part) for part in parts]
     for axis, name in enumerate(MOMENTS):
-        value, std = _pooled([_plain(each[axis]) for each in equations])
+        value, std = _pooled(
+            [_plain(each[axis]) for each, silent in zip(equations, quiet[:, axis], strict=True) if not silent]
+        )
         own = float(parts[0].tensor[axis, axis])
-        # What is nowhere near a rigid body's is unknown: the declared value stands in, as unsure as it is large.
-        found[name] = (value, std) if LEAST * own < value and np.isfinite(std) else (own, own)
+        # What is nowhere near a rigid body's is unknown: the declared value stands in, as unsure as it is large. So is
+        # what would be known well only beside its own size: feedback blows up a moment, and its interval along.
+        found[name] = (value, std) if LEAST * own < value and std < UNREVEALED * own else (own, own)
     names, values, covariance = list(fitted.names), fitted.values.copy(), fitted.covariance.copy()
     for name, (value, std) in found.items():
         index = names.index(name)
@@ -114,15 +112,15 @@ def _by_thrust(prepared: Prepared) -> Prepared:
     )
 
 
-def _mass(equations: Sequence[Equation], prepared: Sequence[Prepared]) -> tuple[float, float] | None:
-    """Mass by one over its inverse, with the accelerometer's bias and what the effects beside it leave open; None where
-    none shows.
+def _mass(equations: Sequence[Equation], prepared: Sequence[Prepared]) -> tuple[float, float]:
+    """Mass by one over its inverse, with the accelerometer's bias and what the effects beside it leave open. Where none
+    shows, the declared one, as unsure as it is large.
     """
+    vehicle = prepared[0].record.vehicle
     value, std = _pooled([_plain(equation) for equation in equations])
     if not np.isfinite(std) or value <= 0.0:
-        return None
-    gravity = prepared[0].record.vehicle.gravity_m_s2
-    bias = min(float(item.record.force_bias_std[2]) for item in prepared) / gravity
+        return vehicle.mass_kg, vehicle.mass_kg
+    bias = min(float(item.record.force_bias_std[2]) for item in prepared) / vehicle.gravity_m_s2
     return 1.0 / value, float(np.hypot(std / value, bias)) / value
 
 
