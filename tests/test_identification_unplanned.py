@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from groundstation.diagnosis.pipeline import diagnose
+from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.low_frequency import without_plan
 from groundstation.identification.pipeline import identify
-from groundstation.identification.preparation import prepare
-from groundstation.identification.unplanned import applies
+from groundstation.identification.preparation import prepare, prepare_all
+from groundstation.identification.unplanned import applies, by_low_frequencies
+from groundstation.paths import find_config
+from groundstation.recording.load import load_flight
+from groundstation.vehicle import load_vehicle
 from studies.unplanned import flights_of
 
 MOMENTS = ("ixx_kg_m2", "iyy_kg_m2", "izz_kg_m2")
@@ -82,3 +87,17 @@ def test_a_flight_with_a_plan_is_not_told_this_way():
     setpoint = flight.motors
     planned = replace(prepared, flight=replace(flight, setpoint=setpoint))
     assert not without_plan(planned) and not applies([planned])
+
+
+def test_low_frequencies_go_by_the_thrust_curve_that_the_fit_found():
+    """The declared curve is another vehicle's: by it the weighed 27 g come out as 33.5 +- 0.5."""
+    log = Path(__file__).parents[2] / "shared" / "data" / "crazyflie-1khz" / "log15"
+    if not log.exists():
+        pytest.skip(f"the measured flights are not there: {log}")
+    vehicle = load_vehicle(find_config("vehicles", "crazyflie21"))
+    prepared = prepare_all([load_flight(log, vehicle=vehicle, start_s=55.0, end_s=63.0)], ())
+    fitted = fit_dynamics(prepared).best
+    low = by_low_frequencies(prepared, fitted)
+    assert "thrust_curve_c2_n" in fitted.names
+    assert abs(low.value("mass_kg") - 0.027) < 2.0 * low.std("mass_kg") < 0.003
+    assert abs(low.value("ixx_kg_m2") - fitted.value("ixx_kg_m2")) < 1.0 * low.std("ixx_kg_m2")

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.identification.dynamic_fit import CURVE
 from groundstation.identification.identifiability import UNREVEALED, quiet_axes
 from groundstation.identification.lagged_instruments import Equation
 from groundstation.identification.low_frequency import (
@@ -77,7 +78,7 @@ def by_low_frequencies(prepared: Sequence[Prepared], fitted: Fitted) -> Fitted:
         prepared: the flights.
         fitted: of them, by the declared constants.
     """
-    by_flight = [parts_of(slow(_by_thrust(item), fitted.parameters)) for item in prepared]
+    by_flight = [parts_of(slow(_by_thrust(item, fitted), fitted.parameters)) for item in prepared]
     parts = [part for each in by_flight for part in each]
     quiet = np.repeat(quiet_axes(prepared), [len(each) for each in by_flight], axis=0)
     trace = float(np.trace(parts[0].tensor))
@@ -103,13 +104,15 @@ def by_low_frequencies(prepared: Sequence[Prepared], fitted: Fitted) -> Fitted:
     return replace(fitted, parameters=p, values=values, covariance=covariance)
 
 
-def _by_thrust(prepared: Prepared) -> Prepared:
-    """The same with thrust as declared: the anchor is applied to what comes out."""
+def _by_thrust(prepared: Prepared, fitted: Fitted) -> Prepared:
+    """The same with thrust as declared, or by the curve that the fit found: the anchor is applied to what comes out."""
     vehicle = prepared.record.vehicle
-    settings = vehicle.identification.model_copy(update={"anchor": "thrust"})
-    return replace(
-        prepared, record=replace(prepared.record, vehicle=vehicle.model_copy(update={"identification": settings}))
-    )
+    rotors, settings = vehicle.rotors, vehicle.identification.model_copy(update={"anchor": "thrust"})
+    if rotors.thrust_curve is not None and CURVE[0] in fitted.names:
+        found = (c + fitted.value(name) for c, name in zip(rotors.thrust_curve, CURVE, strict=True))
+        rotors = rotors.model_copy(update={"thrust_curve": tuple(map(float, found))})
+    update = {"identification": settings, "rotors": rotors}
+    return replace(prepared, record=replace(prepared.record, vehicle=vehicle.model_copy(update=update)))
 
 
 def _mass(equations: Sequence[Equation], prepared: Sequence[Prepared]) -> tuple[float, float]:
