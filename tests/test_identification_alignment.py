@@ -97,3 +97,20 @@ def test_a_healthy_crazypad_flight_is_not_shifted_by_eight_seconds() -> None:
     prepared = prepare(load_flight(log, vehicle=load_vehicle(find_config("vehicles", "crazyflie21"))))
     assert said(prepared.notes, "The motors' stamps") is None
     assert sum(end - start for start, end in prepared.stretches) > 14.0
+
+
+def test_an_accelerometer_is_not_off_by_a_quarter_of_gravity():
+    """Between its two flights this vehicle lay on the ground and was carried, out of sight at times: by the poses its
+    accelerometer was off by 2.4 m/s^2, and its thrust came out a quarter too small.
+    """
+    folder = DATA / "nanodrone" / "square_20251017_run1"
+    if not folder.exists():
+        pytest.skip(f"the measured flights are not there: {folder}")
+    prepared = prepare(load_flight(folder))
+    keep = prepared.record.keep
+    thrust = float(prepared.signals(0.0, 0.0, 0.0).thrust_n[keep].sum(axis=1).mean())
+    assert thrust / float(prepared.record.force_m_s2[keep, 2].mean()) == pytest.approx(0.045, rel=0.03)
+    assert np.all(prepared.record.force_bias_std == 0.1)
+    assert any(note.startswith("By the poses the accelerometer would be off") for note in prepared.notes)
+    assert prepared.compatibility is not None
+    assert not any(name.startswith("accel_bias") for name in prepared.compatibility.revealed)

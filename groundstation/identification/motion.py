@@ -36,6 +36,10 @@ Path = tuple[Array, Array, Array]
 
 LEAST = 50
 """Samples that a stream needs to tell of a motion."""
+WORST_ACCEL_BIAS_M_S2 = 1.5
+"""Bias of an accelerometer that flies, at the very most (0.15 g): three of the deviations that a reconstruction begins
+with. A larger one is an error of the reconstruction.
+"""
 UNKNOWN_ACCEL_BIAS_M_S2 = 0.1
 """Standard deviation of an accelerometer bias nobody measured: 10 mg, a consumer MEMS sensor's turn-on bias."""
 
@@ -160,15 +164,25 @@ def _aided(flight: FlightData, imu: Stream, tracked: _Tracked, notes: Sequence[s
     rate = gyro - np.array([value[f"gyro_bias_{axis}_rad_s"] for axis in "xyz"])
     dropped = int((~found.kept).sum())
     left_out = f"{dropped} of {len(found.kept)} poses lay outside the IMU's record or did not fit it and were left out."
+    bias, bias_std = (np.array([each[f"accel_bias_{axis}_m_s2"] for axis in "xyz"]) for each in (value, std))
+    if np.any(np.abs(bias) > WORST_ACCEL_BIAS_M_S2):
+        left = tuple(name for name in found.revealed if not name.startswith("accel_bias"))
+        found = replace(found, revealed=left)
+        notes = [
+            *notes,
+            f"By the poses the accelerometer would be off by {np.linalg.norm(bias):.1f} m/s^2, as none is: poses and "
+            "accelerometer disagree somewhere in this record (a knock, a gap, a clipped sensor). It is left open.",
+        ]
+        bias, bias_std = np.zeros(3), np.full(3, UNKNOWN_ACCEL_BIAS_M_S2)
     return Motion(
         t_s=t,
         rate=rate,
-        force=accel - np.array([value[f"accel_bias_{axis}_m_s2"] for axis in "xyz"]),
+        force=accel - bias,
         smooth=body_motion(found, rate, lever),
         source="imu",
         rate_hz=imu.rate_hz(),
         causal=body_motion(found, rate, lever, causal=True),
-        force_bias_std=np.array([std[f"accel_bias_{axis}_m_s2"] for axis in "xyz"]),
+        force_bias_std=bias_std,
         compatibility=found.without_path(),
         clock=clock,
         notes=(*notes, *([] if clock is None else _disagreement(clock)), *([left_out] if dropped else [])),
