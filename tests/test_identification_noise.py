@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 
 from groundstation.identification.noise import (
     NoiseModel,
+    Passing,
     fit_noise_model,
     innovations,
     minus_log_likelihood,
@@ -78,6 +79,17 @@ def test_sensitivities_pass_the_same_linear_filter() -> None:
     for integrated in (True, False):
         e, _ = innovations(mixed, dt, restart, PLANTED, integrated=integrated)
         np.testing.assert_allclose(e[:, 3], e[:, :3] @ [2.0, -1.0, 0.5], rtol=0, atol=1e-12)
+
+
+def test_columns_that_are_picked_from_others_are_whitened_as_when_they_are_handed_over() -> None:
+    print("seed", 1)
+    rows = np.random.default_rng(1).standard_normal((12, 400))
+    steps, rest = segments(400, (0, 150)), np.array([1.0, -0.4])
+    shown = np.array([0, 2, 3, 4, 5, 7, 8, 9, 10])
+    for integrated in (True, False):
+        picked, _ = Passing(PLANTED, rest, integrated=integrated)(rows[:1], steps, rows[1:], shown)
+        handed, _ = Passing(PLANTED, rest, integrated=integrated)(rows[[0, *(1 + shown)]], steps)
+        assert np.array_equal(picked, handed)
 
 
 def test_a_constant_offset_of_an_integrated_channel_is_invisible() -> None:

@@ -95,6 +95,21 @@ def outputs(
 
 
 @njit(cache=True)
+def residual(measured: tuple[Array, Array], rate: Array, force: Array, mass: float, bias: Array) -> Array:
+    """Measured rates and specific forces less rates and forces of a body with biases, (blocks, 6).
+
+    Args:
+        measured: rates and specific forces, (blocks, 3) each. rate, force: predicted, (blocks, 3). bias: (3,).
+    """
+    out = np.empty((len(rate), 6))
+    for b in range(len(rate)):
+        for i in range(3):
+            out[b, i] = measured[0][b, i] - rate[b, i]
+            out[b, 3 + i] = measured[1][b, i] - (force[b, i] / mass + bias[i])
+    return out
+
+
+@njit(cache=True)
 def cubic(values: Array, start_s: float, step_s: float, at_s: Array) -> Array:
     """Columns (k, n) of a uniform grid at other times inside it, by the cubic through the four points about each."""
     count, columns = values.shape

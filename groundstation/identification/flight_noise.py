@@ -77,17 +77,15 @@ class WhitenedParts:
 
     def __call__(self, blocks: slice, residual: Array, sensitivity: Array) -> Whitened:
         """The next part's residuals (n, 6) and sensitivities (n, 6, P) as innovations of unit variance."""
-        dt, restart = self.model.dt[blocks], self.model.restart[blocks]
-        whole = len(dt) == len(self.model.dt)
+        steps = self.model.dt[blocks], self.model.restart[blocks]
+        whole = len(residual) == len(self.model.dt)
         ys: list[Array] = []
         xs: list[Columns] = []
         logs = 0.0
         for channel, passed in zip(self.channels, self.filters, strict=True):
             rows = sensitivity[:, channel, :].T
             shown = np.array([n for n, row in enumerate(rows) if not whole or row.any()], dtype=np.intp)
-            stacked = np.empty((1 + len(shown), len(residual)))
-            stacked[0], stacked[1:] = residual[:, channel], rows[shown]
-            white, deviation = passed(stacked, dt, restart)
+            white, deviation = passed(residual[:, channel].copy()[None, :], steps, rows, shown)
             ys.append(white[:, 0].copy())
             xs.append(Columns(shown, white[:, 1:]))
             logs += deviation
@@ -125,7 +123,7 @@ class FlightNoise:
         """Several residuals (trials, blocks, 6) at once: by channel (blocks, trials), and the logarithms."""
         whites, logs = list[Array](), 0.0
         for channel, passed in zip(self.channels, self._filters(model), strict=True):
-            white, half = passed(residuals[:, :, channel].copy(), model.dt, model.restart)
+            white, half = passed(residuals[:, :, channel].copy(), (model.dt, model.restart))
             whites.append(white)
             logs += half
         return tuple(whites), logs

@@ -216,14 +216,22 @@ class Passing:
         self._polynomial = np.concatenate([polynomial, np.zeros(-(len(polynomial) - 1) % TAPS)])
         self._state: Array | None = None
 
-    def __call__(self, rows: Array, dt: Array, restart: Restarts) -> Gains:
-        """Normalised innovations (k, width) of the next part of columns, each in a row (width, k), and half the sum of
-        the logarithms of their variances.
+    def __call__(
+        self, rows: Array, steps: Steps, more: Array | None = None, shown: NDArray[np.intp] | None = None
+    ) -> Gains:
+        """Normalised innovations (k, width) of the next part of columns, each in a row, and half the sum of the
+        logarithms of their variances.
+
+        Args:
+            rows: the first columns, (n, k). more, shown: as :func:`.whitening_kernel.white_columns` takes them.
         """
-        gains, half = self._gains or self._made(dt, restart, self._noise, self._spread)
+        gains, half = self._gains or self._made(*steps, self._noise, self._spread)
+        more = np.ascontiguousarray(rows[:0] if more is None else more)
+        shown = np.zeros(0, dtype=np.intp) if shown is None else shown
         if self._state is None:
-            self._state = np.zeros((-(-len(rows) // LANES), (1 + len(self._polynomial)) * LANES))
-        return white_columns(rows, gains, self._polynomial, self._state), half
+            groups = -(-(len(rows) + len(shown)) // LANES)
+            self._state = np.zeros((groups, (1 + len(self._polynomial)) * LANES))
+        return white_columns(rows, more, shown, gains, self._polynomial, self._state), half
 
 
 PART = 4096

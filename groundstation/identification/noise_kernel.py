@@ -53,7 +53,7 @@ def _prepared(noises: Array, usual: float) -> Array:
 def _kept(usual: float, tau: float, beyond: float) -> float:
     """exp(-h / tau) by its series about the usual step, ``beyond`` which h lies: right to 1e-14 within 0.005 tau."""
     d = beyond / tau
-    return usual * (1.0 - d * (1.0 - d * (0.5 - d * (1.0 / 6.0 - d * (1.0 / 24.0 - d / 120.0)))))
+    return usual * (1.0 - d * (1.0 - d * (0.5 - d * (1.0 / 6.0 - d * (1.0 / 24.0 - d * (1.0 / 120.0))))))
 
 
 @njit(cache=True, error_model="numpy")
@@ -67,11 +67,11 @@ def _near(s: Array, h: float, usual: float, shortest: float) -> bool:
 
 
 @njit(cache=True, error_model="numpy")
-def _logarithms(s: Array) -> None:
+def _logarithms(s: Array, noises: int) -> None:
     """Move products of variances into the costs before they leave the range of floats."""
-    for n in range(LANES):
+    for n in range(noises):
         s[COST + n] += 0.5 * np.log(s[PRODUCT + n])
-        s[PRODUCT + n] = 1.0
+    s[PRODUCT : PRODUCT + LANES] = 1.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -137,7 +137,7 @@ def integrated_costs(z: Array, step: Steps, noises: Array, informed: bool) -> Ar
     s, shortest = _prepared(noises, usual), np.min(noises[:, 1])
     for i in range(len(z)):
         if i % LOGARITHM_EVERY == 0:
-            _logarithms(s)
+            _logarithms(s, len(noises))
         if restart[i] or i == 0:
             for n in range(LANES):
                 s[LEVEL + n], s[SLOPE + n] = z[i], 0.0
@@ -147,7 +147,7 @@ def integrated_costs(z: Array, step: Steps, noises: Array, informed: bool) -> Ar
         _integrated_step(s, z[i], dt[i], dt[i] - usual, near)
         if informed:
             _inform(s)
-    _logarithms(s)
+    _logarithms(s, len(noises))
     return _told(s, len(noises), informed)
 
 
@@ -174,7 +174,7 @@ def direct_costs(z: Array, step: Steps, noises: Array, informed: bool) -> Array:
     s, shortest = _prepared(noises, usual), np.min(noises[:, 1])
     for i in range(len(z)):
         if i % LOGARITHM_EVERY == 0:
-            _logarithms(s)
+            _logarithms(s, len(noises))
         if restart[i] or i == 0:
             s[KEPT : KEPT + LANES] = 0.0
             _direct_step(s, z[i], 1.0, 0.0, False)
@@ -183,5 +183,5 @@ def direct_costs(z: Array, step: Steps, noises: Array, informed: bool) -> Array:
             _direct_step(s, z[i], dt[i], dt[i] - usual, near)
         if informed:
             _inform(s)
-    _logarithms(s)
+    _logarithms(s, len(noises))
     return _told(s, len(noises), informed)

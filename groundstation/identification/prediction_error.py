@@ -434,5 +434,6 @@ def output_error(
 def coarse_output_error(models: Sequence[RecordModel], start: Parameters, options: FitOptions) -> Fitted:
     """:func:`output_error` from means of COARSER blocks, with the residual that it leaves of all."""
     found = output_error([coarser(model) for model in models], start, options)
-    point = Problem(tuple(models), options, start).at(found.parameters)
+    untimed = replace(options, lag=False, delay=False)  # no residual needs differences by a lag
+    point = Problem(tuple(models), untimed, start).at(found.parameters)
     return replace(found, residual_rms=point.rms(), samples=sum(len(model.t_s) for model in models))

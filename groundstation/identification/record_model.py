@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.frames import skew
-from groundstation.identification.block_kernel import integral_means, outputs, wrench_means
+from groundstation.identification.block_kernel import integral_means, outputs, residual, wrench_means
 from groundstation.identification.noise import KeptGains
 from groundstation.identification.parts import double, kept
 from groundstation.identification.record import LATEST_S, DynamicRecord, PlannedMotion
@@ -44,6 +44,9 @@ LIVELIEST = 45000
 """Blocks in which lags, dead time and noise are searched for: five minutes, which tell them to a few parts of a
 thousand, so that a fit of all from there takes few steps.
 """
+
+UNTIMED = FitOptions(lag=False, delay=False)
+"""Asks for no differences by lags and dead time."""
 
 CHANNELS = ("torque_x_nm", "torque_y_nm", "torque_z_nm", "force_x_n", "force_y_n", "force_z_n")
 
@@ -95,13 +98,24 @@ class TermMeans:
 
     def dense(self) -> tuple[Array, Array]:
         """Running integral (blocks, 6) and force (blocks, 3)."""
-        if self.against is None:
-            return self.integral, self.push
         integral, push = np.zeros((len(self.integral), 6)), np.zeros((len(self.integral), 3))
-        integral[:, self.against] = self.integral
-        if self.against < 3:
-            push[:, self.against] = self.push
+        self.turn(1.0, integral)
+        self.push_on(1.0, push)
         return integral, push
+
+    def turn(self, coefficient: float, impulse: Array) -> None:
+        """Add so much of the running integral to one (blocks, 6)."""
+        if self.against is None:
+            impulse += coefficient * self.integral
+        else:
+            impulse[:, self.against] += coefficient * self.integral
+
+    def push_on(self, coefficient: float, force: Array) -> None:
+        """Add so much of the force to one (blocks, 3)."""
+        if self.against is None:
+            force += coefficient * self.push
+        elif self.against < 3:
+            force[:, self.against] += coefficient * self.push
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +177,7 @@ class RecordModel:
         self.extra_means = tuple(self.means_of(term, term.value) for term in self.extra)
         self._last: tuple[Parameters, Predicted] | None = None
         self._made: tuple[list[tuple[Lag, float]], tuple[Array, Array]] | None = None
-        self._asked = FitOptions(lag=False, delay=False)
+        self._asked = UNTIMED
         self.gains = KeptGains()
 
     def channels(self, options: FitOptions) -> tuple[int, ...]:
@@ -219,6 +233,7 @@ class RecordModel:
         other.record, other.matrix = replace(self.record, vehicle=vehicle), wrench_matrix(vehicle)
         other.planned, other.extra, other.extra_means = None, (), ()
         other._last = other._made = None
+        other._asked = UNTIMED
         return other
 
     def integrated(self, values: Array) -> Array:
@@ -296,15 +311,13 @@ class RecordModel:
     ) -> Predicted:
         """Rates and forces that a wrench and its integral make."""
         entries = np.array([p.tensor[i, j] for i, j in PAIRS])
-        entries = np.array([p.tensor[i, j] for i, j in PAIRS])
         body = entries, np.asarray(np.linalg.inv(p.tensor), dtype=float), np.array(p.com_m, dtype=float)
-        dense = [means.dense() for means in self.extra_means]
-        whole = impulse
-        for coefficient, (integral, _) in zip(p.extra, dense, strict=True):
-            whole = whole + coefficient * integral
+        whole = impulse.copy()
+        for coefficient, means in zip(p.extra, self.extra_means, strict=True):
+            means.turn(coefficient, whole)
         rate, force = outputs(wrench, whole, self.gyroscopic, body, p.yaw_trim_nm * self.elapsed_s)
-        for coefficient, (_, push) in zip(p.extra, dense, strict=True):
-            force += coefficient * push
+        for coefficient, means in zip(p.extra, self.extra_means, strict=True):
+            means.push_on(coefficient, force)
         return self._with_linear(p, Predicted(moved, wrench, impulse, rate, force))
 
     def forget(self) -> None:
@@ -341,8 +354,7 @@ class RecordModel:
 
     def residual_of(self, p: Parameters, prediction: Predicted) -> Array:
         """Measured less a prediction at ``p``, (blocks, 6)."""
-        force = prediction.force / p.mass_kg + p.force_bias_m_s2
-        return np.concatenate([self.rate - prediction.rate, self.force - force], axis=1)
+        return residual((self.rate, self.force), prediction.rate, prediction.force, p.mass_kg, p.force_bias_m_s2)
 
     def sensitivities(self, p: Parameters, options: FitOptions, blocks: slice) -> Array:
         """d(prediction)/d(parameter) of some of the blocks, (n, 6, P)."""

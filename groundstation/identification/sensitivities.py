@@ -257,6 +257,9 @@ def measured_sensitivities(at: Measured, options: FitOptions) -> dict[str, Pair]
     """Of each parameter that is free, and of each wrench term of the model, by name."""
     found = {entry.name: sensitivity_of(entry.name)(at) for entry in free_entries(options)}
     for term, means in zip(at.model.extra, at.model.extra_means, strict=True):
+        if means.against is not None and means.against >= 3:
+            found[term.name] = np.outer(means.integral, at.inverse[:, means.against - 3]), at.blank
+            continue
         integral, push = means.dense()
         torque = integral[:, 3:] - integral[:, :3] @ at.arm
         found[term.name] = torque @ at.inverse.T, push / at.p.mass_kg

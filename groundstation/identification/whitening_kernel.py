@@ -106,17 +106,21 @@ def _regressed(work: Array, polynomial: Array, first: int, count: int, out: Arra
 
 
 @njit(cache=True, error_model="numpy")
-def white_columns(z: Array, gains: Array, polynomial: Array, state: Array) -> Array:
+def white_columns(
+    z: Array, more: Array, shown: NDArray[np.intp], gains: Array, polynomial: Array, state: Array
+) -> Array:
     """Normalised innovations of columns, behind the autoregression, (k, m).
 
     Args:
-        z: columns, each of them in a row, (m, k).
+        z: the first columns, each of them in a row, (n, k).
+        more: rows of which those that are ``shown`` are the columns behind them, (P, k) and (m - n,).
         gains: of :func:`integrated_gains` or :func:`direct_gains`, (k, GAINS).
         polynomial: coefficients, the first of them one, and as many more as TAPS divide (zeros at the end).
         state: what the filters of each eight columns hold, and the samples that the polynomial still needs, (groups,
             (1 + len(polynomial)) * LANES); zero at first, and changed.
     """
-    m, k = z.shape
+    own, k = z.shape
+    m = own + len(shown)
     before = (len(polynomial) - 1) * LANES
     out = np.empty((k, m))
     for first in range(0, m, LANES):
@@ -126,7 +130,8 @@ def white_columns(z: Array, gains: Array, polynomial: Array, state: Array) -> Ar
         for begin in range(0, k, CHUNK):
             size = min(CHUNK, k - begin)
             for n in range(count):
-                column = z[first + n]
+                row = first + n
+                column = z[row] if row < own else more[shown[row - own]]
                 for i in range(size):
                     work[before + i * LANES + n] = column[begin + i]
             for i in range(size):

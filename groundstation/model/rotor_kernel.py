@@ -69,9 +69,9 @@ def _paced(s: Array) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _paced_fast(s: Array) -> None:
-    """The same where some are large."""
-    for n in range(LANES):
+def _paced_fast(s: Array, lanes: int) -> None:
+    """The same of some lanes where some are large."""
+    for n in range(lanes):
         pace = max(s[STILL + n] + s[MORE + n] * s[INPUT + n], SLOWEST)
         s[RISING + n], s[FALLING + n] = gain(pace * s[UP + n]), gain(pace * s[DOWN + n])
 
@@ -177,7 +177,7 @@ def block_means(
                     if small:
                         _paced(s)
                     else:
-                        _paced_fast(s)
+                        _paced_fast(s, len(lags) * rotors)
             if i == 0:
                 s[LAGGED : LAGGED + LANES] = s[INPUT : INPUT + LANES]
             _turned(s, curve[0], curve[1], curve[2], 0.0 if i == 0 else 1.0)
