@@ -18,6 +18,7 @@ from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.joint import updated_rigid_body
 from groundstation.diagnosis.linearisation import linearisation
 from groundstation.diagnosis.scale import scale_findings
+from groundstation.diagnosis.signals import hat_functions
 from groundstation.diagnosis.whitening import bands_of, coefficients
 from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
@@ -58,6 +59,22 @@ def test_what_the_base_leaves_is_white_from_the_lowest_frequencies_up(evidence):
         count = 2 * len(flight.channels) * int(inside.sum())
         # 3.3 sigma of the periodogram itself, and a fifth for the estimated spectrum
         assert abs(power[:, inside].mean() - 1.0) < 0.2 + 3.3 * np.sqrt(2.0 / count), (low, high)
+
+
+def test_hat_functions_are_polygons_through_one_knot_each():
+    print("seed", 7)
+    random = np.random.default_rng(7)
+    knots = np.sort(random.normal(size=6))
+    values = np.concatenate([random.normal(size=300), knots, [knots[0] - 1.0, knots[-1] + 1.0, np.nan]])
+    polygons = np.stack([np.interp(values, knots, peak) for peak in np.eye(6)], axis=1)
+    assert np.array_equal(hat_functions(values, knots), polygons, equal_nan=True)
+
+
+def test_the_vehicle_as_declared_is_asked_for_no_differences_by_a_lag(evidence):
+    flight = evidence.flights[0]
+    p = flight.parameters
+    assert flight.model.predicted(p, replace(flight.options, lag=True, delay=True)).moved
+    assert not flight.model.of_vehicle(flight.prepared.record.vehicle).predicted(p).moved
 
 
 def test_an_effect_is_averaged_over_a_block_as_the_sensors_are(evidence):

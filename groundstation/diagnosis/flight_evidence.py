@@ -16,7 +16,7 @@ from groundstation.diagnosis.columns import Batch, Candidate, Solution
 from groundstation.diagnosis.course import ByChannel, Course, Part, Wrenches
 from groundstation.diagnosis.effect import library
 from groundstation.diagnosis.joint import updated_rigid_body
-from groundstation.diagnosis.signals import held, planned_signals
+from groundstation.diagnosis.signals import hat_functions, held, planned_signals
 from groundstation.diagnosis.sudden import sudden
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.whitening import Whitening
@@ -188,9 +188,7 @@ class FlightEvidence:
         def beside(own: Callable[[Signals], Array]) -> Callable[[Part], Array]:
             def columns(part: Part) -> Array:
                 now = part.signals
-                elapsed = now.t_s - signals.t_s[0]
-                hats: list[Array] = [np.interp(elapsed, knots, peak) for peak in np.eye(len(knots))]
-                drift, shown = np.column_stack(hats), own(now)
+                drift, shown = hat_functions(now.t_s - signals.t_s[0], knots), own(now)
                 thrust: Array = now.thrust_n.sum(axis=1)[:, None]
                 return np.concatenate([drift, shown, thrust] if known else [drift, shown], axis=1)
 
@@ -317,7 +315,20 @@ def _how_hard(candidates: Sequence[Candidate], part: Part) -> tuple[Array, Array
         for candidate in candidates
         if candidate.effect.straight is not None
     ]
-    return np.stack([how_hard for how_hard, _ in made], axis=1), np.stack([way for _, way in made], axis=1)
+    return _side_by_side([how_hard for how_hard, _ in made]), np.stack([way for _, way in made], axis=1)
+
+
+ROWS_AT_ONCE = 256
+"""Of many columns side by side: as much as a core's own cache holds."""
+
+
+def _side_by_side(columns: Sequence[Array]) -> Array:
+    """Columns (k,) each, (k, n)."""
+    rows, out = np.array(columns), np.empty((len(columns[0]), len(columns)))
+    for first in range(0, len(out), ROWS_AT_ONCE):
+        some = slice(first, first + ROWS_AT_ONCE)
+        out[some] = rows[:, some].T
+    return out
 
 
 def _channels_of(prepared: Prepared) -> tuple[int, ...]:

@@ -23,6 +23,7 @@ from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import WRENCH_ROW, FlightEvidence
 from groundstation.diagnosis.results import Unexplained
 from groundstation.diagnosis.rivals import Entry
+from groundstation.diagnosis.signals import hat_functions
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.frames import euler_from_quat
 from groundstation.identification.parts import parts_of
@@ -73,13 +74,7 @@ class Dependence:
 
 def _hats(name: str, knots: Array) -> Callable[[Signals], Array]:
     """Hat functions of a variable over knots, but the first, (k, knots - 1)."""
-
-    def hats(signals: Signals) -> Array:
-        values = VARIABLES[name](signals)
-        peaks: list[Array] = [np.interp(values, knots, peak) for peak in np.eye(len(knots))[1:]]
-        return np.stack(peaks, axis=1)
-
-    return hats
+    return lambda signals: hat_functions(VARIABLES[name](signals), knots)[:, 1:]
 
 
 def dependences(evidence: Evidence, chosen: Sequence[Entry], shared: int = 0) -> list[Dependence]:

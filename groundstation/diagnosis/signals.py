@@ -65,21 +65,33 @@ def _slow(t_s: Array, values: Array) -> Array:
     corners = np.linspace(begin, end, max(3, round((end - begin) / THRESHOLDS.voltage_knot_s)) + 1)
     gram, moment = np.zeros((len(corners), len(corners))), np.zeros(len(corners))
     for part in parts_of(len(t_s)):
-        own, hats = _hats(t_s[part], corners)
-        gram[own, own] += hats.T @ hats
-        moment[own] += hats.T @ values[part]
+        own, peaks = _own_hats(t_s[part], corners)
+        gram[own, own] += peaks.T @ peaks
+        moment[own] += peaks.T @ values[part]
     heights = np.linalg.solve(gram, moment)
 
     def slow(part: slice) -> Array:
-        own, hats = _hats(t_s[part], corners)
-        return hats @ heights[own]
+        own, peaks = _own_hats(t_s[part], corners)
+        return peaks @ heights[own]
 
     return by_parts(slow, len(t_s))
 
 
-def _hats(t_s: Array, corners: Array) -> tuple[slice, Array]:
+def _own_hats(t_s: Array, corners: Array) -> tuple[slice, Array]:
     """Corners that times lie between, and the hat functions there, (k, corners)."""
     first, last = np.searchsorted(corners, (t_s[0], t_s[-1]))
     own = slice(max(int(first) - 1, 0), int(last) + 1)
-    peaks: list[Array] = [np.interp(t_s, corners, peak) for peak in np.eye(len(corners))[own]]
-    return own, np.stack(peaks, axis=1)
+    return own, np.ascontiguousarray(hat_functions(t_s, corners)[:, own])
+
+
+def hat_functions(values: Array, knots: Array) -> Array:
+    """Hat functions over ascending knots: one at a knot, zero at those beside it, held beyond the ends, (k, knots)."""
+    first = np.clip(np.searchsorted(knots, values, "right") - 1, 0, len(knots) - 2)
+    slope, beyond = (1.0 / np.diff(knots))[first], np.clip(values, knots[0], knots[-1]) - knots[first]
+    out = np.zeros((len(values), len(knots)))
+    rows = np.arange(len(values))
+    last = values >= knots[-1]
+    out[rows, first] = np.where(last, 0.0, 1.0 - slope * beyond)
+    out[rows, first + 1] = np.where(last, 1.0, slope * beyond)
+    out[np.isnan(values)] = np.nan
+    return out

@@ -108,14 +108,16 @@ class _Seen:
         """What the mean thrust holds up."""
         return float(self.thrust[:, 2].mean() / self.force[:, 2].mean())
 
-    def band(self, values: Array, power: int) -> Array:
-        """The part within the band, differentiated so many times, of the instants that count, (3 used,)."""
+    def band(self, values: Array, *powers: int) -> list[Array]:
+        """The part within the band, differentiated so many times, of the instants that count, (3 used,) each."""
         frequency = np.fft.rfftfreq(len(values), self.step_s)
         inside = (frequency > BAND_HZ[0]) & (frequency < BAND_HZ[1])
-        gain = np.zeros(len(frequency), dtype=complex)
-        gain[inside] = (2j * np.pi * frequency[inside]) ** power
-        spectrum = np.fft.rfft(values - values.mean(axis=0), axis=0)
-        return np.fft.irfft(spectrum * gain[:, None], len(values), axis=0)[self.used].ravel()
+        spectrum, found = np.fft.rfft(values - values.mean(axis=0), axis=0), list[Array]()
+        for power in powers:
+            gain = np.zeros(len(frequency), dtype=complex)
+            gain[inside] = (2j * np.pi * frequency[inside]) ** power
+            found.append(np.fft.irfft(spectrum * gain[:, None], len(values), axis=0)[self.used].ravel())
+        return found
 
 
 def swing_of(signals: Signals, keep: Mask, vehicle: Vehicle) -> Swing | None:
@@ -128,13 +130,13 @@ def swing_of(signals: Signals, keep: Mask, vehicle: Vehicle) -> Swing | None:
     if seen is None:
         return None
     whole, level = seen.whole_kg, seen.velocity * [1.0, 1.0, 0.0]
-    thrust = seen.band(seen.thrust, -1)
-    known = [seen.band(values, -1) for values in (seen.force, level, seen.velocity - level)]
+    (thrust,) = seen.band(seen.thrust, -1)
+    known = [seen.band(values, -1)[0] for values in (seen.force, level, seen.velocity - level)]
 
     def fitted(x: Array) -> tuple[Array, Array]:
         """What mass and drag, as shares, leave of the thrust, and the coefficients of all that is linear."""
         along = cable(x[0] * whole * seen.force - seen.thrust + x[1] * whole * level)
-        columns = np.column_stack([*known, seen.band(along, 1), seen.band(along, 0)])
+        columns = np.column_stack([*known, *seen.band(along, 1, 0)])
         coefficients = np.asarray(np.linalg.lstsq(columns, thrust, rcond=1e-9)[0], dtype=np.float64)
         rest: Array = thrust - columns @ coefficients
         return rest, coefficients

@@ -83,8 +83,9 @@ def _grid(t_s: Array) -> Index:
 def _on_body(quaternion: Array, pull: Array, depth_m: float) -> Array:
     """Body wrench of a pull in the world on the hook, (k, 6)."""
     force = quat_rotate_inverse(quaternion, pull)
-    arm = np.stack([depth_m * force[:, 1], -depth_m * force[:, 0], np.zeros(len(force))], axis=1)
-    return np.concatenate([force, arm], axis=1)
+    wrench = np.zeros((len(force), 6))
+    wrench[:, :3], wrench[:, 3], wrench[:, 4] = force, depth_m * force[:, 1], -depth_m * force[:, 0]
+    return wrench
 
 
 @dataclass(frozen=True, slots=True)
