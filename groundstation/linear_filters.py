@@ -201,6 +201,10 @@ def moving_mean(values: Array, width: int) -> Array:
         total += values[_reflected(n, k)]
     out[0] = total / width
     for i in range(1, k):
-        total += values[_reflected(i + half, k)] - values[_reflected(i - half - 1, k)]
+        inside = i > half and i + half < k  # a remainder takes longer than the rest
+        later, earlier = i + half, i - half - 1
+        total += (
+            values[later if inside else _reflected(later, k)] - values[earlier if inside else _reflected(earlier, k)]
+        )
         out[i] = total / width
     return out

@@ -94,7 +94,7 @@ def least_squares(
     for part in evenly(len(used), STRETCH):
         inside = rows[slice(*np.searchsorted(rows, (part.start, part.stop)))]
         influence = np.zeros((part.stop - part.start, *regressor.shape[:0:-1]))
-        influence[inside - part.start] = np.matmul(inverse, regressor[inside].transpose(0, 2, 1))
+        influence[run_of(inside - part.start)] = np.matmul(inverse, regressor[run_of(inside)].transpose(0, 2, 1))
         covariance += coloured_covariance(influence, residual[part], float(t_s[1] - t_s[0]))
     covariance[~known, :] = covariance[:, ~known] = np.inf
     evolution[:, ~known] = values[~known] = np.nan
@@ -111,7 +111,8 @@ def _cumulated(
     count = regressor.shape[2]
     total, noted = np.zeros((count + 1, count)), list[Array]()
     for part in parts_of(len(rows), STRETCH):
-        gamma, upsilon = np.ascontiguousarray(regressor[rows[part]]), np.ascontiguousarray(output[rows[part]])
+        run = run_of(rows[part])
+        gamma, upsilon = np.ascontiguousarray(regressor[run]), np.ascontiguousarray(output[run])
         inside = stops[(stops > part.start) & (stops <= part.stop)] - part.start
         noted.append(add_products(gamma, upsilon, inside, total))
     both = np.concatenate(noted)
@@ -180,9 +181,10 @@ def _sums(regressor: Array | Assembled, output: Array, rows: NDArray[np.intp]) -
     count = regressor.shape[2]
     normal, moment = np.zeros((count, count)), np.zeros(count)
     for part in parts_of(len(rows), STRETCH):
-        gamma = regressor[rows[part]]
+        run = run_of(rows[part])
+        gamma = regressor[run]
         normal += np.tensordot(gamma, gamma, axes=((0, 1), (0, 1)))
-        moment += np.tensordot(gamma, output[rows[part]], axes=((0, 1), (0, 1)))
+        moment += np.tensordot(gamma, output[run], axes=((0, 1), (0, 1)))
     return normal, moment
 
 
@@ -194,7 +196,8 @@ def _descended(
 
     theta, noted = np.zeros(regressor.shape[2]), list[Array]()
     for part in parts_of(len(rows), STRETCH):
-        gamma, upsilon = np.ascontiguousarray(regressor[rows[part]]), np.ascontiguousarray(output[rows[part]])
+        run = run_of(rows[part])
+        gamma, upsilon = np.ascontiguousarray(regressor[run]), np.ascontiguousarray(output[run])
         inside = stops[(stops > part.start) & (stops <= part.stop)] - part.start
         noted.append(descend(gamma, upsilon, gain, inside, theta))
     return np.concatenate(noted)
@@ -211,7 +214,8 @@ def _descent_covariance(
     for part in reversed(evenly(len(residual), STRETCH)):
         inside = rows[slice(*np.searchsorted(rows, (part.start, part.stop)))]
         influence = np.zeros((part.stop - part.start, *regressor.shape[:0:-1]))
-        influence[inside - part.start] = descent_influence(np.ascontiguousarray(regressor[inside]), gain, later)
+        gamma = np.ascontiguousarray(regressor[run_of(inside)])
+        influence[run_of(inside - part.start)] = descent_influence(gamma, gain, later)
         if np.any(influence):
             covariance += coloured_covariance(influence, residual[part], period_s)
     return covariance, later
@@ -222,6 +226,13 @@ def _used_rows(used: NDArray[np.bool_]) -> NDArray[np.intp]:
     if len(rows) == 0:
         raise NotIdentifiable("No sample is left to estimate from.", "Exclude less.")
     return rows
+
+
+def run_of(rows: NDArray[np.intp]) -> slice | NDArray[np.intp]:
+    """Ascending rows as a slice, which copies nothing, where none is left out between them."""
+    if not len(rows) or rows[-1] - rows[0] + 1 != len(rows):
+        return rows
+    return slice(int(rows[0]), int(rows[-1]) + 1)
 
 
 def _stops(samples: int, points: int) -> NDArray[np.int64]:
@@ -241,5 +252,6 @@ def _residual(regressor: Array | Assembled, output: Array, values: Array, rows: 
     """Gamma Theta - Upsilon (eq. 43) on the full grid, zero where a sample was not used."""
     out = np.zeros(output.shape)
     for part in parts_of(len(rows), STRETCH):
-        out[rows[part]] = regressor[rows[part]] @ values - output[rows[part]]
+        run = run_of(rows[part])
+        out[run] = regressor[run] @ values - output[run]
     return out

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import thrust_constants
-from groundstation.identification.estimators import STRETCH, LinearEstimate, gradient_descent, least_squares
+from groundstation.identification.estimators import STRETCH, LinearEstimate, gradient_descent, least_squares, run_of
 from groundstation.identification.filters import FilterPair, seed_pair
 from groundstation.identification.parts import parts_of
 from groundstation.identification.regressors import Assembled, rate_products, transport_and_gravity
@@ -169,7 +169,7 @@ def noisy_parameters(regression: Regression, noise: Array) -> dict[str, str]:
     """
     used, total = np.flatnonzero(regression.used), np.zeros((6, 6))
     for part in parts_of(len(used)):
-        gamma = regression.rows[used[part]][:, 1:, 1:]
+        gamma = regression.rows[run_of(used[part])][:, 1:, 1:]
         total += np.tensordot(gamma, gamma, axes=((0, 1), (0, 1)))
     total /= max(len(used), 1)
     # Row i of inertia_columns(alpha, 0) is linear in alpha: E[d^T d] is diagonal for independent axes.

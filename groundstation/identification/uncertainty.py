@@ -9,6 +9,7 @@ R need not be truncated. White residuals give the textbook sigma^2 A^{-1} back.
 
 from __future__ import annotations
 
+from itertools import combinations_with_replacement
 from typing import Annotated
 
 import numpy as np
@@ -41,30 +42,32 @@ def coloured_covariance(
     # Padded by the memory that the smoothing leaves to R, so that the correlations below are linear, not circular.
     length = 2 * fast_length((k + int(1.0 / (SMOOTHING_HZ * period_s))) // 2 + 1)
     spectrum = _cross_spectrum(residual, period_s, length)
-    weight = np.full(length // 2 + 1, 2.0)
-    weight[[0, -1]] = 1.0
     active = (influence != 0.0).any(axis=0)
-    listened = np.zeros((length // 2 + 1, parameters, outputs), dtype=complex)
-    listened[:, active] = np.fft.rfft(influence[:, active], length, axis=0)
-    carried = weight[:, None, None] * np.matmul(listened, spectrum)
-    covariance = np.real(np.tensordot(carried, listened.conj(), axes=((0, 2), (0, 2)))) / length
-    return 0.5 * (covariance + covariance.T)
+    listened = [np.zeros((np.count_nonzero(some), length // 2 + 1), dtype=complex) for some in active.T]
+    for rows, some, output in zip(listened, active.T, range(outputs), strict=True):
+        for row, parameter in zip(rows, np.flatnonzero(some), strict=True):
+            row[:] = np.fft.rfft(influence[:, parameter, output], length)
+    covariance = np.zeros((parameters, parameters))
+    for (i, j), crossed in spectrum.items():
+        crossed[1:-1] *= 2.0  # and at negative frequencies
+        # the real part of H* S H, of real and imaginary parts as so many real numbers
+        heard = (crossed * listened[i]).view(float) @ listened[j].view(float).T / length
+        covariance[np.ix_(active[:, i], active[:, j])] += 0.5 * heard if i == j else heard
+    return covariance + covariance.T
 
 
-def _cross_spectrum(residual: Array, period_s: float, length: int) -> Array:
-    """Smoothed two-sided cross-spectra of the residual at the rfft frequencies of ``length``, variance per sample.
+def _cross_spectrum(residual: Array, period_s: float, length: int) -> dict[tuple[int, int], NDArray[np.complex128]]:
+    """Smoothed two-sided cross-spectra of the residual at the rfft frequencies of ``length``, variance per sample, of
+    each pair of outputs, (length // 2 + 1,) each.
 
-    Normalised so that white noise of variance s^2 has the value s^2; shape (length // 2 + 1, n_outputs, n_outputs).
+    Normalised so that white noise of variance s^2 has the value s^2.
     """
-    used = np.count_nonzero(np.abs(residual).max(axis=1) > 0.0)
-    transform = np.fft.rfft(residual, length, axis=0)
+    used = max(np.count_nonzero(np.abs(residual).max(axis=1) > 0.0), 1)
+    transform = [np.fft.rfft(row, length) for row in residual.T]
     bins = max(3, 2 * int(SMOOTHING_HZ * length * period_s) + 1)
-    outputs = residual.shape[1]
-    out = np.empty((len(transform), outputs, outputs), dtype=complex)
-    for i in range(outputs):
-        for j in range(i, outputs):
-            raw = transform[:, i] * transform[:, j].conj() / max(used, 1)
-            smooth = moving_mean(raw.real, bins) + 1j * moving_mean(raw.imag, bins)
-            out[:, i, j] = smooth
-            out[:, j, i] = smooth.conj()
+    out: dict[tuple[int, int], NDArray[np.complex128]] = {}
+    for (i, first), (j, second) in combinations_with_replacement(enumerate(transform), 2):
+        raw = first * second.conj() / used
+        imaginary = 0.0 if i == j else 1j * moving_mean(raw.imag, bins)
+        out[i, j] = moving_mean(raw.real, bins) + imaginary
     return out

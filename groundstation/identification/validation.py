@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from groundstation.errors import NotIdentifiable
 from groundstation.flightdata import FlightData, Stream
 from groundstation.frames import euler_from_quat, slerp
+from groundstation.identification.estimators import run_of
 from groundstation.identification.parts import parts_of
 from groundstation.identification.results import MASS_AND_TENSOR, OUTPUTS, MethodResult, Validation
 from groundstation.identification.seed import Regression, Regressions
@@ -106,7 +107,8 @@ def output_validation(regression: Regression, sets: ParameterSets, note: str = "
     used = np.flatnonzero(regression.used)
     squares = {name: np.zeros(len(OUTPUTS)) for name in sets}
     for part in parts_of(len(used)):
-        gamma, upsilon = regression.rows[used[part]], regression.output[used[part]]
+        run = run_of(used[part])
+        gamma, upsilon = regression.rows[run], regression.output[run]
         for name, values in sets.items():
             error = gamma @ np.array([values[key] for key in MASS_AND_TENSOR]) - upsilon
             squares[name] += np.sum(error**2, axis=0)
