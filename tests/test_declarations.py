@@ -15,7 +15,7 @@ from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.declarations import check_declarations, go_on, lag_doubts
 from groundstation.identification.declarations.scale import scale_checks
-from groundstation.identification.declarations.signals import Flown
+from groundstation.identification.declarations.signals import Flown, similarities, similarity
 from groundstation.identification.results import Estimate
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
@@ -35,6 +35,17 @@ def right() -> FlightData:
     """A laboratory flight, seed 1, as anyone records it: no plan, no setpoints, filtered telemetry at 100 Hz."""
     vehicle = load_vehicle(find_config("vehicles", "qball2"))
     return with_state(unplanned(flight_data(simulate(vehicle, rest_to_rest_plan(seed=1), laboratory(), 1))))
+
+
+def test_many_orders_of_rotors_are_compared_by_products_as_by_their_torques() -> None:
+    print("seed", 53)
+    random = np.random.default_rng(53)
+    thrust, columns = random.normal(0.3, 1.0, (400, 4)), random.normal(size=(6, 4, 2))
+    measured = thrust @ columns[2] + random.normal(size=(400, 2))
+    torques = [thrust @ each for each in columns]
+    expected = [similarity(torque / np.std(torque, axis=0), measured) for torque in torques]
+    assert similarities(thrust, columns, measured) == pytest.approx(expected, rel=1e-9)
+    assert similarities(np.zeros((400, 4)), columns, measured) == [0.0] * 6
 
 
 def test_a_right_flight_agrees_with_every_check(right: FlightData) -> None:

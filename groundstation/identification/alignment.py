@@ -114,23 +114,23 @@ def _by_parts(first: Array, second: Array, shift: int, home: int, step_s: float)
     lags: list[float] = []
     gains: list[float] = []
     for begin, end in pairwise(bounds):
-
-        def score(by: int, begin: int = int(begin), end: int = int(end)) -> float:
-            low, high = begin + by, end + by
-            if low < 0 or high > len(second):
-                return -np.inf
-            return float(np.sum(second[low:high] * first[begin:end])) / size
-
-        scores = [score(shift + k) for k in range(-near, near + 1)]
-        if not np.isfinite(scores).all():
+        if begin + shift - near < 0 or end + shift + near > len(second):
             continue
+        scores = _products(second[begin + shift - near : end + shift + near], first[begin:end]) / size
         lags.append((int(np.argmax(scores)) - near) * step_s)
-        gains.append(scores[near] - score(home))
+        inside = begin + home >= 0 and end + home <= len(second)
+        own = float(_products(second[begin + home : end + home], first[begin:end])[0]) / size if inside else -np.inf
+        gains.append(float(scores[near]) - own)
     if len(lags) < 3 or not np.isfinite(gains).all():
         return 0.1, 0.0
     root = np.sqrt(len(lags))
     std_s = float(np.hypot(np.std(lags, ddof=1) / root, step_s / np.sqrt(12.0)))
     return std_s, float(np.mean(gains) / (np.std(gains, ddof=1) / root + 1e-9))
+
+
+def _products(longer: Array, shorter: Array) -> Array:
+    """Sums of products of all columns, the shorter (n, d) along the longer (n + m, d) a row further each, (m + 1,)."""
+    return np.sum([np.correlate(a, b, "valid") for a, b in zip(longer.T, shorter.T, strict=True)], axis=0)
 
 
 def motor_offset(flight: FlightData, motion: FlownMotion, inputs: MotorInput) -> tuple[float, list[str]]:

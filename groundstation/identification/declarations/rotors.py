@@ -8,7 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.identification.declarations.check import Check
-from groundstation.identification.declarations.signals import SHORTEST_S, STEP_S, Flown, apart, passed, similarity
+from groundstation.identification.declarations.signals import (
+    SHORTEST_S,
+    STEP_S,
+    Flown,
+    apart,
+    passed,
+    similarities,
+    similarity,
+)
 from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -72,7 +80,12 @@ def _order(thrust: Array, turning: Array, vehicle: Vehicle, used: NDArray[np.boo
         return torque / (np.std(torque, axis=0) + 1e-12)
 
     tried = orders(vehicle.rotors.count)
-    scores = {(order, lag): similarity(made(order, lag), measured) for order in tried for lag in LAGS_S}
+    columns = arms[:, np.array(tried)].transpose(1, 2, 0)
+    scores = {
+        (order, lag): score
+        for lag in LAGS_S
+        for order, score in zip(tried, similarities(shifted[lag], columns, measured), strict=True)
+    }
     best, lag = max(scores, key=scores.__getitem__)
     own = max(scores[tried[0], each] for each in LAGS_S)
     top = scores[best, lag]

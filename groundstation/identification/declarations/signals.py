@@ -60,6 +60,21 @@ def similarity(first: Array, second: Array) -> float:
     return float(np.sum(first * second)) / size if size > 0.0 else 0.0
 
 
+def similarities(inputs: Array, columns: Array, measured: Array) -> list[float]:
+    """:func:`similarity` to what is measured of many linear functions of the same inputs, each column in units of its
+    own size; the samples are gone through once for all of them.
+
+    Args:
+        inputs: (k, n). columns: of each function the outputs by the inputs, (m, n, d). measured: (k, d).
+    """
+    square = np.einsum("mnd,np,mpd->md", columns, inputs.T @ inputs, columns)
+    mean = inputs.mean(axis=0) @ columns
+    spread = np.sqrt(np.maximum(square / len(inputs) - mean**2, 0.0)) + 1e-12
+    alike = np.sum(np.einsum("mnd,nd->md", columns, inputs.T @ measured) / spread, axis=1)
+    size = np.sqrt(np.sum(square / spread**2, axis=1) * np.sum(measured**2))
+    return np.divide(alike, size, out=np.zeros_like(alike), where=size > 0.0).tolist()
+
+
 def correlations(first: Array, second: Array) -> Array:
     """Correlation of each column of the first with each of the second, (d, d)."""
     size = np.outer(np.std(first, axis=0), np.std(second, axis=0)) + 1e-12
