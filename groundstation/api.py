@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from groundstation.fleet.comparison import Comparison
     from groundstation.flightdata import FlightData
     from groundstation.identification.results import Identification
+    from groundstation.identification.work import Work
     from groundstation.model.prediction import Prediction
     from groundstation.planning.discriminate import Separation
     from groundstation.reporting.compare import Flown
@@ -239,6 +240,7 @@ def identify(
     exclude: Sequence[tuple[float, float]] = (),
     predictive: bool = True,
     progress: Progress = _quiet,
+    work: Work | None = None,
 ) -> Identification:
     """Mass, inertia tensor, lag and thrust constants with 95 % intervals.
 
@@ -247,6 +249,7 @@ def identify(
         exclude: parts (start, end) to leave out, seconds on the IMU's clock.
         predictive: also fit the model that predicts best (``prediction``), which takes some seconds.
         progress: told the fraction done and what is being done.
+        work: what another analysis of the same flights has worked out, or where it is kept for one.
 
     Returns:
         ``methods[best].parameters`` maps each name to an estimate with ``value``, ``std``, ``ci95`` in the unit the
@@ -256,7 +259,8 @@ def identify(
     from groundstation.diagnosis.hanging import identify
     from groundstation.options import AnalysisOptions
 
-    return identify(_listed(flights), AnalysisOptions(exclude=tuple(exclude)), predictive=predictive, progress=progress)
+    options = AnalysisOptions(exclude=tuple(exclude))
+    return identify(_listed(flights), options, predictive=predictive, progress=progress, work=work)
 
 
 def diagnose(
@@ -267,6 +271,7 @@ def diagnose(
     held_out: Sequence[FlightData] = (),
     model: Document | str | Path | None = None,
     progress: Progress = _quiet,
+    work: Work | None = None,
 ) -> Diagnosis:
     """Which effects the declared vehicle lacks, with the error before and after on data that no estimate saw.
 
@@ -277,6 +282,7 @@ def diagnose(
         held_out: flights that are kept for judging.
         model: a model document or its file; what it holds is known, and findings are what it lacks.
         progress: told the fraction done and what is being done.
+        work: as :func:`identify` takes it.
 
     Returns:
         ``verdict`` ("clean", "explained", "unexplained", "refused"), ``findings`` with parameters and confidence,
@@ -297,7 +303,7 @@ def diagnose(
         groups = tuple([replace(flight, vehicle=vehicle) for flight in group] for group in groups)
     suspects, healthy, judges = groups
     options = AnalysisOptions(tuple(exclude), tuple(healthy), tuple(judges), known)
-    return diagnose(suspects, options, progress=progress)
+    return diagnose(suspects, options, progress=progress, work=work)
 
 
 def model_document(identification: Identification, vehicle: Vehicle, diagnosis: Diagnosis | None = None) -> JsonObject:

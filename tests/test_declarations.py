@@ -123,10 +123,11 @@ def test_a_wrong_declaration_is_told_while_the_vehicle_still_hovers(right: Fligh
 
 
 def test_a_refusal_says_how_to_go_on_and_an_accepted_one_does(right: FlightData) -> None:
-    wrong = WRONG["spins the other way"](right, np.random.default_rng(8))
+    checks = check_declarations(WRONG["spins the other way"](right, np.random.default_rng(8)))
     with pytest.raises(Refused, match="--accept-declaration rotor_spin"):
-        go_on([wrong])
-    assert any(check.verdict == "contradicted" for check in go_on([wrong], ["rotor_spin"]))
+        go_on(checks)
+    assert any(check.verdict == "contradicted" for check in checks)
+    go_on(checks, ["rotor_spin"])
 
 
 def test_the_command_refuses_first_and_prints_what_to_write(
@@ -147,7 +148,7 @@ def test_a_real_firmwares_log_under_another_vehicles_mass_is_asked_about() -> No
         pytest.skip(f"the PX4 log is not there: {PX4_LOG}")
     other = sih_vehicle().model_copy(update={"mass_kg": 2.15})
     with pytest.raises(Refused, match=r"Is this the right vehicle\?"):
-        go_on([load_flight(PX4_LOG, vehicle=other)])
+        go_on(check_declarations(load_flight(PX4_LOG, vehicle=other)))
 
 
 @pytest.mark.parametrize(("lag_s", "asked"), [(0.05, False), (0.054, False), (0.07, True)])

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from groundstation import api
 from groundstation.errors import Refused
 from groundstation.flightdata import Stream, motor_columns
-from groundstation.identification.declarations import go_on
+from groundstation.identification.declarations import check_declarations, go_on
 from groundstation.recording import load_flight, read_recording
 from groundstation.recording.airframes import BETAFLIGHT_QUAD_X
 from groundstation.recording.mapping import load_map, read_mapped
@@ -236,4 +236,4 @@ def test_the_same_flight_is_identified_alike_from_each_log(tmp_path, made, known
 def test_motors_wired_otherwise_than_declared_are_refused_by_name_where_the_log_cannot_tell(tmp_path, made, name):
     path = WRITERS[name](tmp_path / name, made, random.Random(8))
     with pytest.raises(Refused, match="in another order"):
-        go_on([loaded(path, rewired(made.vehicle, (2, 0, 3, 1)))])
+        go_on(check_declarations(loaded(path, rewired(made.vehicle, (2, 0, 3, 1)))))

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from groundstation.diagnosis.results import Diagnosis
     from groundstation.flightdata import FlightData
     from groundstation.identification.results import Identification
+    from groundstation.identification.work import Work
 
 FLIGHT = click.Path(path_type=Path)
 
@@ -48,13 +49,16 @@ class Given:
     reference: tuple[Path, ...] = ()
     held_out: tuple[Path, ...] = ()
 
-    def loaded(self) -> list[FlightData]:
-        """The flights, unless their data contradict a declaration that was not accepted."""
+    def loaded(self) -> tuple[list[FlightData], Work]:
+        """The flights, unless their data contradict a declaration that was not accepted, and the work on them so
+        far.
+        """
         from groundstation.identification.declarations import go_on
+        from groundstation.identification.work import Work
 
-        found = load_flights(self.flights, self.vehicle, self.start_s, self.end_s, self.everything)
-        go_on(found, self.accepted)
-        return found
+        found, work = load_flights(self.flights, self.vehicle, self.start_s, self.end_s, self.everything), Work()
+        go_on(work.checked(found[0]), self.accepted)
+        return found, work
 
     def excluded(self) -> tuple[tuple[float, float], ...]:
         """Stretches to leave out, s."""
@@ -123,13 +127,13 @@ def identify(given: Given) -> Result:
     FLIGHTS are MCAP recordings, bundle folders, PX4 ULog, ArduPilot DataFlash, blackbox, ROS 2 bags or Crazyflie usd
     logs.
     """
-    exclude, loaded = given.excluded(), given.loaded()
+    exclude, (loaded, work) = given.excluded(), given.loaded()
     from groundstation import api
     from groundstation.analysis.analyse import identification_document, write_identification
 
     line = ProgressLine()
     with line.ticking("identifying"):
-        found = api.identify(loaded, exclude=exclude, progress=line.fraction)
+        found = api.identify(loaded, exclude=exclude, progress=line.fraction, work=work)
     files = write_identification(given.folder(), found, loaded[0].vehicle)
     document = identification_document(found)
     lines = [*_identification_lines(found, document, loaded[0]), *(f"written: {path}" for path in files.values())]
@@ -165,7 +169,7 @@ def _identification_lines(found: Identification, document: Document, flight: Fli
 )
 def diagnose(given: Given, model: Path | None) -> Result:
     """Find what the declared vehicle lacks: trace the residual to effects, with the error before and after."""
-    exclude, loaded = given.excluded(), given.loaded()
+    exclude, (loaded, work) = given.excluded(), given.loaded()
     references, judges = given.beside()
     from groundstation import api
     from groundstation.analysis.analyse import with_next_flight, write_identification
@@ -179,17 +183,22 @@ def diagnose(given: Given, model: Path | None) -> Result:
     line = ProgressLine()
     base, refused, files = None, [], {}
     with line.ticking("diagnosing"):
-        found = api.diagnose(
-            loaded, exclude=exclude, references=references, held_out=judges, model=known, progress=line.fraction
-        )
         try:
-            base = api.identify(loaded, exclude=exclude, progress=line.fraction)
+            base = api.identify(loaded, exclude=exclude, progress=line.fraction, work=work)
+            hidden = base.not_identifiable
         except Refused as error:
-            refused = [f"no model file: {error}"]
-            found = published(found, dict.fromkeys(MASS_AND_TENSOR, error.reason))
-    folder = given.folder()
+            refused, hidden = [f"no model file: {error}"], dict.fromkeys(MASS_AND_TENSOR, error.reason)
+        found = api.diagnose(
+            loaded,
+            exclude=exclude,
+            references=references,
+            held_out=judges,
+            model=known,
+            progress=line.fraction,
+            work=work,
+        )
+    folder, found = given.folder(), published(found, hidden)
     if base is not None:
-        found = published(found, base.not_identifiable)
         files = write_identification(folder, base, vehicle, found)
     found, plan = with_next_flight(folder, found, vehicle)
     written = [write_json(folder / "diagnosis.json", found.to_dict()), *files.values(), *([plan] if plan else [])]
@@ -230,7 +239,7 @@ def _arguments(flights: tuple[Path, ...], options: Mapping[str, object], everyth
 @beside_options
 def report(given: Given) -> Result:
     """Identify and diagnose, and write the HTML report."""
-    exclude, loaded = given.excluded(), given.loaded()
+    exclude, (loaded, _) = given.excluded(), given.loaded()
     references, judges = given.beside()
     from groundstation import api
     from groundstation.analysis.analyse import identification_document

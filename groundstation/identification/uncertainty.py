@@ -68,6 +68,9 @@ def _cross_spectrum(residual: Array, period_s: float, length: int) -> dict[tuple
     out: dict[tuple[int, int], NDArray[np.complex128]] = {}
     for (i, first), (j, second) in combinations_with_replacement(enumerate(transform), 2):
         raw = first * second.conj() / used
-        imaginary = 0.0 if i == j else 1j * moving_mean(raw.imag, bins)
-        out[i, j] = moving_mean(raw.real, bins) + imaginary
+        smooth = np.zeros(len(raw), dtype=complex)
+        smooth.real = moving_mean(raw.real, bins)
+        if i != j:
+            smooth.imag = moving_mean(raw.imag, bins)
+        out[i, j] = smooth
     return out

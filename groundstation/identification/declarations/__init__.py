@@ -37,20 +37,18 @@ def check_declarations(flight: FlightData) -> tuple[Check, ...]:
     return tuple(sorted(found, key=lambda check: rank[check.verdict]))
 
 
-def go_on(flights: Sequence[FlightData], accepted: Collection[str] = ()) -> tuple[Check, ...]:
-    """The checks of the first flight, where none is contradicted that was not accepted.
+def go_on(checks: Sequence[Check], accepted: Collection[str] = ()) -> None:
+    """Let pass the checks of a flight of which none is contradicted that was not accepted.
 
     Raises:
         Refused: with what explains the flight, and how to go on all the same.
     """
-    checks = check_declarations(flights[0])
     against = [check for check in checks if check.verdict == "contradicted" and check.name not in accepted]
     if against:
         names = " ".join(f"--accept-declaration {check.name}" for check in against)
         raise Refused(
             " ".join(check.sentence() for check in against), f"Correct it, or go on all the same with {names}."
         )
-    return checks
 
 
 def said_first(checks: Sequence[Check]) -> tuple[str, ...]:
