@@ -9,7 +9,7 @@ import pytest
 
 import groundstation.diagnosis.evidence as evidence_module
 from groundstation.diagnosis.along import Beside
-from groundstation.diagnosis.attribution import candidates
+from groundstation.diagnosis.attribution import Selection, candidates
 from groundstation.diagnosis.base import for_evidence
 from groundstation.diagnosis.beside import beside
 from groundstation.diagnosis.columns import Candidate, Columns
@@ -18,6 +18,7 @@ from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import WRENCH_ROW, FlightEvidence
 from groundstation.diagnosis.products import product
 from groundstation.diagnosis.rivals import Entry, material, plausible
+from groundstation.diagnosis.selection import Selected
 from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.model.signals import Signals
@@ -146,3 +147,9 @@ def test_a_long_flight_is_multiplied_in_batches_that_are_made_anew(
     pairs = zip(beside(small, [], _entries(small)), beside(evidence, [], _entries(evidence)), strict=True)
     for found, expected in pairs:
         np.testing.assert_allclose(found.walds(), expected.walds(), rtol=1e-6)
+
+
+def test_with_nothing_chosen_the_base_bends_nothing(evidence: Evidence):
+    """A second pass may drop all that the first one named."""
+    selection = Selection(evidence, ())
+    assert not Selected(evidence, [], [], evidence.solve([]), selection).is_bent()

@@ -37,6 +37,9 @@ from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
+SETTLED = 1e-3
+"""Relative change of settings below which they follow from the values found."""
+
 
 @dataclass(frozen=True, slots=True)
 class Named:
@@ -303,6 +306,10 @@ class Selection:
     def named(self, chosen: Sequence[Entry]) -> tuple[list[Named], Solution]:
         """What was chosen with its alternatives, in order of the error it takes away, and the joint estimate."""
         chosen = self._settled(chosen)
+        for _ in range(THRESHOLDS.refinements_most):
+            before, chosen = chosen, self._settled(chosen, [e for e, _ in chosen if not has_changes(e.effect)])
+            if all(one is other for one, other in zip(before, chosen, strict=True)):
+                break
         margins = self._margins(chosen)
         named: list[Named] = []
         for index, (entry, margin) in enumerate(zip(chosen, margins, strict=True)):
@@ -315,18 +322,24 @@ class Selection:
         order = [(n.candidate, n.columns) for n in named]
         return named, self.evidence.solve([*self.baseline, *order])
 
-    def _settled(self, chosen: Sequence[Entry]) -> list[Entry]:
-        """The same in the settings that follow from the values found."""
+    def _settled(self, chosen: Sequence[Entry], members: Sequence[Candidate] | None = None) -> list[Entry]:
+        """The same with all (or some) in the settings that follow from the values found."""
         solution = self.evidence.solve([*self.baseline, *chosen])
         first = sum(len(c.effect.parameters) for c, _ in self.baseline)
         out: list[Entry] = []
-        for candidate, columns in chosen:
-            count = len(candidate.effect.parameters)
+        for entry in chosen:
+            candidate, count = entry[0], len(entry[0].effect.parameters)
             settings = candidate.effect.settled(candidate.settings, solution.part(first, count)[0])
             first += count
-            settled = candidate if settings == candidate.settings else Candidate(candidate.effect, settings)
-            anew = columns if settled is candidate else self.evidence.columns(settled)
-            out.append((candidate, columns) if anew is None else (settled, anew))
+            known = settings.keys() == candidate.settings.keys()
+            same = known and np.allclose(
+                *([a[n] for n in settings] for a in (settings, candidate.settings)), rtol=SETTLED
+            )
+            if same or (members is not None and candidate not in members):
+                out.append(entry)
+                continue
+            anew = self.evidence.columns(settled := Candidate(candidate.effect, settings))
+            out.append(entry if anew is None else (settled, anew))
         return out
 
     def _refined(self, chosen: list[Entry], index: int) -> list[Entry]:

@@ -28,6 +28,7 @@ from groundstation.identification.sensitivities import planned_parts
 from groundstation.identification.sudden import VERTICAL
 from groundstation.model.parameters import RIGID_BODY, FitOptions, table, values_of, with_values
 from groundstation.model.signals import Signals
+from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -62,7 +63,8 @@ class FlightEvidence:
         self.prepared, self.known = prepared, tuple(known)
         self._moved: list[tuple[Candidate, Array]] = []
         self._fitted, self._given = fitted, options
-        record, p = prepared.record, fitted.parameters
+        p = fitted.parameters
+        record = replace(prepared.record, vehicle=_weighing(prepared.record.vehicle, p.mass_kg))
         self.parameters = replace(p, com_m=np.zeros(3), yaw_trim_nm=0.0, force_bias_m_s2=np.zeros(3), extra=np.zeros(0))
         self.channels = _channels_of(prepared)
         self.options = FitOptions(
@@ -82,7 +84,7 @@ class FlightEvidence:
         self.planned = None if planned is None else held(planned)
         self.course = Course(self.model, self.signals, self.planned, self.parameters)
         released([prepared])
-        self._begun = self._sudden()
+        self.begun = self._sudden()
         self._whiten(generic)
 
     def beside(self, known: Sequence[Candidate], *, generic: bool) -> FlightEvidence:
@@ -95,7 +97,7 @@ class FlightEvidence:
     def _whiten(self, generic: bool) -> None:
         """The noise model, and what it whitens."""
         prepared, taken = self.prepared, {candidate.identifier for candidate in self.known}
-        self.sudden = [candidate for candidate in self._begun if candidate.identifier not in taken]
+        self.sudden = [candidate for candidate in self.begun if candidate.identifier not in taken]
         self.whitening = Whitening(
             self.channels, self.model.dt, self.model.restart, self.residual, self._nuisance(generic)
         )
@@ -109,7 +111,7 @@ class FlightEvidence:
         if VERTICAL not in self.channels:
             return []
         left = (self.residual[:, VERTICAL], _of_channel(self.sensitivity, VERTICAL))
-        return sudden(self.model, self.prepared.record.vehicle, self.signals, self.excited, left)
+        return sudden(self.model, self.model.record.vehicle, self.signals, self.excited, left)
 
     def _base_instruments(self) -> Array:
         """The base's columns along the planned motion; what delays the inputs takes what all of those explain of its
@@ -302,6 +304,11 @@ class FlightEvidence:
         if channel >= 3:
             return np.eye(6)[channel]
         return np.concatenate([self.course.inverse[channel], np.zeros(3)])
+
+
+def _weighing(vehicle: Vehicle, mass_kg: float) -> Vehicle:
+    """A vehicle of the base fit's mass: formulas with a mass in them are about the one that flew."""
+    return vehicle.model_copy(update={"mass_kg": mass_kg})
 
 
 def _how_hard(candidates: Sequence[Candidate], part: Part) -> tuple[Array, Array]:

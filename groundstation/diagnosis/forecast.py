@@ -42,13 +42,14 @@ WINDOWS_MOST = 400
 def vehicle_model(evidence: Evidence, chosen: Chosen, solution: Solution) -> VehicleModel:
     """What a joint estimate makes of the vehicle, by the declared thrust (the anchor changes no motion)."""
     first = evidence.flights[0]
-    p, vehicle = first.parameters, first.prepared.record.vehicle
+    p = first.parameters
     names = [name for name in evidence.names if table()[name].timing]
     steps = solution.theta[[evidence.names.index(name) for name in names]]
     values = values_of(p, names) + steps
     at = with_values(p, names, values)
     slopes = [value for name, value in zip(names, values, strict=True) if name == "rotor_lag_slope"]
     (mass, *entries), _ = first.rigid_body(solution)
+    vehicle = first.prepared.record.vehicle.model_copy(update={"mass_kg": float(mass)})
     parts, offset = list[tuple[Effect, Settings, Array]](), 0
     for candidate, _ in chosen:
         count = len(candidate.effect.parameters)

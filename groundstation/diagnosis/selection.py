@@ -58,6 +58,8 @@ class Selected:
         A force is seen divided by the base's mass, a torque by its tensor: where these are a share too large, so is the
         effect, which nothing linear puts right.
         """
+        if not self.chosen:
+            return False
         flight = self.evidence.flights[0]
         about, moved = values_of(flight.parameters, RIGID_BODY), flight.rigid_body(self.solution)[0]
         tensor: Array = np.einsum("k,kij->ij", about[1:], BASIS)
@@ -208,7 +210,8 @@ def _confirmed(selection: Selection, chosen: list[Entry], case: Case, augmented:
 
 def pool_of(vehicle: Vehicle, evidence: Evidence, *, references: bool) -> list[Candidate]:
     """Everything that may be named; beside healthy flights a load that was there all along, too."""
-    pool = [*candidates(vehicle, evidence.flights[0].excited), *searched(evidence.flights[0])]
+    begun = [candidate for flight in evidence.flights[: evidence.suspects] for candidate in flight.begun]
+    pool = [*candidates(vehicle, evidence.flights[0].excited), *searched(evidence.flights[0]), *begun]
     if references:
         payload = library()["payload_change"]
         pool.append(Candidate(payload, {"at_s": -1.0, "within_s": 1.0}))

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from groundstation.diagnosis.columns import Candidate
 from groundstation.diagnosis.effect import Effect, Settings, library
-from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.identification.record_model import RecordModel
-from groundstation.identification.sudden import SHARE, Steps
+from groundstation.identification.sudden import AVERAGED_S, SHARE, Steps
 from groundstation.model.signals import Signals
 from groundstation.vehicle import Vehicle
 
@@ -37,9 +36,10 @@ def sudden(
     residual, columns = left
     if not np.isfinite(residual).all() or len(residual) < 2:
         return []
-    steps = Steps.of(model.t_s, residual, columns)
+    steps, sharp = (Steps.of(model.t_s, residual, columns, averaged_s) for averaged_s in (AVERAGED_S, 0.0))
+    block_s = float(np.median(np.diff(model.t_s)))
 
-    def share(effect: Effect, settings: Settings) -> float:
+    def share(effect: Effect, settings: Settings, steps: Steps = steps) -> float:
         if effect.straight is None:
             return steps.explained(model.average(effect.wrench(signals, vehicle, settings)[:, UPWARDS, 0]))[0]
         how_hard, direction = effect.straight(signals, vehicle, settings)
@@ -53,10 +53,13 @@ def sudden(
             best = max(tried, key=lambda settings: share(effect, settings))
             if share(effect, best) < 0.5 * SHARE:
                 continue
-            for _ in range(THRESHOLDS.refinements_most):
-                best = max((best, *effect.finer(best)), key=lambda settings: share(effect, settings))
-            if share(effect, best) > SHARE:
-                found.append(Candidate(effect, best))
+            while best["within_s"] > 2.0 * AVERAGED_S:
+                best = max(effect.finer(best), key=lambda settings: share(effect, settings))
+            if share(effect, best) <= SHARE:
+                continue
+            while best["within_s"] > block_s:
+                best = max(effect.finer(best), key=lambda settings: share(effect, settings, sharp))
+            found.append(Candidate(effect, best))
     return found
 
 

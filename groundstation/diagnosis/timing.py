@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 NAMES = (*LAG.names()[:2], *DELAY.names())
 SLOPE = LAG.names()[2]
+TOLD_WALD = 5.99
+"""Chi-squared of two at 95 %: lags whose published region holds zero are not told from none."""
 
 
 def _estimated(first: FlightEvidence, solution: Solution, published: Array) -> tuple[Array, Array, Array, _Beside]:
@@ -47,7 +49,8 @@ def lag_findings(evidence: Evidence, solution: Solution, published: Array) -> li
 
     With W the Wald statistic of all three parameters, that of the delay alone is what a lag cannot explain, and the
     other way round: the two single explanations differ by it. Both stand where the published interval of the dead time
-    does not hold zero: what the noise tells of the division, weak instruments and formulas may leave open.
+    does not hold zero, a lag alone where that of the lags does not: what the noise tells of them, weak instruments and
+    formulas may leave open.
 
     Args:
         published: covariance (p, p) that the intervals are of: the joint estimate's and what is left open beside it.
@@ -81,8 +84,11 @@ def lag_findings(evidence: Evidence, solution: Solution, published: Array) -> li
         ]
     lead = only_lag_explains - only_delay_explains
     if lead >= 0.0 or delay < DELAY.least:
-        alone = _conditional(values, covariance, spread)
-        return [_lag(*alone, lags, everything, (chance, -lead), lead < THRESHOLDS.inseparable)]
+        lags_alone, published_alone = _conditional(values, covariance, spread)
+        if float(lags_alone @ np.linalg.solve(published_alone, lags_alone)) < TOLD_WALD:
+            return []
+        close = lead < THRESHOLDS.inseparable
+        return [_lag(lags_alone, published_alone, lags, everything, (chance, -lead), close)]
     close = -lead < THRESHOLDS.inseparable
     return [_delay(lag + delay, spread[2, 2], lags.step_s, everything, (chance, lead), close)]
 

@@ -47,9 +47,9 @@ class Steps:
     averaged: int
 
     @classmethod
-    def of(cls, t_s: Array, residual: Array, columns: Array) -> Steps:
+    def of(cls, t_s: Array, residual: Array, columns: Array, averaged_s: float = AVERAGED_S) -> Steps:
         """From a residual (blocks,) at times, beside columns (blocks, m) that may be in it, and a bend in time."""
-        averaged = max(1, round(AVERAGED_S / float(np.median(np.diff(t_s))))) if len(t_s) > 1 else 1
+        averaged = max(1, round(averaged_s / float(np.median(np.diff(t_s))))) if len(t_s) > 1 else 1
         time = np.linspace(-1.0, 1.0, len(t_s))
         beside = np.concatenate([columns, np.stack([np.ones_like(time), time, time**2], axis=1)], axis=1)
         beside = _averaged(np.nan_to_num(beside), averaged)

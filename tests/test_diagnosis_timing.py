@@ -1,0 +1,37 @@
+"""What is published of a lag that nobody declared."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from flights import laboratory
+
+from groundstation.diagnosis.base import for_evidence
+from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.flight_evidence import FlightEvidence
+from groundstation.diagnosis.timing import NAMES, lag_findings
+from groundstation.identification.dynamic_fit import fit_dynamics
+from groundstation.identification.preparation import prepare
+from groundstation.paths import find_config
+from groundstation.trajectory import load_plan
+from groundstation.vehicle import load_vehicle
+from sim.flight import simulate
+from studies.flown import flight_data
+
+SEED = 5
+
+
+@pytest.mark.parametrize(("widened", "named"), [(1.0, ["motor_lag"]), (1e4, [])])
+def test_a_lag_is_named_where_its_published_region_does_not_hold_zero(widened: float, named: list[str]):
+    print("seed", SEED)
+    vehicle = load_vehicle(find_config("vehicles", "qball2-commanded"))
+    lagged = laboratory(motor_lag={"hover_s": 0.05})
+    plan = load_plan(find_config("plans", "qball2")).model_copy(update={"periods": 1.5})
+    flown = for_evidence(prepare(flight_data(simulate(vehicle, plan, lagged, SEED))))
+    fitted = fit_dynamics([flown])
+    evidence = Evidence([FlightEvidence(flown, fitted.best, fitted.options)])
+    solution = evidence.solve([])
+    published = solution.covariance.copy()
+    index = [evidence.names.index(name) for name in NAMES]
+    published[np.ix_(index, index)] *= widened
+    assert [finding.effect for finding in lag_findings(evidence, solution, published)] == named
