@@ -124,6 +124,16 @@ def test_a_clock_or_a_frame_that_is_off_is_the_one_finding_and_its_size_is_withi
         )
 
 
+def test_a_gyro_that_sees_noise_alone_turns_no_marker_body():
+    """Its noise passes for its scale, far past what is linear in small errors."""
+    print("seed", 28)
+    flight = _agreeing()
+    assert flight.imu is not None
+    noise = np.random.default_rng(28).normal(0.0, 1.0, flight.imu.values.shape) * [1, 1, 1, 8, 8, 8]
+    rattling = replace(flight, imu=replace(flight.imu, values=flight.imu.values + noise))
+    assert kinematic_findings(prepare(rattling)) == []
+
+
 def test_sensors_that_agree_say_nothing():
     assert kinematic_findings(prepare(_agreeing())) == []
 

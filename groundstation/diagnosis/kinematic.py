@@ -28,9 +28,13 @@ TURNED = "imu_misalignment", "mocap_misalignment"
 
 
 def kinematic_findings(prepared: Prepared) -> list[Finding]:
-    """Clock offset, misalignments and tilt from flight-path reconstruction; none without poses and an IMU."""
+    """Clock offset, misalignments and tilt from flight-path reconstruction; none without poses and an IMU, or where
+    its errors are not small.
+    """
     found = prepared.compatibility
-    if found is None:
+    if found is None or any(
+        abs(found.values.get(f"gyro_scale_{axis}", 0.0)) > THRESHOLDS.sensor_scale_most for axis in "xyz"
+    ):
         return []
     lead = _lead_of_imu(prepared, found)
     other = TURNED[1] if lead > 0.0 else TURNED[0]

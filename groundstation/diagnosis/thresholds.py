@@ -225,6 +225,13 @@ class Thresholds:
         source="normal distribution: once in two million",
         chosen_on=f"ad99ea9, {BEFORE}",
     )
+    sensor_scale_most: float = _entry(
+        0.5,
+        "Error of a gyro's scale above which a reconstruction that is linear in small errors says nothing: the noise "
+        "of a gyro that hardly sees the motion passes for its scale, and that for a turn of the marker body.",
+        source="judgement; gyros are right to a few percent",
+        chosen_on="5f097b6, on a simulated flight whose gyro rattles by 1 rad/s (benchmarks.odd_flights)",
+    )
     rotor_upright_rad: float = _entry(
         radians(0.3),
         "How upright rotors stand in a frame, one standard deviation; it decides whether IMU or marker body is turned.",
