@@ -67,7 +67,7 @@ def similarities(inputs: Array, columns: Array, measured: Array) -> list[float]:
     Args:
         inputs: (k, n). columns: of each function the outputs by the inputs, (m, n, d). measured: (k, d).
     """
-    square = np.einsum("mnd,np,mpd->md", columns, inputs.T @ inputs, columns)
+    square = np.maximum(np.einsum("mnd,np,mpd->md", columns, inputs.T @ inputs, columns), 0.0)  # but for rounding
     mean = inputs.mean(axis=0) @ columns
     spread = np.sqrt(np.maximum(square / len(inputs) - mean**2, 0.0)) + 1e-12
     alike = np.sum(np.einsum("mnd,nd->md", columns, inputs.T @ measured) / spread, axis=1)
