@@ -137,3 +137,19 @@ def test_after_a_diagnosis_that_leaves_two_the_plan_is_written_and_named(tmp_pat
     assert told.next_flight.startswith("Yaw. Planned as next_flight.toml: a flight of 40 s")
     settled = Diagnosis("last", "x500", "clean")
     assert with_next_flight(tmp_path, settled, x500) == (settled, None)
+
+
+def test_a_load_beside_what_is_open_stands_with_its_published_numbers():
+    """Changes of its settings are in these; a campaign that found such a load ended in a traceback."""
+    numbers = {"load_kg": 0.08, "length_m": 0.6, "air_1_s": 0.2, "depth_m": 0.0}
+    load = {
+        "effect": "slung_load",
+        "parameters": {name: {"value": value, "std": 0.01} for name, value in numbers.items()},
+        "alternatives": [],
+    }
+    _, shared = contenders({**OPEN, "findings": [*OPEN["findings"], load]})
+    (found,) = [each for each in shared if each.effect == "slung_load"]
+    assert found.values is not None
+    assert found.values["load_kg"] == 0.08
+    assert {v for n, v in found.values.items() if n != "load_kg"} == {0.0}
+    assert found.settings["length_m"] == 0.6

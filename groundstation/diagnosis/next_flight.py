@@ -146,7 +146,9 @@ def _shift(parameters: Mapping[str, Mapping[str, float]]) -> float:
 
 
 def _found(finding: Document) -> Hypothesis:
-    """A finding of the document; what is not among the effect's parameters is a setting."""
+    """A finding of the document; what is not among the effect's parameters is a setting, and a change of one that is not
+    published is in it.
+    """
     if finding["effect"] in TIMING:
         return Hypothesis(finding["effect"], {}, {"shift_s": _shift(finding["parameters"])})
     effect = library()[finding["effect"]]
@@ -160,7 +162,7 @@ def _found(finding: Document) -> Hypothesis:
     settings = {n: v for n, v in values.items() if n not in names}
     if finding.get("rotor") is not None:
         settings["rotor"] = float(finding["rotor"])
-    return Hypothesis(finding["effect"], settings, {n: values[n] for n in names})
+    return Hypothesis(finding["effect"], settings, {n: values.get(n, 0.0) for n in names})
 
 
 def signals_of(vehicle: Vehicle, t_s: Array, motion: RigidMotion) -> Signals:
