@@ -146,8 +146,8 @@ def _shift(parameters: Mapping[str, Mapping[str, float]]) -> float:
 
 
 def _found(finding: Document) -> Hypothesis:
-    """A finding of the document; what is not among the effect's parameters is a setting, and a change of one that is not
-    published is in it.
+    """A finding of the document; what is not among the effect's parameters is a setting. Changes of settings are in
+    these where they are not published.
     """
     if finding["effect"] in TIMING:
         return Hypothesis(finding["effect"], {}, {"shift_s": _shift(finding["parameters"])})
