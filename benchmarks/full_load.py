@@ -30,6 +30,8 @@ PLANTED_EVERY_S = 20.0
 FAULTS = ("gaps", "duplicates", "reordered", "clock_jumps")
 LEAST_SHARE = 0.5
 KILL_AFTER_S = 15.0
+PATIENCE_S = 120.0
+"""For the core's first order: starts on a busy machine take long."""
 
 
 class Load:
@@ -130,7 +132,10 @@ class Vehicle:
 
         sequence, load, over_s = 0, Load(self.options.plants), None
         with self.bus.alive(self.session, self.keys.alive):
+            patient_s = time.monotonic() + PATIENCE_S
             while self.phase == "idle":  # what comes before the core asked what this is, belongs to no flight
+                if time.monotonic() > patient_s:
+                    raise SystemExit(f"the core has ordered nothing for {PATIENCE_S:.0f} s")
                 time.sleep(STEP_S)
             begun_s = time.monotonic()
             while over_s is None or time.monotonic() < over_s + 1.0:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from flights import laboratory
 
+from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.hanging import identify
 from groundstation.diagnosis.pipeline import _with_swing
 from groundstation.diagnosis.results import Diagnosis
@@ -75,6 +76,17 @@ def test_an_identification_alone_says_that_its_mass_may_hold_a_load():
     low, high = found.methods[found.best].parameters["mass_kg"].ci95
     assert "swings as a load" in found.warnings[0]
     assert low < mass_kg < high
+
+
+def test_without_a_plan_a_diagnosis_is_as_unsure_of_a_mass_that_holds_a_load():
+    """What low frequencies say comes first: put in after, it was as sure as without a load."""
+    prepared, mass_kg = _flown(0.14, 0.36)
+    found = diagnose([replace(prepared.flight, plan=None, setpoint=None)])
+    assert all(finding.effect != "slung_load" for finding in found.findings)
+    assert "swings as a load" in found.warnings[0]
+    mass = found.parameters_after["mass_kg"]
+    assert mass.ci95[0] < mass_kg < mass.ci95[1]
+    assert mass.std > 0.05
 
 
 def test_without_a_load_a_diagnosis_stays_as_it_is():

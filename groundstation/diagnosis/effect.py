@@ -106,7 +106,8 @@ class Effect(EffectInfo):
         among: what is estimated of it in settings that a search gives; None for itself.
         spread: (settings, first parameter) -> standard deviations of settings; others are given without one.
         applies: whether this vehicle's inputs can show it at all.
-        instants: settings that are instants of the flight, s; a replay at another length keeps them inside it.
+        instants: settings that are instants of the flight, s, with a setting ``within_s`` beside them that ``finer``
+            halves; a replay at another length keeps them inside it.
         of_one_rotor: its settings name a rotor, and a finding of it does.
         shared_by_healthy: healthy flights of one vehicle have it, too, so that it is fitted to all flights and never a
             finding beside them; the number is its place among those.

@@ -28,7 +28,6 @@ from groundstation.identification.sensitivities import planned_parts
 from groundstation.identification.sudden import VERTICAL
 from groundstation.model.parameters import RIGID_BODY, FitOptions, table, values_of, with_values
 from groundstation.model.signals import Signals
-from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -64,7 +63,9 @@ class FlightEvidence:
         self._moved: list[tuple[Candidate, Array]] = []
         self._fitted, self._given = fitted, options
         p = fitted.parameters
-        record = replace(prepared.record, vehicle=_weighing(prepared.record.vehicle, p.mass_kg))
+        # Formulas with a mass in them are about the vehicle that flew.
+        vehicle = prepared.record.vehicle.model_copy(update={"mass_kg": p.mass_kg})
+        record = replace(prepared.record, vehicle=vehicle)
         self.parameters = replace(p, com_m=np.zeros(3), yaw_trim_nm=0.0, force_bias_m_s2=np.zeros(3), extra=np.zeros(0))
         self.channels = _channels_of(prepared)
         self.options = FitOptions(
@@ -304,11 +305,6 @@ class FlightEvidence:
         if channel >= 3:
             return np.eye(6)[channel]
         return np.concatenate([self.course.inverse[channel], np.zeros(3)])
-
-
-def _weighing(vehicle: Vehicle, mass_kg: float) -> Vehicle:
-    """A vehicle of the base fit's mass: formulas with a mass in them are about the one that flew."""
-    return vehicle.model_copy(update={"mass_kg": mass_kg})
 
 
 def _how_hard(candidates: Sequence[Candidate], part: Part) -> tuple[Array, Array]:

@@ -4,10 +4,11 @@ rigid body says so.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from groundstation.diagnosis.swing import Swing, swing_of
 from groundstation.flightdata import FlightData
@@ -18,6 +19,8 @@ from groundstation.identification.results import Estimate, Identification
 from groundstation.identification.work import Work
 from groundstation.model.parameters import Parameters
 from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
+
+Array = NDArray[np.float64]
 
 
 def identify(
@@ -38,12 +41,8 @@ def identify(
     if swing is None:
         return found
     own = found.methods[found.best]
-    mass, covariance = own.parameters.get("mass_kg"), own.covariance
-    if mass is not None and mass.std > 0.0:
-        away = mass.value - swing.body_kg
-        if covariance is not None:
-            covariance = covariance + np.diag([away**2, *[0.0] * (len(covariance) - 1)])
-        own = replace(own, parameters={**own.parameters, "mass_kg": holding(mass, swing)}, covariance=covariance)
+    parameters, covariance = holding(own.parameters, own.covariance, swing)
+    own = replace(own, parameters=parameters, covariance=covariance)
     return replace(found, methods={**found.methods, found.best: own}, warnings=(swing.sentence(), *found.warnings))
 
 
@@ -54,8 +53,17 @@ def hanging(flight: Prepared, p: Parameters) -> Swing | None:
     return swing_of(signals, flight.record.keep, flight.record.vehicle)
 
 
-def holding(mass: Estimate, swing: Swing) -> Estimate:
-    """A mass with an interval that holds the vehicle without its load; one that was weighed stays."""
-    if mass.std <= 0.0:
-        return mass
-    return Estimate.normal(mass.value, float(np.hypot(mass.std, mass.value - swing.body_kg)))
+def holding(
+    parameters: Mapping[str, Estimate], covariance: Array | None, swing: Swing
+) -> tuple[dict[str, Estimate], Array | None]:
+    """Estimates and their covariance, mass first, with a mass whose interval holds the vehicle without its load; one
+    that is not told, or was weighed, stays.
+    """
+    mass = parameters.get("mass_kg")
+    if mass is None or mass.std <= 0.0:
+        return dict(parameters), covariance
+    away = mass.value - swing.body_kg
+    wider = Estimate.normal(mass.value, float(np.hypot(mass.std, away)))
+    if covariance is not None:
+        covariance = covariance + np.diag([away**2, *[0.0] * (len(covariance) - 1)])
+    return {**parameters, "mass_kg": wider}, covariance

@@ -7,8 +7,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from groundstation.diagnosis.augmented import known_candidates
 from groundstation.diagnosis.base import Base, base_fit, for_evidence
 from groundstation.diagnosis.case import Case, case_of, sensors, thrust_exponent
@@ -92,10 +90,10 @@ def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress:
         )
     judged = judge(case, selected, kinematic, departure, left, progress)
     progress(1.0, "done")
-    found = _diagnosis(name, case, selected, judged, air)
+    found = _with_low_frequencies(_diagnosis(name, case, selected, judged, air), case, base)
     if not case.healthy and all(c.identifier != "slung_load" for c, _ in selected.chosen):
         found = _with_swing(found, case.suspects[0], base.fitted.parameters)
-    found = possible(_with_low_frequencies(found, case, base), case.vehicle)
+    found = possible(found, case.vehicle)
     hidden = unrevealed(base.fitted, case.suspects)
     return published(found, hidden) if hidden else found
 
@@ -107,13 +105,7 @@ def _with_swing(found: Diagnosis, flight: Prepared, p: Parameters) -> Diagnosis:
     swing = hanging(flight, p)
     if swing is None:
         return found
-    after, covariance = dict(found.parameters_after), found.covariance_after
-    mass = after.get("mass_kg")
-    if mass is not None and mass.std > 0.0:
-        away = mass.value - swing.body_kg
-        after["mass_kg"] = holding(mass, swing)
-        if covariance is not None:
-            covariance = covariance + np.diag([away**2, *[0.0] * (len(covariance) - 1)])
+    after, covariance = holding(found.parameters_after, found.covariance_after, swing)
     return replace(
         found,
         verdict="unexplained" if found.verdict in ("clean", "explained") else found.verdict,

@@ -218,6 +218,13 @@ class Thresholds:
         chosen_on=f"ad99ea9, {BEFORE}",
     )
 
+    timing_told_wald: float = _entry(
+        5.99,
+        "Wald statistic, in what is published, of both lags from none, below which a lag is not named.",
+        source="chi squared distribution: 95 % with two degrees of freedom",
+        chosen_on="5f097b6, on a simulated flight whose battery sagged",
+    )
+
     # Sensors among themselves: kinematic.py
     sensor_std: float = _entry(
         5.0,

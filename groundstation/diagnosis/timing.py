@@ -24,8 +24,6 @@ Array = NDArray[np.float64]
 
 NAMES = (*LAG.names()[:2], *DELAY.names())
 SLOPE = LAG.names()[2]
-TOLD_WALD = 5.99
-"""Chi-squared of two at 95 %: lags whose published region holds zero are not told from none."""
 
 
 def _estimated(first: FlightEvidence, solution: Solution, published: Array) -> tuple[Array, Array, Array, _Beside]:
@@ -85,7 +83,7 @@ def lag_findings(evidence: Evidence, solution: Solution, published: Array) -> li
     lead = only_lag_explains - only_delay_explains
     if lead >= 0.0 or delay < DELAY.least:
         lags_alone, published_alone = _conditional(values, covariance, spread)
-        if float(lags_alone @ np.linalg.solve(published_alone, lags_alone)) < TOLD_WALD:
+        if float(lags_alone @ np.linalg.solve(published_alone, lags_alone)) < THRESHOLDS.timing_told_wald:
             return []
         close = lead < THRESHOLDS.inseparable
         return [_lag(lags_alone, published_alone, lags, everything, (chance, -lead), close)]
