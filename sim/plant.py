@@ -187,7 +187,8 @@ def rotor_wrench(
         thrust *= inflow * near_floor
         pull = scale(thrust, axis)
         if effects.rotor_drag.on:
-            pull = add(pull, hub_drag(effects.rotor_drag, u, speed_ratio, rotors.hover_inflow, n))
+            blown = add(u, cross((x[RATE], x[RATE + 1], x[RATE + 2]), hub))
+            pull = add(pull, hub_drag(effects.rotor_drag, blown, speed_ratio, rotors.hover_inflow, n))
         force = add(force, pull)
         torque = add(torque, cross(hub, pull))
         torque = add(torque, scale(reaction, axis))

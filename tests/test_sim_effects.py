@@ -79,6 +79,19 @@ def test_rotor_drag_grows_with_rotor_speed_and_less_than_linearly_with_air_speed
     assert 3.0 * slow < fast < 6.0 * slow
 
 
+def test_rotor_drag_takes_energy_from_a_vehicle_that_yaws_on_the_spot_and_from_one_that_flies_as_it_turns():
+    effect = {"rotor_drag": RotorDrag(drag_kg_s=(0.3, 0.2), induced_share=0.0)}
+    x, y = plant_of(VEHICLE).rotors.position[:, :2].T
+    force, torque = change_of(VEHICLE, effect, rate=(0.0, 0.0, 2.0))
+    np.testing.assert_allclose(force, 0.0, atol=1e-12)
+    np.testing.assert_allclose(torque, [0.0, 0.0, -2.0 * np.mean(0.3 * y**2 + 0.2 * x**2)], atol=1e-12)
+    hover, random = plant_of(VEHICLE).rotors.hover_value, np.random.default_rng(5)
+    for _ in range(20):
+        velocity, rate, motors = random.standard_normal(3), random.standard_normal(3), random.uniform(0.7, 1.3, len(x))
+        force, torque = change_of(VEHICLE, effect, velocity=velocity, rate=rate, motors=hover * motors)
+        assert force @ velocity + torque @ rate < 0.0
+
+
 def test_the_induced_velocity_solves_glauerts_equation():
     for speed in (0.0, 0.5, 3.0):
         v = edgewise_inflow(speed)

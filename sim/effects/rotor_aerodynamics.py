@@ -2,7 +2,8 @@
 
 The induced velocity in hover is v_h = sqrt(T / (2 rho A)). With speed V across and W along the axis it solves
 v_i = v_h^2 / sqrt(V^2 + (W + v_i)^2) (Glauert 1926; Leishman 2006, eq. 2.116). Pure edgewise and pure axial flight have
-closed solutions, which are used here. All rotors see the velocity of the vehicle's centre.
+closed solutions, which are used here. Drag sees the velocity of its hub, which the body's turning is part of; all else
+that of the vehicle's origin.
 """
 
 from __future__ import annotations
@@ -122,7 +123,7 @@ def ground_factor(p: GroundEffect, height: float, radius: float) -> float:
 
 @compiled
 def hub_drag(p: RotorDrag, u: Vector, speed_ratio: float, hover_inflow: float, rotors: int) -> Vector:
-    """H-force of one rotor in the body at Omega/Omega_hover."""
+    """H-force of one rotor in the body at Omega/Omega_hover, whose hub moves through the air at u in the body."""
     induced = edgewise_inflow(sqrt(u[0] * u[0] + u[1] * u[1]) / hover_inflow)
     share = -speed_ratio * (1.0 - p.induced_share + p.induced_share * induced) / rotors
     return (share * p.drag_kg_s[0] * u[0], share * p.drag_kg_s[1] * u[1], 0.0)
