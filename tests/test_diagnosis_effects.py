@@ -199,8 +199,22 @@ def test_air_resists_motion_in_every_attitude_and_gives_it_no_energy():
         power = np.einsum("ki,kip->kp", velocity, _wrench(name, signals)[:, :3])
         assert np.all(power <= 0.0) and power.min() < -0.1
     drag = _wrench("rotor_drag", signals)
-    assert np.all(np.einsum("ki,kip->kp", velocity, drag[:, :3]) <= 0.0)
+    turning = np.einsum("ki,kip->kp", signals.rate_rad_s, drag[:, 3:])
+    assert np.all(np.einsum("ki,kip->kp", velocity, drag[:, :3]) + turning <= 0.0)
     assert np.all(drag[:, 2] == 0.0), "rotors drag in their plane"
+
+
+def test_a_faster_rotor_turns_a_vehicle_that_flies_along_and_drag_of_hubs_damps_its_yaw():
+    """A drag of 0.3 kg/s whose yaw torque was left out took 2 % off a yaw inertia."""
+    left = np.array(VEHICLE.rotors.position_m)[:, 1] > 0.0
+    thrust = np.tile(HOVER_N * np.where(left, 1.44, 0.64), (200, 1))
+    forward = np.tile([1.0, 0.0, 0.0], (200, 1))
+    torque = _wrench("rotor_drag", _signals(velocity_world_m_s=forward, thrust_n=thrust))[0, 5, 0]
+    arms = np.array(VEHICLE.rotors.position_m)[:, 1]
+    assert torque == pytest.approx(np.sum(arms * np.where(left, 1.2, 0.8)) / len(arms))
+    turning = _wrench("rotor_drag", _signals(rate_rad_s=np.tile([0.0, 0.0, 2.0], (200, 1))))[0]
+    np.testing.assert_allclose(turning[:5], 0.0, atol=1e-12)
+    np.testing.assert_allclose(turning[5], -2.0 * np.mean(np.array(VEHICLE.rotors.position_m)[:, [1, 0]] ** 2, axis=0))
 
 
 @pytest.mark.parametrize("name", ["climb_inflow", "translational_lift", "ground_effect"])
@@ -319,6 +333,17 @@ def test_a_lost_load_lifts_from_its_instant_on():
     carried = _wrench("payload_change", _signals(), at_s=10.0, within_s=1.0, carried_kg=0.5)[:, 2, 0]
     share = VEHICLE.mass_kg / (VEHICLE.mass_kg + 0.5)  # on board until then: the same step, about the empty vehicle
     np.testing.assert_allclose(carried, (wrench - wrench[-1]) * share)
+
+
+@pytest.mark.parametrize("carried_kg", [0.0, 0.5])
+def test_a_load_moves_the_centre_of_mass_while_it_is_on_board(carried_kg):
+    """Whatever a load does to the centre of mass, none of it is the vehicle's own."""
+    signals = _random_signals()
+    wrench = _wrench("payload_change", signals, at_s=10.0, within_s=0.05, carried_kg=carried_kg)
+    offset = _wrench("com_offset", signals)
+    there, gone = (slice(None, 98), slice(102, None))[:: 1 if carried_kg else -1]
+    np.testing.assert_allclose(wrench[there, :, 1:], offset[there])
+    np.testing.assert_allclose(wrench[gone, :, 1:], 0.0)
 
 
 def test_a_slung_load_is_pulled_after_the_vehicle_and_rings_at_its_own_frequency():

@@ -22,6 +22,7 @@ from groundstation.diagnosis.rivals import (
     Entry,
     Kind,
     has_changes,
+    in_settings,
     kind_of,
     material,
     nearby,
@@ -65,7 +66,7 @@ def candidates(vehicle: Vehicle, signals: Signals, effects: Iterable[Effect] | N
     """Every effect that applies, in every variant; those of a search of the flight are left to :func:`searched`."""
     chosen = library().values() if effects is None else effects
     return [
-        Candidate(effect, settings)
+        Candidate(effect.of(settings), settings)
         for effect in chosen
         if effect.applies(vehicle) and (effects is not None or effect.searched is None)
         for settings in effect.variants(signals, vehicle)
@@ -82,7 +83,7 @@ def searched(flight: FlightEvidence) -> list[Candidate]:
     whole = some is flight.prepared
     signals = flight.signals if whole else some.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
     return [
-        Candidate(effect if effect.among is None else effect.among(settings), settings)
+        Candidate(effect.of(settings), settings)
         for effect in effects
         if effect.searched is not None
         for settings in effect.searched(signals, some.record.keep, record.vehicle)
@@ -338,8 +339,8 @@ class Selection:
             if same or (members is not None and candidate not in members):
                 out.append(entry)
                 continue
-            anew = self.evidence.columns(settled := Candidate(candidate.effect, settings))
-            out.append(entry if anew is None else (settled, anew))
+            others = [*self.baseline, *(other for other in chosen if other is not entry)]
+            out.append(in_settings(self.evidence, others, entry, settings))
         return out
 
     def _refined(self, chosen: list[Entry], index: int) -> list[Entry]:

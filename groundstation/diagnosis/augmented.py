@@ -21,7 +21,8 @@ def known_candidates(effects: Mapping[str, Mapping[str, Mapping[str, float]]]) -
         effect = library().get(name.partition("/")[0])
         if effect is not None:
             own = effect.names()
-            found.append(Candidate(effect, {n: float(e["value"]) for n, e in values.items() if n not in own}))
+            settings = {n: float(e["value"]) for n, e in values.items() if n not in own}
+            found.append(Candidate(effect.of(settings), settings))
     return tuple(found)
 
 

@@ -173,7 +173,9 @@ class Course:
             return [Wrenches(effect.followed(self.signals, None, self.vehicle, several, True), True)]
 
         def one(settings: Settings) -> Wrenches:
-            return Wrenches(lambda now, _: [effect.unchanged(now, self.vehicle, settings)], effect.pointwise)
+            return Wrenches(
+                lambda now, _: [effect.of(settings).unchanged(now, self.vehicle, settings)], effect.pointwise
+            )
 
         return [one(settings) for settings in several]
 

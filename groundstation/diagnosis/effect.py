@@ -70,9 +70,16 @@ class EffectInfo:
         """Names of the parameters."""
         return tuple(p.name for p in self.parameters)
 
+    def needed(self) -> tuple[str, ...]:
+        """Names of the parameters that every finding has. What changes a setting is in that setting already, and a
+        companion that was not estimated is nothing.
+        """
+        return tuple(p.name for p in self.parameters if not (p.changes or p.companion))
+
     def named_in(self, values: Mapping[str, float]) -> Array:
-        """The parameters of a finding; what changes a setting is in that setting already."""
-        return np.array([values.get(p.name, 0.0) if p.changes else values[p.name] for p in self.parameters])
+        """The parameters of a finding."""
+        needed = self.needed()
+        return np.array([values[name] if name in needed else values.get(name, 0.0) for name in self.names()])
 
 
 Followed = Callable[[Signals, Signals | None], list[Array]]
@@ -103,7 +110,7 @@ class Effect(EffectInfo):
             of ``variants``; ``scanned`` is of how many it is the outcome.
         finer: settings around one that was found, to look closer.
         settled: settings as they follow from the values that were found (a load that was let go was on board before).
-        among: what is estimated of it in settings that a search gives; None for itself.
+        among: what is estimated of it in some settings; None for itself.
         spread: (settings, first parameter) -> standard deviations of settings; others are given without one.
         applies: whether this vehicle's inputs can show it at all.
         instants: settings that are instants of the flight, s, with a setting ``within_s`` beside them that ``finer``
@@ -142,6 +149,10 @@ class Effect(EffectInfo):
     shared_by_healthy: int | None = None
     bends_base: int | None = None
     scenario: Callable[[Mapping[str, float], Vehicle], tuple[str, dict[str, Any]]] | None = None
+
+    def of(self, settings: Settings) -> Effect:
+        """What is estimated of it in some settings."""
+        return self if self.among is None else self.among(settings)
 
     def telling(self) -> list[int]:
         """Which of the parameters tell the effect."""
@@ -273,6 +284,22 @@ def from_inflow(vehicle: Vehicle, thrust: Annotated[Array, "k n"]) -> Annotated[
     axes = vehicle.rotors.axes()
     arms = np.cross(np.asarray(vehicle.rotors.position_m, dtype=float), axes)
     return np.asarray(thrust @ np.concatenate([axes, arms], axis=1), dtype=float)
+
+
+def about_centre(vehicle: Vehicle, signals: Signals) -> Annotated[Array, "k 6 2"]:
+    """Body wrench about the declared origin per metre that the centre of mass lies beside it along x and y: thrust has
+    an arm, and the origin is carried round the centre.
+
+    -c x F with F along z, and -m (omega' x c + omega x (omega x c)): Etkin & Reid 1996, sec. 4.3.
+    """
+    out, lift = blank(signals, 2), from_thrust(vehicle, signals.thrust_n)[:, 2]
+    out[:, 4, 0], out[:, 3, 1] = lift, -lift
+    rate = signals.rate_rad_s
+    turning = np.gradient(rate, signals.t_s, axis=0) if len(rate) > 1 else np.zeros_like(rate)
+    for axis in range(2):
+        unit = np.eye(3)[axis]
+        out[:, :3, axis] = -vehicle.mass_kg * (np.cross(turning, unit) + np.cross(rate, np.cross(rate, unit)))
+    return out
 
 
 def lift_of(vehicle: Vehicle, thrust: Annotated[Array, "k n"]) -> Annotated[Array, "k"]:

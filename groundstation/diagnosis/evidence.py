@@ -71,7 +71,7 @@ class Evidence:
         self._recent, self._batches = Recent(BATCH_BYTES if len(self.y) > FEW_ROWS else COLUMNS_BYTES), count()
         self._beside: tuple[tuple[int, ...], Products] | None = None
         self.folds: dict[tuple[int, float], list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]] = {}
-        self._priors: dict[str, Array] = {}
+        self._priors: dict[tuple[str, ...], Array] = {}
         self._solved: dict[tuple[int, tuple[int, ...]], tuple[NDArray[np.bool_], Solution]] = {}
         vehicle = flights[0].prepared.record.vehicle
         self.scale = weight(vehicle) * np.array([1.0] * 3 + [vehicle.arm_m()] * 3)
@@ -253,9 +253,10 @@ class Evidence:
 
     def prior_of(self, candidate: Candidate) -> Array:
         """Prior precision of a candidate's parameters, (p,)."""
-        if candidate.identifier not in self._priors:
-            self._priors[candidate.identifier] = candidate.effect.precision(self.flights[0].prepared.record.vehicle)
-        return self._priors[candidate.identifier]
+        key = candidate.identifier, *candidate.effect.names()
+        if key not in self._priors:
+            self._priors[key] = candidate.effect.precision(self.flights[0].prepared.record.vehicle)
+        return self._priors[key]
 
     def _precision(self, chosen: Sequence[tuple[Candidate, Columns]]) -> Array:
         """Prior precision of base and chosen candidates together."""

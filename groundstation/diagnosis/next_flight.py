@@ -129,7 +129,7 @@ def _rival(name: str, entry: Document) -> Hypothesis:
     values: Document | None = entry.get("values")
     settings: Document = entry.get("settings") or {}
     numbers = all(isinstance(value, int | float) for value in settings.values())
-    if values is None or not numbers or not set(library()[name].names()) <= set(values):
+    if values is None or not numbers or not set(library()[name].needed()) <= set(values):
         return Hypothesis(name, {}, None)
     return Hypothesis(name, settings, values)
 
@@ -154,7 +154,7 @@ def _found(finding: Document) -> Hypothesis:
     effect = library()[finding["effect"]]
     names = effect.names()
     values = {name: float(entry["value"]) for name, entry in finding["parameters"].items()}
-    missing = [p.name for p in effect.parameters if p.name not in values and not p.changes]
+    missing = [name for name in effect.needed() if name not in values]
     if missing:
         raise BadInput(
             f"the diagnosis lacks {', '.join(missing)} of {finding['effect']}; write it again with `diagnose`."
@@ -266,7 +266,7 @@ def _forced(hypothesis: Hypothesis, vehicle: Vehicle, common: Common) -> discrim
         base = common(t_s, motion, signals)
         nothing = np.zeros((len(t_s), 6))
         variants = _few(list(effect.variants(signals, vehicle)))
-        return [(nothing, np.concatenate([base, effect.wrench(signals, vehicle, v)], axis=2)) for v in variants]
+        return [(nothing, np.concatenate([base, effect.of(v).wrench(signals, vehicle, v)], axis=2)) for v in variants]
 
     return discriminate.Candidate(hypothesis.effect, None if hypothesis.values is None else wrench, explanations)
 

@@ -76,6 +76,25 @@ def nearby(evidence: Evidence, baseline: Sequence[Entry], chosen: Sequence[Entry
     return found
 
 
+def in_settings(evidence: Evidence, others: Sequence[Entry], entry: Entry, settings: Settings) -> Entry:
+    """A member in other settings. What else these let be estimated of it is, where it is told by more than twice its
+    number of parameters (Akaike 1974): less would make a prediction worse.
+    """
+    effect = entry[0].effect
+    for form in (effect.of(settings), effect):
+        candidate = Candidate(form, settings)
+        columns = evidence.columns(candidate)
+        more = range(len(effect.parameters), len(form.parameters))
+        if columns is None:
+            continue
+        if not more:
+            return candidate, columns
+        first = sum(len(other.effect.parameters) for other, _ in others)
+        if evidence.solve([*others, (candidate, columns)]).wald(first, more) > 2.0 * len(more):
+            return candidate, columns
+    return entry
+
+
 def material(evidence: Evidence, columns: Columns, values: Array) -> bool:
     """Whether an effect of these values is large enough to matter to anyone."""
     size = np.abs(columns.wrench_rms @ np.abs(values))

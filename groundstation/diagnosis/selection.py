@@ -213,8 +213,8 @@ def pool_of(vehicle: Vehicle, evidence: Evidence, *, references: bool) -> list[C
     begun = [candidate for flight in evidence.flights[: evidence.suspects] for candidate in flight.begun]
     pool = [*candidates(vehicle, evidence.flights[0].excited), *searched(evidence.flights[0]), *begun]
     if references:
-        payload = library()["payload_change"]
-        pool.append(Candidate(payload, {"at_s": -1.0, "within_s": 1.0}))
+        before = {"at_s": -1.0, "within_s": 1.0}
+        pool.append(Candidate(library()["payload_change"].of(before), before))
     return pool
 
 

@@ -40,6 +40,7 @@ def sudden(
     block_s = float(np.median(np.diff(model.t_s)))
 
     def share(effect: Effect, settings: Settings, steps: Steps = steps) -> float:
+        effect = effect.of(settings)
         if effect.straight is None:
             return steps.explained(model.average(effect.wrench(signals, vehicle, settings)[:, UPWARDS, 0]))[0]
         how_hard, direction = effect.straight(signals, vehicle, settings)
@@ -59,7 +60,7 @@ def sudden(
                 continue
             while best["within_s"] > block_s:
                 best = max(effect.finer(best), key=lambda settings: share(effect, settings, sharp))
-            found.append(Candidate(effect, best))
+            found.append(Candidate(effect.of(best), best))
     return found
 
 
