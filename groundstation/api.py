@@ -256,7 +256,7 @@ def identify(
         name carries; ``model`` has lag, delay and thrust constants; what the flight does not reveal is in
         ``not_identifiable``.
     """
-    from groundstation.diagnosis.hanging import identify
+    from groundstation.diagnosis.doubted import identify
     from groundstation.options import AnalysisOptions
 
     options = AnalysisOptions(exclude=tuple(exclude))

@@ -11,7 +11,7 @@ import pytest
 from flights import laboratory
 
 from groundstation.diagnosis import diagnose
-from groundstation.diagnosis.hanging import identify
+from groundstation.diagnosis.doubted import identify
 from groundstation.diagnosis.pipeline import _with_swing
 from groundstation.diagnosis.results import Diagnosis
 from groundstation.diagnosis.swing import Swing, cable, swing_of

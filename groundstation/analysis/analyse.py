@@ -113,7 +113,7 @@ def analyse(
         Refused: the flights do not tell; the report holds the reason and the remedy.
         BadInput: a flight is malformed.
     """
-    from groundstation.diagnosis.hanging import identify
+    from groundstation.diagnosis.doubted import identify
     from groundstation.identification.work import Work
     from groundstation.reporting.report import write_report
 

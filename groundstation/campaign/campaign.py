@@ -279,7 +279,7 @@ def take_in(
     from groundstation.analysis.documents import write_json
     from groundstation.campaign.kept import Kept
     from groundstation.diagnosis import diagnose
-    from groundstation.diagnosis.hanging import identify
+    from groundstation.diagnosis.doubted import identify
     from groundstation.reporting.exports import model_document, write_model
 
     number, kept = len(campaign.rounds) + 1, kept or Kept()

@@ -1,49 +1,18 @@
-"""An identification that says where a load hangs below the vehicle: its mass holds the load, and nothing in a fit of a
-rigid body says so.
-"""
+"""A load that hangs below the vehicle: the mass of a rigid body's fit holds it, and nothing in that fit says so."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.diagnosis.swing import Swing, swing_of
-from groundstation.flightdata import FlightData
-from groundstation.identification import pipeline
-from groundstation.identification.dynamic_fit import Progress
 from groundstation.identification.preparation import Prepared
-from groundstation.identification.results import Estimate, Identification
-from groundstation.identification.work import Work
+from groundstation.identification.results import Estimate
 from groundstation.model.parameters import Parameters
-from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
 
 Array = NDArray[np.float64]
-
-
-def identify(
-    flights: Sequence[FlightData],
-    options: AnalysisOptions = DEFAULT_OPTIONS,
-    *,
-    predictive: bool = False,
-    progress: Progress = lambda fraction, text: None,
-    work: Work | None = None,
-) -> Identification:
-    """:func:`.identification.pipeline.identify`, with a warning of a load that swings below the first flight's vehicle,
-    and a mass whose interval holds the vehicle without it.
-    """
-    work = Work() if work is None else work
-    found = pipeline.identify(flights, options, predictive=predictive, progress=progress, work=work)
-    prepared = work.prepared(flights, options.exclude)
-    swing = hanging(prepared[0], work.fitted(prepared).best.parameters)
-    if swing is None:
-        return found
-    own = found.methods[found.best]
-    parameters, covariance = holding(own.parameters, own.covariance, swing)
-    own = replace(own, parameters=parameters, covariance=covariance)
-    return replace(found, methods={**found.methods, found.best: own}, warnings=(swing.sentence(), *found.warnings))
 
 
 def hanging(flight: Prepared, p: Parameters) -> Swing | None:

@@ -155,6 +155,21 @@ class Thresholds:
         source="judgement",
         chosen_on="28 flights of two simulators with loads (decision 47)",
     )
+    worn_std: float = _entry(
+        6.0,
+        "Standard deviations of a rotor's loss from which an identification speaks of it. The largest of 40 flights "
+        "with healthy rotors, drawn after it was chosen, was 3.7; the least of 16 with a weak one was 48.",
+        source="judgement",
+        chosen_on="63 flights (decision 57)",
+    )
+    worn_loss: float = _entry(
+        0.02,
+        "Least loss of a rotor that an identification speaks of: half a percent of a quadrotor's mass. Inflow and an "
+        "IMU that is turned pass for 1.1 to 1.3 %.",
+        source="judgement",
+        chosen_on="63 flights (decision 57)",
+    )
+
     held_out_blocks: int = _entry(
         6,
         "Blocks of time that a flight is divided into; each is judged by the parameters of the others.",

@@ -236,7 +236,7 @@ def _analyse(flight: Any, folder: Path, do: Sequence[str]) -> None:
     from groundstation.analysis.analyse import analyse, write_identification
     from groundstation.analysis.documents import write_json
     from groundstation.diagnosis import diagnose
-    from groundstation.diagnosis.hanging import identify
+    from groundstation.diagnosis.doubted import identify
     from groundstation.identification.work import Work
 
     if "report" in do:
