@@ -16,6 +16,7 @@ from pathlib import Path
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.pipeline import identify
+from groundstation.identification.predictive_choice import chosen_name, chosen_predictor
 from groundstation.model.vehicle_model import declared_model, model_from_document
 from groundstation.paths import find_config
 from groundstation.recording import load_flight
@@ -37,7 +38,7 @@ def main() -> None:
     for chosen in (SEEN, *((part,) for part in SEEN)):
         print("\n" + " + ".join(f"{name} {first:g} to {last:g} s" for name, first, last in chosen) + "\n")
         try:
-            found = identify([load(part) for part in chosen])
+            found = identify([load(part) for part in chosen], predictive=chosen is SEEN)
         except Refused as error:
             print(error)
             continue
@@ -53,6 +54,7 @@ def main() -> None:
             known = model_from_document(document, vehicle)
             theirs = published(document, vehicle)
             models = {
+                f"what predicts: {chosen_name(document)}": chosen_predictor(document, known),
                 "identified together": known,
                 "published constants": theirs,
                 "declared": declared_model(vehicle),

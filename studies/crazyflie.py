@@ -14,6 +14,7 @@ from groundstation.identification.dynamic_fit import fit_dynamics
 from groundstation.identification.preparation import prepare
 from groundstation.identification.starts import flight_states
 from groundstation.model.prediction import predict
+from groundstation.model.predictive import PredictiveModel
 from groundstation.model.vehicle_model import VehicleModel, model_from_document
 from groundstation.vehicle import Vehicle
 
@@ -39,7 +40,7 @@ def published(document: dict, vehicle: Vehicle) -> VehicleModel:
     return model_from_document({"parameters": values, "model": {**curve, **lag}}, vehicle)
 
 
-def table(model: dict[str, VehicleModel], flight: FlightData) -> str:
+def table(model: dict[str, VehicleModel | PredictiveModel | None], flight: FlightData) -> str:
     """RMS error of the predicted body rate by model and horizon, Markdown."""
     states = flight_states(flight)
     lines = ["| model | " + " | ".join(f"{h:g} s" for h in HORIZONS_S) + " |", "|---|" + "---|" * len(HORIZONS_S)]

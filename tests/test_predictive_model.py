@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from groundstation.errors import BadInput
-from groundstation.identification.predictive_choice import chosen_predictor, section
+from groundstation.identification.predictive_choice import chosen_predictor, section, with_moments
 from groundstation.identification.predictive_fit import (
     Squares,
     _simplest_of_the_best,
@@ -191,6 +191,23 @@ def test_a_physical_model_that_is_right_stays() -> None:
     score = {name: value for name, (value, _) in found.score.items()}
     assert score[found.kind] <= score["physical"]
     assert score[found.kind] < 0.5 * score["constant_velocity"]
+
+
+def test_moments_that_are_not_published_predict_where_they_are_better() -> None:
+    declared = declared_model(small())
+    published = replace(declared, tensor=1.7 * declared.tensor)
+    states = flown(plain(declared), still(small(), 30.0, size=0.3), noise_rad_s=0.01)
+    shot = shooting(states, 0, np.ones(len(states.t_s), bool), 250)
+    assert shot is not None
+    own = with_moments(published, declared.tensor, None)
+    found = judged([shot], published, published, own)
+    assert found.score["unpublished"][0] < found.score["physical"][0]
+    assert judged([shot], declared, declared, published).kind != "unpublished"
+    document = section(replace(found, kind="unpublished", model=None), own)
+    chosen = chosen_predictor({"prediction": document}, published)
+    assert isinstance(chosen, VehicleModel) and np.allclose(chosen.tensor, declared.tensor)
+    with pytest.raises(BadInput, match="no rigid body"):
+        chosen_predictor({"prediction": {**document, "tensor": (-declared.tensor).tolist()}}, published)
 
 
 @pytest.mark.filterwarnings("ignore:overflow encountered", "ignore:invalid value encountered")

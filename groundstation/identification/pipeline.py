@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from groundstation.flightdata import FlightData
+from groundstation.identification.anchoring import anchored
 from groundstation.identification.answer import Answer, as_rigid_body, believed, bound_of, with_methods, within_limits
 from groundstation.identification.declarations import said_first
 from groundstation.identification.disagreement import with_doubts
 from groundstation.identification.dynamic_fit import Progress
-from groundstation.identification.predictive_choice import physical_model, prediction_section
-from groundstation.identification.results import Identification
+from groundstation.identification.predictive_choice import physical_model, prediction_section, with_moments
+from groundstation.identification.results import Estimate, Identification
 from groundstation.identification.turning import turning_disturbance
 from groundstation.identification.validation import validate
 from groundstation.identification.work import Work
 from groundstation.json_types import Document
+from groundstation.model.parameters import BASIS, RIGID_BODY
+from groundstation.model.vehicle_model import VehicleModel
 from groundstation.options import DEFAULT_OPTIONS, AnalysisOptions
+
+Array = NDArray[np.float64]
 
 
 def identify(
@@ -93,4 +101,17 @@ def _predictive(answer: Answer, found: Identification) -> Document:
     """The prediction model beside the physical one, for the model file."""
     parameters = found.methods[found.best].parameters
     physical = physical_model(answer.vehicle, parameters, answer.model, found.disturbance)
-    return prediction_section(answer.fitted.prepared, physical)
+    if all(name in parameters for name in RIGID_BODY):
+        return prediction_section(answer.fitted.prepared, physical)
+    return prediction_section(answer.fitted.prepared, physical, _unpublished(answer, physical, parameters))
+
+
+def _unpublished(answer: Answer, physical: VehicleModel, published: Mapping[str, Estimate]) -> VehicleModel:
+    """The physical model with the fit's own moments in the place of declared ones: what is no claim about the vehicle
+    may predict it.
+    """
+    fitted, best = answer.fitted, answer.fitted.best
+    own, _ = anchored(answer.vehicle, best.names, best.values, best.covariance)
+    known = {**own, **published}
+    tensor: Array = np.einsum("k,kij->ij", [known[name].value for name in RIGID_BODY[1:]], BASIS)
+    return with_moments(physical, tensor, turning_disturbance(fitted.models, best, fitted.options))

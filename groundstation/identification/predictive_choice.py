@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,14 +18,22 @@ from groundstation.json_types import Document, JsonObject
 from groundstation.model.disturbance import TurningDisturbance
 from groundstation.model.flight_states import FlightStates
 from groundstation.model.predictive import PredictiveModel
-from groundstation.model.vehicle_model import VehicleModel, declared_model, model_from_document
+from groundstation.model.vehicle_model import (
+    VehicleModel,
+    declared_model,
+    model_from_document,
+    nearest_mixture,
+)
 from groundstation.vehicle import Vehicle
+
+Array = NDArray[np.float64]
 
 UNITS = {"position_m": "m", "velocity_m_s": "m/s", "attitude_rad": "rad", "body_rate_rad_s": "rad/s"}
 WORDS = {
     "fitted": "the fitted prediction model",
     "without_torque": "the fitted prediction model, which leaves the rotors' torque alone",
     "physical": "the physical model",
+    "unpublished": "the physical model with moments that only predict and are not published",
     "declared": "the declared vehicle",
     "constant_velocity": "constant velocity and rate",
 }
@@ -46,12 +55,20 @@ def physical_model(
     return model_from_document(document, vehicle)
 
 
-def prediction_section(prepared: Sequence[Prepared], physical: VehicleModel) -> JsonObject:
+def with_moments(physical: VehicleModel, tensor: Array, disturbance: TurningDisturbance | None) -> VehicleModel:
+    """The physical model with another tensor, or with as much of it as makes a rigid body beside the declared one."""
+    return replace(physical, tensor=nearest_mixture(tensor, physical.vehicle.inertia_tensor()), disturbance=disturbance)
+
+
+def prediction_section(
+    prepared: Sequence[Prepared], physical: VehicleModel, unpublished: VehicleModel | None = None
+) -> JsonObject:
     """Fit, choose, and say it. An empty section where the flights are too short to do either.
 
     Args:
         prepared: the flights, pooled.
         physical: the identified model; the gains of a fitted one refer to it.
+        unpublished: the same with moments that are not published; None where all are.
     """
     used_s = sum(float(np.sum(p.record.keep)) * float(np.median(np.diff(p.record.t_s))) for p in prepared)
     if used_s < SHORTEST_S:
@@ -60,7 +77,8 @@ def prediction_section(prepared: Sequence[Prepared], physical: VehicleModel) -> 
     shots = [shot for i, item in enumerate(prepared) if (shot := _shots(item, i, each)) is not None]
     if not shots:
         return {}
-    return section(judged(shots, physical, _base(physical, prepared[0].record.vehicle)))
+    found = judged(shots, physical, _base(physical, prepared[0].record.vehicle), unpublished)
+    return section(found, unpublished if found.kind == "unpublished" else None)
 
 
 def _base(physical: VehicleModel, vehicle: Vehicle) -> VehicleModel:
@@ -87,8 +105,8 @@ def _kept(states: FlightStates, t_s: NDArray[np.float64], keep: NDArray[np.bool_
     return keep[nearest] & (np.abs(t_s[nearest] - states.t_s) < 0.1)
 
 
-def section(found: Judgement) -> JsonObject:
-    """The ``[prediction]`` section of a model file."""
+def section(found: Judgement, unpublished: VehicleModel | None = None) -> JsonObject:
+    """The ``[prediction]`` section of a model file; of unpublished moments with these."""
     return {
         "kind": "fitted" if found.model is not None else found.kind,
         "candidate": found.kind,
@@ -97,7 +115,30 @@ def section(found: Judgement) -> JsonObject:
         "blocks": found.blocks,
         "error": {name: {h: dict(by) for h, by in errors.items()} for name, errors in found.errors.items()},
         **({} if found.model is None else found.model.to_dict()),
+        **({} if unpublished is None else _moments(unpublished)),
     }
+
+
+def _moments(model: VehicleModel) -> JsonObject:
+    """What :func:`with_moments` takes."""
+    tensor = {"tensor": [[float(x) for x in row] for row in model.tensor]}
+    return tensor if model.disturbance is None else {**tensor, "disturbance": model.disturbance.to_dict()}
+
+
+def _with_moments_of(found: Document, physical: VehicleModel) -> VehicleModel:
+    """Inverse of :func:`_moments`.
+
+    Raises:
+        BadInput: the tensor is missing, or no rigid body's.
+    """
+    try:
+        tensor = np.array(found["tensor"], dtype=float).reshape(3, 3)
+    except (KeyError, TypeError, ValueError):
+        raise BadInput("the model's [prediction] lacks its tensor; identify again.") from None
+    if not np.isfinite(tensor).all() or np.linalg.eigvalsh(tensor)[0] <= 0.0:
+        raise BadInput("the model's [prediction] tensor belongs to no rigid body; identify again.")
+    disturbance = TurningDisturbance.from_dict(found["disturbance"]) if "disturbance" in found else None
+    return replace(physical, tensor=tensor, disturbance=disturbance)
 
 
 def summary(found: Judgement) -> str:
@@ -129,6 +170,8 @@ def chosen_predictor(document: Document, physical: VehicleModel) -> VehicleModel
         return PredictiveModel.from_dict(found)
     if kind == "physical":
         return physical
+    if kind == "unpublished":
+        return _with_moments_of(found, physical)
     if kind == "declared":
         return declared_model(physical.vehicle)
     if kind == "constant_velocity":

@@ -92,7 +92,7 @@ class Judgement:
     """What was chosen, and the mean error of every candidate on unseen blocks.
 
     Attributes:
-        kind: "fitted", "physical", "declared" or "constant_velocity".
+        kind: "fitted", "without_torque", "unpublished", "physical" or "constant_velocity".
         model: the fitted one, whatever was chosen; None where no fit was possible.
         errors: candidate -> horizon -> quantity -> mean norm.
         score: candidate -> mean error in units of constant velocity's, and its standard error.
@@ -313,17 +313,22 @@ def _unseen(shot: Shooting, judged: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return ~judged & (np.minimum(after, before) > GUARD_S)
 
 
-def judged(shots: Sequence[Shooting], physical: VehicleModel, base: VehicleModel) -> Judgement:
+def judged(
+    shots: Sequence[Shooting], physical: VehicleModel, base: VehicleModel, unpublished: VehicleModel | None = None
+) -> Judgement:
     """Fit and choose.
 
     Args:
         shots: windows of every flight.
         physical: the identified model, a candidate itself.
         base: what the fitted models' gains refer to.
+        unpublished: another candidate, with moments that the identification does not publish; None for none.
     """
     norms: dict[str, list[Array]] = {}
     where: list[tuple[int, Index]] = []
     unfitted = {"constant_velocity": None, "declared": declared_model(shots[0].states.vehicle), "physical": physical}
+    if unpublished is not None:
+        unfitted["unpublished"] = unpublished
     known = [{name: _sizes(model, shot) for name, model in unfitted.items()} for shot in shots]
     fits = {"without_torque": _fit(shots, base, torque=False), "fitted": _fit(shots, base, torque=True)}
     for fold in _folds(shots):
@@ -370,7 +375,7 @@ def _blocks(sizes: Sequence[Array], where: Sequence[tuple[int, Index]], scale: M
     return np.array(out)
 
 
-SIMPLEST_FIRST = ("constant_velocity", "physical", "without_torque", "fitted")
+SIMPLEST_FIRST = ("constant_velocity", "physical", "unpublished", "without_torque", "fitted")
 JUDGED = tuple(f"{h:g}" for h in HORIZONS_S[1:])
 """Horizons that a choice looks at: what lies 0.01 s ahead is the noise of the start."""
 
@@ -393,8 +398,8 @@ def _chosen(
     loses = _lost(errors, kind)
     text = ", ".join(f"{name} {score[name][0]:.2f}" for name in sorted(score, key=lambda n: score[n][0]))
     reason = (
-        f"mean error 0.1 and 0.5 s ahead on {len(blocks[kind])} blocks that no fit of it has seen, in units of "
-        f"constant velocity's: {text}; the simplest within one standard error of the best is taken."
+        f"mean error 0.1 and 0.5 s ahead on {len(blocks[kind])} blocks that no fit to what lies ahead has seen, in "
+        f"units of constant velocity's: {text}; the simplest within one standard error of the best is taken."
     )
     return Judgement(kind, model, errors, score, loses, len(blocks[kind]), reason)
 
