@@ -15,12 +15,15 @@ from groundstation.diagnosis import diagnose
 from groundstation.diagnosis.columns import Recent
 from groundstation.identification import instruments
 from groundstation.identification import work as work_module
+from groundstation.identification.block_kernel import outputs
 from groundstation.identification.noise import NoiseModel, innovation_products, innovations
 from groundstation.identification.pipeline import identify
 from groundstation.identification.position_kernel import position_costs
 from groundstation.identification.preparation import prepare
+from groundstation.identification.sensitivities import TURNING
 from groundstation.identification.smoothing import position_filter
 from groundstation.identification.work import Work
+from groundstation.model.parameters import PAIRS
 from groundstation.model.rotors import cumulative, declared_thrust, interpolate_columns, mean_thrusts, motor_input
 from groundstation.paths import find_config
 from groundstation.recording.bundle import write_bundle
@@ -150,3 +153,17 @@ def test_products_of_innovations_in_parts_are_those_of_the_whole(integrated: boo
     white = e / np.sqrt(s)[:, None]
     found = innovation_products(z, columns, dt, restart, colour, integrated=integrated)
     assert found == pytest.approx(white.T @ white, rel=1e-10)
+
+
+def test_what_turns_a_body_is_made_of_integrated_products_of_its_rates() -> None:
+    print("seed", 8)
+    random = np.random.default_rng(8)
+    rate, blank = random.standard_normal((50, 3)), np.zeros((50, 6))
+    root = random.standard_normal((3, 3))
+    tensor: np.ndarray = root @ root.T
+    turned = np.stack([rate[:, i] * rate[:, j] for i, j in PAIRS], axis=1)
+    entries = np.array([tensor[i, j] for i, j in PAIRS])
+    expected = np.cross(rate, rate @ tensor)
+    found, _ = outputs(blank, blank, turned, (entries, np.eye(3), np.zeros(3)), np.zeros(50))
+    assert found == pytest.approx(-expected, rel=1e-12)
+    assert np.einsum("ces,ks,e->kc", TURNING, turned, entries) == pytest.approx(expected, rel=1e-12)

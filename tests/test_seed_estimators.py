@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from groundstation.errors import NotIdentifiable
+from groundstation.identification import estimators
 from groundstation.identification.estimators import gradient_descent, least_squares
 from groundstation.identification.uncertainty import coloured_covariance
 
@@ -121,3 +122,19 @@ def test_no_samples_is_a_refusal(estimator):
     t, gamma = regression(np.random.default_rng(5))
     with pytest.raises(NotIdentifiable):
         estimator(gamma, np.zeros((len(t), 2)), t, np.zeros(len(t), bool))
+
+
+def test_a_descent_stops_looking_back_where_it_has_forgotten_what_was_before(monkeypatch):
+    rng = np.random.default_rng(12)
+    t, gamma = regression(rng, samples=12000)
+    y = gamma @ [1.0, -2.0, 3.0] + rng.normal(size=(len(t), 2))
+    monkeypatch.setattr(estimators, "STRETCH", 3000)
+    looked: list[int] = []
+    heard = estimators.coloured_covariance
+    monkeypatch.setattr(estimators, "coloured_covariance", lambda *part: looked.append(1) or heard(*part))
+    near = gradient_descent(gamma, y, t, np.ones(len(t), bool))
+    parts = len(looked)
+    monkeypatch.setattr(estimators, "FORGOTTEN", 0.0)
+    whole = gradient_descent(gamma, y, t, np.ones(len(t), bool))
+    assert parts < len(looked) - parts == 4
+    assert np.array_equal(near.covariance, whole.covariance) and np.array_equal(near.values, whole.values)

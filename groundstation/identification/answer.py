@@ -280,8 +280,8 @@ def _seed_methods(
     offset = 0.0 if first.clock is None else first.clock.mocap_minus_imu_s
     regressions = None
     try:
-        signals = process_flight(first.flight, Processing(mocap_minus_imu_s=offset, exclude=exclude))
-        regressions = Regressions.of(signals)
+        processing = Processing(mocap_minus_imu_s=offset, exclude=exclude)
+        regressions = Regressions.of(process_flight(first.flight, processing))
         return regressions, seed_methods(regressions, first.flight.vehicle)
     except GroundStationError as error:
         note = str(error)

@@ -66,25 +66,25 @@ def wrench_means(wrench: Array, step: Array, members: NDArray[np.int64]) -> Arra
 
 @njit(cache=True)
 def outputs(
-    wrench: Array, impulse: Array, gyroscopic: Array, body: tuple[Array, Array, Array], trim: Array
+    wrench: Array, impulse: Array, turned: Array, body: tuple[Array, Array, Array], trim: Array
 ) -> tuple[Array, Array]:
     """Rates J^-1 H and forces of a body, (blocks, 3) each.
 
     Args:
-        wrench, impulse: of the rotors and its running integral, (blocks, 6). gyroscopic: integral of omega x J omega
-            per entry of the tensor, (blocks, 3, 6).
+        wrench, impulse: of the rotors and its running integral, (blocks, 6). turned: integrals of the products of two
+            rates, pp, pq, pr, qq, qr, rr, (blocks, 6), of which omega x J omega is made.
         body: the tensor's entries (6,), its inverse (3, 3), and c (3,), whose c x F is taken from the torque.
         trim: impulse about z that grows with time, (blocks,).
     """
-    entries, inverse, c = body
+    (xx, xy, xz, yy, yz, zz), inverse, c = body
     rate, force = np.empty((len(wrench), 3)), np.empty((len(wrench), 3))
     for b in range(len(wrench)):
         fx, fy, fz = impulse[b, 0], impulse[b, 1], impulse[b, 2]
         x, y, z = impulse[b, 3], impulse[b, 4], impulse[b, 5] + trim[b]
-        for e in range(6):
-            x -= gyroscopic[b, 0, e] * entries[e]
-            y -= gyroscopic[b, 1, e] * entries[e]
-            z -= gyroscopic[b, 2, e] * entries[e]
+        pp, pq, pr, qq, qr, rr = turned[b, 0], turned[b, 1], turned[b, 2], turned[b, 3], turned[b, 4], turned[b, 5]
+        x = x + pr * xy - pq * xz + qr * yy - (qq - rr) * yz - qr * zz
+        y = y - pr * xx - qr * xy - (rr - pp) * xz + pq * yz + pr * zz
+        z = z + pq * xx - (pp - qq) * xy + qr * xz - pq * yy - pr * yz
         x -= c[1] * fz - c[2] * fy
         y -= c[2] * fx - c[0] * fz
         z -= c[0] * fy - c[1] * fx

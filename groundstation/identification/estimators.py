@@ -32,6 +32,8 @@ ADAPTATION_RATE_PER_S = 1.0
 """Rate at which gradient descent forgets along an average direction: memory of about one second."""
 STRETCH = 131072
 """Samples over which a spectrum is taken at most: two minutes at 1 kHz, of which a residual remembers a thirtieth."""
+FORGOTTEN = 1e-15
+"""Share of an earlier error from which a covariance, where its square is added, is the same to the last bit."""
 SINGULAR = 1e-10
 """Eigenvalues of the correlation matrix of the regressor's columns below this are zero in double precision."""
 
@@ -218,7 +220,18 @@ def _descent_covariance(
         influence[run_of(inside - part.start)] = descent_influence(gamma, gain, later)
         if np.any(influence):
             covariance += coloured_covariance(influence, residual[part], period_s)
+        if _forgotten(later, gain):
+            break
     return covariance, later
+
+
+def _forgotten(later: Array, gain: Array) -> bool:
+    """Whether steps whose product is ``later`` leave nothing of what was before them, in the units in which each step
+    is a contraction: 1 - D^(1/2) G^T G D^(1/2) / size.
+    """
+    known = gain > 0.0
+    unit = np.sqrt(gain[known])
+    return bool(np.all(np.abs(later[np.ix_(known, known)]) * unit < FORGOTTEN * unit[:, None]))
 
 
 def _used_rows(used: NDArray[np.bool_]) -> NDArray[np.intp]:

@@ -95,3 +95,16 @@ def descent_influence(gamma: Array, gain: Array, later: Array) -> Array:
                 for j in range(parameters):
                     later[i, j] -= entering * gamma[k, row, j]
     return influence
+
+
+@njit(cache=True)
+def fill_inertia(alpha: Array, products: Array, out: Array) -> None:
+    """Columns of :func:`.regressors.inertia_columns` of every sample into ``out``, (k, 3, 6)."""
+    for k in range(len(alpha)):
+        a, b, c = alpha[k, 0], alpha[k, 1], alpha[k, 2]
+        pp, pq, pr = products[k, 0], products[k, 1], products[k, 2]
+        qq, qr, rr = products[k, 3], products[k, 4], products[k, 5]
+        roll, pitch, yaw = out[k, 0], out[k, 1], out[k, 2]
+        roll[0], roll[1], roll[2], roll[3], roll[4], roll[5] = a, b - pr, c + pq, -qr, qq - rr, qr
+        pitch[0], pitch[1], pitch[2], pitch[3], pitch[4], pitch[5] = pr, a + qr, rr - pp, b, c - pq, -pr
+        yaw[0], yaw[1], yaw[2], yaw[3], yaw[4], yaw[5] = -pq, pp - qq, a - qr, pq, b + pr, c

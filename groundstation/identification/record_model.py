@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.frames import skew
 from groundstation.identification.block_kernel import integral_means, outputs, residual, wrench_means
 from groundstation.identification.noise import KeptGains
 from groundstation.identification.parts import double, kept
@@ -30,7 +29,7 @@ from groundstation.identification.sensitivities import (
     stacked,
     timing_steps,
 )
-from groundstation.model.parameters import BASIS, PAIRS, FitOptions, Parameters, free_entries
+from groundstation.model.parameters import PAIRS, FitOptions, Parameters, free_entries
 from groundstation.model.rotor_kernel import LANES
 from groundstation.model.rotors import Lag, mean_thrusts, wrench_matrix
 from groundstation.vehicle import Vehicle
@@ -49,20 +48,6 @@ UNTIMED = FitOptions(lag=False, delay=False)
 """Asks for no differences by lags and dead time."""
 
 CHANNELS = ("torque_x_nm", "torque_y_nm", "torque_z_nm", "force_x_n", "force_y_n", "force_z_n")
-
-
-def _turning() -> Array:
-    """Omega x J omega per entry of the tensor and product of two rates, both in the order of PAIRS, (3, 6, 6)."""
-    out = np.zeros((3, len(PAIRS), len(PAIRS)))
-    for entry, basis in enumerate(BASIS):
-        for product, (i, j) in enumerate(PAIRS):
-            out[:, entry, product] += (skew(np.eye(3)[i]) @ basis)[:, j]
-            if i != j:
-                out[:, entry, product] += (skew(np.eye(3)[j]) @ basis)[:, i]
-    return out
-
-
-TURNING = _turning()
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +131,7 @@ class RecordModel:
         matrix: from rotors' thrusts to body force and torque, (6, n).
         t_s, dt, restart: blocks of averaged samples, shape (blocks,); ``restart`` marks the first of a segment.
         rate, force: measured, averaged, (blocks, 3).
-        elapsed_s: time since the record's start, (blocks,). gyroscopic: see :meth:`integrated_gyroscopic`.
+        elapsed_s: time since the record's start, (blocks,). turned: see :meth:`integrated_products`.
         extra_means: of each wrench term its running integral (blocks, 6) and mean force (blocks, 3).
         silent: channels in which this record only answers its disturbance, while another one tells more.
     """
@@ -173,7 +158,7 @@ class RecordModel:
         self.force = self.average(record.force_m_s2)
         self._known = [True] * 3 + [bool(np.isfinite(self.force[:, axis]).all()) for axis in range(3)]
         self.elapsed_s = self.t_s - record.t_s[0]
-        self.gyroscopic = self.integrated_gyroscopic(record.rate_rad_s)
+        self.turned = self.integrated_products(record.rate_rad_s)
         self.extra_means = tuple(self.means_of(term, term.value) for term in self.extra)
         self._last: tuple[Parameters, Predicted] | None = None
         self._made: tuple[list[tuple[Lag, float]], tuple[Array, Array]] | None = None
@@ -209,7 +194,7 @@ class RecordModel:
         other.record = self.record.part(samples)
         other.planned = None if self.planned is None else self.planned.part(samples)
         other._members, other._step, other.gains = members - before, self._step[samples], KeptGains()
-        for name in ("restart", "t_s", "dt", "rate", "force", "elapsed_s", "gyroscopic"):
+        for name in ("restart", "t_s", "dt", "rate", "force", "elapsed_s", "turned"):
             setattr(other, name, getattr(self, name)[blocks])
         other.extra_means = tuple(means.part(blocks) for means in self.extra_means)
         other._last = other._made = None
@@ -247,10 +232,9 @@ class RecordModel:
             return TermMeans(self.integrated(value), self.average(value[:, :3]))
         return TermMeans(-self.integrated(value), -self.average(value), term.against)
 
-    def integrated_gyroscopic(self, rate: Array) -> Array:
-        """Block means of the integral of omega x J omega per entry of the tensor, (blocks, 3, 6)."""
-        products = np.stack([rate[:, i] * rate[:, j] for i, j in PAIRS], axis=-1)
-        return (self.integrated(products) @ TURNING.reshape(-1, len(PAIRS)).T).reshape(-1, 3, len(PAIRS))
+    def integrated_products(self, rate: Array) -> Array:
+        """Block means of the integrals of products of two rates, (blocks, 6): TURNING makes omega x J omega of them."""
+        return self.integrated(np.stack([rate[:, i] * rate[:, j] for i, j in PAIRS], axis=-1))
 
     def of_wrench(self, wrench: Array) -> Array:
         """Block means of the running integrals of torques and of forces, torques first, of a wrench (k, 6, p)."""
@@ -315,7 +299,7 @@ class RecordModel:
         whole = impulse.copy()
         for coefficient, means in zip(p.extra, self.extra_means, strict=True):
             means.turn(coefficient, whole)
-        rate, force = outputs(wrench, whole, self.gyroscopic, body, p.yaw_trim_nm * self.elapsed_s)
+        rate, force = outputs(wrench, whole, self.turned, body, p.yaw_trim_nm * self.elapsed_s)
         for coefficient, means in zip(p.extra, self.extra_means, strict=True):
             means.push_on(coefficient, force)
         return self._with_linear(p, Predicted(moved, wrench, impulse, rate, force))

@@ -38,19 +38,17 @@ def inertia_columns(alpha: Triples, products: Products) -> Annotated[Array, "k 3
     Returns:
         Rows roll, pitch, yaw, shape (k, 3, 6).
     """
-    a, b, c = np.asarray(alpha, dtype=float).T
-    pp, pq, pr, qq, qr, rr = np.asarray(products, dtype=float).T
+    a = np.asarray(alpha, dtype=float)
     out = np.empty((len(a), 3, 6))
-    for row, entries in enumerate(
-        (
-            (a, b - pr, c + pq, -qr, qq - rr, qr),
-            (pr, a + qr, rr - pp, b, c - pq, -pr),
-            (-pq, pp - qq, a - qr, pq, b + pr, c),
-        )
-    ):
-        for column, entry in enumerate(entries):
-            out[:, row, column] = entry
+    _fill_inertia(a, products, out)
     return out
+
+
+def _fill_inertia(alpha: Triples, products: Products, out: Array) -> None:
+    """:func:`inertia_columns` into an array (k, 3, 6)."""
+    from groundstation.identification.kernels import fill_inertia
+
+    fill_inertia(np.asarray(alpha, dtype=float), np.asarray(products, dtype=float), out)
 
 
 def assemble(first: Values, alpha: Triples, products: Products) -> Regressor:
@@ -58,7 +56,7 @@ def assemble(first: Values, alpha: Triples, products: Products) -> Regressor:
     first = np.asarray(first, dtype=float)
     out = np.zeros((len(first), 4, 7))
     out[:, 0, 0] = first
-    out[:, 1:, 1:] = inertia_columns(alpha, products)
+    _fill_inertia(alpha, products, out[:, 1:, 1:])
     return out
 
 
@@ -105,8 +103,18 @@ def six_row_regressor(specific_force: Triples, rate: Triples, rate_derivative: T
     specific_force = np.asarray(specific_force, dtype=float)
     out = np.zeros((len(specific_force), 6, 7))
     out[:, :3, 0] = specific_force
-    out[:, 3:, 1:] = inertia_columns(rate_derivative, rate_products(rate))
+    _fill_inertia(rate_derivative, rate_products(rate), out[:, 3:, 1:])
     return out
+
+
+@dataclass(frozen=True, slots=True)
+class RateProducts:
+    """:func:`rate_products` of body rates (k, 3), of those samples that are asked for."""
+
+    rate: Annotated[Array, "k 3"]
+
+    def __getitem__(self, rows: Index) -> Annotated[Array, "n 6"]:
+        return rate_products(self.rate[rows])
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +127,7 @@ class Assembled:
 
     first: Annotated[Array, "k"]
     alpha: Annotated[Array, "k 3"]
-    products: Annotated[Array, "k 6"]
+    products: Annotated[Array, "k 6"] | RateProducts
 
     @property
     def shape(self) -> tuple[int, int, int]:

@@ -16,8 +16,8 @@ from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import thrust_constants
 from groundstation.identification.estimators import STRETCH, LinearEstimate, gradient_descent, least_squares, run_of
 from groundstation.identification.filters import FilterPair, seed_pair
-from groundstation.identification.parts import parts_of
-from groundstation.identification.regressors import Assembled, rate_products, transport_and_gravity
+from groundstation.identification.parts import by_parts, parts_of
+from groundstation.identification.regressors import Assembled, RateProducts, rate_products, transport_and_gravity
 from groundstation.identification.results import MASS_AND_TENSOR, OUTPUTS, Estimate, Evolution, MethodResult
 from groundstation.identification.seed_signals import Processing, SeedSignals, process_flight
 from groundstation.vehicle import Vehicle
@@ -64,7 +64,7 @@ def standard_regression(signals: SeedSignals) -> Regression:
     """The standard model (34): accelerations from differentiated signals."""
     rate, derivative = signals.rate, signals.rate_derivative
     first = np.zeros(len(rate)) if signals.specific_force is None else signals.specific_force[:, 2].copy()
-    return Regression(Assembled(first, derivative, rate_products(rate)), signals.wrench, signals.t_s, signals.used)
+    return Regression(Assembled(first, derivative, RateProducts(rate)), signals.wrench, signals.t_s, signals.used)
 
 
 def filtered_regression(
@@ -91,8 +91,9 @@ def filtered_regression(
     g_rate = filters.g(rate)
     note = f"The filters run at T = {1e3 * signals.period_s / steps:.2f} ms."
     if signals.velocity_body is not None and signals.gravity_body is not None:
-        rest = transport_and_gravity(signals.velocity_body, rate, signals.gravity_body)[:, 2]
-        first = filters.g(signals.velocity_body[:, 2]) + filters.f(rest)
+        velocity, gravity = signals.velocity_body, signals.gravity_body
+        rest = by_parts(lambda rows: transport_and_gravity(velocity[rows], rate[rows], gravity[rows])[:, 2], len(rate))
+        first = filters.g(velocity[:, 2]) + filters.f(rest)
     elif signals.specific_force is not None:
         first = filters.f(signals.specific_force[:, 2])
         note += " Without velocities the accelerometer stands for the first row."

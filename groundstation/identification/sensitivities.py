@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from groundstation.frames import skew
 from groundstation.linear_filters import first_order
-from groundstation.model.parameters import BASIS, TENSOR, FitOptions, Parameters, free_entries
+from groundstation.model.parameters import BASIS, PAIRS, TENSOR, FitOptions, Parameters, free_entries
 from groundstation.model.rotors import Lag, thrusts_for
 
 if TYPE_CHECKING:
@@ -32,6 +32,20 @@ TIMING = ("input_delay_s", "rotor_lag_s", "rotor_lag_up_s", "rotor_lag_down_s", 
 DELAY_STEP_S = 1e-3
 SLOPE_STEP = 0.05
 """Of differences by the dead time and by a lag's slope."""
+
+
+def _turning() -> Array:
+    out = np.zeros((3, len(PAIRS), len(PAIRS)))
+    for entry, basis in enumerate(BASIS):
+        for product, (i, j) in enumerate(PAIRS):
+            out[:, entry, product] += (skew(np.eye(3)[i]) @ basis)[:, j]
+            if i != j:
+                out[:, entry, product] += (skew(np.eye(3)[j]) @ basis)[:, i]
+    return out
+
+
+TURNING = _turning()
+"""Omega x J omega per entry of the tensor and product of two rates, both in the order of PAIRS, (3, 6, 6)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,9 +154,9 @@ class Planned(Point):
         return self.model.average(self.plan.rate_rad_s)
 
     @cached_property
-    def gyroscopic(self) -> Array:
-        """(6, blocks, 3)."""
-        return np.moveaxis(self.model.integrated_gyroscopic(self.plan.rate_rad_s), -1, 0)
+    def turned(self) -> Array:
+        """Integrals of products of the rates, (blocks, 6)."""
+        return self.model.integrated_products(self.plan.rate_rad_s)
 
     @cached_property
     def slope(self) -> Array:
@@ -188,14 +202,17 @@ class Planned(Point):
 
 def _measured_entry(index: int) -> Callable[[Measured], Pair]:
     def sensitivity(at: Measured) -> Pair:
-        column = at.model.gyroscopic[:, :, index]
+        column = at.model.turned @ TURNING[:, index].T
         return -(at.prediction.rate @ BASIS[index].T + column) @ at.inverse.T, at.blank
 
     return sensitivity
 
 
 def _planned_entry(index: int) -> Callable[[Planned], Pair]:
-    return lambda at: (-(at.mean_rate @ BASIS[index].T + at.gyroscopic[index]) @ at.inverse.T, at.blank)
+    return lambda at: (
+        -(at.mean_rate @ BASIS[index].T + at.turned @ TURNING[:, index].T) @ at.inverse.T,
+        at.blank,
+    )
 
 
 def _planned_slope(at: Planned) -> Pair:

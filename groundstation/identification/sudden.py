@@ -105,7 +105,10 @@ def _of_flight(model: RecordModel, best: Fitted, options: FitOptions) -> MassSte
     if VERTICAL not in options.channels or "mass_kg" not in names or not len(model.t_s):
         return None
     residual = model.residual_of(p, model.predicted(p, options))[:, VERTICAL]
-    sensitivity = np.concatenate([model.sensitivities(p, options, part)[:, VERTICAL] for part in model.parts()])
+    # copies of the one channel: a view would hold those of all channels, and of all parts at once
+    sensitivity = np.concatenate(
+        [model.sensitivities(p, options, part)[:, VERTICAL].copy(order="K") for part in model.parts()]
+    )
     first, last = float(model.t_s[0]) + EITHER_SIDE_S, float(model.t_s[-1]) - EITHER_SIDE_S
     if first >= last:
         return None

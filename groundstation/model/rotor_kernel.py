@@ -138,7 +138,8 @@ def block_means(
     curve: Array,
     blocks: tuple[Array, Index],
 ) -> Array:
-    """Means over blocks of rotors' thrusts and of their running integrals, (delays, blocks, 2, most lanes of a delay).
+    """Means over blocks of rotors' thrusts and of their running integrals: one dead time after the other, (blocks, 2,
+    its lanes) of each, in one array.
 
     Rotors of the first lag come first.
 
@@ -158,8 +159,8 @@ def block_means(
     small = most * max(np.max(s[UP : UP + LANES]), np.max(s[DOWN : DOWN + LANES])) < 0.2
     sloped = np.any(lags[:, 2] != 0.0)
     kept = np.zeros((CHUNK + 1, 2 * LANES))
-    width = np.max(lanes[:, 1])
-    out = np.zeros((len(delays_s), len(members), 2, width))
+    ends = 2 * len(members) * np.cumsum(lanes[:, 1])
+    out = np.zeros(ends[-1])
     done = np.zeros(len(delays_s), dtype=np.int64)
     for begin in range(0, length, CHUNK):
         end = min(begin + CHUNK, length)
@@ -184,7 +185,15 @@ def block_means(
             _keep(s, kept[i - begin + 1])
         for n in range(len(delays_s)):
             clock = (t_s, delays_s[n], start, step, float(length))
-            done[n] = _averaged((kept, begin - 1, end), lanes[n], clock, members, done[n], out[n])
-    out[:, :, 1] *= step
+            means = _means_of(out, ends[n], len(members), lanes[n, 1])
+            done[n] = _averaged((kept, begin - 1, end), lanes[n], clock, members, done[n], means)
+    for n in range(len(delays_s)):
+        _means_of(out, ends[n], len(members), lanes[n, 1])[:, 1] *= step
     out /= members.shape[1]
     return out
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _means_of(out: Array, end: int, blocks: int, lanes: int) -> Array:
+    """Of one dead time, (blocks, 2, lanes): a view."""
+    return out[end - 2 * blocks * lanes : end].reshape(blocks, 2, lanes)

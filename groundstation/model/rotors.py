@@ -183,7 +183,9 @@ def mean_thrusts(
         delays = np.array(list(asked), dtype=float)
         curve = thrust_polynomial(vehicle)
         means = block_means(motors.value, grid, np.array(some, dtype=float), (delays, lanes), curve, blocks)
-        for mean, (delay, places) in zip(means, asked.items(), strict=True):
+        ends = 2 * len(blocks[1]) * np.cumsum(lanes[:, 1])
+        for part, width, (delay, places) in zip(np.split(means, ends[:-1]), lanes[:, 1], asked.items(), strict=True):
+            mean = part.reshape(-1, 2, width)
             for n in places:
                 at = (n - places[0]) * rotors
                 found[some[n], delay] = mean[:, :, at : at + rotors]
