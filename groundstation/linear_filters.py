@@ -68,7 +68,7 @@ def _sections(poles: Poles, zeros: Array, gain: float) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _through(sections: Array, x: Array, state: Array) -> None:
     """Columns (k, d) through the sections, in place; ``state`` is (sections, 2, d), of direct form II transposed."""
     for i in range(len(x)):
@@ -121,7 +121,7 @@ def both_ways(sections: Array, signal: Array, padding: int | None = None) -> Arr
     return y if values.ndim == 2 else y[:, 0]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _recursion(b0: float, b1: float, a1: float, x: Array, state: Array) -> Array:
     out = np.empty_like(x)
     for i in range(len(x)):
@@ -192,7 +192,7 @@ def _reflected(n: int, k: int) -> int:
     return n if n < k else 2 * k - 1 - n
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def moving_mean(values: Array, width: int) -> Array:
     """Mean of ``width`` values, an odd number, about each of a series, which is reflected at its ends."""
     k, half = len(values), width // 2

@@ -31,6 +31,7 @@ from groundstation.writing import write_whole
 
 if TYPE_CHECKING:  # analyses are heavy to import
     from groundstation.campaign.kept import Kept
+    from groundstation.model.flight_states import FlightStates
 
 SCHEMA = "groundstation.campaign/1"
 FILE = "campaign.json"
@@ -288,7 +289,8 @@ def take_in(
     folders = [*(Path(r.folder) for r in campaign.rounds if r.estimates), folder]
     flights = [*(kept.flight(each, campaign.vehicle) for each in folders[:-1]), flight]
     try:
-        judged = _judge(campaign, flight, say)
+        states = kept.states(flights)
+        judged = _judge(campaign, states[-1], say)
         together = f"{len(flights)} flights together" if len(flights) > 1 else "it"
         say(f"flight {number}: identifying and diagnosing {together}")
         found = identify(flights, work=kept.work)
@@ -301,7 +303,7 @@ def take_in(
     write_model(campaign.folder / f"model-{number}.toml", model)
     write_model(campaign.folder / f"rigid-{number}.toml", rigid)
     write_json(campaign.folder / f"diagnosis-{number}.json", diagnosis.to_dict())
-    seen = _mean([prediction_errors(model, each) for each in flights])
+    seen = _mean([prediction_errors(model, each) for each in states])
     by_level = pooled(diagnosis.by_flight, [day_of(each.name) for each in folders])
     estimates = widened({**model["model"], **model["parameters"]}, by_level, diagnosis.by_flight)
     done = Round(
@@ -312,7 +314,7 @@ def take_in(
     return _next(campaign, replace(done, not_settled=tuple(_open(campaign, done))))
 
 
-def _judge(campaign: Campaign, flight: FlightData, say: Say) -> dict[str, Errors]:
+def _judge(campaign: Campaign, states: FlightStates, say: Say) -> dict[str, Errors]:
     """Errors on a flight that the campaign's model has not seen."""
     from groundstation.reporting.exports import read_model
 
@@ -327,7 +329,7 @@ def _judge(campaign: Campaign, flight: FlightData, say: Say) -> dict[str, Errors
     declared = {**without_effects(after, {}), "parameters": _declared(campaign.vehicle), "model": {}}
     declared.pop("disturbance", None)
     documents = {"declared": declared, "before": before, "after": after}
-    return {name: prediction_errors(document, flight) for name, document in documents.items()}
+    return {name: prediction_errors(document, states) for name, document in documents.items()}
 
 
 def _declared(vehicle: Vehicle) -> dict[str, dict[str, float]]:

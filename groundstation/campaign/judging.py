@@ -7,9 +7,8 @@ from __future__ import annotations
 import numpy as np
 
 from groundstation.diagnosis.effect import library, wrench_of
-from groundstation.flightdata import FlightData
-from groundstation.identification.starts import flight_states
 from groundstation.json_types import Document, JsonObject
+from groundstation.model.flight_states import FlightStates
 from groundstation.model.prediction import predict
 from groundstation.model.vehicle_model import model_from_document
 from groundstation.vehicle import vehicle_from_dict
@@ -24,12 +23,12 @@ yet.
 Errors = dict[str, float]
 
 
-def prediction_errors(document: Document, flight: FlightData) -> Errors:
-    """RMS error after :data:`HORIZON_S`, by quantity, of a model document on a flight."""
+def prediction_errors(document: Document, states: FlightStates) -> Errors:
+    """RMS error after :data:`HORIZON_S`, by quantity, of a model document on a flight's states."""
     declared = vehicle_from_dict(document["vehicle"], "the campaign's model")
     effects = document.get("effects", {})
     wrench = wrench_of(effects, declared) if any(name.partition("/")[0] in library() for name in effects) else None
-    found = predict(model_from_document(document, declared, wrench), flight_states(flight), horizon_s=HORIZON_S)
+    found = predict(model_from_document(document, declared, wrench), states, horizon_s=HORIZON_S)
     return {name: float(entry["rms"]) for name, entry in found.to_dict()["error"]["model"][f"{HORIZON_S:g}"].items()}
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from groundstation.flightdata import FlightData
 from groundstation.identification.work import Work
+from groundstation.model.flight_states import FlightStates
 from groundstation.vehicle import Vehicle
 
 
@@ -28,3 +30,13 @@ class Kept:
         if folder not in self._flights:
             self._flights[folder] = load_flight(folder, vehicle=vehicle)
         return self._flights[folder]
+
+    def states(self, flights: Sequence[FlightData]) -> list[FlightStates]:
+        """What predictions of these flights start from and are judged by, of the motion that estimates of them use.
+
+        Raises:
+            Refused: a flight holds too little, or its clocks cannot be aligned.
+        """
+        from groundstation.identification.starts import smoothed_states
+
+        return [smoothed_states(prepared) for prepared in self.work.prepared(flights, ())]

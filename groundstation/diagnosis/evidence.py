@@ -27,6 +27,7 @@ from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.whitening import spanning
 from groundstation.identification.instrumental import lag_split_precision
 from groundstation.identification.parts import by_parts, coefficients, sizes
+from groundstation.identification.together import of_each
 from groundstation.model.parameters import PriorContext, table
 
 Array = NDArray[np.float64]
@@ -183,10 +184,9 @@ class Evidence:
         return out
 
     def _over_flights(self, candidates: Sequence[Candidate], everywhere: bool) -> Batch:
-        parts = [
-            flight.batch(candidates) if everywhere or number < self.suspects else flight.nothing(candidates)
-            for number, flight in enumerate(self.flights)
-        ]
+        acted_on = self.flights if everywhere else self.flights[: self.suspects]
+        parts = of_each(lambda flight: flight.batch(candidates), acted_on)
+        parts += [flight.nothing(candidates) for flight in self.flights[len(acted_on) :]]
         return Batch.joined(parts, self.suspects)
 
     def solve(self, chosen: Sequence[tuple[Candidate, Columns]], rows: NDArray[np.bool_] | None = None) -> Solution:

@@ -118,7 +118,7 @@ def _begun(pendulums: Array) -> Array:
     return s
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def pulls_per_mass(
     t_s: Array, velocity: tuple[Array, Array], gravity: float, pendulums: Array, keep: bool
 ) -> tuple[Array, Array]:
@@ -167,7 +167,7 @@ def pulls_per_mass(
     return out, states
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def pulls_moved(states: Array, velocity: tuple[Array, Array], step_s: Array, gravity: float, pendulum: Array) -> Array:
     """Pulls per mass of one pendulum in many windows side by side, (k, 3), after each has moved by a step of its own.
 

@@ -22,6 +22,7 @@ from groundstation.diagnosis.rivals import Entry
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.unplanned import PastMotion
 from groundstation.identification.memory import released
+from groundstation.identification.together import of_each
 from groundstation.model.parameters import BASIS, RIGID_BODY, values_of
 from groundstation.vehicle import Vehicle
 
@@ -169,8 +170,8 @@ def _select(
     """Evidence with a noise model that leaves the known effects out, and what it asks for."""
     progress(0.5, "noise of each channel")
     evidence = Evidence(
-        [FlightEvidence(flight, base.fitted, base.options, (*augmented, *known)) for flight in case.suspects],
-        [FlightEvidence(flight, base.fitted, base.options) for flight in case.healthy],
+        of_each(lambda flight: FlightEvidence(flight, base.fitted, base.options, (*augmented, *known)), case.suspects),
+        of_each(lambda flight: FlightEvidence(flight, base.fitted, base.options), case.healthy),
     )
     released(case.suspects)
     vehicle, references = case.suspects[0].record.vehicle, bool(case.healthy)
@@ -198,8 +199,8 @@ def _confirmed(selection: Selection, chosen: list[Entry], case: Case, augmented:
     own = (*shared, *(candidate for candidate, _ in chosen))
     flights, suspects = selection.evidence.flights, selection.evidence.suspects
     evidence = Evidence(
-        [flight.beside(own, generic=False) for flight in flights[:suspects]],
-        [flight.beside(shared, generic=False) for flight in flights[suspects:]],
+        of_each(lambda flight: flight.beside(own, generic=False), flights[:suspects]),
+        of_each(lambda flight: flight.beside(shared, generic=False), flights[suspects:]),
     )
     vehicle = case.suspects[0].record.vehicle
     baseline = _baseline(evidence, vehicle, augmented, references=bool(case.healthy))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def integral_means(values: Array, step: Array, members: NDArray[np.int64]) -> Array:
     """Block means of the running integral by the trapezoidal rule of columns (k, n), with ``step`` before each sample,
     (blocks, n).
@@ -34,7 +34,7 @@ def integral_means(values: Array, step: Array, members: NDArray[np.int64]) -> Ar
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def wrench_means(wrench: Array, step: Array, members: NDArray[np.int64]) -> Array:
     """Block means of the running integral of torques and of forces, torques first, (blocks, 6 p).
 
@@ -64,7 +64,7 @@ def wrench_means(wrench: Array, step: Array, members: NDArray[np.int64]) -> Arra
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def outputs(
     wrench: Array, impulse: Array, turned: Array, body: tuple[Array, Array, Array], trim: Array
 ) -> tuple[Array, Array]:
@@ -94,7 +94,7 @@ def outputs(
     return rate, force
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def residual(measured: tuple[Array, Array], rate: Array, force: Array, mass: float, bias: Array) -> Array:
     """Measured rates and specific forces less rates and forces of a body with biases, (blocks, 6).
 
@@ -109,7 +109,7 @@ def residual(measured: tuple[Array, Array], rate: Array, force: Array, mass: flo
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def cubic(values: Array, start_s: float, step_s: float, at_s: Array) -> Array:
     """Columns (k, n) of a uniform grid at other times inside it, by the cubic through the four points about each."""
     count, columns = values.shape

@@ -84,7 +84,8 @@ class WhitenedParts:
         logs = 0.0
         for channel, passed in zip(self.channels, self.filters, strict=True):
             rows = sensitivity[:, channel, :].T
-            shown = np.array([n for n, row in enumerate(rows) if not whole or row.any()], dtype=np.intp)
+            ends = np.any(rows[:, -1:], axis=1).tolist()  # few rows that are not zero all along end in a zero
+            shown = np.array([n for n, row in enumerate(rows) if not whole or ends[n] or row.any()], dtype=np.intp)
             white, deviation = passed(residual[:, channel].copy()[None, :], steps, rows, shown)
             ys.append(white[:, 0].copy())
             xs.append(Columns(shown, white[:, 1:]))

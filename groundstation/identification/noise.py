@@ -78,7 +78,7 @@ def _driven(sigma: float, tau: float, q: float, h: float, phi: float) -> tuple[f
     return max(q00, q * q * h), q01, q11
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _integrated_innovations(
     z: Array, dt: Array, restart: Restarts, noise: Array, state: tuple[Array, Array], fresh: bool
 ) -> tuple[Array, Array]:
@@ -124,7 +124,7 @@ def _integrated_innovations(
     return out, variance
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _direct_innovations(
     z: Array, dt: Array, restart: Restarts, noise: Array, state: tuple[Array, Array], fresh: bool
 ) -> tuple[Array, Array]:

@@ -125,7 +125,7 @@ def _told(s: Array, noises: int, informed: bool) -> Array:
     return np.concatenate((s[COST : COST + noises], s[INFORMATION:]))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def integrated_costs(z: Array, step: Steps, noises: Array, informed: bool) -> Array:
     """Of an integrated channel z (k,) under each of at most LANES noises (n, 4), shape (n,).
 
@@ -167,7 +167,7 @@ def _direct_step(s: Array, y: float, h: float, beyond: float, near: bool) -> Non
         s[ERROR + n], s[SPREAD + n] = e, total
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def direct_costs(z: Array, step: Steps, noises: Array, informed: bool) -> Array:
     """The same for z = d + white."""
     dt, restart, usual = step

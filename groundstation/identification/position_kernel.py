@@ -79,7 +79,7 @@ def _axis(s: Array, place: int, y: float, h: float) -> None:
         s[COST + n] += 0.5 * min(e * e * s[SQUARES + n], LARGEST)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def position_costs(z: Array, dt: Array, noises: Array) -> Array:
     """Half the minus-log-likelihood of z (k, 3) under each of at most LANES noises (n, 4), constants dropped, (n,)."""
     s = _prepared(noises, z[0])

@@ -20,9 +20,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.identification.flight_noise import PLAIN, FlightNoise, fitted_noise, per_flight
+from groundstation.identification.flight_noise import PLAIN, Columns, FlightNoise, fitted_noise, per_flight
 from groundstation.identification.noise import NoiseModel
 from groundstation.identification.record_model import RecordModel
+from groundstation.identification.together import of_each
 from groundstation.model.parameters import (
     FitOptions,
     Parameters,
@@ -133,8 +134,8 @@ class Problem:
 
     def at(self, p: Parameters) -> Point:
         """Residuals and sensitivities at ``p``."""
-        residuals = tuple(model.residual_of(p, model.predicted(p, self.options)) for model in self.models)
-        return Point(self.models, self.options, p, self.models[0].names(self.options), residuals)
+        residuals = of_each(lambda model: model.residual_of(p, model.predicted(p, self.options)), self.models)
+        return Point(self.models, self.options, p, self.models[0].names(self.options), tuple(residuals))
 
     def values(self, point: Point) -> Array:
         """Values of what is free at a point, (P,)."""
@@ -158,12 +159,8 @@ class Problem:
     ) -> tuple[FlightNoise, ...]:
         """The noise model of each flight's residual, beginning from an earlier one's colours."""
         before = [None] * len(self.models) if start is None else [noise.colours for noise in start]
-        return tuple(
-            fitted_noise(model, residual, channels, colours, autoregression)
-            for model, residual, channels, colours in zip(
-                self.models, point.residuals, self.channels, before, strict=True
-            )
-        )
+        flights = list(zip(self.models, point.residuals, self.channels, before, strict=True))
+        return tuple(of_each(lambda flight: fitted_noise(*flight, autoregression), flights))
 
     def misfits(self, trials: Sequence[Parameters], noise: Sequence[FlightNoise]) -> Array:
         """Half the robust squared innovations and the logarithms of their deviations under given noise models, at
@@ -225,17 +222,31 @@ def _linearised(problem: Problem, point: Point, noise: Sequence[FlightNoise]) ->
     normal = np.diag(1.0 / std**2)
     gradient = (mean - theta) / std**2
     cost = 0.5 * float(np.sum(((theta - mean) / std) ** 2))
-    for flight, (model, each) in enumerate(zip(problem.models, noise, strict=True)):
-        passing = each.passing(model)
-        for part in point.parts(flight):
-            found = passing(*part)
-            cost += found.log_deviation
-            for y, x in zip(found.residual, found.sensitivity, strict=True):
-                w = huber(y)
-                normal[x.pairs] += x.values.T @ (x.values * w[:, None])
-                gradient[x.shown] += x.values.T @ (w * y)
-                cost += float(huber_costs(y))
+    for shares in of_each(lambda flight: list(_shares(point, flight, noise[flight])), range(len(noise))):
+        for log_deviation, channels in shares:
+            cost += log_deviation
+            for x, square, right, misfit in channels:
+                normal[x.pairs] += square
+                gradient[x.shown] += right
+                cost += misfit
     return _Local(point, theta, normal, gradient, cost)
+
+
+Share = tuple[Columns, Array, Array, float]
+"""Of a channel: which columns show in it, X^T W X and X^T W e of those, and the cost."""
+
+
+def _shares(point: Point, flight: int, noise: FlightNoise) -> Iterator[tuple[float, list[Share]]]:
+    """What each part of a flight adds to the normal equations: the logarithms of its deviations, and its channels."""
+    passing = noise.passing(point.models[flight])
+    for part in point.parts(flight):
+        found, channels = passing(*part), list[Share]()
+        for y, x in zip(found.residual, found.sensitivity, strict=True):
+            w = huber(y)
+            square, right = x.values.T @ (x.values * w[:, None]), x.values.T @ (w * y)
+            bare = Columns(x.shown, x.values[:0])
+            channels.append((bare, square, right, float(huber_costs(y))))
+        yield found.log_deviation, channels
 
 
 def _step(problem: Problem, local: _Local, noise: Sequence[FlightNoise]) -> _Local | None:

@@ -21,6 +21,7 @@ from groundstation.identification.record import DynamicRecord, PlannedMotion
 from groundstation.identification.results import Clock
 from groundstation.identification.streams import clean, flown_stretches
 from groundstation.identification.stretches import GAP_S, Stretch, gaps, runs_of, used_note, within
+from groundstation.identification.together import of_each
 from groundstation.model.rotors import (
     MotorInput,
     cumulative,
@@ -253,7 +254,7 @@ def prepare_all(
         BadInput: a stretch to leave out lies in none of the flights.
     """
     known = before or {}
-    prepared = [known.get(id(flight)) or prepare(flight, exclude=exclude) for flight in flights]
+    prepared = of_each(lambda flight: known.get(id(flight)) or prepare(flight, exclude=exclude), flights)
     for first, last in exclude:
         if not any(np.any((p.record.t_s >= first) & (p.record.t_s <= last)) for p in prepared):
             spans = " and ".join(f"{p.record.t_s[0]:.2f} to {p.record.t_s[-1]:.2f} s" for p in prepared)

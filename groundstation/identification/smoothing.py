@@ -15,7 +15,7 @@ Upper = tuple[float, float, float, float, float, float]
 """Entries 00, 01, 02, 11, 12, 22 of a covariance."""
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def integrate_rates(start: Array, dt: Array, rate: Array) -> Array:
     """Attitude at each sample from rates, trapezoidal rotation vectors, shape (k, 4)."""
     k = rate.shape[0]
@@ -37,7 +37,7 @@ def integrate_rates(start: Array, dt: Array, rate: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def local_level(z: Array, dt: Array, q: float, r: float) -> tuple[Array, Array]:
     """Filtered and smoothed level of z = random walk + white noise, columns alike, shapes (k, m)."""
     k, m = z.shape
@@ -93,7 +93,7 @@ def _fill(out: Array, p: Upper) -> None:
     out[2, 0], out[2, 1], out[2, 2] = p[2], p[4], p[5]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def position_filter(z: Array, dt: Array, noise: Array, held: bool) -> tuple[Array, Array, Array, Array, Array]:
     """Kalman filter of [position, velocity, acceleration] errors seen in position; columns alike.
 
@@ -137,7 +137,7 @@ def position_filter(z: Array, dt: Array, noise: Array, held: bool) -> tuple[Arra
     return out, variance, states, pf, pp
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def position_smoother(dt: Array, states: Array, pf: Array, pp: Array) -> Array:
     """Rauch-Tung-Striebel pass over :func:`position_filter`, shape (k, 3, m)."""
     k = len(dt)

@@ -27,7 +27,7 @@ KEEP, TURN, FADE, GAIN, SLOPE_GAIN, SHARE, GAINS = range(7)
 """Columns of the gains: a, g, phi, k0, k1 and share."""
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def integrated_gains(dt: Array, restart: Restarts, noise: Array, spread: Array) -> tuple[Array, float]:
     """Gains (k, GAINS) of z = integral(d + white) + white, and half the sum of the logarithms of its variances.
 
@@ -60,7 +60,7 @@ def integrated_gains(dt: Array, restart: Restarts, noise: Array, spread: Array) 
     return out, half
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def direct_gains(dt: Array, restart: Restarts, noise: Array, spread: Array) -> tuple[Array, float]:
     """The same of z = d + white."""
     sigma, tau, q, r = noise
@@ -105,7 +105,7 @@ def _regressed(work: Array, polynomial: Array, first: int, count: int, out: Arra
             out[n] += c0 * w0[n] + c1 * w1[n] + c2 * w2[n] + c3 * w3[n]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def white_columns(
     z: Array, more: Array, shown: NDArray[np.intp], gains: Array, polynomial: Array, state: Array
 ) -> Array:
@@ -146,7 +146,7 @@ def white_columns(
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def burg(innovation: Array, restart: Restarts, highest: int) -> Array:
     """See :func:`.noise.whitening_polynomial`; ``innovation`` is (k,), clipped."""
     k = len(innovation)

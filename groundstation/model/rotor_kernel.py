@@ -39,7 +39,7 @@ def series(z: float) -> float:
     return z / (1.0 + 0.5 * z + square * (TWELFTH - square * (TWELFTH / 60.0 - square * (TWELFTH / 2520.0))))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def gain(z: float) -> float:
     """1 - exp(-z): by its series where z is small, which is faster."""
     return -np.expm1(-z) if z >= 0.2 else series(z)
@@ -129,7 +129,7 @@ def _averaged(chunk: tuple[Array, int, int], lanes: Index, clock: Clock, members
     return block * size + member
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def block_means(
     value: Array,
     grid: tuple[float, float, float, bool],

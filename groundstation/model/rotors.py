@@ -30,7 +30,7 @@ Lag = tuple[float, float, float]
 """Of rising and falling rotors, s, and its slope."""
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _lagged(value: Array, up: float, down: float, step: float, slope: float, hover: float) -> Array:
     """Each column of a piecewise constant input behind the lag, shape kept.
 
@@ -109,7 +109,7 @@ def motor_input(
     return MotorInput(float(t_s[0]), step_s, np.ascontiguousarray(value, dtype=float), measured, hover)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _cumulative(values: Array, step: float, held: bool) -> Array:
     out = np.empty(values.shape)
     total = np.zeros(values.shape[1])
