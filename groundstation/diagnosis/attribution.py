@@ -180,6 +180,12 @@ class Selection:
                     out[index] = float(walds[place]) - least - allowance(energies[place], others)
         return out
 
+    def needed(self, entry: Entry, values: Array, chosen: Sequence[Entry]) -> float:
+        """Wald statistic from which an entry of these values would stand beside a set."""
+        candidate, columns = entry
+        others = allowance(self.discrepancy.energy(columns, values), self._together(chosen))
+        return self.threshold(candidate, columns, candidate.effect.telling()) + others
+
     def _without(self, chosen: Sequence[Entry], index: int) -> Array:
         """Energy by channel, shape (6,), of lag and the other members as they are estimated without one.
 

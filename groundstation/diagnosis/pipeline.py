@@ -17,7 +17,7 @@ from groundstation.diagnosis.judging import Judged, judge
 from groundstation.diagnosis.next_flight import rival_entries
 from groundstation.diagnosis.possible import possible
 from groundstation.diagnosis.published import published
-from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
+from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained, WouldShow
 from groundstation.diagnosis.screen import dependences
 from groundstation.diagnosis.selection import Progress, Selected, select_beside
 from groundstation.diagnosis.thresholds import THRESHOLDS
@@ -25,6 +25,7 @@ from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
 from groundstation.diagnosis.unplanned import PastMotion, tell_unplanned
 from groundstation.diagnosis.weakness import weak_instruments
+from groundstation.diagnosis.would_show import would_show
 from groundstation.errors import Refused
 from groundstation.flightdata import FlightData
 from groundstation.identification.anchoring import anchored, anchored_covariance
@@ -158,7 +159,15 @@ def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged, air: S
         adopted=not judged.worse,
         candidates=tuple(_candidate_entries(case, selected)),
         residual=judged.residual,
+        would_show=tuple(_would_show(case, selected)),
     )
+
+
+def _would_show(case: Case, selected: Selected) -> list[WouldShow]:
+    """What would have been found; without a plan past motion tells that of the air, and of the rest little is sure."""
+    if any(item.planned is None for item in case.suspects):
+        return []
+    return would_show(selected.selection, [(n.candidate, n.columns) for n in selected.named])
 
 
 def _candidate_entries(case: Case, selected: Selected) -> list[JsonObject]:

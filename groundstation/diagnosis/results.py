@@ -65,6 +65,26 @@ class Unexplained:
 
 
 @dataclass(frozen=True, slots=True)
+class WouldShow:
+    """An effect that was not found, and the size from which on it would have been.
+
+    Attributes:
+        effect, parameter: what it is called; its size is this parameter, the effect's others zero.
+        least: in the parameter's unit; of the rotor and the instant that show worst.
+        share: root mean square of its force over weight, or of its torque over weight times arm, at that size.
+    """
+
+    effect: str
+    parameter: str
+    least: float
+    share: float
+
+    def to_dict(self) -> JsonObject:
+        """JSON form of docs/formats.md."""
+        return {"effect": self.effect, "parameter": self.parameter, "least": self.least, "share": self.share}
+
+
+@dataclass(frozen=True, slots=True)
 class Diagnosis(Tabular):
     """The result of ``diagnose``.
 
@@ -79,6 +99,7 @@ class Diagnosis(Tabular):
         notes: what these errors are of, and which of them are left out, and why.
         residual: time series that the report draws: "t_s", each channel before, and "channel/after" with the findings.
         candidates: for each effect tried, its held-out gain and why it was kept or dropped.
+        would_show: from what size on an effect that is not among the findings would be; only of flights with a plan.
     """
 
     flight: str
@@ -101,6 +122,7 @@ class Diagnosis(Tabular):
     adopted: bool = True
     by_flight: tuple[Mapping[str, Estimate], ...] = ()
     residual: Mapping[str, NDArray[np.float64]] = field(default_factory=dict[str, NDArray[np.float64]])
+    would_show: tuple[WouldShow, ...] = ()
 
     def records(self) -> list[Record]:
         """One row per parameter of each finding, with its 95 % interval and the finding's confidence."""
@@ -141,4 +163,5 @@ class Diagnosis(Tabular):
             "notes": list(self.notes),
             "adopted": self.adopted,
             "candidates": [dict(c) for c in self.candidates],
+            "would_show": [each.to_dict() for each in self.would_show],
         }
