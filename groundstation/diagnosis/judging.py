@@ -28,7 +28,7 @@ from groundstation.diagnosis.proposal import with_proposals
 from groundstation.diagnosis.results import Finding, Unexplained, Verdict
 from groundstation.diagnosis.scale import scale_findings
 from groundstation.diagnosis.screen import Dependence, unexplained
-from groundstation.diagnosis.selection import Progress, Selected
+from groundstation.diagnosis.selection import Final, Progress, Selected
 from groundstation.diagnosis.sentences import filled
 from groundstation.diagnosis.timing import lag_findings
 from groundstation.identification.results import Estimate
@@ -72,6 +72,7 @@ class Judged:
 def judge(
     case: Case,
     selected: Selected,
+    final: Final,
     kinematic: Sequence[Finding],
     exponent_departure: float,
     left: Sequence[Dependence],
@@ -80,18 +81,18 @@ def judge(
     """Judge a selection.
 
     Args:
-        case: its flights at the evidence's rate. selected: effects about the last base.
+        case: its flights at the evidence's rate. selected: effects about the last base. final: their joint estimate.
         kinematic: findings of the sensors. left: what the residual still depends on.
         exponent_departure: of the thrust curve that all was estimated about from the declared one.
     """
     evidence, baseline, chosen = selected.evidence, selected.baseline, selected.chosen
-    left_open = form_covariance(evidence, chosen, selected.solution) + selected.left_open()
-    spread = selected.solution.covariance + left_open
-    published = replace(selected.solution, covariance=spread)
-    lag = [] if case.healthy else lag_findings(evidence, selected.solution, spread)
+    left_open = form_covariance(evidence, chosen, final.solution) + selected.left_open()
+    spread = final.solution.covariance + left_open
+    published = replace(final.solution, covariance=spread)
+    lag = [] if case.healthy else lag_findings(evidence, final.solution, spread)
     plain = as_declared(evidence, case.vehicle) if lag or exponent_departure else None
     forces = with_exponent(force_findings(selected, published), exponent_departure, plain_gain(evidence, chosen, plain))
-    before, after = base_parameters(evidence, case.vehicle, baseline, chosen, plain, left_open)
+    before, after = base_parameters(final.evidence, case.vehicle, final.baseline, final.chosen, plain, left_open)
     findings = sorted([*lag, *forces, *kinematic, *scale_findings(case.vehicle, after)], key=lambda f: -f.gain)
     splits = splits_of(evidence, case.unseen)
     halves = splits if case.unseen else splits_of(evidence, (), 2)

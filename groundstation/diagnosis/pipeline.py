@@ -19,7 +19,7 @@ from groundstation.diagnosis.possible import possible
 from groundstation.diagnosis.published import published
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained, WouldShow
 from groundstation.diagnosis.screen import dependences
-from groundstation.diagnosis.selection import Progress, Selected, select_beside
+from groundstation.diagnosis.selection import Final, Progress, Selected, select_beside
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
@@ -84,14 +84,15 @@ def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress:
         selected = select_beside(air, case, base, augmented, progress)
         progress(0.9, "what is left")
         left = dependences(selected.evidence, selected.chosen, len(selected.baseline))
+        final = selected.final()
     except Refused as refusal:
         vehicle = flights[0].vehicle.name
         return Diagnosis(
             flight=name, vehicle=vehicle, verdict="refused", reason=str(refusal), next_flight=refusal.remedy
         )
-    judged = judge(case, selected, kinematic, departure, left, progress)
+    judged = judge(case, selected, final, kinematic, departure, left, progress)
     progress(1.0, "done")
-    found = _with_low_frequencies(_diagnosis(name, case, selected, judged, air), case, base)
+    found = _with_low_frequencies(_diagnosis(name, case, selected, final, judged, air), case, base)
     if not case.healthy and all(c.identifier != "slung_load" for c, _ in selected.chosen):
         found = _with_swing(found, case.suspects[0], base.fitted.parameters)
     found = possible(found, case.vehicle)
@@ -134,7 +135,9 @@ def _with_low_frequencies(found: Diagnosis, case: Case, base: Base) -> Diagnosis
     )
 
 
-def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged, air: Sequence[PastMotion]) -> Diagnosis:
+def _diagnosis(
+    name: str, case: Case, selected: Selected, final: Final, judged: Judged, air: Sequence[PastMotion]
+) -> Diagnosis:
     """All of it as the result that is written and shown."""
     reason = _reason(judged.verdict, judged.findings, judged.unexplained)
     return Diagnosis(
@@ -146,8 +149,8 @@ def _diagnosis(name: str, case: Case, selected: Selected, judged: Judged, air: S
         error={"held_out": judged.error},
         parameters_before=judged.before,
         parameters_after=judged.after,
-        covariance_after=base_covariance(selected.evidence, case.vehicle, selected.chosen, judged.left_open),
-        by_flight=tuple(flight_parameters(selected.evidence, selected.chosen)) if len(case.suspects) > 1 else (),
+        covariance_after=base_covariance(final.evidence, case.vehicle, final.chosen, judged.left_open),
+        by_flight=tuple(flight_parameters(final.evidence, final.chosen)) if len(case.suspects) > 1 else (),
         next_flight=_next_flight(judged.findings, judged.unexplained),
         reason=" ".join(filter(None, (judged.worse, reason))),
         warnings=tuple(_warnings(case.suspects)),

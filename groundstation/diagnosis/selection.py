@@ -31,6 +31,22 @@ Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, slots=True)
+class Final:
+    """What is published: base, baseline and named effects estimated together.
+
+    Attributes:
+        evidence: whitened by the noise that these leave.
+        baseline: effects that are there in any case. chosen: these, and the named ones behind them.
+        solution: of the chosen.
+    """
+
+    evidence: Evidence
+    baseline: list[Entry]
+    chosen: list[Entry]
+    solution: Solution
+
+
+@dataclass(frozen=True, slots=True)
 class Selected:
     """What was selected, and the joint estimate of everything.
 
@@ -51,6 +67,19 @@ class Selected:
     def chosen(self) -> list[Entry]:
         """Baseline and named effects, in the order of the solution."""
         return [*self.baseline, *((n.candidate, n.columns) for n in self.named)]
+
+    def final(self) -> Final:
+        """The joint estimate by the noise that is left beside it.
+
+        What keeps unnamed effects out of the noise they are judged against takes most of the noise at low frequencies
+        along, so that its size there is hardly known. Once nothing more is named, all that is left is noise.
+        """
+        evidence = by_what_is_left(self.evidence, self.baseline, [(n.candidate, n.columns) for n in self.named])
+        shared = len(self.baseline)
+        members = [(candidate, index < shared) for index, (candidate, _) in enumerate(self.chosen)]
+        found = [(candidate, evidence.columns(candidate, everywhere=both)) for candidate, both in members]
+        chosen = [(candidate, columns) for candidate, columns in found if columns is not None]
+        return Final(evidence, chosen[:shared], chosen, evidence.solve(chosen))
 
     def is_bent(self) -> bool:
         """Whether the joint estimate moves mass or tensor so far that an effect's size changes by more than its
@@ -195,18 +224,23 @@ def _confirmed(selection: Selection, chosen: list[Entry], case: Case, augmented:
     """
     if not chosen:
         return chosen
-    shared = tuple(candidate for candidate, _ in selection.baseline)
-    own = (*shared, *(candidate for candidate, _ in chosen))
-    flights, suspects = selection.evidence.flights, selection.evidence.suspects
-    evidence = Evidence(
-        of_each(lambda flight: flight.beside(own, generic=False), flights[:suspects]),
-        of_each(lambda flight: flight.beside(shared, generic=False), flights[suspects:]),
-    )
+    evidence = by_what_is_left(selection.evidence, selection.baseline, chosen)
     vehicle = case.suspects[0].record.vehicle
     baseline = _baseline(evidence, vehicle, augmented, references=bool(case.healthy))
     again = Selection(evidence, (), baseline, variants=selection.variants)
     left = again.still_significant([candidate for candidate, _ in chosen])
     return [entry for entry in chosen if entry[0] in left]
+
+
+def by_what_is_left(evidence: Evidence, baseline: Sequence[Entry], chosen: Sequence[Entry]) -> Evidence:
+    """The same flights, their noise all that the base, the baseline and the chosen effects leave."""
+    shared = tuple(candidate for candidate, _ in baseline)
+    own = (*shared, *(candidate for candidate, _ in chosen))
+    flights, suspects = evidence.flights, evidence.suspects
+    return Evidence(
+        of_each(lambda flight: flight.beside(own, generic=False), flights[:suspects]),
+        of_each(lambda flight: flight.beside(shared, generic=False), flights[suspects:]),
+    )
 
 
 def pool_of(vehicle: Vehicle, evidence: Evidence, *, references: bool) -> list[Candidate]:

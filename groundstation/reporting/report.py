@@ -13,7 +13,7 @@ from groundstation.identification.results import Identification
 from groundstation.reporting.markup import element, fragment
 from groundstation.reporting.page import Page
 from groundstation.reporting.sections.data import add_data, add_reproduction, add_warnings
-from groundstation.reporting.sections.evidence import add_evolution, add_residuals, add_validation
+from groundstation.reporting.sections.evidence import add_evolution, add_residuals, add_validation, add_would_show
 from groundstation.reporting.sections.flight import add_flight
 from groundstation.reporting.sections.parameters import add_parameters
 from groundstation.reporting.sections.verdict import add_verdict
@@ -54,6 +54,7 @@ def report_html(
         add_evolution(page, flight, result)
         add_validation(page, result)
     add_residuals(page, diagnosis)
+    add_would_show(page, diagnosis)
     add_data(page, flight, result, live)
     add_warnings(page, [*(result.warnings if result else ()), *(diagnosis.warnings if diagnosis else ())])
     add_reproduction(page, flight, result, source or flight.metadata.get("source", flight.name), recording)

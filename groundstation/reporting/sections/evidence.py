@@ -12,11 +12,12 @@ import numpy as np
 from groundstation.flightdata import FlightData
 from groundstation.identification.results import MASS_AND_TENSOR, Identification, Validation
 from groundstation.reporting import figures
-from groundstation.reporting.markup import Markup, element, fragment
+from groundstation.reporting.markup import Markup, element, fragment, table
 from groundstation.reporting.page import Page
 from groundstation.reporting.sections.parameters import parameter_scale
 from groundstation.reporting.sections.tables import error_table
-from groundstation.reporting.units import label, scale_for, split_unit
+from groundstation.reporting.sections.verdict import effect_name
+from groundstation.reporting.units import label, scale_for, significant, split_unit
 
 if TYPE_CHECKING:  # the diagnosis is heavy to import, and only its type is needed
     from groundstation.diagnosis.results import Diagnosis
@@ -133,6 +134,24 @@ def _validation(check: Validation, best: str) -> Markup:
     ordered = {name: check.rms[name] for name in order if name in check.rms}
     caption = f"RMS over {check.samples} samples. {check.note}".strip()
     return fragment(element("h3", title), error_table(caption, ordered, reference="nominal", improved=best))
+
+
+def add_would_show(page: Page, diagnosis: Diagnosis | None) -> None:
+    """From what size on effects that were not found would have been."""
+    if diagnosis is None or not diagnosis.would_show:
+        return
+    rows = []
+    for told in diagnosis.would_show:
+        scale = scale_for(split_unit(told.parameter)[1], [told.least])
+        size = f"{significant(told.least * scale.factor, 2)} {scale.unit}".strip()
+        rows.append((effect_name(told.effect), label(told.parameter), size, f"{significant(100 * told.share, 2)} %"))
+    caption = (
+        "Effects that are not among the findings, and the size from which on these flights show them nine times out of "
+        "ten (of the rotor and the instant that show worst). Share: of its force in weight, of its torque in weight "
+        "times arm, root mean square."
+    )
+    header = ("effect", "parameter", "shown from", "share")
+    page.section("would-show", "What else would have been found", table(caption, header, rows), folded=True)
 
 
 def add_residuals(page: Page, diagnosis: Diagnosis | None) -> None:
