@@ -24,6 +24,7 @@ from groundstation.flightdata import FlightData
 from groundstation.outside import read_json
 from groundstation.paths import find_config
 from groundstation.planning.plan import AUTOPILOT
+from groundstation.reporting.units import significant, split_unit
 from groundstation.targets import parse_targets, reached
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
@@ -38,6 +39,8 @@ FILE = "campaign.json"
 VEHICLE = "vehicle.toml"
 PLAN_S = 6.0
 """Seconds of search for each plan."""
+MISSED = 3
+"""Effects that the last sentence names as what the flights would not have shown."""
 
 Say = Callable[[str], None]
 
@@ -76,6 +79,7 @@ class Round:
         not_settled: why the campaign did not end here; empty where it did.
         levels: by parameter what belongs to the vehicle, the days and the flights
             (:class:`~groundstation.campaign.pooling.Levels`).
+        would_show: documents of what would have been found, and from what size on.
     """
 
     folder: str
@@ -89,6 +93,7 @@ class Round:
     reached: Mapping[str, float] = field(default_factory=dict)
     not_settled: tuple[str, ...] = ()
     levels: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    would_show: tuple[Mapping[str, Any], ...] = ()
 
     def names(self) -> tuple[str, ...]:
         """What was found, with rotors: "weak_rotor 2"."""
@@ -149,7 +154,14 @@ def load_campaign(folder: Path) -> Campaign:
         if document["schema"] != SCHEMA:
             raise BadInput(f"{folder / FILE}: has schema {document['schema']!r}; {SCHEMA} is expected.")
         rounds = tuple(
-            Round(**{**r, "findings": tuple(r["findings"]), "not_settled": tuple(r["not_settled"])})
+            Round(
+                **{
+                    **r,
+                    "findings": tuple(r["findings"]),
+                    "not_settled": tuple(r["not_settled"]),
+                    "would_show": tuple(r.get("would_show", ())),
+                }
+            )
             for r in document["rounds"]
         )
         return Campaign(
@@ -310,6 +322,7 @@ def take_in(
         str(folder), why, _seconds(flight), judged, seen, diagnosis.verdict,
         tuple(f.to_dict() for f in diagnosis.findings), estimates, reached(estimates, campaign.targets),
         levels={name: each.to_dict() for name, each in by_level.items()},
+        would_show=tuple(each.to_dict() for each in diagnosis.would_show),
     )  # fmt: skip
     return _next(campaign, replace(done, not_settled=tuple(_open(campaign, done))))
 
@@ -372,8 +385,19 @@ def _settled(rounds: Sequence[Round]) -> str:
     names = ", ".join(rounds[-1].names()).replace("_", " ") or "nothing"
     return (
         f"Settled after {len(rounds)} flights ({sum(r.seconds for r in rounds):.0f} s of excitation): found "
-        f"{names}; targets met."
+        f"{names}; targets met.{_missed(rounds[-1])}"
     )
+
+
+def _missed(done: Round) -> str:
+    """What the flights so far would not have shown: the effects that could be largest, and below what size."""
+    largest = sorted(done.would_show, key=lambda told: -told["share"])
+    each = dict[str, str]()
+    for told in largest:
+        unit = split_unit(told["parameter"])[1]
+        size = f"{significant(told['least'], 2)} {unit}".strip()
+        each.setdefault(told["effect"], f"{told['effect'].replace('_', ' ')} below {size}")
+    return f" They would not have shown: {', '.join(list(each.values())[:MISSED])}." if each else ""
 
 
 def _exhausted(campaign: Campaign, done: Round) -> str:
@@ -381,7 +405,7 @@ def _exhausted(campaign: Campaign, done: Round) -> str:
 
     Where less than one would do although one was just flown, the interval is not one of noise.
     """
-    text = f"Not settled after {len(campaign.rounds) + 1} flights: {'; '.join(done.not_settled)}."
+    text = f"Not settled after {len(campaign.rounds) + 1} flights: {'; '.join(done.not_settled)}.{_missed(done)}"
     try:
         plan = load_plan(Path(done.folder) / "plan.toml")
     except BadInput:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from groundstation.diagnosis.attribution import Selection
 from groundstation.diagnosis.beside import beside
@@ -13,6 +14,8 @@ from groundstation.diagnosis.results import WouldShow
 from groundstation.diagnosis.rivals import Entry, has_changes
 from groundstation.diagnosis.thresholds import THRESHOLDS
 
+Array = NDArray[np.float64]
+
 NINE_OF_TEN = 1.2816
 """Quantile of the normal distribution that nine of ten draws stay below."""
 
@@ -20,10 +23,11 @@ NINE_OF_TEN = 1.2816
 def would_show(selection: Selection, named: Sequence[Entry]) -> list[WouldShow]:
     r"""Of each effect that is not there, parameter by parameter, the size that is found nine times out of ten.
 
-    Beside what is there, an effect of one parameter :math:`\theta` has the Wald statistic :math:`(\theta/\sigma + e)^2`,
-    with :math:`\sigma^{-2}` the parameter's information where the effect's others are known to be zero, and e normal. It
-    stands above w with that chance from :math:`\sigma (\sqrt w + z)` on, z the quantile. What matters to nobody is not
-    named. Not told are sizes in directions between parameters, and effects whose settings a search of the flight gives.
+    Beside what is there, an effect of one parameter :math:`\theta` has the Wald statistic
+    :math:`(\theta/\sigma + e)^2`, with :math:`\sigma^{-2}` the parameter's information where the effect's others are
+    known to be zero, and e normal. It stands above w with that chance from :math:`\sigma (\sqrt w + z)` on, z the
+    quantile. What matters to nobody is not named. Not told are sizes in directions between parameters, and effects
+    whose settings a search of the flight gives.
 
     Args:
         named: effects beside the baseline, as they were estimated together.
@@ -35,8 +39,8 @@ def would_show(selection: Selection, named: Sequence[Entry]) -> list[WouldShow]:
     for found in beside(selection.evidence, there, pool):
         telling = list(found.telling)
         for entry, covariance in zip(found.entries, found.covariance, strict=True):
-            information = np.diag(np.linalg.pinv(covariance[np.ix_(telling, telling)], hermitian=True))
-            for index, known in zip(telling, information, strict=True):
+            information: Array = np.linalg.pinv(covariance[np.ix_(telling, telling)], hermitian=True)
+            for index, known in zip(telling, np.diag(information), strict=True):
                 told = _told(selection, named, entry, index, float(known))
                 key = told.effect, told.parameter
                 if key not in worst or told.share > worst[key].share:
@@ -44,7 +48,7 @@ def would_show(selection: Selection, named: Sequence[Entry]) -> list[WouldShow]:
     return [told for told in worst.values() if np.isfinite(told.least)]
 
 
-def _is_told(effect: Effect, taken: Set[str]) -> bool:
+def _is_told(effect: Effect, taken: set[str]) -> bool:
     """Whether a size of it can be named: by one parameter, in settings that the vehicle or the clock gives."""
     rests = not effect.rests_on or bool(taken.intersection(effect.rests_on))
     return effect.identifier not in taken and effect.searched is None and not has_changes(effect) and rests
