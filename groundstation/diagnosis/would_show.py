@@ -38,10 +38,11 @@ def would_show(selection: Selection, named: Sequence[Entry]) -> list[WouldShow]:
     worst = dict[tuple[str, str], WouldShow]()
     for found in beside(selection.evidence, there, pool):
         telling = list(found.telling)
-        for entry, covariance in zip(found.entries, found.covariance, strict=True):
-            information: Array = np.linalg.pinv(covariance[np.ix_(telling, telling)], hermitian=True)
-            for index, known in zip(telling, np.diag(information), strict=True):
-                told = _told(selection, named, entry, index, float(known))
+        for place, entry in enumerate(found.entries):
+            own: Array = found.covariance[place][np.ix_(telling, telling)]
+            information: Array = np.linalg.pinv(own, hermitian=True)
+            for row, index in enumerate(telling):
+                told = _told(selection, named, entry, index, float(information[row, row]))
                 key = told.effect, told.parameter
                 if key not in worst or told.share > worst[key].share:
                     worst[key] = told
