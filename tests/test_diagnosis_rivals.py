@@ -28,6 +28,11 @@ def test_more_numbers_have_to_explain_clearly_more():
     assert preferred([OFFSET, WRENCH], [100.0, 120.0], 2.0) == 1
 
 
+def test_what_the_formula_of_a_large_effect_may_miss_is_no_reason_for_another_set():
+    assert preferred([OFFSET, WRENCH], [4000.0, 4070.0], 2.0) == 0
+    assert preferred([OFFSET, WRENCH], [4000.0, 4090.0], 2.0) == 1
+
+
 def test_less_explained_is_no_reason_to_go_on_with_fewer_numbers():
     assert preferred([WRENCH, ROTOR], [100.0, 99.0], 2.0) == 0
 

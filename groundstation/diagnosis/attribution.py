@@ -21,6 +21,7 @@ from groundstation.diagnosis.rivals import (
     INSTANTS,
     Entry,
     Kind,
+    clearly,
     has_changes,
     in_settings,
     kind_of,
@@ -426,7 +427,7 @@ class Selection:
         9).
         """
         (entry, own), *rivals = contest
-        close = max(THRESHOLDS.inseparable, THRESHOLDS.form_error_share**2 * own)
+        close = clearly(own)
         kind = kind_of(entry)
         near = [kind_of(rival) for rival, score in rivals if score > own - close * misfit]
         scale = THRESHOLDS.inseparable / close

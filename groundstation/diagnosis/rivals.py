@@ -33,11 +33,12 @@ def preferred(sets: Sequence[Sequence[Entry]], scores: Sequence[float], misfit: 
     """Which set to go on with: the first, unless another explains clearly more, or more with fewer numbers, or as much
     with fewer instants that were looked for.
 
+    What the formulas of the first may leave (``form_error_share`` of their amplitude) is no reason to prefer another.
     Of two explanations that are not told apart the one with fewer numbers is the likelier (Schwarz 1978): a steady
     wrench of five holds the mean of what one weak rotor beside an offset of the centre of mass does with three.
     """
     best = int(np.argmax(scores))
-    if scores[best] - scores[0] > THRESHOLDS.inseparable * misfit:
+    if scores[best] - scores[0] > clearly(scores[0]) * misfit:
         return best
     numbers = [_numbers(chosen) for chosen in sets]
     leaner = [i for i, score in enumerate(scores) if score > scores[0] and numbers[i] < numbers[0]]
@@ -52,6 +53,13 @@ def preferred(sets: Sequence[Sequence[Entry]], scores: Sequence[float], misfit: 
         and instants[index] < instants[0]
     ]
     return max(simpler, key=lambda index: scores[index], default=0)
+
+
+def clearly(score: float) -> float:
+    """By how much another explanation has to beat one of this score: by what noise could do, and by what the formulas
+    of this one may miss.
+    """
+    return max(THRESHOLDS.inseparable, THRESHOLDS.form_error_share**2 * score)
 
 
 def _numbers(chosen: Sequence[Entry]) -> int:

@@ -40,7 +40,7 @@ def would_show(selection: Selection, named: Sequence[Entry]) -> list[WouldShow]:
         telling = list(found.telling)
         for place, entry in enumerate(found.entries):
             own: Array = found.covariance[place][np.ix_(telling, telling)]
-            information: Array = np.linalg.pinv(own, hermitian=True)
+            information = np.asarray(np.linalg.pinv(own, hermitian=True), dtype=float)
             for row, index in enumerate(telling):
                 told = _told(selection, named, entry, index, float(information[row, row]))
                 key = told.effect, told.parameter
