@@ -182,6 +182,27 @@ def test_a_frame_that_is_off_in_the_simulator_is_found_with_its_sign(name, table
         _assert_within(finding.parameters[parameter], truth(table, _qball()))
 
 
+IMU, MARKERS = (-0.016, 0.007, -0.004), (0.002, -0.009, -0.031)
+
+
+def test_imu_and_markers_that_are_both_turned_are_told_apart_by_the_way_the_rotors_turn_the_vehicle():
+    """One rotation was taken for the IMU's alone, and a steady wrench and gyroscopic rotors were named beside it."""
+    tables = {"imu_misalignment": IMU, "mocap_misalignment": MARKERS}
+    diagnosis = diagnose([_flown(_qball(), **{name: {"rotation_rad": turn} for name, turn in tables.items()})])
+    found = {f.effect: f for f in diagnosis.findings}
+    assert set(found) == set(tables) and all(f.alternatives == () for f in found.values())
+    for name, turn in tables.items():
+        for axis, truth in zip("xyz", turn, strict=True):
+            _assert_within(found[name].parameters[f"rotation_{axis}_rad"], truth)
+
+
+@pytest.mark.parametrize("name", ["imu_misalignment", "mocap_misalignment"])
+def test_where_one_of_the_two_is_turned_it_alone_is_named_and_sharply(name):
+    (finding,) = diagnose([_flown(_qball(), **{name: {"rotation_rad": [0.02, -0.015, 0.01]}})]).findings
+    assert finding.effect == name
+    assert finding.parameters["rotation_x_rad"].std < 1e-3
+
+
 TIMING = {
     "lag": ({"lag": RotorLag(up_s=0.04, down_s=0.06)}, {}),
     "dead time": ({}, {"input_delay": {"delay_s": 0.03}}),

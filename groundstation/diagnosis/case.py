@@ -58,7 +58,12 @@ def sensors(case: Case) -> tuple[Case, list[Finding]]:
     flight.
     """
     findings = kinematic_findings(case.suspects[0])
-    return case.map(lambda flight: with_imu_aligned(flight, findings)), findings
+    return straightened(case, findings), findings
+
+
+def straightened(case: Case, findings: Sequence[Finding]) -> Case:
+    """With an IMU that was found turned put straight in every flight."""
+    return case.map(lambda flight: with_imu_aligned(flight, findings))
 
 
 def thrust_exponent(case: Case) -> tuple[Case, float]:

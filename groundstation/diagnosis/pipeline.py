@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from groundstation.diagnosis.augmented import known_candidates
 from groundstation.diagnosis.base import Base, base_fit, for_evidence
-from groundstation.diagnosis.case import Case, case_of, sensors, thrust_exponent
+from groundstation.diagnosis.case import Case, case_of, sensors, straightened, thrust_exponent
 from groundstation.diagnosis.comparison import base_covariance, flight_parameters
 from groundstation.diagnosis.effect import catalogue
 from groundstation.diagnosis.hanging import hanging, holding
@@ -23,6 +23,7 @@ from groundstation.diagnosis.selection import Final, Progress, Selected, select_
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
+from groundstation.diagnosis.turned import both_turned
 from groundstation.diagnosis.unplanned import PastMotion, tell_unplanned
 from groundstation.diagnosis.weakness import weak_instruments
 from groundstation.diagnosis.would_show import would_show
@@ -73,7 +74,7 @@ def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress:
     augmented = known_candidates(options.known_effects)
     try:
         progress(0.05, "bringing the streams onto one clock")
-        case, kinematic = sensors(case_of(flights, options, work))
+        case, kinematic = sensors(as_flown := case_of(flights, options, work))
         if case.healthy and trim_applies(case.suspects, case.healthy):
             return _by_trim(name, case)
         case, departure = thrust_exponent(case)
@@ -82,6 +83,13 @@ def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress:
         air = [] if case.healthy else tell_unplanned(case.suspects, base.fitted.parameters)
         case = case.map(for_evidence)
         selected = select_beside(air, case, base, augmented, progress)
+        both = both_turned(kinematic, selected.evidence, selected.chosen)
+        if both is not None:
+            kinematic = both
+            case, departure = thrust_exponent(straightened(as_flown, both))
+            base = base_fit(case, work)
+            case = case.map(for_evidence)
+            selected = select_beside(air, case, base, augmented, progress)
         progress(0.9, "what is left")
         left = dependences(selected.evidence, selected.chosen, len(selected.baseline))
         final = selected.final()
