@@ -68,8 +68,7 @@ def _told(name: str, table: Table, evidence: Evidence) -> Candidate:
         if candidate.settings.get("rotor") == table.get("rotor")
         and (columns := evidence.columns(candidate)) is not None
     ]
-    everything = range(len(library()[name].parameters))
-    return max(pool, key=lambda entry: evidence.solve([entry]).wald(0, everything))[0]
+    return max(pool, key=lambda entry: evidence.solve([entry]).wald(0, range(len(entry[0].effect.parameters))))[0]
 
 
 def _field(name: str, table: Table) -> Effect:

@@ -75,7 +75,7 @@ def told(seed: int) -> dict[str, PastMotion]:
     return {each.effect.identifier: each for each in tell_unplanned(prepared, base)}
 
 
-@pytest.mark.parametrize("seed", [4001, 4002])
+@pytest.mark.parametrize("seed", [4001, 4002, 8900])  # of the last a drag at the hubs damps the yaw
 def test_what_stands_is_there_and_what_is_not_there_does_not_stand(seed: int):
     hidden = flown(seed)[2]
     standing = {name for name, each in told(seed).items() if each.stands}

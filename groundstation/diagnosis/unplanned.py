@@ -35,6 +35,7 @@ from groundstation.identification.low_frequency import (
 from groundstation.identification.preparation import Prepared
 from groundstation.identification.results import Estimate
 from groundstation.model.parameters import Parameters
+from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -123,7 +124,19 @@ def tell_unplanned(flights: Sequence[Prepared], p: Parameters) -> list[PastMotio
     drag = _likelier([*_told(parts, ROTOR_DRAG, rotor_drag_equations), *_told(parts, BODY_DRAG, body_drag_equations)])
     frame = sum(told.values["c_kg_m"].value for told in drag if told.stands and "c_kg_m" in told.values)
     lift = _told(parts, LIFT, lambda part: lift_equations(part, frame))
-    return [*_told(parts, TORQUE, torque_equations), *drag, *lift]
+    hubs = sum(_at_hubs(told, vehicle) for told in drag if told.stands)
+    return [*_told(parts, TORQUE, lambda part: torque_equations(part, hubs)), *drag, *lift]
+
+
+def _at_hubs(drag: PastMotion, vehicle: Vehicle) -> float:
+    """Yaw damping (N m s) of a drag of rotors, which each hub feels as it goes round: the mean of d_y x^2 + d_x y^2.
+
+    That of a frame's drag is zero.
+    """
+    if not set(ROTOR_DRAG["rotor_drag"]) <= set(drag.values):
+        return 0.0
+    x2, y2 = np.mean(np.square(np.asarray(vehicle.rotors.position_m, dtype=float)), axis=0)[:2]
+    return float(drag.values["d_y_kg_s"].value * x2 + drag.values["d_x_kg_s"].value * y2)
 
 
 def _told(parts: Sequence[Slow], members: Members, equations: Callable[[Slow], Named]) -> list[PastMotion]:

@@ -146,9 +146,9 @@ def parts_of(whole: Slow) -> list[Slow]:
     return [replace(whole, used=whole.used & (number == index)) for index in range(count)]
 
 
-def torque_equations(part: Slow) -> Named:
+def torque_equations(part: Slow, hubs_damping_nms: float = 0.0) -> Named:
     """Roll, pitch and yaw, in shares of weight times arm: damping, flapping, then inertia, lateness and an offset of
-    the centre of mass.
+    the centre of mass; the yaw damping of a drag that acts at the hubs is known.
     """
     ones = np.ones((len(part.thrust), 1))
     gyroscopic = np.cross(part.rate, part.rate @ part.tensor)
@@ -160,7 +160,8 @@ def torque_equations(part: Slow) -> Named:
             columns.append(-part.velocity[:, 1] if axis == 0 else part.velocity[:, 0])
             own = (*own, "k_nm_s_m")
         columns += [part.turning[:, axis], part.jerk[:, axis], part.thrust - part.thrust.mean()]
-        output = (part.torque[:, axis] - gyroscopic[:, axis]) / scale
+        known = hubs_damping_nms * part.share * part.rate[:, 2] if axis == 2 else 0.0
+        output = (part.torque[:, axis] - gyroscopic[:, axis] - known) / scale
         out.append((_equation(part, output, np.column_stack(columns) / scale, ones, len(own)), own))
     return out
 
