@@ -12,7 +12,9 @@ from groundstation.model.parameters import table
 
 UNITS: Mapping[str, str] = {
     "kg_m2": "kg m²",
+    "nm_s_m": "N m s/m",
     "nm_s": "N m s",
+    "s2_m2": "s²/m²",
     "nms": "N m s",
     "n_s2": "N s²",
     "m_s2": "m/s²",

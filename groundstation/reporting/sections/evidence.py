@@ -142,8 +142,7 @@ def add_would_show(page: Page, diagnosis: Diagnosis | None) -> None:
         return
     rows = []
     for told in diagnosis.would_show:
-        scale = scale_for(split_unit(told.parameter)[1], [told.least])
-        size = f"{significant(told.least * scale.factor, 2)} {scale.unit}".strip()
+        size = f"{significant(told.least, 2)} {split_unit(told.parameter)[1]}".strip()
         rows.append((effect_name(told.effect), label(told.parameter), size, f"{significant(100 * told.share, 2)} %"))
     caption = (
         "Effects that are not among the findings, and the size from which on these flights show them nine times out of "
