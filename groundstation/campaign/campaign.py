@@ -24,7 +24,7 @@ from groundstation.flightdata import FlightData
 from groundstation.outside import read_json
 from groundstation.paths import find_config
 from groundstation.planning.plan import AUTOPILOT
-from groundstation.reporting.units import significant, split_unit
+from groundstation.reporting.units import label, significant, split_unit
 from groundstation.targets import parse_targets, reached
 from groundstation.trajectory import load_plan
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
@@ -394,9 +394,9 @@ def _missed(done: Round) -> str:
     largest = sorted(done.would_show, key=lambda told: -told["share"])
     each = dict[str, str]()
     for told in largest:
-        unit = split_unit(told["parameter"])[1]
-        size = f"{significant(told['least'], 2)} {unit}".strip()
-        each.setdefault(told["effect"], f"{told['effect'].replace('_', ' ')} below {size}")
+        size = f"{significant(told['least'], 2)} {split_unit(told['parameter'])[1]}".strip()
+        name = f"{told['effect'].replace('_', ' ')} ({label(told['parameter'])})"
+        each.setdefault(told["effect"], f"{name} below {size}")
     return f" They would not have shown: {', '.join(list(each.values())[:MISSED])}." if each else ""
 
 
