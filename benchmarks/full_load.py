@@ -138,8 +138,11 @@ class Vehicle:
                     raise SystemExit(f"the core has ordered nothing for {PATIENCE_S:.0f} s")
                 time.sleep(STEP_S)
             begun_s = time.monotonic()
+            patient_s = begun_s + PATIENCE_S
             while over_s is None or time.monotonic() < over_s + 1.0:
                 now_s = time.monotonic()
+                if not self.start_s and now_s > patient_s:
+                    raise SystemExit(f"the core has started nothing for {PATIENCE_S:.0f} s")
                 pairs = [] if self.down(now_s) else load.until(begun_s, now_s)
                 if pairs:
                     samples, times = zip(*pairs, strict=True)

@@ -11,12 +11,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from groundstation.diagnosis.attribution import candidates
 from groundstation.diagnosis.base import for_evidence
 from groundstation.diagnosis.columns import Candidate
 from groundstation.diagnosis.effect import Effect, ParameterInfo, library
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import FlightEvidence
+from groundstation.diagnosis.pool import candidates
 from groundstation.flightdata import FlightData
 from groundstation.frames import quat_rotate_inverse
 from groundstation.identification.dynamic_fit import fit_dynamics

@@ -12,7 +12,6 @@ import pytest
 
 from groundstation.diagnosis import effect as effects_module
 from groundstation.diagnosis import next_flight
-from groundstation.diagnosis.attribution import candidates
 from groundstation.diagnosis.effect import (
     Effect,
     FittedEffect,
@@ -23,6 +22,7 @@ from groundstation.diagnosis.effect import (
     library,
     wrench_of,
 )
+from groundstation.diagnosis.pool import candidates
 from groundstation.diagnosis.results import Diagnosis, Finding, Unexplained
 from groundstation.diagnosis.sentences import filled
 from groundstation.diagnosis.thresholds import THRESHOLDS

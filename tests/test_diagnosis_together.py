@@ -9,13 +9,14 @@ import pytest
 
 import groundstation.diagnosis.evidence as evidence_module
 from groundstation.diagnosis.along import Beside
-from groundstation.diagnosis.attribution import Selection, candidates
+from groundstation.diagnosis.attribution import Selection
 from groundstation.diagnosis.base import for_evidence
 from groundstation.diagnosis.beside import beside
 from groundstation.diagnosis.columns import Candidate, Columns
 from groundstation.diagnosis.effect import Effect, ParameterInfo, blank
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import WRENCH_ROW, FlightEvidence
+from groundstation.diagnosis.pool import candidates
 from groundstation.diagnosis.products import product
 from groundstation.diagnosis.rivals import Entry, material, plausible
 from groundstation.diagnosis.selection import Selected

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from flights import laboratory
 
-from groundstation.diagnosis.attribution import Selection, candidates
+from groundstation.diagnosis.attribution import Selection
 from groundstation.diagnosis.base import for_evidence
 from groundstation.diagnosis.columns import Columns
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.joint import Products, estimated, strengths
 from groundstation.diagnosis.linearisation import linearisation
+from groundstation.diagnosis.pool import candidates
 from groundstation.diagnosis.products import Table
 from groundstation.diagnosis.weakness import weak_instruments
 from groundstation.identification.dynamic_fit import fit_dynamics

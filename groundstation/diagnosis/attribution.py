@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 from groundstation.diagnosis.beside import beside
 from groundstation.diagnosis.columns import Candidate, Columns, Solution
 from groundstation.diagnosis.discrepancy import Discrepancy, allowance
-from groundstation.diagnosis.effect import Effect, library
 from groundstation.diagnosis.evidence import Evidence
-from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.held_out import held_out
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import (
@@ -34,8 +32,6 @@ from groundstation.diagnosis.rivals import (
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.whitening import orthonormal
 from groundstation.identification.record_model import CHANNELS
-from groundstation.model.signals import Signals
-from groundstation.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -61,34 +57,6 @@ class Named:
     alternatives: tuple[str, ...]
     confidence: float
     measured: Finding | None = None
-
-
-def candidates(vehicle: Vehicle, signals: Signals, effects: Iterable[Effect] | None = None) -> list[Candidate]:
-    """Every effect that applies, in every variant; those of a search of the flight are left to :func:`searched`."""
-    chosen = library().values() if effects is None else effects
-    return [
-        Candidate(effect.of(settings), settings)
-        for effect in chosen
-        if effect.applies(vehicle) and (effects is not None or effect.searched is None)
-        for settings in effect.variants(signals, vehicle)
-    ]
-
-
-def searched(flight: FlightEvidence) -> list[Candidate]:
-    """Effects in the settings that a search of the flight gives."""
-    record, p = flight.prepared.record, flight.parameters
-    effects = [each for each in library().values() if each.searched is not None and each.applies(record.vehicle)]
-    if not effects:
-        return []
-    some = flight.prepared.liveliest()
-    whole = some is flight.prepared
-    signals = flight.signals if whole else some.signals(p.lag_up_s, p.lag_down_s, p.delay_s, p.lag_slope)
-    return [
-        Candidate(effect.of(settings), settings)
-        for effect in effects
-        if effect.searched is not None
-        for settings in effect.searched(signals, some.record.keep, record.vehicle)
-    ]
 
 
 class Selection:

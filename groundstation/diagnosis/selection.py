@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.diagnosis.attribution import Named, Selection, candidates, searched
+from groundstation.diagnosis.attribution import Named, Selection
 from groundstation.diagnosis.augmented import is_among
 from groundstation.diagnosis.base import Base
 from groundstation.diagnosis.case import Case
 from groundstation.diagnosis.columns import Candidate, Solution
-from groundstation.diagnosis.effect import library, shared_by_healthy
+from groundstation.diagnosis.effect import shared_by_healthy
 from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.form_error import form_covariance
 from groundstation.diagnosis.left_open import left_open
+from groundstation.diagnosis.pool import pool_of
 from groundstation.diagnosis.rivals import Entry
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.unplanned import PastMotion
@@ -75,11 +76,9 @@ class Selected:
         along, so that its size there is hardly known. Once nothing more is named, all that is left is noise.
         """
         evidence = by_what_is_left(self.evidence, self.baseline, [(n.candidate, n.columns) for n in self.named])
-        shared = len(self.baseline)
-        members = [(candidate, index < shared) for index, (candidate, _) in enumerate(self.chosen)]
-        found = [(candidate, evidence.columns(candidate, everywhere=both)) for candidate, both in members]
-        chosen = [(candidate, columns) for candidate, columns in found if columns is not None]
-        return Final(evidence, chosen[:shared], chosen, evidence.solve(chosen))
+        baseline = _with_columns(evidence, [candidate for candidate, _ in self.baseline], everywhere=True)
+        chosen = [*baseline, *_with_columns(evidence, [n.candidate for n in self.named], everywhere=False)]
+        return Final(evidence, baseline, chosen, evidence.solve(chosen))
 
     def is_bent(self) -> bool:
         """Whether the joint estimate moves mass or tensor so far that an effect's size changes by more than its
@@ -243,19 +242,14 @@ def by_what_is_left(evidence: Evidence, baseline: Sequence[Entry], chosen: Seque
     )
 
 
-def pool_of(vehicle: Vehicle, evidence: Evidence, *, references: bool) -> list[Candidate]:
-    """Everything that may be named; beside healthy flights a load that was there all along, too."""
-    begun = [candidate for flight in evidence.flights[: evidence.suspects] for candidate in flight.begun]
-    pool = [*candidates(vehicle, evidence.flights[0].excited), *searched(evidence.flights[0]), *begun]
-    if references:
-        before = {"at_s": -1.0, "within_s": 1.0}
-        pool.append(Candidate(library()["payload_change"].of(before), before))
-    return pool
+def _with_columns(evidence: Evidence, candidates: Iterable[Candidate], *, everywhere: bool) -> list[Entry]:
+    """Candidates with their columns in an evidence; without those whose signals are unknown."""
+    found = ((candidate, evidence.columns(candidate, everywhere=everywhere)) for candidate in candidates)
+    return [(candidate, columns) for candidate, columns in found if columns is not None]
 
 
 def _baseline(evidence: Evidence, vehicle: Vehicle, augmented: Sequence[Candidate], *, references: bool) -> list[Entry]:
     """What is there in any case: effects that are known, and where there are reference flights what those share."""
     shared = shared_by_healthy() if references else []
     members = [Candidate(effect, {}) for effect in shared if effect.applies(vehicle)]
-    found = ((candidate, evidence.columns(candidate, everywhere=True)) for candidate in (*members, *augmented))
-    return [(candidate, columns) for candidate, columns in found if columns is not None]
+    return _with_columns(evidence, (*members, *augmented), everywhere=True)
