@@ -7,12 +7,12 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from groundstation.diagnosis.attribution import candidates
 from groundstation.diagnosis.base import base_fit, for_evidence
 from groundstation.diagnosis.case import case_of
 from groundstation.diagnosis.columns import Candidate
 from groundstation.diagnosis.effect import library
 from groundstation.diagnosis.flight_evidence import FlightEvidence
+from groundstation.diagnosis.pool import candidates
 from groundstation.diagnosis.whitening import Whitening
 from groundstation.flightdata import FlightData
 from groundstation.identification import estimators, instruments, parts, record_model
