@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from groundstation.campaign import campaign as module
-from groundstation.campaign import deciding
+from groundstation.campaign import deciding, ending
 from groundstation.campaign.campaign import Campaign, load_campaign, run
 from groundstation.campaign.judging import at_floor
 from groundstation.campaign.report import lines, write_campaign_report
@@ -154,10 +154,55 @@ def test_an_interval_that_holds_more_than_noise_is_no_matter_of_further_flights(
     goal = {"mass_kg": 0.005 * vehicle.mass_kg / 1.96, "ixx_kg_m2": 0.02 * vehicle.inertia_kg_m2.xx / 1.96}
     truth = vehicle.parameters()
     estimates = {name: {"value": truth[name], "std": 1.5 * std} for name, std in goal.items()}
-    stuck = module._exhausted(campaign, module.Round(str(tmp_path), "", 40.0, estimates=estimates))
+    stuck = ending._exhausted(campaign, module.Round(str(tmp_path), "", 40.0, estimates=estimates))
     assert "do not sharpen mass_kg, ixx_kg_m2" in stuck and "still take" not in stuck
     sharp = parse_targets("mass:0.0005%,ixx:0.002%")
-    far = module._exhausted(
+    far = ending._exhausted(
         replace(campaign, targets=sharp), module.Round(str(tmp_path), "", 40.0, estimates=estimates)
     )
     assert "still take: mass_kg" in far and "sharpen" not in far
+
+
+def _round(folder: Path, reached: dict[str, float], **changes) -> module.Round:
+    """A round against which nothing stands but its targets; its estimates are sharper than the plan's own noise."""
+    truth = load_vehicle(find_config("vehicles", "qball2")).parameters()
+    share = {"mass_kg": 0.005, "ixx_kg_m2": 0.02}
+    estimates = {
+        name: {"value": truth[name], "std": times * share[name] * truth[name] / 1.959964}
+        for name, times in reached.items()
+    }
+    errors = {"velocity_m_s": 0.1}
+    done = module.Round(
+        str(folder), "", 40.0, judged={"after": errors}, seen=errors, verdict="clean", estimates=estimates
+    )
+    return replace(done, reached=reached, **changes)
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "outcome"),
+    [
+        ({"mass_kg": 3.0, "ixx_kg_m2": 0.5}, {"mass_kg": 2.9, "ixx_kg_m2": 0.4}, "limit"),
+        ({"mass_kg": 3.0, "ixx_kg_m2": 0.5}, {"mass_kg": 2.2, "ixx_kg_m2": 0.4}, ""),  # averaged: 3 / sqrt(2)
+        ({"mass_kg": 3.0, "ixx_kg_m2": 1.5}, {"mass_kg": 2.9, "ixx_kg_m2": 1.1}, ""),  # one of two still falls
+        ({"mass_kg": 1.5, "ixx_kg_m2": 0.5}, {"mass_kg": 0.9, "ixx_kg_m2": 0.4}, "settled"),
+    ],
+)
+def test_a_campaign_ends_where_flights_sharpen_nothing_that_is_missed(tmp_path, before, now, outcome):
+    """One with a load let go and a sagging battery flew all its five flights at ten times the target of the mass."""
+    (tmp_path / "plan.toml").write_bytes(find_config("plans", "qball2").read_bytes())
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    begun = Campaign(tmp_path, vehicle, parse_targets("mass:0.5%,ixx:2%"), 5, 1, rounds=(_round(tmp_path, before),))
+    done = ending.with_round(begun, _round(tmp_path, now))
+    assert done.outcome == outcome
+    if outcome == "limit":
+        assert "mass_kg (2.9 times its target)" in done.sentence and "do not sharpen mass_kg:" in done.sentence
+
+
+@pytest.mark.parametrize("against", [{"verdict": "unexplained"}, {"judged": {"after": {"velocity_m_s": 0.2}}}])
+def test_what_stands_against_the_model_is_flown_for_whatever_the_targets(tmp_path, against):
+    (tmp_path / "plan.toml").write_bytes(find_config("plans", "qball2").read_bytes())
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    first = _round(tmp_path, {"mass_kg": 3.0})
+    begun = Campaign(tmp_path, vehicle, parse_targets("mass:0.5%"), 5, 1, rounds=(first,))
+    done = ending.with_round(begun, _round(tmp_path, {"mass_kg": 3.0}, **against))
+    assert done.outcome == "" and len(done.rounds[-1].not_settled) == 2

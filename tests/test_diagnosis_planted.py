@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from flights import laboratory
 
-from groundstation.diagnosis import diagnose
+from groundstation.diagnosis import diagnose, kinematic
 from groundstation.diagnosis.kinematic import kinematic_findings
 from groundstation.diagnosis.results import Finding
 from groundstation.flightdata import FlightData
@@ -196,11 +196,25 @@ def test_imu_and_markers_that_are_both_turned_are_told_apart_by_the_way_the_roto
             _assert_within(found[name].parameters[f"rotation_{axis}_rad"], truth)
 
 
+@pytest.mark.parametrize("turn", [(0.02, -0.015, 0.01), (0.012, 0.008, 0.029)])
 @pytest.mark.parametrize("name", ["imu_misalignment", "mocap_misalignment"])
-def test_where_one_of_the_two_is_turned_it_alone_is_named_and_sharply(name):
-    (finding,) = diagnose([_flown(_qball(), **{name: {"rotation_rad": [0.02, -0.015, 0.01]}})]).findings
-    assert finding.effect == name
+def test_where_one_of_the_two_is_turned_it_alone_is_named_and_sharply(name, turn):
+    """The thrust's direction tells the second turn apart by less than three standard deviations; the way the rotors
+    turn the vehicle does.
+    """
+    (finding,) = diagnose([_flown(_qball(), **{name: {"rotation_rad": turn}})]).findings
+    assert finding.effect == name and finding.alternatives == ()
     assert finding.parameters["rotation_x_rad"].std < 1e-3
+
+
+def test_a_body_that_was_taken_for_the_turned_one_is_put_right_where_the_rotors_say_it_is_the_other(monkeypatch):
+    """As where the thrust's direction, which alone was asked at first, says the wrong one."""
+    monkeypatch.setattr(kinematic, "_lead_of_imu", lambda prepared, found: 1.0)
+    turn = (0.012, 0.008, 0.029)
+    (finding,) = diagnose([_flown(_qball(), mocap_misalignment={"rotation_rad": turn})]).findings
+    assert finding.effect == "mocap_misalignment" and finding.alternatives == ()
+    for axis, truth in zip("xyz", turn, strict=True):
+        _assert_within(finding.parameters[f"rotation_{axis}_rad"], truth)
 
 
 TIMING = {

@@ -15,8 +15,9 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from groundstation.campaign.deciding import Decision, first_plan, flights_needed, next_plan
-from groundstation.campaign.judging import Errors, at_floor, prediction_errors, without_effects
+from groundstation.campaign.deciding import Decision, first_plan, next_plan
+from groundstation.campaign.ending import with_round
+from groundstation.campaign.judging import Errors, prediction_errors, without_effects
 from groundstation.campaign.pooling import day_of, pooled, widened
 from groundstation.documents import read_diagnosis
 from groundstation.errors import BadInput, Refused
@@ -24,9 +25,7 @@ from groundstation.flightdata import FlightData
 from groundstation.outside import read_json
 from groundstation.paths import find_config
 from groundstation.planning.plan import AUTOPILOT
-from groundstation.reporting.units import label, significant, split_unit
 from groundstation.targets import parse_targets, reached
-from groundstation.trajectory import load_plan
 from groundstation.vehicle import Vehicle, load_vehicle, vehicle_from_dict, vehicle_to_dict
 from groundstation.writing import write_whole
 
@@ -39,8 +38,6 @@ FILE = "campaign.json"
 VEHICLE = "vehicle.toml"
 PLAN_S = 6.0
 """Seconds of search for each plan."""
-MISSED = 3
-"""Effects that the last sentence names as what the flights would not have shown."""
 
 Say = Callable[[str], None]
 
@@ -106,7 +103,7 @@ class Campaign:
 
     Attributes:
         pending: a decision that is not yet worked through: {"why", "plan"}, and "folder" from the moment it may fly.
-        outcome: "" while it goes on, "settled", "exhausted" or "refused"; ``sentence`` says why.
+        outcome: "" while it goes on, or one of :mod:`~groundstation.campaign.ending`; ``sentence`` says why.
     """
 
     folder: Path
@@ -309,7 +306,7 @@ def take_in(
         diagnosis = diagnose(flights, work=kept.work)
     except Refused as error:
         say(f"flight {number}: refused, and left out of later estimates: {error}")
-        return _next(campaign, Round(str(folder), why, _seconds(flight), judged, not_settled=(str(error),)))
+        return with_round(campaign, Round(str(folder), why, _seconds(flight), judged, not_settled=(str(error),)))
     model = model_document(found, campaign.vehicle, diagnosis)
     rigid = without_effects(model, {n: e.to_dict() for n, e in diagnosis.parameters_before.items()})
     write_model(campaign.folder / f"model-{number}.toml", model)
@@ -324,7 +321,7 @@ def take_in(
         levels={name: each.to_dict() for name, each in by_level.items()},
         would_show=tuple(each.to_dict() for each in diagnosis.would_show),
     )  # fmt: skip
-    return _next(campaign, replace(done, not_settled=tuple(_open(campaign, done))))
+    return with_round(campaign, done)
 
 
 def _judge(campaign: Campaign, states: FlightStates, say: Say) -> dict[str, Errors]:
@@ -347,84 +344,6 @@ def _judge(campaign: Campaign, states: FlightStates, say: Say) -> dict[str, Erro
 
 def _declared(vehicle: Vehicle) -> dict[str, dict[str, float]]:
     return {name: {"value": value, "std": 0.0} for name, value in vehicle.parameters().items()}
-
-
-def _open(campaign: Campaign, done: Round) -> list[str]:
-    """What still stands against ending here, a sentence each."""
-    out = []
-    if done.verdict not in ("clean", "explained"):
-        out.append(f"the verdict over all flights is {done.verdict}")
-    rivals = [f"{f['effect']} or {', '.join(f['alternatives'])}" for f in done.findings if f["alternatives"]]
-    if rivals:
-        out.append(f"left open: {'; '.join(rivals)}")
-    missed = [f"{name} ({share:.1f} times its target)" for name, share in done.reached.items() if share > 1.0]
-    if missed:
-        out.append(f"not sharp enough: {', '.join(missed)}")
-    if not done.judged:
-        out.append("no flight has judged the model yet")
-        return out
-    before = campaign.rounds[campaign.model_round() - 1]
-    if set(done.names()) != set(before.names()):
-        out.append("this flight changed what is found, so the new model is not judged yet")
-    elif not at_floor(done.judged["after"], before.seen):
-        out.append("on the unseen flight the model's error was above that on its own flights")
-    return out
-
-
-def _next(campaign: Campaign, done: Round) -> Campaign:
-    """The campaign with a round more, ended where nothing is left or nothing more may be flown."""
-    rounds = (*campaign.rounds, done)
-    if not done.not_settled:
-        return replace(campaign, rounds=rounds, outcome="settled", sentence=_settled(rounds))
-    if len(rounds) < campaign.at_most:
-        return replace(campaign, rounds=rounds)
-    return replace(campaign, rounds=rounds, outcome="exhausted", sentence=_exhausted(campaign, done))
-
-
-def _settled(rounds: Sequence[Round]) -> str:
-    names = ", ".join(rounds[-1].names()).replace("_", " ") or "nothing"
-    return (
-        f"Settled after {len(rounds)} flights ({sum(r.seconds for r in rounds):.0f} s of excitation): found "
-        f"{names}; targets met.{_missed(rounds[-1])}"
-    )
-
-
-def _missed(done: Round) -> str:
-    """What the flights so far would not have shown: the effects that could be largest, and below what size."""
-    largest = sorted(done.would_show, key=lambda told: -told["share"])
-    each = dict[str, str]()
-    for told in largest:
-        size = f"{significant(told['least'], 2)} {split_unit(told['parameter'])[1]}".strip()
-        name = f"{told['effect'].replace('_', ' ')} ({label(told['parameter'])})"
-        each.setdefault(told["effect"], f"{name} below {size}")
-    return f" They would not have shown: {', '.join(list(each.values())[:MISSED])}." if each else ""
-
-
-def _exhausted(campaign: Campaign, done: Round) -> str:
-    """What was not reached, and how many flights it would still take by the last plan.
-
-    Where less than one would do although one was just flown, the interval is not one of noise.
-    """
-    text = f"Not settled after {len(campaign.rounds) + 1} flights: {'; '.join(done.not_settled)}.{_missed(done)}"
-    try:
-        plan = load_plan(Path(done.folder) / "plan.toml")
-    except BadInput:
-        return text
-    needed = flights_needed(campaign.vehicle, done.estimates, campaign.targets, plan) if done.estimates else {}
-    far = {name: count for name, count in needed.items() if count >= 1.0}
-    stuck = [name for name, count in needed.items() if 0.0 < count < 1.0]
-    if stuck:
-        text += (
-            f" More flights like the last do not sharpen {', '.join(stuck)}: the interval holds what the formulas of "
-            "the findings leave open, or how far flights differ beyond their own intervals, and no longer noise."
-        )
-    if far:
-        text += (
-            " Flights like the last that it would still take: "
-            + ", ".join(f"{n} {c:.1f}" for n, c in far.items())
-            + "."
-        )
-    return text
 
 
 def _seconds(flight: FlightData) -> float:

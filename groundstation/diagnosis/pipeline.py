@@ -23,7 +23,7 @@ from groundstation.diagnosis.selection import Final, Progress, Selected, select_
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.trim import applies as trim_applies
 from groundstation.diagnosis.trim import compare_trims
-from groundstation.diagnosis.turned import both_turned
+from groundstation.diagnosis.turned import told_by_rotors, turn_of_imu
 from groundstation.diagnosis.unplanned import PastMotion, tell_unplanned
 from groundstation.diagnosis.weakness import weak_instruments
 from groundstation.diagnosis.would_show import would_show
@@ -83,10 +83,9 @@ def _diagnose(flights: Sequence[FlightData], options: AnalysisOptions, progress:
         air = [] if case.healthy else tell_unplanned(case.suspects, base.fitted.parameters)
         case = case.map(for_evidence)
         selected = select_beside(air, case, base, augmented, progress)
-        both = both_turned(kinematic, selected.evidence, selected.chosen)
-        if both is not None:
-            kinematic = both
-            case, departure = thrust_exponent(straightened(as_flown, both))
+        before, kinematic = kinematic, told_by_rotors(kinematic, selected.evidence, selected.chosen)
+        if turn_of_imu(kinematic) != turn_of_imu(before):
+            case, departure = thrust_exponent(straightened(as_flown, kinematic))
             base = base_fit(case, work)
             case = case.map(for_evidence)
             selected = select_beside(air, case, base, augmented, progress)

@@ -1,4 +1,4 @@
-"""IMU and marker body both turned in the body: what the vehicle's own motion says where one rotation told of either.
+"""IMU or marker body turned in the body, or both: what the vehicle's own motion says where one rotation told of either.
 
 Gyro and poses give the rotation of the two against each other alone, and one of them is taken to be straight. The
 rotors tell of the IMU by itself: their torques turn the vehicle about axes of the body. A turn e of the IMU beyond what
@@ -9,7 +9,7 @@ left of e is the turn of the one that was taken to be straight.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -48,10 +48,11 @@ TURN = Effect(
 """A turn of the IMU as a member of a joint estimate; of a tenth of a radian before a flight."""
 
 
-def both_turned(
+def told_by_rotors(
     findings: Sequence[Finding], evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]]
-) -> list[Finding] | None:
-    """The findings with both bodies turned; None where a single one explains the flights as well.
+) -> Sequence[Finding]:
+    """The findings with both bodies turned where no single one explains the flights, and with the one that does where
+    it had been left open which.
 
     Args:
         findings: of the sensors; one of them may be a turn.
@@ -60,27 +61,44 @@ def both_turned(
     """
     named = next((f for f in findings if f.effect in TURNED and ROTATION_PARAMETERS[0].name in f.parameters), None)
     if named is None or evidence.flights[0].prepared.source != "imu":
-        return None
+        return findings
     left, covariance = _turn(evidence, chosen)
     covariance = covariance + THRESHOLDS.rotor_upright_rad**2 * np.eye(3)
     found = np.array([named.parameters[p.name].value for p in ROTATION_PARAMETERS])
     other = TURNED[1] if named.effect == TURNED[0] else TURNED[0]
     turns = {named.effect: found + left, other: left}
     without = {name: float(turn @ np.linalg.solve(covariance, turn)) for name, turn in turns.items()}
-    if min(without.values()) < THRESHOLDS.inseparable:
-        return None
-    std = np.sqrt(np.diag(covariance))
-    out: list[Finding] = []
-    for name, turn in turns.items():
-        finding = _finding(name, turn, std, replace(named, confidence=posterior([-without[name]])))
-        shifted = [f for f in findings if f.effect == name and f is not named]
-        parameters = {**finding.parameters, **{n: e for f in shifted for n, e in f.parameters.items()}}
-        sentence = " ".join([finding.sentence, *(f.sentence for f in shifted)])
-        out.append(replace(finding, parameters=parameters, sentence=sentence))
+    if min(without.values()) >= THRESHOLDS.inseparable:
+        std = np.sqrt(np.diag(covariance))
+        both = [_finding(name, turns[name], std, like=named, lead=without[name]) for name in turns]
+        return _in_place_of(named, both, findings)
+    apart = without[named.effect] - without[other]
+    if not named.alternatives or abs(apart) < THRESHOLDS.inseparable:
+        return findings
+    name, turn = (named.effect, found) if apart > 0.0 else (other, -found)
+    sharp = np.array([named.parameters[p.name].std for p in ROTATION_PARAMETERS])
+    return _in_place_of(named, [_finding(name, turn, sharp, like=named, lead=abs(apart))], findings)
+
+
+def _in_place_of(named: Finding, turned: Sequence[Finding], findings: Sequence[Finding]) -> list[Finding]:
+    """Findings with turned bodies in the place of one, each with how its body is shifted."""
+    out = list[Finding]()
+    for finding in turned:
+        like = [f for f in findings if f.effect == finding.effect]
+        shifts = {n: e for f in like for n, e in f.parameters.items() if n not in finding.parameters}
+        sentences = [f.sentence for f in like if f is not named]
+        text = " ".join([finding.sentence, *sentences])
+        out.append(replace(finding, parameters={**finding.parameters, **shifts}, sentence=text))
     return [*out, *(f for f in findings if f.effect not in TURNED)]
 
 
-def _finding(name: str, turn: Array, std: Array, like: Finding) -> Finding:
+def turn_of_imu(findings: Sequence[Finding]) -> Mapping[str, Estimate]:
+    """By which the IMU is put straight; nothing where none is named."""
+    return {name: e for f in findings if f.effect == TURN.identifier for name, e in f.parameters.items()}
+
+
+def _finding(name: str, turn: Array, std: Array, *, like: Finding, lead: float) -> Finding:
+    """A turned body, of evidence that stands above its rivals' by a lead (chi squared)."""
     sentences = {n: e.readings[0].sentence for n, e in catalogue().items() if isinstance(e, SensorEffect)}
     values = zip(ROTATION_PARAMETERS, turn.tolist(), std.tolist(), strict=True)
     return replace(
@@ -88,6 +106,7 @@ def _finding(name: str, turn: Array, std: Array, like: Finding) -> Finding:
         effect=name,
         parameters={p.name: Estimate.normal(v, s) for p, v, s in values},
         sentence=filled(sentences[name], size=float(np.linalg.norm(turn))),
+        confidence=posterior([-lead]),
         alternatives=(),
     )
 

@@ -1,0 +1,155 @@
+"""How a campaign ends, and the sentence that says so.
+
+It is *settled* where nothing stands against the model and its targets are met; at its *limit* where nothing but targets
+is left, and further flights do not sharpen these; *exhausted* where no more flights may be flown.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from groundstation.campaign.deciding import flights_needed
+from groundstation.campaign.judging import at_floor
+from groundstation.errors import BadInput
+from groundstation.reporting.units import label, significant, split_unit
+from groundstation.trajectory import load_plan
+
+if TYPE_CHECKING:
+    from groundstation.campaign.campaign import Campaign, Round
+
+SETTLED, LIMIT, EXHAUSTED = "settled", "limit", "exhausted"
+MISSED = 3
+"""Effects that the last sentence names as what the flights would not have shown."""
+
+
+def with_round(campaign: Campaign, done: Round) -> Campaign:
+    """The campaign with a round more, ended where nothing is left to fly for or nothing more may be flown.
+
+    Args:
+        done: with ``not_settled`` of a refused flight; of others what stands against an end is found here.
+    """
+    limited = False
+    if done.estimates:
+        against, missed = _against(campaign, done), {name for name, share in done.reached.items() if share > 1.0}
+        done = replace(done, not_settled=tuple([*against, *_not_sharp(done)]))
+        limited = not against and missed == set(stuck(campaign, done))
+    rounds = (*campaign.rounds, done)
+    if not done.not_settled:
+        return replace(campaign, rounds=rounds, outcome=SETTLED, sentence=_settled(rounds))
+    if limited:
+        return replace(campaign, rounds=rounds, outcome=LIMIT, sentence=_at_limit(rounds))
+    if len(rounds) < campaign.at_most:
+        return replace(campaign, rounds=rounds)
+    return replace(campaign, rounds=rounds, outcome=EXHAUSTED, sentence=_exhausted(campaign, done))
+
+
+def _against(campaign: Campaign, done: Round) -> list[str]:
+    """What stands against ending here beside targets, a sentence each."""
+    out = []
+    if done.verdict not in ("clean", "explained"):
+        out.append(f"the verdict over all flights is {done.verdict}")
+    rivals = [f"{f['effect']} or {', '.join(f['alternatives'])}" for f in done.findings if f["alternatives"]]
+    if rivals:
+        out.append(f"left open: {'; '.join(rivals)}")
+    if not done.judged:
+        return [*out, "no flight has judged the model yet"]
+    before = campaign.rounds[campaign.model_round() - 1]
+    if set(done.names()) != set(before.names()):
+        out.append("this flight changed what is found, so the new model is not judged yet")
+    elif not at_floor(done.judged["after"], before.seen):
+        out.append("on the unseen flight the model's error was above that on its own flights")
+    return out
+
+
+def _not_sharp(done: Round) -> list[str]:
+    missed = [f"{name} ({share:.1f} times its target)" for name, share in done.reached.items() if share > 1.0]
+    return [f"not sharp enough: {', '.join(missed)}"] if missed else []
+
+
+def stuck(campaign: Campaign, done: Round) -> list[str]:
+    """Targets that are missed although the noise of one more such flight would let them be met, and that the last
+    flight sharpened by less than half of what averaging one more of equal flights does.
+
+    Of n + 1 equal flights' noise the interval is sqrt(n / (n + 1)) times that of n.
+
+    Args:
+        campaign: before the round. done: with estimates.
+    """
+    number = campaign.model_round()
+    if not number:
+        return []
+    before = campaign.rounds[number - 1].reached
+    flights = 1 + sum(bool(each.estimates) for each in campaign.rounds)
+    least = 0.5 * (1.0 + math.sqrt((flights - 1) / flights))
+    return [
+        name for name in _beyond_noise(campaign, done) if done.reached.get(name, 0.0) > least * before.get(name, 0.0)
+    ]
+
+
+def _beyond_noise(campaign: Campaign, done: Round) -> list[str]:
+    """Missed targets that less than one more flight of the last plan would meet, were the interval one of noise."""
+    return [name for name, count in _needed(campaign, done).items() if 0.0 < count < 1.0]
+
+
+def _needed(campaign: Campaign, done: Round) -> Mapping[str, float]:
+    try:
+        plan = load_plan(Path(done.folder) / "plan.toml")
+    except BadInput:
+        return {}
+    return flights_needed(campaign.vehicle, done.estimates, campaign.targets, plan) if done.estimates else {}
+
+
+def _settled(rounds: Sequence[Round]) -> str:
+    return f"Settled after {_flown(rounds)}; targets met.{_would_not_have_shown(rounds[-1])}"
+
+
+def _at_limit(rounds: Sequence[Round]) -> str:
+    done = rounds[-1]
+    missed = [name for name, share in done.reached.items() if share > 1.0]
+    return f"Ended after {_flown(rounds)}; {_not_sharp(done)[0]}.{_would_not_have_shown(done)}{_no_matter(missed)}"
+
+
+def _exhausted(campaign: Campaign, done: Round) -> str:
+    """What was not reached, and how many flights it would still take by the last plan.
+
+    Where less than one would do although one was just flown, the interval is not one of noise.
+    """
+    count = len(campaign.rounds) + 1
+    text = f"Not settled after {count} flights: {'; '.join(done.not_settled)}.{_would_not_have_shown(done)}"
+    if beyond := _beyond_noise(campaign, done):
+        text += _no_matter(beyond)
+    far = {name: count for name, count in _needed(campaign, done).items() if count >= 1.0}
+    if far:
+        text += (
+            " Flights like the last that it would still take: "
+            + ", ".join(f"{n} {c:.1f}" for n, c in far.items())
+            + "."
+        )
+    return text
+
+
+def _no_matter(names: Sequence[str]) -> str:
+    return (
+        f" More flights like the last do not sharpen {', '.join(names)}: the interval holds what the formulas of the "
+        "findings leave open, or how far flights differ beyond their own intervals, and no longer noise."
+    )
+
+
+def _flown(rounds: Sequence[Round]) -> str:
+    names = ", ".join(rounds[-1].names()).replace("_", " ") or "nothing"
+    return f"{len(rounds)} flights ({sum(r.seconds for r in rounds):.0f} s of excitation): found {names}"
+
+
+def _would_not_have_shown(done: Round) -> str:
+    """What the flights so far would not have shown: the effects that could be largest, and below what size."""
+    largest = sorted(done.would_show, key=lambda told: -told["share"])
+    each = dict[str, str]()
+    for told in largest:
+        size = f"{significant(told['least'], 2)} {split_unit(told['parameter'])[1]}".strip()
+        name = f"{told['effect'].replace('_', ' ')} ({label(told['parameter'])})"
+        each.setdefault(told["effect"], f"{name} below {size}")
+    return f" They would not have shown: {', '.join(list(each.values())[:MISSED])}." if each else ""
