@@ -109,7 +109,7 @@ def judged(logs: Path, killed: str, status: int) -> int:
     end = stand(logs)
     rounds = [r["folder"] for r in end["rounds"]]
     flown = sorted(str(each.parent) for each in logs.glob("*/flight.mcap"))
-    right = rounds[1:2] == [killed] and sorted(rounds) == flown and end["outcome"] in ("settled", "exhausted")
+    right = rounds[1:2] == [killed] and sorted(rounds) == flown and bool(end["outcome"])
     print(f"rounds: {len(rounds)}, recordings: {len(flown)}, the killed flight is round 2: {rounds[1:2] == [killed]}")
     print(f"outcome: {end['outcome']} (exit status {status}): {end['sentence']}")
     return 0 if right else 1

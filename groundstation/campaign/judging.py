@@ -9,7 +9,7 @@ import numpy as np
 from groundstation.diagnosis.effect import library, wrench_of
 from groundstation.json_types import Document, JsonObject
 from groundstation.model.flight_states import FlightStates
-from groundstation.model.prediction import predict
+from groundstation.model.prediction import predict_alone
 from groundstation.model.vehicle_model import model_from_document
 from groundstation.vehicle import vehicle_from_dict
 
@@ -28,8 +28,8 @@ def prediction_errors(document: Document, states: FlightStates) -> Errors:
     declared = vehicle_from_dict(document["vehicle"], "the campaign's model")
     effects = document.get("effects", {})
     wrench = wrench_of(effects, declared) if any(name.partition("/")[0] in library() for name in effects) else None
-    found = predict(model_from_document(document, declared, wrench), states, horizon_s=HORIZON_S)
-    return {name: float(entry["rms"]) for name, entry in found.to_dict()["error"]["model"][f"{HORIZON_S:g}"].items()}
+    found = predict_alone(model_from_document(document, declared, wrench), states, horizon_s=HORIZON_S)
+    return {name: float(entry["rms"]) for name, entry in found.error["model"][f"{HORIZON_S:g}"].items()}
 
 
 def without_effects(document: Document, parameters: Document) -> JsonObject:

@@ -9,7 +9,7 @@ them that an identified model carries on (:mod:`.disturbance`).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,6 +119,31 @@ def predict(
 ) -> Prediction:
     """Simulate ahead from every window's start with the identified, the declared and the constant-velocity model.
 
+    Args, raises: those of :func:`predict_alone`.
+    """
+    alone = predict_alone(
+        model, states, horizon_s=horizon_s, predictor=predictor, hold_back=hold_back, progress=progress
+    )
+    index, horizons = _starts(states, horizon_s), _horizons(horizon_s)
+    error = dict(alone.error)
+    others = {"nominal": declared_model(states.vehicle), "constant_velocity": None}
+    for number, (name, each) in enumerate(others.items(), 1):
+        progress(number / 3.0, f"predicting with {name}")
+        error[name] = _errors_at(_path(each, states, index, horizons), states, alone.start_s)
+    return replace(alone, error=error)
+
+
+def predict_alone(
+    model: VehicleModel | PredictiveModel | None,
+    states: FlightStates,
+    *,
+    horizon_s: float = 0.5,
+    predictor: str = "the physical model",
+    hold_back: bool = False,
+    progress: Callable[[float, str], None] = lambda fraction, text: None,
+) -> Prediction:
+    """Simulate ahead from every window's start with one model.
+
     Args:
         model: physical or predictive; None is constant velocity itself.
         states: of the flight.
@@ -133,9 +158,8 @@ def predict(
     """
     if not 0.01 <= horizon_s <= 10.0:
         raise BadInput(f"a horizon of {horizon_s} s cannot be predicted; give one between 0.01 and 10 s.")
-    index = _starts(states, horizon_s)
+    index, horizons = _starts(states, horizon_s), _horizons(horizon_s)
     at_s = states.t_s[index]
-    horizons = sorted({h for h in (0.01, 0.1, 0.5) if h <= horizon_s + 1e-9} | {round(horizon_s, 6)})
     progress(0.0, "predicting with model")
     path, stood_in = _without_runaways(_path(model, states, index, horizons), states, index, horizons)
     if hold_back and model is not None:
@@ -144,11 +168,11 @@ def predict(
     error = {"model": _errors_at(path, states, at_s)}
     final = path[horizons[-1]]
     _refuse_what_ran_away(error["model"], final, states)
-    others = {"nominal": declared_model(states.vehicle), "constant_velocity": None}
-    for number, (name, each) in enumerate(others.items(), 1):
-        progress(number / 3.0, f"predicting with {name}")
-        error[name] = _errors_at(_path(each, states, index, horizons), states, at_s)
     return Prediction(horizon_s, len(index), error, at_s, final, predictor + stood_in)
+
+
+def _horizons(horizon_s: float) -> list[float]:
+    return sorted({h for h in (0.01, 0.1, 0.5) if h <= horizon_s + 1e-9} | {round(horizon_s, 6)})
 
 
 def _starts(states: FlightStates, horizon_s: float) -> Index:
