@@ -31,6 +31,8 @@ LOOP_MOST_S = 600.0
 """Of the excitation that the closed loop is simulated along: hundreds of manoeuvres."""
 SETTLE_S = 3.0
 """The simulated loop holds the start for this long before the excitation, as the flight did."""
+BEYOND_S = 0.1
+"""Flown beyond the last instant that is compared: slopes are taken by what follows."""
 CLOSED_LOOP_SIGNALS = ("x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad", *OUTPUTS)
 
 
@@ -151,10 +153,15 @@ def closed_loop_validation(
     conditions = conditions or Conditions(pose_hz=flight.mocap.rate_hz())
     flown = _Flown.of(flight, flight.mocap, flight.window_s, mocap_minus_imu_s, exclude)
     rms: dict[str, dict[str, float]] = {}
+    errors: dict[tuple[float, ...], Array] = {}
     for name, values in sets.items():
         if np.linalg.eigvalsh(_tensor(values))[0] <= 0.0 or values["mass_kg"] <= 0.0:
             continue
-        error = flown.error(flown.simulated(plan, values, conditions, (wrenches or {}).get(name)))
+        wrench = (wrenches or {}).get(name)
+        key = *(values[each] for each in MASS_AND_TENSOR), id(wrench)
+        if key not in errors:
+            errors[key] = flown.error(flown.simulated(plan, values, conditions, wrench))
+        error = errors[key]
         if np.isfinite(error).all():
             rms[name] = dict(zip(CLOSED_LOOP_SIGNALS, map(float, np.sqrt(np.mean(error**2, axis=0))), strict=True))
     left_out = [name for name in sets if name not in rms]
@@ -208,6 +215,8 @@ class _Flown:
         used = (t >= window[0]) & (t <= window[1])
         for first, last in exclude:
             used &= (t < first) | (t > last)
+        flown = slice(_last(used) + round(BEYOND_S / STEP_S))
+        t, used = t[flown], used[flown]
         wrench = declared_wrench(flight.vehicle, motors, flight.battery, t)
         pose = _pose(flight.vehicle, t, stamps, poses.values)
         return cls(flight.vehicle, t[0] - window_s[0], t, pose, wrench, used)
@@ -234,6 +243,12 @@ class _Flown:
         error = np.column_stack([self.pose, self.wrench])[:k] - error
         error[:, 5] = np.angle(np.exp(1j * error[:, 5]))
         return error[self.used[:k]]
+
+
+def _last(used: NDArray[np.bool_]) -> int:
+    """Index behind the last instant in use; the end where none is."""
+    inside = np.flatnonzero(used)
+    return int(inside[-1]) + 1 if len(inside) else len(used)
 
 
 def _tensor(values: Mapping[str, float]) -> Array:
