@@ -93,6 +93,7 @@ def campaign(order: Order) -> Result:
     well as its own; or it says what was not reached. Killed at any moment, --resume goes on.
     """
     from groundstation.campaign.campaign import autopilot_limits, run
+    from groundstation.campaign.ending import SETTLED
     from groundstation.campaign.report import lines, write_campaign_report
     from groundstation.flight.client.interrupts import Interrupts
 
@@ -113,7 +114,7 @@ def campaign(order: Order) -> Result:
         "estimates": dict(stand.rounds[-1].estimates) if stand.rounds else {},
     }
     text = "\n".join([*lines(stand), f"report: {report}", f"model: {stand.folder / f'model-{len(stand.rounds)}.toml'}"])
-    return Result(document, text, 0 if stand.outcome == "settled" else Refused.exit_status)
+    return Result(document, text, 0 if stand.outcome == SETTLED else Refused.exit_status)
 
 
 class _Flyer:
