@@ -198,6 +198,16 @@ def test_a_campaign_ends_where_flights_sharpen_nothing_that_is_missed(tmp_path, 
         assert "mass_kg (2.9 times its target)" in done.sentence and "do not sharpen mass_kg:" in done.sentence
 
 
+def test_a_flight_that_promised_nothing_is_no_reason_to_end(tmp_path, monkeypatch):
+    """As one that was planned to separate two explanations."""
+    monkeypatch.setattr(ending, "promised", lambda vehicle, estimates, plan: dict.fromkeys(estimates, 0.999))
+    (tmp_path / "plan.toml").write_bytes(find_config("plans", "qball2").read_bytes())
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    first = _round(tmp_path, {"mass_kg": 3.0})
+    begun = Campaign(tmp_path, vehicle, parse_targets("mass:0.5%"), 5, 1, rounds=(first,))
+    assert ending.with_round(begun, _round(tmp_path, {"mass_kg": 2.99})).outcome == ""
+
+
 @pytest.mark.parametrize("against", [{"verdict": "unexplained"}, {"judged": {"after": {"velocity_m_s": 0.2}}}])
 def test_what_stands_against_the_model_is_flown_for_whatever_the_targets(tmp_path, against):
     (tmp_path / "plan.toml").write_bytes(find_config("plans", "qball2").read_bytes())

@@ -11,7 +11,7 @@ import numpy as np
 from groundstation.errors import BadInput, GroundStationError
 from groundstation.json_types import Document
 from groundstation.planning import paper_plan, plan_excitation
-from groundstation.planning.information import DEFAULT_NOISE, Noise, predicted_std
+from groundstation.planning.information import DEFAULT_NOISE, predicted_std
 from groundstation.reporting.units import label
 from groundstation.targets import HALF_95
 from groundstation.trajectory import Plan
@@ -93,8 +93,7 @@ def flights_needed(vehicle: Vehicle, estimates: Document, targets: Mapping[str, 
     Variances add as information: with present variance v, the plan's own p and the target g, n solves
     1/v + n/p = 1/g.
     """
-    noise: Noise = DEFAULT_NOISE
-    predicted = predicted_std(plan.series(), as_estimated(vehicle, estimates), noise)
+    predicted = predicted_std(plan.series(), as_estimated(vehicle, estimates), DEFAULT_NOISE)
     out: dict[str, float] = {}
     for name, share in targets.items():
         entry = estimates.get(name)
@@ -105,6 +104,18 @@ def flights_needed(vehicle: Vehicle, estimates: Document, targets: Mapping[str, 
         now = entry["std"] ** 2 if entry else np.inf
         out[name] = max(0.0, (1.0 / goal - 1.0 / now) * predicted[name] ** 2)
     return out
+
+
+def promised(vehicle: Vehicle, estimates: Document, plan: Plan) -> dict[str, float]:
+    """What one flight of a plan should make of each standard deviation, as its share, by the plan's predicted
+    information: 1 / sqrt(1 + v/p) with present variance v and the plan's own p.
+    """
+    predicted = predicted_std(plan.series(), as_estimated(vehicle, estimates), DEFAULT_NOISE)
+    return {
+        name: float((1.0 + (entry["std"] / predicted[name]) ** 2) ** -0.5)
+        for name, entry in estimates.items()
+        if predicted.get(name, 0.0) > 0.0
+    }
 
 
 def paper_seconds(

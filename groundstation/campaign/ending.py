@@ -12,11 +12,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from groundstation.campaign.deciding import flights_needed
+from groundstation.campaign.deciding import flights_needed, promised
 from groundstation.campaign.judging import at_floor
 from groundstation.errors import BadInput
 from groundstation.reporting.units import label, significant, split_unit
-from groundstation.trajectory import load_plan
+from groundstation.trajectory import Plan, load_plan
 
 if TYPE_CHECKING:
     from groundstation.campaign.campaign import Campaign, Round
@@ -71,8 +71,8 @@ def _not_sharp(done: Round) -> list[str]:
 
 
 def stuck(campaign: Campaign, done: Round) -> list[str]:
-    """Targets that are missed although the noise of one more such flight would let them be met, and that the last
-    flight sharpened by less than half of what averaging one more of equal flights does.
+    """Targets that are missed and that the last flight sharpened by less than half of what one more of equal flights
+    does by averaging, and of what its plan promised.
 
     Of n + 1 equal flights' noise the interval is sqrt(n / (n + 1)) times that of n.
 
@@ -80,14 +80,17 @@ def stuck(campaign: Campaign, done: Round) -> list[str]:
         campaign: before the round. done: with estimates.
     """
     number = campaign.model_round()
-    if not number:
+    if not number or (plan := _plan(done)) is None:
         return []
-    before = campaign.rounds[number - 1].reached
+    before = campaign.rounds[number - 1]
     flights = 1 + sum(bool(each.estimates) for each in campaign.rounds)
-    least = 0.5 * (1.0 + math.sqrt((flights - 1) / flights))
-    return [
-        name for name in _beyond_noise(campaign, done) if done.reached.get(name, 0.0) > least * before.get(name, 0.0)
-    ]
+    averaged = math.sqrt((flights - 1) / flights)
+    out = []
+    for name, share in promised(campaign.vehicle, before.estimates, plan).items():
+        least = 0.5 * (1.0 + max(averaged, share))
+        if done.reached.get(name, 0.0) > max(1.0, least * before.reached.get(name, math.inf)):
+            out.append(name)
+    return out
 
 
 def _beyond_noise(campaign: Campaign, done: Round) -> list[str]:
@@ -96,11 +99,16 @@ def _beyond_noise(campaign: Campaign, done: Round) -> list[str]:
 
 
 def _needed(campaign: Campaign, done: Round) -> Mapping[str, float]:
-    try:
-        plan = load_plan(Path(done.folder) / "plan.toml")
-    except BadInput:
+    if not done.estimates or (plan := _plan(done)) is None:
         return {}
-    return flights_needed(campaign.vehicle, done.estimates, campaign.targets, plan) if done.estimates else {}
+    return flights_needed(campaign.vehicle, done.estimates, campaign.targets, plan)
+
+
+def _plan(done: Round) -> Plan | None:
+    try:
+        return load_plan(Path(done.folder) / "plan.toml")
+    except BadInput:
+        return None
 
 
 def _settled(rounds: Sequence[Round]) -> str:
