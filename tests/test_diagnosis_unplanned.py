@@ -55,6 +55,24 @@ def test_parts_that_disagree_widen_the_interval_and_predict_each_other_worse():
     assert pooled(apart).std > 3.0 * pooled(agree).std
 
 
+@pytest.mark.parametrize(("count", "scatter"), [(3, 1.0), (3, 4.0), (4, 2.0), (8, 4.0)])
+def test_few_parts_that_tell_their_own_scatter_have_students_interval(count: int, scatter: float):
+    """The interval of a normal distribution held the truth in 82 of 100 draws of three parts that scatter four times
+    more than they say.
+    """
+    random = np.random.default_rng(5)
+    equation = closed_loop(1, 0.0, 200)
+    part = two_stage(equation)
+    assert part is not None
+    inside = []
+    for _ in range(400):
+        values = 0.7 + scatter * 0.1 * random.standard_normal(count)
+        drawn = [(equation, replace(part, values=np.array([v]), std=np.array([0.1])), 0) for v in values]
+        found = pooled(drawn)
+        inside.append(abs(found.value - 0.7) <= 1.96 * found.spread())
+    assert np.mean(inside) > 0.92
+
+
 def test_a_gap_or_a_column_of_nothing_gives_no_estimate():
     equation = closed_loop(1, 0.7, 400)
     assert two_stage(replace(equation, columns=np.zeros_like(equation.columns))) is None

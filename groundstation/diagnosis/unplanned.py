@@ -79,11 +79,13 @@ class PastMotion:
         return Candidate(self.effect, {})
 
     def finding(self) -> Finding:
-        """As a finding, with where it comes from; a formula misses up to a tenth, which is two deviations of its part
-        of the interval.
+        """As a finding, with where it comes from and Student's intervals; a formula misses up to a tenth, which is two
+        deviations of its part of the interval.
         """
         form = 0.5 * THRESHOLDS.form_error_share
-        values = {n: Estimate.normal(p.value, float(np.hypot(p.std, form * p.value))) for n, p in self.values.items()}
+        values = {
+            n: Estimate.normal(p.value, float(np.hypot(p.spread(), form * p.value))) for n, p in self.values.items()
+        }
         sentence = filled(self.effect.sentence, **{name: p.value for name, p in self.values.items()})
         return Finding(
             effect=self.effect.identifier,

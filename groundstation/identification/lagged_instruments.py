@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri, stdtrit
 
 from groundstation.identification.uncertainty import coloured_covariance
 
@@ -28,6 +29,8 @@ Mask = NDArray[np.bool_]
 
 LAGS_S = (0.25, 0.4, 0.55)
 """Longer than gusts and sensor noise below the band's edge stay alike, shorter than a manoeuvre."""
+WITHIN = 0.95
+"""Of an interval."""
 WEAK = 1e-6
 """Share of the largest singular value below which a direction of the regressors is taken to be absent."""
 
@@ -71,7 +74,7 @@ class Pooled:
     scale (1 and more).
 
     ``freedom`` is how many independent samples the parts are worth, ``gain`` the fall of the squared error of each
-    part, in units of its noise, with the value that the other parts give.
+    part, in units of its noise, with the value that the other parts give, ``count`` that of the parts.
     """
 
     value: float
@@ -79,6 +82,13 @@ class Pooled:
     scale: float
     freedom: float
     gain: float
+    count: int
+
+    def spread(self) -> float:
+        """The normal deviation whose 95 % interval is Student's of so many parts, whose scatter they tell
+        themselves.
+        """
+        return self.std * float(stdtrit(self.count - 1, 0.5 * (1.0 + WITHIN)) / ndtri(0.5 * (1.0 + WITHIN)))
 
 
 def shifted(values: Array, samples: int) -> Array:
@@ -144,7 +154,7 @@ def pooled(parts: Parts) -> Pooled:
     values, std = (np.array([getattr(p, name)[i] for _, p, i in parts]) for name in ("values", "std"))
     value, own, scale = _mean(values, std)
     freedom = sum(p.samples / p.correlation[i] for _, p, i in parts)
-    return Pooled(value, own * scale, scale, float(freedom), _held_out_gain(parts, values, std))
+    return Pooled(value, own * scale, scale, float(freedom), _held_out_gain(parts, values, std), len(parts))
 
 
 def _mean(values: Array, std: Array) -> tuple[float, float, float]:
