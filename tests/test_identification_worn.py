@@ -15,6 +15,7 @@ from sim.flight import simulate
 from sim.scenario import load_scenario
 from studies.flown import flight_data
 from studies.worn import ROTOR
+from tests.flights import laboratory
 
 SEED = 57001
 
@@ -44,6 +45,15 @@ def test_healthy_rotors_are_not_spoken_of():
     mass = found.methods[found.best].parameters["mass_kg"]
     assert not any("Rotor" in warning for warning in found.warnings), f"seed {SEED}: {found.warnings}"
     assert mass.ci95[0] < truth.mass_kg < mass.ci95[1] and mass.std < 0.005 * mass.value, f"seed {SEED}: {mass}"
+
+
+def test_another_thrust_curve_is_no_weak_rotor():
+    """On the paper's gentle plan one of exponent 1.67 passed for a rotor that lacks a tenth."""
+    vehicle = load_vehicle(find_config("vehicles", "qball2"))
+    plan = load_plan(find_config("plans", "paper_table2"))
+    flown = simulate(vehicle, plan, laboratory(thrust_curve={"exponent": 1.67}), SEED)
+    found = identify([flight_data(flown, "curve")])
+    assert not any("Rotor" in warning for warning in found.warnings), f"seed {SEED}: {found.warnings}"
 
 
 def test_a_weighed_mass_stays_and_others_follow_the_thrust():

@@ -3,7 +3,7 @@
 A weak rotor looks like an offset of the centre of mass and a steady torque about yaw, and a fit that has both free
 leaves nothing. What tells them apart is that the lost thrust goes with the thrust of that rotor and not of all: the
 same joint estimate through the plan that a diagnosis makes (:mod:`.evidence`), of one rotor beside an offset, a steady
-wrench and the torques that bend a tensor.
+wrench, another thrust curve and the torques that bend a tensor.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def weakest_rotor(fitted: DynamicFit) -> WeakRotor | None:
     if fitted.instrumental is None or not has_rotors(vehicle):
         return None
     effects, count = library(), vehicle.rotors.count
-    steady = [effects[name] for name in ("com_offset", "constant_wrench")]
+    steady = [effects[name] for name in ("com_offset", "constant_wrench", "thrust_curve")]
     beside = [Candidate(effect, {}) for effect in (*steady, *bending()) if effect.applies(vehicle)]
     rotors = [Candidate(effects["weak_rotor"], {"rotor": float(rotor)}) for rotor in range(1, count + 1)]
     part, about = for_evidence(flight.liveliest()), linearisation(fitted)
