@@ -52,7 +52,7 @@ def told_by_rotors(
     findings: Sequence[Finding], evidence: Evidence, chosen: Sequence[tuple[Candidate, Columns]]
 ) -> Sequence[Finding]:
     """The findings with both bodies turned where no single one explains the flights, and with the one that does where
-    it had been left open which.
+    it had been left open which and a plan frees the rotors' torque of feedback.
 
     Args:
         findings: of the sensors; one of them may be a turn.
@@ -73,7 +73,8 @@ def told_by_rotors(
         both = [_finding(name, turns[name], std, like=named, lead=without[name]) for name in turns]
         return _in_place_of(named, both, findings)
     apart = without[named.effect] - without[other]
-    if not named.alternatives or abs(apart) < THRESHOLDS.inseparable:
+    told = abs(apart) >= THRESHOLDS.inseparable and all(flight.planned is not None for flight in evidence.flights)
+    if not named.alternatives or not told:
         return findings
     name, turn = (named.effect, found) if apart > 0.0 else (other, -found)
     sharp = np.array([named.parameters[p.name].std for p in ROTATION_PARAMETERS])
