@@ -139,7 +139,7 @@ def campaign(item: tuple[int, str, tuple[str, ...]], keep: Path | None = None) -
 def _flown(item: tuple[int, str, tuple[str, ...]], folder: Path) -> Outcome:
     seed, name, names = item
     random: Random = np.random.default_rng(seed)
-    vehicle = declared(name, ())
+    vehicle = declared(name, names)
     hidden = {effect: sizes(vehicle)[effect](random) for effect in names}
     scenario = world(random, hidden, vehicle)
     hall = _Hall(folder, vehicle, scenario, random)

@@ -123,6 +123,12 @@ def build_plant(declared: Vehicle, scenario: Scenario) -> Plant:
     for effect in (effects.weak_rotor, effects.rotor_degradation):
         if effect.on and effect.rotor > rotors.count:
             raise BadInput(f"scenario: there is no rotor {effect.rotor}; {declared.name} has {rotors.count}.")
+    at_once = rotors.lag.up_s == rotors.lag.down_s == 0.0 and not effects.motor_lag.on
+    if effects.rotor_gyroscopic.on and at_once:
+        raise BadInput(
+            "scenario: rotors with an inertia (rotor_gyroscopic) do not change their speed at once; give them a lag "
+            f"([truth.lag], the effect motor_lag, or the lag that {declared.name} declares)."
+        )
     wall = effects.attracting_wall.azimuth_rad
     return Plant(
         before=before,

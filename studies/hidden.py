@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,9 @@ COMMANDED = ("motor_lag", "input_delay", "battery_sag")
 """Effects that show only where rotor speeds are commanded, not measured."""
 INVENTED = ("attracting_wall", "thrust_memory", "magnet")
 """No file of the library models these."""
+
+LAG = {"up_s": 0.03, "down_s": 0.04}
+"""Of rotors whose speed is measured, and of those with an inertia."""
 
 Random = np.random.Generator
 Table = dict[str, Any]
@@ -114,18 +117,23 @@ def world(random: Random, hidden: dict[str, Table], vehicle: Vehicle) -> Scenari
                 "mass_factor": float(random.uniform(0.95, 1.05)),
                 "inertia_factor": [float(f) for f in (*random.uniform(1.0, 1.2, 2), random.uniform(0.85, 1.0))],
                 "product_share": [float(f) for f in random.uniform(-0.015, 0.015, 3)],
-                **({} if vehicle.rotors.speed_source == "command" else {"lag": {"up_s": 0.03, "down_s": 0.04}}),
+                **({} if vehicle.rotors.speed_source == "command" else {"lag": LAG}),
             },
             "effects": hidden,
         }
     )
 
 
-def declared(name: str, hidden: Iterable[str]) -> Vehicle:
-    """A vehicle of configs/; with the speeds commanded, not measured, where the effect lies in between."""
+def declared(name: str, hidden: Collection[str]) -> Vehicle:
+    """A vehicle of configs/; with the speeds commanded, not measured, where the effect lies in between, and with a lag
+    where rotors that follow commands have an inertia.
+    """
     vehicle = load_vehicle(find_config("vehicles", name))
-    if not set(hidden) & set(COMMANDED):
+    source = "command" if set(hidden) & set(COMMANDED) else vehicle.rotors.speed_source
+    at_once = vehicle.rotors.lag.up_s == vehicle.rotors.lag.down_s == 0.0
+    lagging = "rotor_gyroscopic" in hidden and source == "command" and at_once
+    if source == vehicle.rotors.speed_source and not lagging:
         return vehicle
     document = vehicle_to_dict(vehicle)
-    document["rotors"]["speed_source"] = "command"
+    document["rotors"] |= {"speed_source": source, **({"lag": LAG} if lagging else {})}
     return vehicle_from_dict(document)

@@ -7,8 +7,9 @@ import pytest
 from sim_states import advance, matrix, plant_of, slope_of, state_of, vehicle_of
 
 from groundstation import frames
+from groundstation.errors import BadInput
 from groundstation.vehicle import RotorLag
-from sim.effects import ComOffset, PayloadChange, RotorDrag, RotorGyroscopic, SlungLoad
+from sim.effects import ComOffset, MotorLag, PayloadChange, RotorDrag, RotorGyroscopic, SlungLoad
 from sim.plant import ATTITUDE, LOAD, LOAD_VELOCITY, RATE, ROTOR, VELOCITY, specific_force
 from sim.scenario import Truth
 
@@ -45,6 +46,14 @@ def test_thrown_with_its_mass_off_centre_the_centre_of_mass_flies_a_parabola_and
     energy = turning + 0.5 * mass * np.sum(velocity**2, axis=1) + mass * plant.gravity * centre[:, 2]
     assert np.ptp(energy) < 1e-8 * energy[0]
     assert np.ptp(_momentum(plant, history), axis=0).max() < 1e-8
+
+
+def test_rotors_with_an_inertia_do_not_change_their_speed_at_once():
+    """Their momentum would: the reaction of a change in no time is not finite, and the simulator left it out."""
+    at_once = Truth(lag=RotorLag(up_s=0.0, down_s=0.0))
+    with pytest.raises(BadInput, match="rotor_gyroscopic"):
+        plant_of(vehicle_of(), at_once, rotor_gyroscopic=RotorGyroscopic(2e-5))
+    plant_of(vehicle_of(), at_once, rotor_gyroscopic=RotorGyroscopic(2e-5), motor_lag=MotorLag(hover_s=0.05))
 
 
 def test_rotors_that_spin_up_turn_the_body_back_and_the_whole_keeps_its_angular_momentum():
