@@ -66,13 +66,13 @@ def _against(campaign: Campaign, done: Round) -> list[str]:
 
 
 def _not_sharp(done: Round) -> list[str]:
-    missed = [f"{name} ({share:.1f} times its target)" for name, share in done.reached.items() if share > 1.0]
+    missed = [f"{label(name)} ({share:.1f} times its target)" for name, share in done.reached.items() if share > 1.0]
     return [f"not sharp enough: {', '.join(missed)}"] if missed else []
 
 
 def stuck(campaign: Campaign, done: Round) -> list[str]:
-    """Targets that are missed and that the last flight sharpened by less than half of what one more of equal flights
-    does by averaging, and of what its plan promised.
+    """Targets that are missed, were missed before, and that the last flight sharpened by less than half of what one
+    more of equal flights does by averaging, and of what its plan promised.
 
     Of n + 1 equal flights' noise the interval is sqrt(n / (n + 1)) times that of n.
 
@@ -87,8 +87,8 @@ def stuck(campaign: Campaign, done: Round) -> list[str]:
     averaged = math.sqrt((flights - 1) / flights)
     out = []
     for name, share in promised(campaign.vehicle, before.estimates, plan).items():
-        least = 0.5 * (1.0 + max(averaged, share))
-        if done.reached.get(name, 0.0) > max(1.0, least * before.reached.get(name, math.inf)):
+        least, was = 0.5 * (1.0 + max(averaged, share)), before.reached.get(name, 0.0)
+        if was > 1.0 and done.reached.get(name, 0.0) > max(1.0, least * was):
             out.append(name)
     return out
 
@@ -134,15 +134,16 @@ def _exhausted(campaign: Campaign, done: Round) -> str:
     if far:
         text += (
             " Flights like the last that it would still take: "
-            + ", ".join(f"{n} {c:.1f}" for n, c in far.items())
+            + ", ".join(f"{label(n)} {c:.1f}" for n, c in far.items())
             + "."
         )
     return text
 
 
 def _no_matter(names: Sequence[str]) -> str:
+    told = ", ".join(map(label, names))
     return (
-        f" More flights like the last do not sharpen {', '.join(names)}: the interval holds what the formulas of the "
+        f" More flights like the last do not sharpen {told}: the interval holds what the formulas of the "
         "findings leave open, or how far flights differ beyond their own intervals, and no longer noise."
     )
 
@@ -157,7 +158,7 @@ def _would_not_have_shown(done: Round) -> str:
     largest = sorted(done.would_show, key=lambda told: -told["share"])
     each = dict[str, str]()
     for told in largest:
-        size = f"{significant(told['least'], 2)} {split_unit(told['parameter'])[1]}".strip()
+        size = f"below {significant(told['least'], 2)} {split_unit(told['parameter'])[1]}".strip()
         name = f"{told['effect'].replace('_', ' ')} ({label(told['parameter'])})"
-        each.setdefault(told["effect"], f"{name} below {size}")
+        each.setdefault(told["effect"], f"{name} {size if told['share'] < 1.0 else 'of any size'}")
     return f" They would not have shown: {', '.join(list(each.values())[:MISSED])}." if each else ""

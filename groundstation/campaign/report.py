@@ -58,8 +58,7 @@ def write_campaign_report(path: Path, campaign: Campaign) -> Path:
             class_="sub",
         ),
     )
-    last = campaign.rounds[-1] if campaign.rounds else None
-    open_ = list(last.not_settled) if last is not None else []
+    open_ = campaign.rounds[-1].not_settled if campaign.rounds and not campaign.sentence else ()
     page.section(
         "verdict",
         "How it ended",

@@ -142,7 +142,11 @@ def add_would_show(page: Page, diagnosis: Diagnosis | None) -> None:
         return
     rows = []
     for told in diagnosis.would_show:
-        size = f"{significant(told.least, 2)} {split_unit(told.parameter)[1]}".strip()
+        size = (
+            f"{significant(told.least, 2)} {split_unit(told.parameter)[1]}".strip()
+            if told.share < 1.0
+            else "not at all"
+        )
         rows.append((effect_name(told.effect), label(told.parameter), size, f"{significant(100 * told.share, 2)} %"))
     caption = (
         "Effects that are not among the findings, and the size from which on these flights show them nine times out of "
