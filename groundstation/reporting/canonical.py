@@ -63,9 +63,9 @@ class Canonical:
 def canonical(identification: Identification, diagnosis: Diagnosis | None = None) -> Canonical:
     """The estimate of the best method; after a diagnosis, with its findings put in where they were adopted.
 
-    What the flight does not reveal stays hidden. Where a residual remains that nothing explains, the intervals are
-    widened: by what the residual adds to the noise they were made of (Birge 1932), and to hold the estimates with the
-    findings and without.
+    What the flight does not reveal stays hidden. Where a residual remains that nothing explains, or findings are not
+    put in, the intervals are widened: by what the residual adds to the noise they were made of (Birge 1932), and to
+    hold the estimates with the findings and without.
     """
     best = identification.methods.get(identification.best)
     own = dict(best.parameters if best else {}) | dict(identification.model)
@@ -73,7 +73,7 @@ def canonical(identification: Identification, diagnosis: Diagnosis | None = None
         return Canonical(own, identification.best, correlation=correlated(best.covariance if best else None))
     found = dict(own)
     covariance = best.covariance if best else None
-    source, notes = identification.best, []
+    source, notes, aside = identification.best, [], own
     if diagnosis.findings and diagnosis.adopted:
         found |= {n: e for n, e in diagnosis.parameters_after.items() if n not in identification.not_identifiable}
         for finding in diagnosis.findings:
@@ -81,9 +81,11 @@ def canonical(identification: Identification, diagnosis: Diagnosis | None = None
                 found |= {name: e for name, e in finding.parameters.items() if name in own}
         source, covariance = f"{identification.best} + findings", diagnosis.covariance_after
     elif diagnosis.findings:
-        notes.append("The findings make the prediction worse and are not put in.")
+        aside = diagnosis.parameters_after
+        notes.append("The findings make the prediction worse and are not put in; the intervals hold both.")
+    if diagnosis.unexplained or aside is not own:
+        found = {name: _widened(estimate, aside.get(name), diagnosis) for name, estimate in found.items()}
     if diagnosis.unexplained:
-        found = {name: _widened(estimate, own.get(name), diagnosis) for name, estimate in found.items()}
         notes.append(
             "A residual remains that nothing explains: the intervals are widened, and may still not hold the truth."
         )
@@ -102,9 +104,9 @@ def correlated(covariance: NDArray[np.float64] | None) -> NDArray[np.float64] | 
     return out
 
 
-def _widened(estimate: Estimate, without: Estimate | None, diagnosis: Diagnosis) -> Estimate:
-    share = min(max(item.share for item in diagnosis.unexplained), MOST_SHARE)
-    moved = 0.0 if without is None else abs(estimate.value - without.value)
+def _widened(estimate: Estimate, other: Estimate | None, diagnosis: Diagnosis) -> Estimate:
+    share = min(max((item.share for item in diagnosis.unexplained), default=0.0), MOST_SHARE)
+    moved = 0.0 if other is None else abs(estimate.value - other.value)
     return Estimate.normal(estimate.value, hypot(estimate.std / sqrt(1.0 - share), moved / HALF_95))
 
 
