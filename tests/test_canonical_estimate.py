@@ -85,8 +85,8 @@ def test_an_unexplained_residual_widens_every_interval():
 
 
 def test_intervals_hold_what_findings_that_are_not_put_in_would_make_of_them():
-    """Rotors with an inertia bent an x500's Izz to a fifth; the findings held the truth, were not put in beside another
-    effect that was missed, and 0.0084 +- 0.000005 kg m^2 was published.
+    """Rotors with an inertia bent an x500's Izz to a quarter; the findings held the truth and were not put in beside
+    another effect that was missed: what was published was 40 deviations off.
     """
     identification, diagnosis = fixture.identification(), _diagnosis("findings not adopted")
     own = identification.methods[identification.best].parameters["izz_kg_m2"]
