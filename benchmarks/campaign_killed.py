@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -94,13 +93,17 @@ def main() -> int:
     link = ["--link", f"udpin://127.0.0.1:{(port := free_port())}", "--logs", str(logs)]
     with autopilot(options.vehicle, options.scenario, port):
         begun = subprocess.Popen([*CLI, "--vehicle", options.vehicle, "--until", options.until, *link])
-        until(lambda: excited(logs), begun)
-        os.kill(begun.pid, signal.SIGKILL)
-        begun.wait()
+        try:
+            until(lambda: excited(logs), begun)
+        finally:
+            begun.kill()  # SIGKILL
+            begun.wait()
         killed = stand(logs)["pending"]["folder"]
         print(f"\nkilled while {Path(killed).name} was flown; resuming", flush=True)
         folder = next(logs.glob("campaign-*"))
-        status = subprocess.run([*CLI, "--resume", str(folder), *link], check=False).returncode
+        status = subprocess.run(
+            [*CLI, "--resume", str(folder), *link], check=False, timeout=2.0 * PATIENCE_S
+        ).returncode
     return judged(logs, killed, status)
 
 

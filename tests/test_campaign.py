@@ -196,7 +196,7 @@ def test_a_campaign_ends_where_flights_sharpen_nothing_that_is_missed(tmp_path, 
     done = ending.with_round(begun, _round(tmp_path, now))
     assert done.outcome == outcome
     if outcome == "limit":
-        assert "mass (2.9 times its target)" in done.sentence and "do not sharpen mass:" in done.sentence
+        assert "mass (2.90 times its target)" in done.sentence and "do not sharpen mass:" in done.sentence
 
 
 def test_what_would_not_show_though_it_lifted_the_vehicle_is_of_any_size(tmp_path):

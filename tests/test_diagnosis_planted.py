@@ -207,6 +207,17 @@ def test_where_one_of_the_two_is_turned_it_alone_is_named_and_sharply(name, turn
     assert finding.parameters["rotation_x_rad"].std < 1e-3
 
 
+def test_markers_that_are_shifted_are_told_beside_an_imu_that_is_turned():
+    shift = (0.015, 0.0, 0.01)
+    markers = {"rotation_rad": (0.0, 0.0, 0.0), "offset_m": shift}
+    flight = _flown(_qball(), imu_misalignment={"rotation_rad": (0.012, 0.008, 0.029)}, mocap_misalignment=markers)
+    found = {f.effect: f for f in diagnose([flight]).findings}
+    assert set(found) == {"imu_misalignment", "mocap_misalignment"}
+    assert found["imu_misalignment"].alternatives == ()
+    for axis, truth in zip("xyz", shift, strict=True):
+        _assert_within(found["mocap_misalignment"].parameters[f"offset_{axis}_m"], truth)
+
+
 def test_a_body_that_was_taken_for_the_turned_one_is_put_right_where_the_rotors_say_it_is_the_other(monkeypatch):
     """As where the thrust's direction, which alone was asked at first, says the wrong one."""
     monkeypatch.setattr(kinematic, "_lead_of_imu", lambda prepared, found: 1.0)

@@ -66,7 +66,7 @@ def _against(campaign: Campaign, done: Round) -> list[str]:
 
 
 def _not_sharp(done: Round) -> list[str]:
-    missed = [f"{label(name)} ({share:.1f} times its target)" for name, share in done.reached.items() if share > 1.0]
+    missed = [f"{label(name)} ({share:.2f} times its target)" for name, share in done.reached.items() if share > 1.0]
     return [f"not sharp enough: {', '.join(missed)}"] if missed else []
 
 

@@ -87,10 +87,10 @@ def _in_place_of(named: Finding, turned: Sequence[Finding], findings: Sequence[F
     for finding in turned:
         like = [f for f in findings if f.effect == finding.effect]
         shifts = {n: e for f in like for n, e in f.parameters.items() if n not in finding.parameters}
-        sentences = [f.sentence for f in like if f is not named]
-        text = " ".join([finding.sentence, *sentences])
+        text = " ".join([finding.sentence, *(f.sentence for f in like if f is not named)])
         out.append(replace(finding, parameters={**finding.parameters, **shifts}, sentence=text))
-    return [*out, *(f for f in findings if f.effect not in TURNED)]
+    told = {finding.effect for finding in turned}
+    return [*out, *(f for f in findings if f is not named and f.effect not in told)]
 
 
 def turn_of_imu(findings: Sequence[Finding]) -> Mapping[str, Estimate]:
