@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,9 +16,9 @@ from groundstation.diagnosis.evidence import Evidence
 from groundstation.diagnosis.held_out import held_out
 from groundstation.diagnosis.results import Finding
 from groundstation.diagnosis.rivals import (
-    INSTANTS,
     Entry,
     Kind,
+    began_once,
     clearly,
     has_changes,
     in_settings,
@@ -29,6 +29,7 @@ from groundstation.diagnosis.rivals import (
     posterior,
     preferred,
 )
+from groundstation.diagnosis.small import margins_beside_forms
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.whitening import orthonormal
 from groundstation.identification.record_model import CHANNELS
@@ -65,6 +66,7 @@ class Selection:
     Args:
         pool: what may be named. baseline: what is there in any case.
         variants: how many settings each effect is tried in; None for those in the pool.
+        small: what may stand as small effects do (:mod:`.small`).
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class Selection:
         baseline: Sequence[Entry] = (),
         progress: Callable[[float], None] = lambda fraction: None,
         variants: Mapping[str, int] | None = None,
+        small: Iterable[Kind] = (),
     ):
         self.evidence = evidence
         self.baseline = list(baseline)
@@ -85,6 +88,7 @@ class Selection:
         self.discrepancy = Discrepancy(evidence)
         self.lag = self.discrepancy.of_lag(evidence.solve(self.baseline))
         self.variants = Counter(c.identifier for c, _ in self.pool) if variants is None else variants
+        self.small = set(small)
         self._passed: dict[tuple[int, int], float] = {}
         self._alone: dict[frozenset[int], Array] = {}
         self._beaten: list[tuple[set[Kind], float]] = []
@@ -106,7 +110,7 @@ class Selection:
         The search for an instant is one more parameter, which costs the logarithm of the number of rows (Schwarz 1978),
         about as much as ``inseparable``: a rotor that was weak all along is not one that failed early for less.
         """
-        return self.threshold(*entry) + (THRESHOLDS.inseparable if INSTANTS.intersection(entry[0].settings) else 0.0)
+        return self.threshold(*entry) + (THRESHOLDS.inseparable if began_once(entry) else 0.0)
 
     def _margins(self, chosen: Sequence[Entry], members: Sequence[int] | None = None) -> list[float]:
         """Margin of each member (or of some) over chance and over the others' form errors; -inf if implausible or
@@ -130,8 +134,13 @@ class Selection:
                 continue
             others = self._without(chosen, index)
             telling = candidate.effect.telling()
-            least = self.threshold(candidate, columns, telling) + allowance(energies[index], others)
-            out.append(solution.wald(first, telling) - least)
+            chance = self.threshold(candidate, columns, telling)
+            beyond = solution.wald(first, telling) - chance
+            margin = beyond - allowance(energies[index], others)
+            if margin <= 0.0 < beyond and kind_of(chosen[index]) in self.small:
+                rest = [*chosen[:index], *chosen[index + 1 :]]
+                margin = max(margin, *self._margins_beside_forms(rest, [chosen[index]]))
+            out.append(margin)
         return out
 
     def _margins_of_each(self, chosen: Sequence[Entry], entries: Sequence[Entry]) -> list[float]:
@@ -148,6 +157,10 @@ class Selection:
                     least = self.threshold(candidate, columns, candidate.effect.telling())
                     out[index] = float(walds[place]) - least - allowance(energies[place], others)
         return out
+
+    def _margins_beside_forms(self, chosen: Sequence[Entry], entries: Sequence[Entry]) -> list[float]:
+        """Those of small effects beside a set."""
+        return margins_beside_forms(self.evidence, [*self.baseline, *chosen], entries, self.threshold)
 
     def needed(self, entry: Entry, values: Array, chosen: Sequence[Entry]) -> float:
         """Wald statistic from which an entry of these values would stand beside a set."""
@@ -183,6 +196,39 @@ class Selection:
         margins = self._margins_of_each(chosen, entries)
         best = int(np.argmax(margins)) if entries else 0
         return entries[best] if entries and margins[best] > 0.0 else None
+
+    def _best_small(self, chosen: Sequence[Entry], refuted: set[str]) -> Entry | None:
+        """The best of those that stand as small effects do beside what was chosen."""
+        taken = {c.identifier for c, _ in chosen} | refuted
+        entries = self._beating_chance(chosen, [entry for entry in self.pool if entry[0].identifier not in taken])
+        margins = self._margins_beside_forms(chosen, entries) if chosen and entries else []
+        best = int(np.argmax(margins)) if margins else 0
+        return entries[best] if margins and margins[best] > 0.0 else None
+
+    def _beating_chance(self, chosen: Sequence[Entry], entries: Sequence[Entry]) -> list[Entry]:
+        """Those of some, but of no instant that was looked for, that beat chance beside a set: what begins at any
+        moment fits to whatever a formula misses at one.
+        """
+        entries = [entry for entry in entries if not began_once(entry)]
+        out: list[Entry] = []
+        for found in beside(self.evidence, [*self.baseline, *chosen], entries):
+            right = found.plausible() & found.material(self.evidence.scale)
+            for entry, wald, fits in zip(found.entries, found.walds(), right, strict=True):
+                chance = self.threshold(*entry, found.telling)
+                if fits and wald > chance and self._has_prerequisites(entry[0], [*chosen, entry]):
+                    out.append(entry)
+        return out
+
+    def _stands(self, chosen: Sequence[Entry], index: int) -> bool:
+        """Whether a member stands, as any effect or as small ones do."""
+        if self._margins(chosen, [index])[0] > 0.0:
+            return True
+        rest = [*chosen[:index], *chosen[index + 1 :]]
+        entries = self._beating_chance(rest, [chosen[index]]) if rest else []
+        if not entries or self._margins_beside_forms(rest, entries)[0] <= 0.0:
+            return False
+        self.small.add(kind_of(chosen[index]))
+        return True
 
     def choose(self) -> list[Entry]:
         """The set that explains most beyond chance: of the one that forward selection ends in, and those from other
@@ -255,6 +301,9 @@ class Selection:
         refuted: set[str] = set()
         for _ in range(2 * THRESHOLDS.effects_most):
             entry = self._best_addition(chosen, refuted) if len(chosen) < THRESHOLDS.effects_most else None
+            if entry is None and len(chosen) < THRESHOLDS.effects_most:
+                entry = self._best_small(chosen, refuted)
+                self.small |= {kind_of(entry)} if entry else set()
             if entry is None:
                 break
             *_, entry = refined = self._refined([*chosen, entry], len(chosen))
@@ -325,7 +374,8 @@ class Selection:
         for number in range(THRESHOLDS.refinements_most):
             current = chosen[index]
             entries = [current]
-            if number == 0 and has_changes(current[0].effect):  # a margin is of one parameter, and they have several
+            # Margins through instruments of their own do not compare, nor those of one parameter of several.
+            if number == 0 and (has_changes(current[0].effect) or not began_once(current)):
                 entries += [entry for entry in self.pool if kind_of(entry) == kind_of(current)]
             for settings in nearby(self.evidence, self.baseline, chosen, index):
                 finer = Candidate(current[0].effect, settings)
@@ -335,7 +385,7 @@ class Selection:
             sets = [[*self.baseline, *chosen[:index], entry, *chosen[index + 1 :]] for entry in entries]
             best = entries[int(np.argmax(self.evidence.contest(sets).falls))] if len(entries) > 1 else current
             trial = [*chosen[:index], best, *chosen[index + 1 :]]
-            if best is current or self._margins(trial, [index])[0] <= 0.0:
+            if best is current or not self._stands(trial, index):
                 break
             chosen = trial
         return chosen

@@ -302,6 +302,20 @@ class Evidence:
         parts = [instrument[first:last] for first, last in pairwise(starts)]
         return np.concatenate([f.whitening.energy(part) for f, part in zip(self.flights, parts, strict=True)])
 
+    def mean_square(self, rest: Array, columns: Columns) -> float:
+        """Of what is left (rows,), in the channels and bands where an effect's instruments lie: one of noise alone."""
+        energy = self._energy(columns.instrument) if columns.energy is None else columns.energy
+        rest = rest * np.sqrt(self.weight)
+        starts = np.cumsum([0, *(len(flight.y) for flight in self.flights)])
+        power = np.concatenate(
+            [
+                flight.whitening.energy(rest[first:last, None])[:, 0] * float(np.sum(rest[first:last] ** 2))
+                for flight, (first, last) in zip(self.flights, pairwise(starts), strict=True)
+            ]
+        )
+        share = energy.sum(axis=1)
+        return float(share @ (power / self._freedom)) / float(share.sum())
+
     @cached_property
     def _freedom(self) -> Array:
         return np.concatenate([flight.whitening.freedom() for flight in self.flights])

@@ -29,6 +29,11 @@ def kind_of(entry: Entry) -> Kind:
     return candidate.identifier, candidate.settings.get("rotor")
 
 
+def began_once(entry: Entry) -> bool:
+    """Whether an instant of a candidate was looked for."""
+    return bool(INSTANTS.intersection(entry[0].settings))
+
+
 def preferred(sets: Sequence[Sequence[Entry]], scores: Sequence[float], misfit: float) -> int:
     """Which set to go on with: the first, unless another explains clearly more, or more with fewer numbers, or as much
     with fewer instants that were looked for.
@@ -44,7 +49,7 @@ def preferred(sets: Sequence[Sequence[Entry]], scores: Sequence[float], misfit: 
     leaner = [i for i, score in enumerate(scores) if score > scores[0] and numbers[i] < numbers[0]]
     if leaner:
         return max(leaner, key=lambda index: scores[index])
-    instants = [sum(bool(INSTANTS.intersection(c.settings)) for c, _ in chosen) for chosen in sets]
+    instants = [sum(map(began_once, chosen)) for chosen in sets]
     simpler = [
         index
         for index, chosen in enumerate(sets)
@@ -64,7 +69,7 @@ def clearly(score: float) -> float:
 
 def _numbers(chosen: Sequence[Entry]) -> int:
     """How many numbers a set takes from the flight: parameters, and instants that were looked for."""
-    return sum(len(c.effect.parameters) + bool(INSTANTS.intersection(c.settings)) for c, _ in chosen)
+    return sum(len(entry[0].effect.parameters) + began_once(entry) for entry in chosen)
 
 
 def has_changes(effect: Effect) -> bool:

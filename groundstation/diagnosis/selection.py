@@ -19,7 +19,7 @@ from groundstation.diagnosis.flight_evidence import FlightEvidence
 from groundstation.diagnosis.form_error import form_covariance
 from groundstation.diagnosis.left_open import left_open
 from groundstation.diagnosis.pool import pool_of
-from groundstation.diagnosis.rivals import Entry
+from groundstation.diagnosis.rivals import Entry, kind_of
 from groundstation.diagnosis.thresholds import THRESHOLDS
 from groundstation.diagnosis.unplanned import PastMotion
 from groundstation.identification.memory import released
@@ -106,12 +106,17 @@ class Selected:
         return left_open(self.evidence, self.chosen, self.selection.pool, self.selection.threshold)
 
     def established(self) -> Selected:
-        """Without members that sets without them explain as well, and whose size is not told from zero.
+        """Without members whose size is not told from zero where sets without them explain as much, or where they stand
+        as small effects do.
 
-        Confidence below a half says the first. The second is said by the interval that holds what formulas and
+        Confidence below a half says the first. The size is told by the interval that holds what formulas and
         explanations beside the findings leave open, too: such a number makes up for what another's formula misses.
         """
-        doubted = [n.confidence < 0.5 and not n.alternatives for n in self.named]
+        small = self.selection.small
+        doubted = [
+            (n.confidence < 0.5 and not n.alternatives) or kind_of((n.candidate, n.columns)) in small
+            for n in self.named
+        ]
         if not any(doubted):
             return self
         solution = self.solution
@@ -226,7 +231,7 @@ def _confirmed(selection: Selection, chosen: list[Entry], case: Case, augmented:
     evidence = by_what_is_left(selection.evidence, selection.baseline, chosen)
     vehicle = case.suspects[0].record.vehicle
     baseline = _baseline(evidence, vehicle, augmented, references=bool(case.healthy))
-    again = Selection(evidence, (), baseline, variants=selection.variants)
+    again = Selection(evidence, (), baseline, variants=selection.variants, small=selection.small)
     left = again.still_significant([candidate for candidate, _ in chosen])
     return [entry for entry in chosen if entry[0] in left]
 

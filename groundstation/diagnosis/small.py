@@ -1,0 +1,55 @@
+r"""What a small effect has to show beside larger ones, where their formulas may leave as much as it explains.
+
+:mod:`.discrepancy` allows the formulas of others to miss a share of their amplitude in whatever shape looks most like
+the effect in question: no effect of the 80th part of another's energy stands beside it. Two things are known of what a
+formula misses, though. It takes a form: it goes with a power of the speed, the height, the thrust or the rates, or acts
+on one axis (:mod:`.left_open`). Those are estimated along, and an effect in such a shape goes into them. And a formula
+that misses something else leaves that in no effect's shape alone: it shows in the residual. So the mean square r of
+what is left in the channels and bands where the effect lives is the variance that it is judged by,
+
+.. math:: W_f / \max(1, r) > w,
+
+with :math:`W_f` the Wald statistic beside the forms and w what chance passes too rarely: an F test, whose threshold
+knows already how few values lie in those bands (:meth:`.Evidence.threshold`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from groundstation.diagnosis.beside import beside
+from groundstation.diagnosis.columns import Candidate, Columns
+from groundstation.diagnosis.evidence import Evidence
+from groundstation.diagnosis.left_open import misshapen
+from groundstation.diagnosis.rivals import Entry
+
+
+def margins_beside_forms(
+    evidence: Evidence,
+    others: Sequence[Entry],
+    entries: Sequence[Entry],
+    threshold: Callable[[Candidate, Columns, Sequence[int]], float],
+) -> list[float]:
+    """By how much each of several entries beats chance where the forms of the others are estimated along; -inf where it
+    is implausible then.
+
+    Args:
+        others: what is there in any case and what was chosen, without any of the entries.
+        threshold: Wald statistic of some parameters of an entry that chance passes too rarely.
+    """
+    forms = [form.entry for form in misshapen(evidence, others, evidence.solve(others))]
+    out = [-np.inf] * len(entries)
+    for found in beside(evidence, [*others, *forms], entries):
+        for place, index, wald, right in zip(
+            range(len(found.index)), found.index, found.walds(), found.plausible(), strict=True
+        ):
+            if not right:
+                continue
+            candidate, columns = entries[index]
+            together = [*others, *forms, entries[index]]
+            left = evidence.mean_square(evidence.remainder(together, evidence.solve(together)), columns)
+            least = threshold(candidate, columns, found.telling)
+            out[index] = float(wald) / max(1.0, left) - least
+    return out
